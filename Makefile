@@ -1,0 +1,70 @@
+# make demo | test | lint | bench | clean; each one sets up what it needs. PYTHON=python3.12 picks another interpreter.
+
+PYTHON ?= python3
+VENV   := .venv
+BIN    := $(VENV)/bin
+STAMPS := $(VENV)/.stamps
+CHECK  := from mistray._variant import find_llvm; from mistray._mitsuba_compat import import_mitsuba; \
+          llvm = find_llvm(); import_mitsuba(); print(llvm)
+
+.DEFAULT_GOAL := help
+.PHONY: help demo test lint bench venv clean
+.DELETE_ON_ERROR:
+
+help:
+	@echo "make demo    trace the ghosts of the phone camera into out/demo"
+	@echo "make test    lint, types and tests"
+	@echo "make lint    lint and types only"
+	@echo "make bench   measure the speed"
+	@echo "make venv    only set up $(VENV)"
+	@echo "make clean   remove $(VENV), caches and results"
+
+demo: venv
+	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --out out/demo
+
+test: lint
+	$(BIN)/python -m pytest -m "not gpu"
+
+lint: venv
+	$(BIN)/ruff check .
+	$(BIN)/ruff format --check .
+	$(BIN)/mypy
+
+bench: venv
+	$(BIN)/python benchmarks/bench.py
+
+venv: $(STAMPS)/installed $(STAMPS)/libraries
+
+clean:
+	rm -rf $(VENV) out build dist *.egg-info .pytest_cache .mypy_cache .ruff_cache
+	find mistray plugins scenes tests benchmarks -name __pycache__ -prune -exec rm -rf {} + 2>/dev/null || true
+
+$(STAMPS)/created:
+	@$(PYTHON) -c 'import sys; sys.exit(sys.version_info < (3, 11))' 2>/dev/null || \
+	  { echo "mistray needs Python 3.11 or newer as '$(PYTHON)'; name another with: make PYTHON=python3.12" >&2; exit 1; }
+	@$(PYTHON) -c 'import ensurepip' 2>/dev/null || { \
+	  package=python$$($(PYTHON) -c 'import sys; print("%d.%d" % sys.version_info[:2])')-venv; \
+	  if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null; then \
+	    echo "installing $$package" && apt-get update -qq && \
+	    DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$package >/dev/null; \
+	  else echo "'$(PYTHON)' cannot make virtual environments; install $$package" >&2; exit 1; fi; }
+	@echo "making $(VENV)"
+	@$(PYTHON) -m venv $(VENV)
+	@mkdir -p $(STAMPS) && touch $@
+
+$(STAMPS)/installed: pyproject.toml | $(STAMPS)/created
+	@echo "installing mistray and its dependencies into $(VENV) (minutes the first time)"
+	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-input --prefer-binary -e '.[dev]'
+	@touch $@
+
+# Dr.Jit opens libLLVM and libatomic, which pip does not bring. LLVM 19 is the version the measurements were made with.
+$(STAMPS)/libraries: | $(STAMPS)/installed
+	@if [ "$$(id -u)" = 0 ] && command -v apt-get >/dev/null && ! $(BIN)/python -c '$(CHECK)' >/dev/null 2>&1; then \
+	  apt-get update -qq; \
+	  names=$$(apt-cache pkgnames libllvm | grep -E '^libllvm(1[7-9]|2[0-2])(t64)?$$' | sort -rV); \
+	  llvm=$$(echo "$$names" | grep -x libllvm19 || echo "$$names" | head -n 1); \
+	  echo "installing $$llvm libatomic1"; \
+	  DEBIAN_FRONTEND=noninteractive apt-get install -y -qq --no-install-recommends $$llvm libatomic1 >/dev/null; fi
+	@line=$$($(BIN)/python -c '$(CHECK)' 2>&1 | tail -n 1); \
+	  echo "$$line" | sed 's/^[A-Za-z.]*Error: //'; case "$$line" in LLVM*) ;; *) exit 1 ;; esac
+	@touch $@

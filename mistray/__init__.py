@@ -1,0 +1,80 @@
+"""mistray: stray light in optical systems, on Mitsuba 3 and Dr.Jit.
+
+Importing the package settles libLLVM, makes a Mitsuba variant active if none is, and registers the plugins. Where that is
+impossible the import still succeeds, so that ``mistray doctor`` can say why; the first use of a public name raises.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from mistray._variant import ensure_variant
+from mistray.errors import MistrayError
+
+if TYPE_CHECKING:
+    from mistray import analysis, materials, physics, prescription, report, scene
+    from mistray.analysis import GhostReport, ghosts
+    from mistray.prescription import Detector, Prescription, Source, Structure, Surface
+    from mistray.scene import load
+    from mistray.trace import Trace, trace
+
+_HOMES = {
+    "load": "mistray.scene",
+    "trace": "mistray.trace",
+    "Trace": "mistray.trace",
+    "ghosts": "mistray.analysis",
+    "GhostReport": "mistray.analysis",
+    "Detector": "mistray.prescription",
+    "Prescription": "mistray.prescription",
+    "Source": "mistray.prescription",
+    "Structure": "mistray.prescription",
+    "Surface": "mistray.prescription",
+}
+_MODULES = ("analysis", "materials", "physics", "prescription", "report", "scene")
+
+__all__ = [
+    "Detector",
+    "GhostReport",
+    "MistrayError",
+    "Prescription",
+    "Source",
+    "Structure",
+    "Surface",
+    "Trace",
+    "analysis",
+    "ensure_variant",
+    "ghosts",
+    "load",
+    "materials",
+    "physics",
+    "prescription",
+    "report",
+    "scene",
+    "trace",
+]
+
+
+def _bind() -> None:
+    """Make the public names; `trace` is the function, although the package `mistray.trace` is called the same."""
+    ensure_variant()
+    for name in _MODULES:
+        globals()[name] = importlib.import_module(f"mistray.{name}")
+    globals().update({name: getattr(importlib.import_module(home), name) for name, home in _HOMES.items()})
+
+
+def __getattr__(name: str) -> Any:
+    if name not in __all__:
+        raise AttributeError(f"module 'mistray' has no attribute '{name}'")
+    _bind()
+    return globals()[name]
+
+
+def __dir__() -> list[str]:
+    return sorted(__all__)
+
+
+try:
+    _bind()
+except MistrayError:
+    pass  # raised again, with its remedy, by the first use of a public name

@@ -1,0 +1,100 @@
+"""Everything that changes between Mitsuba releases: the supported release and the names of mesh buffers.
+
+Mitsuba is imported inside functions only, because libLLVM has to be settled before that (see `mistray._variant`); so is
+numpy, so that `mistray doctor` can say that it is missing.
+"""
+
+from __future__ import annotations
+
+import importlib
+from typing import TYPE_CHECKING, Any
+
+from mistray.errors import MistrayError
+
+if TYPE_CHECKING:
+    import numpy as np
+    import numpy.typing as npt
+
+SUPPORTED_RELEASE = "3.9"
+
+_POSITIONS = "vertex_positions"
+_FACES = "faces"
+
+
+def import_mitsuba() -> Any:
+    """
+    Import Mitsuba and check that it is of the supported release.
+
+    Returns
+    -------
+    module
+        ``mitsuba``. No variant is set by this.
+
+    Raises
+    ------
+    MistrayError
+        Mitsuba is missing, broken or of another release.
+    """
+    try:
+        mi = importlib.import_module("mitsuba")
+    except (ImportError, NameError) as error:  # drjit 1.5 follows its ImportError by a NameError
+        reason = str(error.__context__ or error)
+        raise MistrayError(f"mitsuba cannot be imported ({reason}); {import_remedy(reason)}") from None
+    check_release(mi.__version__)
+    return mi
+
+
+def import_remedy(reason: str) -> str:
+    """What to do when Mitsuba or Dr.Jit cannot be imported, by the text of the ImportError."""
+    if "libatomic" in reason:  # the wheel of drjit 1.5 needs it and does not bring it
+        return "install libatomic: apt-get install libatomic1 (Debian, Ubuntu), dnf install libatomic (Fedora)"
+    return f"run: pip install --force-reinstall 'mitsuba=={SUPPORTED_RELEASE}.*'"
+
+
+def check_release(version: str) -> None:
+    """Raise `MistrayError` unless a Mitsuba version such as "3.9.1" is of the supported release."""
+    if not version.startswith(SUPPORTED_RELEASE + "."):
+        raise MistrayError(
+            f"mitsuba {version} is installed and mistray is written for {SUPPORTED_RELEASE}; "
+            f"run: pip install 'mitsuba=={SUPPORTED_RELEASE}.*'"
+        )
+
+
+def write_mesh(mesh: Any, vertices: npt.ArrayLike, faces: npt.ArrayLike) -> None:
+    """
+    Fill the buffers of a `mi.Mesh` and let Mitsuba update what depends on them.
+
+    Parameters
+    ----------
+    mesh : mi.Mesh
+        Created with the same numbers of vertices and faces.
+    vertices : (n, 3) float
+        Positions in world space, mm.
+    faces : (m, 3) int
+        Vertex numbers of each triangle, counter-clockwise about its normal.
+    """
+    import numpy as np
+
+    mi = import_mitsuba()
+    buffers = mi.traverse(mesh)
+    buffers[_POSITIONS] = mi.Float(np.ravel(np.asarray(vertices, dtype=np.float32)))
+    buffers[_FACES] = mi.UInt32(np.ravel(np.asarray(faces, dtype=np.uint32)))
+    buffers.update()
+
+
+def mesh_arrays(mesh: Any) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint32]]:
+    """
+    Read the buffers of a `mi.Mesh`.
+
+    Returns
+    -------
+    vertices : (n, 3) float32
+        Positions in world space, mm.
+    faces : (m, 3) uint32
+        Vertex numbers of each triangle.
+    """
+    import numpy as np
+
+    buffers = import_mitsuba().traverse(mesh)
+    vertices = np.array(buffers[_POSITIONS], dtype=np.float32).reshape(-1, 3)
+    return vertices, np.array(buffers[_FACES], dtype=np.uint32).reshape(-1, 3)

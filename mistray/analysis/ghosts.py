@@ -1,0 +1,388 @@
+"""Ghost analysis: every path to the detector at several field angles, set against the direct image on axis.
+
+The yardstick is the RMS irradiance of a path, ``P / (π r_rms²)`` with P the power that the detector absorbs and r_rms
+the RMS distance of the rays from their centroid. Divided by that of the direct image on axis it is the *normalised*
+RMS irradiance: how bright the ghost stands against the image of the same source.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mistray.analysis.estimate import UNKNOWN, Estimate, total
+from mistray.analysis.irradiance import Map, MapStatistics, mirror_asymmetry, statistics
+from mistray.errors import MistrayError
+from mistray.trace import Trace, trace
+
+DIRECT = "direct"
+KINDS = ("ghost", "structure", "structure+ghost", "TIR", "straight shot")
+FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain to rank by
+MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
+NOMINAL_FIELD_DEG = 0.0
+
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class DirectImage:
+    """
+    The direct image at one field angle, all wavelengths together.
+
+    Attributes
+    ----------
+    power_W, rms_radius_mm, rms_irradiance_W_mm2, peak_W_mm2 : Estimate
+        Absorbed power, RMS radius about the centroid, ``P / (π r_rms²)`` and the brightest pixel of its map. All NaN
+        (power 0) where no direct light reaches the detector.
+    """
+
+    power_W: Estimate
+    rms_radius_mm: Estimate
+    rms_irradiance_W_mm2: Estimate
+    peak_W_mm2: Estimate
+
+
+@dataclass(frozen=True)
+class FieldSummary:
+    """
+    One row of the main table.
+
+    Attributes
+    ----------
+    field_deg : float
+        Field angle, degrees.
+    paths : int
+        Paths that reach the detector, the direct ones included.
+    paths_of_kind : dict
+        Number of paths by kind.
+    direct : DirectImage
+        Direct image at this field.
+    stray_W : Estimate
+        Power of everything that is not the direct image.
+    stray_of_kind_W : dict
+        The same by kind.
+    ghost_to_signal : Estimate
+        ``stray_W`` over the direct power at this field; NaN out of field.
+    stray_to_nominal : Estimate
+        ``stray_W`` over the direct power on axis.
+    peak_stray_W_mm2, peak_to_nominal : Estimate
+        Brightest pixel of the stray light, and the same over the brightest pixel of the direct image on axis.
+    brightest : int or None
+        ``path_id`` of the stray path of the highest RMS irradiance.
+    brightest_normalised : Estimate
+        Its normalised RMS irradiance.
+    map : MapStatistics
+        Statistics block of the whole irradiance map.
+    stray_map : MapStatistics
+        The same without the direct image.
+    asymmetry, asymmetry_expected : float
+        See `mistray.analysis.irradiance.mirror_asymmetry`.
+    """
+
+    field_deg: float
+    paths: int
+    paths_of_kind: dict[str, int]
+    direct: DirectImage
+    stray_W: Estimate
+    stray_of_kind_W: dict[str, Estimate]
+    ghost_to_signal: Estimate
+    stray_to_nominal: Estimate
+    peak_stray_W_mm2: Estimate
+    peak_to_nominal: Estimate
+    brightest: int | None
+    brightest_normalised: Estimate
+    map: MapStatistics
+    stray_map: MapStatistics
+    asymmetry: float
+    asymmetry_expected: float
+
+
+@dataclass(frozen=True)
+class _FieldMaps:
+    """Maps with standard errors: of the worst paths by path_id, and of all stray light."""
+
+    paths: dict[int, tuple[Map, Map]]
+    stray: tuple[Map, Map]
+
+
+class GhostReport(Mapping[float, Trace]):
+    """
+    Result of `ghosts`: a mapping from field angle in degrees to `Trace`, and what follows from them.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+        The scene that was traced.
+    nominal : DirectImage
+        Direct image on axis (field 0): the denominator of every normalised number.
+    nominal_trace : Trace
+        The trace it was taken from.
+    """
+
+    def __init__(self, scene: Any, traces: Mapping[float, Trace], nominal_trace: Trace) -> None:
+        self.scene = scene
+        self._traces = dict(traces)
+        self._tables: dict[float, pd.DataFrame] = {}
+        self._maps: dict[float, _FieldMaps] = {}
+        self.nominal_trace = nominal_trace
+        self.nominal = direct_image(nominal_trace)
+
+    def __getitem__(self, field_deg: float) -> Trace:
+        try:
+            return self._traces[field_deg]
+        except KeyError:
+            fields = ", ".join(f"{field:g}" for field in self._traces)
+            raise MistrayError(f"field {field_deg:g} deg was not traced; traced fields: {fields} deg") from None
+
+    def __iter__(self) -> Iterator[float]:
+        return iter(self._traces)
+
+    def __len__(self) -> int:
+        return len(self._traces)
+
+    def table(self, field_deg: float) -> pd.DataFrame:
+        """
+        Path table of one field, strongest path first.
+
+        Returns
+        -------
+        DataFrame
+            The columns of ``Trace.paths`` and ``label`` (ghost surfaces in words), ``normalised_rms_irradiance`` with
+            its ``_se``, ``well_sampled`` (at least `FEWEST_RAYS` rays), and the ranks among the stray paths, 1 = worst:
+            ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). Paths that are not well sampled come last
+            in the second, because the RMS radius of a few rays is too small too often.
+        """
+        if field_deg not in self._tables:
+            self._tables[field_deg] = _ranked(self[field_deg].paths.to_pandas(), self.nominal)
+        return self._tables[field_deg]
+
+    def top(self, field_deg: float, count: int = 4, by: str = "rms_irradiance") -> pd.DataFrame:
+        """
+        The worst stray paths of one field.
+
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        count : int
+            How many.
+        by : {"rms_irradiance", "power"}
+            Order.
+        """
+        if by not in ("rms_irradiance", "power"):
+            raise MistrayError(f"top: by is '{by}'; use 'rms_irradiance' or 'power'")
+        table = self.table(field_deg)
+        return table[table.kind != DIRECT].sort_values(f"rank_{by}").head(count)
+
+    def map(self, field_deg: float, path_id: int) -> tuple[Map, Map]:
+        """
+        Irradiance map of one of the worst `MAPPED_PATHS` paths and its standard error, (H, W) in W/mm².
+
+        Of any other paths: ``report[field_deg].irradiance_of([path_id, …])``.
+        """
+        try:
+            return self._field_maps(field_deg).paths[path_id]
+        except KeyError:
+            raise MistrayError(
+                f"path {path_id} is not among the worst {MAPPED_PATHS} of field {field_deg:g} deg; "
+                "use report[field_deg].irradiance_of([path_id])"
+            ) from None
+
+    def stray_map(self, field_deg: float) -> tuple[Map, Map]:
+        """Irradiance map of all but the direct paths and its standard error, (H, W) in W/mm²."""
+        return self._field_maps(field_deg).stray
+
+    def _field_maps(self, field_deg: float) -> _FieldMaps:
+        """The maps of a field, from one more run of the same rays, made when they are first asked for."""
+        if field_deg not in self._maps:
+            worst = [int(path_id) for path_id in self.top(field_deg, MAPPED_PATHS).path_id]
+            table = self.table(field_deg)
+            others = [int(path_id) for path_id in table.path_id[table.kind != DIRECT] if path_id not in worst]
+            maps = self[field_deg].maps([*([path_id] for path_id in worst), others])
+            stray = np.sum([image for image, _ in maps], axis=0), np.sqrt(np.sum([se**2 for _, se in maps], axis=0))
+            self._maps[field_deg] = _FieldMaps(dict(zip(worst, maps[:-1], strict=True)), stray)
+        return self._maps[field_deg]
+
+    def summary(self, field_deg: float) -> FieldSummary:
+        """Key numbers of one field."""
+        t, table = self[field_deg], self.table(field_deg)
+        direct = self.nominal if t is self.nominal_trace else direct_image(t)
+        by_kind = {kind: _power(table[table.kind == kind]) for kind in KINDS}
+        stray = total(by_kind.values())
+        stray_map, stray_se = self.stray_map(field_deg)
+        stray_rays = int(table.rays[table.kind != DIRECT].sum())
+        numbers = statistics(stray_map, stray_se, t.extent, stray_rays)
+        peak = Estimate(numbers.maximum, numbers.maximum_se)
+        worst = self.top(field_deg, 1)
+        asymmetry, expected = mirror_asymmetry(t.irradiance, t.irradiance_se)
+        return FieldSummary(
+            field_deg=field_deg,
+            paths=len(table),
+            paths_of_kind={kind: int((table.kind == kind).sum()) for kind in (DIRECT, *KINDS)},
+            direct=direct,
+            stray_W=stray,
+            stray_of_kind_W=by_kind,
+            ghost_to_signal=stray.over(direct.power_W),
+            stray_to_nominal=stray.over(self.nominal.power_W),
+            peak_stray_W_mm2=peak,
+            peak_to_nominal=peak.over(self.nominal.peak_W_mm2),
+            brightest=int(worst.path_id.iloc[0]) if len(worst) else None,
+            brightest_normalised=(
+                Estimate(
+                    float(worst.normalised_rms_irradiance.iloc[0]), float(worst.normalised_rms_irradiance_se.iloc[0])
+                )
+                if len(worst)
+                else UNKNOWN
+            ),
+            map=statistics(t.irradiance, t.irradiance_se, t.extent, int(table.rays.sum())),
+            stray_map=numbers,
+            asymmetry=asymmetry,
+            asymmetry_expected=expected,
+        )
+
+
+def ghosts(
+    scene: Any,
+    fields_deg: Sequence[float] | None = None,
+    wavelength_nm: float | None = None,
+    azimuth_deg: float | None = None,
+    rays: int | None = None,
+    max_reflections: int | None = None,
+    max_events: int | None = None,
+    flux_threshold: float | None = None,
+    splitting: str | None = None,
+    below_threshold: str | None = None,
+    seed: int | None = None,
+    progress: Progress | None = None,
+) -> GhostReport:
+    """
+    Trace a scene at several field angles and rank its ghosts.
+
+    The direct image on axis, the denominator of every normalised number, is taken from the field 0; when that is not
+    among ``fields_deg`` it is traced as well, without reflections.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        From `mistray.load`, with one source and one detector.
+    fields_deg : sequence of float, optional
+        Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
+    wavelength_nm, azimuth_deg, rays, max_reflections, max_events, flux_threshold, splitting, below_threshold, seed
+        As in `mistray.trace`; None takes the scene's own value.
+    progress : callable, optional
+        Called now and then with (fields done, fields to do); the first counts parts of a field too.
+
+    Returns
+    -------
+    GhostReport
+        A mapping from field angle to `mistray.trace.Trace`.
+
+    Raises
+    ------
+    MistrayError
+        No field is given, or what `mistray.trace` raises.
+    """
+    given = {
+        "azimuth_deg": azimuth_deg,
+        "rays": rays,
+        "wavelength_nm": wavelength_nm,
+        "max_reflections": max_reflections,
+        "max_events": max_events,
+        "flux_threshold": flux_threshold,
+        "splitting": splitting,
+        "below_threshold": below_threshold,
+        "seed": seed,
+    }
+    settings = {key: value for key, value in given.items() if value is not None}
+    wanted = [None] if fields_deg is None else list(dict.fromkeys(float(field) for field in fields_deg))
+    if not wanted:
+        raise MistrayError("ghosts: fields_deg is empty; give at least one field angle in degrees")
+    traces = {}
+    for done, field in enumerate(wanted):
+        t = trace(scene, field_deg=field, progress=_part(progress, done, len(wanted)), **settings)
+        traces[float(t.settings["field_deg"])] = t
+    if NOMINAL_FIELD_DEG in traces:
+        nominal = traces[NOMINAL_FIELD_DEG]
+    else:
+        nominal = trace(scene, field_deg=NOMINAL_FIELD_DEG, **(settings | {"max_reflections": 0}))
+    return GhostReport(scene, traces, nominal)
+
+
+def direct_image(t: Trace) -> DirectImage:
+    """
+    Direct image of one trace.
+
+    Several direct paths (one for each wavelength, say) are pooled: powers add, second moments about the common centroid
+    add with the powers as weights. Errors of the pooled numbers are upper bounds.
+    """
+    table = t.paths.to_pandas()
+    rows = table[table.kind == DIRECT]
+    power = _power(rows)
+    if power.value <= 0:
+        return DirectImage(Estimate(0.0, power.se), UNKNOWN, UNKNOWN, UNKNOWN)
+    peak = _peak(*t.irradiance_of([int(path_id) for path_id in rows.path_id]))
+    if len(rows) == 1:
+        row = rows.iloc[0]
+        return DirectImage(
+            power,
+            Estimate(float(row.rms_radius_mm), float(row.rms_radius_se_mm)),
+            Estimate(float(row.rms_irradiance_W_mm2), float(row.rms_irradiance_se_W_mm2)),
+            peak,
+        )
+    weight = (rows.power_W / power.value).to_numpy()
+    offset2 = (rows.x_mm - weight @ rows.x_mm) ** 2 + (rows.y_mm - weight @ rows.y_mm) ** 2
+    radius = math.sqrt(float(weight @ (rows.rms_radius_mm**2 + offset2)))
+    radius_se = float(weight @ (rows.rms_radius_mm * rows.rms_radius_se_mm)) / radius
+    irradiance = power.value / (math.pi * radius**2)
+    relative = power.se / power.value + 2 * radius_se / radius
+    return DirectImage(power, Estimate(radius, radius_se), Estimate(irradiance, irradiance * relative), peak)
+
+
+def label(ghost_1: str, ghost_2: str, kind: str) -> str:
+    """A path in words: its ghost surfaces in the order of the light, or its kind when it has none."""
+    surfaces = [name for name in (ghost_1, ghost_2) if name != "-"]
+    return " → ".join(surfaces) if surfaces else "direct image" if kind == DIRECT else kind
+
+
+def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:
+    """Progress of one trace as a part of the whole."""
+    if progress is None:
+        return None
+    return lambda rays, of: progress(done + rays / of, fields)
+
+
+def _ranked(table: pd.DataFrame, nominal: DirectImage) -> pd.DataFrame:
+    table = table.copy()
+    table["label"] = [label(*row) for row in table[["ghost_1", "ghost_2", "kind"]].itertuples(index=False)]
+    normalised = [
+        Estimate(*row).over(nominal.rms_irradiance_W_mm2)
+        for row in table[["rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"]].itertuples(index=False)
+    ]
+    table["normalised_rms_irradiance"] = [estimate.value for estimate in normalised]
+    table["normalised_rms_irradiance_se"] = [estimate.se for estimate in normalised]
+    table["well_sampled"] = table.rays >= FEWEST_RAYS
+    stray = table.kind != DIRECT
+    irradiance = table.rms_irradiance_W_mm2.where(np.isfinite(table.rms_irradiance_W_mm2), 0.0)
+    orders = {
+        "rank_power": np.lexsort((table.path_id, -table.power_W, ~stray)),
+        "rank_rms_irradiance": np.lexsort((table.path_id, -irradiance, ~table.well_sampled, ~stray)),
+    }
+    for name, order in orders.items():
+        rank = np.empty(len(table), dtype=np.int64)
+        rank[order] = np.arange(1, len(table) + 1)
+        table[name] = np.where(stray, rank, 0)
+    return table
+
+
+def _power(rows: pd.DataFrame) -> Estimate:
+    return total(Estimate(float(p), float(se)) for p, se in zip(rows.power_W, rows.power_se_W, strict=True))
+
+
+def _peak(irradiance: Map, se: Map) -> Estimate:
+    brightest = np.unravel_index(np.argmax(irradiance), irradiance.shape)
+    return Estimate(float(irradiance[brightest]), float(se[brightest]))

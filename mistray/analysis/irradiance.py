@@ -1,0 +1,148 @@
+"""Numbers and images drawn from an irradiance map.
+
+A map is an (H, W) float64 array in W/mm² with row 0 at the smallest y; its extent is (x0, x1, y0, y1) in mm.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
+
+Map = npt.NDArray[np.float64]
+Extent = tuple[float, float, float, float]
+
+
+@dataclass(frozen=True)
+class MapStatistics:
+    """
+    The statistics block of an irradiance map.
+
+    Attributes
+    ----------
+    minimum, maximum, mean, rms : float
+        Of the pixel values, W/mm²; ``rms`` is the root of the mean square.
+    maximum_se : float
+        Standard error of the brightest pixel, W/mm². The maximum over noisy pixels is biased upwards by about as much.
+    flux_W : float
+        Sum over the pixels times the area of a pixel, W.
+    incident_rays : int
+        Rays that reached the map.
+    pixel_mm : (float, float)
+        Width and height of a pixel, mm.
+    """
+
+    minimum: float
+    maximum: float
+    maximum_se: float
+    mean: float
+    rms: float
+    flux_W: float
+    incident_rays: int
+    pixel_mm: tuple[float, float]
+
+
+def statistics(irradiance: Map, irradiance_se: Map, extent: Extent, incident_rays: int) -> MapStatistics:
+    """
+    Statistics block of a map.
+
+    Parameters
+    ----------
+    irradiance, irradiance_se : (H, W) float
+        W/mm².
+    extent : (float, float, float, float)
+        x0, x1, y0, y1 in mm.
+    incident_rays : int
+        Rays that reached the map (it cannot be read from the map itself).
+    """
+    pixel = pixel_size(irradiance, extent)
+    brightest = np.unravel_index(np.argmax(irradiance), irradiance.shape)
+    return MapStatistics(
+        minimum=float(irradiance.min()),
+        maximum=float(irradiance[brightest]),
+        maximum_se=float(irradiance_se[brightest]),
+        mean=float(irradiance.mean()),
+        rms=float(np.sqrt(np.mean(np.square(irradiance)))),
+        flux_W=float(irradiance.sum() * pixel[0] * pixel[1]),
+        incident_rays=int(incident_rays),
+        pixel_mm=pixel,
+    )
+
+
+def pixel_size(irradiance: Map, extent: Extent) -> tuple[float, float]:
+    """Width and height of a pixel, mm."""
+    height, width = irradiance.shape
+    x0, x1, y0, y1 = extent
+    return (x1 - x0) / width, (y1 - y0) / height
+
+
+def log10_image(irradiance: Map, floor: float) -> npt.NDArray[np.float64]:
+    """
+    Decimal logarithm of a map.
+
+    Parameters
+    ----------
+    irradiance : (H, W) float
+        W/mm².
+    floor : float
+        Smallest irradiance shown, W/mm², > 0. Pixels below it are NaN, so that a plot shows them as "nothing here".
+    """
+    if not floor > 0:
+        raise MistrayError(f"log10_image: floor is {floor:g} W/mm²; it must be positive")
+    image = np.full(irradiance.shape, np.nan)
+    lit = irradiance >= floor
+    image[lit] = np.log10(irradiance[lit])
+    return image
+
+
+def log_range(maps: list[Map], decades: float = 10.0) -> tuple[float, float] | None:
+    """
+    Common colour range for several maps on a log10 scale.
+
+    Parameters
+    ----------
+    maps : list of (H, W) float
+        W/mm².
+    decades : float
+        Widest range, in powers of ten.
+
+    Returns
+    -------
+    (float, float) or None
+        Whole powers of ten: floor and top. The floor is the 1 % quantile of the lit pixels or ``decades`` below the
+        top, whichever is higher. None when no pixel is lit.
+    """
+    lit = np.concatenate([m[m > 0] for m in maps]) if maps else np.empty(0)
+    if not lit.size:
+        return None
+    top = float(np.ceil(np.log10(lit.max())))
+    floor = float(np.floor(np.log10(np.quantile(lit, 0.01, method="lower"))))
+    return max(min(floor, top - 1), top - decades), top
+
+
+def mirror_asymmetry(irradiance: Map, irradiance_se: Map) -> tuple[float, float]:
+    """
+    How far a map is from its mirror image x → -x, a check of the sampling.
+
+    A system of revolution with the source in the y-z plane (azimuth 0 or 180 degrees) gives a map that is symmetric
+    about its vertical centre line. What remains is noise, so the measured value should be about the expected one.
+
+    Returns
+    -------
+    measured : float
+        Σ|E - E'| / Σ(E + E'), 0 … 1, E' being the mirrored map; NaN for a dark map.
+    expected : float
+        The same from the standard errors alone, for Gaussian noise: the mean of |N(0, s)| is s·sqrt(2/π).
+    """
+    total = 2.0 * irradiance.sum()
+    if total == 0:
+        return float("nan"), float("nan")
+    difference = np.abs(irradiance - irradiance[:, ::-1])
+    noise = np.hypot(irradiance_se, irradiance_se[:, ::-1])
+    # The centre column of an odd width is its own mirror image
+    if irradiance.shape[1] % 2:
+        noise[:, irradiance.shape[1] // 2] = 0
+    return float(difference.sum() / total), float(np.sqrt(2 / np.pi) * noise.sum() / total)

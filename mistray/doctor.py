@@ -1,0 +1,239 @@
+"""What this machine has of the things mistray needs, what is missing and how to get it.
+
+Works with anything missing or broken: Mitsuba and Dr.Jit are loaded in subprocesses only, where an abort costs nothing.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import ctypes
+import importlib.metadata
+import json
+import os
+import platform
+import signal
+import subprocess
+import sys
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass
+from typing import Literal
+
+from mistray._mitsuba_compat import import_remedy
+from mistray._variant import DEFAULT_VARIANT, find_llvm
+from mistray.errors import MistrayError
+
+DISTRIBUTION = "mistray"
+PROBE_TIMEOUT_S = 120.0
+
+# Minimum and maximum abort LLVM 15 and 16; Float64 sums and a ray against a mesh are what every trace uses.
+_PROBE = """
+import sys
+import mitsuba as mi
+for variant in sys.argv[1].split(","):
+    try:
+        mi.set_variant(variant)
+        import drjit as dr
+        x = dr.linspace(mi.Float, 0, 1, 16)
+        y = mi.Float64(dr.maximum(dr.minimum(x, 0.75), 0.25))
+        scene = mi.load_dict({"type": "scene", "plane": {"type": "rectangle"}})
+        hit = scene.ray_intersect_preliminary(mi.Ray3f(mi.Point3f(x * 0.5, 0, 1), mi.Vector3f(0, 0, -1)))
+        right = abs(dr.sum(y)[0] - 8) < 1e-5 and dr.all(hit.is_valid())
+        print(variant, "ok" if right else "gives wrong numbers", flush=True)
+    except Exception as error:
+        print(variant, " ".join(str(error).split()), flush=True)
+"""
+
+
+@dataclass(frozen=True)
+class Check:
+    """
+    One line of the report.
+
+    Attributes
+    ----------
+    name : str
+        What was looked for.
+    status : {"ok", "missing", "optional"}
+        "missing": required and absent, broken or of the wrong version; "optional": absent, and mistray works without.
+    found : str
+        What is there.
+    remedy : str
+        How to get what is missing; empty if nothing is.
+    """
+
+    name: str
+    status: Literal["ok", "missing", "optional"]
+    found: str
+    remedy: str = ""
+
+
+def report() -> list[Check]:
+    """
+    Look at this machine.
+
+    Returns
+    -------
+    list of Check
+        Python, the packages that mistray's own metadata requires, libLLVM, the GPU, the Mitsuba variants that run, and
+        the optional extras. Takes a few seconds: each variant runs a small kernel.
+    """
+    checks = [*_packages(), _llvm()]
+    mitsuba = next((check for check in checks if check.name == "mitsuba"), None)
+    cuda = _cuda()
+    checks.append(cuda)
+    if mitsuba is None or mitsuba.status == "ok":
+        checks += _variants(cuda.status == "ok")
+    return [*checks, *_extras()]
+
+
+def main(as_json: bool = False) -> int:
+    """
+    Print the report, as a table or as JSON.
+
+    Returns
+    -------
+    int
+        Exit code: 0, or 1 if something required is missing.
+    """
+    checks = report()
+    missing = [check.name for check in checks if check.status == "missing"]
+    if as_json:
+        print(json.dumps([asdict(check) for check in checks], indent=2))
+    else:
+        width = max(len(check.name) for check in checks)
+        for check in checks:
+            remedy = f"\n{'':{width + 12}}→ {check.remedy}" if check.remedy else ""
+            print(f"{check.status:9} {check.name:{width}}  {check.found}{remedy}")
+        print(f"\nmissing: {', '.join(missing)}" if missing else "\nmistray can run on this machine.")
+    return 1 if missing else 0
+
+
+def _packages() -> Iterator[Check]:
+    try:
+        metadata = importlib.metadata.metadata(DISTRIBUTION)
+        from packaging.requirements import Requirement
+        from packaging.specifiers import SpecifierSet
+    except importlib.metadata.PackageNotFoundError:
+        yield Check(DISTRIBUTION, "missing", "not installed", "pip install -e . in the repository")
+        return
+    except ImportError:
+        yield Check("packaging", "missing", "not installed", "pip install packaging")
+        return
+    python = platform.python_version()
+    wanted = SpecifierSet(metadata["Requires-Python"])
+    if wanted.contains(python):
+        yield Check("python", "ok", f"{python} ({sys.executable})")
+    else:
+        yield Check("python", "missing", f"{python}, needs {wanted}", f"install a Python {wanted}")
+    yield Check(DISTRIBUTION, "ok", metadata["Version"])
+    for text in metadata.get_all("Requires-Dist") or []:
+        requirement = Requirement(text)
+        if requirement.marker is None or requirement.marker.evaluate({"extra": ""}):
+            found = _installed_version(requirement.name)
+            if found is None or not requirement.specifier.contains(found, prereleases=True):
+                needs = f", needs {requirement.specifier}" if found else ""
+                yield Check(requirement.name, "missing", f"{found or 'not installed'}{needs}", f"pip install '{text}'")
+            else:
+                yield Check(requirement.name, "ok", found)
+
+
+def _extras() -> Iterator[Check]:
+    try:
+        metadata = importlib.metadata.metadata(DISTRIBUTION)
+        from packaging.requirements import Requirement
+    except ImportError:  # PackageNotFoundError is one; `_packages` has reported it
+        return
+    requirements = [Requirement(text) for text in metadata.get_all("Requires-Dist") or []]
+    for extra in metadata.get_all("Provides-Extra") or []:
+        absent = []
+        present = []
+        for requirement in requirements:
+            marker = requirement.marker
+            if marker is None or marker.evaluate({"extra": ""}) or not marker.evaluate({"extra": extra}):
+                continue
+            found = _installed_version(requirement.name)
+            if found is not None and requirement.specifier.contains(found, prereleases=True):
+                present.append(f"{requirement.name} {found}")
+            else:
+                absent.append(f"{requirement.name}{requirement.specifier}")
+        if absent:
+            remedy = f"pip install '{DISTRIBUTION}[{extra}]'"
+            yield Check(f"extra: {extra}", "optional", f"not installed: {', '.join(absent)}", remedy)
+        else:
+            yield Check(f"extra: {extra}", "ok", ", ".join(present))
+
+
+def _installed_version(package: str) -> str | None:
+    try:
+        return importlib.metadata.version(package)
+    except importlib.metadata.PackageNotFoundError:
+        return None
+
+
+def _llvm() -> Check:
+    try:
+        return Check("libLLVM", "ok", str(find_llvm()))
+    except MistrayError as error:
+        problem, _, remedy = str(error).partition("; ")
+        return Check("libLLVM", "missing", problem, remedy)
+
+
+def _cuda() -> Check:
+    """Ask the NVIDIA driver, without Dr.Jit, for its first GPU."""
+    remedy = "needed for the cuda variants only: an NVIDIA GPU and its driver"
+    try:
+        driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+    except OSError:
+        return Check("NVIDIA GPU", "optional", "no driver", remedy)
+    count, name = ctypes.c_int(0), ctypes.create_string_buffer(100)
+    if driver.cuInit(0) or driver.cuDeviceGetCount(ctypes.byref(count)) or count.value == 0:
+        return Check("NVIDIA GPU", "optional", "a driver, but no GPU", remedy)
+    driver.cuDeviceGetName(name, 100, 0)
+    return Check("NVIDIA GPU", "ok", name.value.decode())
+
+
+def _variants(with_cuda: bool) -> list[Check]:
+    """Run a small kernel in each JIT variant of the installed Mitsuba; each backend in a process of its own."""
+    environment = dict(os.environ)
+    with contextlib.suppress(MistrayError):  # reported by _llvm; the kernels show what Dr.Jit makes of it
+        environment["DRJIT_LIBLLVM_PATH"] = find_llvm().path
+    listing = _run_python("import mitsuba as mi; print(','.join(mi.variants()))", [], environment)
+    if listing.returncode:
+        reason = _reason(listing)
+        return [Check("variants", "missing", f"mitsuba cannot be imported: {reason}", import_remedy(reason))]
+    backends: dict[str, list[str]] = {}
+    for variant in listing.stdout.split()[-1].split(","):
+        backends.setdefault(variant.partition("_")[0], []).append(variant)
+    checks = []
+    for backend, variants in backends.items():
+        if backend == "scalar" or (backend == "cuda" and not with_cuda):
+            continue
+        run = _run_python(_PROBE, [",".join(variants)], environment)
+        results = dict(line.split(" ", 1) for line in run.stdout.splitlines() if line.partition(" ")[0] in variants)
+        for variant in variants:
+            result = results.get(variant)
+            if result == "ok":
+                checks.append(Check(variant, "ok", "runs"))
+                continue
+            status: Literal["missing", "optional"] = "missing" if variant == DEFAULT_VARIANT else "optional"
+            remedy = "see libLLVM" if backend == "llvm" else "update the driver of the GPU"
+            checks.append(Check(variant, status, result or f"died: {_reason(run)}", remedy))
+    return checks
+
+
+def _run_python(code: str, arguments: list[str], environment: dict[str, str]) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-c", code, *arguments]
+    try:
+        return subprocess.run(
+            command, env=environment, capture_output=True, text=True, timeout=PROBE_TIMEOUT_S, errors="replace"
+        )
+    except subprocess.TimeoutExpired:
+        return subprocess.CompletedProcess(command, -signal.SIGTERM, "", f"no answer in {PROBE_TIMEOUT_S:g} s")
+
+
+def _reason(run: subprocess.CompletedProcess[str]) -> str:
+    """Why a process failed, in a line: the signal that ended it and its first error message."""
+    lines = [line.strip() for line in run.stderr.splitlines() if line.strip()]
+    telling = [line for line in lines if "rror" in line or "LLVM" in line] or lines[-1:]
+    ended = signal.Signals(-run.returncode).name if run.returncode < 0 else f"exit code {run.returncode}"
+    return ": ".join([ended, *(line[:200] for line in telling[:1])])

@@ -1,0 +1,182 @@
+"""First-order optics: ray trace, focal lengths and the table of two-reflection ghosts, in float64.
+
+Heights in mm, slopes u = dy/dz without dimension, indices positive. Refraction: n'u' = nu - y c (n' - n) (W. J. Smith,
+*Modern Optical Engineering*, 4th ed., section 3.2); a reflection is a refraction into -n.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """One two-reflection ghost of an on-axis beam.
+
+    Attributes
+    ----------
+    first, second : int
+        Surface of the first and of the second reflection, counted from 0; ``second < first``.
+    spot_radius_mm : float
+        Of the beam's marginal ray in the image plane.
+    focus_mm : float
+        Distance from the image plane to the ghost's focus along +z; ``inf`` if it leaves collimated.
+    power : float
+        Part of the launched power that arrives, before the detector's own loss.
+    """
+
+    first: int
+    second: int
+    spot_radius_mm: float
+    focus_mm: float
+    power: float
+
+    def irradiance(self, beam_radius_mm: float) -> float:
+        """Irradiance of the uniform disc per unit irradiance of a beam of this radius."""
+        return self.power * (beam_radius_mm / self.spot_radius_mm) ** 2
+
+
+class ParaxialSystem:
+    """Coaxial refracting surfaces.
+
+    Parameters
+    ----------
+    curvature : sequence of float
+        One per surface, 1/mm.
+    z : sequence of float
+        Vertex positions, mm.
+    index : sequence of float
+        Refractive indices, one more than surfaces: before the first, between, after the last.
+    """
+
+    def __init__(self, curvature: Sequence[float], z: Sequence[float], index: Sequence[float]) -> None:
+        if not len(curvature) == len(z) == len(index) - 1:
+            raise MistrayError(
+                f"paraxial system: {len(curvature)} curvatures, {len(z)} positions, {len(index)} indices; "
+                "indices must be one more than surfaces"
+            )
+        self.curvature: npt.NDArray[np.float64] = np.asarray(curvature, dtype=np.float64)
+        self.z: npt.NDArray[np.float64] = np.asarray(z, dtype=np.float64)
+        self.index: npt.NDArray[np.float64] = np.asarray(index, dtype=np.float64)
+
+    def __len__(self) -> int:
+        return len(self.z)
+
+    def trace(self, y: float, u: float) -> npt.NDArray[np.float64]:
+        """Trace a ray through all surfaces.
+
+        Parameters
+        ----------
+        y, u : float
+            Height at the first vertex in mm and slope before it.
+
+        Returns
+        -------
+        (n, 2) float64
+            Height at each surface and slope after it.
+        """
+        rows = []
+        for k in range(len(self)):
+            if k:
+                y += u * (self.z[k] - self.z[k - 1])
+            u = (self.index[k] * u - y * self.curvature[k] * (self.index[k + 1] - self.index[k])) / self.index[k + 1]
+            rows.append((y, u))
+        return np.array(rows)
+
+    @property
+    def efl(self) -> float:
+        """Rear effective focal length, mm (for equal outer indices: the focal length); ``inf`` if afocal."""
+        u = self.trace(1.0, 0.0)[-1, 1]
+        return math.inf if u == 0 else -1.0 / u
+
+    @property
+    def bfl(self) -> float:
+        """Distance from the last vertex to the rear focus, mm; ``inf`` if afocal."""
+        y, u = self.trace(1.0, 0.0)[-1]
+        return math.inf if u == 0 else -y / u
+
+    def chief_ray(self, field_deg: float, stop_z: float) -> npt.NDArray[np.float64]:
+        """Ray of a field angle through the centre of the stop.
+
+        Parameters
+        ----------
+        field_deg : float
+            Angle to the axis before the first surface, degrees.
+        stop_z : float
+            Axial position of the stop, mm, in the space of any gap.
+
+        Returns
+        -------
+        (n, 2) float64
+            As `trace`.
+        """
+        u = math.tan(math.radians(field_deg))
+        height_from_u = self._height_at(stop_z, 0.0, u)
+        height_from_y = self._height_at(stop_z, 1.0, 0.0)
+        if height_from_y == 0:
+            raise MistrayError(f"stop at z = {stop_z:g} mm: it lies in a focus; no chief ray is defined there")
+        return self.trace(-height_from_u / height_from_y, u)
+
+    def _height_at(self, z: float, y: float, u: float) -> float:
+        """Height at ``z`` of the ray that starts with (y, u) at the first vertex."""
+        k = int(np.searchsorted(self.z, z, side="left")) - 1
+        if k < 0:
+            return float(y + u * (z - self.z[0]))
+        y_k, u_k = self.trace(y, u)[k]
+        return float(y_k + u_k * (z - self.z[k]))
+
+    def ghosts(
+        self,
+        image_z: float,
+        beam_radius_mm: float,
+        reflectance: Sequence[float],
+        image_reflectance: float | None = None,
+    ) -> list[Ghost]:
+        """All two-reflection ghosts of a collimated on-axis beam.
+
+        Parameters
+        ----------
+        image_z : float
+            Position of the image plane, mm.
+        beam_radius_mm : float
+            At the first surface.
+        reflectance : sequence of float
+            R of each surface; T = 1 - R.
+        image_reflectance : float or None
+            R of the detector, which then counts as one more surface; ``None``: it does not reflect.
+
+        Returns
+        -------
+        list of Ghost
+            n(n-1)/2 of them, n the number of reflecting surfaces.
+        """
+        curvature, z, index, r = list(self.curvature), list(self.z), list(self.index), list(reflectance)
+        if len(r) != len(self):
+            raise MistrayError(f"paraxial ghosts: {len(r)} reflectances for {len(self)} surfaces; give one each")
+        if image_reflectance is not None:
+            curvature, z, index, r = [*curvature, 0.0], [*z, image_z], [*index, index[-1]], [*r, image_reflectance]
+        last = len(self)
+        ghosts = []
+        for second in range(len(r)):
+            for first in range(second + 1, len(r)):
+                order = [*range(first + 1), *range(first - 1, second - 1, -1), *range(second + 1, last)]
+                y, u, n, power, at = beam_radius_mm, 0.0, index[0], 1.0, z[0]
+                for step, k in enumerate(order):
+                    y, at = y + u * (z[k] - at), z[k]
+                    bounce = step == first or step == 2 * first - second
+                    onward = index[k + 1] if n > 0 else -index[k]
+                    n_next = -n if bounce else onward
+                    u = (n * u - y * curvature[k] * (n_next - n)) / n_next
+                    power *= r[k] if bounce else 1 - r[k]
+                    n = n_next
+                y += u * (image_z - at)
+                focus = math.inf if u == 0 else -y / u
+                ghosts.append(Ghost(first, second, abs(y), focus, power))
+        return ghosts

@@ -1,0 +1,65 @@
+"""Sag of a conic of revolution with even polynomial terms.
+
+Lengths in mm; r² in mm²; curvature in 1/mm; coefficients in mm^(1-2i) for r^(2i), i = 2, 3, ….
+Every function takes floats, NumPy arrays or Dr.Jit arrays and uses operators only, so the tracing kernel, the shape
+plugins and the float64 checks share one formula.
+
+The conic term is ``c r² / (1 + sqrt(1 - (1 + k) c² r²))`` (the standard "even asphere" of lens design, for example
+D. Malacara and Z. Malacara, *Handbook of Optical Design*, 2nd ed., appendix 2). It ends at r = 1/(c sqrt(1 + k)) when
+k > -1; beyond this radius the functions return NaN.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from mistray.physics._arrays import sqrt
+
+
+def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = ()) -> Any:
+    """Sag z(r) along +z, zero at the vertex.
+
+    Parameters
+    ----------
+    r2 : float or array
+        Squared distance from the axis, mm², ≥ 0.
+    curvature : float or array
+        1/radius, 1/mm; 0 is a plane. Positive: centre of curvature on the +z side.
+    conic : float or array
+        Conic constant k; 0 sphere, -1 paraboloid.
+    coefficients : sequence of float or array
+        ``(a4, a6, …)``: mm⁻³, mm⁻⁵, …; may be empty.
+
+    Returns
+    -------
+    float or array
+        Sag in mm, in the shape of ``r2``; NaN where the conic has ended.
+    """
+    conic_term = curvature * r2 / (1 + sqrt(1 - (1 + conic) * curvature * curvature * r2))
+    polynomial: Any = 0
+    for a in reversed(coefficients):
+        polynomial = (polynomial + a) * r2
+    return conic_term + polynomial * r2
+
+
+def sag_derivative(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = ()) -> Any:
+    """Derivative of the sag with respect to r², dz/d(r²) in 1/mm.
+
+    The slope is dz/dr = 2 r dz/d(r²) and a normal at (x, y) is (-2x d, -2y d, 1) with d = dz/d(r²): no division by r,
+    hence exact at the vertex. Parameters as in `sag`.
+    """
+    conic_term = 0.5 * curvature / sqrt(1 - (1 + conic) * curvature * curvature * r2)
+    polynomial: Any = 0
+    power = len(coefficients) + 1
+    for a in reversed(coefficients):
+        polynomial = (polynomial + power * a) * r2
+        power -= 1
+    return conic_term + polynomial
+
+
+def conic_end(curvature: float, conic: float) -> float:
+    """Radius in mm at which the conic term ends (its slope is infinite there); ``inf`` when it never does."""
+    q = (1 + conic) * curvature * curvature
+    return 1 / math.sqrt(q) if q > 0 else math.inf

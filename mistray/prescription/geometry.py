@@ -1,0 +1,304 @@
+"""Generators of the mechanical faces that close a system: lens edges, bevels, barrels, the frame around a detector.
+
+A closed system has no place where a ray can leave a lens body or slip past a lens: between the rims of consecutive
+surfaces stands a wall, opaque, of the part in contact or of the barrel. Closing a lens group in this way has the same
+effect as clipping at the rims, and the clipped light is booked on a named surface. All of these expect coaxial
+surfaces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from itertools import pairwise
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.prescription.model import Coating, Detector, Stop, Structure, Surface
+
+Point = tuple[float, float]
+"""(r, z) of a profile, mm."""
+
+ABSORBER = Coating(R=0.0)
+
+_SAMPLES = 257
+_GAS_INDEX = 1.01
+_TOLERANCE_MM = 1e-9
+
+
+def wall(
+    name: str,
+    points: Sequence[Point],
+    *,
+    coating: Coating | None = ABSORBER,
+    part: str | None = None,
+    space: int = -1,
+    front: str = "air",
+    back: str = "air",
+) -> tuple[Structure, ...]:
+    """Frusta along a profile; zero-length pieces are left out.
+
+    Parameters
+    ----------
+    name : str
+        Name of the only piece; several are numbered from 1: ``name_1``, ``name_2``, ….
+    points : sequence of (r, z)
+        At least two, mm.
+    coating, part, space, front, back
+        As in `Structure`.
+
+    Returns
+    -------
+    tuple of Structure
+    """
+    pieces = [(a, b) for a, b in pairwise(points) if a != b]
+    return tuple(
+        Structure(
+            name if len(pieces) == 1 else f"{name}_{k}",
+            *a,
+            *b,
+            coating=coating,
+            part=part,
+            space=space,
+            front=front,
+            back=back,
+        )
+        for k, (a, b) in enumerate(pieces, start=1)
+    )
+
+
+def lens_edge(
+    first: Surface,
+    second: Surface,
+    rim_radius: float | None = None,
+    *,
+    part: str | None = None,
+    coating: Coating | None = ABSORBER,
+    bevel_coating: Coating | None = None,
+    contact_radii: tuple[float | None, float | None] = (None, None),
+) -> tuple[Structure, ...]:
+    """Edge cylinder and the flat rings that close a lens body between its two surfaces.
+
+    Each ring is split where the mount begins to touch it: inside of this radius it is a bevel between glass and air,
+    outside a flange in contact, opaque like the edge.
+
+    Parameters
+    ----------
+    first, second : Surface
+        Front and rear of the body; ``first.back`` is its glass.
+    rim_radius : float or None
+        Of the edge, mm; ``None``: the larger clear radius.
+    part : str or None
+        Object name; ``None``: that of ``first``.
+    coating : Coating or None
+        Of edge and flanges, opaque where they touch the mount.
+    bevel_coating : Coating or None
+        Of the visible bevels; ``None``: bare Fresnel.
+    contact_radii : tuple of two float or None
+        Where the mount begins on the front and on the rear ring, mm; ``None``: at the clear radius, no bevel is
+        visible.
+
+    Returns
+    -------
+    tuple of Structure
+        Named ``<part>_bevel_1``, ``<part>_flange_1``, ``<part>_edge``, ``<part>_flange_2``, ``<part>_bevel_2``, less
+        those of zero width.
+    """
+    part = part or first.part or first.name
+    glass = _shared_material(first, second)
+    rim = max(first.outer_radius, second.outer_radius) if rim_radius is None else rim_radius
+    ends = []
+    for surface, contact in zip((first, second), contact_radii, strict=True):
+        clear, z = surface.rim
+        touch = clear if contact is None else contact
+        if not clear <= touch <= rim:
+            raise MistrayError(
+                f"part '{part}': contact radius {touch:g} mm at surface '{surface.name}'; it must lie between "
+                f"the clear radius {clear:g} mm and the edge radius {rim:g} mm"
+            )
+        ends.append((clear, touch, z))
+    (clear_1, touch_1, z_1), (clear_2, touch_2, z_2) = ends
+    if z_2 <= z_1:
+        raise MistrayError(
+            f"part '{part}': edge thickness {z_2 - z_1:.4g} mm between '{first.name}' and '{second.name}'; make it "
+            "thicker or smaller"
+        )
+    _check_clear(first, second.name, (clear_2, z_2), (rim, z_2), above=True)
+    _check_clear(second, first.name, (clear_1, z_1), (rim, z_1), above=False)
+
+    def ring(
+        face: str, inner: float, outer: float, z: float, sides: tuple[str, str], own: Coating | None
+    ) -> tuple[Structure, ...]:
+        return wall(f"{part}_{face}", [(inner, z), (outer, z)], coating=own, part=part, front=sides[0], back=sides[1])
+
+    before, after = (first.front, glass), (glass, second.back)
+    return (
+        *ring("bevel_1", clear_1, touch_1, z_1, before, bevel_coating),
+        *ring("flange_1", touch_1, rim, z_1, before, coating),
+        *wall(f"{part}_edge", [(rim, z_1), (rim, z_2)], coating=coating, part=part, front=glass),
+        *ring("flange_2", touch_2, rim, z_2, after, coating),
+        *ring("bevel_2", clear_2, touch_2, z_2, after, bevel_coating),
+    )
+
+
+def barrel(
+    items: Iterable[Surface | Stop],
+    *,
+    coating: Coating = ABSORBER,
+    edge_coating: Coating = ABSORBER,
+    name: str = "barrel",
+    first_space: int = 1,
+) -> tuple[Structure, ...]:
+    """Close a coaxial group: lens edges in glass, opaque barrel walls in air, from the first rim to the last.
+
+    Parameters
+    ----------
+    items : iterable of Surface or Stop
+        In the order of light; surfaces of a body follow each other. A `Detector` may end it; fill its frame with
+        `detector_frame`.
+    coating : Coating
+        Of the walls in air.
+    edge_coating : Coating
+        Of the lens edges, see `lens_edge`.
+    name : str
+        The wall in the k-th air space is ``<name>_<k>_wall``; a stop divides its
+        space into two. Where a straight cone would cut into a surface the wall is a cylinder and a flat ring.
+    first_space : int
+        Number of the first air space.
+
+    Returns
+    -------
+    tuple of Structure
+    """
+    result: list[Structure] = []
+    space = first_space
+    for a, b in pairwise(items):
+        material = _shared_material(a, b)
+        if isinstance(a, Surface) and isinstance(b, Surface) and not _is_gas(material):
+            result += lens_edge(a, b, coating=edge_coating)
+        else:
+            result += wall(
+                f"{name}_{space}_wall", _profile(a, b), coating=coating, part=name, space=space, front=material
+            )
+            space += 1
+    return tuple(result)
+
+
+def detector_frame(
+    detector: Detector,
+    outer_radius: float | None = None,
+    *,
+    coating: Coating = ABSORBER,
+    name: str = "board",
+    space: int = -1,
+) -> tuple[Surface, ...]:
+    """Four rectangles around a rectangular detector, in its plane, that cover a tube of this radius.
+
+    They tile the plane without overlap, so that no face coincides with the detector.
+
+    Parameters
+    ----------
+    detector : Detector
+        Plane, coaxial, with half_width and half_height.
+    outer_radius : float or None
+        Radius to cover, mm; ``None``: to the corners of the detector.
+    coating, space
+        As in `Surface`.
+    name : str
+        Part, and start of the names ``<name>_left``, ``_right``, ``_bottom``, ``_top``.
+
+    Returns
+    -------
+    tuple of Surface
+    """
+    w, h = detector.half_width, detector.half_height
+    if w is None or h is None:
+        raise MistrayError(f"detector '{detector.name}': it is round; only a rectangular detector needs a frame")
+    outer = detector.outer_radius if outer_radius is None else outer_radius
+    if outer < detector.outer_radius:
+        raise MistrayError(
+            f"detector '{detector.name}': frame radius {outer:g} mm; it must reach the corners at "
+            f"{detector.outer_radius:g} mm"
+        )
+    side, cap = (outer - w) / 2, (outer - h) / 2
+    pieces = {
+        "left": (-(w + side), 0.0, side, outer),
+        "right": (w + side, 0.0, side, outer),
+        "bottom": (0.0, -(h + cap), w, cap),
+        "top": (0.0, h + cap, w, cap),
+    }
+    return tuple(
+        Surface(
+            f"{name}_{key}",
+            x=x,
+            y=y,
+            z=detector.z,
+            half_width=half_width,
+            half_height=half_height,
+            front=detector.front,
+            back=detector.back,
+            coating=coating,
+            part=name,
+            space=space,
+        )
+        for key, (x, y, half_width, half_height) in pieces.items()
+    )
+
+
+def _is_gas(material: str) -> bool:
+    """Whether a material is air, vacuum or a constant index below 1.01, as other programs give air."""
+    text = material.strip().lower()
+    try:
+        return float(text) < _GAS_INDEX
+    except ValueError:
+        return text in ("air", "vacuum")
+
+
+def _shared_material(a: Surface | Stop, b: Surface | Stop) -> str:
+    behind = a.back if isinstance(a, Surface) else "air"
+    ahead = b.front if isinstance(b, Surface) else "air"
+    if behind.strip().lower() != ahead.strip().lower():
+        raise MistrayError(
+            f"'{_name(a)}' and '{_name(b)}': the material between them is '{behind}' for one and '{ahead}' for the "
+            "other; "
+            "make them equal"
+        )
+    return behind
+
+
+def _name(item: Surface | Stop) -> str:
+    return item.name if isinstance(item, Surface) else item.part
+
+
+def _profile(a: Surface | Stop, b: Surface | Stop) -> list[Point]:
+    """Wall between two rims: a straight cone, or a cylinder and a flat ring where the cone would cut into a surface."""
+    start = a.rim if isinstance(a, Surface) else (a.outer_rear, a.z_rear)
+    end = b.rim if isinstance(b, Surface) else (b.outer_front, b.z_front)
+    corner = (start[0], end[1]) if start[0] > end[0] else (end[0], start[1])
+    failure: MistrayError | None = None
+    for points in ([start, end], [start, corner, end]):
+        try:
+            for p, q in pairwise(points):
+                if isinstance(a, Surface):
+                    _check_clear(a, _name(b), p, q, above=True)
+                if isinstance(b, Surface):
+                    _check_clear(b, _name(a), p, q, above=False)
+            return points
+        except MistrayError as error:
+            failure = error
+    assert failure is not None
+    raise failure
+
+
+def _check_clear(surface: Surface, other: str, p: Point, q: Point, *, above: bool) -> None:
+    """Raise if the segment p q crosses a surface that it must stay above of (+z) or below of."""
+    t = np.linspace(0.0, 1.0, _SAMPLES)
+    r, z = p[0] + t * (q[0] - p[0]), p[1] + t * (q[1] - p[1])
+    inside = (r <= surface.outer_radius) & (r >= surface.inner_semi_diameter)
+    gap = (z - surface.z_at(r))[inside] * (1 if above else -1)
+    if gap.size and gap.min() < -_TOLERANCE_MM:
+        raise MistrayError(
+            f"surface '{surface.name}': the wall towards '{other}' would cut into it at r = "
+            f"{r[inside][gap.argmin()]:.4g} mm; "
+            "move them apart or change a clear radius"
+        )

@@ -1,0 +1,497 @@
+"""What an optical system is: surfaces, structure, stop, source, detector.
+
+Lengths in mm, light travels +z, angles in degrees in names that end in ``_deg``. A surface's vertex is the origin of
+its frame and ``front`` is its -z side. All classes are immutable; edit one with `dataclasses.replace`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import KW_ONLY, dataclass, replace
+from itertools import combinations
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.materials import refractive_index
+from mistray.physics.paraxial import ParaxialSystem
+from mistray.physics.sag import conic_end, sag
+
+if TYPE_CHECKING:
+    from pathlib import Path
+
+MAX_COEFFICIENTS = 9
+"""Number of even coefficients a4 … a20 that the `asphere` plugin takes."""
+
+_CROSSING_SAMPLES = 513
+_CROSSING_TOLERANCE_MM = 1e-9
+
+
+@dataclass(frozen=True)
+class Coating:
+    """What an interface does to the flux; without one it is a bare Fresnel interface.
+
+    Attributes
+    ----------
+    R : float or None
+        Reflected fraction in [0, 1], from both sides and at every angle.
+    T : float or None
+        Transmitted fraction, R + T ≤ 1; the rest is absorbed. ``None`` with R given: opaque.
+    table : str or None
+        CSV file with the columns wavelength_nm, angle_deg, R, T and optionally R_back, relative to the scene file;
+        instead of R and T.
+    """
+
+    R: float | None = None
+    T: float | None = None
+    table: str | None = None
+
+    def __post_init__(self) -> None:
+        if (self.R is None) == (self.table is None):
+            raise MistrayError(f"coating: R = {self.R} with table = {self.table!r}; give either R (and T) or a table")
+        total = (self.R or 0.0) + (self.T or 0.0)
+        if min(self.R or 0.0, self.T or 0.0) < 0 or total > 1:
+            raise MistrayError(f"coating: R = {self.R}, T = {self.T}; both must be ≥ 0 and R + T ≤ 1")
+        if self.table is not None and self.T is not None:
+            raise MistrayError(f"coating: T = {self.T} beside table '{self.table}'; the table already holds T")
+
+    @property
+    def opaque(self) -> bool:
+        """Whether no light is transmitted."""
+        return self.table is None and not self.T
+
+
+@dataclass(frozen=True, kw_only=True)
+class Placed:
+    """A place in the world: the frame is tilted about x, then y, then z (fixed axes), then moved to (x, y, z).
+
+    Attributes
+    ----------
+    x, y, z : float
+        Origin of the frame, mm.
+    tilt_deg : tuple of three float
+        Rotations about the world's x, y, z axes, degrees.
+    """
+
+    x: float = 0.0
+    y: float = 0.0
+    z: float = 0.0
+    tilt_deg: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def coaxial(self) -> bool:
+        """Whether the frame's axis is the world's z axis, pointing the same way."""
+        return self.x == 0 and self.y == 0 and self.tilt_deg[:2] == (0.0, 0.0)
+
+    def to_world(self) -> np.ndarray:
+        """Rigid transform, shape (4, 4), from the frame to the world."""
+        matrix = np.eye(4)
+        for axis, angle in enumerate(self.tilt_deg):
+            c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
+            i, j = (axis + 1) % 3, (axis + 2) % 3
+            rotation = np.eye(4)
+            rotation[[i, j, i, j], [i, j, j, i]] = c, c, -s, s
+            matrix = rotation @ matrix
+        matrix[:3, 3] = self.x, self.y, self.z
+        return matrix
+
+
+@dataclass(frozen=True)
+class Surface(Placed):
+    """One optical surface: a conic of revolution with even polynomial terms, clipped by radii or by a rectangle.
+
+    Attributes
+    ----------
+    name : str
+        Shape id, unique in the prescription, without dots; by convention ``<part>_<face>``.
+    radius : float
+        Radius of curvature at the vertex, mm; ``inf`` or 0 is a plane. Positive: centre on the +z side.
+    conic : float
+        Conic constant; 0 sphere, -1 paraboloid.
+    coefficients : tuple of float
+        (a4, a6, …, a20), mm⁻³, mm⁻⁵, …; at most nine.
+    semi_diameter, inner_semi_diameter : float or None, float
+        Outer and inner clear radius, mm.
+    half_width, half_height : float or None
+        Rectangular clip in x and y instead of ``semi_diameter``, mm.
+    front, back : str
+        Materials on the -z and the +z side; see `mistray.materials`.
+    coating : Coating or None
+        ``None``: bare Fresnel.
+    mirror : bool
+        The design path reflects here, so that this reflection is no ghost.
+    part : str or None
+        Object that the surface belongs to; ``None``: its own name.
+    space : int
+        Optical space for grouping in tables; -1: none.
+    """
+
+    name: str
+    _: KW_ONLY
+    radius: float = math.inf
+    conic: float = 0.0
+    coefficients: tuple[float, ...] = ()
+    semi_diameter: float | None = None
+    inner_semi_diameter: float = 0.0
+    half_width: float | None = None
+    half_height: float | None = None
+    front: str = "air"
+    back: str = "air"
+    coating: Coating | None = None
+    mirror: bool = False
+    part: str | None = None
+    space: int = -1
+
+    def __post_init__(self) -> None:
+        _check_name(self.name)
+        rectangle = (self.half_width, self.half_height)
+        if (self.semi_diameter is None) == (None in rectangle):
+            raise MistrayError(
+                f"surface '{self.name}': semi_diameter = {self.semi_diameter} with half_width, half_height = "
+                f"{rectangle}; "
+                "give either semi_diameter or both half sizes"
+            )
+        for key in ("semi_diameter", "half_width", "half_height"):
+            value = getattr(self, key)
+            if value is not None and not 0 < value < math.inf:
+                raise MistrayError(f"surface '{self.name}': {key} = {value:g} mm; it must be greater than 0")
+        if not 0 <= self.inner_semi_diameter < self.outer_radius:
+            raise MistrayError(
+                f"surface '{self.name}': inner_semi_diameter = {self.inner_semi_diameter:g} mm; "
+                f"it must lie between 0 and the outer radius {self.outer_radius:g} mm"
+            )
+        if len(self.coefficients) > MAX_COEFFICIENTS:
+            raise MistrayError(
+                f"surface '{self.name}': {len(self.coefficients)} coefficients; at most {MAX_COEFFICIENTS} (a4 … "
+                "a20) are supported"
+            )
+        end = conic_end(self.curvature, self.conic)
+        if self.outer_radius >= end:
+            raise MistrayError(
+                f"surface '{self.name}': clear radius {self.outer_radius:g} mm; its conic ends at {end:.6g} mm "
+                f"(radius {self.radius:g} mm, conic {self.conic:g}), make the surface smaller"
+            )
+
+    @property
+    def curvature(self) -> float:
+        """1/radius in 1/mm; 0 for a plane."""
+        return 0.0 if self.radius == 0 or math.isinf(self.radius) else 1.0 / self.radius
+
+    @property
+    def outer_radius(self) -> float:
+        """Greatest distance of a point of the surface from its axis, mm."""
+        if self.semi_diameter is not None:
+            return self.semi_diameter
+        assert self.half_width is not None
+        assert self.half_height is not None
+        return math.hypot(self.half_width, self.half_height)
+
+    def z_at(self, r: Any) -> Any:
+        """World z in mm at radius ``r`` (float or array) of a coaxial surface."""
+        return self.z + sag(r * r, self.curvature, self.conic, self.coefficients)
+
+    @property
+    def rim(self) -> tuple[float, float]:
+        """(r, z) of the outer rim of a coaxial round surface, mm."""
+        return self.outer_radius, float(self.z_at(self.outer_radius))
+
+
+@dataclass(frozen=True)
+class Structure(Placed):
+    """A frustum of a cone about the axis of its frame, with cylinder and flat annulus as limits.
+
+    Barrel walls, lens edges, bevels, stop faces and vanes are made of it.
+
+    Attributes
+    ----------
+    name : str
+        Shape id, unique in the prescription, without dots.
+    r0, z0, r1, z1 : float
+        Radii and axial positions of its two ends, mm.
+    front, back : str
+        Materials. The normal points away from the axis, or to +z for an annulus (z0 = z1); ``front`` is the side it
+        points away from: the inside of a tube, the -z side of an annulus.
+    coating : Coating or None
+        ``None``: bare Fresnel. The default is a perfect absorber.
+    part, space
+        As in `Surface`.
+    """
+
+    name: str
+    r0: float
+    z0: float
+    r1: float
+    z1: float
+    _: KW_ONLY
+    front: str = "air"
+    back: str = "air"
+    coating: Coating | None = Coating(R=0.0)
+    part: str | None = None
+    space: int = -1
+
+    def __post_init__(self) -> None:
+        _check_name(self.name)
+        if min(self.r0, self.r1) < 0:
+            raise MistrayError(f"structure '{self.name}': r0 = {self.r0:g}, r1 = {self.r1:g} mm; radii must be ≥ 0")
+        if self.r0 == self.r1 and (self.z0 == self.z1 or self.r0 == 0):
+            raise MistrayError(
+                f"structure '{self.name}': from (r {self.r0:g}, z {self.z0:g}) to (r {self.r1:g}, z {self.z1:g}) mm "
+                "it has "
+                "no area; give it two different ends or remove it"
+            )
+
+
+@dataclass(frozen=True)
+class Detector(Surface):
+    """A surface that records irradiance: plane, opaque, and perfectly absorbing unless told otherwise.
+
+    Attributes
+    ----------
+    pixels : tuple of two int
+        Columns (along x) and rows (along y) over the clip's bounding rectangle.
+    """
+
+    name: str = "detector"
+    _: KW_ONLY
+    coating: Coating | None = Coating(R=0.0)
+    pixels: tuple[int, int] = (256, 256)
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if min(self.pixels) < 1:
+            raise MistrayError(f"detector '{self.name}': pixels = {self.pixels}; both counts must be at least 1")
+
+
+@dataclass(frozen=True)
+class Stop:
+    """An aperture stop of finite thickness: front annulus, inner wall, rear annulus.
+
+    Attributes
+    ----------
+    radius : float
+        Of the opening, mm.
+    z_front, z_rear : float
+        Axial positions of its faces, mm; equal for a thin stop, which is one annulus.
+    outer_front, outer_rear : float
+        Outer radii of the two faces, mm.
+    coating, part, space
+        As in `Structure`; the part's name also starts the names of the faces.
+    """
+
+    radius: float
+    z_front: float
+    z_rear: float
+    outer_front: float
+    outer_rear: float
+    _: KW_ONLY
+    coating: Coating | None = Coating(R=0.0)
+    part: str = "stop"
+    space: int = -1
+
+    def __post_init__(self) -> None:
+        if not 0 < self.radius < min(self.outer_front, self.outer_rear):
+            raise MistrayError(
+                f"stop '{self.part}': radius = {self.radius:g} mm; it must lie between 0 and its outer radii "
+                f"{self.outer_front:g}, {self.outer_rear:g} mm"
+            )
+        if self.z_rear < self.z_front:
+            raise MistrayError(
+                f"stop '{self.part}': z_rear = {self.z_rear:g} mm lies before z_front = {self.z_front:g} mm; swap them"
+            )
+
+    def faces(self) -> tuple[Structure, ...]:
+        """The annuli and the wall as structures; the wall's ``front`` is the opening."""
+        profiles = [("front", self.outer_front, self.z_front, self.radius, self.z_front)]
+        if self.z_rear > self.z_front:
+            profiles.append(("wall", self.radius, self.z_front, self.radius, self.z_rear))
+            profiles.append(("rear", self.radius, self.z_rear, self.outer_rear, self.z_rear))
+        return tuple(
+            Structure(f"{self.part}_{face}", *profile, coating=self.coating, part=self.part, space=self.space)
+            for face, *profile in profiles
+        )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source(Placed):
+    """A collimated beam whose axis passes through the pivot (x, y, z); the parameters of the `collimated` emitter.
+
+    Attributes
+    ----------
+    radius, inner_radius : float or None, float
+        Of the beam's cross-section, mm.
+    half_width, half_height : float or None
+        Rectangular cross-section instead, mm.
+    field_deg, azimuth_deg : float
+        Direction (0, sin θ, cos θ) turned by the azimuth about z, in the frame that ``tilt_deg`` turns.
+    plane : str
+        "beam": the cross-section is normal to the beam; "axis": it lies in the pivot plane, normal to the frame's z.
+    distance : float
+        Start of the rays, mm upstream of the pivot; 0: outside of the scene.
+    irradiance : float
+        W/mm² on a plane normal to the beam.
+    wavelength_nm : tuple of float
+        One or several.
+    weights : tuple of float or None
+        Share of each wavelength; ``None``: equal.
+    pattern : str
+        "random" or "grid".
+    """
+
+    radius: float | None = None
+    inner_radius: float = 0.0
+    half_width: float | None = None
+    half_height: float | None = None
+    field_deg: float = 0.0
+    azimuth_deg: float = 0.0
+    plane: str = "beam"
+    distance: float = 0.0
+    irradiance: float = 1.0
+    wavelength_nm: tuple[float, ...] = (550.0,)
+    weights: tuple[float, ...] | None = None
+    pattern: str = "random"
+
+    def __post_init__(self) -> None:
+        rectangle = (self.half_width, self.half_height)
+        if (self.radius is None) == (None in rectangle):
+            raise MistrayError(
+                f"source: radius = {self.radius} with half_width, half_height = {rectangle}; "
+                "give either radius or both half sizes"
+            )
+        for key in ("radius", "half_width", "half_height", "irradiance"):
+            value = getattr(self, key)
+            if value is not None and not 0 < value < math.inf:
+                raise MistrayError(f"source: {key} = {value:g}; it must be greater than 0")
+        if self.radius is not None and not 0 <= self.inner_radius < self.radius:
+            raise MistrayError(
+                f"source: inner_radius = {self.inner_radius:g}; it must lie between 0 and {self.radius:g} mm"
+            )
+        if self.plane not in ("beam", "axis"):
+            raise MistrayError(f"source: plane = '{self.plane}'; it is 'beam' or 'axis'")
+        if self.pattern not in ("random", "grid"):
+            raise MistrayError(f"source: pattern = '{self.pattern}'; it is 'random' or 'grid'")
+        if not self.wavelength_nm or min(self.wavelength_nm) <= 0:
+            raise MistrayError(f"source: wavelength_nm = {self.wavelength_nm}; give at least one, greater than 0")
+        if self.weights is not None and len(self.weights) != len(self.wavelength_nm):
+            raise MistrayError(
+                f"source: {len(self.weights)} weights for {len(self.wavelength_nm)} wavelengths; give one weight each"
+            )
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prescription:
+    """An optical system, ready to be written as a scene.
+
+    Attributes
+    ----------
+    name : str
+        Title.
+    surfaces : tuple of Surface
+        In the order in which light meets them on the design path.
+    structures : tuple of Structure or Surface
+        Everything mechanical, in any order; a `Surface` for what no frustum describes, such as a board.
+    stop : Stop or None
+        Aperture stop; its faces become part of the scene.
+    detector, source
+        Needed by `to_dict`, `to_xml` and `to_scene`, not before.
+    provenance : str
+        Where the numbers come from; goes into the XML file as a comment.
+
+    Raises
+    ------
+    MistrayError
+        If two names are equal or two coaxial surfaces cross or coincide within the aperture that they share.
+    """
+
+    name: str
+    surfaces: tuple[Surface, ...]
+    structures: tuple[Structure | Surface, ...] = ()
+    stop: Stop | None = None
+    detector: Detector | None = None
+    source: Source | None = None
+    provenance: str = ""
+
+    def __post_init__(self) -> None:
+        for name, count in Counter(shape.name for shape in self.shapes()).items():
+            if count > 1:
+                raise MistrayError(
+                    f"prescription '{self.name}': {count} shapes are called '{name}'; give each its own name"
+                )
+        optical = [s for s in (*self.surfaces, self.detector) if s is not None and s.coaxial]
+        for a, b in combinations(optical, 2):
+            _check_crossing(a, b)
+
+    def shapes(self) -> Iterator[Surface | Structure]:
+        """Surfaces, structures, stop faces, detector: every shape of the scene, in this order."""
+        yield from self.surfaces
+        yield from self.structures
+        if self.stop is not None:
+            yield from self.stop.faces()
+        if self.detector is not None:
+            yield self.detector
+
+    def with_source(self, **changes: Any) -> Prescription:
+        """Copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``."""
+        if self.source is None:
+            raise MistrayError(f"prescription '{self.name}': it has no source; give it a Source first")
+        return replace(self, source=replace(self.source, **changes))
+
+    def paraxial(self, wavelength_nm: float) -> ParaxialSystem:
+        """Paraxial system of the refracting surfaces at one wavelength, in their order.
+
+        Raises
+        ------
+        MistrayError
+            If a surface is a mirror or off the axis.
+        """
+        for s in self.surfaces:
+            if s.mirror or not s.coaxial:
+                raise MistrayError(
+                    f"surface '{s.name}': it is a mirror or off the axis; paraxial figures need coaxial refracting "
+                    "surfaces"
+                )
+        index = [refractive_index(s.front, wavelength_nm) for s in self.surfaces[:1]]
+        index += [refractive_index(s.back, wavelength_nm) for s in self.surfaces]
+        return ParaxialSystem([s.curvature for s in self.surfaces], [s.z for s in self.surfaces], index)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Mitsuba scene dictionary for `mistray.load` or `mi.load_dict`; sets a variant if none is set."""
+        from mistray.prescription.scene_file import scene_dict
+
+        return scene_dict(self)
+
+    def to_xml(self, path: str | Path) -> None:
+        """Write the scene as Mitsuba 3 XML; the same prescription always gives the same bytes."""
+        from mistray.prescription.scene_file import write_xml
+
+        write_xml(self, path)
+
+    def to_scene(self) -> Any:
+        """Load the scene: an ``mi.Scene``."""
+        from mistray.scene import load
+
+        return load(self.to_dict())
+
+
+def _check_name(name: str) -> None:
+    if not name or "." in name or name != name.strip():
+        raise MistrayError(f"shape '{name}': a name must not be empty, hold a dot or start or end with a blank")
+
+
+def _check_crossing(a: Surface, b: Surface) -> None:
+    """Raise if the coaxial surfaces ``a`` and ``b`` cross or coincide within the aperture that they share."""
+    inner = max(a.inner_semi_diameter, b.inner_semi_diameter)
+    outer = min(s.semi_diameter or min(s.half_width or 0.0, s.half_height or 0.0) for s in (a, b))
+    if outer <= inner:
+        return
+    r = np.linspace(inner, outer, _CROSSING_SAMPLES)
+    gap = b.z_at(r) - a.z_at(r)
+    if np.all(np.abs(gap) <= _CROSSING_TOLERANCE_MM):
+        raise MistrayError(f"surfaces '{a.name}' and '{b.name}' coincide at z = {a.z:g} mm; remove one of them")
+    if gap.min() < -_CROSSING_TOLERANCE_MM and gap.max() > _CROSSING_TOLERANCE_MM:
+        at = float(r[np.argmax(np.sign(gap) != np.sign(gap[0]))])
+        raise MistrayError(
+            f"surfaces '{a.name}' and '{b.name}' cross at r = {at:.4g} mm; move them apart or make one smaller"
+        )

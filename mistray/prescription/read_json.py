@@ -1,0 +1,260 @@
+"""Reader for the JSON form of a camera lens: surfaces, lens bodies, stop, barrel by optical spaces, coatings, source.
+
+The file holds sequential surfaces (``surfaces``), the bodies with their rims (``lens_bodies``), the stop
+(``aperture_stop``), the inside of the barrel piece by piece (``barrel.optical_spaces``), ``detector``, ``coatings``,
+``sources.stray_light`` and ``variants``; ``scenes/phone_camera/prescription.json`` is the example.
+
+How faces are chosen, so that each stands in exactly one place:
+
+- A flat ring of a lens body is a bevel between glass and air up to the visible radius, a flange in contact with the
+  barrel outside of it. A barrel ring in the same plane (a seat) replaces the part of the ring that it covers.
+- Faces in contact, edges included, are opaque with the reflectance of the structure.
+- The stop comes from ``aperture_stop``; pieces of the barrel that repeat it (labels with "AS") are left out.
+- The board behind the detector becomes a frame of four rectangles around it.
+- Numbers in the barrel that were rounded are moved onto the rims that they meet (within 2 µm).
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.prescription.geometry import Point, detector_frame, lens_edge
+from mistray.prescription.model import Coating, Detector, Prescription, Source, Stop, Structure, Surface
+
+_ROUNDING_MM = 2e-6
+_SURFACE_NAME = re.compile(r"S\d+\s+(\S+)\s+(front|rear)")
+_PART_NAMES = {"IR": "filter", "IR filter": "filter", "Window": "window"}
+_PIECE_LABEL = re.compile(r"Space \d+: (\w+)[^(]*(?:\((.*)\))?")
+_PIXELS = (512, 512)
+
+
+def from_json(path: str | Path, *, variant: str | None = None) -> Prescription:
+    """Read a camera lens.
+
+    Parameters
+    ----------
+    path : str or Path
+        JSON file.
+    variant : str or None
+        Name in the file's ``variants`` block whose changes are applied, for example ``"R13=5.272"``.
+
+    Returns
+    -------
+    Prescription
+        With detector and source.
+
+    Raises
+    ------
+    MistrayError
+        If the file is missing or broken, a key is missing, or the variant is unknown.
+    """
+    path = Path(path)
+    try:
+        data = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise MistrayError(f"prescription '{path}': {error.strerror}; check the path") from None
+    except ValueError as error:
+        raise MistrayError(f"prescription '{path}': {error}; it must be a JSON file") from None
+    try:
+        return _Reader(data, path, variant).prescription()
+    except KeyError as error:
+        raise MistrayError(f"prescription '{path}': key {error} is missing; compare with scenes/phone_camera") from None
+
+
+class _Reader:
+    def __init__(self, data: Mapping[str, Any], path: Path, variant: str | None) -> None:
+        self.data = data
+        self.path = path
+        self.coatings = {
+            "window": _coating(data["coatings"]["window, IR filter"]),
+            "filter": _coating(data["coatings"]["window, IR filter"]),
+            "lens": _coating(data["coatings"]["lenses"]),
+        }
+        self.structure_coating = Coating(R=float(data["coatings"]["structure"]["R"]))
+        self.changes = self._changes(variant)
+        self.surfaces = self._surfaces()
+        self.stop = self._stop()
+
+    def prescription(self) -> Prescription:
+        pieces = self._barrel()
+        bodies = self._bodies(pieces)
+        detector = self._detector()
+        board = [key for key, piece in pieces.items() if piece.r0 == 0 or piece.r1 == 0]
+        frame: tuple[Surface, ...] = ()
+        for key in board:
+            piece = pieces.pop(key)
+            frame += detector_frame(
+                detector, max(piece.r0, piece.r1), coating=self.structure_coating, name="board", space=piece.space
+            )
+        return Prescription(
+            name=str(self.data["title"]),
+            surfaces=self.surfaces,
+            structures=(*bodies, *pieces.values(), *frame),
+            stop=self.stop,
+            detector=detector,
+            source=self._source(),
+            provenance=f"Generated from {self.path.name}; see SOURCE.md.",
+        )
+
+    def _changes(self, variant: str | None) -> dict[str, dict[str, float]]:
+        """Changed values by surface label, from "S13.radius": 5.272."""
+        if variant is None:
+            return {}
+        known = self.data.get("variants", {})
+        if variant not in known:
+            raise MistrayError(
+                f"prescription '{self.path}': variant '{variant}' is unknown; it has {', '.join(known) or 'none'}"
+            )
+        changes: dict[str, dict[str, float]] = {}
+        for key, value in known[variant]["change"].items():
+            label, quantity = key.split(".")
+            changes.setdefault(label, {})[quantity] = float(value)
+        return changes
+
+    def _surfaces(self) -> tuple[Surface, ...]:
+        """Every surface at which the medium changes; fills `moves`, the rims as printed and as they are."""
+        self.moves: list[tuple[Point, Point]] = []
+        materials = {key: _material(key, value) for key, value in self.data["materials"].items()}
+        result = []
+        before = "AIR"
+        for row in self.data["surfaces"]:
+            after = row["medium_after"]
+            if after == before:
+                continue
+            match = _SURFACE_NAME.match(row["name"])
+            if match is None:
+                raise MistrayError(
+                    f"prescription '{self.path}': surface '{row['name']}' is not named 'S<number> <part> front' or "
+                    "'… rear'; rename it"
+                )
+            part, face = _PART_NAMES.get(match[1], match[1]), match[2]
+            row = {**row, **self.changes.get(row["name"].split()[0], {})}
+            coefficients = [float(a) for _, a in sorted(_even_orders(row.get("coefficients", {})))]
+            while coefficients and coefficients[-1] == 0:
+                coefficients.pop()
+            surface = Surface(
+                f"{part}_{face}",
+                z=float(row["z"]),
+                radius=float(row["radius"] or 0.0),
+                conic=float(row.get("conic") or 0.0),
+                coefficients=tuple(coefficients),
+                semi_diameter=float(row["semi_diameter"]),
+                front=materials[before],
+                back=materials[after],
+                coating=self.coatings.get(part, self.coatings["lens"]),
+                part=part,
+            )
+            self.moves.append(((surface.outer_radius, float(row.get("edge_z", row["z"]))), surface.rim))
+            result.append(surface)
+            before = after
+        return tuple(result)
+
+    def _stop(self) -> Stop:
+        stop = self.data["aperture_stop"]
+        rear, spaces = None, self.data["barrel"]["optical_spaces"]
+        for space, pieces in spaces.items():
+            for piece in pieces:
+                if "(AS rear)" in piece["label"]:
+                    rear = int(space), max(piece["r1"], piece["r2"])
+        if rear is None:
+            raise MistrayError(
+                f"prescription '{self.path}': no barrel piece is labelled '(AS rear)'; add it, it ends the stop"
+            )
+        return Stop(
+            radius=float(stop["radius"]),
+            z_front=float(stop["z_front"]),
+            z_rear=float(stop["z_rear"]),
+            outer_front=float(stop["outer_radius_front_face"]),
+            outer_rear=float(rear[1]),
+            coating=self.structure_coating,
+            space=rear[0],
+        )
+
+    def _barrel(self) -> dict[str, Structure]:
+        """Barrel pieces by name, moved onto the rims, without the stop's own faces."""
+        pieces: dict[str, Structure] = {}
+        for space, rows in self.data["barrel"]["optical_spaces"].items():
+            for row in rows:
+                match = _PIECE_LABEL.match(row["label"])
+                if "AS" in row["label"]:
+                    continue
+                if match is None:
+                    raise MistrayError(
+                        f"prescription '{self.path}': barrel piece '{row['label']}' is not named 'Space <number>: "
+                        "…'; rename it"
+                    )
+                name = f"barrel_{space}_{(match[2] or match[1]).replace(' ', '_')}"
+                ends = (*self._on_rim(row["r1"], row["z1"]), *self._on_rim(row["r2"], row["z2"]))
+                pieces[name] = Structure(name, *ends, coating=self.structure_coating, part="barrel", space=int(space))
+        return pieces
+
+    def _on_rim(self, r: float, z: float) -> Point:
+        """The point with r and z replaced by those of a rim that they were rounded from."""
+        for (printed_r, printed_z), (rim_r, rim_z) in self.moves:
+            if abs(z - printed_z) <= _ROUNDING_MM:
+                return (rim_r if abs(r - printed_r) <= _ROUNDING_MM else float(r)), rim_z
+        return float(r), float(z)
+
+    def _bodies(self, pieces: dict[str, Structure]) -> list[Structure]:
+        """Edges, flanges and bevels of the lens bodies; barrel pieces that are seats get the glass on one side."""
+        result: list[Structure] = []
+        by_name = {surface.name: surface for surface in self.surfaces}
+        for row in self.data["lens_bodies"]:
+            part = _PART_NAMES.get(row["name"], row["name"])
+            first, second = by_name[f"{part}_front"], by_name[f"{part}_rear"]
+            contact: list[float | None] = []
+            seats = []
+            for number, surface in ((1, first), (2, second)):
+                clear, z = surface.rim
+                visible = row.get(f"visible_bevel_{number}")
+                touch = float(visible[1]) if visible else None
+                for key, piece in pieces.items():
+                    if piece.z0 == piece.z1 == z and min(piece.r0, piece.r1) == clear:
+                        touch = min(max(piece.r0, piece.r1), float(row["rim_radius"]))
+                        glass = first.back
+                        pieces[key] = replace(piece, back=glass) if number == 1 else replace(piece, front=glass)
+                        seats.append(f"{part}_bevel_{number}")
+                contact.append(touch)
+            faces = lens_edge(
+                first,
+                second,
+                float(row["rim_radius"]),
+                part=part,
+                coating=self.structure_coating,
+                bevel_coating=first.coating,
+                contact_radii=(contact[0], contact[1]),
+            )
+            result += [face for face in faces if face.name not in seats]
+        return result
+
+    def _detector(self) -> Detector:
+        row = self.data["detector"]
+        half = float(row["half_width"])
+        coating = Coating(R=float(self.data["coatings"]["detector"]["R"]))
+        return Detector(half_width=half, half_height=half, z=float(row["z"]), coating=coating, pixels=_PIXELS)
+
+    def _source(self) -> Source:
+        row = self.data["sources"]["stray_light"]
+        stop_plane = [surface["z"] for surface in self.data["surfaces"] if surface.get("stop")]
+        z = float(stop_plane[0]) if stop_plane else self.stop.z_rear
+        return Source(radius=float(row["radius"]), z=z, wavelength_nm=(round(1e3 * float(row["wavelength_um"]), 6),))
+
+
+def _coating(row: Mapping[str, Any]) -> Coating:
+    return Coating(R=float(row["R"]), T=float(row["T"]))
+
+
+def _material(key: str, row: Mapping[str, Any]) -> str:
+    if key == "AIR":
+        return "air"
+    return f"nd={row['nd']} Vd={row['Vd']}" if row.get("Vd") else str(row["nd"])
+
+
+def _even_orders(coefficients: Mapping[str, float]) -> list[tuple[int, float]]:
+    return [(int(key[1:]), value) for key, value in coefficients.items()]

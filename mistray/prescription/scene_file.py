@@ -1,0 +1,231 @@
+"""A prescription as a Mitsuba scene: a dictionary or a readable XML file, both made from one tree of nodes."""
+
+from __future__ import annotations
+
+import math
+import os
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+from xml.sax.saxutils import escape, quoteattr
+
+from mistray._variant import ensure_variant
+from mistray.errors import MistrayError
+from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
+
+if TYPE_CHECKING:
+    from mistray.prescription.model import Prescription
+
+Value = bool | int | float | str
+
+
+@dataclass(frozen=True)
+class _Node:
+    """One plugin: ``kind`` is the XML tag, ``plugin`` its type, ``place`` its frame."""
+
+    kind: str
+    plugin: str
+    id: str | None = None
+    properties: dict[str, Value] = field(default_factory=dict)
+    place: Placed | None = None
+    children: tuple[_Node, ...] = ()
+
+
+def _interface(shape: Surface | Structure) -> _Node:
+    coating = shape.coating
+    in_air = shape.front == shape.back == "air"
+    properties: dict[str, Value] = {} if in_air else {"front": shape.front, "back": shape.back}
+    if coating is not None:
+        given = {"R": coating.R, "T": coating.T, "table": coating.table}
+        properties |= {key: value for key, value in given.items() if value is not None}
+    if isinstance(shape, Surface) and shape.mirror:
+        properties["mirror"] = True
+    return _Node("bsdf", "interface", properties=properties)
+
+
+def _labels(shape: Surface | Structure) -> dict[str, Value]:
+    labels: dict[str, Value] = {}
+    if shape.part is not None:
+        labels["part"] = shape.part
+    if shape.space >= 0:
+        labels["space"] = shape.space
+    return labels
+
+
+def _surface(s: Surface) -> _Node:
+    properties: dict[str, Value] = {}
+    if s.curvature:
+        properties["radius"] = s.radius
+    if s.conic:
+        properties["conic"] = s.conic
+    properties |= {f"a{2 * i}": a for i, a in enumerate(s.coefficients, start=2) if a}
+    for key in ("semi_diameter", "inner_semi_diameter", "half_width", "half_height"):
+        value = getattr(s, key)
+        if value:
+            properties[key] = value
+    children: tuple[_Node, ...] = (_interface(s),)
+    if isinstance(s, Detector):
+        film: dict[str, Value] = {"width": s.pixels[0], "height": s.pixels[1], "component_format": "float32"}
+        box = _Node("rfilter", "box")
+        children += (
+            _Node("sensor", "irradiancemeter", children=(_Node("film", "hdrfilm", None, film, None, (box,)),)),
+        )
+    return _Node("shape", "asphere", s.name, properties | _labels(s), s, children)
+
+
+def _shape(s: Surface | Structure) -> _Node:
+    return _surface(s) if isinstance(s, Surface) else _structure(s)
+
+
+def _structure(s: Structure) -> _Node:
+    properties: dict[str, Value] = {"r0": s.r0, "z0": s.z0, "r1": s.r1, "z1": s.z1}
+    return _Node("shape", "frustum", s.name, properties | _labels(s), s, (_interface(s),))
+
+
+def _source(s: Source) -> _Node:
+    properties: dict[str, Value] = {}
+    for key in ("radius", "inner_radius", "half_width", "half_height", "field_deg", "azimuth_deg", "distance"):
+        value = getattr(s, key)
+        if value:
+            properties[key] = value
+    if s.plane != "beam":
+        properties["plane"] = s.plane
+    if s.pattern != "random":
+        properties["pattern"] = s.pattern
+    properties["irradiance"] = s.irradiance
+    properties["wavelength_nm"] = s.wavelength_nm[0] if len(s.wavelength_nm) == 1 else _list_text(s.wavelength_nm)
+    if s.weights is not None:
+        properties["weights"] = _list_text(s.weights)
+    return _Node("emitter", "collimated", "source", properties, s)
+
+
+def _list_text(values: tuple[float, ...]) -> str:
+    return ", ".join(repr(float(value)) for value in values)
+
+
+def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
+    """Comment and nodes of each section of the scene, in the order of the file."""
+    for key, remedy in (("detector", "Detector(half_width=…, half_height=…)"), ("source", "Source(radius=…)")):
+        if getattr(prescription, key) is None:
+            raise MistrayError(f"prescription '{prescription.name}': it has no {key}; add {key}={remedy}")
+    assert prescription.source is not None
+    assert prescription.detector is not None
+    yield "", [_Node("integrator", "straylight", "integrator")]
+    yield "Light", [_source(prescription.source)]
+    yield "Optical surfaces", [_surface(s) for s in prescription.surfaces]
+    yield "Structure", [_shape(s) for s in prescription.structures]
+    yield "Aperture stop", [_structure(s) for s in (prescription.stop.faces() if prescription.stop else ())]
+    yield "Detector", [_surface(prescription.detector)]
+
+
+def scene_dict(prescription: Prescription) -> dict[str, Any]:
+    """Scene dictionary for `mi.load_dict`; parameters and order as in `write_xml`.
+
+    Raises
+    ------
+    MistrayError
+        If the prescription has no detector or no source.
+    """
+    ensure_variant()
+    scene: dict[str, Any] = {"type": "scene"}
+    for _, nodes in _sections(prescription):
+        scene |= {str(node.id): _node_dict(node) for node in nodes}
+    return scene
+
+
+def _node_dict(node: _Node) -> dict[str, Any]:
+    result: dict[str, Any] = {"type": node.plugin, **node.properties}
+    if node.place is not None and not _at_origin(node.place):
+        import mitsuba as mi
+
+        result["to_world"] = mi.ScalarTransform4d(node.place.to_world())
+    return result | {child.kind: _node_dict(child) for child in node.children}
+
+
+def write_xml(prescription: Prescription, path: str | Path) -> None:
+    """Write the scene as Mitsuba 3 XML, atomically: on an error the old file stays.
+
+    Raises
+    ------
+    MistrayError
+        If the prescription has no detector or no source, or the file cannot be written.
+    """
+    text = xml_text(prescription)
+    path = Path(path)
+    draft = path.with_name(path.name + ".part")
+    try:
+        draft.write_text(text, encoding="utf-8")
+        os.replace(draft, path)
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise MistrayError(f"scene file '{path}': {error.strerror}; check the folder and its permissions") from None
+
+
+def xml_text(prescription: Prescription) -> str:
+    """Text of the XML file, ending in a newline."""
+    lines = ["<?xml version='1.0' encoding='utf-8'?>", f"<!-- {_comment(prescription.name)}"]
+    lines += [f"     {_comment(line)}".rstrip() for line in prescription.provenance.strip().splitlines()]
+    lines += [
+        "     Units: mm, nm, W. Light travels +z; front is the -z side of a surface. -->",
+        '<scene version="3.0.0">',
+    ]
+    for title, nodes in _sections(prescription):
+        if nodes and title:
+            lines += ["", f"    <!-- {title} -->"]
+        for node in nodes:
+            lines += _node_lines(node, 1)
+    return "\n".join([*lines, "</scene>", ""])
+
+
+def _node_lines(node: _Node, depth: int) -> list[str]:
+    pad = "    " * depth
+    head = f'{pad}<{node.kind} type="{node.plugin}"' + (f" id={quoteattr(node.id)}" if node.id else "")
+    body = [_property_line(key, value, depth + 1) for key, value in node.properties.items()]
+    if node.place is not None and not _at_origin(node.place):
+        body += _place_lines(node.place, depth + 1)
+    for child in node.children:
+        body += _node_lines(child, depth + 1)
+    return [head + "/>"] if not body else [head + ">", *body, f"{pad}</{node.kind}>"]
+
+
+def _property_line(key: str, value: Value, depth: int) -> str:
+    if isinstance(value, bool):
+        tag, text = "boolean", "true" if value else "false"
+    elif isinstance(value, int):
+        tag, text = "integer", str(value)
+    elif isinstance(value, float):
+        tag, text = "float", _number(value)
+    else:
+        tag, text = "string", value
+    return f'{"    " * depth}<{tag} name="{key}" value={quoteattr(text)}/>'
+
+
+def _place_lines(place: Placed, depth: int) -> list[str]:
+    pad = "    " * depth
+    lines = [
+        f'{pad}    <rotate {axis}="1" angle="{_number(angle)}"/>'
+        for axis, angle in zip("xyz", place.tilt_deg, strict=True)
+        if angle
+    ]
+    moves = " ".join(
+        f'{axis}="{_number(value)}"' for axis, value in zip("xyz", (place.x, place.y, place.z), strict=True) if value
+    )
+    if moves:
+        lines.append(f"{pad}    <translate {moves}/>")
+    return [f'{pad}<transform name="to_world">', *lines, f"{pad}</transform>"]
+
+
+def _at_origin(place: Placed) -> bool:
+    return place.x == place.y == place.z == 0 and not any(place.tilt_deg)
+
+
+def _number(value: float) -> str:
+    """Shortest text that reads back as the same double."""
+    if not math.isfinite(value):
+        raise MistrayError(f"scene file: {value} cannot be written as a number; use a finite value")
+    return repr(float(value)).removesuffix(".0")
+
+
+def _comment(text: str) -> str:
+    return escape(text).replace("--", "- -")

@@ -1,0 +1,27 @@
+"""Reports: printed tables, CSV, pictures, path-sort text and one self-contained HTML file."""
+
+from mistray.report.html import html_text, write_html
+from mistray.report.layout import layout
+from mistray.report.output import writable_directory, write_all, write_png
+from mistray.report.path_sort import SortedPath, parse_path_sort, path_sort_text
+from mistray.report.plots import ghost_image, levels_against_field, montage
+from mistray.report.tables import main_table, warnings, with_error, write_csv
+
+__all__ = [
+    "SortedPath",
+    "ghost_image",
+    "html_text",
+    "layout",
+    "levels_against_field",
+    "main_table",
+    "montage",
+    "parse_path_sort",
+    "path_sort_text",
+    "warnings",
+    "with_error",
+    "writable_directory",
+    "write_all",
+    "write_csv",
+    "write_html",
+    "write_png",
+]

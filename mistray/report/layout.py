@@ -1,0 +1,271 @@
+"""Section of the optical system in the y-z plane, with real rays of chosen paths."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from mistray._mitsuba_compat import mesh_arrays
+from mistray.analysis.ghosts import DIRECT, GhostReport
+from mistray.report.plots import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+
+Polyline = npt.NDArray[np.float64]
+
+GLASS, GLASS_EDGE, STRUCTURE, MIRROR, DETECTOR = "#dbe9f4", "#4a6a86", "#7a7a7a", "#333333", "#000000"
+GHOST_COLOURS = (VERMILION, GREEN, PURPLE, ORANGE, SKY)
+HISTORY_RAYS = 64
+RAYS_DRAWN = 7
+
+
+@dataclass(frozen=True)
+class SectionLine:
+    """
+    One surface cut by the plane x = 0.
+
+    Attributes
+    ----------
+    name : str
+        Shape id.
+    lines : list of (n, 2) float
+        Polylines, columns z and y, mm.
+    kind : {"glass", "structure", "mirror", "detector"}
+        How it is drawn.
+    """
+
+    name: str
+    lines: list[Polyline]
+    kind: str
+
+
+def section(scene: Any) -> list[SectionLine]:
+    """
+    Cut every shape of a scene with the plane x = 0.
+
+    Surfaces of revolution whose axis lies in the plane are cut exactly (their profile and its mirror image); all other
+    shapes by way of their triangle mesh.
+    """
+    return [SectionLine(_name(shape), _cut(shape), _kind(shape)) for shape in scene.shapes()]
+
+
+def glass_bodies(scene: Any) -> list[Polyline]:
+    """
+    Outlines of the pieces of glass, (n, 2) float with columns z and y in mm.
+
+    A body lies between a surface with glass at its back and the next surface downstream that has the same glass at its
+    front. Its rim follows the frusta (edges, flanges, bevels) that lead from one surface to the other; where there are
+    none the rims are joined by straight lines.
+    """
+    shapes = [shape for shape in scene.shapes() if hasattr(shape, "profile") and _in_plane(shape)]
+    faces = [shape for shape in shapes if not shape.bsdf().opaque and shape.profile()[0, 0] == 0]
+    faces.sort(key=lambda shape: float(shape.matrix[2, 3]))
+    bodies = []
+    for k, face in enumerate(faces):
+        glass = face.bsdf().back
+        if glass in ("air", "vacuum"):
+            continue
+        partner = next((other for other in faces[k + 1 :] if other.bsdf().front == glass), None)
+        if partner is None:
+            continue
+        rims = [shape for shape in shapes if shape not in faces and glass in (shape.bsdf().front, shape.bsdf().back)]
+        halves = []
+        for sign in (1, -1):
+            front, rear = _placed(face, face.profile(), sign), _placed(partner, partner.profile(), sign)
+            steps = [_placed(shape, shape.profile(), sign)[[0, -1]] for shape in rims]
+            halves.append(np.concatenate([front, chain(front[-1], rear[-1], steps), rear[::-1]]))
+        bodies.append(np.concatenate([halves[0], halves[1][::-1]]))
+    return bodies
+
+
+def chain(start: Polyline, end: Polyline, steps: Sequence[Polyline], tolerance: float = 1e-5) -> Polyline:
+    """
+    Shortest way from one point to another along line segments.
+
+    Parameters
+    ----------
+    start, end : (2,) float
+        Points, mm.
+    steps : sequence of (2, 2) float
+        Segments that may be walked either way, mm.
+    tolerance : float
+        Distance within which ends meet, relative to the distance of the points from the origin.
+
+    Returns
+    -------
+    (n, 2) float
+        Points between the two; empty if no way leads there.
+    """
+    near = tolerance * max(float(np.abs(start).max()), float(np.abs(end).max()), 1e-9)
+    ways: list[list[Polyline]] = [[start]]
+    left = list(steps)
+    while ways:
+        longer = []
+        for way in ways:
+            if np.abs(way[-1] - end).max() <= near:
+                return np.array(way[1:]).reshape(-1, 2)
+            for step in list(left):
+                for here, there in ((0, 1), (1, 0)):
+                    if np.abs(step[here] - way[-1]).max() <= near and any(step is other for other in left):
+                        left = [other for other in left if other is not step]
+                        longer.append([*way, step[there]])
+        ways = longer
+    return np.empty((0, 2))
+
+
+def layout(report: GhostReport, field_deg: float, ghosts: int = 3) -> Figure:
+    """
+    Section of the system with rays of the direct image and of the worst stray paths of one field.
+
+    Parameters
+    ----------
+    report : GhostReport
+    field_deg : float
+        Field angle, degrees.
+    ghosts : int
+        Number of stray paths drawn, the worst by RMS irradiance first.
+    """
+    lines = section(report.scene)
+    low, high = _bounds(lines)
+    size = np.maximum(high - low, 1e-9)
+    width = 10.4
+    figure = Figure(
+        figsize=(width, float(np.clip(0.9 * width * size[1] / size[0] + 0.9, 2.6, 8.0))), dpi=110, layout="constrained"
+    )
+    axes = figure.subplots()
+    _draw_system(axes, report.scene, lines)
+    table = report.table(field_deg)
+    chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
+    for colour, row in zip(GHOST_COLOURS, report.top(field_deg, ghosts).itertuples(index=False), strict=False):
+        chosen.append((int(row.path_id), colour, f"{row.label} ({row.kind})"))
+    for path_id, colour, label in chosen:
+        rays = report[field_deg].history(path_id, n=HISTORY_RAYS).rays
+        for k, ray in enumerate(meridional(rays, RAYS_DRAWN)):
+            axes.plot(ray[:, 2], ray[:, 1], color=colour, lw=0.8, alpha=0.9, zorder=4, label=label if k == 0 else None)
+    margin = 0.06 * size
+    axes.set_xlim(low[0] - 2.5 * margin[0], high[0] + margin[0])
+    axes.set_ylim(low[1] - margin[1], high[1] + margin[1])
+    axes.set_aspect("equal")
+    axes.set_xlabel("z [mm]")
+    axes.set_ylabel("y [mm]")
+    axes.set_title(f"field {field_deg:g}°: section x = 0; rays projected onto it", fontsize=10)
+    axes.spines[["top", "right"]].set_visible(False)
+    if chosen:
+        figure.legend(
+            *axes.get_legend_handles_labels(), loc="outside lower center", ncols=len(chosen), fontsize=8, frameon=False
+        )
+    return figure
+
+
+def meridional(rays: Sequence[Polyline], count: int) -> list[Polyline]:
+    """
+    Choose rays that stay near the plane x = 0 and spread over the pupil.
+
+    Parameters
+    ----------
+    rays : sequence of (k, 3) float
+        Polylines, mm.
+    count : int
+        How many at most.
+    """
+    height = [float(ray[min(1, len(ray) - 1), 1]) for ray in rays]
+    off_plane = [float(np.max(np.abs(ray[:, 0]))) for ray in rays]
+    order = np.argsort(height)
+    groups = [group for group in np.array_split(order, count) if len(group)]
+    return [rays[min(group, key=lambda k: off_plane[k])] for group in groups]
+
+
+def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine]) -> None:
+    for body in glass_bodies(scene):
+        axes.fill(body[:, 0], body[:, 1], facecolor=GLASS, edgecolor="none", zorder=1)
+    style: dict[str, dict[str, Any]] = {
+        "glass": {"color": GLASS_EDGE, "lw": 0.9, "zorder": 3},
+        "structure": {"color": STRUCTURE, "lw": 1.4, "zorder": 2},
+        "mirror": {"color": MIRROR, "lw": 1.6, "zorder": 3},
+        "detector": {"color": DETECTOR, "lw": 2.4, "zorder": 3, "solid_capstyle": "butt"},
+    }
+    for surface in lines:
+        for line in surface.lines:
+            axes.plot(line[:, 0], line[:, 1], **style[surface.kind])
+
+
+def _name(shape: Any) -> str:
+    return str(shape.name if hasattr(shape, "name") else shape.id())
+
+
+def _kind(shape: Any) -> str:
+    if shape.is_sensor():
+        return "detector"
+    bsdf = shape.bsdf()
+    if bsdf.mirror:
+        return "mirror"
+    return "structure" if bsdf.opaque else "glass"
+
+
+def _in_plane(shape: Any) -> bool:
+    """Whether the axis of a surface of revolution lies in a plane x = const that is the plane of the section."""
+    return abs(shape.matrix[0, 3]) < 1e-9 and abs(shape.matrix[0, 2]) < 1e-9
+
+
+def _cut(shape: Any) -> list[Polyline]:
+    if hasattr(shape, "profile") and _in_plane(shape):
+        whole = _mirrored(shape)
+        return [whole] if whole is not None else [_placed(shape, shape.profile(), sign) for sign in (1, -1)]
+    vertices, faces = mesh_arrays(shape)
+    return slice_mesh(vertices, faces)
+
+
+def _mirrored(shape: Any) -> Polyline | None:
+    """The profile and its mirror image as one line through the axis; None if the profile does not reach the axis."""
+    profile = shape.profile()
+    if profile[0, 0] > 0:
+        return None
+    return np.concatenate([_placed(shape, profile, -1)[:0:-1], _placed(shape, profile, 1)])
+
+
+def _placed(shape: Any, profile: Polyline, sign: int) -> Polyline:
+    """Profile points (r, z) at local azimuth ±90 degrees in the section, as (z, y) in the scene, mm."""
+    axis = shape.matrix[:3, 2]
+    across = np.array([0.0, axis[2], -axis[1]])
+    points = shape.matrix[:3, 3] + sign * profile[:, :1] * across + profile[:, 1:] * axis
+    return points[:, [2, 1]]
+
+
+def slice_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> list[Polyline]:
+    """
+    Cut a triangle mesh with the plane x = 0.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float
+        mm.
+    faces : (m, 3) int
+
+    Returns
+    -------
+    list of (2, 2) float
+        One segment for each triangle that crosses the plane, columns z and y, mm.
+    """
+    corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
+    # A vertex exactly in the plane counts as on its positive side, so that no segment is found twice
+    side = corners[:, :, 0] >= 0
+    segments = []
+    for triangle, positive in zip(corners, side, strict=True):
+        if positive.all() or not positive.any():
+            continue
+        points = []
+        for a, b in ((0, 1), (1, 2), (2, 0)):
+            if positive[a] != positive[b]:
+                t = triangle[a, 0] / (triangle[a, 0] - triangle[b, 0])
+                points.append(triangle[a] + t * (triangle[b] - triangle[a]))
+        segments.append(np.array(points)[:, [2, 1]])
+    return segments
+
+
+def _bounds(lines: Sequence[SectionLine]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    points = np.concatenate([line for surface in lines for line in surface.lines])
+    return points.min(axis=0), points.max(axis=0)

@@ -1,0 +1,118 @@
+"""Everything that a ghost analysis writes, into one directory, complete or not at all."""
+
+from __future__ import annotations
+
+import shutil
+import tempfile
+from pathlib import Path
+
+from mistray.analysis.ghosts import GhostReport
+from mistray.errors import MistrayError
+from mistray.report.html import write_html
+from mistray.report.layout import layout
+from mistray.report.path_sort import path_sort_text
+from mistray.report.plots import as_png, common_range, ghost_image, levels_against_field, montage
+from mistray.report.tables import write_csv
+
+
+def draw(report: GhostReport) -> dict[str, bytes]:
+    """
+    All pictures as PNG, by file name.
+
+    Returns
+    -------
+    dict
+        overview.png, levels.png and, for each field, ghosts_<field>deg.png and layout_<field>deg.png.
+    """
+    limits = common_range(report)
+    pictures = {"overview.png": as_png(montage(report)), "levels.png": as_png(levels_against_field(report))}
+    for field in report:
+        pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(report, field, limits))
+        pictures[f"layout_{field:g}deg.png"] = as_png(layout(report, field))
+    return pictures
+
+
+def write_png(report: GhostReport, directory: str | Path) -> list[Path]:
+    """
+    Write the pictures of `draw`.
+
+    Parameters
+    ----------
+    report : GhostReport
+    directory : str or Path
+        Must exist.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    return _write(draw(report), Path(directory))
+
+
+def write_all(report: GhostReport, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
+    """
+    Write CSV, PNG, path-sort files and report.html.
+
+    All files are made in a temporary directory beside the target and moved there at the end, so that a failure leaves
+    nothing half-written. Files of the same names are replaced, others are left alone.
+
+    Parameters
+    ----------
+    report : GhostReport
+    directory : str or Path
+        Made if it is missing.
+    title : str
+        Name of the optical system.
+    command : str
+        Command line, quoted in the report.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    target = writable_directory(directory)
+    draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    try:
+        pictures = draw(report)
+        drafts = [*write_csv(report, draft), *_write(pictures, draft)]
+        for field in report:
+            path = draft / f"path_sort_{field:g}deg.txt"
+            path.write_text(path_sort_text(report[field]), encoding="utf-8")
+            drafts.append(path)
+        drafts.append(write_html(report, draft / "report.html", title, command, pictures))
+        target.mkdir(exist_ok=True)
+        return [path.replace(target / path.name) for path in drafts]
+    finally:
+        shutil.rmtree(draft, ignore_errors=True)
+
+
+def writable_directory(directory: str | Path) -> Path:
+    """
+    Check, without making anything, that a directory can be written, so that a long trace does not end in an error.
+
+    Raises
+    ------
+    MistrayError
+        The path is a file, its parent does not exist, or it may not be written.
+    """
+    target = Path(directory).expanduser().resolve()
+    if target.exists() and not target.is_dir():
+        raise MistrayError(f"output directory '{directory}' is a file; name a directory")
+    if not target.parent.is_dir():
+        raise MistrayError(f"output directory '{directory}': '{target.parent}' does not exist; make it first")
+    try:
+        tempfile.TemporaryFile(dir=target if target.is_dir() else target.parent).close()
+        tempfile.TemporaryFile(dir=target.parent).close()
+    except OSError as error:
+        raise MistrayError(
+            f"output directory '{directory}' cannot be written ({error.strerror}); choose another"
+        ) from None
+    return target
+
+
+def _write(pictures: dict[str, bytes], directory: Path) -> list[Path]:
+    for name, png in pictures.items():
+        (directory / name).write_bytes(png)
+    return [directory / name for name in pictures]

@@ -1,0 +1,171 @@
+"""Path-sort text file: a list of paths with a representative ray each, for spreadsheets and scripts.
+
+The fields are those of TracePro's path-sort file. Columns are separated by tabs.
+"""
+
+from __future__ import annotations
+
+import re
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.trace import Trace
+
+TITLE = "Path sort: all paths that end on the detector, sorted by absorbed flux."
+COLUMNS = ("Path", "Rays", "Absorbed flux [W]", "Standard error [W]", "Percent", "Wavelength [nm]", "Intercepts")
+RAY_COLUMNS = ("Split", "Intercept", "Object", "Surface")
+ENDS = ("Emitted", "Absorbed")
+_PATH_LINE = re.compile(r"Path (\d+): ")
+
+
+@dataclass(frozen=True)
+class SortedPath:
+    """
+    One path of a path-sort file.
+
+    Attributes
+    ----------
+    path_id, rays : int
+        Number of the path, 0 = strongest, and of its rays.
+    absorbed_W, absorbed_se_W, percent, wavelength_nm : float
+        Absorbed flux, its standard error, its share of all detected flux, wavelength.
+    events : tuple of (str, str, str)
+        Intercept type, object and surface, from "Emitted" to "Absorbed".
+    """
+
+    path_id: int
+    rays: int
+    absorbed_W: float
+    absorbed_se_W: float
+    percent: float
+    wavelength_nm: float
+    events: tuple[tuple[str, str, str], ...]
+
+    @property
+    def intercepts(self) -> str:
+        """Summary such as "(4 SpecTran)(2 SpecRefl)", in the order of first occurrence."""
+        counts = Counter(kind for kind, _, _ in self.events if kind not in ENDS)
+        return "".join(f"({count} {kind})" for kind, count in counts.items()) or "(none)"
+
+
+def sorted_paths(trace: Trace, count: int | None = None) -> list[SortedPath]:
+    """
+    Paths of a trace as entries of a path-sort file.
+
+    Parameters
+    ----------
+    trace : Trace
+    count : int, optional
+        Only the strongest so many.
+    """
+    surfaces = trace.surfaces.to_pandas()
+    part = dict(zip(surfaces.id, surfaces.part, strict=True))
+    table = trace.paths.to_pandas().head(count) if count is not None else trace.paths.to_pandas()
+    entries = []
+    for row, path in zip(table.itertuples(index=False), trace.paths, strict=False):
+        events = [
+            ("Emitted", "", ""),
+            *((kind, part[name], name) for name, kind in path.event_list if kind != "Emitted"),
+        ]
+        entries.append(
+            SortedPath(
+                int(row.path_id),
+                int(row.rays),
+                float(row.power_W),
+                float(row.power_se_W),
+                float(row.percent),
+                float(row.wavelength_nm),
+                tuple(events),
+            )
+        )
+    return entries
+
+
+def path_sort_text(trace: Trace, count: int | None = None) -> str:
+    """
+    Path-sort file of a trace: a summary line for each path, then a representative ray of each.
+
+    Parameters
+    ----------
+    trace : Trace
+    count : int, optional
+        Only the strongest so many.
+
+    Returns
+    -------
+    str
+        Text that `parse_path_sort` reads back.
+    """
+    entries = sorted_paths(trace, count)
+    lines = [TITLE, _settings_line(trace.settings), "", "\t".join(COLUMNS)]
+    for path in entries:
+        numbers = (
+            f"{path.absorbed_W:.9g}",
+            f"{path.absorbed_se_W:.3g}",
+            f"{path.percent:.9g}",
+            f"{path.wavelength_nm:.9g}",
+        )
+        lines.append("\t".join((str(path.path_id), str(path.rays), *numbers, path.intercepts)))
+    for path in entries:
+        lines += ["", f"Path {path.path_id}: {path.rays} rays, {path.absorbed_W:.9g} W absorbed; representative ray:"]
+        lines.append("\t".join(RAY_COLUMNS))
+        lines += ["\t".join((str(split), *event)).rstrip() for split, event in enumerate(path.events, start=1)]
+    return "\n".join(lines) + "\n"
+
+
+def parse_path_sort(text: str) -> list[SortedPath]:
+    """
+    Read a path-sort file back.
+
+    Raises
+    ------
+    MistrayError
+        The text is not such a file, or a path lacks its representative ray.
+    """
+    lines = text.splitlines()
+    header = "\t".join(COLUMNS)
+    if not lines or lines[0] != TITLE or header not in lines:
+        raise MistrayError(
+            "path-sort file: the title or the column line is missing; give a file written by path_sort_text"
+        )
+    start = lines.index(header) + 1
+    end = next((k for k in range(start, len(lines)) if not lines[k]), len(lines))
+    events = _representative_rays(lines[end:])
+    entries = []
+    for line in lines[start:end]:
+        path_id, rays, absorbed, se, percent, wavelength, _ = line.split("\t")
+        if int(path_id) not in events:
+            raise MistrayError(f"path-sort file: path {path_id} has no representative ray; the file is cut off")
+        entries.append(
+            SortedPath(
+                int(path_id),
+                int(rays),
+                float(absorbed),
+                float(se),
+                float(percent),
+                float(wavelength),
+                events[int(path_id)],
+            )
+        )
+    return entries
+
+
+def _representative_rays(lines: Sequence[str]) -> dict[int, tuple[tuple[str, str, str], ...]]:
+    rays: dict[int, list[tuple[str, str, str]]] = {}
+    current: list[tuple[str, str, str]] = []
+    for line in lines:
+        opened = _PATH_LINE.match(line)
+        if opened:
+            current = rays.setdefault(int(opened[1]), [])
+        elif line and line[0].isdigit():
+            _, kind, *names = line.split("\t")
+            current.append((kind, names[0] if names else "", names[1] if len(names) > 1 else ""))
+    return {path_id: tuple(events) for path_id, events in rays.items()}
+
+
+def _settings_line(settings: dict[str, Any]) -> str:
+    shown = ("field_deg", "azimuth_deg", "rays", "max_reflections", "flux_threshold", "splitting", "seed")
+    return ", ".join(f"{key} = {settings[key]}" for key in shown if key in settings)

@@ -1,0 +1,289 @@
+"""Numbers as text, and the tables of a ghost analysis: printed ones and CSV files."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.ghosts import DIRECT, FEWEST_RAYS, KINDS, FieldSummary, GhostReport
+
+LIMIT_WARNING = 1e-6  # of the launched flux
+CLOSURE_WARNING = 1e-5
+ABSENT = "–"
+
+
+def with_error(number: Estimate, digits: int = 2) -> str:
+    """
+    A number and its standard error as text, "9.3548e-05 ± 1.2e-08".
+
+    The error has ``digits`` digits and the value ends at the same place. A number that is not finite is "–", an error
+    that is not known shows as "± ?".
+    """
+    value, se = number
+    if not math.isfinite(value):
+        return ABSENT
+    if not math.isfinite(se):
+        return f"{value:.4g} ± ?"
+    if se <= 0:
+        return f"{value:.6g} ± 0"
+    if value == 0:
+        return f"0 ± {se:.{digits - 1}e}"
+    places = _exponent(value) - _exponent(se) + digits - 1
+    decimals = min(max(places, 0), 9)
+    if -4 < _exponent(value) < 5 and se < abs(value):
+        fixed = max(digits - 1 - _exponent(se), 0)
+        return f"{value:.{fixed}f} ± {se:.{fixed}f}"
+    return f"{value:.{decimals}e} ± {se:.{digits - 1}e}"
+
+
+def number(value: float, digits: int = 5) -> str:
+    """A number without error as text; "–" if it is not finite."""
+    return f"{value:.{digits}g}" if math.isfinite(value) else ABSENT
+
+
+def text_table(
+    header: Sequence[str], units: Sequence[str], rows: Sequence[Sequence[str]], left: Sequence[int] = ()
+) -> str:
+    """
+    Fixed-width table with a line of units below the header.
+
+    Parameters
+    ----------
+    header, units : sequence of str
+        One entry for each column.
+    rows : sequence of sequence of str
+        Cells.
+    left : sequence of int
+        Numbers of the columns that are flush left; all others are flush right.
+    """
+    lines = [list(header), [f"[{unit}]" if unit else "" for unit in units], *[list(row) for row in rows]]
+    widths = [max(len(line[k]) for line in lines) for k in range(len(header))]
+
+    def join(line: Sequence[str]) -> str:
+        cells = [
+            cell.ljust(w) if k in left else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True))
+        ]
+        return "  ".join(cells).rstrip()
+
+    rule = "  ".join("-" * w for w in widths)
+    return "\n".join([join(lines[0]), join(lines[1]), rule, *[join(line) for line in lines[2:]]])
+
+
+def summary_table(summaries: Sequence[FieldSummary]) -> str:
+    """Main table: one row for each field."""
+    header = [
+        "field",
+        "paths",
+        "direct image",
+        "stray light",
+        "stray/direct",
+        "stray/nominal",
+        "peak stray",
+        "worst ghost",
+    ]
+    units = ["deg", "", "W", "W", "", "", "W/mm²", "norm. RMS irradiance"]
+    rows = [
+        [
+            f"{s.field_deg:g}",
+            str(s.paths),
+            with_error(s.direct.power_W) if s.direct.power_W.value > 0 else ABSENT,
+            with_error(s.stray_W),
+            with_error(s.ghost_to_signal),
+            with_error(s.stray_to_nominal),
+            with_error(s.peak_stray_W_mm2),
+            with_error(s.brightest_normalised),
+        ]
+        for s in summaries
+    ]
+    return text_table(header, units, rows)
+
+
+def ghost_table(report: GhostReport, count: int = 4) -> str:
+    """The worst stray paths of every field by RMS irradiance."""
+    header = ["field", "path", "ghost surfaces", "kind", "power", "RMS radius", "RMS irradiance", "normalised"]
+    units = ["deg", "", "1st → 2nd", "", "W", "mm", "W/mm²", "to on-axis image"]
+    rows = [
+        [
+            f"{field:g}",
+            str(row.path_id) + (" " if row.well_sampled else "*"),
+            str(row.label),
+            str(row.kind),
+            with_error(Estimate(row.power_W, row.power_se_W)),
+            with_error(Estimate(row.rms_radius_mm, row.rms_radius_se_mm)),
+            with_error(Estimate(row.rms_irradiance_W_mm2, row.rms_irradiance_se_W_mm2)),
+            with_error(Estimate(row.normalised_rms_irradiance, row.normalised_rms_irradiance_se)),
+        ]
+        for field in report
+        for row in report.top(field, count).itertuples(index=False)
+    ]
+    return text_table(header, units, rows, left=(2, 3)) if rows else "no stray path reaches the detector"
+
+
+def main_table(report: GhostReport, count: int = 4) -> str:
+    """What `mistray ghosts` prints: the main table, the worst ghosts of each field and the energy closure."""
+    nominal = report.nominal.rms_irradiance_W_mm2
+    closure = max((report[field].energy.closure for field in report), key=abs)
+    parts = [
+        summary_table([report.summary(field) for field in report]),
+        "",
+        f"Worst {count} stray paths of each field by RMS irradiance P/(π r_rms²)",
+        ghost_table(report, count),
+        "",
+        f"normalised: over the RMS irradiance of the direct image on axis, {with_error(nominal)} W/mm²",
+        "stray/nominal: over the power of the direct image on axis.  ±: one standard error; of sums an upper bound",
+    ]
+    if any(not report.top(field, count).well_sampled.all() for field in report):
+        parts.append(f"*: fewer than {FEWEST_RAYS} rays, RMS radius and irradiance are unreliable")
+    parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
+    parts += [f"warning: {text}" for text in warnings(report)]
+    return "\n".join(parts)
+
+
+def warnings(report: GhostReport) -> list[str]:
+    """What a reader must know before trusting the numbers; empty if all is well."""
+    found = []
+    settings = next(iter(report.values())).settings
+    for reason in dict.fromkeys(reason for t in report.values() for reason in t.energy.cut):
+        shares = {field: abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for field, t in report.items()}
+        large = [field for field, share in shares.items() if share > LIMIT_WARNING]
+        if large:
+            share = max(shares.values())
+            found.append(f"{_fields(large)}: up to {share:.1e} of the launched flux was {_cut_text(reason, settings)}")
+    open_ends = [field for field, t in report.items() if abs(t.energy.closure) > CLOSURE_WARNING]
+    if open_ends:
+        worst = max(abs(report[field].energy.closure) for field in open_ends)
+        found.append(f"{_fields(open_ends)}: the energy closes to {worst:.1e} only, not to {CLOSURE_WARNING:g}")
+    few = [field for field in report if not report.top(field, 4).well_sampled.all()]
+    if few:
+        found.append(f"{_fields(few)}: some of the worst four paths hold fewer than {FEWEST_RAYS} rays; raise rays")
+    return found
+
+
+def path_table(report: GhostReport) -> pd.DataFrame:
+    """All paths of all fields, with a leading column ``field_deg``; columns as in `GhostReport.table`."""
+    tables = [report.table(field).assign(field_deg=field) for field in report]
+    return _field_first(pd.concat(tables, ignore_index=True))
+
+
+def energy_table(report: GhostReport) -> pd.DataFrame:
+    """Energy ledger of all fields: field_deg, entry, name, power_W, power_se_W (NaN: exact or not estimated), share."""
+    rows = []
+    for field in report:
+        energy = report[field].energy
+        entries = [
+            ("launched", "source", energy.launched_W, 0.0),
+            ("detected", "detector", energy.detected_W, energy.detected_se_W),
+        ]
+        entries += [("absorbed", name, power, se) for name, (power, se) in energy.absorbed.items()]
+        entries += [("escaped", "scene", energy.escaped_W, energy.escaped_se_W)]
+        entries += [("cut", reason, power, math.nan) for reason, power in energy.cut.items()]
+        entries += [("unaccounted", "closure", energy.closure * energy.launched_W, math.nan)]
+        rows += [
+            {
+                "field_deg": field,
+                "entry": entry,
+                "name": name,
+                "power_W": power,
+                "power_se_W": se,
+                "share": power / energy.launched_W,
+            }
+            for entry, name, power, se in entries
+        ]
+    return pd.DataFrame(rows)
+
+
+def surface_table(report: GhostReport) -> pd.DataFrame:
+    """Flux report of all fields: the columns of ``Trace.surfaces`` after ``field_deg``."""
+    tables = [report[field].surfaces.to_pandas().assign(field_deg=field) for field in report]
+    return _field_first(pd.concat(tables, ignore_index=True))
+
+
+def summary_frame(report: GhostReport) -> pd.DataFrame:
+    """Main table with full precision, one row for each field."""
+    return pd.DataFrame([_summary_row(report.summary(field)) for field in report])
+
+
+def csv_tables(report: GhostReport) -> dict[str, pd.DataFrame]:
+    """The tables that `write_csv` writes, by file name."""
+    return {
+        "summary.csv": summary_frame(report),
+        "paths.csv": path_table(report),
+        "energy.csv": energy_table(report),
+        "surfaces.csv": surface_table(report),
+    }
+
+
+def write_csv(report: GhostReport, directory: str | Path) -> list[Path]:
+    """
+    Write summary.csv, paths.csv, energy.csv and surfaces.csv, each over all fields with full precision.
+
+    Parameters
+    ----------
+    report : GhostReport
+    directory : str or Path
+        Must exist.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    files = []
+    for name, table in csv_tables(report).items():
+        path = Path(directory) / name
+        table.to_csv(path, index=False, lineterminator="\n")
+        files.append(path)
+    return files
+
+
+def _summary_row(s: FieldSummary) -> dict[str, Any]:
+    row: dict[str, Any] = {"field_deg": s.field_deg, "paths": s.paths}
+    row |= {f"paths_{_snake(kind)}": s.paths_of_kind[kind] for kind in (DIRECT, *KINDS)}
+    estimates = {
+        "direct_power_W": s.direct.power_W,
+        "direct_rms_radius_mm": s.direct.rms_radius_mm,
+        "direct_rms_irradiance_W_mm2": s.direct.rms_irradiance_W_mm2,
+        "direct_peak_W_mm2": s.direct.peak_W_mm2,
+        "stray_W": s.stray_W,
+        **{f"{_snake(kind)}_W": s.stray_of_kind_W[kind] for kind in KINDS},
+        "ghost_to_signal": s.ghost_to_signal,
+        "stray_to_nominal": s.stray_to_nominal,
+        "peak_stray_W_mm2": s.peak_stray_W_mm2,
+        "peak_to_nominal": s.peak_to_nominal,
+        "worst_normalised_rms_irradiance": s.brightest_normalised,
+    }
+    for name, estimate in estimates.items():
+        row |= {name: estimate.value, f"{name}_se": estimate.se}
+    row["worst_path_id"] = s.brightest
+    row |= {
+        f"map_{name}": getattr(s.map, name) for name in ("minimum", "maximum", "mean", "rms", "flux_W", "incident_rays")
+    }
+    return row | {"asymmetry": s.asymmetry, "asymmetry_expected": s.asymmetry_expected}
+
+
+def _field_first(table: pd.DataFrame) -> pd.DataFrame:
+    return table[["field_deg", *[name for name in table.columns if name != "field_deg"]]]
+
+
+def _snake(kind: str) -> str:
+    return kind.replace("+", "_").replace(" ", "_")
+
+
+def _fields(fields_deg: Sequence[float]) -> str:
+    return f"field {', '.join(f'{field:g}' for field in fields_deg)} deg"
+
+
+def _cut_text(reason: str, settings: dict[str, Any]) -> str:
+    """How a reason of the energy ledger reads in a warning."""
+    if reason in settings:
+        return f"cut by {reason} = {settings[reason]}; change it to see what is missing"
+    return f"lost to '{reason}'"
+
+
+def _exponent(value: float) -> int:
+    return math.floor(math.log10(abs(value)))

@@ -1,0 +1,5 @@
+"""Optical systems as Mitsuba scenes: loading, checking, naming."""
+
+from mistray.scene.load import find, load
+
+__all__ = ["find", "load"]

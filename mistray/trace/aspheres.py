@@ -1,0 +1,212 @@
+"""First crossing of rays with even aspheres.
+
+A ray usually runs through the bounds of many aspheres and meets one. So the kernel only computes where it enters the
+bounds of each, and then searches them in the order of entry, every lane its own, until a crossing is nearer than the
+next entry.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.physics.sag import sag, sag_derivative
+from mistray.trace.surfaces import POLYNOMIAL_VECTORS, SELF_HIT, SurfaceTable
+
+AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
+INTERVALS = 12  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
+ITERATIONS = 24
+# Newton steps end when one is this small, in units of the aperture; the interaction at the hit adds a last one, which
+# squares the error
+CONVERGED = 1e-3
+
+
+def stretch(
+    ox: mi.Float,
+    oy: mi.Float,
+    oz: mi.Float,
+    dz: mi.Float,
+    dd: mi.Float,
+    od: mi.Float,
+    oo: mi.Float,
+    inv_dz: mi.Float,
+    outer2: mi.Float,
+    z_low: mi.Float,
+    z_high: mi.Float,
+) -> tuple[mi.Float, mi.Float]:
+    """Part of a ray within a cylinder and a slab, empty if its end is not beyond its start."""
+    discriminant = dr.fma(od, od, -dd * (oo - outer2))
+    root, inv = dr.sqrt(dr.maximum(discriminant, 0)), dr.rcp(dd)
+    axial = dd < AXIAL  # such a ray never leaves the cylinder
+    z0, z1 = (z_low - oz) * inv_dz, (z_high - oz) * inv_dz
+    start = dr.maximum(dr.maximum(dr.select(axial, 0, (-od - root) * inv), dr.minimum(z0, z1)), 0)
+    end = dr.minimum(dr.select(axial, dr.inf, (-od + root) * inv), dr.maximum(z0, z1))
+    inside = dr.select(axial, oo <= outer2, discriminant >= 0)
+    return start, dr.select(inside, end, -1)
+
+
+class AsphereSearch:
+    """The aspheres of a `SurfaceTable`."""
+
+    def __init__(self, table: SurfaceTable) -> None:
+        self.table = table
+        self.pieces = [piece for piece in table.pieces if piece.kind == "asphere"]
+        self.rectangular = [piece for piece in self.pieces if not piece.outer]
+        self.count = max((len(piece.coefficients) for piece in self.pieces), default=0)
+
+    def nearest(
+        self,
+        o: mi.Vector3f,
+        d: mi.Vector3f,
+        last: mi.UInt32,
+        entries: list[mi.Float],
+        best: mi.Float,
+        surface: mi.UInt32,
+        active: mi.Bool,
+    ) -> tuple[mi.Float, mi.UInt32]:
+        """
+        Improve the nearest hit by the aspheres.
+
+        Parameters
+        ----------
+        o, d : mi.Vector3f
+            Ray, mm and unit direction.
+        last : mi.UInt32
+            Surface the ray starts on.
+        entries : list of mi.Float
+            Distance at which the ray enters the bounds of each asphere; infinite if it need not be looked at.
+        best, surface : mi.Float, mi.UInt32
+            Nearest hit so far.
+        """
+
+        def choose(best: mi.Float, searched: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
+            """Asphere with the nearest entry that has not been searched and begins before the best hit."""
+            nearest, number, bit = mi.Float(best), mi.UInt32(0), mi.UInt32(0)
+            for k, (piece, entry) in enumerate(zip(self.pieces, entries, strict=True)):
+                take = (entry < nearest) & ((searched & (1 << k)) == 0)
+                nearest = dr.select(take, entry, nearest)
+                number, bit = dr.select(take, mi.UInt32(piece.index), number), dr.select(take, mi.UInt32(1 << k), bit)
+            return number, bit, bit != 0
+
+        def step(best, surface, searched, number, bit, going):  # type: ignore[no-untyped-def]
+            t = self._crossing(o, d, number, last == number, best, going)
+            nearer = going & (t < best)
+            best, surface = dr.select(nearer, t, best), dr.select(nearer, number, surface)
+            searched |= bit
+            number, bit, more = choose(best, searched)
+            return best, surface, searched, number, bit, going & more
+
+        number, bit, some = choose(best, mi.UInt32(0))
+        best, surface, *_ = dr.while_loop(
+            (mi.Float(best), mi.UInt32(surface), mi.UInt32(0), number, bit, active & some),
+            lambda *v: v[5],
+            step,
+            labels=("best", "surface", "searched", "number", "bit", "going"),
+            mode="symbolic",
+            label="aspheres",
+        )
+        return best, surface
+
+    def _crossing(
+        self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
+    ) -> mi.Float:
+        """
+        Distance to the first crossing nearer than `best`, infinite if there is none: bracket, then safeguarded Newton.
+
+        Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere,
+        |dz| > slope · sqrt(dx² + dy²): then one bracket is the whole stretch. Otherwise the stretch is walked in
+        intervals until f changes sign, or until f turns back in an interval and its extremum lies beyond zero.
+        """
+        table = self.table
+        vertex = dr.gather(mi.Vector4f, table.vertex, number, active)
+        o = o - vertex.xyz
+        if table.rotated:
+            rows = [dr.gather(mi.Vector4f, table.rotation, 3 * number + k, active) for k in range(3)]
+            o, d = (
+                mi.Vector3f(*(rows[0][k] * v.x + rows[1][k] * v.y + rows[2][k] * v.z for k in range(3))) for v in (o, d)
+            )
+        row = [dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * number + k, active) for k in range(POLYNOMIAL_VECTORS)]
+        numbers = [row[k // 4][k % 4] for k in range(16)]
+        curvature, conic, coefficients = numbers[0], numbers[1], numbers[2 : 2 + self.count]
+        inner2, z_low, z_high, outer, slope = numbers[11:]
+        size = outer
+        if self.rectangular:
+            half = dr.gather(mi.Vector2f, table.half_size, number, active)
+            rectangle = outer < 0
+            size = dr.select(rectangle, dr.norm(half), outer)
+        outer2 = size * size
+
+        dd, od, oo = dr.fma(d.x, d.x, d.y * d.y), dr.fma(o.x, d.x, o.y * d.y), dr.fma(o.x, o.x, o.y * o.y)
+        start, end = stretch(o.x, o.y, o.z, d.z, dd, od, oo, dr.rcp(d.z), outer2, z_low, z_high)
+        end = dr.minimum(end, best)
+        active &= end > start
+        length = dr.select(active, end - start, 0)
+        o = dr.fma(start, d, o)
+
+        def f(s: mi.Float) -> tuple[mi.Float, mi.Float]:
+            """Height over the surface at a distance s from the start of the stretch, and its derivative."""
+            x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
+            r2 = dr.minimum(dr.fma(x, x, y * y), outer2)
+            height = dr.fma(s, d.z, o.z) - sag(r2, curvature, conic, coefficients)
+            return height, d.z - 2 * sag_derivative(r2, curvature, conic, coefficients) * dr.fma(x, d.x, y * d.y)
+
+        monotonic = dr.square(d.z) > dr.square(slope) * dd
+        stride = dr.select(monotonic, length, length / INTERVALS)
+        f0, g0 = f(mi.Float(0))
+        f0 = dr.select(own, dr.mulsign(mi.Float(1e-30), g0), f0)  # on the surface: the sign is the one it leaves with
+
+        def sign(v: mi.Float) -> mi.Float:
+            return dr.mulsign(mi.Float(1), v)
+
+        def walk(s, fs, gs, lo, hi, flo, fhi, found, going):  # type: ignore[no-untyped-def]
+            t = dr.minimum(s + stride, length)
+            ft, gt = f(t)
+            crossed = sign(ft) != sign(fs)
+            # f turns round inside of the interval: does its extremum reach beyond zero?
+            dips = ~crossed & (gs * fs < 0) & (gt * ft > 0)
+            turn = dr.clip(s + (t - s) * gs / dr.select(dips, gs - gt, 1), s, t)
+            fm, _ = f(turn)
+            dips &= sign(fm) != sign(ft)
+            now = going & (crossed | dips)
+            lo, flo = dr.select(now, s, lo), dr.select(now, fs, flo)
+            hi, fhi = dr.select(now, dr.select(crossed, t, turn), hi), dr.select(now, dr.select(crossed, ft, fm), fhi)
+            return t, ft, gt, lo, hi, flo, fhi, found | now, going & ~now & (t < length)
+
+        zero = mi.Float(0)
+        _, _, _, lo, hi, flo, fhi, found, _ = dr.while_loop(
+            (zero, f0, g0, zero, zero, zero, zero, mi.Bool(False), mi.Bool(active)),
+            lambda *v: v[8],
+            walk,
+            labels=("s", "fs", "gs", "lo", "hi", "flo", "fhi", "found", "going"),
+            mode="symbolic",
+            label="bracket",
+        )
+        side = sign(flo)
+
+        def newton(i, s, lo, hi, going):  # type: ignore[no-untyped-def]
+            fs, gs = f(s)
+            before = sign(fs) == side
+            lo, hi = dr.select(going & before, s, lo), dr.select(going & ~before, s, hi)
+            trial = s - fs / gs
+            new = dr.select((trial >= lo) & (trial <= hi), trial, 0.5 * (lo + hi))
+            going = going & (dr.abs(new - s) > CONVERGED * size) & (i < ITERATIONS)
+            return i + 1, new, lo, hi, going
+
+        chord = lo + (hi - lo) * flo / dr.select(found, flo - fhi, 1)
+        guess = dr.select(own & (lo == 0), 0.5 * (lo + hi), dr.clip(chord, lo, hi))
+        _, s, _, _, _ = dr.while_loop(
+            (mi.UInt32(0), guess, lo, hi, mi.Bool(found)),
+            lambda *v: v[4],
+            newton,
+            labels=("i", "s", "lo", "hi", "going"),
+            mode="symbolic",
+            label="newton",
+        )
+        x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
+        r2 = dr.fma(x, x, y * y)
+        inside = (r2 <= outer2) & (r2 >= inner2)
+        if self.rectangular:
+            within = (dr.abs(x) <= half.x) & (dr.abs(y) <= half.y)
+            inside = dr.select(rectangle, within, inside)
+        t = start + s
+        return dr.select(found & inside & (t > dr.select(own, SELF_HIT * size, 0)), t, dr.inf)

@@ -1,0 +1,132 @@
+"""Rays on demand: polylines, the ray history table and the incident ray table."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mistray.trace.ledger import EVENT_BITS
+from mistray.trace.paths import INTERCEPTS
+from mistray.trace.precise import retrace
+from mistray.trace.ray_tree import NODE_FLOATS, Recorder
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from mistray.trace.tracer import Run
+
+
+@dataclass
+class Ray:
+    """
+    One branch from the source to the detector.
+
+    Attributes
+    ----------
+    start_ray : int
+        Number of its start ray.
+    points : (k + 1, 3) float64
+        Start and every hit, mm.
+    directions : (k + 1, 3) float64
+        Direction in which the ray leaves each point; zero at the detector.
+    flux_W : (k + 1,) float64
+        Flux with which it arrives at each point.
+    opl_mm : (k + 1,) float64
+        Optical path length from the start.
+    codes : (k,) uint32
+        Events, surface << 2 | what.
+    """
+
+    start_ray: int
+    points: np.ndarray
+    directions: np.ndarray
+    flux_W: np.ndarray
+    opl_mm: np.ndarray
+    codes: np.ndarray
+
+
+class RayHistory:
+    """Recorded rays of one path, or of all."""
+
+    def __init__(self, run: Run, rays: list[Ray]) -> None:
+        self._run, self._rays = run, rays
+
+    def __len__(self) -> int:
+        return len(self._rays)
+
+    @property
+    def rays(self) -> list[np.ndarray]:
+        """Polylines (k + 1, 3), mm."""
+        return [ray.points for ray in self._rays]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """
+        The ray history table: one row for each node of each ray.
+
+        Columns: ray, node, start_ray, intercept (Emitted, SpecTran, SpecRefl, TIR, Absorbed), object, surface,
+        wavelength_nm, x_mm, y_mm, z_mm, flux_W (arriving), opl_mm (from the start), dx, dy, dz (leaving).
+        """
+        import pandas as pd
+
+        table, beam = self._run.table, self._run.beam
+        rows = []
+        for number, ray in enumerate(self._rays):
+            for node, (point, direction, flux, opl) in enumerate(
+                zip(ray.points, ray.directions, ray.flux_W, ray.opl_mm, strict=True)
+            ):
+                if node == 0:
+                    intercept, part, surface = "Emitted", beam.name, "-"
+                else:
+                    code = int(ray.codes[node - 1])
+                    intercept = INTERCEPTS[code & ((1 << EVENT_BITS) - 1)]
+                    part, surface = table.parts[code >> EVENT_BITS], table.ids[code >> EVENT_BITS]
+                rows.append((number, node, ray.start_ray, intercept, part, surface, beam.wavelength_nm, *point, flux, opl, *direction))
+        names = ["ray", "node", "start_ray", "intercept", "object", "surface", "wavelength_nm"]
+        return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "flux_W", "opl_mm", "dx", "dy", "dz"])
+
+    def incident(self) -> pd.DataFrame:
+        """
+        The incident ray table: one row for each ray at the detector.
+
+        Columns: ray, wavelength_nm, source, start_ray, node, type, history, flux_W, x_mm, y_mm, z_mm, dx, dy, dz (the
+        direction of arrival).
+        """
+        import pandas as pd
+
+        rows = []
+        for number, ray in enumerate(self._rays):
+            history = " ".join(INTERCEPTS[int(code) & ((1 << EVENT_BITS) - 1)] for code in ray.codes)
+            rows.append(
+                (
+                    number,
+                    self._run.beam.wavelength_nm,
+                    self._run.beam.name,
+                    ray.start_ray,
+                    len(ray.codes),
+                    history.rsplit(" ", 2)[-2] if len(ray.codes) > 1 else "Emitted",
+                    history,
+                    ray.flux_W[-1],
+                    *ray.points[-1],
+                    *ray.directions[-2],
+                )
+            )
+        names = ["ray", "wavelength_nm", "source", "start_ray", "node", "type", "history", "flux_W"]
+        return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "dx", "dy", "dz"])
+
+
+def read_rays(run: Run, recorder: Recorder) -> RayHistory:
+    """Read a recorder back; positions and optical path lengths are found again in float64."""
+    count = min(int(recorder.count[0]), recorder.capacity)
+    lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)
+    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)
+    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS).astype(np.float64)
+    origins, directions = run.start_rays(lanes) if count else (np.zeros((0, 3)), np.zeros((0, 3)))
+    rays = []
+    for slot in np.argsort(lanes, kind="stable"):
+        events, hits = codes[slot, : lengths[slot]], nodes[slot, : lengths[slot]]
+        points, leaving, opl = retrace(run.table, origins[slot], directions[slot], events, hits[:, :3])
+        flux = run.unit * np.concatenate([[1.0], hits[:, 6]])
+        rays.append(Ray(int(lanes[slot]), points, leaving, flux, opl, events.copy()))
+    return RayHistory(run, rays)

@@ -1,0 +1,213 @@
+"""Exact nearest hit of rays with the analytic surfaces of a scene, unrolled into the caller's kernel.
+
+Every number of a surface is an opaque scalar, so that the code is the same for all scenes of equal structure (no
+recompilation when a parameter changes) and its loads broadcast over the lanes.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.trace.aspheres import AsphereSearch, stretch
+from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, Piece, SurfaceTable
+
+
+
+@dataclass
+class Numbers:
+    """A `Piece` as opaque Dr.Jit scalars."""
+
+    z: mi.Float
+    curvature: mi.Float
+    one_plus_conic: mi.Float
+    r0: mi.Float
+    slope: mi.Float
+    outer2: mi.Float
+    inner2: mi.Float
+    half_width: mi.Float
+    half_height: mi.Float
+    z_low: mi.Float
+    z_high: mi.Float
+    self_hit: mi.Float
+
+    @classmethod
+    def of(cls, p: Piece) -> Numbers:
+        """Opaque copies of the numbers of a piece."""
+
+        def opaque(value: float) -> mi.Float:
+            return dr.opaque(mi.Float, value)
+
+        a, b = p.quadric[:2]
+        conic = p.kind in ("conic", "asphere")
+        size = p.outer or float(np.hypot(*p.half_size))
+        return cls(
+            z=opaque(p.z),
+            curvature=opaque(a),
+            one_plus_conic=opaque(b / a if conic and a else 1.0),
+            r0=opaque(np.sqrt(max(-p.quadric[3], 0.0))),
+            slope=opaque(p.slope),
+            outer2=opaque(p.outer**2 if p.outer else size**2),
+            inner2=opaque(p.inner**2),
+            half_width=opaque(p.half_size[0]),
+            half_height=opaque(p.half_size[1]),
+            z_low=opaque(p.z_range[0]),
+            z_high=opaque(p.z_range[1]),
+            self_hit=opaque(SELF_HIT * size),
+        )
+
+
+class Intersector:
+    """Nearest hit with the analytic pieces of a `SurfaceTable`."""
+
+    def __init__(self, table: SurfaceTable) -> None:
+        self.pieces = table.pieces
+        self.aspheres = AsphereSearch(table)
+        self.numbers = [Numbers.of(piece) for piece in table.pieces]
+        self.frames = [[dr.opaque(mi.Float, float(x)) for x in frame.ravel()] for frame in table.frames]
+        self.axes = [(frame, dr.opaque(mi.Float, x), dr.opaque(mi.Float, y), x == y == 0) for frame, x, y in table.axes]
+
+    def nearest(self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
+        """
+        First crossing of rays with a surface.
+
+        Parameters
+        ----------
+        o, d : mi.Vector3f
+            Origin (mm) and unit direction.
+        last : mi.UInt32
+            Number of the surface the origin lies on; it is hit again only where its shape allows it.
+
+        Returns
+        -------
+        t : mi.Float
+            Distance, mm; infinite if nothing is hit.
+        surface : mi.UInt32
+            Number of the surface, `NO_SURFACE` if none.
+        """
+        best, surface = mi.Float(dr.inf), mi.UInt32(NO_SURFACE)
+        frames: dict[int, tuple[Any, Any]] = {}
+        axes: dict[int, _AxisRay] = {}
+        entries = []
+        for p, n in zip(self.pieces, self.numbers, strict=True):
+            if p.frame not in frames:
+                frames[p.frame] = self._rotate(o, p.frame), self._rotate(d, p.frame)
+            if p.axis not in axes:
+                axes[p.axis] = self._axis_ray(*frames[p.frame], p.axis)
+            own = last == p.index
+            if p.kind == "asphere":
+                entries.append(_asphere_entry(axes[p.axis], n, own))
+                continue
+            t = _CROSSINGS[p.kind](axes[p.axis], p, n, own)
+            nearer = t < best
+            best, surface = dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
+        if entries:
+            return self.aspheres.nearest(o, d, last, entries, best, surface, active)
+        return best, surface
+
+    def _rotate(self, v: mi.Vector3f, frame: int) -> mi.Vector3f:
+        if frame == 0:
+            return v
+        r = self.frames[frame]
+        return mi.Vector3f(*(r[k] * v.x + r[3 + k] * v.y + r[6 + k] * v.z for k in range(3)))
+
+    def _axis_ray(self, o: mi.Vector3f, d: mi.Vector3f, axis: int) -> _AxisRay:
+        _, x, y, centred = self.axes[axis]
+        ox, oy = (o.x, o.y) if centred else (o.x - x, o.y - y)
+        return _AxisRay(
+            ox, oy, o.z, d.x, d.y, d.z, dr.fma(d.x, d.x, d.y * d.y), dr.fma(ox, d.x, oy * d.y), dr.fma(ox, ox, oy * oy), dr.rcp(d.z)
+        )
+
+
+@dataclass
+class _AxisRay:
+    """A ray in the frame of an axis, with the products that all surfaces on that axis share."""
+
+    ox: mi.Float
+    oy: mi.Float
+    oz: mi.Float
+    dx: mi.Float
+    dy: mi.Float
+    dz: mi.Float
+    dd: mi.Float  # dx² + dy²
+    od: mi.Float  # ox dx + oy dy
+    oo: mi.Float  # ox² + oy²
+    inv_dz: mi.Float
+
+    def lateral(self, t: mi.Float) -> tuple[mi.Float, mi.Float]:
+        return dr.fma(t, self.dx, self.ox), dr.fma(t, self.dy, self.oy)
+
+
+def _inside(ray: _AxisRay, t: mi.Float, p: Piece, n: Numbers) -> mi.Bool:
+    """Whether the point at t is within the aperture."""
+    x, y = ray.lateral(t)
+    if not p.outer:
+        return (dr.abs(x) <= n.half_width) & (dr.abs(y) <= n.half_height)
+    r2 = dr.fma(x, x, y * y)
+    ok = r2 <= n.outer2
+    return ok & (r2 >= n.inner2) if p.inner > 0 else ok
+
+
+def _plane(ray: _AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
+    t = (n.z - ray.oz) * ray.inv_dz
+    ok = (t > 0) & ~own & _inside(ray, t, p, n)
+    return dr.select(ok, t, dr.inf)
+
+
+def _two_roots(a: mi.Float, b: mi.Float, c: mi.Float, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Bool]:
+    """Roots of a t² + 2 b t + c = 0 without cancellation; on the surface itself c is 0 exactly, and so is one root."""
+    c = dr.select(own, 0, c)
+    discriminant = dr.fma(b, b, -a * c)
+    q = -(b + dr.mulsign(dr.sqrt(dr.maximum(discriminant, 0)), b))
+    return q / a, c / q, discriminant >= 0
+
+
+def _first(ta: mi.Float, tb: mi.Float, ok_a: mi.Bool, ok_b: mi.Bool) -> mi.Float:
+    return dr.minimum(dr.select(ok_a, ta, dr.inf), dr.select(ok_b, tb, dr.inf))
+
+
+def _conic(ray: _AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
+    oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
+    a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
+    b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
+    g = dr.fma(c, dr.fma(k1 * oz, oz, ray.oo), -2 * oz)
+    ta, tb, real = _two_roots(a, b, g, own)
+    nearest = dr.select(own, n.self_hit, 0)
+
+    def ok(t: mi.Float) -> mi.Bool:
+        z = dr.fma(t, ray.dz, oz)
+        sheet = c * k1 * z < 1  # the half of the conic that holds the vertex
+        return real & (t > nearest) & sheet & _inside(ray, t, p, n)
+
+    return _first(ta, tb, ok(ta), ok(tb))
+
+
+def _cone(ray: _AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
+    oz = ray.oz - n.z
+    r = dr.fma(n.slope, oz, n.r0)
+    a = dr.fma(-n.slope * ray.dz, n.slope * ray.dz, ray.dd)
+    b = dr.fma(-n.slope * r, ray.dz, ray.od)
+    ta, tb, real = _two_roots(a, b, dr.fma(-r, r, ray.oo), own)
+    nearest = dr.select(own, n.self_hit, 0)
+
+    def ok(t: mi.Float) -> mi.Bool:
+        z = dr.fma(t, ray.dz, oz)
+        return real & (t > nearest) & (z >= n.z_low) & (z <= n.z_high)
+
+    return _first(ta, tb, ok(ta), ok(tb))
+
+
+def _asphere_entry(ray: _AxisRay, n: Numbers, own: mi.Bool) -> mi.Float:
+    """Distance at which a ray enters the cylinder and the slab that hold an asphere; infinite if it misses them."""
+    oz = ray.oz - n.z
+    start, end = stretch(ray.ox, ray.oy, oz, ray.dz, ray.dd, ray.od, ray.oo, ray.inv_dz, n.outer2, n.z_low, n.z_high)
+    # A ray steeper than the surface is anywhere cannot come back to it
+    leaves = own & (dr.square(ray.dz) > dr.square(n.slope) * ray.dd)
+    return dr.select((end > start) & ~leaves, start, dr.inf)
+
+
+_CROSSINGS = {"plane": _plane, "conic": _conic, "cone": _cone}

@@ -1,0 +1,166 @@
+"""The path ledger: an open-addressing hash table in device memory that the kernel fills.
+
+A path is the sequence of its events, (surface, what happened). Its key is a rolling 64-bit hash; the first ray that
+brings a new key claims a slot by compare-and-swap and writes the event list there. Two different paths share a key with
+a probability of about paths²/2^65, 3e-11 for 30 000 paths; `Ledger.decode` hashes every recorded list again and compares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+
+ABSORBED, TRANSMITTED, REFLECTED, TOTAL = 0, 1, 2, 3
+EVENT_BITS = 2
+BATCHES = 32
+# Sums of a slot and batch: rays, incident, absorbed, absorbed², absorbed · x, absorbed · y, absorbed · (x² + y²), spare
+SUMS = 8
+FIRST_KEY = 0x9E3779B97F4A7C15
+MULTIPLIER = 0xFF51AFD7ED558CCD
+
+
+def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
+    """Key of the path that has one event more; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
+    key = (key ^ mi.UInt64(code + 1)) * mi.UInt64(MULTIPLIER)
+    return key ^ (key >> 29)
+
+
+def host_key(codes: np.ndarray) -> int:
+    """The key of an event list, computed on the host with Python integers."""
+    key = FIRST_KEY
+    for code in codes:
+        key = ((key ^ (int(code) + 1)) * MULTIPLIER) & 0xFFFFFFFFFFFFFFFF
+        key ^= key >> 29
+    return key
+
+
+@dataclass
+class DecodedPaths:
+    """
+    Contents of a ledger on the host.
+
+    Attributes
+    ----------
+    keys : (p,) uint64
+    slots : (p,) int
+        Where each path lives in the table.
+    codes : list of (k,) uint32
+        Events, surface << 2 | what; the last is the absorption in the detector.
+    sums : (p, BATCHES, SUMS) float64
+        In units of the flux of one start ray, see `SUMS`.
+    """
+
+    keys: np.ndarray
+    slots: np.ndarray
+    codes: list[np.ndarray]
+    sums: np.ndarray
+
+
+class Ledger:
+    """
+    Table of paths in device memory.
+
+    Parameters
+    ----------
+    capacity : int
+        Number of slots, a power of two. Memory: about 2 KiB a slot.
+    max_events : int
+        Longest event list.
+    """
+
+    def __init__(self, capacity: int, max_events: int) -> None:
+        self.capacity, self.max_events = capacity, max_events
+        self.mask = dr.opaque(mi.UInt32, capacity - 1)
+        self.keys = dr.zeros(mi.UInt64, capacity)
+        self.lengths = dr.zeros(mi.UInt32, capacity)
+        self.events = dr.zeros(mi.UInt32, capacity * max_events)
+        self.sums = dr.zeros(mi.Float64, capacity * BATCHES * SUMS)
+        self.lost = dr.zeros(mi.UInt32, 1)
+        dr.eval(self.keys, self.lengths, self.events, self.sums, self.lost)
+
+    def clear_sums(self) -> None:
+        """Forget the sums and keep the paths, so that a second trace finds the same slots."""
+        self.sums = dr.zeros(mi.Float64, self.capacity * BATCHES * SUMS)
+        dr.eval(self.sums)
+
+    def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
+        """Slot of a key, whether it was found or claimed, and whether it was claimed just now."""
+
+        def probe(slot, going, found, new, tries):  # type: ignore[no-untyped-def]
+            old, swapped = dr.scatter_cas(self.keys, mi.UInt64(0), key, slot, going)
+            here = going & (swapped | (old == key))
+            found |= here
+            new |= going & swapped
+            going = going & ~here & (tries < 255)
+            return dr.select(going, (slot + 1) & self.mask, slot), going, found, new, tries + 1
+
+        start = mi.UInt32(key >> 32) & self.mask
+        slot, _, found, new, _ = dr.while_loop(
+            (start, mi.Bool(active), mi.Bool(False), mi.Bool(False), mi.UInt32(0)),
+            lambda *v: v[1],
+            probe,
+            labels=("slot", "going", "found", "new", "tries"),
+            mode="symbolic",
+        )
+        dr.scatter_reduce(dr.ReduceOp.Add, self.lost, mi.UInt32(1), mi.UInt32(0), active & ~found)
+        return slot, active & found, active & new
+
+    def record(
+        self,
+        slot: mi.UInt32,
+        batch: mi.UInt32,
+        incident: mi.Float,
+        absorbed: mi.Float,
+        x: mi.Float,
+        y: mi.Float,
+        active: mi.Bool,
+    ) -> None:
+        """Add one hit of the detector to a slot; x and y in the detector's frame, mm."""
+        base = (slot * BATCHES + batch) * SUMS
+        a, x, y = mi.Float64(absorbed), mi.Float64(x), mi.Float64(y)
+        terms = (mi.Float64(1), mi.Float64(incident), a, a * a, a * x, a * y, a * (x * x + y * y))
+        for k, term in enumerate(terms):
+            dr.scatter_reduce(dr.ReduceOp.Add, self.sums, term, base + k, active)
+
+    def write_events(self, slot: mi.UInt32, length: mi.UInt32, read: Callable[[mi.UInt32, mi.Bool], mi.UInt32], active: mi.Bool) -> None:
+        """Store the event list of a path that has just been claimed; `read(k, mask)` gives event k."""
+        dr.scatter(self.lengths, length, slot, active)
+
+        def step(k):  # type: ignore[no-untyped-def]
+            going = active & (k < length)
+            dr.scatter(self.events, read(k, going), slot * self.max_events + k, going)
+            return (k + 1,)
+
+        dr.while_loop((dr.zeros(mi.UInt32, dr.width(slot)),), lambda k: active & (k < length), step, mode="symbolic")
+
+    @property
+    def full(self) -> bool:
+        """Whether the table is so full that hits were lost or soon will be."""
+        used = int(dr.count(self.keys != 0)[0])
+        return int(self.lost[0]) > 0 or used > 0.7 * self.capacity
+
+    def decode(self) -> DecodedPaths:
+        """
+        Read the table back.
+
+        Raises
+        ------
+        MistrayError
+            If a recorded event list does not hash to its key: two paths collided or the kernel wrote garbage.
+        """
+        keys = np.array(self.keys)
+        slots = np.flatnonzero(keys)
+        lengths = np.array(self.lengths)[slots]
+        events = np.array(self.events).reshape(self.capacity, self.max_events)[slots]
+        sums = np.array(self.sums).reshape(self.capacity, BATCHES, SUMS)[slots]
+        codes = [row[:length] for row, length in zip(events, lengths, strict=True)]
+        wrong = sum(host_key(code) != int(key) for code, key in zip(codes, keys[slots], strict=True))
+        if wrong:
+            raise MistrayError(f"ledger: {wrong} of {len(slots)} event lists do not match their key; please report this")
+        return DecodedPaths(keys[slots], slots, codes, sums)

@@ -1,0 +1,410 @@
+"""What a trace gives back."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING, Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.trace.history import RayHistory, read_rays
+from mistray.trace.ledger import BATCHES
+from mistray.trace.paths import PathTable, path_table
+from mistray.trace.ray_tree import (
+    ABSORBED_HERE,
+    ESCAPED,
+    EVENTS,
+    FIRST_MISS,
+    HITS,
+    INCIDENT,
+    MEDIUM,
+    REFLECTIONS,
+    ROULETTE,
+    SEGMENTS,
+    THRESHOLD,
+)
+from mistray.trace.settings import Settings
+from mistray.trace.tracer import Run, prepare
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CUTS = {
+    "flux_threshold": THRESHOLD,
+    "roulette": ROULETTE,
+    "max_reflections": REFLECTIONS,
+    "max_events": EVENTS,
+    "medium": MEDIUM,
+}
+TINY = 1e-300
+
+
+@dataclass(frozen=True)
+class Energy:
+    """
+    Where the flux of a trace went; all in W, ``_se`` are standard errors.
+
+    Attributes
+    ----------
+    launched_W, detected_W, escaped_W : float
+        `detected_W` is what the detector absorbs.
+    detected_se_W, escaped_se_W : float
+    absorbed : dict
+        Surface id → (absorbed flux, its standard error), the detector left out.
+    cut : dict
+        Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_events",
+        "roulette" (0 on average: what Russian roulette removed less what it added) and "medium" (a ray met a surface
+        from a material that is not there: a gap or an overlap in the geometry).
+    """
+
+    launched_W: float
+    detected_W: float
+    detected_se_W: float
+    absorbed: dict[str, tuple[float, float]]
+    escaped_W: float
+    escaped_se_W: float
+    cut: dict[str, float]
+
+    @property
+    def closure(self) -> float:
+        """(detected + absorbed + escaped + cut - launched) / launched."""
+        absorbed = sum(value for value, _ in self.absorbed.values())
+        return (self.detected_W + absorbed + self.escaped_W + sum(self.cut.values()) - self.launched_W) / self.launched_W
+
+    def __str__(self) -> str:
+        def line(name: str, value: float, se: float | None = None) -> str:
+            error = "" if se is None else f" ± {se:.1e}"
+            return f"{name:<28}{value:>14.6e}{error:<12} W {100 * value / self.launched_W:>11.5f} %"
+
+        lines = [line("launched", self.launched_W), line("detected", self.detected_W, self.detected_se_W)]
+        strongest = sorted(self.absorbed.items(), key=lambda item: -item[1][0])
+        lines += [line(f"absorbed by {name}", *value) for name, value in strongest if value[0] > 0]
+        lines.append(line("escaped", self.escaped_W, self.escaped_se_W))
+        lines += [line(f"cut by {reason}", value) for reason, value in self.cut.items() if value]
+        lines.append(f"{'closure':<28}{self.closure:>14.1e} (relative)")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class SurfaceFlux:
+    """One row of the flux report: hits, and incident and absorbed flux with standard errors, W."""
+
+    id: str
+    part: str
+    space: int
+    hits: int
+    incident_W: float
+    incident_se_W: float
+    absorbed_W: float
+    absorbed_se_W: float
+
+
+class FluxReport(Sequence[SurfaceFlux]):
+    """Flux at every surface of the scene."""
+
+    def __init__(self, rows: Sequence[SurfaceFlux]) -> None:
+        self._rows = list(rows)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        return self._rows[index]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The report as a DataFrame, one column for each attribute of `SurfaceFlux`."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(row) for row in self._rows])
+
+
+class Trace:
+    """
+    Result of `mistray.trace`.
+
+    Attributes
+    ----------
+    settings : dict
+        Everything that determines the result: arguments, scene, variant, versions.
+    paths : PathTable
+        Paths from the sources to the detector, the strongest first; None if traced with ``ledger=False``.
+    energy : Energy
+    surfaces : FluxReport
+        Hits, incident and absorbed flux at every surface.
+    irradiance, irradiance_se : (height, width) float64
+        Absorbed flux density of the detector and its standard error, W/mm²; row 0 is at the smallest y.
+    extent : tuple of float
+        x0, x1, y0, y1 of the irradiance map in the detector's frame, mm.
+    segments : int
+        Ray segments that were traced.
+    seconds : float
+        Time in the kernel, its compilation included.
+    """
+
+    def __init__(self, runs: list[Run], settings: dict[str, Any]) -> None:
+        self._runs = runs
+        self.settings = settings
+        self.extent = runs[0].table.film()[2]
+        self.irradiance, self.irradiance_se = self._map([run.film for run in runs])
+        self._paths = path_table(runs, [run.paths for run in runs]) if all(run.paths for run in runs) else None
+        self.surfaces = _flux_report(runs)
+        self.energy = _energy(runs, self.surfaces)
+        self.segments = round(sum(float(run.reasons[SEGMENTS].sum()) for run in runs))
+        self.seconds = sum(run.seconds for run in runs)
+
+    @property
+    def paths(self) -> PathTable:
+        if self._paths is None:
+            raise MistrayError("this trace has no path table; trace with ledger=True")
+        return self._paths
+
+    def _map(self, films: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        x0, x1, y0, y1 = self.extent
+        height, width = films[0].shape[-2:]
+        pixel = (x1 - x0) * (y1 - y0) / (width * height)
+        total = sum(run.unit * film[0] for run, film in zip(self._runs, films, strict=True))
+        variance = sum(
+            run.unit**2 * np.maximum(film[1] - film[0] ** 2 / run.rays, 0.0) for run, film in zip(self._runs, films, strict=True)
+        )
+        return np.asarray(total) / pixel, np.sqrt(variance) / pixel
+
+    def irradiance_of(self, path_ids: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Irradiance of some paths together, by tracing the same rays again.
+
+        Parameters
+        ----------
+        path_ids : sequence of int
+
+        Returns
+        -------
+        irradiance, standard_error : (height, width) float64
+            W/mm².
+        """
+        maps = self.maps([path_ids])
+        return maps[0]
+
+    def maps(self, groups: Sequence[Sequence[int]]) -> list[tuple[np.ndarray, np.ndarray]]:
+        """
+        Irradiance maps of several disjoint groups of paths from one run of the kernel.
+
+        Parameters
+        ----------
+        groups : sequence of sequences of int
+            Path ids; a path may be in one group only.
+
+        Returns
+        -------
+        list of (irradiance, standard_error)
+            One pair of (height, width) float64 for each group, W/mm².
+        """
+        numbers: list[dict[int, int]] = [{} for _ in self._runs]
+        for number, group in enumerate(groups):
+            for path_id in group:
+                run, slot, _ = self.paths.locate(int(path_id))
+                if numbers[run].setdefault(slot, number) != number:
+                    raise MistrayError(f"path_id {path_id} is in two groups; a path belongs to one map")
+        stacks = [run.maps(slots, len(groups)) for run, slots in zip(self._runs, numbers, strict=True)]
+        return [self._map([stack[number] for stack in stacks]) for number in range(len(groups))]
+
+    def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
+        """
+        The paths that feed a rectangle of the detector, by tracing the same rays again.
+
+        Parameters
+        ----------
+        x0, x1, y0, y1 : float
+            In the detector's frame, mm; x0 < x1 and y0 < y1.
+
+        Returns
+        -------
+        PathTable
+            Powers, centroids and radii within the rectangle. The `path_id` are ranks within it.
+        """
+        if not (x0 < x1 and y0 < y1):
+            raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")
+        _ = self.paths
+        return path_table(self._runs, [run.paths_in_box((x0, x1, y0, y1)) for run in self._runs])
+
+    def history(self, path_id: int, n: int = 8) -> RayHistory:
+        """
+        Rays of a path, point by point, with optical path lengths.
+
+        Parameters
+        ----------
+        path_id : int
+        n : int
+            Most rays.
+        """
+        if n < 1:
+            raise MistrayError(f"n is {n}; ask for at least one ray")
+        number, _, key = self.paths.locate(path_id)
+        return read_rays(self._runs[number], self._runs[number].record(key, n))
+
+    def incident(self, n: int = 100) -> pd.DataFrame:
+        """
+        The incident ray table: the first n rays to reach the detector.
+
+        Columns as in `RayHistory.incident`.
+        """
+        import pandas as pd
+
+        if n < 1:
+            raise MistrayError(f"n is {n}; ask for at least one ray")
+        return pd.concat(
+            [read_rays(run, run.record(0, n)).incident() for run in self._runs], ignore_index=True
+        ).head(n)
+
+    def __repr__(self) -> str:
+        count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"
+        return f"Trace({count}, {self.segments:.3g} segments, detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W)"
+
+
+def _batch_error(by_batch: np.ndarray) -> np.ndarray:
+    """Standard error of a sum over batches, from their spread; last axis."""
+    return np.sqrt(BATCHES) * by_batch.std(axis=-1, ddof=1)
+
+
+def _flux_report(runs: Sequence[Run]) -> FluxReport:
+    rows = []
+    table = runs[0].table
+    for i in range(table.count):
+        values = np.zeros(3)
+        variances = np.zeros(3)
+        for run in runs:
+            scale = np.array([1.0, run.unit, run.unit])
+            values += scale * run.surfaces[i].sum(axis=-1)
+            variances += (scale * _batch_error(run.surfaces[i])) ** 2
+        se = np.sqrt(variances)
+        rows.append(
+            SurfaceFlux(
+                table.ids[i],
+                table.parts[i],
+                table.spaces[i],
+                round(values[HITS]),
+                values[INCIDENT],
+                se[INCIDENT],
+                values[ABSORBED_HERE],
+                se[ABSORBED_HERE],
+            )
+        )
+    return FluxReport(rows)
+
+
+def _energy(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
+    detector = runs[0].table.detector
+    escaped = sum(run.unit * run.reasons[ESCAPED].sum() for run in runs)
+    escaped_se = np.sqrt(sum((run.unit * _batch_error(run.reasons[ESCAPED])) ** 2 for run in runs))
+    return Energy(
+        launched_W=sum(run.beam.power for run in runs),
+        detected_W=surfaces[detector].absorbed_W,
+        detected_se_W=surfaces[detector].absorbed_se_W,
+        absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for i, row in enumerate(surfaces) if i != detector},
+        escaped_W=float(escaped),
+        escaped_se_W=float(escaped_se),
+        cut={reason: float(sum(run.unit * run.reasons[row].sum() for run in runs)) for reason, row in CUTS.items()},
+    )
+
+
+def trace(
+    scene: mi.Scene,
+    rays: float | None = None,
+    field_deg: float | None = None,
+    azimuth_deg: float | None = None,
+    wavelength_nm: float | Sequence[float] | None = None,
+    max_reflections: int | None = None,
+    max_events: int | None = None,
+    flux_threshold: float | None = None,
+    splitting: str | None = None,
+    below_threshold: str | None = None,
+    seed: int | None = None,
+    detector: str | None = None,
+    ledger: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trace:
+    """
+    Trace the ray tree of a scene from its sources to its detector.
+
+    An argument that is None takes the value of the scene's ``straylight`` integrator or source, or else the default of
+    `mistray.trace.Settings`.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        From `mistray.load`, or any Mitsuba scene with ``interface`` BSDFs, a ``collimated`` source and a detector.
+    rays : int
+        Start rays.
+    field_deg, azimuth_deg : float
+        Direction of the beam, degrees.
+    wavelength_nm : float or sequence of float
+        Vacuum wavelengths, nm; several share the flux equally.
+    max_reflections, max_events, flux_threshold, splitting, below_threshold, seed
+        See `mistray.trace.Settings`.
+    detector : str
+        Id of the detector, if the scene has several.
+    ledger : bool
+        Keep the path table; without it a trace is a little faster.
+    progress : callable
+        Called with (rays done, rays in all).
+
+    Returns
+    -------
+    Trace
+
+    Raises
+    ------
+    MistrayError
+        If the scene lacks a source, a detector or an ``interface``, an argument is out of range, or the beam misses
+        every surface.
+    """
+    if not isinstance(scene, mi.Scene):
+        raise MistrayError(f"trace() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    settings = Settings.of(
+        scene,
+        rays=rays,
+        max_reflections=max_reflections,
+        max_events=max_events,
+        flux_threshold=flux_threshold,
+        splitting=splitting,
+        below_threshold=below_threshold,
+        seed=seed,
+    )
+    runs = prepare(scene, settings, field_deg, azimuth_deg, wavelength_nm, detector)
+    all_rays = sum(run.rays for run in runs)
+    done = 0
+    for run in runs:
+        before = done
+
+        def report(traced: int, _: int, before: int = before) -> None:
+            if progress:
+                progress(before + traced, all_rays)
+
+        run.execute(ledger, report)
+        done += run.rays
+        if run.reasons[FIRST_MISS].sum() == run.rays:
+            beam = run.beam
+            raise MistrayError(
+                f"source '{beam.name}': no ray of the beam along ({', '.join(f'{c:.4g}' for c in beam.direction)}) hits a "
+                "surface; check field_deg, the source's position and its size"
+            )
+    emitter = runs[0].beam.emitter
+    return Trace(
+        runs,
+        {
+            **asdict(settings),
+            "rays": all_rays,
+            "field_deg": emitter.field_deg if field_deg is None else float(field_deg),
+            "azimuth_deg": emitter.azimuth_deg if azimuth_deg is None else float(azimuth_deg),
+            "wavelength_nm": sorted({run.beam.wavelength_nm for run in runs}),
+            "detector": runs[0].table.ids[runs[0].table.detector],
+            "ledger": ledger,
+            "variant": mi.variant(),
+            "versions": {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")},
+            "date": time.strftime("%Y-%m-%d %H:%M:%S"),
+        },
+    )

@@ -1,0 +1,84 @@
+"""Arguments of a trace and their defaults, in one place for the function, the integrator plugin and the command line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+
+MAX_EVENTS = 64  # the pending children of a path are the bits of one 64-bit word
+
+
+@dataclass(frozen=True)
+class Settings:
+    """
+    How a scene is traced.
+
+    Attributes
+    ----------
+    rays : int
+        Start rays of all sources together.
+    max_reflections : int
+        Most reflections along a path; total internal ones and those at surfaces declared ``mirror`` are free.
+    max_events : int
+        Most surfaces along a path, the detector included; 1 … 64.
+    flux_threshold : float
+        Smallest flux of a branch, relative to its start ray.
+    splitting : {"split", "one"}
+        Follow both children at an interface, or one of them at random (one in, one out).
+    below_threshold : {"cut", "roulette"}
+        Below the threshold end the branch and book its flux, or play Russian roulette, which is unbiased.
+    seed : int
+        Of the random numbers, 0 … 2³²-1.
+    """
+
+    rays: int = 1_000_000
+    max_reflections: int = 2
+    max_events: int = MAX_EVENTS
+    flux_threshold: float = 1e-8
+    splitting: str = "split"
+    below_threshold: str = "cut"
+    seed: int = 0
+
+    def __post_init__(self) -> None:
+        def fail(key: str, what: str) -> None:
+            raise MistrayError(f"{key} is {getattr(self, key)!r}; {what}")
+
+        whole = ("rays", "max_reflections", "max_events", "seed")
+        for key in whole:
+            value = getattr(self, key)
+            if isinstance(value, bool) or not np.isfinite(value) or value != int(value):
+                fail(key, "it must be a whole number")
+            object.__setattr__(self, key, int(value))
+        if not 1 <= self.rays < 2**32:
+            fail("rays", "give 1 to 4.29e9 start rays; use several seeds for more")
+        if not 0 <= self.max_reflections < 2**15:
+            fail("max_reflections", "it must not be negative")
+        if not 1 <= self.max_events <= MAX_EVENTS:
+            fail("max_events", f"it must lie between 1 and {MAX_EVENTS}")
+        if not 0 <= self.flux_threshold < 1:
+            fail("flux_threshold", "it is relative to a start ray and must lie between 0 and 1")
+        if self.splitting not in ("split", "one"):
+            fail("splitting", "use 'split' or 'one'")
+        if self.below_threshold not in ("cut", "roulette"):
+            fail("below_threshold", "use 'cut' or 'roulette'")
+        if not 0 <= self.seed < 2**32:
+            fail("seed", "it must lie between 0 and 4294967295")
+
+    @classmethod
+    def of(cls, scene: Any, **given: Any) -> Settings:
+        """Settings of a scene's ``straylight`` integrator, or the defaults; what is given and not None has precedence."""
+        own = getattr(scene.integrator(), "settings", None) or cls()
+        unknown = set(given) - {f.name for f in fields(cls)}
+        if unknown:
+            raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of a trace")
+        values = {f.name: getattr(own, f.name) for f in fields(cls)}
+        return cls(**(values | {key: value for key, value in given.items() if value is not None}))
+
+    @property
+    def random(self) -> bool:
+        """Whether the walk itself draws random numbers."""
+        return self.below_threshold == "roulette" or self.splitting == "one"

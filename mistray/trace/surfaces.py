@@ -1,0 +1,322 @@
+"""The scene as the kernel wants it: analytic surfaces unrolled, their properties in packed tables.
+
+Surfaces that the plugins `asphere` and `frustum` describe are one family, a quadric of revolution
+
+    F(x, y, z) = a (x² + y²) + b z² + e z + g = 0
+
+in the frame of their vertex, with bounds in radius (or a rectangle) or in z, plus an even polynomial for aspheres. Every
+other shape of the scene ("stock": meshes, Mitsuba's own primitives) goes to one Mitsuba scene of its own and is hit
+through its acceleration structure.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+
+NO_SURFACE = 0xFFFFFFFF
+# A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
+SELF_HIT = 1e-5
+FRESNEL, IDEAL, TABLED = 0, 1, 2
+TABLE_NODES = 512
+# Row of the polynomial table: curvature, conic, a4 … a20, inner², z range, outer (-1: a rectangle), slope
+POLYNOMIAL_VECTORS = 4
+# Bits of the word that describes a surface to the kernel
+OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC = (1 << bit for bit in range(2, 7))
+FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0xFFF
+
+
+@dataclass
+class Piece:
+    """One analytic surface: static facts that shape the kernel's code, and its numbers in float64.
+
+    Attributes
+    ----------
+    index : int
+        Number of the surface in the scene.
+    kind : str
+        "plane", "conic", "asphere" or "cone" (a cylinder is a cone of no slope).
+    frame : int
+        Number of the orientation it shares with other pieces; 0 is unrotated.
+    axis : int
+        Number of the axis (orientation and lateral position) it shares with other pieces.
+    z : float
+        Position of the vertex along the axis, mm.
+    quadric : (4,) float
+        a, b, e, g.
+    sign : float
+        +1 or -1: grad F times this points along the surface's normal.
+    coefficients : tuple of float
+        a4, a6, … up to the last that is not zero.
+    outer, inner : float
+        Clear radii, mm; ``outer`` is 0 for a rectangle.
+    half_size : (2,) float
+        Rectangle, mm.
+    z_range : (2,) float
+        Extent along the axis from the vertex, mm.
+    slope : float
+        Largest |dz/dr| within the aperture (aspheres).
+    """
+
+    index: int
+    kind: str
+    frame: int
+    axis: int
+    z: float
+    quadric: np.ndarray
+    sign: float
+    coefficients: tuple[float, ...]
+    outer: float
+    inner: float
+    half_size: tuple[float, float]
+    z_range: tuple[float, float]
+    slope: float
+
+    @property
+    def code(self) -> tuple[Any, ...]:
+        """What the generated code depends on; surfaces of equal code differ in numbers only."""
+        return (self.kind, self.frame, self.axis, len(self.coefficients), self.inner > 0, self.outer > 0)
+
+
+class SurfaceTable:
+    """
+    All surfaces of a scene at one wavelength.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        Every shape must carry an ``interface``.
+    wavelength_nm : float
+        Vacuum wavelength, nm.
+    detector : str, optional
+        Id of the detector; by default the only shape with an ``irradiancemeter``.
+
+    Raises
+    ------
+    MistrayError
+        For a shape without interface, a missing or ambiguous detector, a missing material.
+    """
+
+    def __init__(self, scene: mi.Scene, wavelength_nm: float, detector: str | None = None) -> None:
+        shapes = list(scene.shapes())
+        analytic = [shape for shape in shapes if hasattr(shape, "outer_radius")]
+        stock = [shape for shape in shapes if not hasattr(shape, "outer_radius")]
+        self.shapes = analytic + stock
+        self.ids = [shape.id() for shape in self.shapes]
+        self.parts = [getattr(shape, "part", shape.id()) for shape in self.shapes]
+        self.spaces = [int(getattr(shape, "space", -1)) for shape in self.shapes]
+        self.count = len(self.shapes)
+        self.wavelength_nm = wavelength_nm
+        self.interfaces = [_interface(shape) for shape in self.shapes]
+        self.detector = self._find_detector(detector)
+        self._geometry(analytic)
+        self._stock(stock)
+        self._optics()
+
+    def _find_detector(self, wanted: str | None) -> int:
+        sensors = [i for i, shape in enumerate(self.shapes) if shape.is_sensor()]
+        names = ", ".join(self.ids[i] for i in sensors)
+        if not sensors:
+            raise MistrayError("the scene has no detector; nest an 'irradiancemeter' sensor in the shape that detects")
+        if wanted is None and len(sensors) > 1:
+            raise MistrayError(f"the scene has {len(sensors)} detectors ({names}); name one of them with detector=")
+        if wanted is None:
+            return sensors[0]
+        if wanted not in [self.ids[i] for i in sensors]:
+            raise MistrayError(f"'{wanted}' is no detector of this scene; choose one of {names}")
+        return self.ids.index(wanted)
+
+    def _geometry(self, shapes: list[Any]) -> None:
+        self.frames: list[np.ndarray] = [np.eye(3)]
+        self.axes: list[tuple[int, float, float]] = []
+        self.pieces: list[Piece] = []
+        vertices = np.zeros((self.count, 3))
+        rotations = np.tile(np.eye(3), (self.count, 1, 1))
+        for i, shape in enumerate(shapes):
+            rotation, position = shape.matrix[:3, :3], shape.matrix[:3, 3].copy()
+            frame = next((k for k, known in enumerate(self.frames) if np.allclose(known, rotation, atol=1e-9)), None)
+            if frame is None:
+                frame = len(self.frames)
+                self.frames.append(rotation)
+            v = shape.values
+            if shape.kind == "frustum":
+                position = position + rotation[:, 2] * v["z0"]
+            local = self.frames[frame].T @ position
+            axis_key = (frame, round(float(local[0]), 9), round(float(local[1]), 9))
+            if axis_key not in self.axes:
+                self.axes.append(axis_key)
+            piece = _frustum_piece(v) if shape.kind == "frustum" else _asphere_piece(shape)
+            self.pieces.append(
+                Piece(index=i, frame=frame, axis=self.axes.index(axis_key), z=float(local[2]), **piece)
+            )
+            vertices[i], rotations[i] = position, self.frames[frame]
+        self.vertices, self.rotations = vertices, rotations
+        self.rotated = len(self.frames) > 1
+        quadric = np.zeros((self.count, 4))
+        vertex = np.zeros((self.count, 4))
+        vertex[:, :3], vertex[:, 3] = vertices, 1.0
+        self.coefficient_count = max((len(p.coefficients) for p in self.pieces), default=0)
+        polynomial = np.zeros((self.count, 4 * POLYNOMIAL_VECTORS))
+        for p in self.pieces:
+            quadric[p.index], vertex[p.index, 3] = p.quadric, p.sign
+            if p.coefficients:
+                curvature, conic = p.quadric[0], p.quadric[1] / p.quadric[0] - 1 if p.quadric[0] else 0.0
+                polynomial[p.index, : 2 + len(p.coefficients)] = [curvature, conic, *p.coefficients]
+                polynomial[p.index, 11:] = [p.inner**2, *p.z_range, p.outer or -1.0, p.slope]
+        half_size = np.zeros((self.count, 2))
+        for p in self.pieces:
+            half_size[p.index] = p.half_size
+        self.half_size = mi.Float(half_size.ravel())
+        self.quadric = mi.Float(quadric.ravel())
+        self.vertex = mi.Float(vertex.ravel())
+        self.polynomial = mi.Float(polynomial.ravel())
+        self.rotation = mi.Float(np.concatenate([self.rotations, np.zeros((self.count, 3, 1))], axis=2).ravel())
+
+    def _stock(self, shapes: list[Any]) -> None:
+        """A Mitsuba scene of the shapes that are not ours, and the way from its shapes to surface numbers."""
+        self.stock_scene = None
+        if not shapes:
+            return
+        self.stock_scene = mi.load_dict(
+            {"type": "scene", **{f"stock_{i}": shape for i, shape in enumerate(shapes)}}, optimize=False
+        )
+        pointers = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes))
+        registry = np.array(pointers)
+        lookup = np.zeros(int(registry.max()) + 1, dtype=np.uint32)
+        lookup[registry] = np.arange(len(shapes), dtype=np.uint32) + len(self.pieces)
+        self.stock_lookup = mi.UInt32(lookup)
+        size = float(np.max(np.abs([*self.stock_scene.bbox().min, *self.stock_scene.bbox().max])))
+        self.stock_epsilon = 4e-6 * (1.0 + size)
+
+    def stock_normal(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Normal of the stock shape that a ray hits first, float64."""
+        assert self.stock_scene is not None
+        si = self.stock_scene.ray_intersect(mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction)))
+        return np.array(si.n, dtype=np.float64).ravel()
+
+    def _optics(self) -> None:
+        nodes = np.linspace(0.0, 1.0, TABLE_NODES)
+        optics = np.zeros((self.count, 4))
+        words = np.zeros(self.count, dtype=np.uint32)
+        tables, rows = [], np.zeros(self.count, dtype=np.uint32)
+        media: dict[str, int] = {}
+        self.kinds: set[int] = set()
+        for i, bsdf in enumerate(self.interfaces):
+            table = bsdf.tabulate(self.wavelength_nm, nodes)
+            kind = TABLED if table is not None else IDEAL if bsdf.ideal else FRESNEL
+            self.kinds.add(kind)
+            front, back = bsdf.indices(self.wavelength_nm)
+            optics[i] = front, back, float(bsdf.R[0]), float(bsdf.T[0])
+            if table is not None:
+                rows[i] = len(tables) * TABLE_NODES
+                tables.append(table)
+            opaque = bsdf.opaque
+            sides = [0 if opaque else media.setdefault(name, len(media) + 1) for name in (bsdf.front, bsdf.back)]
+            words[i] = (
+                kind
+                | (OPAQUE if opaque else 0)
+                | (MIRROR if bsdf.mirror else 0)
+                | (DETECTOR if i == self.detector else 0)
+                | (STOCK if i >= len(self.pieces) else 0)
+                | (ASPHERIC if i < len(self.pieces) and self.pieces[i].coefficients else 0)
+                | (sides[0] << FRONT_MEDIUM_SHIFT)
+                | (sides[1] << BACK_MEDIUM_SHIFT)
+            )
+        if len(media) >= MEDIUM_MASK:
+            raise MistrayError(f"the scene has {len(media)} materials; at most {MEDIUM_MASK - 1} are possible")
+        self.media = {number: name for name, number in media.items()}
+        self.optics = mi.Float(optics.ravel())
+        self.words = mi.UInt32(words)
+        self.host_words = words
+        self.table_row = mi.UInt32(rows)
+        self.table = mi.Float(np.concatenate(tables)[:, [0, 1, 2, 2]].ravel() if tables else np.zeros(4))
+
+    def film(self) -> tuple[int, int, tuple[float, float, float, float]]:
+        """Pixels across and down the detector, and its extent (x0, x1, y0, y1) in its own frame, mm."""
+        shape = self.shapes[self.detector]
+        width, height = (int(n) for n in shape.sensor().film().size())
+        if self.detector < len(self.pieces):
+            piece = self.pieces[self.detector]
+            half = piece.half_size if not piece.outer else (piece.outer, piece.outer)
+            if piece.kind == "cone":
+                raise MistrayError(f"detector '{self.ids[self.detector]}' is a tube; use an 'asphere' or a flat 'frustum'")
+            return width, height, (-half[0], half[0], -half[1], half[1])
+        matrix = _rectangle_matrix(shape, self.ids[self.detector])
+        half = np.linalg.norm(matrix[:3, 0]), np.linalg.norm(matrix[:3, 1])
+        self.detector_axes = [matrix[:3, 3], matrix[:3, 0] / half[0], matrix[:3, 1] / half[1]]
+        return width, height, (-half[0], half[0], -half[1], half[1])
+
+
+def _interface(shape: Any) -> Any:
+    bsdf = shape.bsdf()
+    if not hasattr(bsdf, "tabulate"):
+        kind = type(bsdf).__name__ if bsdf is None else str(bsdf).split("[")[0].strip()
+        raise MistrayError(
+            f"shape '{shape.id()}' carries the BSDF {kind}, which the ray tree cannot split; nest an 'interface' in it"
+        )
+    return bsdf
+
+
+def _rectangle_matrix(shape: Any, name: str) -> np.ndarray:
+    params = mi.traverse(shape)
+    if not str(shape).startswith("Rectangle"):
+        raise MistrayError(f"detector '{name}' is {str(shape).split('[')[0]}; use an 'asphere', a flat 'frustum' or a 'rectangle'")
+    return np.array(params["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+
+
+def _asphere_piece(shape: Any) -> dict[str, Any]:
+    v = shape.values
+    coefficients = list(shape.coefficients)
+    while coefficients and coefficients[-1] == 0:
+        coefficients.pop()
+    c, k = v["curvature"], v["conic"]
+    kind = "asphere" if coefficients else "conic" if c else "plane"
+    r = np.linspace(0.0, shape.outer_radius, 2001)
+    z = shape.sag(r)
+    slope = np.gradient(z, r, edge_order=2) if kind != "plane" else np.zeros_like(r)
+    span = max(float(np.ptp(z)), 1e-6 * shape.outer_radius)
+    return {
+        "kind": kind,
+        "quadric": np.array([c, c * (1 + k), -2.0, 0.0]),
+        "sign": -1.0,
+        "coefficients": tuple(coefficients),
+        "outer": 0.0 if shape.rectangular else v["semi_diameter"],
+        "inner": 0.0 if shape.rectangular else v["inner_semi_diameter"],
+        "half_size": (v["half_width"], v["half_height"]) if shape.rectangular else (0.0, 0.0),
+        "z_range": (float(z.min()) - 1e-3 * span, float(z.max()) + 1e-3 * span),
+        "slope": 1.02 * float(np.max(np.abs(slope))),
+    }
+
+
+def _frustum_piece(v: dict[str, float]) -> dict[str, Any]:
+    length = v["z1"] - v["z0"]
+    if length == 0:
+        return {
+            "kind": "plane",
+            "quadric": np.array([0.0, 0.0, 1.0, 0.0]),
+            "sign": 1.0,
+            "coefficients": (),
+            "outer": max(v["r0"], v["r1"]),
+            "inner": min(v["r0"], v["r1"]),
+            "half_size": (0.0, 0.0),
+            "z_range": (0.0, 0.0),
+            "slope": 0.0,
+        }
+    m = (v["r1"] - v["r0"]) / length
+    return {
+        "kind": "cone",
+        "quadric": np.array([1.0, -m * m, -2 * v["r0"] * m, -v["r0"] ** 2]),
+        "sign": 1.0,
+        "coefficients": (),
+        "outer": max(v["r0"], v["r1"]),
+        "inner": 0.0,
+        "half_size": (0.0, 0.0),
+        "z_range": (min(0.0, length), max(0.0, length)),
+        "slope": m,
+    }

@@ -1,0 +1,149 @@
+"""Plugin `asphere`: a surface of revolution, traced analytically by the ray tree."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.sag import sag
+from mistray.plugins.shapes.revolution import Revolution, float_property, grid
+
+COEFFICIENTS = tuple(f"a{order}" for order in range(4, 21, 2))
+
+
+class Asphere(Revolution):
+    r"""
+    Surface of revolution (:monosp:`asphere`): plane, sphere, conic or even asphere.
+
+    The sag of the surface over its vertex plane is
+
+    .. math::
+
+        z(r) = \frac{c r^2}{1 + \sqrt{1 - (1 + k) c^2 r^2}} + \sum_{i=2}^{10} a_{2i} r^{2i}.
+
+    The vertex is the origin of the local frame and the normal at the vertex is +z. The side at -z is the
+    ``front`` of the nested ``interface``, the side at +z its ``back``. The ray tree intersects the
+    formula; stock integrators and viewers see a triangle mesh that is made again when a parameter
+    changes.
+
+    ====================== ============ ======== ========= =======================================================
+    parameter              unit         range    default   meaning
+    ====================== ============ ======== ========= =======================================================
+    radius                 mm           ±        plane     vertex radius of curvature; 0 or inf is a plane
+    curvature              1/mm         ±        0         instead of ``radius`` (differentiable)
+    conic                  1            ±        0         conic constant k (differentiable)
+    a4 … a20               mm^(1-order) ±        0         even aspheric coefficients (differentiable)
+    semi_diameter          mm           > 0      required  clear radius (differentiable)
+    inner_semi_diameter    mm           ≥ 0      0         radius of a central hole (differentiable)
+    half_width             mm           > 0      none      rectangular clip in x, instead of ``semi_diameter``
+    half_height            mm           > 0      none      rectangular clip in y, instead of ``semi_diameter``
+    to_world               mm           rigid    identity  position and orientation of the vertex frame
+    part                   string                shape id  name of the object the surface belongs to
+    space                  integer               -1        optical space, for grouping in reports
+    (nested) bsdf                                required  an ``interface``
+    (nested) sensor                              none      an ``irradiancemeter``: makes this shape the detector
+    ====================== ============ ======== ========= =======================================================
+
+    Source of the formula: the usual even asphere (ISO 10110-12), written out in `mistray.physics.sag`.
+
+    .. code-block:: xml
+
+        <shape type="asphere" id="L1_front">
+            <float name="radius" value="1.679"/>
+            <float name="conic" value="0.22669364"/>
+            <float name="a4" value="0.00980281"/>
+            <float name="semi_diameter" value="1.43762465"/>
+            <bsdf type="interface">
+                <string name="back" value="N-BK7"/>
+            </bsdf>
+        </shape>
+
+    .. code-block:: python
+
+        {"type": "asphere", "radius": 50.0, "semi_diameter": 12.5, "bsdf": {"type": "interface", "back": "N-BK7"}}
+    """
+
+    kind = "asphere"
+
+    def __init__(self, props: mi.Properties) -> None:
+        self._start(props)
+        has_radius = props.has_property("radius")
+        if has_radius and props.has_property("curvature"):
+            raise MistrayError(f"shape '{self.name}': give radius or curvature, not both")
+        radius = float_property(props, "radius", 0.0)
+        curvature = float_property(props, "curvature", 0.0)
+        if has_radius:
+            curvature = 0.0 if radius == 0 or np.isinf(radius) else 1.0 / radius
+        rectangular = props.has_property("half_width") or props.has_property("half_height")
+        if rectangular == props.has_property("semi_diameter"):
+            raise MistrayError(
+                f"shape '{self.name}': give either semi_diameter or both half_width and half_height (mm)"
+            )
+        if rectangular and not (props.has_property("half_width") and props.has_property("half_height")):
+            raise MistrayError(f"shape '{self.name}': a rectangular clip needs half_width and half_height (mm)")
+        values = {"curvature": curvature, "conic": float_property(props, "conic", 0.0)}
+        values |= {key: float_property(props, key, 0.0) for key in COEFFICIENTS}
+        if rectangular:
+            values |= {key: float_property(props, key) for key in ("half_width", "half_height")}
+        else:
+            values |= {"semi_diameter": float_property(props, "semi_diameter")}
+            values |= {"inner_semi_diameter": float_property(props, "inner_semi_diameter", 0.0)}
+        self._finish(props, values)
+
+    @property
+    def rectangular(self) -> bool:
+        """Whether the surface is clipped to a rectangle rather than a circle."""
+        return "half_width" in self.values
+
+    @property
+    def plane(self) -> bool:
+        """Whether the surface is flat."""
+        return self.values["curvature"] == 0 and not any(self.coefficients)
+
+    @property
+    def outer_radius(self) -> float:
+        """Largest distance of the surface from its axis, mm."""
+        v = self.values
+        return float(np.hypot(v["half_width"], v["half_height"])) if self.rectangular else v["semi_diameter"]
+
+    @property
+    def coefficients(self) -> tuple[float, ...]:
+        """a4 … a20, mm^-3 … mm^-19."""
+        return tuple(self.values[key] for key in COEFFICIENTS)
+
+    def sag(self, r: np.ndarray) -> np.ndarray:
+        """Sag over the vertex plane at the distance r from the axis; both in mm, float64."""
+        return np.asarray(sag(np.square(r), self.values["curvature"], self.values["conic"], self.coefficients))
+
+    def check(self) -> None:
+        v = self.values
+        for key in ("half_width", "half_height", "semi_diameter"):
+            if key in v and not v[key] > 0:
+                raise MistrayError(f"shape '{self.name}': {key} is {v[key]:g} mm; it must be positive")
+        if not self.rectangular and not 0 <= v["inner_semi_diameter"] < v["semi_diameter"]:
+            raise MistrayError(
+                f"shape '{self.name}': inner_semi_diameter is {v['inner_semi_diameter']:g} mm; "
+                f"it must lie between 0 and semi_diameter = {v['semi_diameter']:g} mm"
+            )
+        end = (1 + v["conic"]) * (v["curvature"] * self.outer_radius) ** 2
+        if end > 1 + 1e-9:
+            limit = 1 / (abs(v["curvature"]) * np.sqrt(1 + v["conic"]))
+            raise MistrayError(
+                f"shape '{self.name}': the conic ends at r = {limit:.6g} mm, inside the aperture of "
+                f"{self.outer_radius:.6g} mm; reduce the aperture or the curvature"
+            )
+
+    def profile(self, count: int = 65) -> np.ndarray:
+        inner = self.values.get("inner_semi_diameter", 0.0)
+        r = np.linspace(inner, self.values["half_height"] if self.rectangular else self.outer_radius, count)
+        return np.column_stack([r, self.sag(r)])
+
+    def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        if not self.rectangular:
+            return super()._local_mesh()
+        xy, faces = grid(self.values["half_width"], self.values["half_height"], 1 if self.plane else 32)
+        return np.column_stack([xy, self.sag(np.hypot(xy[:, 0], xy[:, 1]))]), faces
+
+
+mi.register_shape("asphere", lambda props: Asphere(props))

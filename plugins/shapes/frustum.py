@@ -1,0 +1,85 @@
+"""Plugin `frustum`: cone, cylinder or flat annulus, traced analytically by the ray tree."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.plugins.shapes.revolution import Revolution, float_property
+
+
+class Frustum(Revolution):
+    r"""
+    Truncated cone (:monosp:`frustum`): a cone, a cylinder (``r0 = r1``) or a flat annulus (``z0 = z1``).
+
+    Barrels, lens edges, bevels, stops, vanes. The generatrix runs from (r0, z0) to (r1, z1) about the
+    local z axis. The normal points away from the axis, or to +z for a flat annulus; ``front`` of the
+    nested ``interface`` is the side the normal points away from: the inside of a tube, the -z side of an
+    annulus.
+
+    ============ ======= ======== ========= ==========================================================
+    parameter    unit    range    default   meaning
+    ============ ======= ======== ========= ==========================================================
+    r0, r1       mm      ≥ 0      required  radii of the two rims (differentiable)
+    z0, z1       mm               required  positions of the two rims along the axis (differentiable)
+    to_world     mm      rigid    identity  position and orientation of the local frame
+    part         string           shape id  name of the object the surface belongs to
+    space        integer          -1        optical space, for grouping in reports
+    (nested) bsdf                 required  an ``interface``
+    ============ ======= ======== ========= ==========================================================
+
+    .. code-block:: xml
+
+        <shape type="frustum" id="stop_wall">
+            <float name="r0" value="1.25"/> <float name="z0" value="-0.075"/>
+            <float name="r1" value="1.25"/> <float name="z1" value="0"/>
+            <bsdf type="interface"> <float name="R" value="0.07"/> </bsdf>
+        </shape>
+
+    .. code-block:: python
+
+        {"type": "frustum", "r0": 5.0, "z0": 0.0, "r1": 5.0, "z1": 20.0, "bsdf": {"type": "interface", "R": 0.05}}
+    """
+
+    kind = "frustum"
+
+    def __init__(self, props: mi.Properties) -> None:
+        self._start(props)
+        missing = [key for key in ("r0", "z0", "r1", "z1") if not props.has_property(key)]
+        if missing:
+            raise MistrayError(f"shape '{self.name}': a frustum needs {', '.join(missing)} (mm)")
+        self._finish(props, {key: float_property(props, key) for key in ("r0", "z0", "r1", "z1")})
+
+    @property
+    def flat(self) -> bool:
+        """Whether the surface is a flat annulus."""
+        return self.values["z0"] == self.values["z1"]
+
+    @property
+    def outer_radius(self) -> float:
+        """Largest distance of the surface from its axis, mm."""
+        return max(self.values["r0"], self.values["r1"])
+
+    def check(self) -> None:
+        v = self.values
+        for key in ("r0", "r1"):
+            if v[key] < 0:
+                raise MistrayError(f"shape '{self.name}': {key} is {v[key]:g} mm; a radius must not be negative")
+        if self.flat and v["r0"] == v["r1"]:
+            raise MistrayError(f"shape '{self.name}': r0 = r1 and z0 = z1; a frustum of no area, change one of them")
+        if v["r0"] == v["r1"] == 0:
+            raise MistrayError(f"shape '{self.name}': r0 = r1 = 0; a frustum of no area, change one of them")
+
+    @property
+    def flipped(self) -> bool:
+        v = self.values
+        return v["r1"] < v["r0"] if self.flat else v["z1"] > v["z0"]
+
+    def profile(self, count: int = 9) -> np.ndarray:
+        v = self.values
+        u = np.linspace(0.0, 1.0, count)
+        return np.column_stack([v["r0"] + (v["r1"] - v["r0"]) * u, v["z0"] + (v["z1"] - v["z0"]) * u])
+
+
+mi.register_shape("frustum", lambda props: Frustum(props))

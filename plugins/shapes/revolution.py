@@ -1,0 +1,146 @@
+"""What the shapes `asphere` and `frustum` have in common: a mesh for Mitsuba, a formula for the ray tree."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray._mitsuba_compat import write_mesh
+from mistray.errors import MistrayError
+
+AZIMUTHS = 96  # facets around the axis of the mesh that stock integrators see
+
+
+class Revolution(mi.Mesh):
+    """
+    Base class of surfaces of revolution about the local z axis.
+
+    A subclass sets `kind`, calls `_start` and `_finish` from its constructor and provides `check`,
+    `profile`, `outer_radius` and `flipped`. The named parameters in `values` (floats, on the host) are
+    exposed to `mi.traverse` as differentiable ``mi.Float``; an update reads them back, checks them and makes
+    the mesh again.
+    """
+
+    kind = ""
+    values: dict[str, float]
+
+    def _start(self, props: mi.Properties) -> None:
+        self.name = str(props.id())
+        self.part = str(props.get("part", self.name))
+        self.space = int(props.get("space", -1))
+        to_world = props.get("to_world", mi.ScalarTransform4f())
+        self.matrix = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)
+        rotation = self.matrix[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
+            raise MistrayError(
+                f"shape '{self.name}': to_world scales, shears or mirrors; use a rigid motion and set the size by parameters"
+            )
+
+    def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
+        self.values = values
+        self.check()
+        self.parameters = {key: mi.Float(value) for key, value in values.items()}
+        vertices, faces = self._tessellate()
+        mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
+        write_mesh(self, vertices, faces)
+
+    def check(self) -> None:
+        """Raise `MistrayError` if a value is impossible."""
+        raise NotImplementedError
+
+    def profile(self, count: int = 65) -> np.ndarray:
+        """Generatrix as (count, 2) float64: r and z in the local frame, mm."""
+        raise NotImplementedError
+
+    @property
+    def outer_radius(self) -> float:
+        """Largest distance of the surface from its axis, mm."""
+        raise NotImplementedError
+
+    @property
+    def flipped(self) -> bool:
+        """Whether the mesh made from `profile` must be turned to have the surface's normal."""
+        return False
+
+    def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        return revolve(self.profile(), self.flipped)
+
+    def _tessellate(self) -> tuple[np.ndarray, np.ndarray]:
+        vertices, faces = self._local_mesh()
+        return vertices @ self.matrix[:3, :3].T + self.matrix[:3, 3], faces
+
+    def traverse(self, callback: mi.TraversalCallback) -> None:
+        mi.Mesh.traverse(self, callback)
+        for key, value in self.__dict__.get("parameters", {}).items():
+            callback.put(key, value, mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous)
+
+    def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
+        changed = [key for key in self.__dict__.get("parameters", {}) if not keys or key in keys]
+        if changed and any(float(self.parameters[key][0]) != np.float32(self.values[key]) for key in changed):
+            before = dict(self.values)
+            for key in changed:
+                value = float(dr.detach(self.parameters[key])[0])
+                if value != float(np.float32(self.values[key])):
+                    self.values[key] = value
+            try:
+                self.check()
+            except MistrayError:
+                self.values = before
+                raise
+            write_mesh(self, *self._tessellate())
+            return
+        mi.Mesh.parameters_changed(self, keys)
+
+    def to_string(self) -> str:
+        inside = ", ".join(f"{key} = {value:g}" for key, value in self.values.items() if value)
+        return f"{type(self).__name__}[id = {self.name}, {inside}]"
+
+
+def revolve(profile: np.ndarray, flipped: bool = False, azimuths: int = AZIMUTHS) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Triangle mesh of a generatrix turned about the z axis.
+
+    Parameters
+    ----------
+    profile : (n, 2) float
+        r and z along the generatrix.
+    flipped : bool
+        Reverses the winding. Unreversed, a profile of growing r has normals towards +z.
+
+    Returns
+    -------
+    vertices : (n·azimuths, 3) float64
+    faces : (m, 3) uint32
+    """
+    count = len(profile)
+    phi = np.arange(azimuths) * (2 * np.pi / azimuths)
+    r, z = profile[:, :1], profile[:, 1:]
+    vertices = np.stack([r * np.cos(phi), r * np.sin(phi), np.broadcast_to(z, (count, azimuths))], axis=-1).reshape(-1, 3)
+    i, j = np.meshgrid(np.arange(count - 1), np.arange(azimuths), indexing="ij")
+    a, b = i * azimuths + j, i * azimuths + (j + 1) % azimuths
+    c, d = a + azimuths, b + azimuths
+    inner = np.stack([a, c, d], axis=-1)[profile[1:, 0] > 0]
+    outer = np.stack([a, d, b], axis=-1)[profile[:-1, 0] > 0]
+    faces = np.concatenate([inner.reshape(-1, 3), outer.reshape(-1, 3)]).astype(np.uint32)
+    return vertices, faces[:, ::-1] if flipped else faces
+
+
+def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Triangulated rectangle of count × count cells: xy (n, 2) float64 and faces (m, 3) uint32, normals towards +z."""
+    x, y = np.meshgrid(np.linspace(-half_width, half_width, count + 1), np.linspace(-half_height, half_height, count + 1))
+    i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
+    a = (i * (count + 1) + j).ravel()
+    b, c, d = a + 1, a + count + 1, a + count + 2
+    faces = np.concatenate([np.column_stack([a, b, d]), np.column_stack([a, d, c])]).astype(np.uint32)
+    return np.column_stack([x.ravel(), y.ravel()]), faces
+
+
+def float_property(props: mi.Properties, key: str, default: Any = None) -> float:
+    """A property as float; integers are accepted, anything else raises a `MistrayError` that names it."""
+    value = props.get(key, default)
+    if isinstance(value, bool) or not isinstance(value, int | float):
+        raise MistrayError(f"'{props.id()}': {key} is {value!r}; it must be a number")
+    return float(value)

@@ -1,0 +1,1 @@
+"""Cooke triplet, f = 50 mm, f/4, uncoated."""

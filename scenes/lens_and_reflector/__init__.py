@@ -1,0 +1,1 @@
+"""Grid source, lens, reflector, target: the ray-sorting example of a TracePro webinar."""

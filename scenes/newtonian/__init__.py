@@ -1,0 +1,1 @@
+"""Newtonian telescope: tube with vanes, primary, diagonal, eyepiece tube, image."""

@@ -1,0 +1,1 @@
+"""Phone camera: window, five plastic aspheres, IR filter, detector, barrel."""

@@ -1,0 +1,1 @@
+"""A plane-parallel plate in a collimated beam: the closed form of multiple reflections."""

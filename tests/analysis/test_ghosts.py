@@ -1,0 +1,182 @@
+"""Ranking, normalisation and sums of the ghost analysis, on traces whose numbers are known."""
+
+import math
+import sys
+
+import numpy as np
+import pytest
+from report.fake_scene import lens_scene
+from report.fake_trace import LENS, FakePath, FakeTrace, trace_at
+
+from mistray.analysis.estimate import Estimate, total
+from mistray.analysis.ghosts import GhostReport, direct_image, ghosts, label
+from mistray.errors import MistrayError
+
+
+@pytest.fixture
+def traced(monkeypatch):
+    """Replaces the tracer by the fake one and notes its calls."""
+    calls = []
+
+    def trace(scene, field_deg=None, progress=None, **settings):
+        calls.append({"field_deg": field_deg, **settings})
+        if progress:
+            progress(500, 1000)
+            progress(1000, 1000)
+        return trace_at(4.0 if field_deg is None else field_deg)
+
+    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+    return calls
+
+
+@pytest.fixture
+def report():
+    traces = {field: trace_at(field) for field in (0.0, 10.0, 20.0)}
+    return GhostReport(lens_scene(), traces, traces[0.0])
+
+
+def test_quotient_propagates_both_errors():
+    got = Estimate(2.0, 0.02).over(Estimate(4.0, 0.08))
+    assert got.value == 0.5
+    assert got.se == pytest.approx(0.5 * math.hypot(0.01, 0.02))
+    assert math.isnan(Estimate(1.0, 0.1).over(Estimate(0.0, 0.0)).value)
+
+
+def test_error_of_a_sum_is_an_upper_bound():
+    assert total([Estimate(1.0, 0.3), Estimate(2.0, 0.4)]) == Estimate(3.0, 0.7)
+    assert total([]) == Estimate(0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("row", "words"),
+    [
+        (("detector", "window_rear", "ghost"), "detector → window_rear"),
+        (("stop_wall", "-", "structure"), "stop_wall"),
+        (("-", "-", "direct"), "direct image"),
+        (("-", "-", "straight shot"), "straight shot"),
+    ],
+)
+def test_label(row, words):
+    assert label(*row) == words
+
+
+def test_normalised_rms_irradiance_is_over_the_on_axis_image(report):
+    direct = report[0.0].paths[0].row(1.0)
+    nominal = 3.0 / (math.pi * direct["rms_radius_mm"] ** 2)
+    assert report.nominal.rms_irradiance_W_mm2.value == pytest.approx(nominal, rel=1e-12)
+    table = report.table(20.0)
+    expected = table.power_W / (math.pi * table.rms_radius_mm**2) / nominal
+    np.testing.assert_allclose(table.normalised_rms_irradiance, expected, rtol=1e-12)
+    assert (table.normalised_rms_irradiance_se > 0).all()
+
+
+def test_ranks_by_power_and_by_rms_irradiance_differ(report):
+    by_power = report.top(10.0, by="power")
+    by_irradiance = report.top(10.0)
+    assert list(by_power.label[:2]) == ["detector → window_rear", "detector → L1_rear"]
+    assert list(by_irradiance.label[:2]) == ["detector → L1_rear", "detector → window_rear"]
+    assert "direct" not in set(by_power.kind)
+    assert list(by_power.rank_power) == [1, 2, 3, 4]
+
+
+def test_paths_of_a_few_rays_are_ranked_last(report):
+    top = report.top(10.0, 4)
+    few = top[~top.well_sampled]
+    assert list(few.rays) == [3]
+    assert few.rms_irradiance_W_mm2.iloc[0] > top.rms_irradiance_W_mm2.iloc[0]
+    assert few.rank_rms_irradiance.iloc[0] == 4
+
+
+def test_direct_paths_have_no_rank(report):
+    table = report.table(0.0)
+    assert (table.rank_power[table.kind == "direct"] == 0).all()
+    assert sorted(table.rank_power[table.kind != "direct"]) == [1, 2, 3, 4]
+
+
+def test_summary_adds_up(report):
+    s = report.summary(10.0)
+    assert s.stray_W.value == pytest.approx(2e-4 + 1e-4 + 3e-6 + 1e-9)
+    assert s.stray_W.value == pytest.approx(sum(part.value for part in s.stray_of_kind_W.values()))
+    assert s.direct.power_W.value == 3.0
+    assert s.ghost_to_signal.value == pytest.approx(s.stray_W.value / 3.0)
+    assert s.paths == 5
+    assert s.paths_of_kind == {
+        "direct": 1,
+        "ghost": 2,
+        "structure": 2,
+        "structure+ghost": 0,
+        "TIR": 0,
+        "straight shot": 0,
+    }
+    assert s.brightest == report.top(10.0, 1).path_id.iloc[0]
+
+
+def test_peak_is_that_of_the_stray_map(report):
+    image, se = report.stray_map(10.0)
+    s = report.summary(10.0)
+    assert s.peak_stray_W_mm2 == (image.max(), se.flat[np.argmax(image)])
+    assert s.peak_to_nominal.value == pytest.approx(image.max() / report.nominal.peak_W_mm2.value)
+
+
+def test_out_of_field_there_is_no_signal(report):
+    s = report.summary(20.0)
+    assert s.direct.power_W.value == 0
+    assert math.isnan(s.ghost_to_signal.value)
+    assert s.stray_to_nominal.value == pytest.approx(s.stray_W.value / 3.0)
+
+
+def test_maps_of_direct_and_stray_add_to_the_whole(report):
+    t, table = report[10.0], report.table(10.0)
+    direct, _ = report.map(10.0, list(table.path_id[table.kind == "direct"]))
+    stray, _ = report.stray_map(10.0)
+    np.testing.assert_allclose(direct + stray, t.irradiance, rtol=1e-12)
+
+
+def test_report_is_a_mapping_of_fields(report):
+    assert list(report) == [0.0, 10.0, 20.0]
+    assert len(report) == 3
+    with pytest.raises(MistrayError, match=r"field 7 deg was not traced; traced fields: 0, 10, 20 deg"):
+        report.table(7.0)
+    with pytest.raises(MistrayError, match="by is 'rays'; use 'rms_irradiance' or 'power'"):
+        report.top(0.0, by="rays")
+
+
+def test_two_wavelengths_are_one_image():
+    """Two discs of equal power 0.4 mm apart: the pooled second moment is the mean one plus 0.2²."""
+    lines = [FakePath([*LENS, "detector:A"], "direct", 1.0, 5000, x, 0.0, 0.1) for x in (-0.2, 0.2)]
+    image = direct_image(FakeTrace(lines))
+    parts = [path.row(2.0) for path in lines]
+    offset = (parts[0]["x_mm"] - parts[1]["x_mm"]) / 2, (parts[0]["y_mm"] - parts[1]["y_mm"]) / 2
+    radius2 = np.mean([part["rms_radius_mm"] ** 2 for part in parts]) + np.hypot(*offset) ** 2
+    assert image.power_W.value == 2.0
+    assert image.rms_radius_mm.value**2 == pytest.approx(radius2, rel=1e-12)
+    assert image.rms_irradiance_W_mm2.value == pytest.approx(2.0 / (math.pi * radius2), rel=1e-12)
+
+
+def test_on_axis_field_is_traced_for_the_yardstick(traced):
+    report = ghosts("scene", fields_deg=[5.0, 20.0], rays=1000, seed=7)
+    assert [call["field_deg"] for call in traced] == [5.0, 20.0, 0.0]
+    assert traced[0] == {"field_deg": 5.0, "rays": 1000, "seed": 7}
+    assert traced[2]["max_reflections"] == 0
+    assert list(report) == [5.0, 20.0]
+
+
+def test_on_axis_field_is_not_traced_twice(traced):
+    report = ghosts("scene", fields_deg=[0, 5, 5.0])
+    assert [call["field_deg"] for call in traced] == [0.0, 5.0]
+    assert report.nominal_trace is report[0.0]
+
+
+def test_default_field_is_the_source_s_own(traced):
+    assert list(ghosts("scene")) == [4.0]
+
+
+def test_progress_counts_fields(traced):
+    seen = []
+    ghosts("scene", fields_deg=[0.0, 5.0], progress=lambda done, of: seen.append((done, of)))
+    assert seen == [(0.5, 2), (1.0, 2), (1.5, 2), (2.0, 2)]
+
+
+def test_no_field_is_an_error(traced):
+    with pytest.raises(MistrayError, match="fields_deg is empty; give at least one field angle in degrees"):
+        ghosts("scene", fields_deg=[])

@@ -1,0 +1,16 @@
+"""Independent float64 oracles for the tests.
+
+Pure numpy: nothing here imports mistray, mitsuba or drjit, so an error there cannot hide here. Units are mm, nm and W;
+angles are radians inside and degrees only in names that end in ``_deg``.
+
+glass          refractive indices from material strings
+geometry       first hits on surfaces of revolution and stock shapes
+interface      Snell, Fresnel, ideal and tabulated coatings
+scene_xml      reads a scene XML into a plain model
+beams          deterministic start rays of the collimated source
+replay         sequential trace through a prescribed list of events
+nonsequential  split tracer: ledger of every path, energy budget, leaks between media
+closed_forms   plates, paraxial ghosts, ghost counts
+small_scenes   XML texts of plates and other small scenes
+statistics     z-tests that say by how much they fail
+"""

@@ -1,0 +1,333 @@
+"""Reads a mistray scene XML into a plain float64 model, without Mitsuba.
+
+Understood: shapes ``asphere``, ``frustum`` and stock ``rectangle``, ``disk``, ``sphere``; nested ``interface`` and
+``null`` bsdfs, also by ``<ref>``; emitter ``collimated``; a shape with a nested ``irradiancemeter`` is a detector;
+integrator ``straylight``; ``<default>`` values with ``$name``. Anything else raises ValueError, so that no scene is
+half read.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from .geometry import Array, Asphere, Frustum, Mask, Plane, Sphere, Surface
+from .glass import refractive_index
+from .interface import ABSORBER, CoatingTable, Interface
+
+VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector")
+ASPHERE_PARAMETERS = {
+    "radius",
+    "curvature",
+    "conic",
+    "semi_diameter",
+    "inner_semi_diameter",
+    "half_width",
+    "half_height",
+}
+ASPHERE_PARAMETERS |= {f"a{order}" for order in range(4, 21, 2)}
+LABELS = {"part", "space"}
+
+
+@dataclass(frozen=True)
+class SceneShape:
+    """One surface of the scene: ``surface`` in its own frame, ``to_world`` rigid (4, 4)."""
+
+    shape_id: str
+    surface: Surface
+    to_world: Array
+    interface: Interface
+    part: str
+    space: int
+    detector: bool = False
+
+    def to_local(self, origin: Array, direction: Array) -> tuple[Array, Array]:
+        """World rays (n, 3) into the frame of the surface."""
+        rotation = self.to_world[:3, :3]
+        return (origin - self.to_world[:3, 3]) @ rotation, direction @ rotation
+
+    def first_hit(self, origin: Array, direction: Array, leaving: Mask) -> Array:
+        """Path length in mm to the first hit of world rays, inf where they miss."""
+        return self.surface.first_hit(*self.to_local(origin, direction), leaving)
+
+    def normal(self, point: Array) -> Array:
+        """World normals (n, 3) at world points."""
+        local = (point - self.to_world[:3, 3]) @ self.to_world[:3, :3]
+        return self.surface.normal(local) @ self.to_world[:3, :3].T
+
+
+@dataclass(frozen=True)
+class Emitter:
+    """Collimated source as the XML gives it; lengths in mm, irradiance in W/mm^2 normal to the beam."""
+
+    to_world: Array
+    values: Mapping[str, str | float]
+
+
+@dataclass(frozen=True)
+class SceneModel:
+    """Shapes in XML order, sources and the values of the ``straylight`` integrator."""
+
+    path: Path | None
+    shapes: tuple[SceneShape, ...]
+    emitters: tuple[Emitter, ...]
+    settings: Mapping[str, str | float] = field(default_factory=dict)
+
+    @cached_property
+    def by_id(self) -> dict[str, SceneShape]:
+        return {shape.shape_id: shape for shape in self.shapes}
+
+    @property
+    def detectors(self) -> tuple[str, ...]:
+        return tuple(shape.shape_id for shape in self.shapes if shape.detector)
+
+    def indices(self, shape_id: str, wavelength_nm: float) -> tuple[float, float]:
+        """Refractive indices (front, back); (1, 1) for an opaque surface."""
+        interface = self.by_id[shape_id].interface
+        if interface.opaque:
+            return 1.0, 1.0
+        return refractive_index(interface.front, wavelength_nm), refractive_index(interface.back, wavelength_nm)
+
+    def radius_about(self, point: Array) -> float:
+        """Radius in mm of a ball about a point that holds every surface."""
+        return max(float(np.linalg.norm(s.to_world[:3, 3] - point)) + s.surface.extent() for s in self.shapes)
+
+    def without(self, *shape_ids: str) -> SceneModel:
+        """The same scene less some shapes."""
+        for shape_id in shape_ids:
+            if shape_id not in self.by_id:
+                raise ValueError(f"scene has no shape {shape_id!r}")
+        return SceneModel(
+            self.path, tuple(s for s in self.shapes if s.shape_id not in shape_ids), self.emitters, self.settings
+        )
+
+
+def read_scene(path: str | Path) -> SceneModel:
+    """Model of a scene file."""
+    path = Path(path)
+    return parse_scene(path.read_text(encoding="utf-8"), path)
+
+
+def parse_scene(text: str, path: Path | None = None) -> SceneModel:
+    """Model of a scene given as XML text; ``path`` locates coating tables."""
+    return _Reader(ElementTree.fromstring(text), path).model()
+
+
+class _Reader:
+    def __init__(self, root: ElementTree.Element, path: Path | None) -> None:
+        if root.tag != "scene":
+            raise ValueError(f"root element is <{root.tag}>, expected <scene>")
+        self.root, self.path = root, path
+        self.defaults = {node.attrib["name"]: node.attrib["value"] for node in root.iter("default")}
+        self.named = {node.attrib["id"]: node for node in root.iter() if "id" in node.attrib and node.tag != "ref"}
+
+    def model(self) -> SceneModel:
+        shapes: list[SceneShape] = []
+        emitters: list[Emitter] = []
+        settings: Mapping[str, str | float] = {}
+        for node in self.root:
+            if node.tag == "shape":
+                shapes.append(self._shape(node, len(shapes)))
+            elif node.tag == "emitter":
+                if node.attrib["type"] != "collimated":
+                    raise ValueError(f"oracle knows no emitter {node.attrib['type']!r}")
+                emitters.append(Emitter(self._transform(node), self._values(node)))
+            elif node.tag == "integrator":
+                settings = self._values(node)
+            elif node.tag not in ("default", "bsdf", "sensor"):
+                raise ValueError(f"oracle knows no <{node.tag}> in a scene")
+        ids = [shape.shape_id for shape in shapes]
+        if len(set(ids)) != len(ids):
+            raise ValueError(f"shape ids are not unique: {sorted(i for i in set(ids) if ids.count(i) > 1)}")
+        return SceneModel(self.path, tuple(shapes), tuple(emitters), settings)
+
+    def _text(self, value: str) -> str:
+        for name in sorted(self.defaults, key=len, reverse=True):
+            value = value.replace(f"${name}", self.defaults[name])
+        return value
+
+    def _numbers(self, value: str) -> list[float]:
+        return [float(item) for item in self._text(value).replace(",", " ").split()]
+
+    def _values(self, node: ElementTree.Element) -> dict[str, str | float]:
+        values: dict[str, str | float] = {}
+        for child in node:
+            if child.tag in ("float", "integer"):
+                values[child.attrib["name"]] = float(self._text(child.attrib["value"]))
+            elif child.tag == "boolean":
+                values[child.attrib["name"]] = float(self._text(child.attrib["value"]).lower() == "true")
+            elif child.tag == "string":
+                values[child.attrib["name"]] = self._text(child.attrib["value"])
+            elif child.tag in ("point", "vector"):
+                for axis, number in zip("xyz", self._vector(child), strict=True):
+                    values[f"{child.attrib['name']}.{axis}"] = number
+        return values
+
+    def _vector(self, node: ElementTree.Element, default: float = 0.0) -> list[float]:
+        if "value" in node.attrib:
+            numbers = self._numbers(node.attrib["value"])
+            return numbers * 3 if len(numbers) == 1 else numbers
+        return [float(self._text(node.attrib.get(axis, str(default)))) for axis in "xyz"]
+
+    def _transform(self, node: ElementTree.Element) -> Array:
+        """to_world of a plugin: the children act in the order in which they are written."""
+        matrix = np.eye(4)
+        for transform in node.findall("transform"):
+            if transform.attrib["name"] != "to_world":
+                raise ValueError(f"oracle knows no transform {transform.attrib['name']!r}")
+            for step in transform:
+                matrix = self._step(step) @ matrix
+        return matrix
+
+    def _step(self, step: ElementTree.Element) -> Array:
+        matrix = np.eye(4)
+        if step.tag == "translate":
+            matrix[:3, 3] = self._vector(step)
+        elif step.tag == "scale":
+            matrix[:3, :3] = np.diag(self._vector(step, 1.0))
+        elif step.tag == "rotate":
+            matrix[:3, :3] = _rotation(np.array(self._vector(step)), float(self._text(step.attrib["angle"])))
+        elif step.tag == "matrix":
+            numbers = self._numbers(step.attrib["value"])
+            size = {16: 4, 9: 3}[len(numbers)]
+            matrix[:size, :size] = np.array(numbers).reshape(size, size)
+        elif step.tag == "lookat":
+            origin, target, up = (np.array(self._numbers(step.attrib[key])) for key in ("origin", "target", "up"))
+            forward = (target - origin) / np.linalg.norm(target - origin)
+            left = np.cross(up, forward)
+            left /= np.linalg.norm(left)
+            matrix[:3, :] = np.stack([left, np.cross(forward, left), forward, origin], axis=1)
+        else:
+            raise ValueError(f"oracle knows no transform step <{step.tag}>")
+        return matrix
+
+    def _nested(self, node: ElementTree.Element, tag: str) -> list[ElementTree.Element]:
+        direct = node.findall(tag)
+        referred = [self.named[ref.attrib["id"]] for ref in node.findall("ref")]
+        return direct + [target for target in referred if target.tag == tag]
+
+    def _shape(self, node: ElementTree.Element, number: int) -> SceneShape:
+        shape_id = node.attrib.get("id", f"shape_{number}")
+        kind = node.attrib["type"]
+        values, matrix = self._values(node), self._transform(node)
+        builders = {"asphere": _asphere, "frustum": _frustum, "rectangle": _rectangle, "disk": _disk, "sphere": _sphere}
+        if kind not in builders:
+            raise ValueError(f"oracle knows no shape type {kind!r} ({shape_id})")
+        numbers = {key: float(value) for key, value in values.items() if key not in LABELS}
+        surface, pose = builders[kind](shape_id, numbers, matrix)
+        sensors = [s for s in self._nested(node, "sensor") if s.attrib["type"] == "irradiancemeter"]
+        part = str(values.get("part", shape_id))
+        return SceneShape(
+            shape_id, surface, pose, self._interface(node, shape_id), part, int(values.get("space", -1)), bool(sensors)
+        )
+
+    def _interface(self, node: ElementTree.Element, shape_id: str) -> Interface:
+        """The nested interface; a shape without one absorbs everything."""
+        nested = self._nested(node, "bsdf")
+        if not nested:
+            return ABSORBER
+        bsdf = nested[0]
+        if bsdf.attrib["type"] == "null":
+            return Interface(reflectance=0.0, transmittance=1.0)
+        if bsdf.attrib["type"] != "interface":
+            raise ValueError(f"oracle knows no bsdf {bsdf.attrib['type']!r} ({shape_id})")
+        values = self._values(bsdf)
+        unknown = set(values) - {"front", "back", "R", "T", "table", "mirror", "wavelength_nm"}
+        if unknown:
+            raise ValueError(f"interface of {shape_id}: unknown parameters {sorted(unknown)}")
+        table = None
+        if "table" in values:
+            folder = self.path.parent if self.path else Path()
+            table = CoatingTable.read(folder / str(values["table"]))
+        reflectance = float(values["R"]) if "R" in values else None
+        return Interface(
+            front=str(values.get("front", "air")),
+            back=str(values.get("back", "air")),
+            reflectance=reflectance,
+            transmittance=None if reflectance is None else float(values.get("T", 0.0)),
+            table=table,
+            mirror=bool(values.get("mirror", 0.0)),
+        )
+
+
+def _rotation(axis: Array, angle_deg: float) -> Array:
+    """Rodrigues' formula, right-handed about ``axis``."""
+    x, y, z = axis / np.linalg.norm(axis)
+    cross = np.array([[0, -z, y], [z, 0, -x], [-y, x, 0]])
+    angle = np.radians(angle_deg)
+    return np.eye(3) + np.sin(angle) * cross + (1 - np.cos(angle)) * cross @ cross
+
+
+def _rigid(shape_id: str, matrix: Array) -> Array:
+    if not np.allclose(matrix[:3, :3] @ matrix[:3, :3].T, np.eye(3), atol=1e-9) or np.linalg.det(matrix[:3, :3]) < 0:
+        raise ValueError(f"to_world of {shape_id} is not rigid")
+    return matrix
+
+
+def _split_scale(shape_id: str, matrix: Array) -> tuple[Array, Array]:
+    """Rigid part and the three positive scales of a transform without shear."""
+    scale = np.linalg.norm(matrix[:3, :3], axis=0)
+    pose = matrix.copy()
+    pose[:3, :3] = matrix[:3, :3] / scale
+    return _rigid(shape_id, pose), scale
+
+
+def _no_more(shape_id: str, values: Mapping[str, float], known: set[str]) -> None:
+    if set(values) - known:
+        raise ValueError(f"shape {shape_id}: unknown parameters {sorted(set(values) - known)}")
+
+
+def _asphere(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
+    _no_more(shape_id, values, ASPHERE_PARAMETERS)
+    radius = values.get("radius", 0.0)
+    curvature = 1 / radius if radius and np.isfinite(radius) else values.get("curvature", 0.0)
+    powers = tuple((order // 2, values[f"a{order}"]) for order in range(4, 21, 2) if values.get(f"a{order}", 0.0))
+    surface = Asphere(
+        curvature,
+        values.get("conic", 0.0),
+        powers,
+        values.get("semi_diameter", np.inf),
+        values.get("inner_semi_diameter", 0.0),
+        values.get("half_width", np.inf),
+        values.get("half_height", np.inf),
+    )
+    return surface, _rigid(shape_id, matrix)
+
+
+def _frustum(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
+    _no_more(shape_id, values, {"r0", "z0", "r1", "z1"})
+    return Frustum(values["r0"], values["z0"], values["r1"], values["z1"]), _rigid(shape_id, matrix)
+
+
+def _sign(values: Mapping[str, float]) -> float:
+    return -1.0 if values.get("flip_normals") else 1.0
+
+
+def _rectangle(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
+    _no_more(shape_id, values, {"flip_normals"})
+    pose, scale = _split_scale(shape_id, matrix)
+    return Plane(half_width=scale[0], half_height=scale[1], sign=_sign(values)), pose
+
+
+def _disk(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
+    _no_more(shape_id, values, {"flip_normals"})
+    pose, scale = _split_scale(shape_id, matrix)
+    if not np.isclose(scale[0], scale[1]):
+        raise ValueError(f"oracle knows no elliptic disk ({shape_id})")
+    return Plane(outer=scale[0], sign=_sign(values)), pose
+
+
+def _sphere(shape_id: str, values: Mapping[str, float], matrix: Array) -> tuple[Surface, Array]:
+    _no_more(shape_id, values, {"flip_normals", "radius", "center.x", "center.y", "center.z"})
+    pose, scale = _split_scale(shape_id, matrix)
+    if not np.allclose(scale, scale[0]):
+        raise ValueError(f"oracle knows no ellipsoid ({shape_id})")
+    centre = np.array([values.get(f"center.{axis}", 0.0) for axis in "xyz"])
+    pose = pose.copy()
+    pose[:3, 3] = (matrix @ np.append(centre, 1.0))[:3]
+    return Sphere(values.get("radius", 1.0) * scale[0], _sign(values)), pose

@@ -1,0 +1,63 @@
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mistray.physics.fresnel import cos2_refracted, reflectance
+
+VECTORS = Path(__file__).parents[1] / "data" / "fresnel.csv"
+
+
+def rows():
+    with VECTORS.open() as file:
+        return [
+            {key: float(value) for key, value in row.items()}
+            for row in csv.DictReader(line for line in file if not line.startswith("#"))
+        ]
+
+
+def bare(angle_deg, n1, n2):
+    cos_i = math.cos(math.radians(angle_deg))
+    cos_t = math.sqrt(max(0.0, cos2_refracted(cos_i, n1, n2)))
+    return reflectance(cos_i, cos_t, n1, n2)
+
+
+@pytest.mark.parametrize("row", rows(), ids=lambda r: f"{r['n1']:g}-{r['n2']:g}-{r['aoi']:g}")
+def test_vectors(row):
+    assert bare(row["aoi"], row["n1"], row["n2"]) == pytest.approx(row["Runpol"], abs=1e-12)
+
+
+@pytest.mark.parametrize("n", [1.0, 1.3, 1.5168, 4.0])
+def test_limits(n):
+    assert bare(0.0, 1.0, n) == pytest.approx(((n - 1) / (n + 1)) ** 2, abs=1e-15)
+    assert reflectance(0.0, 0.0, n, n) == 0.0  # grazing without a step: 0/0 without the guard
+    if n > 1:
+        assert reflectance(0.0, math.sqrt(1 - 1 / n**2), 1.0, n) == pytest.approx(1.0)
+        assert bare(89.999, n, 1.0) == pytest.approx(1.0, abs=1e-15)
+
+
+def test_critical_angle():
+    cosine = math.cos(math.asin(1 / 1.5))
+    assert cos2_refracted(cosine, 1.5, 1.0) == pytest.approx(0, abs=1e-15)
+    assert cos2_refracted(cosine - 1e-6, 1.5, 1.0) < 0 < cos2_refracted(cosine + 1e-6, 1.5, 1.0)
+    assert math.degrees(math.acos(cosine)) == pytest.approx(41.81, abs=5e-3)
+
+
+def test_reciprocity():
+    """From either side, along the same pair of angles, R is the same."""
+    cos_i = np.linspace(0.01, 1, 50)
+    cos_t = np.sqrt(cos2_refracted(cos_i, 1.0, 1.7))
+    np.testing.assert_allclose(reflectance(cos_i, cos_t, 1.0, 1.7), reflectance(cos_t, cos_i, 1.7, 1.0), rtol=1e-13)
+
+
+def test_float32_stays_finite_and_in_range():
+    cos_i = np.concatenate([np.linspace(0, 1, 1001), [1e-7, 1e-20, 1e-38]]).astype(np.float32)
+    for n1, n2 in [(1.0, 1.5), (1.5, 1.0), (1.0, 1.0)]:
+        cos_t = np.sqrt(np.maximum(cos2_refracted(cos_i, np.float32(n1), np.float32(n2)), np.float32(0)))
+        r = reflectance(cos_i, cos_t, np.float32(n1), np.float32(n2))
+        assert r.dtype == np.float32
+        assert np.all((r >= 0) & (r <= 1 + 1e-6))

@@ -1,0 +1,90 @@
+from __future__ import annotations
+
+import csv
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.physics.paraxial import ParaxialSystem
+
+DATA = Path(__file__).parents[1] / "data"
+N = 1.5168
+R_BARE = ((N - 1) / (N + 1)) ** 2
+
+
+def table(name):
+    with (DATA / name).open() as file:
+        return list(csv.DictReader(line for line in file if not line.startswith("#")))
+
+
+@pytest.fixture
+def singlet():
+    return ParaxialSystem([1 / 100, -1 / 100], [0.0, 5.0], [1.0, N, 1.0])
+
+
+@pytest.fixture
+def with_window():
+    return ParaxialSystem([1 / 100, -1 / 100, 0.0, 0.0], [0.0, 5.0, 85.0, 87.0], [1.0, N, 1.0, N, 1.0])
+
+
+def test_focal_lengths(singlet):
+    cases = {
+        row["quantity"]: float(row["closed_form"]) for row in table("analytic_cases.csv") if "singlet R" in row["case"]
+    }
+    assert singlet.efl == pytest.approx(cases["EFL"], rel=1e-13)
+    assert singlet.bfl == pytest.approx(cases["BFL"], rel=1e-13)
+    (ghost,) = singlet.ghosts(5.0, 10.0, [R_BARE, R_BARE])
+    assert ghost.focus_mm == pytest.approx(cases["ghost BFL"], rel=1e-13)
+
+
+def test_the_ten_ghosts_of_lens_window_and_detector(with_window):
+    image_z = 87.0 + with_window.bfl
+    assert with_window.bfl == pytest.approx(14.599477266251874, rel=1e-13)
+    ghosts = with_window.ghosts(image_z, 10.0, [R_BARE] * 4, image_reflectance=0.2)
+    expected = table("ghost_lens_window_det.csv")
+    assert len(ghosts) == len(expected) == 10
+    by_pair = {(ghost.second + 1, ghost.first + 1): ghost for ghost in ghosts}
+    for row in expected:
+        ghost = by_pair[int(row["second_reflecting_surface"]), int(row["first_reflecting_surface"])]
+        assert ghost.spot_radius_mm == pytest.approx(float(row["spot_radius_mm"]), rel=1e-12)
+        assert ghost.power == pytest.approx(float(row["incident_power_per_W"]), rel=1e-12)
+        irradiance = float(row["irradiance_on_detector_per_entrance_irradiance"])
+        assert ghost.irradiance(10.0) == pytest.approx(irradiance, rel=1e-11)
+
+
+@pytest.mark.parametrize("row", table("ghost_counts.csv"), ids=lambda row: row["n_surfaces"])
+def test_number_of_ghosts(row):
+    n = int(row["n_surfaces"])
+    system = ParaxialSystem([0.01] * n, list(range(n)), [1.0 + k % 2 / 2 for k in range(n + 1)])
+    assert len(system.ghosts(n + 10.0, 1.0, [0.04] * n)) == int(row["2_bounce"])
+
+
+def test_chief_ray_crosses_the_axis_in_the_stop(with_window):
+    for stop_z in (-10.0, 0.0, 2.0, 40.0, 90.0):
+        rays = with_window.chief_ray(10.0, stop_z)
+        k = int(np.searchsorted(with_window.z, stop_z)) - 1
+        if k < 0:
+            height = rays[0, 0] + math.tan(math.radians(10.0)) * (stop_z - with_window.z[0])
+        else:
+            height = rays[k, 0] + rays[k, 1] * (stop_z - with_window.z[k])
+        assert height == pytest.approx(0, abs=1e-12)
+
+
+def test_lagrange_invariant(with_window):
+    marginal, chief = with_window.trace(10.0, 0.0), with_window.chief_ray(5.0, 40.0)
+    invariant = with_window.index[1:] * (chief[:, 1] * marginal[:, 0] - marginal[:, 1] * chief[:, 0])
+    np.testing.assert_allclose(invariant, 10.0 * math.tan(math.radians(5.0)), rtol=1e-12)
+
+
+def test_afocal_and_bad_input(singlet):
+    plate = ParaxialSystem([0.0, 0.0], [0.0, 5.0], [1.0, N, 1.0])
+    assert plate.efl == plate.bfl == math.inf
+    with pytest.raises(MistrayError, match="one more than surfaces"):
+        ParaxialSystem([0.0], [0.0], [1.0])
+    with pytest.raises(MistrayError, match="1 reflectances for 2 surfaces"):
+        singlet.ghosts(10.0, 1.0, [0.04])
+    with pytest.raises(MistrayError, match="focus"):
+        singlet.chief_ray(1.0, 5.0 + singlet.bfl)

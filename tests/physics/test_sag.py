@@ -1,0 +1,73 @@
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mistray.physics.sag import conic_end, sag, sag_derivative
+
+# L2 rear of the phone camera: the steepest surface at hand, slope 2.07 at its rim
+STEEP = (1 / 3.482, 8.701, (0.00521579, 0.0715829, -0.0460926, 0.012431, 0.0332216))
+
+
+@pytest.mark.parametrize("radius", [-20.0, 7.5])
+def test_sphere(radius):
+    r = np.linspace(0, 7, 50)
+    expected = radius - math.copysign(1, radius) * np.sqrt(radius**2 - r**2)
+    np.testing.assert_allclose(sag(r**2, 1 / radius, 0.0), expected, rtol=0, atol=1e-12)
+
+
+def test_paraboloid_and_plane():
+    r2 = np.linspace(0, 100, 11)
+    np.testing.assert_allclose(sag(r2, 1 / 50, -1.0), r2 / 100, rtol=1e-15)
+    assert np.all(sag(r2, 0.0, 3.0) == 0)
+
+
+@pytest.mark.parametrize(
+    ("printed_rim", "radius", "curvature", "conic", "coefficients"),
+    [
+        (0.379217, 1.06523826, *STEEP),
+        (0.58172, 1.43762465, 1 / 1.679, 0.22669364,
+         (0.00980281, -0.0381227, 0.0239681, -0.00629128, -0.00275496, -0.000269638)),
+    ],
+)  # fmt: skip
+def test_rims_of_the_phone_camera(printed_rim, radius, curvature, conic, coefficients):
+    assert float(sag(radius**2, curvature, conic, coefficients)) == pytest.approx(printed_rim, abs=5.1e-7)
+
+
+def test_polynomial_terms_one_by_one():
+    for i in range(2, 11):
+        coefficients = [0.0] * (i - 2) + [1e-3]
+        assert sag(2.25, 0.0, 0.0, coefficients) == pytest.approx(1e-3 * 1.5 ** (2 * i), rel=1e-14)
+        assert sag_derivative(2.25, 0.0, 0.0, coefficients) == pytest.approx(i * 1e-3 * 1.5 ** (2 * i - 2), rel=1e-14)
+
+
+@pytest.mark.parametrize("shape", [STEEP, (-1 / 9.162, 0.0, (0.0373187, -0.0089176)), (0.05, -1.3, ())])
+def test_derivative_against_central_differences(shape):
+    r2, h = np.linspace(1e-3, 1.06**2, 40), 1e-6
+    expected = (sag(r2 + h, *shape) - sag(r2 - h, *shape)) / (2 * h)
+    np.testing.assert_allclose(sag_derivative(r2, *shape), expected, rtol=1e-8)
+
+
+def test_the_conic_ends():
+    c, k, _ = STEEP
+    end = conic_end(c, k)
+    assert end == pytest.approx(1.118, abs=5e-4)
+    assert np.isfinite(sag(np.float64((end * (1 - 1e-9)) ** 2), c, k))
+    assert np.isnan(sag(np.array([(end * 1.001) ** 2]), c, k)).all()
+    assert math.isnan(sag((end * 1.001) ** 2, c, k))
+    assert conic_end(c, -1.0) == math.inf
+    assert conic_end(0.0, 2.0) == math.inf
+
+
+def test_same_formula_on_drjit_arrays():
+    mi = pytest.importorskip("mitsuba")
+    from mistray._variant import ensure_variant
+
+    ensure_variant()
+    r = np.linspace(0, 1.06, 20)
+    got = np.array(sag(mi.Float64(r * r), *STEEP))
+    np.testing.assert_allclose(got, sag(r * r, *STEEP), rtol=1e-14)
+    slope = np.array(sag_derivative(mi.Float64(r * r), *STEEP))
+    np.testing.assert_allclose(slope, sag_derivative(r * r, *STEEP), rtol=1e-14)

@@ -1,0 +1,140 @@
+from __future__ import annotations
+
+from collections import Counter
+
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.prescription import Coating, Detector, Stop, Structure, Surface, barrel, detector_frame, lens_edge, wall
+
+
+def profile(pieces):
+    return [(piece.name, (piece.r0, piece.z0), (piece.r1, piece.z1)) for piece in pieces]
+
+
+def plano(name, z, semi_diameter, **sides):
+    return Surface(name, z=z, semi_diameter=semi_diameter, **sides)
+
+
+def body(part="L1", z=0.0, front_radius=5.0, rear_radius=5.0):
+    return (
+        plano(f"{part}_front", z, front_radius, back="1.5", part=part),
+        plano(f"{part}_rear", z + 2.0, rear_radius, front="1.5", part=part),
+    )
+
+
+def test_wall_leaves_out_empty_pieces_and_numbers_the_rest():
+    assert profile(wall("w", [(1, 0), (1, 0), (1, 2)])) == [("w", (1, 0), (1, 2))]
+    assert [piece.name for piece in wall("w", [(1, 0), (1, 2), (2, 2)])] == ["w_1", "w_2"]
+    assert wall("w", [(1, 0), (1, 0)]) == ()
+
+
+def test_edge_between_equal_rims_is_one_cylinder():
+    (edge,) = lens_edge(*body())
+    assert profile([edge]) == [("L1_edge", (5.0, 0.0), (5.0, 2.0))]
+    assert (edge.front, edge.back, edge.part, edge.coating) == ("1.5", "air", "L1", Coating(R=0.0))
+
+
+def test_edge_with_bevels_and_flanges():
+    coating, bevel = Coating(R=0.07), Coating(R=0.02, T=0.98)
+    faces = lens_edge(*body(rear_radius=4.0), 6.0, coating=coating, bevel_coating=bevel, contact_radii=(5.2, 4.0))
+    assert profile(faces) == [
+        ("L1_bevel_1", (5.0, 0.0), (5.2, 0.0)),
+        ("L1_flange_1", (5.2, 0.0), (6.0, 0.0)),
+        ("L1_edge", (6.0, 0.0), (6.0, 2.0)),
+        ("L1_flange_2", (4.0, 2.0), (6.0, 2.0)),
+    ]
+    assert [face.coating for face in faces] == [bevel, coating, coating, coating]
+    # the normal of a ring points to +z: glass behind the front ring, before the rear ring
+    assert [(face.front, face.back) for face in faces] == [("air", "1.5")] * 2 + [("1.5", "air")] * 2
+
+
+@pytest.mark.parametrize(
+    ("make", "wanted"),
+    [
+        (lambda: lens_edge(*body(), contact_radii=(4.0, None)), "contact radius 4 mm"),
+        (lambda: lens_edge(body()[0], plano("x", 2.0, 5.0, front="1.6")), "'1.5' for one and '1.6' for the other"),
+        (
+            lambda: lens_edge(
+                Surface("f", radius=6.0, semi_diameter=5.0, back="1.5"),
+                Surface("r", z=2.0, semi_diameter=5.0, front="1.5"),
+            ),
+            "edge thickness",
+        ),
+        (
+            lambda: lens_edge(
+                Surface("f", radius=6.0, coefficients=(-0.005,), semi_diameter=5.0, back="1.5"),
+                Surface("r", z=0.2, semi_diameter=2.5, front="1.5"),
+            ),
+            "cut into it",
+        ),
+    ],
+)  # fmt: skip
+def test_impossible_edges(make, wanted):
+    with pytest.raises(MistrayError, match=wanted):
+        make()
+
+
+def free_ends(shapes):
+    """Ends of the profile in the (r, z) half plane that belong to one face alone; the axis is no end."""
+    ends = Counter()
+    for shape in shapes:
+        if isinstance(shape, Structure):
+            points = [(shape.r0, shape.z0), (shape.r1, shape.z1)]
+        else:
+            points = [shape.rim]
+        ends.update(point for point in points if point[0] > 0)
+    return {point for point, count in ends.items() if count < 2}
+
+
+def test_barrel_closes_a_group():
+    stop = Stop(2.0, 4.0, 4.1, 3.0, 3.0)
+    detector = Detector(z=20.0, semi_diameter=6.0)
+    cemented = (
+        Surface("C_front", z=6.0, radius=30.0, semi_diameter=4.0, back="1.5", part="C1"),
+        Surface("C_mid", z=8.0, radius=-30.0, semi_diameter=4.5, front="1.5", back="1.7", part="C2"),
+        Surface("C_rear", z=9.0, semi_diameter=3.5, front="1.7", part="C2"),
+    )
+    group = (*body(), stop, *cemented, detector)
+    walls = barrel(group, coating=Coating(R=0.05))
+    assert [piece.name for piece in walls if piece.part == "barrel"] == [f"barrel_{k}_wall" for k in (1, 2, 3)]
+    assert {piece.part for piece in walls} == {"L1", "C1", "C2", "barrel"}
+    assert all(piece.coating.opaque for piece in walls)
+    faces = [*(item for item in group if isinstance(item, Surface)), *stop.faces(), *walls]
+    assert free_ends(faces) == set()
+    assert free_ends([face for face in faces if face.name != "barrel_1_wall"]) == {(3.0, 4.0)}
+    assert free_ends([face for face in faces if face.name != "barrel_3_wall"]) == {(6.0, 20.0)}
+
+
+def test_barrel_steps_where_a_cone_would_cut_a_surface():
+    first = Surface("a", radius=-8.0, semi_diameter=6.0, front="1.5")
+    second = plano("b", 0.5, 3.0)
+    assert first.rim[1] < -2
+    # the straight line from the rim of a to the rim of b would pass inside of a
+    walls = barrel((first, second))
+    assert profile(walls) == [
+        ("barrel_1_wall_1", first.rim, (6.0, 0.5)),
+        ("barrel_1_wall_2", (6.0, 0.5), (3.0, 0.5)),
+    ]
+    with pytest.raises(MistrayError, match="cut into it"):
+        barrel((first, plano("b", -1.0, 3.0)))
+
+
+def test_a_gas_of_index_just_above_one_is_no_lens():
+    walls = barrel((plano("a", 0.0, 5.0, back="1.00027"), plano("b", 3.0, 5.0, front="1.00027")))
+    assert [piece.part for piece in walls] == ["barrel"]
+
+
+def test_frame_tiles_the_plane_around_the_detector():
+    detector = Detector(z=5.0, half_width=2.0, half_height=1.0)
+    frame = detector_frame(detector, 4.0, space=7)
+    for x, y in [(2.5, 0.0), (-3.0, 3.5), (0.0, 1.5), (1.9, -1.2), (0.0, -3.9), (3.9, 3.9)]:
+        covering = [s for s in (detector, *frame) if abs(x - s.x) <= s.half_width and abs(y - s.y) <= s.half_height]
+        assert len(covering) == 1, (x, y)
+    area = sum(4 * s.half_width * s.half_height for s in (detector, *frame))
+    assert area == pytest.approx(8.0**2)
+    assert {s.z for s in frame} == {5.0}
+    with pytest.raises(MistrayError, match="reach the corners"):
+        detector_frame(detector, 2.1)
+    with pytest.raises(MistrayError, match="round"):
+        detector_frame(Detector(semi_diameter=3.0))

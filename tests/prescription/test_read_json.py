@@ -1,0 +1,184 @@
+from __future__ import annotations
+
+import json
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles import nonsequential, scene_xml
+
+from mistray.errors import MistrayError
+from mistray.prescription import Structure, from_json
+from mistray.prescription.scene_file import xml_text
+
+FILE = Path(__file__).parents[2] / "scenes" / "phone_camera" / "prescription.json"
+DATA = json.loads(FILE.read_text())
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return from_json(FILE)
+
+
+def test_focal_length_at_two_wavelengths(camera):
+    """EFL at the d line from the report's indices; at 550 nm it rests on the dispersion model."""
+    checks = DATA["checks"]
+    for wavelength_nm, key in [(587.5618, "performance_R13_5p727_d"), (550.0, "performance_R13_5p727_550nm")]:
+        system = camera.paraxial(wavelength_nm)
+        assert system.efl == pytest.approx(checks[key]["EFL"], abs=6e-6)
+        defocus = system.z[-1] + system.bfl - camera.detector.z
+        assert defocus == pytest.approx(checks[key]["paraxial_defocus_mm"], abs=6e-6)
+
+
+def test_surfaces(camera):
+    names = [s.name for s in camera.surfaces]
+    parts = ["window", "L1", "L2", "L3", "L4", "L5", "filter"]
+    assert names == [f"{part}_{face}" for part in parts for face in ("front", "rear")]
+    rows = [row for row in DATA["surfaces"] if row["medium_after"] != "AIR" or "rear" in row["name"]]
+    for surface, row in zip(camera.surfaces, rows, strict=True):
+        assert surface.z == row["z"]
+        assert surface.radius == (row["radius"] or 0)
+        assert surface.semi_diameter == row["semi_diameter"]
+        assert surface.rim[1] == pytest.approx(row.get("edge_z", row["z"]), abs=6e-7)
+    assert {s.coating.R for s in camera.surfaces if s.part in ("window", "filter")} == {0.01}
+    assert {s.coating.R for s in camera.surfaces if s.part.startswith("L")} == {0.02}
+
+
+def test_source_stop_and_detector(camera):
+    assert np.pi * camera.source.radius**2 == pytest.approx(DATA["sources"]["stray_light"]["power_W"], rel=1e-9)
+    assert camera.source.wavelength_nm == (550.0,)
+    assert (camera.source.x, camera.source.y, camera.source.z) == (0, 0, 0)
+    wall = next(face for face in camera.stop.faces() if face.name == "stop_wall")
+    assert (wall.r0, wall.z0, wall.r1, wall.z1) == (1.25171162, -0.075, 1.25171162, 0.0)
+    assert camera.detector.coating.R == 0.2
+    assert camera.detector.coating.opaque
+    assert 2 * camera.detector.half_width == pytest.approx(DATA["detector"]["width"], abs=1e-8)
+
+
+def test_every_barrel_piece_is_there_once(camera):
+    pieces = Counter(row_space for row_space, rows in DATA["barrel"]["optical_spaces"].items() for _ in rows)
+    # three faces of the stop are made from aperture_stop, and the board is a frame of four around the detector
+    pieces["1"] -= 3
+    pieces["7"] += 3
+    mechanical = Counter(str(s.space) for s in camera.structures if s.part in ("barrel", "board"))
+    assert mechanical == pieces
+
+
+def test_no_two_faces_coincide(camera):
+    flat = [s for s in camera.shapes() if isinstance(s, Structure) and s.z0 == s.z1]
+    for i, a in enumerate(flat):
+        for b in flat[:i]:
+            if a.z0 == b.z0:
+                overlap = min(max(a.r0, a.r1), max(b.r0, b.r1)) - max(min(a.r0, a.r1), min(b.r0, b.r1))
+                assert overlap <= 0, (a.name, b.name)
+
+
+def test_visible_rings_are_glass_and_contact_is_opaque(camera):
+    faces = {s.name: s for s in camera.structures}
+    for body in DATA["lens_bodies"]:
+        for number in (1, 2):
+            visible = body.get(f"visible_bevel_{number}")
+            if not visible or (body["name"], number) == ("L1", 1):  # the barrel's lip covers this one
+                continue
+            ring = faces[f"{body['name']}_bevel_{number}"]
+            assert sorted((ring.r0, ring.r1)) == pytest.approx(visible)
+            assert ring.coating.T == 0.98
+            assert faces[f"{body['name']}_flange_{number}"].coating.R == 0.07
+            assert faces[f"{body['name']}_flange_{number}"].coating.opaque
+    assert "L1_bevel_1" not in faces
+    assert faces["barrel_1_L1_seat_lip"].back == camera.surfaces[2].back
+
+
+# a point on the axis in every cell, and what fills the cell
+CELLS = {
+    "window": (-0.6, "nd=1.7715 Vd=72.2"),
+    "gap 1": (-0.3, "air"),
+    "L1": (0.5, "nd=1.544 Vd=56.1"),
+    "gap 2": (1.15, "air"),
+    "L2": (1.3, "nd=1.632 Vd=23.3"),
+    "gap 3": (2.0, "air"),
+    "L3": (2.7, "nd=1.632 Vd=23.3"),
+    "gap 4": (3.2, "air"),
+    "L4": (4.0, "nd=1.544 Vd=56.1"),
+    "gap 5": (4.12, "air"),
+    "L5": (4.5, "nd=1.632 Vd=23.3"),
+    "gap 6": (5.3, "air"),
+    "filter": (5.4, "nd=1.516 Vd=64.1"),
+    "gap 7": (5.6, "air"),
+}
+RAYS = 4000
+
+
+@pytest.mark.parametrize("variant", [None, "R13=5.272"])
+@pytest.mark.parametrize("cell", CELLS)
+def test_every_cell_is_closed(cell, variant):
+    """From inside a cell every ray meets a face whose near side holds the cell's own medium."""
+    model = scene_xml.parse_scene(xml_text(from_json(FILE, variant=variant)), FILE)
+    z, material = CELLS[cell]
+    rng = np.random.default_rng(7)
+    direction = rng.normal(size=(RAYS, 3))
+    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
+    origin = np.tile([0.0, 0.0, z], (RAYS, 1))
+    # one flight takes the rays to the boundary, a second one, from there and in any direction, back into the cell
+    last = np.full(RAYS, -1)
+    for _ in range(4):
+        t, hit = nonsequential.nearest_hits(model, origin, direction, last)
+        assert np.all(hit >= 0)
+        origin = origin + t[:, None] * direction
+        for number in np.unique(hit):
+            here, shape = hit == number, model.shapes[number]
+            normal = shape.normal(origin[here])
+            from_front = np.einsum("ij,ij->i", normal, direction[here]) > 0
+            near = np.where(from_front, shape.interface.front, shape.interface.back)
+            assert set(near) == {material}, shape.shape_id
+            inward = np.where(from_front[:, None], -normal, normal)
+            fresh = rng.normal(size=inward.shape)
+            fresh /= np.linalg.norm(fresh, axis=1, keepdims=True)
+            away = np.einsum("ij,ij->i", fresh, inward)
+            direction[here] = fresh - 2 * np.minimum(away, 0)[:, None] * inward
+        last = hit
+
+
+def test_variant():
+    other = from_json(FILE, variant="R13=5.272")
+    assert other.paraxial(587.5618).efl == pytest.approx(DATA["variants"]["R13=5.272"]["EFL"], abs=6e-6)
+    with pytest.raises(MistrayError, match="variant 'R13=5' is unknown; it has R13=5.272"):
+        from_json(FILE, variant="R13=5")
+
+
+def broken(tmp_path, change):
+    data = json.loads(FILE.read_text())
+    change(data)
+    path = tmp_path / "lens.json"
+    path.write_text(json.dumps(data))
+    return path
+
+
+@pytest.mark.parametrize(
+    ("change", "wanted"),
+    [
+        (lambda d: d.pop("coatings"), "key 'coatings' is missing"),
+        (lambda d: d["surfaces"][6].pop("semi_diameter"), "key 'semi_diameter' is missing"),
+        (lambda d: d["surfaces"][6].update(semi_diameter=-1.4), "surface 'L1_front': semi_diameter = -1.4 mm"),
+        (lambda d: d["surfaces"][9].update(semi_diameter=1.2), "surface 'L2_rear': .* conic ends at 1.11"),
+        (lambda d: d["surfaces"][6].update(medium_after="GLASS"), "'GLASS'"),
+        (lambda d: d["surfaces"][6].update(name="first"), "surface 'first' is not named"),
+        (lambda d: d["surfaces"][8].update(z=0.9), "'L1_rear' and 'L2_front' cross at r ="),
+        (lambda d: d["barrel"]["optical_spaces"]["2"][0].update(label="cone"), "barrel piece 'cone'"),
+        (lambda d: d["barrel"]["optical_spaces"]["1"].pop(3), r"labelled '\(AS rear\)'"),
+    ],
+)  # fmt: skip
+def test_bad_files(tmp_path, change, wanted):
+    with pytest.raises(MistrayError, match=wanted) as caught:
+        from_json(broken(tmp_path, change))
+    assert "\n" not in str(caught.value)
+
+
+def test_missing_and_unreadable_files(tmp_path):
+    with pytest.raises(MistrayError, match="No such file"):
+        from_json(tmp_path / "none.json")
+    path = tmp_path / "text.json"
+    path.write_text("{")
+    with pytest.raises(MistrayError, match="must be a JSON file"):
+        from_json(path)

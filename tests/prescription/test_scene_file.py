@@ -1,0 +1,162 @@
+"""One tree of nodes, two forms: the dictionary and the XML file hold the same scene."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Structure, Surface
+from mistray.prescription.scene_file import scene_dict, xml_text
+
+READ = {"float": float, "integer": int, "string": str, "boolean": lambda text: text == "true"}
+
+
+@pytest.fixture
+def everything():
+    """A prescription in which every parameter of every part is set."""
+    return Prescription(
+        name="all <parameters> -- & more",
+        provenance="first line\nsecond -- line",
+        surfaces=(
+            Surface(
+                "L1_front",
+                z=0.1,
+                radius=1.679,
+                conic=0.22669364,
+                coefficients=(0.00980281, 0.0, -0.0239681),
+                semi_diameter=1.2,
+                inner_semi_diameter=0.1,
+                back="nd=1.544 Vd=56.1",
+                coating=Coating(R=0.02, T=0.98),
+                part="L1",
+                space=3,
+            ),
+            Surface(
+                "fold",
+                x=1e-7,
+                y=-2.0,
+                z=1 / 3,
+                tilt_deg=(45.0, 0.5, -90.0),
+                half_width=1.0,
+                half_height=2.0,
+                coating=Coating(R=1.0),
+                mirror=True,
+            ),
+            Surface("coated", z=2.0, semi_diameter=1.0, front="N-BK7", back="1.7", coating=Coating(table="ar.csv")),
+            Surface("bare", z=3.0, semi_diameter=1.0, front="1.7"),
+        ),
+        structures=(Structure("edge", 1.0, 2.0, 1.0, 3.0, front="1.7", y=0.5, tilt_deg=(90.0, 0.0, 0.0), space=0),),
+        stop=Stop(0.5, -0.2, -0.1, 1.5, 1.6, coating=Coating(R=0.07)),
+        detector=Detector(z=5.7, half_width=2.0, half_height=1.5, coating=Coating(R=0.2), pixels=(40, 30)),
+        source=Source(
+            y=0.1,
+            tilt_deg=(0.0, 180.0, 0.0),
+            radius=1.252,
+            inner_radius=0.3,
+            field_deg=10.0,
+            azimuth_deg=30.0,
+            plane="axis",
+            distance=12.0,
+            irradiance=2.0,
+            wavelength_nm=(486.1, 587.6),
+            weights=(1.0, 2.0),
+            pattern="grid",
+        ),
+    )
+
+
+def from_xml(element):
+    """The dictionary form of an XML element, with to_world as a (4, 4) array."""
+    result = {"type": element.get("type")}
+    for child in element:
+        if child.tag in READ:
+            result[child.get("name")] = READ[child.tag](child.get("value"))
+        elif child.tag == "transform":
+            matrix = np.eye(4)
+            for step in child:
+                matrix = transform(step) @ matrix
+            result[child.get("name")] = matrix
+        else:
+            result[child.tag] = from_xml(child)
+    return result
+
+
+def transform(step):
+    values = {axis: float(step.get(axis, 0)) for axis in "xyz"}
+    matrix = np.eye(4)
+    if step.tag == "translate":
+        matrix[:3, 3] = [values[axis] for axis in "xyz"]
+        return matrix
+    from scipy.spatial.transform import Rotation
+
+    (axis,) = (axis for axis in "xyz" if values[axis])
+    matrix[:3, :3] = Rotation.from_euler(axis, float(step.get("angle")), degrees=True).as_matrix()
+    return matrix
+
+
+def same(a, b, path=""):
+    assert a.keys() == b.keys(), path
+    for key, value in a.items():
+        here = f"{path}/{key}"
+        if isinstance(value, dict):
+            same(value, b[key], here)
+        elif key == "to_world":
+            np.testing.assert_allclose(matrix(value), matrix(b[key]), rtol=2e-7, atol=1e-7, err_msg=here)
+        else:
+            assert value == b[key], here
+            assert type(value) is type(b[key]), here
+
+
+def matrix(value):
+    return value if isinstance(value, np.ndarray) else np.array(value.matrix, dtype=float).reshape(4, 4)
+
+
+def test_dictionary_and_xml_hold_the_same(everything):
+    root = ElementTree.fromstring(xml_text(everything))
+    assert root.get("version") == "3.0.0"
+    read = {"type": "scene"} | {child.get("id"): from_xml(child) for child in root}
+    written = scene_dict(everything)
+    assert list(read) == list(written)
+    same(written, read)
+    assert set(written["L1_front"]) == {
+        "type", "radius", "conic", "a4", "a8", "semi_diameter", "inner_semi_diameter", "part", "space", "to_world", "bsdf",
+    }  # fmt: skip
+    assert written["detector"]["sensor"]["film"]["width"] == 40
+    assert written["fold"]["bsdf"] == {"type": "interface", "R": 1.0, "mirror": True}
+    assert written["source"]["wavelength_nm"] == "486.1, 587.6"
+    assert [key for key in written if key.startswith("stop")] == ["stop_front", "stop_wall", "stop_rear"]
+
+
+def test_numbers_survive_to_the_last_bit(everything):
+    root = ElementTree.fromstring(xml_text(everything))
+    z = root.find("./shape[@id='fold']/transform/translate").get("z")
+    assert float(z) == 1 / 3
+
+
+def test_file_is_readable_and_the_same_each_time(everything, tmp_path):
+    path = tmp_path / "scene.xml"
+    everything.to_xml(path)
+    first = path.read_bytes()
+    everything.to_xml(path)
+    assert path.read_bytes() == first
+    assert [file.name for file in tmp_path.iterdir()] == ["scene.xml"]
+    text = first.decode()
+    for comment in ("second - - line", "<!-- Optical surfaces -->", "<!-- Structure -->", "<!-- Detector -->"):
+        assert comment in text
+
+
+def test_bad_targets(everything, tmp_path):
+    with pytest.raises(MistrayError, match="check the folder"):
+        everything.to_xml(tmp_path / "missing" / "scene.xml")
+    infinite = Prescription(
+        name="x",
+        surfaces=(),
+        detector=everything.detector,
+        source=Source(radius=1.0, field_deg=float("nan")),
+    )
+    with pytest.raises(MistrayError, match="nan cannot be written"):
+        infinite.to_xml(tmp_path / "scene.xml")
+    assert not list(tmp_path.iterdir())

@@ -1,0 +1,121 @@
+"""The shipped scenes: the XML files are what the prescriptions give, and their figures are those of their sources."""
+
+from __future__ import annotations
+
+import importlib
+import math
+from pathlib import Path
+
+import numpy as np
+import pytest
+from oracles import beams, nonsequential, scene_xml
+
+from mistray.prescription.scene_file import xml_text
+
+SCENES = Path(__file__).parents[2] / "scenes"
+NAMES = sorted(file.parent.name for file in SCENES.glob("*/prescription.py"))
+
+
+def build(name):
+    return importlib.import_module(f"mistray.scenes.{name}.prescription").build()
+
+
+def test_every_scene_has_a_prescription():
+    assert sorted(file.parent.name for file in SCENES.glob("*/scene.xml")) == NAMES
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_xml_is_what_the_prescription_gives(name):
+    """If this fails, run: python -m mistray.scenes."""
+    assert (SCENES / name / "scene.xml").read_text(encoding="utf-8") == xml_text(build(name))
+
+
+def test_cooke_triplet_is_the_published_one():
+    system = build("cooke_triplet").paraxial(587.5618)
+    assert system.efl == pytest.approx(50.0, abs=2e-3)
+    assert system.bfl == pytest.approx(41.2365, abs=2e-3)
+
+
+def test_double_gauss_is_the_published_one_at_f4():
+    lens = build("double_gauss")
+    system = lens.paraxial(587.5618)
+    assert system.efl == pytest.approx(50.0, rel=0.01)
+    assert system.z[-1] + system.bfl == pytest.approx(lens.detector.z, abs=1e-3)
+    at_stop = system.trace(1.0, 0.0)[4]
+    stop_height = at_stop[0] + at_stop[1] * (lens.stop.z_front - system.z[4])
+    assert system.efl / (2 * lens.stop.radius / stop_height) == pytest.approx(4.0, rel=1e-3)
+
+
+def test_singlet_is_in_focus():
+    lens = build("singlet_window_detector")
+    system = lens.paraxial(587.5618)
+    assert system.z[-1] + system.bfl == pytest.approx(lens.detector.z, rel=1e-13)
+
+
+# What may leave the scene, by the last surface touched; everything else is absorbed
+OPENINGS = {
+    "cooke_triplet": {"L1_front"},
+    "double_gauss": {"L1_front"},
+    "phone_camera": {"window_front"},
+    "singlet_window_detector": {"L1_front"},
+}
+
+
+@pytest.mark.parametrize("name", OPENINGS)
+@pytest.mark.parametrize("field_deg", [0.0, 15.0])
+def test_light_leaves_through_the_front_only(name, field_deg):
+    model = scene_xml.read_scene(SCENES / name / "scene.xml")
+    emitter = model.emitters[0]
+    beam = beams.collimated(emitter, 1000, beams.start_distance(model, emitter), field_deg)
+    wavelength_nm = float(emitter.values["wavelength_nm"])
+    ledger = nonsequential.trace(
+        model, beam.origin, beam.direction, beam.power, wavelength_nm, max_events=20, flux_threshold=1e-5
+    )
+    assert not ledger.leaks_W
+    assert {key for key, power in ledger.escaped_from_W.items() if power} <= OPENINGS[name] | {"source"}
+
+
+def test_newtonian_forms_an_image_on_its_axis():
+    model = scene_xml.read_scene(SCENES / "newtonian" / "scene.xml")
+    emitter = model.emitters[0]
+    beam = beams.collimated(emitter, 4000, beams.start_distance(model, emitter), 0.1)
+    ledger = nonsequential.trace(model, beam.origin, beam.direction, beam.power, 546.1, flux_threshold=1e-6)
+    image = ledger.paths[0]
+    assert image.text == "primary:R diagonal:R image:A"
+    focal_length, coma = 1270.0, 3 * math.radians(0.1) / (16 * (1270.0 / 190.5) ** 2) * 1270.0
+    assert abs(image.y_mm) == pytest.approx(focal_length * math.tan(math.radians(0.1)), abs=coma)
+    assert image.rms_radius_mm < 0.02
+    # the beam less the shadows of the diagonal and of the eyepiece tube, two mirrors of 92 %
+    diagonal = build("newtonian").surfaces[1]
+    tube, primary, tube_end, tube_width = 101.6, 95.25, 76.2, 25.4
+    shadow = 4 * diagonal.half_width * diagonal.half_height / math.sqrt(2) + tube_width * (primary - tube_end)
+    expected = 0.92**2 * (math.pi * primary**2 - shadow) / (math.pi * tube**2)
+    assert image.power_W / ledger.launched_W == pytest.approx(expected, rel=3e-3)
+
+
+def test_lens_and_reflector_has_the_paths_of_the_slide():
+    model = scene_xml.read_scene(SCENES / "lens_and_reflector" / "scene.xml")
+    emitter = model.emitters[0]
+    beam = beams.collimated(emitter, 4000, beams.start_distance(model, emitter), 0.0)
+    ledger = nonsequential.trace(model, beam.origin, beam.direction, beam.power, 546.1)
+    direct = ledger.find("lens_front:T", "lens_rear:T", "reflector:R", "target:A")
+    ghost = ledger.find("lens_front:T", "lens_rear:R", "lens_front:R", "lens_rear:T", "reflector:R", "target:A")
+    assert direct.power_W / direct.rays / beam.power[0] == pytest.approx(20.7347613517402 / 26, rel=3e-3)
+    per_ray = (ghost.power_W / ghost.rays) / (direct.power_W / direct.rays)
+    assert per_ray == pytest.approx((0.00286680426298308 / 2) / (20.7347613517402 / 26), rel=1e-2)
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_dictionary_and_file_load_as_the_same_scene(name):
+    import mitsuba as mi
+
+    from mistray.scene import load
+
+    first, second = build(name).to_scene(), load(SCENES / name / "scene.xml")
+    assert [shape.id() for shape in first.shapes()] == [shape.id() for shape in second.shapes()]
+    a, b = mi.traverse(first), mi.traverse(second)
+    assert list(a.keys()) == list(b.keys())
+    for key in a.keys():
+        np.testing.assert_array_equal(np.array(a[key]), np.array(b[key]), err_msg=key)
+    for one, other in zip(first.shapes(), second.shapes(), strict=True):
+        assert str(one.bsdf()) == str(other.bsdf())

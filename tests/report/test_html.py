@@ -1,0 +1,157 @@
+"""The HTML report: self-contained, well-formed, complete or absent."""
+
+import re
+from html.parser import HTMLParser
+
+import pytest
+from report.fake_scene import lens_scene
+from report.fake_trace import trace_at
+
+from mistray.analysis.ghosts import GhostReport
+from mistray.errors import MistrayError
+from mistray.report import html, output
+from mistray.report.html import html_text, write_html
+from mistray.report.output import writable_directory, write_all
+
+VOID = {"meta", "img", "input", "br", "path", "use", "rect"}
+
+
+class Page(HTMLParser):
+    """Notes the open tags, ids, links and the cells of each row."""
+
+    def __init__(self):
+        super().__init__()
+        self.open, self.ids, self.links, self.rows, self.svg = [], [], [], [], 0
+
+    def handle_starttag(self, tag, attrs):
+        attributes = dict(attrs)
+        if tag not in VOID:
+            self.open.append(tag)
+        if "svg" not in self.open:
+            self.ids += [attributes["id"]] if "id" in attributes else []
+            self.links += [attributes[key] for key in ("href", "src") if key in attributes]
+        if tag == "tr":
+            self.rows.append([self.open.count("table"), 0])
+        if tag in ("td", "th"):
+            self.rows[-1][1] += 1
+
+    def handle_endtag(self, tag):
+        if tag not in VOID:
+            assert self.open.pop() == tag
+
+
+@pytest.fixture(scope="module")
+def report():
+    traces = {field: trace_at(field) for field in (0.0, 20.0)}
+    traces[0.0].settings["scene"] = "a <b> & c"
+    return GhostReport(lens_scene(), traces, traces[0.0])
+
+
+@pytest.fixture(scope="module")
+def text(report):
+    return html_text(report, command="mistray ghosts 'a <b> & c' --rays 1e6")
+
+
+def test_nothing_comes_from_the_network(text):
+    without_namespaces = re.sub(r'xmlns(:\w+)?="[^"]*"', "", text)
+    page = Page()
+    page.feed(text)
+    assert all(link.startswith(("data:", "#")) for link in page.links)
+    assert not re.search(r'(src|href)="(https?:)?//', without_namespaces)
+    assert not re.search(r"@import|url\(\s*['\"]?http|fetch\(|XMLHttpRequest", without_namespaces)
+
+
+def test_tags_are_balanced_and_ids_are_unique(text):
+    page = Page()
+    page.feed(text)
+    assert page.open == []
+    assert len(page.ids) == len(set(page.ids))
+    assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
+
+
+def test_rows_have_as_many_cells_as_their_header(text):
+    for table in re.findall(r"<table.*?</table>", text, re.DOTALL):
+        counts = {len(re.findall(r"<t[dh][ >]", row)) for row in re.findall(r"<tr>.*?</tr>", table, re.DOTALL)}
+        assert len(counts) == 1
+
+
+def test_names_are_escaped(text):
+    assert "a <b> & c" not in text
+    assert "Ghost analysis: a &lt;b&gt; &amp; c" in text
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "mistray ghosts",
+        "3.9.1",
+        "closure",
+        "W/mm²",
+        "fewer than 30 rays",
+        "detector → L1_rear",
+        "one standard error",
+        "max_events",
+    ],
+)
+def test_report_says(text, words):
+    assert words in text
+
+
+def test_every_field_has_its_table_and_thumbnails(text):
+    for name in ("t-field-0", "t-field-20"):
+        table = re.search(rf'<table id="{name}".*?</table>', text, re.DOTALL)[0]
+        assert table.count("data:image/png;base64,") == 4
+
+
+def test_a_failure_leaves_nothing(report, tmp_path, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("out of paper")
+
+    monkeypatch.setattr(html, "html_text", fail)
+    with pytest.raises(RuntimeError, match="out of paper"):
+        write_html(report, tmp_path / "report.html")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_write_all_writes_every_file(report, tmp_path):
+    files = write_all(report, tmp_path / "out", "mistray ghosts x")
+    assert sorted(file.name for file in files) == sorted(entry.name for entry in (tmp_path / "out").iterdir())
+    names = {file.name for file in files}
+    assert {
+        "report.html",
+        "paths.csv",
+        "overview.png",
+        "ghosts_0deg.png",
+        "layout_20deg.png",
+        "path_sort_0deg.txt",
+    } <= names
+    assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+def test_write_all_fails_without_a_trace(report, tmp_path, monkeypatch):
+    def fail(*_):
+        raise RuntimeError("out of ink")
+
+    monkeypatch.setattr(output, "write_html", fail)
+    with pytest.raises(RuntimeError, match="out of ink"):
+        write_all(report, tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_write_all_keeps_files_of_others(report, tmp_path):
+    (tmp_path / "notes.txt").write_text("mine")
+    (tmp_path / "paths.csv").write_text("old")
+    write_all(report, tmp_path)
+    assert (tmp_path / "notes.txt").read_text() == "mine"
+    assert (tmp_path / "paths.csv").read_text().startswith("field_deg,")
+
+
+def test_output_directory_that_is_a_file_is_an_error(tmp_path):
+    (tmp_path / "out").write_text("")
+    with pytest.raises(MistrayError, match="out' is a file; name a directory"):
+        writable_directory(tmp_path / "out")
+
+
+def test_output_directory_without_a_parent_is_an_error(tmp_path):
+    with pytest.raises(MistrayError, match="does not exist; make it first"):
+        writable_directory(tmp_path / "a" / "b")

@@ -1,0 +1,166 @@
+"""Pictures: what they show, on which scale, with which labels."""
+
+import numpy as np
+import pytest
+from report.fake_scene import FakeShape, lens_scene
+from report.fake_trace import trace_at
+
+from mistray.analysis.ghosts import GhostReport
+from mistray.errors import MistrayError
+from mistray.report.layout import chain, glass_bodies, layout, meridional, section, slice_mesh
+from mistray.report.plots import (
+    as_png,
+    common_range,
+    draw_map,
+    ghost_image,
+    image_colours,
+    levels_against_field,
+    montage,
+    thumbnail,
+)
+
+
+@pytest.fixture(scope="module")
+def report():
+    traces = {field: trace_at(field) for field in (0.0, 10.0, 20.0)}
+    return GhostReport(lens_scene(), traces, traces[0.0])
+
+
+def images(figure):
+    return [image for axes in figure.axes for image in axes.get_images()]
+
+
+def test_ghost_image_shows_log10_of_the_map(report):
+    figure = ghost_image(report, 10.0)
+    whole, stray = images(figure)
+    floor, top = common_range(report)
+    data = whole.get_array()
+    lit = report[10.0].irradiance >= 10**floor
+    np.testing.assert_allclose(data[lit], np.log10(report[10.0].irradiance[lit]))
+    assert np.ma.masked_invalid(data).mask[~lit].all()
+    assert whole.get_clim() == stray.get_clim() == (floor, top)
+    assert tuple(whole.get_extent()) == report[10.0].extent
+    assert stray.get_array()[lit].max() < data[lit].max()
+
+
+def test_axes_are_in_mm_with_equal_aspect_and_the_floor_is_stated(report):
+    figure = ghost_image(report, 0.0)
+    left = figure.axes[0]
+    assert (left.get_xlabel(), left.get_ylabel(), left.get_aspect()) == ("x [mm]", "y [mm]", 1.0)
+    assert "W/mm²" in figure.axes[-1].get_ylabel()
+    assert "floor 1e" in figure.get_supxlabel()
+
+
+def test_montage_uses_one_scale(report):
+    shown = images(montage(report))
+    assert len(shown) == 3
+    assert {image.get_clim() for image in shown} == {common_range(report)}
+
+
+def test_colours_grow_lighter_all_the_way():
+    """Lightness of the colour map must rise without a break, or steps appear that are not in the data."""
+    rgb = image_colours()(np.linspace(0, 1, 64))[:, :3]
+    luminance = np.where(rgb <= 0.04045, rgb / 12.92, ((rgb + 0.055) / 1.055) ** 2.4) @ [0.2126, 0.7152, 0.0722]
+    assert (np.diff(luminance) > 0).all()
+
+
+def test_a_dark_map_says_so(report):
+    figure, limits = thumbnail(np.zeros((4, 4)), (-1.0, 1.0, -1.0, 1.0))
+    assert limits is None
+    assert [text.get_text() for text in figure.axes[0].texts] == ["no light"]
+
+
+def test_scale_upside_down_is_an_error(report):
+    figure = montage(report)
+    with pytest.raises(MistrayError, match="the floor must lie below the top"):
+        draw_map(figure.axes[0], np.ones((2, 2)), (0.0, 1.0, 0.0, 1.0), (2.0, 1.0))
+
+
+def test_levels_leave_out_what_a_logarithmic_axis_cannot_show(report):
+    left = levels_against_field(report).axes[0]
+    labels = left.get_legend_handles_labels()[1]
+    assert labels == ["direct image", "ghost", "structure"]
+    direct = left.containers[0].lines[0].get_xdata()
+    np.testing.assert_array_equal(direct, [0.0, 10.0])
+
+
+def test_png_is_a_png(report):
+    assert as_png(montage(report)).startswith(b"\x89PNG")
+
+
+def test_section_of_a_lens_is_exact():
+    surfaces = {surface.name: surface for surface in section(lens_scene())}
+    front = surfaces["L1_front"].lines[0]
+    np.testing.assert_allclose(front[:, 0], 0.8 + 0.25 * front[:, 1] ** 2, atol=1e-14)
+    assert front[0, 1] == -1.0
+    assert front[-1, 1] == 1.0
+    assert len(surfaces["barrel"].lines) == 2
+    assert [surfaces[name].kind for name in ("L1_front", "barrel", "detector")] == ["glass", "structure", "detector"]
+
+
+def test_section_of_a_tilted_surface():
+    mirror = FakeShape("fold", "fold", [[0.0, 0.0], [1.0, 0.0]], 0.0, mirror=True)
+    c = np.sqrt(0.5)
+    mirror.matrix[:3, :3] = [[1, 0, 0], [0, c, -c], [0, c, c]]
+    (surface,) = section(type("Scene", (), {"shapes": lambda self: [mirror]})())
+    assert surface.kind == "mirror"
+    np.testing.assert_allclose(np.linalg.norm(surface.lines[0][-1]), 1.0)
+    np.testing.assert_allclose(surface.lines[0][-1], [c, c], atol=1e-12)
+
+
+def test_glass_is_filled_between_surfaces_of_the_same_material():
+    bodies = glass_bodies(lens_scene())
+    assert len(bodies) == 2
+    window = bodies[0]
+    assert (window[:, 0].min(), window[:, 0].max(), window[:, 1].max()) == (0.0, 0.3, 1.2)
+
+
+def test_glass_follows_its_edge():
+    """L1 of the fake lens has rims at r = 1 and an edge of r = 1 between z = 1.05 and 1.5."""
+    shapes = [shape for shape in lens_scene().shapes() if shape.part == "L1"]
+    shapes[2] = FakeShape("L1_edge", "L1", [[1.0, 1.05], [1.2, 1.2]], 0.0, "nd=1.6 Vd=30", "air", opaque=True)
+    shapes.append(FakeShape("L1_bevel", "L1", [[1.0, 1.5], [1.2, 1.2]], 0.0, "nd=1.6 Vd=30", "air", opaque=True))
+    (body,) = glass_bodies(type("Scene", (), {"shapes": lambda self: shapes})())
+    assert body[:, 1].max() == 1.2
+    assert body[:, 1].min() == -1.2
+
+
+def test_chain_takes_the_shortest_way():
+    steps = [
+        np.array(step, dtype=float) for step in ([[1, 0], [1, 1]], [[1, 1], [0, 1]], [[0, 0], [1, 0]], [[5, 5], [6, 6]])
+    ]
+    np.testing.assert_array_equal(chain(np.zeros(2), np.array([0.0, 1.0]), steps), [[1, 0], [1, 1], [0, 1]])
+    assert chain(np.zeros(2), np.array([7.0, 7.0]), steps).shape == (0, 2)
+
+
+def test_slice_of_a_mesh():
+    vertices = np.array([[x, y, z] for x in (-1, 1) for y in (0, 2) for z in (5, 6)], dtype=float)
+    # the two faces y = 0 and y = 2 of a box
+    faces = [[0, 1, 5], [0, 5, 4], [2, 3, 7], [2, 7, 6]]
+    lines = slice_mesh(vertices, faces)
+    length = {y: sum(np.linalg.norm(line[1] - line[0]) for line in lines if np.allclose(line[:, 1], y)) for y in (0, 2)}
+    assert length == pytest.approx({0: 1.0, 2: 1.0})
+
+
+def test_meridional_rays_spread_over_the_pupil_and_stay_near_the_plane():
+    rng = np.random.default_rng(0)
+    starts = rng.uniform(-1, 1, (64, 2))
+    rays = [np.array([[x, y, 0.0], [x, y, 1.0]]) for x, y in starts]
+    chosen = meridional(rays, 7)
+    heights = [ray[0, 1] for ray in chosen]
+    assert len(chosen) == 7
+    assert max(heights) - min(heights) > 1.2
+    assert np.mean([abs(ray[0, 0]) for ray in chosen]) < 0.5 * np.mean(np.abs(starts[:, 0]))
+    assert meridional([], 7) == []
+    assert len(meridional(rays[:2], 7)) == 2
+
+
+def test_layout_draws_the_direct_image_and_the_worst_ghosts(report):
+    figure = layout(report, 10.0, ghosts=2)
+    labels = figure.axes[0].get_legend_handles_labels()[1]
+    assert labels == ["direct image", "detector → L1_rear (ghost)", "detector → window_rear (ghost)"]
+
+
+def test_layout_out_of_field_draws_stray_paths_only(report):
+    labels = layout(report, 20.0, ghosts=1).axes[0].get_legend_handles_labels()[1]
+    assert labels == ["detector → L1_rear (ghost)"]

@@ -1,0 +1,107 @@
+"""Numbers as text, printed tables, CSV files and warnings."""
+
+import math
+
+import numpy as np
+import pandas as pd
+import pytest
+from report.fake_scene import lens_scene
+from report.fake_trace import trace_at
+
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.ghosts import GhostReport
+from mistray.report.tables import main_table, text_table, warnings, with_error, write_csv
+
+
+@pytest.fixture(scope="module")
+def report():
+    traces = {field: trace_at(field) for field in (0.0, 10.0, 20.0)}
+    return GhostReport(lens_scene(), traces, traces[0.0])
+
+
+@pytest.mark.parametrize(
+    ("value", "se", "text"),
+    [
+        (9.354802972e-05, 1.234e-07, "9.355e-05 ± 1.2e-07"),
+        (128734.4, 17.3, "1.28734e+05 ± 1.7e+01"),
+        (0.95231, 0.00123, "0.9523 ± 0.0012"),
+        (12.345, 2.1, "12.3 ± 2.1"),
+        (-3.2e-7, 1.1e-9, "-3.200e-07 ± 1.1e-09"),
+        (1e-9, 5.8e-8, "1e-09 ± 5.8e-08"),
+        (0.0, 2.5e-3, "0 ± 2.5e-03"),
+        (1.5, 0.0, "1.5 ± 0"),
+        (1.5, math.nan, "1.5 ± ?"),
+        (math.nan, 1.0, "–"),
+        (math.inf, 1.0, "–"),
+    ],
+)
+def test_with_error(value, se, text):
+    assert with_error(Estimate(value, se)) == text
+
+
+def test_text_table_aligns_its_columns():
+    text = text_table(["name", "power"], ["", "W"], [["a", "1.0"], ["longer", "22.0"]], left=(0,))
+    assert text.splitlines() == [
+        "name    power",
+        "          [W]",
+        "------  -----",
+        "a         1.0",
+        "longer   22.0",
+    ]
+
+
+def test_main_table_names_the_worst_ghost_of_each_field(report):
+    lines = main_table(report).splitlines()
+    ghosts = [line for line in lines if "detector → L1_rear" in line]
+    assert [line.split()[0] for line in ghosts] == ["0", "10", "20"]
+    assert all(" ± " in line for line in ghosts)
+    assert any("of the direct image on axis" in line for line in lines)
+    assert any(line.startswith("energy closure, worst field: 2.0e-07") for line in lines)
+
+
+def test_csv_holds_every_digit(report, tmp_path):
+    files = write_csv(report, tmp_path)
+    assert [file.name for file in files] == ["summary.csv", "paths.csv", "energy.csv", "surfaces.csv"]
+    paths = pd.read_csv(tmp_path / "paths.csv")
+    assert paths.columns[0] == "field_deg"
+    assert list(paths.field_deg.unique()) == [0.0, 10.0, 20.0]
+    for field in report:
+        written, table = paths[paths.field_deg == field].reset_index(drop=True), report.table(field)
+        for name in ("power_W", "power_se_W", "rms_irradiance_W_mm2", "normalised_rms_irradiance"):
+            np.testing.assert_array_equal(written[name], table[name])
+        assert list(written.events) == list(table.events)
+
+
+def test_energy_csv_closes(report, tmp_path):
+    write_csv(report, tmp_path)
+    energy = pd.read_csv(tmp_path / "energy.csv")
+    for _, rows in energy.groupby("field_deg"):
+        power = rows.groupby("entry").power_W.sum()
+        accounted = power.drop(["launched", "unaccounted"]).sum()
+        assert accounted == pytest.approx(power["launched"], rel=1e-12)
+
+
+def test_surfaces_csv_keeps_the_columns_of_the_flux_report(report, tmp_path):
+    write_csv(report, tmp_path)
+    surfaces = pd.read_csv(tmp_path / "surfaces.csv")
+    assert list(surfaces.columns[:4]) == ["field_deg", "id", "part", "space"]
+    assert len(surfaces) == 3 * 6
+
+
+def test_a_limit_that_cuts_light_is_a_warning():
+    t = trace_at(0.0, cut_events=1e-4)
+    found = warnings(GhostReport(lens_scene(), {0.0: t}, t))
+    assert any("2.0e-05 of the launched flux was cut by max_events = 32" in text for text in found)
+
+
+def test_an_open_energy_balance_is_a_warning():
+    t = trace_at(0.0)
+    t.energy.closure = 3e-4
+    found = warnings(GhostReport(lens_scene(), {0.0: t}, t))
+    assert any("field 0 deg: the energy closes to 3.0e-04 only" in text for text in found)
+
+
+def test_undersampled_paths_among_the_worst_are_a_warning(report):
+    assert any(
+        "field 0, 10, 20 deg: some of the worst four paths hold fewer than 30 rays" in w for w in warnings(report)
+    )

@@ -1,0 +1,251 @@
+"""The command line: arguments, one-line errors, exit codes, files."""
+
+import json
+import subprocess
+import sys
+from types import SimpleNamespace
+
+import pytest
+from report.fake_scene import lens_scene
+from report.fake_trace import trace_at
+
+import mistray
+from mistray import cli
+from mistray.errors import MistrayError
+
+
+def run(capsys, *arguments):
+    """Exit code, stdout and stderr of one command in this process."""
+    try:
+        code = cli.main(arguments)
+    except SystemExit as stop:  # --help and --version
+        code = stop.code
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def fails(capsys, *arguments):
+    """The one line that a command with bad input prints."""
+    code, out, err = run(capsys, *arguments)
+    assert code == 2
+    assert out == ""
+    assert err.startswith("mistray: error: ")
+    assert err.count("\n") == 1
+    return err.strip().removeprefix("mistray: error: ")
+
+
+@pytest.fixture
+def fake(monkeypatch):
+    """Replaces scene and tracer; notes the arguments of every trace."""
+    calls = []
+
+    def trace(scene, field_deg=None, progress=None, **settings):
+        calls.append({"field_deg": field_deg, **settings})
+        return trace_at(field_deg or 0.0)
+
+    import mistray.analysis
+
+    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+    monkeypatch.setattr(mistray, "load", lambda source: lens_scene(), raising=False)
+    return calls
+
+
+def test_help_of_every_command_has_an_example(capsys):
+    for arguments in ((), ("doctor",), ("import",), ("ghosts",)):
+        code, out, err = run(capsys, *arguments, "--help")
+        assert code == 0
+        assert "example" in out
+        assert err == ""
+
+
+def test_help_is_fast_because_mitsuba_stays_out():
+    code = "import sys, mistray.cli\ntry: mistray.cli.main(['ghosts', '--help'])\nexcept SystemExit: pass\n"
+    code += "print([name for name in ('mitsuba', 'drjit', 'matplotlib', 'pandas', 'scipy') if name in sys.modules])"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "[]"
+
+
+def test_version(capsys):
+    code, out, _ = run(capsys, "--version")
+    assert code == 0
+    assert out.startswith("mistray ")
+
+
+def test_module_is_the_command():
+    done = subprocess.run([sys.executable, "-m", "mistray", "--version"], capture_output=True, text=True)
+    assert done.returncode == 0
+    assert done.stdout.startswith("mistray ")
+
+
+def test_ghosts_prints_the_main_table(capsys, fake):
+    code, out, err = run(capsys, "ghosts", "lens.xml", "--field-deg", "0", "10", "--rays", "2e3")
+    assert code == 0
+    assert err == ""
+    assert "detector → L1_rear" in out
+    assert [call["field_deg"] for call in fake] == [0.0, 10.0]
+    assert fake[0]["rays"] == 2000
+
+
+def test_ghosts_passes_every_option_on(capsys, fake):
+    options = {
+        "azimuth_deg": 30.0,
+        "wavelength_nm": 620.0,
+        "rays": 1000,
+        "max_reflections": 4,
+        "max_events": 20,
+        "flux_threshold": 1e-6,
+        "splitting": "one",
+        "below_threshold": "roulette",
+        "seed": 5,
+    }
+    arguments = [text for key, value in options.items() for text in ("--" + key.replace("_", "-"), str(value))]
+    code, _, _ = run(capsys, "ghosts", "lens.xml", *arguments)
+    assert code == 0
+    assert fake[0] == {"field_deg": None, **options}
+
+
+def test_ghosts_writes_its_files(capsys, fake, tmp_path):
+    out = tmp_path / "out"
+    code, text, _ = run(capsys, "ghosts", "lens.xml", "--out", str(out))
+    assert code == 0
+    assert (out / "report.html").is_file()
+    assert f"mistray ghosts lens.xml --out {out}" in (out / "report.html").read_text()
+    assert str(out / "report.html") in text
+
+
+def test_json_is_json(capsys, fake):
+    code, out, _ = run(capsys, "ghosts", "lens.xml", "--field-deg", "0", "20", "--json")
+    answer = json.loads(out)
+    assert code == 0
+    assert [field["field_deg"] for field in answer["fields"]] == [0.0, 20.0]
+    assert answer["fields"][1]["ghost_to_signal"] is None
+    worst = answer["fields"][0]["worst_paths"][0]
+    assert worst["label"] == "detector → L1_rear"
+    assert worst["power_se_W"] > 0
+
+
+def test_quiet_is_quiet(capsys, fake):
+    assert run(capsys, "ghosts", "lens.xml", "--quiet") == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ((), "the following arguments are required: COMMAND; see 'mistray --help'"),
+        (("goats", "x"), "invalid choice: 'goats'"),
+        (("ghosts",), "the following arguments are required: SCENE; see 'mistray ghosts --help'"),
+        (("ghosts", "x", "--rays", "many"), "argument --rays: 'many' is not a number"),
+        (
+            ("ghosts", "x", "--rays", "1.5"),
+            "argument --rays: 1.5 must be a whole number that is not negative, such as 1e6",
+        ),
+        (("ghosts", "x", "--field-deg", "95"), "argument --field-deg: 95 must lie between -90 and 90 degrees"),
+        (("ghosts", "x", "--wavelength-nm", "0"), "argument --wavelength-nm: 0 must be positive"),
+        (("ghosts", "x", "--flux-threshold", "nan"), "argument --flux-threshold: 'nan' is not a number"),
+        (("ghosts", "x", "--splitting", "some"), "argument --splitting: invalid choice: 'some'"),
+        (("ghosts", "x", "--depth", "2"), "unrecognized arguments: --depth 2"),
+        (("import", "no_such_lens.json"), "lens 'no_such_lens.json': no such file; check the path"),
+    ],
+)
+def test_wrong_arguments(capsys, arguments, message):
+    assert message in fails(capsys, *arguments)
+
+
+def test_wrong_output_directory_is_found_before_the_trace(capsys, fake, tmp_path):
+    (tmp_path / "out").write_text("")
+    assert "is a file; name a directory" in fails(capsys, "ghosts", "lens.xml", "--out", str(tmp_path / "out"))
+    assert fake == []
+
+
+@pytest.mark.parametrize(
+    ("error", "line"),
+    [
+        (MistrayError("shape 'L1': no material;\n  add one"), "shape 'L1': no material; add one"),
+        (RuntimeError("LLVM backend\nis not available"), "LLVM backend is not available"),
+        (PermissionError(13, "Permission denied", "x.xml"), "PermissionError: [Errno 13] Permission denied: 'x.xml'"),
+    ],
+)
+def test_errors_are_one_line(capsys, fake, monkeypatch, error, line):
+    def load(source):
+        raise error
+
+    monkeypatch.setattr(mistray, "load", load)
+    assert fails(capsys, "ghosts", "lens.xml") == line
+
+
+def test_nothing_is_written_when_the_trace_fails(capsys, fake, monkeypatch, tmp_path):
+    def trace(*_, **__):
+        raise MistrayError("field 80 deg: no ray meets the lens; choose a smaller field")
+
+    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+    fails(capsys, "ghosts", "lens.xml", "--out", str(tmp_path / "out"))
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_interrupt(capsys, fake, monkeypatch):
+    def load(source):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(mistray, "load", load)
+    code, out, err = run(capsys, "ghosts", "lens.xml")
+    assert (code, out, err) == (130, "", "mistray: interrupted, nothing was written\n")
+
+
+def test_doctor_answers_in_json(capsys, monkeypatch):
+    from mistray import doctor
+
+    monkeypatch.setattr(doctor, "report", lambda: [doctor.Check("mitsuba", "ok", "3.9.1")])
+    code, out, _ = run(capsys, "doctor", "--json")
+    assert code == 0
+    assert json.loads(out)[0]["name"] == "mitsuba"
+
+
+@pytest.fixture
+def lens(tmp_path):
+    path = tmp_path / "lens.json"
+    path.write_text("{}")
+    return path
+
+
+def test_import_writes_the_scene(capsys, monkeypatch, lens, tmp_path):
+    import mistray.prescription
+
+    class Fake:
+        def shapes(self):
+            return iter("abc")
+
+        def with_source(self, **changes):
+            return SimpleNamespace(shapes=self.shapes, to_xml=lambda path: path.write_text(str(changes)))
+
+    monkeypatch.setattr(mistray.prescription, "from_json", lambda path, variant: Fake())
+    code, out, _ = run(capsys, "import", str(lens), "-o", str(tmp_path / "a.xml"), "--wavelength-nm", "600")
+    assert code == 0
+    assert "3 surfaces" in out
+    assert (tmp_path / "a.xml").read_text() == "{'wavelength_nm': 600.0}"
+
+
+def test_import_that_fails_leaves_nothing(capsys, monkeypatch, lens, tmp_path):
+    import mistray.prescription
+
+    class Broken:
+        def to_xml(self, path):
+            path.write_text("<scene")
+            raise MistrayError("surface 'L1': no material; give one")
+
+    monkeypatch.setattr(mistray.prescription, "from_json", lambda path, variant: Broken())
+    fails(capsys, "import", str(lens), "-o", str(tmp_path / "a.xml"))
+    assert sorted(entry.name for entry in tmp_path.iterdir()) == ["lens.json"]
+
+
+def test_import_names_the_types_it_reads(capsys, tmp_path):
+    path = tmp_path / "lens.stl"
+    path.write_text("")
+    assert "files of type '.stl' cannot be read; give .json or batoid .yaml" in fails(capsys, "import", str(path))
+
+
+def test_import_of_batoid_needs_a_wavelength_and_no_variant(capsys, tmp_path):
+    path = tmp_path / "lens.yaml"
+    path.write_text("")
+    assert "give --wavelength-nm" in fails(capsys, "import", str(path))
+    message = fails(capsys, "import", str(path), "--wavelength-nm", "620", "--variant", "b")
+    assert "batoid files hold no variants; leave it out" in message

@@ -1,0 +1,169 @@
+"""Who may import whom: a module imports only from the layers above it, so data flows one way."""
+
+from __future__ import annotations
+
+import ast
+from dataclasses import dataclass
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+# From the ground up. A module imports from its own layer and from those before it.
+LAYERS = [
+    {"errors"},
+    {"_mitsuba_compat"},
+    {"_variant"},
+    {"physics", "materials", "coatings"},
+    {"prescription"},
+    {"scene"},
+    {"trace"},
+    {"analysis"},
+    {"optimize"},
+    {"report"},
+    {"doctor"},
+    {"cli"},
+]
+# `physics` holds equations and nothing else.
+PURE = {"physics": {"errors", "physics"}}
+# Plugins are looked up by Mitsuba: they use these, and no module imports them.
+PLUGINS_MAY_IMPORT = {"errors", "_mitsuba_compat", "physics", "materials", "coatings", "trace", "plugins"}
+# A shipped scene is a prescription written in Python.
+SCENES_MAY_IMPORT = {"errors", "materials", "prescription", "scenes"}
+# These work on arrays and tables, or before Mitsuba can be imported.
+NO_MITSUBA = {"errors", "physics", "materials", "coatings", "scenes", "report", "doctor", "cli"}
+# Importing Dr.Jit opens libLLVM, so these do it in functions, once libLLVM is settled or somebody asks for a scene.
+LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
+# (importing layer, imported layer): upward imports inside a function, each with its reason.
+LAZY = {
+    ("prescription", "scene"): "Prescription.to_scene() is a shorthand for mistray.scene.load",
+}
+# Names that change between Mitsuba releases live in one file.
+RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}
+
+
+@dataclass(frozen=True)
+class Use:
+    """One import: the layer that does it, what it imports, and whether it does so inside a function."""
+
+    where: str
+    layer: str
+    target: str
+    lazy: bool
+
+
+def layer_of(module: str) -> str:
+    """`mistray.trace.kernel` is of layer `trace`; the package itself is of layer `mistray`."""
+    parts = module.split(".")
+    return parts[1] if len(parts) > 1 else parts[0]
+
+
+def module_of(file: Path) -> str:
+    parts = file.relative_to(ROOT).with_suffix("").parts
+    parts = parts if parts[0] == "mistray" else ("mistray", *parts)
+    return ".".join(parts[:-1] if parts[-1] == "__init__" else parts)
+
+
+def is_type_checking(node: ast.AST) -> bool:
+    return isinstance(node, ast.If) and "TYPE_CHECKING" in ast.unparse(node.test)
+
+
+def uses(file: Path) -> list[Use]:
+    module = module_of(file)
+    package = module if file.name == "__init__.py" else module.rpartition(".")[0]
+    found: list[Use] = []
+
+    def note(node: ast.AST, name: str, lazy: bool) -> None:
+        found.append(Use(f"{file.relative_to(ROOT)}:{node.lineno}", layer_of(module), name, lazy))
+
+    def visit(node: ast.AST, lazy: bool) -> None:
+        if isinstance(node, ast.Import):
+            for alias in node.names:
+                note(node, alias.name, lazy)
+        elif isinstance(node, ast.ImportFrom):
+            start = package.split(".")[: len(package.split(".")) - node.level + 1] if node.level else []
+            base = ".".join([*start, *([node.module] if node.module else [])])
+            for alias in node.names:
+                note(node, f"{base}.{alias.name}" if base == "mistray" else base, lazy)
+        elif not is_type_checking(node):
+            inside = lazy or isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef | ast.Lambda)
+            for child in ast.iter_child_nodes(node):
+                visit(child, inside)
+
+    visit(ast.parse(file.read_text()), False)
+    return found
+
+
+FILES = sorted(
+    file for folder in ("mistray", "plugins", "scenes") for file in (ROOT / folder).rglob("*.py") if file.is_file()
+)
+USES = [use for file in FILES for use in uses(file)]
+HEIGHT = {layer: height for height, layers in enumerate(LAYERS) for layer in layers}
+
+
+def test_every_module_has_a_layer():
+    layers = {layer_of(module_of(file)) for file in FILES} - {"mistray", "plugins", "scenes"}
+    assert layers <= set(HEIGHT), "put new modules into LAYERS"
+
+
+def broken_rule(use: Use) -> str | None:
+    """The rule that an import breaks, None if it breaks none."""
+    top = use.target.split(".")[0]
+    if top in ("mitsuba", "drjit"):
+        if use.layer == "physics" and top == "drjit":
+            return None  # the same formulas run on Dr.Jit arrays
+        if use.layer in NO_MITSUBA:
+            return f"{use.layer} works without {top}"
+        if use.layer in LATE_MITSUBA and not use.lazy:
+            return f"{use.layer} imports {top} in functions only"
+        return None
+    if top != "mistray" or use.layer == "mistray":
+        return None
+    target = layer_of(use.target)
+    if use.layer == "plugins":
+        return None if target in PLUGINS_MAY_IMPORT else f"plugins do not import {target}"
+    if use.layer == "scenes":
+        return None if target in SCENES_MAY_IMPORT else f"scenes do not import {target}"
+    if target == "plugins":
+        return "plugins are looked up by Mitsuba"
+    if target == "scenes":
+        return None if use.layer == "scene" else "shipped scenes are found by mistray.scene"
+    if use.layer in PURE and target not in PURE[use.layer]:
+        return f"{use.layer} does not import {target}"
+    if target not in HEIGHT:
+        return f"import the module that defines it instead of '{use.target}'"
+    if HEIGHT[target] > HEIGHT[use.layer] and not (use.lazy and (use.layer, target) in LAZY):
+        return f"{use.layer} lies below {target}"
+    return None
+
+
+def test_imports_go_one_way():
+    assert not [f"{use.where}: {rule}" for use in USES if (rule := broken_rule(use))]
+
+
+def test_allowed_exceptions_are_in_use():
+    used = {(use.layer, layer_of(use.target)) for use in USES if use.lazy and use.target.startswith("mistray")}
+    assert set(LAZY) <= used, "remove exceptions that nobody needs"
+
+
+@pytest.mark.parametrize("layer", ["physics", "trace", "plugins", "scenes", "report", "_variant"])
+def test_the_rules_can_fail(layer):
+    wrong = {
+        "physics": Use("x", "physics", "mitsuba", True),
+        "trace": Use("x", "trace", "mistray.analysis", True),
+        "plugins": Use("x", "plugins", "mistray.analysis.ghosts", False),
+        "scenes": Use("x", "scenes", "mistray.trace", False),
+        "report": Use("x", "report", "drjit", False),
+        "_variant": Use("x", "_variant", "mitsuba", False),
+    }
+    assert broken_rule(wrong[layer])
+
+
+def test_names_of_mitsuba_releases_are_in_one_file():
+    for file in FILES:
+        if file.name == "_mitsuba_compat.py":
+            continue
+        constants = {node.value for node in ast.walk(ast.parse(file.read_text())) if isinstance(node, ast.Constant)}
+        constants = {value for value in constants if isinstance(value, str)}
+        assert not constants & RELEASE_NAMES, file

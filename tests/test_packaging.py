@@ -1,0 +1,125 @@
+"""The wheel, the sdist's wheel and the editable install hold the files that are in the repository, and nothing else."""
+
+from __future__ import annotations
+
+import ast
+import re
+import shutil
+import subprocess
+import sys
+import tomllib
+import zipfile
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+CONFIG = tomllib.loads((ROOT / "pyproject.toml").read_text())
+SETUPTOOLS = CONFIG["tool"]["setuptools"]
+# Folder in the repository → folder in the wheel
+SOURCES = {"mistray": "mistray", "plugins": "mistray/plugins", "scenes": "mistray/scenes"}
+
+
+def repository_files() -> list[Path]:
+    """Every file that git tracks or would track, relative to the root; without git, every file of the folders."""
+    names = []
+    if shutil.which("git"):
+        command = ["git", "ls-files", "-z", "--cached", "--others", "--exclude-standard"]
+        names = subprocess.run(command, cwd=ROOT, capture_output=True, text=True).stdout.split("\0")
+    if not any(names):
+        names = [str(file.relative_to(ROOT)) for folder in (*SOURCES, "tests") for file in (ROOT / folder).rglob("*")]
+        names = [name for name in names if "__pycache__" not in name]
+        names += ["pyproject.toml", "README.md", "LICENSE"]
+    return sorted(Path(name) for name in names if name and (ROOT / name).is_file())
+
+
+def expected_files() -> set[str]:
+    """Names inside the wheel."""
+    parts = [(file.parts[0], "/".join(file.parts[1:])) for file in repository_files()]
+    return {f"{SOURCES[top]}/{rest}" for top, rest in parts if top in SOURCES and rest}
+
+
+def run(*command: str, cwd: Path) -> None:
+    done = subprocess.run(command, cwd=cwd, capture_output=True, text=True)
+    assert done.returncode == 0, done.stdout[-3000:] + done.stderr[-3000:]
+
+
+@pytest.fixture(scope="module")
+def clone(tmp_path_factory):
+    """A copy of the repository to build in: a build in place would pick up stale files of an earlier one."""
+    folder = tmp_path_factory.mktemp("clone")
+    for file in repository_files():
+        (folder / file).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy2(ROOT / file, folder / file)
+    return folder
+
+
+def wheel_files(folder: Path) -> set[str]:
+    (wheel,) = folder.glob("*.whl")
+    names = zipfile.ZipFile(wheel).namelist()
+    return {name for name in names if not re.match(r"mistray-[^/]*\.dist-info/", name)}
+
+
+def test_wheel(clone, tmp_path):
+    run(sys.executable, "-m", "pip", "wheel", "--no-deps", "--no-build-isolation", "-w", str(tmp_path), ".", cwd=clone)
+    assert wheel_files(tmp_path) == expected_files()
+
+
+def test_wheel_of_the_sdist(clone, tmp_path):
+    run(sys.executable, "-m", "build", "--no-isolation", "--outdir", str(tmp_path), ".", cwd=clone)
+    assert wheel_files(tmp_path) == expected_files()
+
+
+def test_editable_install(clone, tmp_path):
+    build = f"from setuptools.build_meta import build_editable; build_editable({str(tmp_path)!r})"
+    run(sys.executable, "-c", build, cwd=clone)
+    (wheel,) = tmp_path.glob("*.whl")
+    zipfile.ZipFile(wheel).extractall(tmp_path)
+    (finder,) = tmp_path.glob("__editable___mistray_*_finder.py")
+    statement = next(
+        node for node in ast.parse(finder.read_text()).body if "MAPPING" in ast.unparse(node).split("=")[0]
+    )
+    mapping = {name.replace(".", "/"): Path(folder) for name, folder in ast.literal_eval(statement.value).items()}
+    assert mapping == {inside: clone / outside for outside, inside in SOURCES.items()}
+
+
+def test_list_of_packages_is_complete():
+    """A package that is not listed imports in the editable install and is missing from the wheel."""
+    folders = {str(file.parent) for file in repository_files() if file.name == "__init__.py"}
+    found = {"/".join([SOURCES[Path(f).parts[0]], *Path(f).parts[1:]]) for f in folders if Path(f).parts[0] in SOURCES}
+    assert SETUPTOOLS["packages"] == sorted(name.replace("/", ".") for name in found)
+    mapped = {name: folder for folder, name in SOURCES.items() if name != folder}
+    assert SETUPTOOLS["package-dir"] == {name.replace("/", "."): folder for name, folder in mapped.items()}
+    homes = {str(file.parent) for file in repository_files() if file.suffix == ".py" and file.parts[0] in SOURCES}
+    assert homes <= folders, "Python files in folders without __init__.py"
+
+
+def test_nobody_imports_the_mapped_folders_directly():
+    """From the root of the repository, `import plugins` is a second copy of `mistray.plugins`."""
+    wrong = []
+    for file in repository_files():
+        if file.suffix != ".py":
+            continue
+        for node in ast.walk(ast.parse((ROOT / file).read_text())):
+            if isinstance(node, ast.Import):
+                names = [alias.name for alias in node.names]
+            elif isinstance(node, ast.ImportFrom) and node.level == 0:
+                names = [node.module or ""]
+            else:
+                continue
+            wrong += [f"{file}:{node.lineno}" for name in names if name.split(".")[0] in ("plugins", "scenes")]
+    assert not wrong
+
+
+def test_every_scene_says_where_its_numbers_come_from():
+    scenes = [folder for folder in (ROOT / "scenes").iterdir() if folder.is_dir() and folder.name != "__pycache__"]
+    for folder in scenes:
+        assert (folder / "scene.xml").is_file(), folder.name
+        assert (folder / "SOURCE.md").is_file(), folder.name
+
+
+def test_files_stay_readable():
+    """Files of more than about 500 lines are hard to read."""
+    sources = [file for file in repository_files() if file.suffix == ".py" and file.parts[0] in SOURCES]
+    lengths = {str(file): len((ROOT / file).read_text().splitlines()) for file in sources}
+    assert {name: length for name, length in lengths.items() if length > 600} == {}
