@@ -213,15 +213,14 @@ def _from_batoid(lens: Path, options: argparse.Namespace) -> Any:
 
 def _ghosts(options: argparse.Namespace) -> int:
     from mistray._variant import ensure_variant
-    from mistray.report.output import writable_directory
+
+    ensure_variant(options.variant)  # settles libLLVM before anything imports Mitsuba
+    from mistray.analysis import ghosts
+    from mistray.report import main_table, writable_directory, write_all
+    from mistray.scene import load
 
     if options.out is not None:
         writable_directory(options.out)
-    ensure_variant(options.variant)
-    from mistray.analysis import ghosts
-    from mistray.report import main_table, write_all
-    from mistray.scene import load
-
     scene = load(options.scene)
     with _progress(options) as progress:
         report = ghosts(

@@ -36,15 +36,14 @@ class DirectImage:
 
     Attributes
     ----------
-    power_W, rms_radius_mm, rms_irradiance_W_mm2, peak_W_mm2 : Estimate
-        Absorbed power, RMS radius about the centroid, ``P / (π r_rms²)`` and the brightest pixel of its map. All NaN
-        (power 0) where no direct light reaches the detector.
+    power_W, rms_radius_mm, rms_irradiance_W_mm2 : Estimate
+        Absorbed power, RMS radius about the centroid and ``P / (π r_rms²)``. The last two are NaN, and the power is 0,
+        where no direct light reaches the detector.
     """
 
     power_W: Estimate
     rms_radius_mm: Estimate
     rms_irradiance_W_mm2: Estimate
-    peak_W_mm2: Estimate
 
 
 @dataclass(frozen=True)
@@ -70,16 +69,12 @@ class FieldSummary:
         ``stray_W`` over the direct power at this field; NaN out of field.
     stray_to_nominal : Estimate
         ``stray_W`` over the direct power on axis.
-    peak_stray_W_mm2, peak_to_nominal : Estimate
-        Brightest pixel of the stray light, and the same over the brightest pixel of the direct image on axis.
     brightest : int or None
         ``path_id`` of the stray path of the highest RMS irradiance.
     brightest_normalised : Estimate
         Its normalised RMS irradiance.
     map : MapStatistics
         Statistics block of the whole irradiance map.
-    stray_map : MapStatistics
-        The same without the direct image.
     asymmetry, asymmetry_expected : float
         See `mistray.analysis.irradiance.mirror_asymmetry`.
     """
@@ -92,22 +87,20 @@ class FieldSummary:
     stray_of_kind_W: dict[str, Estimate]
     ghost_to_signal: Estimate
     stray_to_nominal: Estimate
-    peak_stray_W_mm2: Estimate
-    peak_to_nominal: Estimate
     brightest: int | None
     brightest_normalised: Estimate
     map: MapStatistics
-    stray_map: MapStatistics
     asymmetry: float
     asymmetry_expected: float
 
 
 @dataclass(frozen=True)
 class _FieldMaps:
-    """Maps with standard errors: of the worst paths by path_id, and of all stray light."""
+    """Maps with standard errors: of the direct image, of all stray light, and of the worst paths by path_id."""
 
-    paths: dict[int, tuple[Map, Map]]
+    direct: tuple[Map, Map]
     stray: tuple[Map, Map]
+    paths: dict[int, tuple[Map, Map]]
 
 
 class GhostReport(Mapping[float, Trace]):
@@ -197,15 +190,41 @@ class GhostReport(Mapping[float, Trace]):
         """Irradiance map of all but the direct paths and its standard error, (H, W) in W/mm²."""
         return self._field_maps(field_deg).stray
 
+    def stray_statistics(self, field_deg: float) -> MapStatistics:
+        """Statistics block of the map without the direct image."""
+        table = self.table(field_deg)
+        return statistics(
+            *self.stray_map(field_deg), self[field_deg].extent, int(table.rays[table.kind != DIRECT].sum())
+        )
+
+    def peak_to_nominal(self, field_deg: float) -> Estimate:
+        """Brightest pixel of the stray light over the brightest pixel of the direct image on axis."""
+        stray = self.stray_statistics(field_deg)
+        return Estimate(stray.maximum, stray.maximum_se).over(self._nominal_peak())
+
+    def _nominal_peak(self) -> Estimate:
+        field = next((field for field, t in self.items() if t is self.nominal_trace), None)
+        if field is not None:
+            image, se = self._field_maps(field).direct
+        else:
+            table = self.nominal_trace.paths.to_pandas()
+            image, se = self.nominal_trace.irradiance_of(list(table.path_id[table.kind == DIRECT]))
+        brightest = np.unravel_index(np.argmax(image), image.shape)
+        return Estimate(float(image[brightest]), float(se[brightest]))
+
     def _field_maps(self, field_deg: float) -> _FieldMaps:
         """The maps of a field, from one more run of the same rays, made when they are first asked for."""
         if field_deg not in self._maps:
-            worst = [int(path_id) for path_id in self.top(field_deg, MAPPED_PATHS).path_id]
             table = self.table(field_deg)
-            others = [int(path_id) for path_id in table.path_id[table.kind != DIRECT] if path_id not in worst]
-            maps = self[field_deg].maps([*([path_id] for path_id in worst), others])
-            stray = np.sum([image for image, _ in maps], axis=0), np.sqrt(np.sum([se**2 for _, se in maps], axis=0))
-            self._maps[field_deg] = _FieldMaps(dict(zip(worst, maps[:-1], strict=True)), stray)
+            if table.empty:
+                dark = np.zeros_like(self[field_deg].irradiance)
+                return _FieldMaps((dark, dark), (dark, dark), {})
+            direct = list(table.path_id[table.kind == DIRECT])
+            worst = [int(path_id) for path_id in self.top(field_deg, MAPPED_PATHS).path_id]
+            others = [path_id for path_id in table.path_id[table.kind != DIRECT] if path_id not in worst]
+            first, *rest = self[field_deg].maps([direct, others, *([path_id] for path_id in worst)])
+            stray = np.sum([image for image, _ in rest], axis=0), np.sqrt(np.sum([se**2 for _, se in rest], axis=0))
+            self._maps[field_deg] = _FieldMaps(first, stray, dict(zip(worst, rest[1:], strict=True)))
         return self._maps[field_deg]
 
     def summary(self, field_deg: float) -> FieldSummary:
@@ -214,10 +233,6 @@ class GhostReport(Mapping[float, Trace]):
         direct = self.nominal if t is self.nominal_trace else direct_image(t)
         by_kind = {kind: _power(table[table.kind == kind]) for kind in KINDS}
         stray = total(by_kind.values())
-        stray_map, stray_se = self.stray_map(field_deg)
-        stray_rays = int(table.rays[table.kind != DIRECT].sum())
-        numbers = statistics(stray_map, stray_se, t.extent, stray_rays)
-        peak = Estimate(numbers.maximum, numbers.maximum_se)
         worst = self.top(field_deg, 1)
         asymmetry, expected = mirror_asymmetry(t.irradiance, t.irradiance_se)
         return FieldSummary(
@@ -229,8 +244,6 @@ class GhostReport(Mapping[float, Trace]):
             stray_of_kind_W=by_kind,
             ghost_to_signal=stray.over(direct.power_W),
             stray_to_nominal=stray.over(self.nominal.power_W),
-            peak_stray_W_mm2=peak,
-            peak_to_nominal=peak.over(self.nominal.peak_W_mm2),
             brightest=int(worst.path_id.iloc[0]) if len(worst) else None,
             brightest_normalised=(
                 Estimate(
@@ -240,7 +253,6 @@ class GhostReport(Mapping[float, Trace]):
                 else UNKNOWN
             ),
             map=statistics(t.irradiance, t.irradiance_se, t.extent, int(table.rays.sum())),
-            stray_map=numbers,
             asymmetry=asymmetry,
             asymmetry_expected=expected,
         )
@@ -287,7 +299,7 @@ def ghosts(
     MistrayError
         No field is given, or what `mistray.trace` raises.
     """
-    given = {
+    given: dict[str, Any] = {
         "azimuth_deg": azimuth_deg,
         "rays": rays,
         "wavelength_nm": wavelength_nm,
@@ -324,15 +336,13 @@ def direct_image(t: Trace) -> DirectImage:
     rows = table[table.kind == DIRECT]
     power = _power(rows)
     if power.value <= 0:
-        return DirectImage(Estimate(0.0, power.se), UNKNOWN, UNKNOWN, UNKNOWN)
-    peak = _peak(*t.irradiance_of([int(path_id) for path_id in rows.path_id]))
+        return DirectImage(Estimate(0.0, power.se), UNKNOWN, UNKNOWN)
     if len(rows) == 1:
         row = rows.iloc[0]
         return DirectImage(
             power,
             Estimate(float(row.rms_radius_mm), float(row.rms_radius_se_mm)),
             Estimate(float(row.rms_irradiance_W_mm2), float(row.rms_irradiance_se_W_mm2)),
-            peak,
         )
     weight = (rows.power_W / power.value).to_numpy()
     offset2 = (rows.x_mm - weight @ rows.x_mm) ** 2 + (rows.y_mm - weight @ rows.y_mm) ** 2
@@ -340,7 +350,7 @@ def direct_image(t: Trace) -> DirectImage:
     radius_se = float(weight @ (rows.rms_radius_mm * rows.rms_radius_se_mm)) / radius
     irradiance = power.value / (math.pi * radius**2)
     relative = power.se / power.value + 2 * radius_se / radius
-    return DirectImage(power, Estimate(radius, radius_se), Estimate(irradiance, irradiance * relative), peak)
+    return DirectImage(power, Estimate(radius, radius_se), Estimate(irradiance, irradiance * relative))
 
 
 def label(ghost_1: str, ghost_2: str, kind: str) -> str:
@@ -365,12 +375,13 @@ def _ranked(table: pd.DataFrame, nominal: DirectImage) -> pd.DataFrame:
     ]
     table["normalised_rms_irradiance"] = [estimate.value for estimate in normalised]
     table["normalised_rms_irradiance_se"] = [estimate.se for estimate in normalised]
-    table["well_sampled"] = table.rays >= FEWEST_RAYS
+    table["well_sampled"] = table.rays.to_numpy(np.int64) >= FEWEST_RAYS
     stray = table.kind != DIRECT
-    irradiance = table.rms_irradiance_W_mm2.where(np.isfinite(table.rms_irradiance_W_mm2), 0.0)
+    power, irradiance = (table[name].to_numpy(np.float64) for name in ("power_W", "rms_irradiance_W_mm2"))
+    irradiance = np.where(np.isfinite(irradiance), irradiance, 0.0)
     orders = {
-        "rank_power": np.lexsort((table.path_id, -table.power_W, ~stray)),
-        "rank_rms_irradiance": np.lexsort((table.path_id, -irradiance, ~table.well_sampled, ~stray)),
+        "rank_power": np.lexsort((-power, ~stray)),
+        "rank_rms_irradiance": np.lexsort((-power, -irradiance, ~table.well_sampled, ~stray)),
     }
     for name, order in orders.items():
         rank = np.empty(len(table), dtype=np.int64)
@@ -381,8 +392,3 @@ def _ranked(table: pd.DataFrame, nominal: DirectImage) -> pd.DataFrame:
 
 def _power(rows: pd.DataFrame) -> Estimate:
     return total(Estimate(float(p), float(se)) for p, se in zip(rows.power_W, rows.power_se_W, strict=True))
-
-
-def _peak(irradiance: Map, se: Map) -> Estimate:
-    brightest = np.unravel_index(np.argmax(irradiance), irradiance.shape)
-    return Estimate(float(irradiance[brightest]), float(se[brightest]))

@@ -9,8 +9,8 @@ from __future__ import annotations
 
 from typing import Any
 
-# Added to the denominators: at grazing incidence between equal indices both amplitudes are 0/0. The smallest cosine
-# that float32 keeps is 1e-38 wide of this, so no other value changes.
+# Added to the denominators, because at grazing incidence between equal indices both amplitudes are 0/0. It is a normal
+# number in float32 and too small to change any other value.
 _TINY = 1e-30
 
 

@@ -38,6 +38,7 @@ DEFINITIONS = (
      "pixel size"),
     ("ghost surfaces", "surfaces where the path was reflected, in the order of the light; structure counts, the "
      "mirrors of the design path do not"),
+    ("path", "T transmitted, R reflected, I totally internally reflected, A absorbed; open it for the surfaces"),
     ("± ", "one standard error; errors of sums are upper bounds, because the paths of one run share their start rays"),
 )  # fmt: skip
 
@@ -161,7 +162,7 @@ def _summary(report: GhostReport, summaries: Sequence[FieldSummary]) -> str:
             *(_estimate(s.stray_of_kind_W[kind]) if s.paths_of_kind[kind] else _cell(ABSENT) for kind in kinds),
             _estimate(s.ghost_to_signal),
             _estimate(s.stray_to_nominal),
-            _estimate(s.peak_to_nominal),
+            _estimate(report.peak_to_nominal(s.field_deg)),
             _estimate(s.brightest_normalised),
         ]
         for s in summaries
@@ -190,7 +191,7 @@ def _pictures(report: GhostReport, pictures: Mapping[str, bytes]) -> str:
 
 def _field(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes]) -> str:
     t = report[s.field_deg]
-    m, stray = s.map, s.stray_map
+    m, stray = s.map, report.stray_statistics(s.field_deg)
     header = [
         ("map", "", "t"), ("min", "W/mm²"), ("max", "W/mm²"), ("average", "W/mm²"), ("RMS", "W/mm²"),
         ("total flux", "W"), ("incident rays", ""),
@@ -238,12 +239,12 @@ def _ghosts(report: GhostReport, field_deg: float, anchor: str) -> str:
         ("image", ""), ("path", "no."), ("1st → 2nd ghost surface", "", "t"), ("kind", "", "t"), ("λ", "nm"),
         ("rays", ""), ("power", "W"), ("of detected", "%"), ("centroid x, y", "mm"), ("RMS radius", "mm"),
         ("RMS irradiance", "W/mm²"),
-        ("normalised", ""), ("rank", "RMS irr."), ("rank", "power"), ("path", "surface:event", "t"),
+        ("normalised", ""), ("rank", "RMS irr."), ("rank", "power"), ("path", "T R I A", "t"),
     ]  # fmt: skip
     thumbs = set(report.top(field_deg, MAPPED_PATHS).path_id)
     rows = []
     for row in table.head(ROWS_SHOWN).itertuples(index=False):
-        picture = _thumbnail(report, field_deg, int(row.path_id)) if row.path_id in thumbs else ""
+        picture = _thumbnail(report, field_deg, row) if row.path_id in thumbs else ""
         rows.append(
             [
                 f"<td>{picture}</td>",
@@ -260,7 +261,7 @@ def _ghosts(report: GhostReport, field_deg: float, anchor: str) -> str:
                 _estimate(Estimate(row.normalised_rms_irradiance, row.normalised_rms_irradiance_se)),
                 _cell(str(row.rank_rms_irradiance)),
                 _cell(str(row.rank_power)),
-                f'<td class="path m">{escape(str(row.events))}</td>',
+                f'<td class="path m"><details><summary>{row.path}</summary>{escape(row.events)}</details></td>',
             ]
         )
     left_out = len(table) - len(rows)
@@ -278,11 +279,11 @@ def _ghosts(report: GhostReport, field_deg: float, anchor: str) -> str:
     )
 
 
-def _thumbnail(report: GhostReport, field_deg: float, path_id: int) -> str:
-    image, _ = report.map(field_deg, path_id)
-    figure, limits = thumbnail(image, report[field_deg].extent)
+def _thumbnail(report: GhostReport, field_deg: float, row: Any) -> str:
+    image, _ = report.map(field_deg, row.path_id)
+    figure, width, limits = thumbnail(image, report[field_deg].extent, (row.x_mm, row.y_mm), row.rms_radius_mm)
     scale = f"log10 scale 1e{limits[0]:g} to 1e{limits[1]:g} W/mm²" if limits else "dark"
-    return _image(as_png(figure), f"irradiance of path {path_id}", scale)
+    return f"{_image(as_png(figure), f'irradiance of path {row.path_id}', scale)}<small>{width:.2g} mm wide</small>"
 
 
 def _energy(report: GhostReport) -> str:
@@ -303,7 +304,9 @@ def _energy(report: GhostReport) -> str:
         pairs = [e.absorbed.get(name, (0.0, 0.0)) for e in energies]
         if any(power > 0 for power, _ in pairs):
             rows.append(row("absorbed", name, (_estimate(Estimate(*pair)) for pair in pairs)))
-    rows.append(row("escaped", "out of the scene", (_estimate(Estimate(e.escaped_W, e.escaped_se_W)) for e in energies)))
+    rows.append(
+        row("escaped", "out of the scene", (_estimate(Estimate(e.escaped_W, e.escaped_se_W)) for e in energies))
+    )
     for reason in dict.fromkeys(reason for e in energies for reason in e.cut):
         rows.append(row("cut", reason, (_cell(number(e.cut.get(reason, 0.0), 3)) for e in energies)))
     rows.append(row("closure", "relative", (_cell(f"{e.closure:.1e}") for e in energies)))

@@ -134,7 +134,7 @@ def layout(report: GhostReport, field_deg: float, ghosts: int = 3) -> Figure:
     size = np.maximum(high - low, 1e-9)
     width = 10.4
     figure = Figure(
-        figsize=(width, float(np.clip(0.9 * width * size[1] / size[0] + 0.9, 2.6, 8.0))), dpi=110, layout="constrained"
+        figsize=(width, float(np.clip(0.9 * width * size[1] / size[0] + 0.9, 2.6, 6.6))), dpi=110, layout="constrained"
     )
     axes = figure.subplots()
     _draw_system(axes, report.scene, lines)

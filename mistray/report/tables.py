@@ -14,6 +14,13 @@ from mistray.analysis.ghosts import DIRECT, FEWEST_RAYS, KINDS, FieldSummary, Gh
 
 LIMIT_WARNING = 1e-6  # of the launched flux
 CLOSURE_WARNING = 1e-5
+MOST_DECIMALS = 6
+CUT_TEXTS = {
+    "flux_threshold": "cut by flux_threshold = {flux_threshold:g}; lower it, or use below_threshold = roulette",
+    "max_reflections": "not followed beyond max_reflections = {max_reflections}; raise it to see where that goes",
+    "max_events": "cut by max_events = {max_events}; raise it",
+    "medium": "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap",
+}
 ABSENT = "–"
 
 
@@ -35,8 +42,8 @@ def with_error(number: Estimate, digits: int = 2) -> str:
         return f"0 ± {se:.{digits - 1}e}"
     places = _exponent(value) - _exponent(se) + digits - 1
     decimals = min(max(places, 0), 9)
-    if -4 < _exponent(value) < 5 and se < abs(value):
-        fixed = max(digits - 1 - _exponent(se), 0)
+    fixed = max(digits - 1 - _exponent(se), 0)
+    if -4 < _exponent(value) < 5 and se < abs(value) and fixed <= MOST_DECIMALS:
         return f"{value:.{fixed}f} ± {se:.{fixed}f}"
     return f"{value:.{decimals}e} ± {se:.{digits - 1}e}"
 
@@ -83,10 +90,9 @@ def summary_table(summaries: Sequence[FieldSummary]) -> str:
         "stray light",
         "stray/direct",
         "stray/nominal",
-        "peak stray",
         "worst ghost",
     ]
-    units = ["deg", "", "W", "W", "", "", "W/mm²", "norm. RMS irradiance"]
+    units = ["deg", "", "W", "W", "", "", "norm. RMS irradiance"]
     rows = [
         [
             f"{s.field_deg:g}",
@@ -95,7 +101,6 @@ def summary_table(summaries: Sequence[FieldSummary]) -> str:
             with_error(s.stray_W),
             with_error(s.ghost_to_signal),
             with_error(s.stray_to_nominal),
-            with_error(s.peak_stray_W_mm2),
             with_error(s.brightest_normalised),
         ]
         for s in summaries
@@ -147,8 +152,10 @@ def main_table(report: GhostReport, count: int = 4) -> str:
 def warnings(report: GhostReport) -> list[str]:
     """What a reader must know before trusting the numbers; empty if all is well."""
     found = []
+    if report.nominal.power_W.value == 0:
+        found.append("no direct light reaches the detector on axis: nothing can be normalised to it")
     settings = next(iter(report.values())).settings
-    for reason in dict.fromkeys(reason for t in report.values() for reason in t.energy.cut):
+    for reason in dict.fromkeys(reason for t in report.values() for reason in t.energy.cut if reason != "roulette"):
         shares = {field: abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for field, t in report.items()}
         large = [field for field, share in shares.items() if share > LIMIT_WARNING]
         if large:
@@ -248,13 +255,10 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
         "direct_power_W": s.direct.power_W,
         "direct_rms_radius_mm": s.direct.rms_radius_mm,
         "direct_rms_irradiance_W_mm2": s.direct.rms_irradiance_W_mm2,
-        "direct_peak_W_mm2": s.direct.peak_W_mm2,
         "stray_W": s.stray_W,
         **{f"{_snake(kind)}_W": s.stray_of_kind_W[kind] for kind in KINDS},
         "ghost_to_signal": s.ghost_to_signal,
         "stray_to_nominal": s.stray_to_nominal,
-        "peak_stray_W_mm2": s.peak_stray_W_mm2,
-        "peak_to_nominal": s.peak_to_nominal,
         "worst_normalised_rms_irradiance": s.brightest_normalised,
     }
     for name, estimate in estimates.items():
@@ -280,9 +284,7 @@ def _fields(fields_deg: Sequence[float]) -> str:
 
 def _cut_text(reason: str, settings: dict[str, Any]) -> str:
     """How a reason of the energy ledger reads in a warning."""
-    if reason in settings:
-        return f"cut by {reason} = {settings[reason]}; change it to see what is missing"
-    return f"lost to '{reason}'"
+    return CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
 
 
 def _exponent(value: float) -> int:

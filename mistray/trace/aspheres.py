@@ -125,7 +125,10 @@ class AsphereSearch:
             o, d = (
                 mi.Vector3f(*(rows[0][k] * v.x + rows[1][k] * v.y + rows[2][k] * v.z for k in range(3))) for v in (o, d)
             )
-        row = [dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * number + k, active) for k in range(POLYNOMIAL_VECTORS)]
+        row = [
+            dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * number + k, active)
+            for k in range(POLYNOMIAL_VECTORS)
+        ]
         numbers = [row[k // 4][k % 4] for k in range(16)]
         curvature, conic, coefficients = numbers[0], numbers[1], numbers[2 : 2 + self.count]
         inner2, z_low, z_high, outer, slope = numbers[11:]

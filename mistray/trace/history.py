@@ -82,7 +82,21 @@ class RayHistory:
                     code = int(ray.codes[node - 1])
                     intercept = INTERCEPTS[code & ((1 << EVENT_BITS) - 1)]
                     part, surface = table.parts[code >> EVENT_BITS], table.ids[code >> EVENT_BITS]
-                rows.append((number, node, ray.start_ray, intercept, part, surface, beam.wavelength_nm, *point, flux, opl, *direction))
+                rows.append(
+                    (
+                        number,
+                        node,
+                        ray.start_ray,
+                        intercept,
+                        part,
+                        surface,
+                        beam.wavelength_nm,
+                        *point,
+                        flux,
+                        opl,
+                        *direction,
+                    )
+                )
         names = ["ray", "node", "start_ray", "intercept", "object", "surface", "wavelength_nm"]
         return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "flux_W", "opl_mm", "dx", "dy", "dz"])
 

@@ -95,7 +95,10 @@ def interact(
     gx, gy, gz = a * q.x, a * q.y, dr.fma(b, q.z, 0.5 * e)
     if table.coefficient_count:
         aspheric = active & ((word & ASPHERIC) != 0)
-        row = [dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * s + k, aspheric) for k in range(POLYNOMIAL_VECTORS)]
+        row = [
+            dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * s + k, aspheric)
+            for k in range(POLYNOMIAL_VECTORS)
+        ]
         c, k, *coefficients = (row[j // 4][j % 4] for j in range(2 + table.coefficient_count))
         slope = sag_derivative(r2, c, k, coefficients)
         # F = 2 (sag - z), to be of the same sign and scale as the quadric
@@ -185,5 +188,3 @@ def _reflectance_transmittance(
 def counts_as_reflection(interaction: Interaction) -> mi.Bool:
     """Whether a reflection here uses up one of `max_reflections`: total and design reflections do not."""
     return ~interaction.tir & ((interaction.word & MIRROR) == 0)
-
-

@@ -17,7 +17,6 @@ from mistray.trace.aspheres import AsphereSearch, stretch
 from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, Piece, SurfaceTable
 
 
-
 @dataclass
 class Numbers:
     """A `Piece` as opaque Dr.Jit scalars."""
@@ -119,7 +118,16 @@ class Intersector:
         _, x, y, centred = self.axes[axis]
         ox, oy = (o.x, o.y) if centred else (o.x - x, o.y - y)
         return _AxisRay(
-            ox, oy, o.z, d.x, d.y, d.z, dr.fma(d.x, d.x, d.y * d.y), dr.fma(ox, d.x, oy * d.y), dr.fma(ox, ox, oy * oy), dr.rcp(d.z)
+            ox,
+            oy,
+            o.z,
+            d.x,
+            d.y,
+            d.z,
+            dr.fma(d.x, d.x, d.y * d.y),
+            dr.fma(ox, d.x, oy * d.y),
+            dr.fma(ox, ox, oy * oy),
+            dr.rcp(d.z),
         )
 
 

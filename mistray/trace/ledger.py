@@ -128,7 +128,9 @@ class Ledger:
         for k, term in enumerate(terms):
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, term, base + k, active)
 
-    def write_events(self, slot: mi.UInt32, length: mi.UInt32, read: Callable[[mi.UInt32, mi.Bool], mi.UInt32], active: mi.Bool) -> None:
+    def write_events(
+        self, slot: mi.UInt32, length: mi.UInt32, read: Callable[[mi.UInt32, mi.Bool], mi.UInt32], active: mi.Bool
+    ) -> None:
         """Store the event list of a path that has just been claimed; `read(k, mask)` gives event k."""
         dr.scatter(self.lengths, length, slot, active)
 
@@ -162,5 +164,7 @@ class Ledger:
         codes = [row[:length] for row, length in zip(events, lengths, strict=True)]
         wrong = sum(host_key(code) != int(key) for code, key in zip(codes, keys[slots], strict=True))
         if wrong:
-            raise MistrayError(f"ledger: {wrong} of {len(slots)} event lists do not match their key; please report this")
+            raise MistrayError(
+                f"ledger: {wrong} of {len(slots)} event lists do not match their key; please report this"
+            )
         return DecodedPaths(keys[slots], slots, codes, sums)

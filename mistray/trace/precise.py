@@ -73,7 +73,7 @@ def _hit(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Exact hit next to a recorded one, and the normal there."""
     if surface >= len(table.pieces):  # a mesh: Mitsuba's hit is all there is
-        return recorded, table.stock_normal(origin, d)
+        return recorded, table.stock_normal(recorded, d)
     piece = table.pieces[surface]
     rotation = table.rotations[surface]
     o, dl = rotation.T @ (origin - table.vertices[surface]), rotation.T @ d

@@ -36,6 +36,7 @@ ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS 
 REASONS = 8
 HITS, INCIDENT, ABSORBED_HERE = range(3)
 NODE_FLOATS = 8
+GRAZING = 0.01  # smallest cosine that counts when a ray leaves a stock surface behind
 
 
 class Tallies:
@@ -222,7 +223,9 @@ def walk(
             ledger.record(slot, batch, w, absorbed, x, y, booked)
             ledger.write_events(slot, depth + 1, event, new)
         if recorder is not None:
-            _record(recorder, nodes, event, detected & ((recorder.key == 0) | (recorder.key == key)), p, d, w, depth, lane)
+            _record(
+                recorder, nodes, event, detected & ((recorder.key == 0) | (recorder.key == key)), p, d, w, depth, lane
+            )
         pixel = film.pixel(x, y)
         on_film = detected
         if film.map_of_slot is not None:
@@ -282,7 +285,9 @@ def walk(
         words.write(s | (reflections << 16), depth, push)
         bit = mi.UInt64(1) << mi.UInt64(depth)
         pending = dr.select(push, state["pending"] | bit, state["pending"])
-        code = (s << EVENT_BITS) | dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
+        code = (s << EVENT_BITS) | dr.select(
+            reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED)
+        )
         codes.write(code, depth, go)
 
         # ---- the child's segment
@@ -319,7 +324,9 @@ def walk(
             "memory": (nodes, codes, words, keys, normals),
         }
 
-    (end,) = dr.while_loop((state,), lambda state: state["active"], lambda state: (body(state),), mode="symbolic", label="ray tree")
+    (end,) = dr.while_loop(
+        (state,), lambda state: state["active"], lambda state: (body(state),), mode="symbolic", label="ray tree"
+    )
     tallies.add_reason(SEGMENTS, batch, end["segments"], mi.Bool(True))
 
 
@@ -336,17 +343,17 @@ def _next_hit(
     t, s = intersector.nearest(o, d, last, active)
     if table.stock_scene is None:
         return t, s, mi.Vector3f(0)
-    start = o
-    if normal is not None:  # leave a stock surface on the side of d, by a few roundings
-        off = dr.mulsign(dr.select(last >= len(table.pieces), mi.Float(table.stock_epsilon), 0), dr.dot(normal, d))
-        start = dr.fma(off, normal, o)
-    ray = mi.Ray3f(mi.Point3f(start), d)
-    ray.maxt = dr.select(dr.isfinite(t), t, dr.largest(mi.Float))
+    skip = mi.Float(0)
+    if normal is not None:  # leave a stock surface behind by a few roundings, along the ray so that the ray stays the same
+        slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)
+        skip = dr.select(last >= len(table.pieces), table.stock_epsilon / slant, 0)
+    ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o)), d)
+    ray.maxt = dr.select(dr.isfinite(t), t - skip, dr.largest(mi.Float))
     hit = table.stock_scene.ray_intersect_preliminary(ray, coherent=False, active=active)
-    nearer = active & hit.is_valid() & (hit.t < t)
+    nearer = active & hit.is_valid() & (hit.t + skip < t)
     si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, nearer)
     number = dr.gather(mi.UInt32, table.stock_lookup, dr.reinterpret_array(mi.UInt32, si.shape), nearer)
-    return dr.select(nearer, si.t, t), dr.select(nearer, number, s), mi.Vector3f(si.n)
+    return dr.select(nearer, si.t + skip, t), dr.select(nearer, number, s), mi.Vector3f(si.n)
 
 
 def _film_coordinates(table: SurfaceTable, it: Any) -> tuple[mi.Float, mi.Float]:

@@ -74,7 +74,9 @@ class Energy:
     def closure(self) -> float:
         """(detected + absorbed + escaped + cut - launched) / launched."""
         absorbed = sum(value for value, _ in self.absorbed.values())
-        return (self.detected_W + absorbed + self.escaped_W + sum(self.cut.values()) - self.launched_W) / self.launched_W
+        return (
+            self.detected_W + absorbed + self.escaped_W + sum(self.cut.values()) - self.launched_W
+        ) / self.launched_W
 
     def __str__(self) -> str:
         def line(name: str, value: float, se: float | None = None) -> str:
@@ -169,7 +171,8 @@ class Trace:
         pixel = (x1 - x0) * (y1 - y0) / (width * height)
         total = sum(run.unit * film[0] for run, film in zip(self._runs, films, strict=True))
         variance = sum(
-            run.unit**2 * np.maximum(film[1] - film[0] ** 2 / run.rays, 0.0) for run, film in zip(self._runs, films, strict=True)
+            run.unit**2 * np.maximum(film[1] - film[0] ** 2 / run.rays, 0.0)
+            for run, film in zip(self._runs, films, strict=True)
         )
         return np.asarray(total) / pixel, np.sqrt(variance) / pixel
 
@@ -256,9 +259,7 @@ class Trace:
 
         if n < 1:
             raise MistrayError(f"n is {n}; ask for at least one ray")
-        return pd.concat(
-            [read_rays(run, run.record(0, n)).incident() for run in self._runs], ignore_index=True
-        ).head(n)
+        return pd.concat([read_rays(run, run.record(0, n)).incident() for run in self._runs], ignore_index=True).head(n)
 
     def __repr__(self) -> str:
         count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"

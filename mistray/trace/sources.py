@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.ledger import BATCHES
 
 
 @dataclass(frozen=True)
@@ -45,33 +46,63 @@ class Beam:
         """Rays that a request for `rays` starts: a grid has a square number."""
         return int(np.sqrt(rays)) ** 2 if self.emitter.pattern == "grid" else rays
 
-    def start(self, lane: mi.UInt32, rays: int, rng: mi.PCG32) -> tuple[mi.Vector3f, mi.Vector3f]:
+    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray) -> tuple[mi.Vector3f, mi.Vector3f]:
         """
-        Origins and directions of the start rays.
+        Origins and directions of the start rays of one pass.
 
         Parameters
         ----------
         lane : mi.UInt32
-            Numbers of the rays, 0 … rays - 1.
+            Numbers of the rays within the whole trace of `rays` rays; consecutive.
+        batch : mi.UInt32
+            Batch of each ray, ascending.
         rays : int
             Number of rays of the whole trace, as from `count`.
         rng : mi.PCG32
-            One generator a lane; two numbers are drawn.
+            One generator a lane; three numbers are drawn.
+        closing : (BATCHES,) float
+            Independent exponential variables.
         """
-        sample = mi.Point2f(rng.next_float32(), rng.next_float32())
         if self.emitter.pattern == "grid":
             side = int(np.sqrt(rays))
-            sample = mi.Point2f(
-                (mi.Float(lane % side) + 0.5) / side, (mi.Float(lane // side) + 0.5) / side
-            )
+            sample = mi.Point2f((mi.Float(lane % side) + 0.5) / side, (mi.Float(lane // side) + 0.5) / side)
+        else:
+            sample = _sorted_points(batch, rng, closing)
         x, y = self.emitter.positions(sample)
-        opaque = {key: [dr.opaque(mi.Float, float(c)) for c in getattr(self, key)] for key in ("pivot", "direction", "u", "v")}
+        names = ("pivot", "direction", "u", "v")
+        opaque = {key: [dr.opaque(mi.Float, float(c)) for c in getattr(self, key)] for key in names}
         direction, u, v = (mi.Vector3f(*opaque[key]) for key in ("direction", "u", "v"))
         offset = u * x + v * y
         # All rays start on one plane normal to the beam, also where the cross-section is not
         back = dr.opaque(mi.Float, self.distance) + dr.dot(offset, direction)
         origin = mi.Vector3f(*opaque["pivot"]) + offset - back * direction
         return origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction
+
+
+def _sorted_points(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.Point2f:
+    """
+    Independent uniform points of the unit square, those of each batch in the order of a space-filling curve.
+
+    Neighbouring lanes then walk similar trees, so that few of them idle, and the batches stay independent samples. The
+    positions on the curve are sorted uniform numbers without a sort: partial sums of exponential variables over their
+    total, which holds one more variable, `closing` (L. Devroye, Non-Uniform Random Variate Generation, 1986, section
+    V.2.2). The curve is Morton's with 2^32 cells; the place within a cell is random.
+    """
+    sums = dr.cumsum(mi.Float64(-dr.log(1 - rng.next_float32())))
+    first = np.searchsorted(np.array(batch), np.arange(BATCHES + 1))
+    totals = np.concatenate([[0.0], np.array(sums)])[first]
+    start, length = mi.Float64(totals[:-1]), mi.Float64(np.diff(totals) + closing)
+    u = (sums - dr.gather(mi.Float64, start, batch)) / dr.gather(mi.Float64, length, batch)
+    cell = mi.UInt32(dr.minimum(u, 1 - 2.0**-33) * 2.0**32)
+
+    def even_bits(v: mi.UInt32) -> mi.UInt32:
+        v &= 0x55555555
+        for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
+            v = (v | (v >> shift)) & mask
+        return v
+
+    column, row = even_bits(mi.UInt32(cell)), even_bits(cell >> 1)
+    return mi.Point2f(mi.Float(column) + rng.next_float32(), mi.Float(row) + rng.next_float32()) * 2.0**-16
 
 
 def beams(

@@ -152,9 +152,7 @@ class SurfaceTable:
             if axis_key not in self.axes:
                 self.axes.append(axis_key)
             piece = _frustum_piece(v) if shape.kind == "frustum" else _asphere_piece(shape)
-            self.pieces.append(
-                Piece(index=i, frame=frame, axis=self.axes.index(axis_key), z=float(local[2]), **piece)
-            )
+            self.pieces.append(Piece(index=i, frame=frame, axis=self.axes.index(axis_key), z=float(local[2]), **piece))
             vertices[i], rotations[i] = position, self.frames[frame]
         self.vertices, self.rotations = vertices, rotations
         self.rotated = len(self.frames) > 1
@@ -184,7 +182,7 @@ class SurfaceTable:
         if not shapes:
             return
         self.stock_scene = mi.load_dict(
-            {"type": "scene", **{f"stock_{i}": shape for i, shape in enumerate(shapes)}}, optimize=False
+            {"type": "scene", **{shape.id(): shape for shape in shapes}}, optimize=False  # the key becomes the id
         )
         pointers = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes))
         registry = np.array(pointers)
@@ -194,18 +192,19 @@ class SurfaceTable:
         size = float(np.max(np.abs([*self.stock_scene.bbox().min, *self.stock_scene.bbox().max])))
         self.stock_epsilon = 4e-6 * (1.0 + size)
 
-    def stock_normal(self, origin: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Normal of the stock shape that a ray hits first, float64."""
+    def stock_normal(self, point: np.ndarray, direction: np.ndarray) -> np.ndarray:
+        """Normal of the stock shape that a ray along `direction` meets at `point`, float64."""
         assert self.stock_scene is not None
-        si = self.stock_scene.ray_intersect(mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction)))
-        return np.array(si.n, dtype=np.float64).ravel()
+        start = point - 8 * self.stock_epsilon * direction
+        ray = mi.Ray3f(mi.Point3f(*map(float, start)), mi.Vector3f(*map(float, direction)))
+        return np.array(self.stock_scene.ray_intersect(ray).n, dtype=np.float64).ravel()
 
     def _optics(self) -> None:
         nodes = np.linspace(0.0, 1.0, TABLE_NODES)
         optics = np.zeros((self.count, 4))
         words = np.zeros(self.count, dtype=np.uint32)
         tables, rows = [], np.zeros(self.count, dtype=np.uint32)
-        media: dict[str, int] = {}
+        media: dict[float, int] = {}  # by index: "air" and "vacuum", "1.5" and "1.50" are one medium
         self.kinds: set[int] = set()
         for i, bsdf in enumerate(self.interfaces):
             table = bsdf.tabulate(self.wavelength_nm, nodes)
@@ -217,7 +216,7 @@ class SurfaceTable:
                 rows[i] = len(tables) * TABLE_NODES
                 tables.append(table)
             opaque = bsdf.opaque
-            sides = [0 if opaque else media.setdefault(name, len(media) + 1) for name in (bsdf.front, bsdf.back)]
+            sides = [0 if opaque else media.setdefault(round(n, 9), len(media) + 1) for n in (front, back)]
             words[i] = (
                 kind
                 | (OPAQUE if opaque else 0)
@@ -230,7 +229,6 @@ class SurfaceTable:
             )
         if len(media) >= MEDIUM_MASK:
             raise MistrayError(f"the scene has {len(media)} materials; at most {MEDIUM_MASK - 1} are possible")
-        self.media = {number: name for name, number in media.items()}
         self.optics = mi.Float(optics.ravel())
         self.words = mi.UInt32(words)
         self.host_words = words
@@ -245,7 +243,9 @@ class SurfaceTable:
             piece = self.pieces[self.detector]
             half = piece.half_size if not piece.outer else (piece.outer, piece.outer)
             if piece.kind == "cone":
-                raise MistrayError(f"detector '{self.ids[self.detector]}' is a tube; use an 'asphere' or a flat 'frustum'")
+                raise MistrayError(
+                    f"detector '{self.ids[self.detector]}' is a tube; use an 'asphere' or a flat 'frustum'"
+                )
             return width, height, (-half[0], half[0], -half[1], half[1])
         matrix = _rectangle_matrix(shape, self.ids[self.detector])
         half = np.linalg.norm(matrix[:3, 0]), np.linalg.norm(matrix[:3, 1])
@@ -266,7 +266,9 @@ def _interface(shape: Any) -> Any:
 def _rectangle_matrix(shape: Any, name: str) -> np.ndarray:
     params = mi.traverse(shape)
     if not str(shape).startswith("Rectangle"):
-        raise MistrayError(f"detector '{name}' is {str(shape).split('[')[0]}; use an 'asphere', a flat 'frustum' or a 'rectangle'")
+        raise MistrayError(
+            f"detector '{name}' is {str(shape).split('[')[0]}; use an 'asphere', a flat 'frustum' or a 'rectangle'"
+        )
     return np.array(params["to_world"].matrix, dtype=np.float64).reshape(4, 4)
 
 
@@ -311,7 +313,7 @@ def _frustum_piece(v: dict[str, float]) -> dict[str, Any]:
     m = (v["r1"] - v["r0"]) / length
     return {
         "kind": "cone",
-        "quadric": np.array([1.0, -m * m, -2 * v["r0"] * m, -v["r0"] ** 2]),
+        "quadric": np.array([1.0, -m * m, -2 * v["r0"] * m, -(v["r0"] ** 2)]),
         "sign": 1.0,
         "coefficients": (),
         "outer": max(v["r0"], v["r1"]),

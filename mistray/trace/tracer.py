@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -76,16 +75,30 @@ class Run:
             dr.opaque(mi.Float, height / (y1 - y0)),
         )
 
-    def generator(self, lane: mi.UInt32) -> mi.PCG32:
-        """Random numbers of start rays, the same for a ray however the passes are cut."""
+    def start_pass(self, number: int) -> tuple[mi.UInt32, mi.UInt32, mi.PCG32, mi.Vector3f, mi.Vector3f]:
+        """One pass: numbers of the rays, their batches, generators, origins and directions."""
+        done = number * PASS_LANES
+        lanes = min(PASS_LANES, self.rays - done)
+        index = dr.arange(mi.UInt32, lanes)
+        lane = index + dr.opaque(mi.UInt32, done)
+        batch = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
         seed = mi.UInt64(dr.opaque(mi.UInt32, self.seed))
-        return mi.PCG32(size=dr.width(lane), initstate=seed, initseq=mi.UInt64(lane))
+        rng = mi.PCG32(size=lanes, initstate=seed, initseq=mi.UInt64(lane))
+        dr.eval(lane, batch, rng)
+        closing = np.random.default_rng((self.seed, number)).exponential(size=BATCHES)
+        o, d = self.beam.start(lane, batch, self.rays, rng, closing)
+        dr.eval(o, d, rng)
+        return lane, batch, rng, o, d
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Origins (mm) and directions of start rays, (n, 3) float64 each."""
-        lane = mi.UInt32(lanes.astype(np.uint32))
-        o, d = self.beam.start(lane, self.rays, self.generator(lane))
-        return np.array(o, dtype=np.float64).T, np.array(d, dtype=np.float64).T
+        """Origins (mm) and directions of start rays by their numbers, (n, 3) float64 each."""
+        origins, directions = np.zeros((len(lanes), 3)), np.zeros((len(lanes), 3))
+        for number in np.unique(lanes // PASS_LANES):
+            here = lanes // PASS_LANES == number
+            *_, o, d = self.start_pass(int(number))
+            index = lanes[here] - number * PASS_LANES
+            origins[here], directions[here] = np.array(o).T[index], np.array(d).T[index]
+        return origins, directions
 
     def launch(
         self,
@@ -94,28 +107,19 @@ class Run:
         ledger: Ledger | None,
         recorder: Recorder | None = None,
         box: Sequence[float] | None = None,
-        rays: int | None = None,
         progress: Progress | None = None,
         stop: Callable[[], bool] | None = None,
-    ) -> int:
-        """Run all passes; returns the rays that were started. `stop` is asked after every pass."""
-        rays = self.rays if rays is None else rays
+    ) -> None:
+        """Run the passes one after the other, until `stop`, which is asked after each, says so."""
         corners = None if box is None else mi.Vector4f(*(dr.opaque(mi.Float, float(v)) for v in box))
-        done = 0
-        while done < rays:
-            lanes = min(PASS_LANES, rays - done)
-            index = dr.arange(mi.UInt32, lanes)
-            offset = dr.opaque(mi.UInt32, done)
-            lane = index + offset
-            rng = self.generator(lane)
-            o, d = self.beam.start(lane, self.rays, rng)
-            batch = mi.UInt32(mi.Float(index) * (BATCHES / lanes)) if lanes >= BATCHES else lane % BATCHES
+        for number in range(-(-self.rays // PASS_LANES)):
+            lane, batch, rng, o, d = self.start_pass(number)
             walk(
                 self.table,
                 self.intersector,
                 o,
                 d,
-                dr.minimum(batch, BATCHES - 1),
+                batch,
                 lane,
                 rng,
                 self.settings,
@@ -127,12 +131,10 @@ class Run:
             )
             dr.eval()
             dr.sync_thread()
-            done += lanes
             if progress:
-                progress(done, rays)
+                progress(min((number + 1) * PASS_LANES, self.rays), self.rays)
             if stop and stop():
-                break
-        return done
+                return
 
     def execute(self, ledger: bool, progress: Progress | None) -> None:
         """Trace everything and read the sums back; a ledger that fills up is made larger and the trace starts again."""
@@ -142,9 +144,8 @@ class Run:
         while True:
             tallies = Tallies(self.table.count, film.width * film.height)
             self.ledger = Ledger(capacity, self.settings.max_events) if ledger else None
-            held = self.ledger
-            self.launch(tallies, film, held, progress=progress, stop=(lambda: held.full) if held else None)
-            if held is None or not held.full:
+            self.launch(tallies, film, self.ledger, progress=progress, stop=self.ledger_full)
+            if not self.ledger_full():
                 break
             if capacity >= LAST_CAPACITY:
                 raise MistrayError(
@@ -157,6 +158,10 @@ class Run:
         self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
         self.film = np.moveaxis(np.array(tallies.film).reshape(film.height, film.width, 2), 2, 0)
         self.paths = self.ledger.decode() if self.ledger else None
+
+    def ledger_full(self) -> bool:
+        """Whether there is a ledger that needs more room."""
+        return self.ledger is not None and self.ledger.full
 
     def maps(self, number_of_slot: dict[int, int], count: int) -> np.ndarray:
         """

@@ -6,9 +6,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.coatings import CoatingTable
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
-from mistray.coatings import CoatingTable
 from mistray.physics.fresnel import reflectance
 
 STOCK_WAVELENGTH_NM = 550.0
@@ -69,17 +69,17 @@ class Interface(mi.BSDF):
         self.wavelength_nm = float(props.get("wavelength_nm", STOCK_WAVELENGTH_NM))
         for spec in (self.front, self.back):
             refractive_index(spec, self.wavelength_nm)  # an unknown material is an error of the scene, now
-        ideal = props.has_property("R") or props.has_property("T")
-        if ideal and props.has_property("table"):
+        ideal = "R" in props or ("T" in props)
+        if ideal and ("table" in props):
             raise MistrayError(f"interface '{self.name}': give R and T or table, not both")
         self.table: CoatingTable | None = None
         self.ideal = ideal
-        if ideal and not props.has_property("R"):
+        if ideal and "R" not in props:
             raise MistrayError(f"interface '{self.name}': T is given without R; give both (A = 1 - R - T is absorbed)")
         self.R = mi.Float(float(props.get("R", 0.0)))
         self.T = mi.Float(float(props.get("T", 0.0)))
         self._check()
-        if props.has_property("table"):
+        if "table" in props:
             path = str(mi.file_resolver().resolve(str(props.get("table"))))
             self.table = CoatingTable.read(path)
         side = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
@@ -156,7 +156,12 @@ class Interface(mi.BSDF):
         return dr.select(tir, r + t, r), dr.select(tir, 0, t), -dr.mulsign(cos_t, cos_wi), eta
 
     def sample(
-        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, sample1: mi.Float, sample2: mi.Point2f, active: mi.Mask = True
+        self,
+        ctx: mi.BSDFContext,
+        si: mi.SurfaceInteraction3f,
+        sample1: mi.Float,
+        sample2: mi.Point2f,
+        active: mi.Mask = True,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         r, t, cos_t, eta = self._specular(si.wi.z, active)
         reflects = ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
@@ -172,17 +177,23 @@ class Interface(mi.BSDF):
         bs.sampled_type = dr.select(
             reflected, mi.UInt32(+mi.BSDFFlags.DeltaReflection), mi.UInt32(+mi.BSDFFlags.DeltaTransmission)
         )
-        bs.wo = dr.select(reflected, mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z), mi.Vector3f(-eta * si.wi.x, -eta * si.wi.y, cos_t))
+        bs.wo = dr.select(
+            reflected, mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z), mi.Vector3f(-eta * si.wi.x, -eta * si.wi.y, cos_t)
+        )
         bs.eta = dr.select(reflected, 1, 1 / eta)
         # Radiance, unlike flux, scales with the square of the index
         scale = dr.square(eta) if ctx.mode == mi.TransportMode.Radiance else mi.Float(1)
         weight = dr.select(reflected, total, total * scale)
         return bs, mi.Spectrum(weight) & active
 
-    def eval(self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True) -> mi.Spectrum:
+    def eval(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
+    ) -> mi.Spectrum:
         return mi.Spectrum(0)
 
-    def pdf(self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True) -> mi.Float:
+    def pdf(
+        self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
+    ) -> mi.Float:
         return mi.Float(0)
 
     def eval_pdf(
@@ -199,7 +210,13 @@ class Interface(mi.BSDF):
         self._check()
 
     def to_string(self) -> str:
-        coating = f"R = {float(self.R[0]):g}, T = {float(self.T[0]):g}" if self.ideal else "Fresnel" if self.table is None else "table"
+        coating = (
+            f"R = {float(self.R[0]):g}, T = {float(self.T[0]):g}"
+            if self.ideal
+            else "Fresnel"
+            if self.table is None
+            else "table"
+        )
         return f"Interface[{self.front} | {self.back}, {coating}{', mirror' if self.mirror else ''}]"
 
 

@@ -66,12 +66,12 @@ class Collimated(mi.Emitter):
         self.wavelengths_nm = _numbers(self.name, "wavelength_nm", props.get("wavelength_nm", 550.0))
         weights = props.get("weights", None)
         self.weights = np.ones(len(self.wavelengths_nm)) if weights is None else _numbers(self.name, "weights", weights)
-        self.rectangular = props.has_property("half_width") or props.has_property("half_height")
+        self.rectangular = "half_width" in props or "half_height" in props
         if self.rectangular:
             self.size = (float(props.get("half_width", 0.0)), float(props.get("half_height", 0.0)))
         else:
             self.size = (float(props.get("radius", 0.0)), float(props.get("inner_radius", 0.0)))
-        if self.rectangular and props.has_property("radius"):
+        if self.rectangular and ("radius" in props):
             raise MistrayError(f"source '{self.name}': give radius or half_width and half_height, not both")
         self._check()
         self.weights = self.weights / self.weights.sum()
@@ -80,6 +80,9 @@ class Collimated(mi.Emitter):
         def fail(what: str) -> None:
             raise MistrayError(f"source '{self.name}': {what}")
 
+        rotation = self.matrix[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):
+            fail("to_world scales or shears; use a rigid motion and set the size by radius or half_width and half_height")
         a, b = self.size
         if self.rectangular and not (a > 0 and b > 0):
             fail(f"half_width = {a:g} mm and half_height = {b:g} mm; both must be positive")
@@ -197,7 +200,9 @@ def _numbers(name: str, key: str, value: object) -> np.ndarray:
     try:
         return np.array([float(part) for part in str(value).replace(",", " ").split()], dtype=np.float64)
     except ValueError:
-        raise MistrayError(f"source '{name}': {key} is '{value}'; give one number or a list separated by commas") from None
+        raise MistrayError(
+            f"source '{name}': {key} is '{value}'; give one number or a list separated by commas"
+        ) from None
 
 
 mi.register_emitter("collimated", lambda props: Collimated(props))

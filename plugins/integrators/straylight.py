@@ -49,7 +49,7 @@ class StrayLight(mi.CppADIntegrator):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        given = {f.name: props.get(f.name) for f in fields(Settings) if props.has_property(f.name)}
+        given = {f.name: props.get(f.name) for f in fields(Settings) if f.name in props}
         try:
             self.settings = Settings(**given)
         except MistrayError as error:

@@ -68,19 +68,19 @@ class Asphere(Revolution):
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
-        has_radius = props.has_property("radius")
-        if has_radius and props.has_property("curvature"):
+        has_radius = "radius" in props
+        if has_radius and ("curvature" in props):
             raise MistrayError(f"shape '{self.name}': give radius or curvature, not both")
         radius = float_property(props, "radius", 0.0)
         curvature = float_property(props, "curvature", 0.0)
         if has_radius:
             curvature = 0.0 if radius == 0 or np.isinf(radius) else 1.0 / radius
-        rectangular = props.has_property("half_width") or props.has_property("half_height")
-        if rectangular == props.has_property("semi_diameter"):
+        rectangular = "half_width" in props or "half_height" in props
+        if rectangular == ("semi_diameter" in props):
             raise MistrayError(
                 f"shape '{self.name}': give either semi_diameter or both half_width and half_height (mm)"
             )
-        if rectangular and not (props.has_property("half_width") and props.has_property("half_height")):
+        if rectangular and not (("half_width" in props) and ("half_height" in props)):
             raise MistrayError(f"shape '{self.name}': a rectangular clip needs half_width and half_height (mm)")
         values = {"curvature": curvature, "conic": float_property(props, "conic", 0.0)}
         values |= {key: float_property(props, key, 0.0) for key in COEFFICIENTS}

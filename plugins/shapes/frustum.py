@@ -46,7 +46,7 @@ class Frustum(Revolution):
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
-        missing = [key for key in ("r0", "z0", "r1", "z1") if not props.has_property(key)]
+        missing = [key for key in ("r0", "z0", "r1", "z1") if key not in props]
         if missing:
             raise MistrayError(f"shape '{self.name}': a frustum needs {', '.join(missing)} (mm)")
         self._finish(props, {key: float_property(props, key) for key in ("r0", "z0", "r1", "z1")})

@@ -118,7 +118,9 @@ def revolve(profile: np.ndarray, flipped: bool = False, azimuths: int = AZIMUTHS
     count = len(profile)
     phi = np.arange(azimuths) * (2 * np.pi / azimuths)
     r, z = profile[:, :1], profile[:, 1:]
-    vertices = np.stack([r * np.cos(phi), r * np.sin(phi), np.broadcast_to(z, (count, azimuths))], axis=-1).reshape(-1, 3)
+    vertices = np.stack([r * np.cos(phi), r * np.sin(phi), np.broadcast_to(z, (count, azimuths))], axis=-1).reshape(
+        -1, 3
+    )
     i, j = np.meshgrid(np.arange(count - 1), np.arange(azimuths), indexing="ij")
     a, b = i * azimuths + j, i * azimuths + (j + 1) % azimuths
     c, d = a + azimuths, b + azimuths
@@ -130,7 +132,9 @@ def revolve(profile: np.ndarray, flipped: bool = False, azimuths: int = AZIMUTHS
 
 def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray, np.ndarray]:
     """Triangulated rectangle of count × count cells: xy (n, 2) float64 and faces (m, 3) uint32, normals towards +z."""
-    x, y = np.meshgrid(np.linspace(-half_width, half_width, count + 1), np.linspace(-half_height, half_height, count + 1))
+    x, y = np.meshgrid(
+        np.linspace(-half_width, half_width, count + 1), np.linspace(-half_height, half_height, count + 1)
+    )
     i, j = np.meshgrid(np.arange(count), np.arange(count), indexing="ij")
     a = (i * (count + 1) + j).ravel()
     b, c, d = a + 1, a + count + 1, a + count + 2

@@ -61,8 +61,8 @@ def test_label(row, words):
 
 
 def test_normalised_rms_irradiance_is_over_the_on_axis_image(report):
-    direct = report[0.0].paths[0].row(1.0)
-    nominal = 3.0 / (math.pi * direct["rms_radius_mm"] ** 2)
+    direct = report[0.0].paths[0]
+    nominal = 3.0 / (math.pi * direct.rms_radius_mm**2)
     assert report.nominal.rms_irradiance_W_mm2.value == pytest.approx(nominal, rel=1e-12)
     table = report.table(20.0)
     expected = table.power_W / (math.pi * table.rms_radius_mm**2) / nominal
@@ -113,9 +113,17 @@ def test_summary_adds_up(report):
 
 def test_peak_is_that_of_the_stray_map(report):
     image, se = report.stray_map(10.0)
-    s = report.summary(10.0)
-    assert s.peak_stray_W_mm2 == (image.max(), se.flat[np.argmax(image)])
-    assert s.peak_to_nominal.value == pytest.approx(image.max() / report.nominal.peak_W_mm2.value)
+    numbers = report.stray_statistics(10.0)
+    assert (numbers.maximum, numbers.maximum_se) == (image.max(), se.flat[np.argmax(image)])
+    assert numbers.incident_rays == 903
+    nominal, _ = report[0.0].irradiance_of([0])
+    assert report.peak_to_nominal(10.0).value == pytest.approx(image.max() / nominal.max())
+
+
+def test_peak_over_a_nominal_image_of_its_own_trace():
+    report = GhostReport(lens_scene(), {10.0: trace_at(10.0)}, trace_at(0.0))
+    nominal, _ = report.nominal_trace.irradiance_of([0])
+    assert report.peak_to_nominal(10.0).value == pytest.approx(report.stray_map(10.0)[0].max() / nominal.max())
 
 
 def test_out_of_field_there_is_no_signal(report):
@@ -126,10 +134,18 @@ def test_out_of_field_there_is_no_signal(report):
 
 
 def test_maps_of_direct_and_stray_add_to_the_whole(report):
-    t, table = report[10.0], report.table(10.0)
-    direct, _ = report.map(10.0, list(table.path_id[table.kind == "direct"]))
-    stray, _ = report.stray_map(10.0)
-    np.testing.assert_allclose(direct + stray, t.irradiance, rtol=1e-12)
+    direct, direct_se = report[10.0].irradiance_of([0])
+    stray, stray_se = report.stray_map(10.0)
+    np.testing.assert_allclose(direct + stray, report[10.0].irradiance, rtol=1e-12)
+    np.testing.assert_allclose(np.hypot(direct_se, stray_se), report[10.0].irradiance_se, rtol=1e-12)
+
+
+def test_maps_are_there_for_the_worst_paths_only(report):
+    ids = list(report.top(10.0, 4).path_id)
+    parts = [report.map(10.0, path_id)[0] for path_id in ids]
+    np.testing.assert_allclose(np.sum(parts, axis=0), report.stray_map(10.0)[0], rtol=1e-12)
+    with pytest.raises(MistrayError, match="path 0 is not among the worst 4 of field 10 deg"):
+        report.map(10.0, 0)
 
 
 def test_report_is_a_mapping_of_fields(report):
@@ -143,11 +159,11 @@ def test_report_is_a_mapping_of_fields(report):
 
 def test_two_wavelengths_are_one_image():
     """Two discs of equal power 0.4 mm apart: the pooled second moment is the mean one plus 0.2²."""
-    lines = [FakePath([*LENS, "detector:A"], "direct", 1.0, 5000, x, 0.0, 0.1) for x in (-0.2, 0.2)]
-    image = direct_image(FakeTrace(lines))
-    parts = [path.row(2.0) for path in lines]
-    offset = (parts[0]["x_mm"] - parts[1]["x_mm"]) / 2, (parts[0]["y_mm"] - parts[1]["y_mm"]) / 2
-    radius2 = np.mean([part["rms_radius_mm"] ** 2 for part in parts]) + np.hypot(*offset) ** 2
+    lines = [FakePath(f"{LENS} detector:A", "direct", 1.0, 5000, x, 0.0, 0.1) for x in (-0.2, 0.2)]
+    trace = FakeTrace(lines)
+    image = direct_image(trace)
+    a, b = trace.paths
+    radius2 = (a.rms_radius_mm**2 + b.rms_radius_mm**2 + ((a.x_mm - b.x_mm) ** 2 + (a.y_mm - b.y_mm) ** 2) / 2) / 2
     assert image.power_W.value == 2.0
     assert image.rms_radius_mm.value**2 == pytest.approx(radius2, rel=1e-12)
     assert image.rms_irradiance_W_mm2.value == pytest.approx(2.0 / (math.pi * radius2), rel=1e-12)

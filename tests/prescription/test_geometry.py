@@ -79,10 +79,7 @@ def free_ends(shapes):
     """Ends of the profile in the (r, z) half plane that belong to one face alone; the axis is no end."""
     ends = Counter()
     for shape in shapes:
-        if isinstance(shape, Structure):
-            points = [(shape.r0, shape.z0), (shape.r1, shape.z1)]
-        else:
-            points = [shape.rim]
+        points = [(shape.r0, shape.z0), (shape.r1, shape.z1)] if isinstance(shape, Structure) else [shape.rim]
         ends.update(point for point in points if point[0] > 0)
     return {point for point, count in ends.items() if count < 2}
 

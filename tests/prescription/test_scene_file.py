@@ -104,7 +104,7 @@ def same(a, b, path=""):
         if isinstance(value, dict):
             same(value, b[key], here)
         elif key == "to_world":
-            np.testing.assert_allclose(matrix(value), matrix(b[key]), rtol=2e-7, atol=1e-7, err_msg=here)
+            np.testing.assert_allclose(matrix(value), matrix(b[key]), rtol=1e-14, atol=1e-15, err_msg=here)
         else:
             assert value == b[key], here
             assert type(value) is type(b[key]), here
@@ -122,7 +122,8 @@ def test_dictionary_and_xml_hold_the_same(everything):
     assert list(read) == list(written)
     same(written, read)
     assert set(written["L1_front"]) == {
-        "type", "radius", "conic", "a4", "a8", "semi_diameter", "inner_semi_diameter", "part", "space", "to_world", "bsdf",
+        "type", "radius", "conic", "a4", "a8", "semi_diameter", "inner_semi_diameter", "part", "space", "to_world",
+        "bsdf",
     }  # fmt: skip
     assert written["detector"]["sensor"]["film"]["width"] == 40
     assert written["fold"]["bsdf"] == {"type": "interface", "R": 1.0, "mirror": True}

@@ -6,7 +6,8 @@ from dataclasses import dataclass, field
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
+
+from mistray.trace import Energy, FluxReport, PathRow, PathTable, SurfaceFlux
 
 PARTS = {
     "window_front": "window",
@@ -16,15 +17,30 @@ PARTS = {
     "stop_wall": "stop",
     "detector": "detector",
 }
-LENS = ["window_front:T", "window_rear:T", "L1_front:T", "L1_rear:T"]
-INTERCEPTS = {"T": "SpecTran", "R": "SpecRefl", "A": "Absorbed"}
+LENS = "window_front:T window_rear:T L1_front:T L1_rear:T"
+DETECTOR_ABSORBS = 0.8
+EXTENT = (-2.0, 2.0, -1.5, 1.5)
+SHAPE = (60, 80)
+SETTINGS = {
+    "rays": 1000,
+    "azimuth_deg": 0.0,
+    "wavelength_nm": [550.0],
+    "max_reflections": 2,
+    "max_events": 32,
+    "flux_threshold": 1e-8,
+    "splitting": "split",
+    "below_threshold": "cut",
+    "seed": 0,
+    "variant": "llvm_ad_rgb",
+    "versions": {"mistray": "0.1.0", "mitsuba": "3.9.1"},
+}
 
 
 @dataclass
 class FakePath:
     """One path: a uniform disc of `radius` about (x, y) that holds `power` over `rays` rays."""
 
-    events: list[str]
+    events: str
     kind: str
     power: float
     rays: int
@@ -33,142 +49,104 @@ class FakePath:
     radius: float = 0.1
     ghost_1: str = "-"
     ghost_2: str = "-"
-    order: int = 0
-    structure_bounces: int = 0
-    path_id: int = -1
     points: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
 
-    @property
-    def event_list(self) -> list[tuple[str, str]]:
-        return [(name, INTERCEPTS[code]) for name, code in (event.split(":") for event in self.events)]
+    def scatter(self, rng: np.random.Generator) -> None:
+        r = self.radius * np.sqrt(rng.random(self.rays))
+        phi = 2 * np.pi * rng.random(self.rays)
+        self.points = np.column_stack([self.x + r * np.cos(phi), self.y + r * np.sin(phi)])
 
-    def row(self, total: float) -> dict[str, object]:
+    def row(self, path_id: int, total: float) -> PathRow:
         rms = float(np.sqrt(np.mean(np.sum((self.points - self.points.mean(0)) ** 2, axis=1))))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            irradiance = float(np.float64(self.power) / (np.pi * rms**2))
+        irradiance = self.power / (np.pi * rms**2)
         relative = 1 / np.sqrt(self.rays)
-        return {
-            "path_id": self.path_id,
-            "wavelength_nm": 550.0,
-            "events": " ".join(self.events),
-            "path": "".join(event.split(":")[1] for event in self.events),
-            "order": self.order,
-            "kind": self.kind,
-            "ghost_1": self.ghost_1,
-            "ghost_2": self.ghost_2,
-            "scatter_1": "-",
-            "structure_bounces": self.structure_bounces,
-            "tir": 0,
-            "rays": self.rays,
-            "power_W": self.power,
-            "power_se_W": self.power * relative,
-            "incident_W": self.power / 0.8,
-            "percent": 100 * self.power / total,
-            "x_mm": self.points[:, 0].mean(),
-            "y_mm": self.points[:, 1].mean(),
-            "rms_radius_mm": rms,
-            "rms_irradiance_W_mm2": irradiance,
-            "x_se_mm": rms * relative,
-            "y_se_mm": rms * relative,
-            "rms_radius_se_mm": rms * relative / 2,
-            "rms_irradiance_se_W_mm2": irradiance * 2 * relative,
-        }
-
-
-class FakePaths(list):
-    def to_pandas(self) -> pd.DataFrame:
-        total = sum(path.power for path in self)
-        return pd.DataFrame([path.row(total) for path in self])
-
-
-class FakeTable:
-    def __init__(self, frame: pd.DataFrame) -> None:
-        self.frame = frame
-
-    def to_pandas(self) -> pd.DataFrame:
-        return self.frame
+        structure = self.events.count("stop_wall:R")
+        return PathRow(
+            path_id=path_id,
+            source="source",
+            wavelength_nm=550.0,
+            events=self.events,
+            path="".join(event[-1] for event in self.events.split()),
+            order=self.events.count(":R") - structure,
+            kind=self.kind,
+            ghost_1=self.ghost_1,
+            ghost_2=self.ghost_2,
+            scatter_1="-",
+            structure_bounces=structure,
+            tir=0,
+            rays=self.rays,
+            power_W=self.power,
+            power_se_W=self.power * relative,
+            incident_W=self.power / DETECTOR_ABSORBS,
+            incident_se_W=self.power / DETECTOR_ABSORBS * relative,
+            percent=100 * self.power / total,
+            percent_se=100 * self.power / total * relative,
+            x_mm=self.points[:, 0].mean(),
+            x_se_mm=rms * relative,
+            y_mm=self.points[:, 1].mean(),
+            y_se_mm=rms * relative,
+            rms_radius_mm=rms,
+            rms_radius_se_mm=rms * relative / 2,
+            rms_irradiance_W_mm2=irradiance,
+            rms_irradiance_se_W_mm2=irradiance * 2 * relative,
+        )
 
 
 class FakeTrace:
-    """The attributes of `mistray.trace.Trace` that reports read."""
+    """The attributes of `mistray.trace.Trace` that reports read, of the same classes where there are any."""
 
-    def __init__(self, paths: list[FakePath], field_deg: float = 0.0, launched: float = 5.0, cut_events: float = 0.0):
+    def __init__(self, paths: list[FakePath], field_deg: float = 0.0, cut_events: float = 0.0):
         rng = np.random.default_rng(1)
-        self.paths = FakePaths(sorted(paths, key=lambda path: -path.power))
-        self.extent = (-2.0, 2.0, -1.5, 1.5)
-        self.shape = (60, 80)
-        for number, path in enumerate(self.paths):
-            path.path_id = number
-            r = path.radius * np.sqrt(rng.random(path.rays))
-            phi = 2 * np.pi * rng.random(path.rays)
-            path.points = np.column_stack([path.x + r * np.cos(phi), path.y + r * np.sin(phi)])
-        self.settings = {
-            "scene": "fake",
-            "rays": 1000,
-            "field_deg": field_deg,
-            "azimuth_deg": 0.0,
-            "wavelength_nm": [550.0],
-            "max_reflections": 2,
-            "max_events": 32,
-            "flux_threshold": 1e-8,
-            "splitting": "split",
-            "below_threshold": "cut",
-            "seed": 0,
-            "variant": "llvm_ad_rgb",
-            "versions": {"mistray": "0.1.0", "mitsuba": "3.9.1"},
-        }
-        self.irradiance, self.irradiance_se = self.irradiance_of([path.path_id for path in self.paths])
-        detected = sum(path.power for path in self.paths)
-        escaped = 0.25 * launched
-        absorbed = launched - detected - escaped - cut_events - 1e-6
-        self.energy = SimpleNamespace(
+        self.fakes = sorted(paths, key=lambda path: -path.power)
+        for path in self.fakes:
+            path.scatter(rng)
+        detected = sum(path.power for path in self.fakes)
+        self.paths = PathTable([path.row(k, detected) for k, path in enumerate(self.fakes)], [(0, 0, 0)] * len(paths))
+        self.extent = EXTENT
+        self.settings = SETTINGS | {"field_deg": field_deg}
+        self.irradiance, self.irradiance_se = self.irradiance_of(range(len(paths)))
+        launched = 5.0
+        absorbed = launched - detected - 1.25 - cut_events - 1e-6
+        self.energy = Energy(
             launched_W=launched,
             detected_W=detected,
             detected_se_W=0.001 * detected,
             absorbed={"stop_wall": (0.9 * absorbed, 1e-3), "L1_rear": (0.1 * absorbed, 1e-4)},
-            escaped_W=escaped,
+            escaped_W=1.25,
+            escaped_se_W=0.01,
             cut={"flux_threshold": 1e-6, "max_events": cut_events, "max_reflections": 0.0, "medium": 0.0},
-            closure=2e-7,
         )
-        self.surfaces = FakeTable(
-            pd.DataFrame(
-                {
-                    "id": list(PARTS),
-                    "part": list(PARTS.values()),
-                    "space": range(len(PARTS)),
-                    "hits": 1000,
-                    "incident_W": np.linspace(5, 1, len(PARTS)),
-                    "incident_se_W": 0.01,
-                    "absorbed_W": 0.1,
-                    "absorbed_se_W": 0.001,
-                }
-            )
+        self.surfaces = FluxReport(
+            [
+                SurfaceFlux(name, part, space, 1000, 5.0 - 0.5 * space, 0.01, 0.1, 0.001)
+                for space, (name, part) in enumerate(PARTS.items())
+            ]
         )
         self.segments = 12345
         self.seconds = 0.25
 
-    def irradiance_of(self, path_ids: list[int]) -> tuple[np.ndarray, np.ndarray]:
-        x0, x1, y0, y1 = self.extent
-        height, width = self.shape
-        pixel = (x1 - x0) / width * (y1 - y0) / height
-        total = np.zeros(self.shape)
-        variance = np.zeros(self.shape)
-        for number in path_ids:
-            path = self.paths[number]
-            counts, _, _ = np.histogram2d(
-                path.points[:, 1], path.points[:, 0], bins=self.shape, range=[(y0, y1), (x0, x1)]
-            )
+    def irradiance_of(self, path_ids):
+        x0, x1, y0, y1 = EXTENT
+        pixel = (x1 - x0) / SHAPE[1] * (y1 - y0) / SHAPE[0]
+        total, variance = np.zeros(SHAPE), np.zeros(SHAPE)
+        for path in (self.fakes[path_id] for path_id in path_ids):
+            counts, _, _ = np.histogram2d(*path.points[:, ::-1].T, bins=SHAPE, range=[(y0, y1), (x0, x1)])
             weight = path.power / path.rays / pixel
             total += counts * weight
             variance += counts * weight**2
         return total, np.sqrt(variance)
 
-    def history(self, path_id: int, n: int = 8) -> SimpleNamespace:
-        path = self.paths[path_id]
+    def maps(self, groups):
+        ids = [path_id for group in groups for path_id in group]
+        assert len(ids) == len(set(ids)), "a path belongs to one map"
+        return [self.irradiance_of(group) for group in groups]
+
+    def history(self, path_id, n=8):
+        path = self.fakes[path_id]
         rays = []
         for start in np.linspace(-0.8, 0.8, n):
             knots = [[0.0, start, -2.0], [0.0, start, 0.0], [0.0, start * 0.9, 1.0]]
-            if path.order:
+            if "detector:R" in path.events:
                 knots += [[0.0, start * 0.5, 4.0], [0.0, start * 0.4, 1.0]]
             rays.append(np.array([*knots, [path.x, path.y, 5.0]]))
         return SimpleNamespace(rays=rays)
@@ -177,25 +155,14 @@ class FakeTrace:
 def trace_at(field_deg: float, cut_events: float = 0.0) -> FakeTrace:
     """A field with a direct image (below 18 degrees), two ghosts, a structure path and one of very few rays."""
     y = 0.1 * field_deg
+    window = f"{LENS} detector:R window_rear:R L1_front:T L1_rear:T detector:A"
+    lens = f"{LENS} detector:R L1_rear:R detector:A"
     paths = [
-        FakePath(
-            [*LENS, "window_rear:R", "L1_front:R", "detector:A"],
-            "ghost",
-            2e-4,
-            400,
-            0,
-            -y,
-            0.5,
-            "detector",
-            "window_rear",
-            2,
-        ),
-        FakePath(
-            [*LENS, "detector:R", "L1_rear:R", "detector:A"], "ghost", 1e-4, 400, 0, y, 0.05, "detector", "L1_rear", 2
-        ),
-        FakePath(["stop_wall:R", *LENS, "detector:A"], "structure", 3e-6, 100, 0.5, y, 0.3, "stop_wall", "-", 0, 1),
-        FakePath([*LENS, "stop_wall:R", "detector:A"], "structure", 1e-9, 3, -1.0, 1.0, 1e-5, "stop_wall", "-", 0, 1),
+        FakePath(window, "ghost", 2e-4, 400, 0.0, -y, 0.5, "detector", "window_rear"),
+        FakePath(lens, "ghost", 1e-4, 400, 0.0, y, 0.05, "detector", "L1_rear"),
+        FakePath(f"stop_wall:R {LENS} detector:A", "structure", 3e-6, 100, 0.5, y, 0.3, "stop_wall"),
+        FakePath(f"{LENS} stop_wall:R detector:A", "structure", 1e-9, 3, -1.0, 1.0, 1e-5, "stop_wall"),
     ]
     if abs(field_deg) < 18:
-        paths.append(FakePath([*LENS, "detector:A"], "direct", 3.0, 1000, 0, y, 0.02))
-    return FakeTrace(paths, field_deg, cut_events=cut_events)
+        paths.append(FakePath(f"{LENS} detector:A", "direct", 3.0, 1000, 0.0, y, 0.02))
+    return FakeTrace(paths, field_deg, cut_events)

@@ -5,7 +5,7 @@ from html.parser import HTMLParser
 
 import pytest
 from report.fake_scene import lens_scene
-from report.fake_trace import trace_at
+from report.fake_trace import FakeTrace, trace_at
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
@@ -43,13 +43,12 @@ class Page(HTMLParser):
 @pytest.fixture(scope="module")
 def report():
     traces = {field: trace_at(field) for field in (0.0, 20.0)}
-    traces[0.0].settings["scene"] = "a <b> & c"
     return GhostReport(lens_scene(), traces, traces[0.0])
 
 
 @pytest.fixture(scope="module")
 def text(report):
-    return html_text(report, command="mistray ghosts 'a <b> & c' --rays 1e6")
+    return html_text(report, "a <b> & c", "mistray ghosts 'a <b> & c' --rays 1e6")
 
 
 def test_nothing_comes_from_the_network(text):
@@ -114,7 +113,7 @@ def test_a_failure_leaves_nothing(report, tmp_path, monkeypatch):
 
 
 def test_write_all_writes_every_file(report, tmp_path):
-    files = write_all(report, tmp_path / "out", "mistray ghosts x")
+    files = write_all(report, tmp_path / "out", "x", "mistray ghosts x")
     assert sorted(file.name for file in files) == sorted(entry.name for entry in (tmp_path / "out").iterdir())
     names = {file.name for file in files}
     assert {
@@ -126,6 +125,15 @@ def test_write_all_writes_every_file(report, tmp_path):
         "path_sort_0deg.txt",
     } <= names
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
+
+
+def test_write_all_of_a_detector_in_the_dark(tmp_path):
+    dark = FakeTrace([])
+    report = GhostReport(lens_scene(), {0.0: dark}, dark)
+    write_all(report, tmp_path / "out")
+    text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert "No stray path reaches the detector." in text
+    assert "no direct light reaches the detector on axis" in text
 
 
 def test_write_all_fails_without_a_trace(report, tmp_path, monkeypatch):

@@ -65,9 +65,19 @@ def test_colours_grow_lighter_all_the_way():
 
 
 def test_a_dark_map_says_so(report):
-    figure, limits = thumbnail(np.zeros((4, 4)), (-1.0, 1.0, -1.0, 1.0))
+    figure, width, limits = thumbnail(np.zeros((4, 4)), (-1.0, 1.0, -1.0, 1.0), (0.0, 0.0), float("nan"))
     assert limits is None
+    assert width == 6.0
     assert [text.get_text() for text in figure.axes[0].texts] == ["no light"]
+
+
+def test_thumbnail_frames_its_path(report):
+    row = report.top(10.0, 1).iloc[0]
+    image, _ = report.map(10.0, row.path_id)
+    figure, width, _ = thumbnail(image, report[10.0].extent, (row.x_mm, row.y_mm), 0.2)
+    assert width == pytest.approx(1.2)
+    assert figure.axes[0].get_xlim() == pytest.approx((row.x_mm - 0.6, row.x_mm + 0.6))
+    assert figure.axes[0].get_aspect() == 1.0
 
 
 def test_scale_upside_down_is_an_error(report):
