@@ -2,6 +2,7 @@
 
 import ast
 import json
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -12,6 +13,7 @@ from report.fake_scene import lens_scene
 from report.fake_trace import trace_at
 
 import mistray.scene
+import mistray.scenes
 from mistray import cli
 from mistray.errors import MistrayError
 
@@ -256,3 +258,64 @@ def test_import_of_batoid_needs_a_wavelength_and_no_variant(capsys, tmp_path):
     assert "give --wavelength-nm" in fails(capsys, "import", str(path))
     message = fails(capsys, "import", str(path), "--wavelength-nm", "620", "--variant", "b")
     assert "batoid files hold no variants; leave it out" in message
+
+
+@pytest.fixture(scope="module")
+def plate():
+    return (Path(mistray.scenes.__file__).parent / "plate" / "scene.xml").read_text(encoding="utf-8")
+
+
+def without(text, tag):
+    return re.sub(rf"<{tag}\b.*?</{tag}>", "", text, flags=re.DOTALL)
+
+
+@pytest.mark.parametrize(
+    ("damage", "parts"),
+    [
+        (lambda text: text[: len(text) // 2], ["scene.xml", "Parsing of XML file"]),
+        (lambda text: text.replace('type="asphere"', 'type="aspherical"', 1), ['shape plugin of type "aspherical"']),
+        (lambda text: text.replace('name="semi_diameter"', 'name="half_diameter"', 1), ["shape 'plate_front'"]),
+        (
+            lambda text: re.sub(r'(name="semi_diameter" value=")', r"\1-", text, count=1),
+            ["shape 'plate_front': semi_diameter is -", "must be positive"],
+        ),
+        (lambda text: without(text, "sensor"), ["no detector"]),
+        (lambda text: without(text, "emitter"), ["no source"]),
+    ],
+    ids=["broken XML", "unknown plugin", "unknown parameter", "negative size", "no detector", "no source"],
+)
+def test_bad_scenes_are_one_line(capfd, tmp_path, plate, damage, parts):
+    """`capfd` sees what Mitsuba itself writes, too."""
+    path = tmp_path / "scene.xml"
+    path.write_text(damage(plate))
+    line = fails(capfd, "ghosts", str(path), "--rays", "100", "--out", str(tmp_path / "out"))
+    assert all(part in line for part in parts)
+    assert not (tmp_path / "out").exists()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "parts"),
+    [
+        (("no_such_scene",), ["scene 'no_such_scene': no such file", "plate"]),
+        (("plate", "--rays", "0"), ["rays is 0"]),
+        (("plate", "--flux-threshold", "2"), ["flux_threshold is 2"]),
+        (("plate", "--variant", "scalar_rgb"), ["variant 'scalar_rgb' cannot run the ray tree"]),
+        (("plate", "--variant", "cuda_ad_spectral_mono"), ["variant 'cuda_ad_spectral_mono'"]),
+    ],
+)
+def test_bad_settings_are_one_line(capfd, arguments, parts):
+    line = fails(capfd, "ghosts", *arguments)
+    assert all(part in line for part in parts)
+
+
+def test_a_real_scene(capfd, tmp_path):
+    """The plate between air: R² ghost of 2 rays of light, and a report."""
+    out = tmp_path / "out"
+    code, text, err = run(capfd, "ghosts", "plate", "--rays", "2000", "--out", str(out), "--json")
+    answer = json.loads(text)
+    assert (code, err) == (0, "")
+    assert abs(answer["fields"][0]["energy"]["closure"]) < 1e-5
+    assert answer["fields"][0]["paths_direct"] == 1
+    assert answer["fields"][0]["paths_ghost"] > 0
+    assert {Path(file).name for file in answer["files"]} == {file.name for file in out.iterdir()}
+    assert "<title>Ghost analysis: plate</title>" in (out / "report.html").read_text(encoding="utf-8")

@@ -13,6 +13,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate, total
@@ -23,10 +24,12 @@ from mistray.trace import Trace, trace
 DIRECT = "direct"
 KINDS = ("ghost", "structure", "structure+ghost", "TIR", "straight shot")
 FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain to rank by
+DRAWING_RAYS = 576  # start rays of the trace that gives rays to draw
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 NOMINAL_FIELD_DEG = 0.0
 
 Progress = Callable[[float, float], None]
+Polyline = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -115,13 +118,20 @@ class GhostReport(Mapping[float, Trace]):
         Direct image on axis (field 0): the denominator of every normalised number.
     nominal_trace : Trace
         The trace it was taken from.
+    arguments : dict
+        What `mistray.trace` was given at every field.
     """
 
-    def __init__(self, scene: Any, traces: Mapping[float, Trace], nominal_trace: Trace) -> None:
+    def __init__(
+        self, scene: Any, traces: Mapping[float, Trace], nominal_trace: Trace, arguments: Mapping[str, Any]
+    ) -> None:
         self.scene = scene
         self._traces = dict(traces)
         self._tables: dict[float, pd.DataFrame] = {}
         self._maps: dict[float, _FieldMaps] = {}
+        self._drawings: dict[float, Trace] = {}
+        self._rays: dict[tuple[float, int], list[Polyline]] = {}
+        self.arguments = dict(arguments)
         self.nominal_trace = nominal_trace
         self.nominal = direct_image(nominal_trace)
 
@@ -201,6 +211,33 @@ class GhostReport(Mapping[float, Trace]):
         """Brightest pixel of the stray light over the brightest pixel of the direct image on axis."""
         stray = self.stray_statistics(field_deg)
         return Estimate(stray.maximum, stray.maximum_se).over(self._nominal_peak())
+
+    def rays_of(self, field_deg: float, path_id: int) -> list[Polyline]:
+        """
+        Rays of a path to draw, spread over the beam.
+
+        They come from a trace of their own with `DRAWING_RAYS` start rays, because the first rays of a large one fill
+        a corner of the beam only.
+
+        Returns
+        -------
+        list of (k, 3) float
+            Polylines from the source to the detector, mm; empty if the path is too rare to occur in so few rays.
+        """
+        if (field_deg, path_id) not in self._rays:
+            self._rays[field_deg, path_id] = self._draw(field_deg, path_id)
+        return self._rays[field_deg, path_id]
+
+    def _draw(self, field_deg: float, path_id: int) -> list[Polyline]:
+        if field_deg not in self._drawings:
+            few = self.arguments | {"rays": DRAWING_RAYS}
+            self._drawings[field_deg] = trace(self.scene, field_deg=field_deg, **few)
+        drawing = self._drawings[field_deg]
+        wanted = self[field_deg].paths[path_id]
+        for row in drawing.paths:
+            if (row.source, row.wavelength_nm, row.events) == (wanted.source, wanted.wavelength_nm, wanted.events):
+                return list(drawing.history(row.path_id, n=DRAWING_RAYS).rays)
+        return []
 
     def _nominal_peak(self) -> Estimate:
         field = next((field for field, t in self.items() if t is self.nominal_trace), None)
@@ -322,7 +359,7 @@ def ghosts(
         nominal = traces[NOMINAL_FIELD_DEG]
     else:
         nominal = trace(scene, field_deg=NOMINAL_FIELD_DEG, **(settings | {"max_reflections": 0}))
-    return GhostReport(scene, traces, nominal)
+    return GhostReport(scene, traces, nominal, settings)
 
 
 def direct_image(t: Trace) -> DirectImage:

@@ -17,6 +17,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
+from mistray.physics.crossing import meeting
 from mistray.physics.paraxial import ParaxialSystem
 from mistray.physics.sag import conic_end, sag
 
@@ -25,10 +26,6 @@ if TYPE_CHECKING:
 
 MAX_COEFFICIENTS = 9
 """Number of even coefficients a4 … a20 that the `asphere` plugin takes."""
-
-_CROSSING_SAMPLES = 513
-_CROSSING_TOLERANCE_MM = 1e-9
-
 
 @dataclass(frozen=True)
 class Coating:
@@ -484,14 +481,6 @@ def _check_crossing(a: Surface, b: Surface) -> None:
     """Raise if the coaxial surfaces ``a`` and ``b`` cross or coincide within the aperture that they share."""
     inner = max(a.inner_semi_diameter, b.inner_semi_diameter)
     outer = min(s.semi_diameter or min(s.half_width or 0.0, s.half_height or 0.0) for s in (a, b))
-    if outer <= inner:
-        return
-    r = np.linspace(inner, outer, _CROSSING_SAMPLES)
-    gap = b.z_at(r) - a.z_at(r)
-    if np.all(np.abs(gap) <= _CROSSING_TOLERANCE_MM):
-        raise MistrayError(f"surfaces '{a.name}' and '{b.name}' coincide at z = {a.z:g} mm; remove one of them")
-    if gap.min() < -_CROSSING_TOLERANCE_MM and gap.max() > _CROSSING_TOLERANCE_MM:
-        at = float(r[np.argmax(np.sign(gap) != np.sign(gap[0]))])
-        raise MistrayError(
-            f"surfaces '{a.name}' and '{b.name}' cross at r = {at:.4g} mm; move them apart or make one smaller"
-        )
+    met = meeting(a.z_at, b.z_at, inner, outer)
+    if met is not None:
+        raise MistrayError(met.between(a.name, b.name))

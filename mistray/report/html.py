@@ -17,7 +17,17 @@ from mistray.report.layout import layout
 from mistray.report.plots import as_png, as_svg, common_range, ghost_image, levels_against_field, montage, thumbnail
 from mistray.report.tables import ABSENT, number, warnings, with_error
 
-ROWS_SHOWN = 60
+ROWS_SHOWN = 60  # the worst paths by RMS irradiance
+STRONGEST_SHOWN = 10  # and by power
+PATH_NUMBERS = (
+    ("power", "W", "power_W", "power_se_W"),
+    ("of detected", "%", "percent", "percent_se"),
+    ("x", "mm", "x_mm", "x_se_mm"),
+    ("y", "mm", "y_mm", "y_se_mm"),
+    ("RMS radius", "mm", "rms_radius_mm", "rms_radius_se_mm"),
+    ("RMS irradiance", "W/mm²", "rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"),
+    ("normalised", "", "normalised_rms_irradiance", "normalised_rms_irradiance_se"),
+)
 
 ASSUMPTIONS = (
     "Geometric optics: rays are straight lines between surfaces; no diffraction, and paths add without interference.",
@@ -233,34 +243,29 @@ def _field(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes]) 
 
 
 def _ghosts(report: GhostReport, field_deg: float, anchor: str) -> str:
-    table = report.table(field_deg)
-    table = table.sort_values(["rank_rms_irradiance"])
+    table = report.table(field_deg).sort_values("rank_rms_irradiance")
+    shown = table[(table.rank_rms_irradiance <= ROWS_SHOWN) | (table.rank_power <= STRONGEST_SHOWN)]
+    colours = table.wavelength_nm.nunique() > 1
     header = [
-        ("image", ""), ("path", "no."), ("1st → 2nd ghost surface", "", "t"), ("kind", "", "t"), ("λ", "nm"),
-        ("rays", ""), ("power", "W"), ("of detected", "%"), ("centroid x, y", "mm"), ("RMS radius", "mm"),
-        ("RMS irradiance", "W/mm²"),
-        ("normalised", ""), ("rank", "RMS irr."), ("rank", "power"), ("path", "T R I A", "t"),
+        ("image", ""), ("path", "no."), ("1st → 2nd ghost surface", "", "t"), ("kind", "", "t"),
+        *([("λ", "nm")] if colours else []), ("rays", ""),
+        *((text, unit) for text, unit, _, _ in PATH_NUMBERS),
+        ("rank", "RMS irr."), ("rank", "power"), ("path", "T R I A", "t"),
     ]  # fmt: skip
-    thumbs = set(report.top(field_deg, MAPPED_PATHS).path_id)
+    pictured = set(report.top(field_deg, MAPPED_PATHS).path_id)
     rows = []
-    for row in table.head(ROWS_SHOWN).itertuples(index=False):
-        picture = _thumbnail(report, field_deg, row) if row.path_id in thumbs else ""
+    for row in shown.itertuples(index=False):
+        ranks = (row.rank_rms_irradiance, row.rank_power)
         rows.append(
             [
-                f"<td>{picture}</td>",
+                f"<td>{_thumbnail(report, field_deg, row) if row.path_id in pictured else ''}</td>",
                 _cell(str(row.path_id)),
                 _cell(str(row.label) + ("" if row.well_sampled else " *"), "t"),
                 _cell(str(row.kind), "t"),
-                _cell(f"{row.wavelength_nm:g}"),
+                *([_cell(f"{row.wavelength_nm:g}")] if colours else []),
                 _cell(str(row.rays)),
-                _estimate(Estimate(row.power_W, row.power_se_W)),
-                _cell(f"{row.percent:.3g}"),
-                _cell(f"{row.x_mm:.4f}, {row.y_mm:.4f}"),
-                _estimate(Estimate(row.rms_radius_mm, row.rms_radius_se_mm)),
-                _estimate(Estimate(row.rms_irradiance_W_mm2, row.rms_irradiance_se_W_mm2)),
-                _estimate(Estimate(row.normalised_rms_irradiance, row.normalised_rms_irradiance_se)),
-                _cell(str(row.rank_rms_irradiance)),
-                _cell(str(row.rank_power)),
+                *(_estimate(Estimate(getattr(row, value), getattr(row, se))) for _, _, value, se in PATH_NUMBERS),
+                *(_cell(str(rank) if rank else ABSENT) for rank in ranks),
                 f'<td class="path m"><details><summary>{row.path}</summary>{escape(row.events)}</details></td>',
             ]
         )
@@ -268,7 +273,7 @@ def _ghosts(report: GhostReport, field_deg: float, anchor: str) -> str:
     notes = []
     if left_out > 0:
         notes.append(f"{left_out} more paths are in paths.csv.")
-    if not table.head(ROWS_SHOWN).well_sampled.all():
+    if not shown.well_sampled.all():
         notes.append(f"* fewer than {FEWEST_RAYS} rays: RMS radius and irradiance are unreliable, ranked last.")
     name = f"t-{anchor}"
     return (

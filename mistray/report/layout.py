@@ -19,7 +19,6 @@ Polyline = npt.NDArray[np.float64]
 
 GLASS, GLASS_EDGE, STRUCTURE, MIRROR, DETECTOR = "#dbe9f4", "#4a6a86", "#7a7a7a", "#333333", "#000000"
 GHOST_COLOURS = (VERMILION, GREEN, PURPLE, ORANGE, SKY)
-HISTORY_RAYS = 64
 RAYS_DRAWN = 7
 
 
@@ -143,9 +142,10 @@ def layout(report: GhostReport, field_deg: float, ghosts: int = 3) -> Figure:
     for colour, row in zip(GHOST_COLOURS, report.top(field_deg, ghosts).itertuples(index=False), strict=False):
         chosen.append((int(row.path_id), colour, f"{row.label} ({row.kind})"))
     for path_id, colour, label in chosen:
-        rays = report[field_deg].history(path_id, n=HISTORY_RAYS).rays
-        for k, ray in enumerate(meridional(rays, RAYS_DRAWN)):
-            axes.plot(ray[:, 2], ray[:, 1], color=colour, lw=0.8, alpha=0.9, zorder=4, label=label if k == 0 else None)
+        rays = meridional(report.rays_of(field_deg, path_id), RAYS_DRAWN)
+        axes.plot([], [], color=colour, lw=0.8, label=label if rays else f"{label}, too rare to draw")
+        for ray in rays:
+            axes.plot(ray[:, 2], ray[:, 1], color=colour, lw=0.8, alpha=0.9, zorder=4)
     margin = 0.06 * size
     axes.set_xlim(low[0] - 2.5 * margin[0], high[0] + margin[0])
     axes.set_ylim(low[1] - margin[1], high[1] + margin[1])

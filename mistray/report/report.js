@@ -31,7 +31,8 @@ for (const input of document.querySelectorAll("input.filter")) {
   input.addEventListener("input", () => {
     const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
     for (const row of body.rows) {
-      const text = row.textContent.toLowerCase();
+      // the full list of events is left out: most surfaces occur in every path
+      const text = [...row.cells].filter((cell) => !cell.classList.contains("path")).map((cell) => cell.textContent).join(" ").toLowerCase();
       row.hidden = !words.every((word) => text.includes(word));
     }
   });

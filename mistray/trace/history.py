@@ -130,15 +130,18 @@ class RayHistory:
         return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "dx", "dy", "dz"])
 
 
-def read_rays(run: Run, recorder: Recorder) -> RayHistory:
-    """Read a recorder back; positions and optical path lengths are found again in float64."""
+def read_rays(run: Run, recorder: Recorder, most: int) -> RayHistory:
+    """Read at most `most` rays, spread over the recorded ones; positions are found again in float64."""
     count = min(int(recorder.count[0]), recorder.capacity)
     lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)
     nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS).astype(np.float64)
-    origins, directions = run.start_rays(lanes) if count else (np.zeros((0, 3)), np.zeros((0, 3)))
+    origins, directions = run.start_rays(lanes)
+    # Start rays are numbered along a curve through the beam: every k-th is a fair picture of all
+    order = np.argsort(lanes, kind="stable")
+    order = order[np.linspace(0, count - 1, min(most, count)).round().astype(int)] if count else order
     rays = []
-    for slot in np.argsort(lanes, kind="stable"):
+    for slot in order:
         events, hits = codes[slot, : lengths[slot]], nodes[slot, : lengths[slot]]
         points, leaving, opl = retrace(run.table, origins[slot], directions[slot], events, hits[:, :3])
         flux = run.unit * np.concatenate([[1.0], hits[:, 6]])

@@ -17,6 +17,10 @@ from mistray.trace.aspheres import AsphereSearch, stretch
 from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, Piece, SurfaceTable
 
 
+GROUP = 6  # walls that are looked at together
+FAR = 1e30  # stands for infinity where it may be multiplied by zero
+
+
 @dataclass
 class Numbers:
     """A `Piece` as opaque Dr.Jit scalars."""
@@ -67,6 +71,11 @@ class Intersector:
         self.pieces = table.pieces
         self.aspheres = AsphereSearch(table)
         self.numbers = [Numbers.of(piece) for piece in table.pieces]
+        walls = [k for k, p in enumerate(self.pieces) if p.wall]
+        if len(walls) <= GROUP:
+            walls = []
+        self.singles = [k for k, p in enumerate(self.pieces) if k not in walls and p.kind != "asphere"]
+        self.groups = _groups(self.pieces, walls)
         self.frames = [[dr.opaque(mi.Float, float(x)) for x in frame.ravel()] for frame in table.frames]
         self.axes = [(frame, dr.opaque(mi.Float, x), dr.opaque(mi.Float, y), x == y == 0) for frame, x, y in table.axes]
 
@@ -90,22 +99,47 @@ class Intersector:
         """
         best, surface = mi.Float(dr.inf), mi.UInt32(NO_SURFACE)
         frames: dict[int, tuple[Any, Any]] = {}
-        axes: dict[int, _AxisRay] = {}
-        entries = []
-        for p, n in zip(self.pieces, self.numbers, strict=True):
+        rays: dict[int, _AxisRay] = {}
+        for p in self.pieces:
             if p.frame not in frames:
                 frames[p.frame] = self._rotate(o, p.frame), self._rotate(d, p.frame)
-            if p.axis not in axes:
-                axes[p.axis] = self._axis_ray(*frames[p.frame], p.axis)
-            own = last == p.index
-            if p.kind == "asphere":
-                entries.append(_asphere_entry(axes[p.axis], n, own))
-                continue
-            t = _CROSSINGS[p.kind](axes[p.axis], p, n, own)
+            if p.axis not in rays:
+                rays[p.axis] = self._axis_ray(*frames[p.frame], p.axis)
+
+        def test(k: int, best: mi.Float, surface: mi.UInt32) -> tuple[mi.Float, mi.UInt32]:
+            p = self.pieces[k]
+            t = _CROSSINGS[p.kind](rays[p.axis], p, self.numbers[k], last == p.index)
             nearer = t < best
-            best, surface = dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
-        if entries:
-            return self.aspheres.nearest(o, d, last, entries, best, surface, active)
+            return dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
+
+        for k in self.singles:
+            best, surface = test(k, best, surface)
+        if self.aspheres.pieces:
+            entries = [
+                _asphere_entry(rays[p.axis], self.numbers[k], last == p.index)
+                for k, p in enumerate(self.pieces)
+                if p.kind == "asphere"
+            ]
+            best, surface = self.aspheres.nearest(o, d, last, entries, best, surface, active)
+        # Walls come last, in groups along the axis: most lanes have met a lens before they reach most groups
+        for group in self.groups:
+            ray = rays[group.axis]
+            far = dr.fma(dr.minimum(best, FAR), ray.dz, ray.oz)
+            near = (dr.maximum(ray.oz, far) >= group.z_low) & (dr.minimum(ray.oz, far) <= group.z_high)
+
+            def search(best: mi.Float, surface: mi.UInt32, members: list[int] = group.members) -> tuple[mi.Float, mi.UInt32]:
+                for k in members:
+                    best, surface = test(k, best, surface)
+                return best, surface
+
+            best, surface = dr.if_stmt(
+                (best, surface),
+                active & near,
+                search,
+                lambda best, surface: (best, surface),
+                arg_labels=("best", "surface"),
+                mode="symbolic",
+            )
         return best, surface
 
     def _rotate(self, v: mi.Vector3f, frame: int) -> mi.Vector3f:
@@ -129,6 +163,30 @@ class Intersector:
             dr.fma(ox, ox, oy * oy),
             dr.rcp(d.z),
         )
+
+
+@dataclass
+class _Group:
+    """Neighbouring walls on one axis, and their extent along it (opaque, mm)."""
+
+    axis: int
+    members: list[int]
+    z_low: mi.Float
+    z_high: mi.Float
+
+
+def _groups(pieces: list[Piece], walls: list[int]) -> list[_Group]:
+    """Cut the walls on each axis into groups of `GROUP`, from front to back."""
+    groups = []
+    for axis in sorted({pieces[k].axis for k in walls}):
+        members = sorted((k for k in walls if pieces[k].axis == axis), key=lambda k: pieces[k].z + sum(pieces[k].z_range) / 2)
+        for first in range(0, len(members), GROUP):
+            chosen = members[first : first + GROUP]
+            low = min(pieces[k].z + pieces[k].z_range[0] for k in chosen)
+            high = max(pieces[k].z + pieces[k].z_range[1] for k in chosen)
+            slack = 1e-6 * (1 + abs(low) + abs(high))
+            groups.append(_Group(axis, chosen, dr.opaque(mi.Float, low - slack), dr.opaque(mi.Float, high + slack)))
+    return groups
 
 
 @dataclass

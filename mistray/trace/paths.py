@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.ledger import ABSORBED, BATCHES, EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
+from mistray.trace.ledger import ABSORBED, EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
 from mistray.trace.surfaces import DETECTOR, MIRROR, OPAQUE
 
 if TYPE_CHECKING:
@@ -178,13 +178,20 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
         for k in range(len(paths.keys)):
             if paths.sums[k, :, 0].sum() > 0:
                 entries.append((number, k, run.unit * paths.sums[k, :, 2].sum()))
-    entries.sort(key=lambda entry: (-entry[2], entry[0], [int(c) for c in decoded[entry[0]].codes[entry[1]]]))
+
+    def rank(entry: tuple[int, int, float]) -> tuple:
+        """By power; equal ones by source, wavelength and events, whatever the order of the shapes in the file."""
+        number, k, power = entry
+        codes = decoded[number].codes[k]
+        return -power, number, [(runs[number].table.ids[code >> EVENT_BITS], int(code)) for code in codes]
+
+    entries.sort(key=rank)
     total = sum(entry[2] for entry in entries)
     rows, where = [], []
     for path_id, (number, k, _) in enumerate(entries):
         run, paths = runs[number], decoded[number]
         facts = describe_events(paths.codes[k], run.table.ids, run.table.host_words)
-        numbers = _numbers(paths.sums[k], run.rays, run.unit)
+        numbers = _numbers(paths.sums[k], run.started, run.unit)
         numbers["percent"] = 100 * numbers["power_W"] / total
         numbers["percent_se"] = 100 * numbers["power_se_W"] / total
         rows.append(
@@ -226,15 +233,15 @@ def describe_events(codes: np.ndarray, ids: Sequence[str], words: np.ndarray) ->
     }
 
 
-def _numbers(sums: np.ndarray, rays: int, unit: float) -> dict:
+def _numbers(sums: np.ndarray, started: np.ndarray, unit: float) -> dict:
     """
-    Power, centroid and radius of a path from its sums by batch.
+    Power, centroid and radius of a path from its sums by batch; `started` are the start rays of the batches.
 
     The error of the power is that of a mean over the start rays, each of which takes the path at most once:
     se² = Σa² - (Σa)²/N. Centroid and radius are ratios of sums; their errors come from leaving out one batch at a time
     (jackknife).
     """
-    total = sums.sum(axis=0)
+    total, rays = sums.sum(axis=0), started.sum()
     count, incident, absorbed, squares = total[:4]
     relative = np.sqrt(max(squares - absorbed**2 / rays, 0.0)) / absorbed
 
@@ -249,7 +256,7 @@ def _numbers(sums: np.ndarray, rays: int, unit: float) -> dict:
     values = shape(total)
     # Without the batch, and the flux scaled to that of all batches
     without = total - sums
-    without[:, 2:] *= BATCHES / (BATCHES - 1)
+    without[:, 2:] *= (rays / np.maximum(rays - started, 1))[:, None]
     left_out = shape(without)
     left_out = left_out[:, np.isfinite(left_out).all(axis=0)]
     n = left_out.shape[1]

@@ -32,8 +32,8 @@ from mistray.trace.settings import Settings
 from mistray.trace.surfaces import DETECTOR, NO_SURFACE, SurfaceTable
 
 # Rows of the tally: what is not tied to a surface
-ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS = range(8)
-REASONS = 8
+ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)
+REASONS = 9
 HITS, INCIDENT, ABSORBED_HERE = range(3)
 NODE_FLOATS = 8
 GRAZING = 0.01  # smallest cosine that counts when a ray leaves a stock surface behind
@@ -87,6 +87,39 @@ class Film:
 
 
 @dataclass
+class StartRays:
+    """
+    Rays as they leave a source.
+
+    Attributes
+    ----------
+    lane : mi.UInt32
+        Numbers of the start rays within the trace.
+    batch : mi.UInt32
+        Batch of each ray, for standard errors.
+    rng : mi.PCG32
+        One generator a lane.
+    o, d : mi.Vector3f
+        Origins (mm) and unit directions.
+    """
+
+    lane: mi.UInt32
+    batch: mi.UInt32
+    rng: mi.PCG32
+    o: mi.Vector3f
+    d: mi.Vector3f
+
+    def take(self, index: mi.UInt32) -> StartRays:
+        """Some of the rays."""
+        rng = mi.PCG32()
+        rng.state, rng.inc = (dr.gather(mi.UInt64, v, index) for v in (self.rng.state, self.rng.inc))
+        lane, batch = (dr.gather(mi.UInt32, v, index) for v in (self.lane, self.batch))
+        o, d = (dr.gather(mi.Vector3f, v, index) for v in (self.o, self.d))
+        dr.eval(lane, batch, rng, o, d)
+        return StartRays(lane, batch, rng, o, d)
+
+
+@dataclass
 class Recorder:
     """
     Append buffer for whole branches: everything on the way to a leaf.
@@ -121,11 +154,7 @@ def _read(memory: Any, k: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector3f, mi.V
 def walk(
     table: SurfaceTable,
     intersector: Intersector,
-    o: mi.Vector3f,
-    d: mi.Vector3f,
-    batch: mi.UInt32,
-    lane: mi.UInt32,
-    rng: mi.PCG32,
+    start: StartRays,
     settings: Settings,
     tallies: Tallies,
     film: Film,
@@ -138,15 +167,12 @@ def walk(
 
     Parameters
     ----------
-    o, d : mi.Vector3f
-        Start points (mm) and unit directions, one lane each, all of weight 1.
-    batch : mi.UInt32
-        Batch of each lane, for standard errors.
-    lane : mi.UInt32
-        Number of the start ray, for the history.
+    start : StartRays
+        One lane each, all of weight 1.
     box : mi.Vector4f, optional
         Only detector hits with x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) enter the ledger.
     """
+    o, d, batch, lane, rng = start.o, start.d, start.batch, start.lane, mi.PCG32(start.rng)
     n = dr.width(o)
     max_events = settings.max_events
     has_stock = table.stock_scene is not None
@@ -170,6 +196,7 @@ def walk(
     hit = s != NO_SURFACE
     tallies.add_reason(ESCAPED, batch, 1.0, ~hit)
     tallies.add_reason(FIRST_MISS, batch, 1.0, ~hit)
+    tallies.add_reason(STARTED, batch, 1.0, mi.Bool(True))
 
     state = {
         "active": hit,  # the lane has a node to visit
@@ -344,7 +371,7 @@ def _next_hit(
     if table.stock_scene is None:
         return t, s, mi.Vector3f(0)
     skip = mi.Float(0)
-    if normal is not None:  # leave a stock surface behind by a few roundings, along the ray so that the ray stays the same
+    if normal is not None:  # leave a stock surface behind by a few roundings, along the ray so that it stays the same
         slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)
         skip = dr.select(last >= len(table.pieces), table.stock_epsilon / slant, 0)
     ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o)), d)

@@ -13,7 +13,6 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.history import RayHistory, read_rays
-from mistray.trace.ledger import BATCHES
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.ray_tree import (
     ABSORBED_HERE,
@@ -247,11 +246,11 @@ class Trace:
         if n < 1:
             raise MistrayError(f"n is {n}; ask for at least one ray")
         number, _, key = self.paths.locate(path_id)
-        return read_rays(self._runs[number], self._runs[number].record(key, n))
+        return read_rays(self._runs[number], self._runs[number].record(key, n), n)
 
     def incident(self, n: int = 100) -> pd.DataFrame:
         """
-        The incident ray table: the first n rays to reach the detector.
+        The incident ray table: n rays that reach the detector, shared by the sources and wavelengths.
 
         Columns as in `RayHistory.incident`.
         """
@@ -259,16 +258,24 @@ class Trace:
 
         if n < 1:
             raise MistrayError(f"n is {n}; ask for at least one ray")
-        return pd.concat([read_rays(run, run.record(0, n)).incident() for run in self._runs], ignore_index=True).head(n)
+        shares = [len(part) for part in np.array_split(np.arange(n), len(self._runs))]
+        tables = [
+            read_rays(run, run.record(0, share), share).incident()
+            for run, share in zip(self._runs, shares, strict=True)
+            if share
+        ]
+        return pd.concat(tables, ignore_index=True)
 
     def __repr__(self) -> str:
         count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"
         return f"Trace({count}, {self.segments:.3g} segments, detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W)"
 
 
-def _batch_error(by_batch: np.ndarray) -> np.ndarray:
-    """Standard error of a sum over batches, from their spread; last axis."""
-    return np.sqrt(BATCHES) * by_batch.std(axis=-1, ddof=1)
+def _batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Standard error of a sum over batches (last axis) of `rays` start rays each, from the spread of their means."""
+    expected = by_batch.sum(axis=-1, keepdims=True) * (rays / rays.sum())
+    used = max(np.count_nonzero(rays), 2)
+    return np.sqrt(used / (used - 1) * np.sum(np.square(by_batch - expected), axis=-1))
 
 
 def _flux_report(runs: Sequence[Run]) -> FluxReport:
@@ -280,7 +287,7 @@ def _flux_report(runs: Sequence[Run]) -> FluxReport:
         for run in runs:
             scale = np.array([1.0, run.unit, run.unit])
             values += scale * run.surfaces[i].sum(axis=-1)
-            variances += (scale * _batch_error(run.surfaces[i])) ** 2
+            variances += (scale * _batch_error(run.surfaces[i], run.started)) ** 2
         se = np.sqrt(variances)
         rows.append(
             SurfaceFlux(
@@ -300,7 +307,7 @@ def _flux_report(runs: Sequence[Run]) -> FluxReport:
 def _energy(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
     detector = runs[0].table.detector
     escaped = sum(run.unit * run.reasons[ESCAPED].sum() for run in runs)
-    escaped_se = np.sqrt(sum((run.unit * _batch_error(run.reasons[ESCAPED])) ** 2 for run in runs))
+    escaped_se = np.sqrt(sum((run.unit * _batch_error(run.reasons[ESCAPED], run.started)) ** 2 for run in runs))
     return Energy(
         launched_W=sum(run.beam.power for run in runs),
         detected_W=surfaces[detector].absorbed_W,

@@ -61,7 +61,9 @@ class Piece:
     z_range : (2,) float
         Extent along the axis from the vertex, mm.
     slope : float
-        Largest |dz/dr| within the aperture (aspheres).
+        Largest |dz/dr| within the aperture (aspheres), dr/dz (cones).
+    wall : bool
+        Made by `frustum`: mechanics, of which a ray meets little.
     """
 
     index: int
@@ -77,11 +79,7 @@ class Piece:
     half_size: tuple[float, float]
     z_range: tuple[float, float]
     slope: float
-
-    @property
-    def code(self) -> tuple[Any, ...]:
-        """What the generated code depends on; surfaces of equal code differ in numbers only."""
-        return (self.kind, self.frame, self.axis, len(self.coefficients), self.inner > 0, self.outer > 0)
+    wall: bool
 
 
 class SurfaceTable:
@@ -293,6 +291,7 @@ def _asphere_piece(shape: Any) -> dict[str, Any]:
         "half_size": (v["half_width"], v["half_height"]) if shape.rectangular else (0.0, 0.0),
         "z_range": (float(z.min()) - 1e-3 * span, float(z.max()) + 1e-3 * span),
         "slope": 1.02 * float(np.max(np.abs(slope))),
+        "wall": False,
     }
 
 
@@ -309,6 +308,7 @@ def _frustum_piece(v: dict[str, float]) -> dict[str, Any]:
             "half_size": (0.0, 0.0),
             "z_range": (0.0, 0.0),
             "slope": 0.0,
+            "wall": True,
         }
     m = (v["r1"] - v["r0"]) / length
     return {
@@ -321,4 +321,5 @@ def _frustum_piece(v: dict[str, float]) -> dict[str, Any]:
         "half_size": (0.0, 0.0),
         "z_range": (min(0.0, length), max(0.0, length)),
         "slope": m,
+        "wall": True,
     }

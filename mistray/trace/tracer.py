@@ -13,13 +13,14 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES, DecodedPaths, Ledger
-from mistray.trace.ray_tree import REASONS, Film, Recorder, Tallies, walk
+from mistray.trace.ray_tree import REASONS, STARTED, Film, Recorder, StartRays, Tallies, walk
 from mistray.trace.settings import Settings
 from mistray.trace.sources import Beam, beams
 from mistray.trace.surfaces import SurfaceTable
 
 PASS_LANES = 1 << 20
 FIRST_CAPACITY = 1 << 12
+RECORD_CAPACITY = 1 << 12
 LAST_CAPACITY = 1 << 20
 
 Progress = Callable[[int, int], None]
@@ -75,29 +76,33 @@ class Run:
             dr.opaque(mi.Float, height / (y1 - y0)),
         )
 
-    def start_pass(self, number: int) -> tuple[mi.UInt32, mi.UInt32, mi.PCG32, mi.Vector3f, mi.Vector3f]:
-        """One pass: numbers of the rays, their batches, generators, origins and directions."""
+    def start_pass(self, number: int) -> StartRays:
+        """The start rays of one pass."""
         done = number * PASS_LANES
         lanes = min(PASS_LANES, self.rays - done)
         index = dr.arange(mi.UInt32, lanes)
         lane = index + dr.opaque(mi.UInt32, done)
-        batch = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
-        seed = mi.UInt64(dr.opaque(mi.UInt32, self.seed))
-        rng = mi.PCG32(size=lanes, initstate=seed, initseq=mi.UInt64(lane))
+        # Streams of PCG32 with neighbouring numbers are correlated: seed and ray number are scrambled first
+        state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, self.seed), lane)
+        rng = mi.PCG32(size=lanes, initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
+        if self.beam.emitter.pattern == "grid":  # random batches: rows of the grid are no sample of it
+            batch = sequence % BATCHES
+        else:
+            batch = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
         dr.eval(lane, batch, rng)
         closing = np.random.default_rng((self.seed, number)).exponential(size=BATCHES)
         o, d = self.beam.start(lane, batch, self.rays, rng, closing)
         dr.eval(o, d, rng)
-        return lane, batch, rng, o, d
+        return StartRays(lane, batch, rng, o, d)
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Origins (mm) and directions of start rays by their numbers, (n, 3) float64 each."""
         origins, directions = np.zeros((len(lanes), 3)), np.zeros((len(lanes), 3))
         for number in np.unique(lanes // PASS_LANES):
             here = lanes // PASS_LANES == number
-            *_, o, d = self.start_pass(int(number))
+            start = self.start_pass(int(number))
             index = lanes[here] - number * PASS_LANES
-            origins[here], directions[here] = np.array(o).T[index], np.array(d).T[index]
+            origins[here], directions[here] = np.array(start.o).T[index], np.array(start.d).T[index]
         return origins, directions
 
     def launch(
@@ -105,7 +110,6 @@ class Run:
         tallies: Tallies,
         film: Film,
         ledger: Ledger | None,
-        recorder: Recorder | None = None,
         box: Sequence[float] | None = None,
         progress: Progress | None = None,
         stop: Callable[[], bool] | None = None,
@@ -113,28 +117,24 @@ class Run:
         """Run the passes one after the other, until `stop`, which is asked after each, says so."""
         corners = None if box is None else mi.Vector4f(*(dr.opaque(mi.Float, float(v)) for v in box))
         for number in range(-(-self.rays // PASS_LANES)):
-            lane, batch, rng, o, d = self.start_pass(number)
-            walk(
-                self.table,
-                self.intersector,
-                o,
-                d,
-                batch,
-                lane,
-                rng,
-                self.settings,
-                tallies,
-                film,
-                ledger,
-                recorder,
-                corners,
-            )
-            dr.eval()
-            dr.sync_thread()
+            self._walk(self.start_pass(number), tallies, film, ledger, box=corners)
             if progress:
                 progress(min((number + 1) * PASS_LANES, self.rays), self.rays)
             if stop and stop():
                 return
+
+    def _walk(
+        self,
+        start: StartRays,
+        tallies: Tallies,
+        film: Film,
+        ledger: Ledger | None,
+        recorder: Recorder | None = None,
+        box: mi.Vector4f | None = None,
+    ) -> None:
+        walk(self.table, self.intersector, start, self.settings, tallies, film, ledger, recorder, box)
+        dr.eval()
+        dr.sync_thread()
 
     def execute(self, ledger: bool, progress: Progress | None) -> None:
         """Trace everything and read the sums back; a ledger that fills up is made larger and the trace starts again."""
@@ -152,12 +152,17 @@ class Run:
                     f"more than {0.7 * capacity:.0f} paths reach the detector; raise flux_threshold "
                     f"({self.settings.flux_threshold:g}), lower max_reflections ({self.settings.max_reflections}) or set ledger=False"
                 )
-            capacity *= 8
+            capacity = min(8 * capacity, LAST_CAPACITY)
         self.seconds = time.perf_counter() - started
         self.surfaces = np.array(tallies.surfaces).reshape(self.table.count, 3, BATCHES)
         self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
         self.film = np.moveaxis(np.array(tallies.film).reshape(film.height, film.width, 2), 2, 0)
         self.paths = self.ledger.decode() if self.ledger else None
+
+    @property
+    def started(self) -> np.ndarray:
+        """Start rays by batch, (BATCHES,)."""
+        return self.reasons[STARTED]
 
     def ledger_full(self) -> bool:
         """Whether there is a ledger that needs more room."""
@@ -198,16 +203,24 @@ class Run:
         return self.ledger.decode()
 
     def record(self, key: int, count: int) -> Recorder:
-        """Branches that end in the detector, node by node, of the path with this key (0: of any path)."""
-        recorder = Recorder(count, self.settings.max_events, mi.UInt64(dr.opaque(mi.UInt64, key)))
+        """
+        Branches that end in the detector, node by node, of the path with this key (0: of any path).
+
+        Start rays are traced until there are at least `count` branches or no more rays: first one batch, which is a
+        sample of the whole beam, then the others of the first pass, then the other passes.
+        """
+        recorder = Recorder(max(count, RECORD_CAPACITY), self.settings.max_events, mi.UInt64(dr.opaque(mi.UInt64, key)))
         film = self.make_film()
-        self.launch(
-            Tallies(self.table.count, film.width * film.height),
-            film,
-            None,
-            recorder,
-            stop=lambda: int(recorder.count[0]) >= count,
-        )
+        tallies = Tallies(self.table.count, film.width * film.height)
+        for number in range(-(-self.rays // PASS_LANES)):
+            start = self.start_pass(number)
+            host_batch = np.array(start.batch)
+            for low, high in ((0, 1), (1, 4), (4, BATCHES)) if number == 0 else ((0, BATCHES),):
+                index = mi.UInt32(np.flatnonzero((host_batch >= low) & (host_batch < high)).astype(np.uint32))
+                if dr.width(index):
+                    self._walk(start.take(index), tallies, film, None, recorder)
+                if int(recorder.count[0]) >= count:
+                    return recorder
         return recorder
 
 

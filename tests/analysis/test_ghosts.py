@@ -32,7 +32,7 @@ def traced(monkeypatch):
 @pytest.fixture
 def report():
     traces = {field: trace_at(field) for field in (0.0, 10.0, 20.0)}
-    return GhostReport(lens_scene(), traces, traces[0.0])
+    return GhostReport(lens_scene(), traces, traces[0.0], {})
 
 
 def test_quotient_propagates_both_errors():
@@ -121,7 +121,7 @@ def test_peak_is_that_of_the_stray_map(report):
 
 
 def test_peak_over_a_nominal_image_of_its_own_trace():
-    report = GhostReport(lens_scene(), {10.0: trace_at(10.0)}, trace_at(0.0))
+    report = GhostReport(lens_scene(), {10.0: trace_at(10.0)}, trace_at(0.0), {})
     nominal, _ = report.nominal_trace.irradiance_of([0])
     assert report.peak_to_nominal(10.0).value == pytest.approx(report.stray_map(10.0)[0].max() / nominal.max())
 

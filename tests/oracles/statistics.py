@@ -67,10 +67,20 @@ def assert_z(
 
 
 def assert_within(
-    what: str, measured: float, expected: float, standard_error: float, *, k: float = 4.0, relative: float = 1e-3
+    what: str,
+    measured: float,
+    expected: float,
+    standard_error: float,
+    *,
+    k: float = 4.0,
+    relative: float = 1e-3,
+    rounding: float = 1e-12,
 ) -> None:
-    """Fails unless measured is within k standard errors and within ``relative`` of expected: both, as one line."""
-    assert_z(what, measured, expected, standard_error, k=k, floor=1e-12 * abs(expected))
+    """Fails unless measured is within k standard errors and within ``relative`` of expected: both, as one line.
+
+    ``rounding`` is the relative difference that always passes.
+    """
+    assert_z(what, measured, expected, standard_error, k=k, floor=rounding * abs(expected))
     error = abs(measured - expected) / abs(expected)
     if error > relative:
         raise AssertionError(

@@ -1,6 +1,7 @@
 """The HTML report: self-contained, well-formed, complete or absent."""
 
 import re
+import sys
 from html.parser import HTMLParser
 
 import pytest
@@ -40,10 +41,20 @@ class Page(HTMLParser):
             assert self.open.pop() == tag
 
 
+@pytest.fixture(scope="module", autouse=True)
+def rays_to_draw():
+    """Rays to draw from the fake trace instead of a new one."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(
+            sys.modules["mistray.analysis.ghosts"], "trace", lambda scene, field_deg, rays: trace_at(field_deg)
+        )
+        yield
+
+
 @pytest.fixture(scope="module")
 def report():
     traces = {field: trace_at(field) for field in (0.0, 20.0)}
-    return GhostReport(lens_scene(), traces, traces[0.0])
+    return GhostReport(lens_scene(), traces, traces[0.0], {})
 
 
 @pytest.fixture(scope="module")
@@ -129,7 +140,7 @@ def test_write_all_writes_every_file(report, tmp_path):
 
 def test_write_all_of_a_detector_in_the_dark(tmp_path):
     dark = FakeTrace([])
-    report = GhostReport(lens_scene(), {0.0: dark}, dark)
+    report = GhostReport(lens_scene(), {0.0: dark}, dark, {})
     write_all(report, tmp_path / "out")
     text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "No stray path reaches the detector." in text

@@ -1,9 +1,11 @@
 """Pictures: what they show, on which scale, with which labels."""
 
+import sys
+
 import numpy as np
 import pytest
 from report.fake_scene import FakeShape, lens_scene
-from report.fake_trace import trace_at
+from report.fake_trace import FakeTrace, trace_at
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
@@ -23,7 +25,16 @@ from mistray.report.plots import (
 @pytest.fixture(scope="module")
 def report():
     traces = {field: trace_at(field) for field in (0.0, 10.0, 20.0)}
-    return GhostReport(lens_scene(), traces, traces[0.0])
+    return GhostReport(lens_scene(), traces, traces[0.0], {})
+
+
+@pytest.fixture
+def drawable(report, monkeypatch):
+    """The report, with rays to draw from the fake trace instead of a new one."""
+    monkeypatch.setattr(
+        sys.modules["mistray.analysis.ghosts"], "trace", lambda scene, field_deg, rays: trace_at(field_deg)
+    )
+    return report
 
 
 def images(figure):
@@ -165,12 +176,22 @@ def test_meridional_rays_spread_over_the_pupil_and_stay_near_the_plane():
     assert len(meridional(rays[:2], 7)) == 2
 
 
-def test_layout_draws_the_direct_image_and_the_worst_ghosts(report):
-    figure = layout(report, 10.0, ghosts=2)
+def test_layout_draws_the_direct_image_and_the_worst_ghosts(drawable):
+    figure = layout(drawable, 10.0, ghosts=2)
     labels = figure.axes[0].get_legend_handles_labels()[1]
     assert labels == ["direct image", "detector → L1_rear (ghost)", "detector → window_rear (ghost)"]
 
 
-def test_layout_out_of_field_draws_stray_paths_only(report):
-    labels = layout(report, 20.0, ghosts=1).axes[0].get_legend_handles_labels()[1]
+def test_layout_says_which_path_is_too_rare(report, monkeypatch):
+    def trace(scene, field_deg, rays):
+        return FakeTrace([path for path in trace_at(field_deg).fakes if path.ghost_2 == "L1_rear"])
+
+    monkeypatch.setattr(report, "_drawings", {})
+    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+    labels = layout(report, 20.0, ghosts=2).axes[0].get_legend_handles_labels()[1]
+    assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost), too rare to draw"]
+
+
+def test_layout_out_of_field_draws_stray_paths_only(drawable):
+    labels = layout(drawable, 20.0, ghosts=1).axes[0].get_legend_handles_labels()[1]
     assert labels == ["detector → L1_rear (ghost)"]

@@ -17,7 +17,7 @@ from mistray.report.tables import main_table, text_table, warnings, with_error, 
 @pytest.fixture(scope="module")
 def report():
     traces = {field: trace_at(field) for field in (0.0, 10.0, 20.0)}
-    return GhostReport(lens_scene(), traces, traces[0.0])
+    return GhostReport(lens_scene(), traces, traces[0.0], {})
 
 
 @pytest.mark.parametrize(
@@ -91,14 +91,14 @@ def test_surfaces_csv_keeps_the_columns_of_the_flux_report(report, tmp_path):
 
 def test_a_limit_that_cuts_light_is_a_warning():
     t = trace_at(0.0, cut_events=1e-4)
-    found = warnings(GhostReport(lens_scene(), {0.0: t}, t))
+    found = warnings(GhostReport(lens_scene(), {0.0: t}, t, {}))
     assert any("2.0e-05 of the launched flux was cut by max_events = 32" in text for text in found)
 
 
 def test_an_open_energy_balance_is_a_warning():
     t = trace_at(0.0)
     t.energy = replace(t.energy, escaped_W=t.energy.escaped_W + 0.0015)
-    found = warnings(GhostReport(lens_scene(), {0.0: t}, t))
+    found = warnings(GhostReport(lens_scene(), {0.0: t}, t, {}))
     assert any("field 0 deg: the energy closes to 3.0e-04 only" in text for text in found)
 
 
