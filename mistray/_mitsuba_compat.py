@@ -60,6 +60,12 @@ def check_release(version: str) -> None:
         )
 
 
+def silence_warnings() -> None:
+    """Keep Mitsuba's log, which goes to stdout, out of the output of a program; a variant must be set."""
+    mi = import_mitsuba()
+    mi.set_log_level(mi.LogLevel.Error)
+
+
 def write_mesh(mesh: Any, vertices: npt.ArrayLike, faces: npt.ArrayLike) -> None:
     """
     Fill the buffers of a `mi.Mesh` and let Mitsuba update what depends on them.

@@ -7,6 +7,7 @@ import contextlib
 import importlib.metadata
 import json
 import math
+import os
 import shlex
 import sys
 from collections.abc import Iterator, Sequence
@@ -53,9 +54,14 @@ def main(argv: Sequence[str] | None = None) -> int:
     try:
         options = _parser().parse_args(arguments)
         options.command_line = shlex.join(["mistray", *arguments])
-        return int(options.run(options))
+        code = int(options.run(options))
+        sys.stdout.flush()
+        return code
     except MistrayError as error:
         return _fail(str(error))
+    except BrokenPipeError:  # the reader, such as head, has seen enough; nothing may be flushed to it at exit
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except (RuntimeError, OSError, MemoryError) as error:  # Mitsuba, Dr.Jit, files
         return _fail(f"{type(error).__name__}: {error}" if not isinstance(error, RuntimeError) else str(error))
     except KeyboardInterrupt:
@@ -190,7 +196,7 @@ def _from_json(lens: Path, options: argparse.Namespace) -> Any:
     prescription = from_json(lens, variant=options.variant)
     if options.wavelength_nm is None:
         return prescription
-    return prescription.with_source(wavelength_nm=options.wavelength_nm)
+    return prescription.with_source(wavelength_nm=(options.wavelength_nm,), weights=None)
 
 
 def _from_batoid(lens: Path, options: argparse.Namespace) -> Any:
@@ -212,9 +218,11 @@ def _from_batoid(lens: Path, options: argparse.Namespace) -> Any:
 
 
 def _ghosts(options: argparse.Namespace) -> int:
+    from mistray._mitsuba_compat import silence_warnings
     from mistray._variant import ensure_variant
 
     ensure_variant(options.variant)  # settles libLLVM before anything imports Mitsuba
+    silence_warnings()
     from mistray.analysis import ghosts
     from mistray.report import main_table, writable_directory, write_all
     from mistray.scene import load

@@ -6,7 +6,6 @@ import re
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from report.fake_scene import lens_scene
@@ -216,21 +215,28 @@ def lens(tmp_path):
     return path
 
 
-def test_import_writes_the_scene(capsys, monkeypatch, lens, tmp_path):
-    import mistray.prescription
-
-    class Fake:
-        def shapes(self):
-            return iter("abc")
-
-        def with_source(self, **changes):
-            return SimpleNamespace(shapes=self.shapes, to_xml=lambda path: path.write_text(str(changes)))
-
-    monkeypatch.setattr(mistray.prescription, "from_json", lambda path, variant: Fake())
-    code, out, _ = run(capsys, "import", str(lens), "-o", str(tmp_path / "a.xml"), "--wavelength-nm", "600")
+def test_import_writes_a_scene_that_loads(capsys, tmp_path):
+    lens = Path(mistray.scenes.__file__).parent / "phone_camera" / "prescription.json"
+    output = tmp_path / "a.xml"
+    code, out, _ = run(capsys, "import", str(lens), "-o", str(output), "--wavelength-nm", "600")
+    scene = mistray.scene.load(output)
     assert code == 0
-    assert "3 surfaces" in out
-    assert (tmp_path / "a.xml").read_text() == "{'wavelength_nm': 600.0}"
+    assert f"{output}: {len(scene.shapes())} surfaces; next: mistray ghosts {output}" in out
+    assert list(scene.emitters()[0].wavelengths_nm) == [600.0]
+
+
+def test_import_knows_the_variants_of_the_file(capsys, tmp_path):
+    lens = Path(mistray.scenes.__file__).parent / "phone_camera" / "prescription.json"
+    line = fails(capsys, "import", str(lens), "-o", str(tmp_path / "a.xml"), "--variant", "nope")
+    assert "variant 'nope' is unknown; it has R13=5.272" in line
+
+
+def test_import_of_batoid(capsys, tmp_path):
+    batoid = pytest.importorskip("batoid")
+    lens = Path(batoid.datadir) / "LSST" / "LSST_r.yaml"
+    code, _, _ = run(capsys, "import", str(lens), "-o", str(tmp_path / "a.xml"), "--wavelength-nm", "620")
+    assert code == 0
+    assert (tmp_path / "a.xml").is_file()
 
 
 def test_import_that_fails_leaves_nothing(capsys, monkeypatch, lens, tmp_path):
@@ -272,8 +278,8 @@ def without(text, tag):
 @pytest.mark.parametrize(
     ("damage", "parts"),
     [
-        (lambda text: text[: len(text) // 2], ["scene.xml", "Parsing of XML file"]),
-        (lambda text: text.replace('type="asphere"', 'type="aspherical"', 1), ['shape plugin of type "aspherical"']),
+        (lambda text: text[: len(text) // 2], ["scene.xml', line ", "broken XML"]),
+        (lambda text: text.replace('type="asphere"', 'type="aspherical"', 1), ["there is no plugin 'aspherical'"]),
         (lambda text: text.replace('name="semi_diameter"', 'name="half_diameter"', 1), ["shape 'plate_front'"]),
         (
             lambda text: re.sub(r'(name="semi_diameter" value=")', r"\1-", text, count=1),
@@ -319,3 +325,9 @@ def test_a_real_scene(capfd, tmp_path):
     assert answer["fields"][0]["paths_ghost"] > 0
     assert {Path(file).name for file in answer["files"]} == {file.name for file in out.iterdir()}
     assert "<title>Ghost analysis: plate</title>" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_reader_that_stops_reading_is_no_error():
+    command = f"{sys.executable} -m mistray ghosts plate --rays 1000 --json | true"
+    done = subprocess.run(command, shell=True, capture_output=True, text=True)
+    assert done.stderr == ""

@@ -27,6 +27,7 @@ if TYPE_CHECKING:
 MAX_COEFFICIENTS = 9
 """Number of even coefficients a4 … a20 that the `asphere` plugin takes."""
 
+
 @dataclass(frozen=True)
 class Coating:
     """What an interface does to the flux; without one it is a bare Fresnel interface.

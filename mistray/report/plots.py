@@ -86,9 +86,8 @@ def montage(report: GhostReport, columns: int = 4) -> Figure:
     columns = min(columns, len(fields))
     rows = -(-len(fields) // columns)
     aspect = _aspect(report[fields[0]].extent)
-    figure = Figure(
-        figsize=(1.1 + 2.75 * columns, 0.6 + (2.6 * max(aspect, 0.4) + 0.35) * rows), dpi=120, layout="constrained"
-    )
+    figure = Figure(figsize=(1.1 + 2.75 * columns, 0.6 + (2.6 * max(aspect, 0.4) + 0.35) * rows), dpi=120)
+    figure.set_layout_engine("constrained", h_pad=0.08)
     grid = figure.subplots(rows, columns, squeeze=False, sharex=True, sharey=True)
     picture = None
     for axes, field in zip(grid.flat, fields, strict=False):

@@ -9,6 +9,8 @@ import mitsuba as mi
 
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
+from mistray.scene.check import check_overlaps
+from mistray.scene.messages import explain
 
 
 def load(source: str | Path | dict[str, Any]) -> mi.Scene:
@@ -27,17 +29,20 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     Raises
     ------
     MistrayError
-        If the file is missing or Mitsuba cannot read it; the message is one line.
+        If the file is missing, Mitsuba cannot read it or surfaces overlap; the message is one line.
     """
     ensure_variant()
+    given = source if isinstance(source, dict) else find(source)
     try:
-        if isinstance(source, dict):
-            return mi.load_dict(source, optimize=False)
-        return mi.load_file(str(find(source)), optimize=False)
-    except MistrayError:
-        raise
+        scene = (
+            mi.load_dict(given, optimize=False) if isinstance(given, dict) else mi.load_file(str(given), optimize=False)
+        )
     except Exception as error:  # Mitsuba raises RuntimeError and TypeError with text of many lines
-        raise MistrayError(_one_line(error, source)) from None
+        raise MistrayError(explain(error, given)) from None
+    if not isinstance(scene, mi.Scene):
+        raise MistrayError(f'scene: the dict describes a {type(scene).__name__}; add "type": "scene" at its top')
+    check_overlaps(scene)
+    return scene
 
 
 def find(source: str | Path) -> Path:
@@ -55,17 +60,3 @@ def find(source: str | Path) -> Path:
         return path / "scene.xml"
     names = ", ".join(sorted(entry.parent.name for entry in shipped.glob("*/scene.xml")))
     raise MistrayError(f"scene '{source}': no such file; give a scene XML file or one of the shipped scenes: {names}")
-
-
-def _one_line(error: Exception, source: str | Path | dict[str, Any]) -> str:
-    """The lines of a Mitsuba error that say what is wrong."""
-    where = "scene" if isinstance(source, dict) else f"scene '{source}'"
-    lines = [line.strip() for line in str(error).splitlines() if line.strip()]
-    for line in reversed(lines):
-        if "MistrayError: " in line:
-            return f"{where}: {line.split('MistrayError: ', 1)[1]}"
-    useful = [line for line in lines if not line.startswith(("File ", "Traceback", "~", "^"))]
-    text = " ".join(useful) or type(error).__name__
-    for noise in ("Error while loading ", "[parser.cpp:", "[xml.cpp:"):
-        text = text.replace(noise, "" if noise.endswith(" ") else noise)
-    return f"{where}: {text}; correct the scene"

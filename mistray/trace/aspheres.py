@@ -161,14 +161,25 @@ class AsphereSearch:
         def sign(v: mi.Float) -> mi.Float:
             return dr.mulsign(mi.Float(1), v)
 
+        def extremum(s: mi.Float, t: mi.Float, gs: mi.Float, gt: mi.Float) -> tuple[mi.Float, mi.Float]:
+            turn = dr.clip(s + (t - s) * gs / (gs - gt), s, t)
+            return turn, f(turn)[0]
+
         def walk(s, fs, gs, lo, hi, flo, fhi, found, going):  # type: ignore[no-untyped-def]
             t = dr.minimum(s + stride, length)
             ft, gt = f(t)
             crossed = sign(ft) != sign(fs)
-            # f turns round inside of the interval: does its extremum reach beyond zero?
-            dips = ~crossed & (gs * fs < 0) & (gt * ft > 0)
-            turn = dr.clip(s + (t - s) * gs / dr.select(dips, gs - gt, 1), s, t)
-            fm, _ = f(turn)
+            # f turns round inside of the interval: does its extremum reach beyond zero? Rare, so worth a branch
+            dips = going & ~crossed & (gs * fs < 0) & (gt * ft > 0)
+            turn, fm = dr.if_stmt(
+                (s, t, gs, gt),
+                dips,
+                extremum,
+                lambda s, t, gs, gt: (t, ft),
+                arg_labels=("s", "t", "gs", "gt"),
+                rv_labels=("turn", "fm"),
+                mode="symbolic",
+            )
             dips &= sign(fm) != sign(ft)
             now = going & (crossed | dips)
             lo, flo = dr.select(now, s, lo), dr.select(now, fs, flo)

@@ -123,7 +123,9 @@ class SurfaceTable:
         if not sensors:
             raise MistrayError("the scene has no detector; nest an 'irradiancemeter' sensor in the shape that detects")
         if wanted is None and len(sensors) > 1:
-            raise MistrayError(f"the scene has {len(sensors)} detectors ({names}); name one of them with detector=")
+            raise MistrayError(
+                f"the scene has {len(sensors)} detectors ({names}); leave one sensor, or in Python name a detector="
+            )
         if wanted is None:
             return sensors[0]
         if wanted not in [self.ids[i] for i in sensors]:
@@ -180,7 +182,8 @@ class SurfaceTable:
         if not shapes:
             return
         self.stock_scene = mi.load_dict(
-            {"type": "scene", **{shape.id(): shape for shape in shapes}}, optimize=False  # the key becomes the id
+            {"type": "scene", **{shape.id(): shape for shape in shapes}},
+            optimize=False,  # the key becomes the id
         )
         pointers = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes))
         registry = np.array(pointers)

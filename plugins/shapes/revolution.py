@@ -146,5 +146,5 @@ def float_property(props: mi.Properties, key: str, default: Any = None) -> float
     """A property as float; integers are accepted, anything else raises a `MistrayError` that names it."""
     value = props.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise MistrayError(f"'{props.id()}': {key} is {value!r}; it must be a number")
+        raise MistrayError(f"shape '{props.id()}': {key} is {value!r}; it must be a number")
     return float(value)

@@ -186,7 +186,7 @@ def test_layout_says_which_path_is_too_rare(report, monkeypatch):
     def trace(scene, field_deg, rays):
         return FakeTrace([path for path in trace_at(field_deg).fakes if path.ghost_2 == "L1_rear"])
 
-    monkeypatch.setattr(report, "_drawings", {})
+    report = GhostReport(report.scene, report, report.nominal_trace, {})
     monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
     labels = layout(report, 20.0, ghosts=2).axes[0].get_legend_handles_labels()[1]
     assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost), too rare to draw"]

@@ -81,26 +81,29 @@ class TestPlates:
 
     @pytest.mark.parametrize("incidence_deg", [0.0, 30.0, 60.0])
     def test_plate_with_tabled_coatings(self, tmp_path: Path, load_text, incidence_deg: float) -> None:
-        """R differs between the two sides; the angle is the one in air, for light from either side.
+        """R differs between the two sides; the angle is the one in air, for light from either side."""
 
-        The kernel's own table has 512 nodes over the cosine: up to 1e-4 at a kink of the coating's.
-        """
-        values = {0: (0.01, 0.8, 0.05), 30: (0.02, 0.75, 0.07), 60: (0.1, 0.6, 0.2), 90: (0.6, 0.0, 0.6)}
+        def coating(angle_deg: float) -> np.ndarray:
+            """R, T, R_back."""
+            sine2 = np.sin(np.radians(angle_deg)) ** 2
+            return np.array([0.01 + 0.2 * sine2**2, 0.8 - 0.6 * sine2**3, 0.05 + 0.1 * sine2])
+
         lines = ["# the test asks for the mean of both wavelengths", "wavelength_nm,angle_deg,R,T,R_back"]
         for wavelength, r_factor, t_factor in ((500, 0.5, 0.9), (600, 1.5, 1.1)):
-            for angle, (r, t, back) in values.items():
-                lines.append(f"{wavelength},{angle},{r * r_factor},{t * t_factor},{back * r_factor}")
+            for angle in np.arange(0.0, 91.0, 2.5):
+                values = coating(angle) * [r_factor, t_factor, r_factor]
+                lines.append(",".join(str(v) for v in (wavelength, angle, *values)))
         table = tmp_path / "coating.csv"
         table.write_text("\n".join(lines), encoding="utf-8")
         scene, _ = load_text(plates_text(1, table=str(table)))
         traced = mistray.trace(
             scene, rays=256, field_deg=incidence_deg, wavelength_nm=550.0, max_reflections=40, flux_threshold=1e-12
         )
-        r, t, back = values[int(incidence_deg)]
+        r, t, back = coating(incidence_deg)
         loop = 1 - back * r  # the front seen from inside is its back, the rear seen from inside its front
         e = traced.energy
         assert e.detected_W / e.launched_W == pytest.approx(t * t / loop, rel=1e-4)
-        assert e.escaped_W / e.launched_W == pytest.approx(r + t * t * r / loop, rel=1e-4)
+        assert e.escaped_W / e.launched_W == pytest.approx(r + t * t * r / loop, rel=1e-3)
 
     def test_tilted_plate_with_the_mean_reflectance_at_every_hit(self, load_text) -> None:
         """The mean of s and p taken anew at each hit: 0.9043268. With s and p kept along the ray, which the kernel does
@@ -113,72 +116,69 @@ class TestPlates:
         assert_power("T at 45 deg", t.energy.detected_W / t.energy.launched_W, averaged)
 
 
+NARROW = 0.1  # radius of the beam, mm
+
+
+@pytest.fixture(scope="module")
+def ten_ghosts_trace():
+    scene = singlet_window_detector().with_source(radius=NARROW).to_scene()
+    return mistray.trace(scene, rays=60_000, flux_threshold=0.0)
+
+
+@pytest.fixture(scope="module")
+def ten_ghosts(ten_ghosts_trace):
+    """(second, first) reflecting surface → row of the table."""
+    names = ["L1_front", "L1_rear", "window_front", "window_rear", "detector"]
+    doubles = [row for row in ten_ghosts_trace.paths if row.order == 2]
+    return {(names.index(row.ghost_2) + 1, names.index(row.ghost_1) + 1): row for row in doubles}
+
+
+@pytest.fixture(scope="module")
+def vectors() -> dict[tuple[int, int], dict[str, float]]:
+    with (DATA / "ghost_lens_window_det.csv").open(newline="", encoding="utf-8") as stream:
+        rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
+    pairs = [(int(row["second_reflecting_surface"]), int(row["first_reflecting_surface"])) for row in rows]
+    return {pair: {key: float(v) for key, v in row.items()} for pair, row in zip(pairs, rows, strict=True)}
+
+
 class TestSingletWindowDetector:
     """The ten ghosts of a lens, a window and a detector that reflects 20 %, in a narrow beam: paraxial optics."""
 
-    BEAM = 0.1
+    def test_there_are_ten(self, ten_ghosts_trace, ten_ghosts, vectors) -> None:
+        assert set(ten_ghosts) == set(vectors)
+        assert len(ten_ghosts_trace.paths) == 11
+        assert all(row.rays == 60_000 for row in ten_ghosts_trace.paths)
 
-    @pytest.fixture(scope="class")
-    def traced(self):
-        scene = singlet_window_detector().with_source(radius=self.BEAM).to_scene()
-        return mistray.trace(scene, rays=60_000, flux_threshold=0.0)
-
-    @pytest.fixture(scope="class")
-    def ghosts(self, traced):
-        """(second, first) reflecting surface → row of the table."""
-        names = ["L1_front", "L1_rear", "window_front", "window_rear", "detector"]
-        found = {}
-        for row in traced.paths:
-            if row.order == 2:
-                found[names.index(row.ghost_2) + 1, names.index(row.ghost_1) + 1] = row
-        return found
-
-    @pytest.fixture(scope="class")
-    def table(self) -> dict[tuple[int, int], dict[str, float]]:
-        with (DATA / "ghost_lens_window_det.csv").open(newline="", encoding="utf-8") as stream:
-            rows = list(csv.DictReader(line for line in stream if not line.startswith("#")))
-        return {
-            (int(row["second_reflecting_surface"]), int(row["first_reflecting_surface"])): {
-                key: float(value) for key, value in row.items()
-            }
-            for row in rows
-        }
-
-    def test_there_are_ten(self, traced, ghosts, table) -> None:
-        assert set(ghosts) == set(table)
-        assert len(traced.paths) == 11
-        assert all(row.rays == 60_000 for row in traced.paths)
-
-    def test_power(self, traced, ghosts, table) -> None:
-        for pair, row in ghosts.items():
-            share = row.incident_W / traced.energy.launched_W
-            assert_power(f"ghost {pair}", share, table[pair]["incident_power_per_W"])
+    def test_power(self, ten_ghosts_trace, ten_ghosts, vectors) -> None:
+        for pair, row in ten_ghosts.items():
+            share = row.incident_W / ten_ghosts_trace.energy.launched_W
+            assert_power(f"ghost {pair}", share, vectors[pair]["incident_power_per_W"])
             assert row.power_W == pytest.approx(0.8 * row.incident_W, rel=ROUNDING)
 
-    def test_radius_and_irradiance(self, traced, ghosts, table) -> None:
+    def test_radius_and_irradiance(self, ten_ghosts_trace, ten_ghosts, vectors) -> None:
         """A uniform disc has r = rms · √2. 20 comparisons at 4 standard errors: false alarm 1.3e-3."""
-        for pair, row in ghosts.items():
-            scale = self.BEAM / 10.0
+        for pair, row in ten_ghosts.items():
+            scale = NARROW / 10.0
             radius = np.sqrt(2) * row.rms_radius_mm
-            expected = table[pair]["spot_radius_mm"] * scale
+            expected = vectors[pair]["spot_radius_mm"] * scale
             se = np.sqrt(2) * row.rms_radius_se_mm
             assert_within(f"radius of ghost {pair}", radius, expected, se, relative=3e-3)
             assert se / radius < 1.5e-3
             irradiance = row.rms_irradiance_W_mm2 / 2 / 0.8  # over the disc, incident
-            expected = table[pair]["irradiance_on_detector_per_entrance_irradiance"]
+            expected = vectors[pair]["irradiance_on_detector_per_entrance_irradiance"]
             se = row.rms_irradiance_se_W_mm2 / 2 / 0.8
             assert_within(f"irradiance of ghost {pair}", irradiance, expected, se, relative=6e-3)
 
-    def test_focus(self, traced, ghosts) -> None:
+    def test_focus(self, ten_ghosts_trace, ten_ghosts) -> None:
         """Where the rays of each ghost meet the axis, against the paraxial trace."""
         n = 1.5168
         r = closed_forms.normal_reflectance(1, n)
         rows = [(0.0, 0.01, 1.0, n), (5.0, -0.01, n, 1.0), (85.0, 0.0, 1.0, n), (87.0, 0.0, n, 1.0)]
         surfaces = [closed_forms.ParaxialSurface(*row, r, 1 - r) for row in rows]
         z = 87.0 + closed_forms.back_focus(surfaces)[1]
-        for ghost in closed_forms.paraxial_ghosts(surfaces, z, 0.2, self.BEAM):
-            row = ghosts[ghost.second, ghost.first]
-            history = traced.history(row.path_id, 4)
+        for ghost in closed_forms.paraxial_ghosts(surfaces, z, 0.2, NARROW):
+            row = ten_ghosts[ghost.second, ghost.first]
+            history = ten_ghosts_trace.history(row.path_id, 4)
             for points in history.rays:
                 end, before = points[-1], points[-2]
                 slope = np.hypot(*(end - before)[:2]) / (end - before)[2]
@@ -300,7 +300,7 @@ class TestSegments:
     def splitters(self, load_text, levels: int):
         half = interface_xml(R=0.5, T=0.5)
         turn = '<transform name="to_world"><rotate x="1" angle="45"/><translate y="{y}" z="{z}"/></transform>'
-        places = [(0.0, 0.0), (0.0, 10.0), (-10.0, 0.0)][: 2**levels - 1]
+        places = [(0.0, 0.0), (0.0, 10.0), (10.0, 0.0)][: 2**levels - 1]
         shapes = []
         for i, (y, z) in enumerate(places):
             text = shape_xml("asphere", f"splitter{i}", 0.0, half, semi_diameter=3.0)

@@ -1,0 +1,228 @@
+"""Speed, as ratios taken in one run: ``make bench`` prints the table and keeps it in benchmarks/README.md.
+
+Each ratio compares two things on the same machine a moment apart, the best of several alternating repeats, with every
+kernel compiled before the clock starts. Figures in Mrays/s or Msegments/s depend on the machine; the ratios hardly do.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import platform
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+import mistray
+from mistray.prescription import from_batoid
+from mistray.trace.ray_tree import SEGMENTS
+from mistray.trace.settings import Settings
+from mistray.trace.tracer import Run, prepare
+
+HERE = Path(__file__).parent
+REPEATS = 5
+
+
+@dataclass
+class Row:
+    """One line of the table: what is compared, both rates, the ratio and the bar it should reach (None: for information)."""
+
+    what: str
+    ours: str
+    other: str
+    ratio: float
+    bar: float | None
+
+    def __str__(self) -> str:
+        verdict = "" if self.bar is None else f"≥ {self.bar:g} {'reached' if self.ratio >= self.bar else 'NOT REACHED'}"
+        return f"| {self.what} | {self.ours} | {self.other} | {self.ratio:.2f} | {verdict} |"
+
+
+def alternate(first: Callable[[], None], second: Callable[[], None]) -> tuple[float, float]:
+    """Best wall time of each of two actions, run in turn; both are run once before."""
+    first()
+    second()
+    best = [np.inf, np.inf]
+    for _ in range(REPEATS):
+        for k, action in enumerate((first, second)):
+            start = time.perf_counter()
+            action()
+            best[k] = min(best[k], time.perf_counter() - start)
+    return best[0], best[1]
+
+
+def tree_segments(run: Run, most: int) -> tuple[mi.Point3f, mi.Vector3f]:
+    """Segments of the run's own ray tree, in the order of their start rays and depths: origins and directions."""
+    recorder = run.record(0, most)
+    count = min(int(recorder.count[0]), recorder.capacity)
+    lengths, lanes = np.array(recorder.length)[:count], np.array(recorder.lane)[:count]
+    nodes = np.array(recorder.nodes).reshape(recorder.capacity, run.settings.max_events, -1)[:count]
+    order = np.argsort(lanes, kind="stable")
+    origins, directions = [], []
+    for depth in range(1, int(lengths.max())):
+        here = order[lengths[order] > depth]
+        origins.append(nodes[here, depth - 1, :3] + 1e-4 * nodes[here, depth, 3:6])
+        directions.append(nodes[here, depth, 3:6])
+    o, d = mi.Point3f(np.concatenate(origins).T), mi.Vector3f(np.concatenate(directions).T)
+    dr.eval(o, d)
+    return o, d
+
+
+def against_mesh(name: str, rays: int, bar: float | None) -> Row:
+    """Whole ray tree, Fresnel and film included, against Mitsuba's bare intersection of the same lens as a mesh."""
+    scene = mistray.load(name)
+    settings = Settings(rays=rays)
+    segments = 0.0
+
+    def ours() -> None:
+        nonlocal segments
+        (run,) = prepare(scene, settings)
+        run.execute(False, None)
+        segments = float(run.reasons[SEGMENTS].sum())
+
+    (sample,) = prepare(scene, settings)
+    o, d = tree_segments(sample, 1 << 14)
+
+    def mesh() -> None:
+        hit = scene.ray_intersect_preliminary(mi.Ray3f(o, d), coherent=True)
+        dr.eval(hit.t, hit.prim_index)
+        dr.sync_thread()
+
+    t_ours, t_mesh = alternate(ours, mesh)
+    rate, other = segments / t_ours, dr.width(o) / t_mesh
+    triangles = sum(shape.face_count() for shape in scene.shapes())
+    return Row(
+        f"ray tree of `{name}` (segments/s) against `ray_intersect_preliminary` of the same segments on its mesh of "
+        f"{triangles / 1000:.0f} k triangles (rays/s)",
+        f"{rate / 1e6:.1f} M/s",
+        f"{other / 1e6:.1f} M/s",
+        rate / other,
+        bar,
+    )
+
+
+def ledger_cost(name: str, rays: int, bar: float) -> Row:
+    """Speed with the path table on over speed with it off."""
+    scene = mistray.load(name)
+    settings = Settings(rays=rays)
+
+    def run(ledger: bool) -> Callable[[], None]:
+        def action() -> None:
+            (run,) = prepare(scene, settings)
+            run.execute(ledger, None)
+
+        return action
+
+    on, off = alternate(run(True), run(False))
+    return Row(f"`{name}`: ledger on against off (start rays/s)", f"{rays / on / 1e6:.2f} M/s", f"{rays / off / 1e6:.2f} M/s", off / on, bar)
+
+
+def against_batoid(rays: int, bar: float) -> Row:
+    """All two-reflection ghosts of the Rubin telescope: the trace against batoid's `traceSplit`."""
+    import batoid
+
+    telescope = batoid.Optic.fromYaml("LSST_r.yaml")
+    coating = batoid.SimpleCoating(0.02, 0.98)
+    for surface in telescope.itemDict.values():
+        if isinstance(surface, batoid.RefractiveInterface | batoid.Detector):
+            surface.forwardCoating = surface.reverseCoating = coating
+    scene = from_batoid(telescope, wavelength_nm=620.0, reflectance=0.02).to_scene()
+    settings = Settings(rays=rays, max_reflections=2, flux_threshold=0.9 * 0.02**2 * 0.98**26)
+    (run,) = prepare(scene, settings, field_deg=1.0)
+    start = run.start_pass(0)
+    origin, direction = np.array(start.o, dtype=float).T, np.array(start.d, dtype=float).T
+    flip = np.array([-1.0, 1.0, -1.0])  # the scene is batoid's turned by 180 degrees about y
+
+    def theirs() -> None:
+        n = telescope.inMedium.getN(620e-9)
+        bundle = batoid.RayVector(
+            *(1e-3 * origin * flip).T, *(direction * flip / n).T, t=0.0, wavelength=620e-9, flux=1.0
+        )
+        telescope.traceSplit(bundle, minFlux=settings.flux_threshold)
+
+    def ours() -> None:
+        (run,) = prepare(scene, settings, field_deg=1.0)
+        run.execute(True, None)
+
+    t_ours, t_theirs = alternate(ours, theirs)
+    return Row(
+        f"Rubin/LSST r band, R = 2 %, ghosts of {rays} rays against batoid {batoid.__version__} `traceSplit` (jobs/s)",
+        f"{t_ours:.2f} s",
+        f"{t_theirs:.2f} s",
+        t_theirs / t_ours,
+        bar,
+    )
+
+
+def first_run(name: str) -> str:
+    """Time from Python's start to the first path table in a fresh process, kernels compiled before and not."""
+    import subprocess
+    import sys
+    import tempfile
+
+    code = f"import mistray; mistray.trace(mistray.load('{name}'), rays=1000).paths"
+
+    def seconds(home: str | None) -> float:
+        start = time.perf_counter()
+        subprocess.run([sys.executable, "-c", code], check=True, env={**os.environ, **({"HOME": home} if home else {})})
+        return time.perf_counter() - start
+
+    with tempfile.TemporaryDirectory() as home:
+        cold = seconds(home)
+        warm = seconds(home)
+    return f"`{name}`, 1000 rays, fresh process to path table: {cold:.1f} s with an empty kernel cache, {warm:.1f} s after."
+
+
+def machine() -> str:
+    """The processor, the number of its threads that Dr.Jit uses, and the versions."""
+    model = next(
+        (line.split(":", 1)[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
+        platform.processor(),
+    )
+    llvm = ".".join(str(part) for part in dr.detail.llvm_version())
+    return f"{model}, {dr.thread_count()} threads, {mi.variant()}, Mitsuba {mi.__version__}, Dr.Jit {dr.__version__}, LLVM {llvm}"
+
+
+def main() -> None:
+    """Run everything, print the table and write it to benchmarks/README.md."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--no-write", action="store_true", help="print only")
+    arguments = parser.parse_args()
+    rows = [
+        against_mesh("double_gauss", 1 << 18, 5.0),
+        against_mesh("phone_camera", 1 << 14, None),
+        against_batoid(50_000, 5.0),
+        ledger_cost("double_gauss", 1 << 18, 0.8),
+        ledger_cost("phone_camera", 1 << 14, 0.8),
+    ]
+    table = ["| compared | mistray | other | ratio | bar |", "|---|---|---|---|---|", *map(str, rows)]
+    text = "\n".join(
+        [
+            "# Benchmarks",
+            "",
+            "Written by `make bench`. Best of several alternating repeats, kernels compiled before; the ratios are what counts.",
+            "",
+            f"Machine: {machine()}.",
+            "",
+            *table,
+            "",
+            first_run("phone_camera"),
+            "",
+            "A segment of the ray tree is more than a ray of the mesh: it includes Snell's law, R and T, the bookkeeping of",
+            "energy and the film. The mesh is the one that the plugins give to stock integrators; its rays are segments of the",
+            "same tree, sorted by start ray. batoid traces rays without a film or a ledger.",
+            "",
+        ]
+    )
+    print(text)
+    if not arguments.no_write:
+        (HERE / "README.md").write_text(text)
+
+
+if __name__ == "__main__":
+    main()

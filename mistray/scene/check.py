@@ -1,0 +1,140 @@
+"""What makes no optical system although each of its surfaces is in order: surfaces that overlap."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations, pairwise
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.crossing import SAMPLES, meeting
+
+TOLERANCE = 1e-7  # heights, relative to the radius of the surface: what is written with fewer digits than that touches
+
+
+@dataclass(frozen=True)
+class _Placed:
+    """An `asphere` on an axis: its vertex, the ring of radii that it covers, and -1 where it is turned round."""
+
+    shape: Any
+    z: float
+    sign: float
+    inner: float
+    outer: float
+
+    def height(self, r: np.ndarray) -> np.ndarray:
+        """Position along the axis at the radii r, mm."""
+        return np.asarray(self.z + self.sign * self.shape.sag(r))
+
+    def material(self, ahead: bool) -> tuple[float, str]:
+        """Index, at the wavelength of the stock integrators, and name of the material behind or ahead on the axis."""
+        bsdf = self.shape.bsdf()
+        front, back = bsdf.indices(bsdf.wavelength_nm)
+        return (back, bsdf.back) if ahead == (self.sign > 0) else (front, bsdf.front)
+
+    def __str__(self) -> str:
+        x, y, z = self.shape.matrix[:3, 3]
+        place = f"z = {z:g} mm" if x == y == 0 else f"({x:g}, {y:g}, {z:g}) mm"
+        return f"'{self.shape.id()}' at {place}"
+
+
+@dataclass
+class _Axis:
+    """A line in space, as a point and a unit vector, and the aspheres on it."""
+
+    foot: np.ndarray
+    along: np.ndarray
+    placed: list[_Placed]
+
+    def sign(self, shape: Any) -> float:
+        """1 where a shape has this axis, -1 where it has it the other way round, 0 where it has another one."""
+        direction, offset = shape.matrix[:3, 2], shape.matrix[:3, 3] - self.foot
+        sign = float(np.sign(self.along @ direction))
+        aside = offset - (offset @ self.along) * self.along
+        parallel = np.allclose(self.along, sign * direction, atol=TOLERANCE)
+        return sign if parallel and np.linalg.norm(aside) <= TOLERANCE * shape.outer_radius else 0.0
+
+    def add(self, shape: Any) -> None:
+        v = shape.values
+        outer = min(v["half_width"], v["half_height"]) if shape.rectangular else v["semi_diameter"]
+        z = float((shape.matrix[:3, 3] - self.foot) @ self.along)
+        self.placed.append(_Placed(shape, z, self.sign(shape), v.get("inner_semi_diameter", 0.0), outer))
+
+
+def check_overlaps(scene: mi.Scene) -> None:
+    """
+    Find surfaces that overlap: two that cross or coincide, or lie in the wrong order.
+
+    Compared are the `asphere` shapes of a common axis, within the aperture that they share. Surfaces may touch, at the
+    vertex or at the rim. Structure made of `frustum` shapes is left alone, because walls are often drawn into one
+    another. Where nothing else refracts, the materials must also fit together along the axis: where two surfaces have
+    changed places, the one ends in a material in which the other does not begin.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+
+    Raises
+    ------
+    MistrayError
+        Names the two surfaces.
+    """
+    shapes = list(scene.shapes())
+    axes: list[_Axis] = []
+    for shape in shapes:
+        if getattr(shape, "kind", None) == "asphere":
+            axis = next((axis for axis in axes if axis.sign(shape)), None)
+            if axis is None:
+                axis = _Axis(shape.matrix[:3, 3], shape.matrix[:3, 2], [])
+                axes.append(axis)
+            axis.add(shape)
+    for axis in axes:
+        axis.placed.sort(key=lambda item: item.z)
+        _check_crossings(axis)
+    if not all(hasattr(shape.bsdf(), "indices") for shape in shapes):
+        return
+    for axis in axes:
+        if not any(_crosses(shape, axis) for shape in shapes):
+            _check_materials(axis)
+
+
+def _check_crossings(axis: _Axis) -> None:
+    """Compare the surfaces of one axis whose ranges of height overlap."""
+    heights = [item.height(np.linspace(item.inner, item.outer, SAMPLES)) for item in axis.placed]
+    low, high = [height.min() for height in heights], [height.max() for height in heights]
+    for i, j in combinations(range(len(heights)), 2):
+        a, b = axis.placed[i], axis.placed[j]
+        tolerance = TOLERANCE * max(a.outer, b.outer)
+        if low[j] > high[i] + tolerance or low[i] > high[j] + tolerance:
+            continue
+        met = meeting(a.height, b.height, max(a.inner, b.inner), min(a.outer, b.outer), tolerance)
+        if met is not None:
+            raise MistrayError(met.between(a.shape.id(), b.shape.id()))
+
+
+def _crosses(shape: Any, axis: _Axis) -> bool:
+    """Whether a shape that is no asphere of an axis may change the material on it; rings and tubes about it do not."""
+    if shape.bsdf().opaque or any(item.shape.id() == shape.id() for item in axis.placed):
+        return False
+    return not (
+        getattr(shape, "kind", None) == "frustum"
+        and axis.sign(shape)
+        and min(shape.values["r0"], shape.values["r1"]) > 0
+    )
+
+
+def _check_materials(axis: _Axis) -> None:
+    """Follow the axis: the material behind a surface must be the one ahead of the next."""
+    for a, b in pairwise(item for item in axis.placed if item.inner == 0):
+        touching = b.z - a.z <= TOLERANCE * max(a.outer, b.outer)
+        if touching or a.shape.bsdf().opaque or b.shape.bsdf().opaque:
+            continue
+        (leaving, material_a), (entering, material_b) = a.material(ahead=True), b.material(ahead=False)
+        if leaving != entering:
+            raise MistrayError(
+                f"surfaces {a} and {b}: the material between them is '{material_a}' for one and '{material_b}' for the "
+                "other; move them, or correct their front and back"
+            )

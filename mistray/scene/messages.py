@@ -1,0 +1,244 @@
+"""Mitsuba's loading errors in one line that names the object, the value and the remedy."""
+
+from __future__ import annotations
+
+import difflib
+import re
+import sys
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+from xml.parsers import expat
+
+from mistray._variant import PLUGIN_ROOT
+
+VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform")
+NUMBERS = {"floating point": "a number", "integer": "a whole number", "boolean": "'true' or 'false'"}
+
+_PLACE = re.compile(r"(?:While loading|while loading|At) (?P<file>[^\n]+?) \(line (?P<line>\d+), col (?P<column>\d+)\)")
+_SYNTAX = re.compile(
+    r"XML file \"(?P<file>[^\n]+?)\" failed: (?P<what>.+?) \(line (?P<line>\d+), col (?P<column>\d+)\)"
+)
+_NODE = re.compile(r"dictionary node \"(?P<path>[^\"]+)\"")
+_PREFIX = re.compile(r"\[\w+\.cpp:\d+\] |\[\w+\] ")
+_LOADING = re.compile(r"(Error while loading|While loading|At) (XML file )?\S+( \(line \d+, col \d+\))?: ")
+
+
+@dataclass
+class Element:
+    """
+    One object or value of a scene description.
+
+    Attributes
+    ----------
+    tag, plugin, id : str
+        As in ``<shape type="asphere" id="L1_front">``; empty where there is none. A dict has no tags.
+    name : str
+        Of a value.
+    values : dict
+        Its own named values, as written.
+    parent : Element or None
+    """
+
+    tag: str = ""
+    plugin: str = ""
+    id: str = ""
+    name: str = ""
+    values: dict[str, Any] = field(default_factory=dict)
+    parent: Element | None = None
+
+    @property
+    def owner(self) -> Element:
+        """The object that a value belongs to, or the object itself."""
+        return self.parent if self.parent is not None and self.tag in VALUE_TAGS else self
+
+    def __str__(self) -> str:
+        if self.id:
+            return f"{self.tag or self.plugin or 'object'} '{self.id}'"
+        what = self.plugin or f"<{self.tag}>"
+        return f"{what} of {self.parent}" if self.parent is not None and self.parent.tag != "scene" else what
+
+
+def explain(error: Exception, source: Path | dict[str, Any]) -> str:
+    """
+    Say in one line why Mitsuba could not load a scene.
+
+    Parameters
+    ----------
+    error : Exception
+        From ``mi.load_file`` or ``mi.load_dict``.
+    source : Path or dict
+        What was loaded.
+
+    Returns
+    -------
+    str
+    """
+    text = str(error)
+    where, element = "scene", Element()
+    place = _SYNTAX.search(text) or _PLACE.search(text)
+    if isinstance(source, dict):
+        node = _NODE.search(text)
+        element = _in_dict(source, node["path"].split(".")) if node else element
+    else:
+        where = f"scene '{source}'"
+        if place is not None:
+            line, column = int(place["line"]), int(place["column"])
+            where = f"scene '{place['file']}', line {line}"
+            element = _in_file(Path(place["file"]), line, column) or element
+    return f"{where}: {' '.join(_reason(text, element, source).split())}"
+
+
+def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
+    """What is wrong and what to do about it."""
+    own = text.rpartition("MistrayError: ")[2].strip() if "MistrayError: " in text else ""
+    unknown = dict(re.findall(r"- \w+ \"([^\"]+)\": (.*)", text)) if "unreferenced" in text else {}
+    known = parameters(element.plugin)
+    if not unknown and known:
+        strange = {key: value for key, value in element.values.items() if key not in known}
+        unknown = {key: value for key, value in strange.items() if difflib.get_close_matches(key, known)}
+    if unknown:
+        key, value = next(iter(unknown.items()))
+        shown = str(value).strip('"')
+        return f"unknown parameter '{key}' = {shown} of {element}; {_choose(key, known, 'remove it')}"
+    if own:
+        if own.startswith("interface '': "):
+            return f"{element}: {own.partition(': ')[2]}"
+        named = any(f"'{name}'" in own for name in (element.id, element.plugin) if name)
+        return own if named else f"{element}: {own}"
+    for pattern, remedy in _REASONS:
+        match = re.search(pattern, text)
+        if match:
+            return remedy(match, element)
+    plain = text
+    for noise in (_PREFIX, _LOADING):
+        plain = noise.sub("", plain)
+    subject = "the dict" if isinstance(source, dict) else "the file"
+    return f"{plain.strip() or type(text).__name__}; correct {subject}"
+
+
+def _syntax(match: re.Match[str], element: Element) -> str:
+    return f"broken XML, {match['what'].lower()} in column {match['column']}; close or correct the tag there"
+
+
+def _number(match: re.Match[str], element: Element) -> str:
+    if element.owner.values.get(element.name, match[2]) != match[2]:
+        return f"{element.owner}: {element.name} is given twice; keep one of them"
+    return f"{element.owner}: {element.name} is '{match[2]}'; it must be {NUMBERS.get(match[1], 'a ' + match[1])}"
+
+
+def _plugin(match: re.Match[str], element: Element) -> str:
+    return f"{element}: there is no plugin '{match[1]}'; {_choose(match[1], list(_plugins()), 'correct the type')}"
+
+
+_REASONS: list[tuple[str | re.Pattern[str], Callable[[re.Match[str], Element], str]]] = [
+    (_SYNTAX, _syntax),
+    (r"could not parse ([\w ]+?)(?: value)? \"(.*?)\"", _number),
+    (r"Plugin \"(\w+)\" not found", _plugin),
+    (
+        r"unsupported XML element: <(\w+)>",
+        lambda m, _: f"<{m[1]}> is no element of a scene; use shape, bsdf, emitter, sensor or integrator",
+    ),
+    (
+        r"duplicate ID: \"(.+?)\" \(previous was .*line (\d+)",
+        lambda m, _: f"the id '{m[1]}' is taken by line {m[2]}; give each object its own",
+    ),
+    (
+        r"undefined parameter: \$(\w+)",
+        lambda m, e: f"{e.owner}: '${m[1]}' is not defined; add a <default name=\"{m[1]}\"> or write the value",
+    ),
+    (
+        r"unresolved reference to \"(.+?)\"",
+        lambda m, e: f"{e} refers to '{m[1]}', which does not exist; correct the id of the reference",
+    ),
+    (
+        r"file \"(.+?)\"(?: not found|: file not found)",
+        lambda m, e: f"{e}: no file '{m[1]}'; check the path, relative to the scene file",
+    ),
+    (
+        r"missing version attribute",
+        lambda *_: 'the element <scene> has no version; write <scene version="3.0.0">',
+    ),
+    (r"\[([\w.]+)\] missing 'type' attribute", lambda m, _: f"'{m[1]}' has no type; add \"type\": … to it"),
+    (
+        r"\[([\w.]+)\.(\w+)\] could not assign an object of type '(\w+)'",
+        lambda m, _: f"'{m[1]}': {m[2]} is a {m[3]}; give a number or a string",
+    ),
+]
+
+
+def parameters(plugin: str) -> list[str]:
+    """Names of the parameters of a plugin of mistray, from the table in its docstring; empty for others."""
+    names: list[str] = []
+    for owner in vars(_plugins().get(plugin)).values() if plugin in _plugins() else ():
+        if not isinstance(owner, type) or owner.__module__ != _plugins()[plugin].__name__:
+            continue
+        rules = 0
+        for line in (owner.__doc__ or "").splitlines():
+            rules += line.strip().startswith("===")
+            cell = re.split(r" {2,}", line.strip())[0]
+            if rules == 2 and "===" not in line and not line.startswith(" " * 12):
+                names += [name for part in cell.split(",") for name in _spelled_out(part.strip())]
+    return names
+
+
+def _spelled_out(name: str) -> list[str]:
+    """``a4 … a8`` as a4, a5, … a8; a nested object, ``(nested) bsdf``, as nothing."""
+    span = re.fullmatch(r"([a-z]+)(\d+) … \1(\d+)", name)
+    if span:
+        return [f"{span[1]}{i}" for i in range(int(span[2]), int(span[3]) + 1)]
+    return [name] if re.fullmatch(r"\w+", name) else []
+
+
+def _plugins() -> dict[str, Any]:
+    """Modules of mistray's plugins by name, those that Mitsuba has been given."""
+    return {
+        name.rpartition(".")[2]: module
+        for name, module in sys.modules.items()
+        if name.startswith(f"{PLUGIN_ROOT}.") and name.count(".") == PLUGIN_ROOT.count(".") + 2
+    }
+
+
+def _choose(word: str, known: list[str], otherwise: str) -> str:
+    close = difflib.get_close_matches(word, known, n=1)
+    if close:
+        return f"did you mean '{close[0]}'?"
+    return f"{otherwise}, or use one of {', '.join(known)}" if known else otherwise
+
+
+def _in_file(path: Path, line: int, column: int) -> Element | None:
+    """The element that starts at a place of an XML file; Mitsuba counts columns from the name of the tag."""
+    found: list[Element] = []
+    stack = [Element()]
+    parser = expat.ParserCreate()
+
+    def start(tag: str, attributes: dict[str, str]) -> None:
+        get = attributes.get
+        parent = stack[-1] if len(stack) > 1 else None
+        element = Element(tag, get("type", ""), get("id", ""), get("name", ""), {}, parent)
+        if tag in VALUE_TAGS and "name" in attributes:
+            stack[-1].values.setdefault(element.name, get("value", ""))
+        if (parser.CurrentLineNumber, parser.CurrentColumnNumber + 2) == (line, column):
+            found.append(element)
+        stack.append(element)
+
+    parser.StartElementHandler = start
+    parser.EndElementHandler = lambda tag: stack.pop()
+    try:
+        parser.Parse(path.read_bytes(), True)
+    except (OSError, expat.ExpatError):  # the message then does without the object's name
+        return None
+    return found[0] if found else None
+
+
+def _in_dict(scene: dict[str, Any], path: list[str]) -> Element:
+    """The element at a path of keys."""
+    element, here = Element(tag="scene", plugin="scene"), scene
+    for key in path if path != ["root"] else []:
+        here = here.get(key, {})
+        values = {name: value for name, value in here.items() if name not in ("type", "id")}
+        plain = {name: value for name, value in values.items() if isinstance(value, int | float | str)}
+        id_ = key if element.tag == "scene" else ""
+        element = Element("", str(here.get("type", "")), id_, key, plain, element)
+    return element
