@@ -20,7 +20,7 @@ help:
 	@echo "make clean   remove $(VENV), caches and results"
 
 demo: venv
-	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --out out/demo
+	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --rays 4e4 --out out/demo
 
 test: lint
 	$(BIN)/python -m pytest -m "not gpu"

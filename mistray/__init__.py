@@ -1,11 +1,12 @@
 """mistray: stray light in optical systems, on Mitsuba 3 and Dr.Jit.
 
-Importing the package settles libLLVM, makes a Mitsuba variant active if none is, and registers the plugins. Where that is
-impossible the import still succeeds, so that ``mistray doctor`` can say why; the first use of a public name raises.
+Importing the package settles libLLVM, makes a Mitsuba variant active if none is, and registers the plugins. Where that
+is impossible the import still succeeds, so that ``mistray doctor`` can say why; the first use of a public name raises.
 """
 
 from __future__ import annotations
 
+import contextlib
 import importlib
 from typing import TYPE_CHECKING, Any
 
@@ -56,25 +57,24 @@ __all__ = [
 
 
 def _bind() -> None:
-    """Make the public names; `trace` is the function, although the package `mistray.trace` is called the same."""
+    """Make the names that need the kernel; `trace` is the function, although the package `mistray.trace` has its name."""
     ensure_variant()
-    for name in _MODULES:
-        globals()[name] = importlib.import_module(f"mistray.{name}")
-    globals().update({name: getattr(importlib.import_module(home), name) for name, home in _HOMES.items()})
+    for name in ("load", "trace"):
+        globals()[name] = getattr(importlib.import_module(_HOMES[name]), name)
 
 
 def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module 'mistray' has no attribute '{name}'")
     _bind()
-    return globals()[name]
+    if name in _MODULES:
+        return importlib.import_module(f"mistray.{name}")
+    return getattr(importlib.import_module(_HOMES[name]), name)
 
 
 def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-try:
+with contextlib.suppress(MistrayError):  # raised again, with its remedy, by the first use of a public name
     _bind()
-except MistrayError:
-    pass  # raised again, with its remedy, by the first use of a public name

@@ -24,6 +24,8 @@ LAYERS = [
     {"report"},
     {"doctor"},
     {"cli"},
+    {"__main__"},
+    {"__main__"},
 ]
 # `physics` holds equations and nothing else.
 PURE = {"physics": {"errors", "physics"}}

@@ -75,9 +75,9 @@ def explain(error: Exception, source: Path | dict[str, Any]) -> str:
     -------
     str
     """
-    text = str(error)
+    text = str(error) or type(error).__name__
     where, element = "scene", Element()
-    place = _SYNTAX.search(text) or _PLACE.search(text)
+    place = _SYNTAX.search(text) or next(reversed(list(_PLACE.finditer(text))), None)  # the innermost of included files
     if isinstance(source, dict):
         node = _NODE.search(text)
         element = _in_dict(source, node["path"].split(".")) if node else element
@@ -103,7 +103,7 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
         shown = str(value).strip('"')
         return f"unknown parameter '{key}' = {shown} of {element}; {_choose(key, known, 'remove it')}"
     if own:
-        if own.startswith("interface '': "):
+        if re.match(r"interface '(bsdf)?': ", own):  # a nested bsdf has no name of its own
             return f"{element}: {own.partition(': ')[2]}"
         named = any(f"'{name}'" in own for name in (element.id, element.plugin) if name)
         return own if named else f"{element}: {own}"
@@ -115,7 +115,7 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
     for noise in (_PREFIX, _LOADING):
         plain = noise.sub("", plain)
     subject = "the dict" if isinstance(source, dict) else "the file"
-    return f"{plain.strip() or type(text).__name__}; correct {subject}"
+    return f"{plain.strip()}; correct {subject}"
 
 
 def _syntax(match: re.Match[str], element: Element) -> str:

@@ -16,8 +16,7 @@ from mistray.trace.surfaces import POLYNOMIAL_VECTORS, SELF_HIT, SurfaceTable
 AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
 INTERVALS = 12  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
 ITERATIONS = 24
-# Newton steps end when one is this small, in units of the aperture; the interaction at the hit adds a last one, which
-# squares the error
+# Newton steps end when one is this small, in units of the aperture; a last one then squares the error
 CONVERGED = 1e-3
 
 
@@ -114,7 +113,7 @@ class AsphereSearch:
         Distance to the first crossing nearer than `best`, infinite if there is none: bracket, then safeguarded Newton.
 
         Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere,
-        |dz| > slope · sqrt(dx² + dy²): then one bracket is the whole stretch. Otherwise the stretch is walked in
+        |dz| > slope · sqrt(dx² + dy²): then the stretch holds one crossing at most. Otherwise it is walked in
         intervals until f changes sign, or until f turns back in an interval and its extremum lies beyond zero.
         """
         table = self.table
@@ -154,68 +153,66 @@ class AsphereSearch:
             return height, d.z - 2 * sag_derivative(r2, curvature, conic, coefficients) * dr.fma(x, d.x, y * d.y)
 
         monotonic = dr.square(d.z) > dr.square(slope) * dd
-        stride = dr.select(monotonic, length, length / INTERVALS)
+        stride = length / INTERVALS
         f0, g0 = f(mi.Float(0))
         f0 = dr.select(own, dr.mulsign(mi.Float(1e-30), g0), f0)  # on the surface: the sign is the one it leaves with
 
         def sign(v: mi.Float) -> mi.Float:
             return dr.mulsign(mi.Float(1), v)
 
-        def extremum(s: mi.Float, t: mi.Float, gs: mi.Float, gt: mi.Float) -> tuple[mi.Float, mi.Float]:
-            turn = dr.clip(s + (t - s) * gs / (gs - gt), s, t)
-            return turn, f(turn)[0]
-
         def walk(s, fs, gs, lo, hi, flo, fhi, found, going):  # type: ignore[no-untyped-def]
             t = dr.minimum(s + stride, length)
             ft, gt = f(t)
             crossed = sign(ft) != sign(fs)
-            # f turns round inside of the interval: does its extremum reach beyond zero? Rare, so worth a branch
-            dips = going & ~crossed & (gs * fs < 0) & (gt * ft > 0)
-            turn, fm = dr.if_stmt(
-                (s, t, gs, gt),
-                dips,
-                extremum,
-                lambda s, t, gs, gt: (t, ft),
-                arg_labels=("s", "t", "gs", "gt"),
-                rv_labels=("turn", "fm"),
-                mode="symbolic",
-            )
+            # f turns round inside of the interval: does its extremum reach beyond zero?
+            dips = ~crossed & (gs * fs < 0) & (gt * ft > 0)
+            turn = dr.clip(s + (t - s) * gs / dr.select(dips, gs - gt, 1), s, t)
+            fm, _ = f(turn)
             dips &= sign(fm) != sign(ft)
             now = going & (crossed | dips)
             lo, flo = dr.select(now, s, lo), dr.select(now, fs, flo)
             hi, fhi = dr.select(now, dr.select(crossed, t, turn), hi), dr.select(now, dr.select(crossed, ft, fm), fhi)
             return t, ft, gt, lo, hi, flo, fhi, found | now, going & ~now & (t < length)
 
+        ahead = sign(f0) != sign(d.z)  # a monotonic f has the slope's sign of dz: it grows away from zero, or comes to it
         zero = mi.Float(0)
         _, _, _, lo, hi, flo, fhi, found, _ = dr.while_loop(
-            (zero, f0, g0, zero, zero, zero, zero, mi.Bool(False), mi.Bool(active)),
+            (zero, f0, g0, zero, length, zero, zero, active & monotonic & ahead, active & ~monotonic),
             lambda *v: v[8],
             walk,
             labels=("s", "fs", "gs", "lo", "hi", "flo", "fhi", "found", "going"),
             mode="symbolic",
             label="bracket",
         )
-        side = sign(flo)
+        side = sign(dr.select(monotonic, f0, flo))
 
-        def newton(i, s, lo, hi, going):  # type: ignore[no-untyped-def]
+        def newton(i, s, lo, hi, ends, found, going):  # type: ignore[no-untyped-def]
             fs, gs = f(s)
             before = sign(fs) == side
-            lo, hi = dr.select(going & before, s, lo), dr.select(going & ~before, s, hi)
+            lo, hi = dr.select(before, s, lo), dr.select(before, hi, s)
+            # The end of a monotonic stretch is a bracket only if f has another sign there
+            ends &= before
+            missed = ends & (s >= length)
             trial = s - fs / gs
-            new = dr.select((trial >= lo) & (trial <= hi), trial, 0.5 * (lo + hi))
-            going = going & (dr.abs(new - s) > CONVERGED * size) & (i < ITERATIONS)
-            return i + 1, new, lo, hi, going
+            inside = (trial >= lo) & (trial <= hi)
+            new = dr.select(inside, trial, dr.select(ends & (trial > hi), length, 0.5 * (lo + hi)))
+            going = going & ~missed & (dr.abs(new - s) > CONVERGED * size) & (i < ITERATIONS)
+            return i + 1, dr.select(missed, s, new), lo, hi, ends, found & ~missed, going
 
-        chord = lo + (hi - lo) * flo / dr.select(found, flo - fhi, 1)
-        guess = dr.select(own & (lo == 0), 0.5 * (lo + hi), dr.clip(chord, lo, hi))
-        _, s, _, _, _ = dr.while_loop(
-            (mi.UInt32(0), guess, lo, hi, mi.Bool(found)),
-            lambda *v: v[4],
+        chord = dr.clip(lo + (hi - lo) * flo / dr.select(flo == fhi, 1, flo - fhi), lo, hi)
+        guess = dr.select(monotonic, dr.clip(-f0 / g0, 0, length), dr.select(own & (lo == 0), 0.5 * (lo + hi), chord))
+        _, s, _, _, _, found, _ = dr.while_loop(
+            (mi.UInt32(0), guess, lo, hi, mi.Bool(monotonic), mi.Bool(found), mi.Bool(found)),
+            lambda *v: v[6],
             newton,
-            labels=("i", "s", "lo", "hi", "going"),
+            labels=("i", "s", "lo", "hi", "ends", "found", "going"),
             mode="symbolic",
             label="newton",
         )
+        last_f, last_g = f(s)
+        last_step = last_f / last_g
+        found &= dr.abs(last_step) < CONVERGED * size  # not where the steps ended at the rim, short of a crossing
+        s -= last_step
         x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
         r2 = dr.fma(x, x, y * y)
         inside = (r2 <= outer2) & (r2 >= inner2)

@@ -1,12 +1,12 @@
 """Every path of the ledger, of every scene in scenes/, against two float64 tracers that share no code with the kernel.
 
-`oracles.replay` follows the events of a path one after the other from the kernel's own start rays: same place, same flux,
-same optical path length, and no other surface in the way. `oracles.nonsequential` makes the whole ledger anew from the
-same start rays: same paths and no others, same flux in every book.
+`oracles.replay` follows the events of a path one after the other from the kernel's own start rays: same place, same
+flux, same optical path length, and no other surface in the way. `oracles.nonsequential` makes the whole ledger anew
+from the same start rays: same paths and no others, same flux in every book.
 
 The kernel computes in float32. A ray that passes a rim, or meets a surface near the critical angle, within the rounding
-may end in another path: such a ray is called fragile, and it is accepted only if the float64 tracer changes its mind too
-when the start ray is moved by `NUDGE` of the system's size.
+may end in another path: such a ray is called fragile, and it is accepted only if the float64 tracer changes its mind
+too when the start ray is moved by `NUDGE` of the system's size.
 """
 
 from __future__ import annotations
@@ -237,8 +237,8 @@ def compare_ledgers(case: Case) -> None:
     for reason in ("max_reflections", "max_events", "flux_threshold"):
         assert e.cut[reason] == pytest.approx(ledger.cut_W.get(reason, 0.0), abs=slack), reason
     assert e.cut["roulette"] == 0
-    if not fragile:
-        assert case.t.segments == ledger.segments
+    # branches that do not reach the detector may be fragile too
+    assert case.t.segments == pytest.approx(ledger.segments, rel=1e-3 if fragile else 2e-5)
 
 
 def test_cases_are_in_the_field_and_outside() -> None:

@@ -1,0 +1,319 @@
+"""Figures of the phone camera: its image, its irradiance on axis, its ghosts beside those of the FRED study.
+
+The reference figures of the image stand in the ``checks`` of ``scenes/phone_camera/prescription.json``; they come from an
+independent float64 ray trace. Those of the study are in `REPORT`.
+"""
+
+from __future__ import annotations
+
+import json
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from oracles import scene_xml
+from oracles.replay import replay
+
+import mistray
+from mistray.analysis import ghosts
+from mistray.prescription import Prescription, Stop, from_json
+from mistray.prescription.scene_file import xml_text
+
+FILE = Path(__file__).parents[2] / "scenes" / "phone_camera" / "prescription.json"
+D_LINE_NM = 587.5618
+BEAM_RADIUS = 1.252  # of the study's source, mm
+STEP_DEG = 0.05
+WINDOW = ("window_front", "window_rear")
+FACES = [f"{part}_{face}" for part in ("L1", "L2", "L3", "L4", "L5", "filter") for face in ("front", "rear")]
+
+
+@dataclass(frozen=True)
+class Ghost:
+    """
+    One row of the study's Table 21, with the surfaces of Tables 22-26 in our names.
+
+    Attributes
+    ----------
+    field_deg : float
+    path : int
+        Number of the path in the study.
+    irradiance, normalised : float
+        RMS irradiance in W/mm² and over that of the image on axis, as printed.
+    surfaces : tuple of str
+        Reflecting surfaces; empty where the study does not name them.
+    """
+
+    field_deg: float
+    path: int
+    irradiance: float
+    normalised: float
+    surfaces: tuple[str, ...] = ()
+
+
+NOMINAL = 130432.0  # RMS irradiance of the image on axis, W/mm²
+NOMINAL_RAYS = 10_000
+REPORT = [
+    Ghost(0, 478, 9.354802972, 7.17217e-05, ("detector", "window_rear")),
+    Ghost(0, 479, 9.352988661, 7.17078e-05, ("detector", "window_front")),
+    Ghost(0, 466, 1.393128597, 1.06809e-05, ("detector", "filter_rear")),
+    Ghost(0, 467, 0.341211019, 2.61601e-06, ("detector", "filter_front")),
+    Ghost(5, 1158, 0.094694656, 7.26008e-07, ("detector", "L5_rear")),
+    Ghost(5, 1157, 0.077582875, 5.94815e-07, ("detector", "L5_front")),
+    Ghost(5, 1156, 0.060528169, 4.64059e-07, ("detector", "L4_rear")),
+    Ghost(5, 1160, 0.015605596, 1.19645e-07, ("detector", "L3_rear")),
+    Ghost(10, 2299, 0.118851031, 9.11211e-07, ("detector", "filter_rear")),
+    Ghost(10, 2302, 0.099233339, 7.60805e-07, ("detector", "L5_front")),
+    Ghost(10, 2300, 0.078501595, 6.01858e-07, ("detector", "filter_front")),
+    Ghost(10, 2303, 0.072464173, 5.55571e-07, ("detector", "L4_rear")),
+    Ghost(15, 2237, 0.145029919, 1.11192e-06, ("detector", "filter_rear")),
+    Ghost(15, 2238, 0.09304392, 7.13352e-07, ("detector", "filter_front")),
+    Ghost(15, 27, 0.064206826, 4.92263e-07, ("detector", "L5_bevel_2")),
+    Ghost(15, 12, 0.000543492, 4.16686e-09, ("stop_wall",)),
+    Ghost(20, 26, 0.020045672, 1.53687e-07, ("barrel_2_cone",)),
+    Ghost(20, 21, 0.019685929, 1.50929e-07, ("barrel_2_cone",)),
+    Ghost(20, 11, 0.017770291, 1.36242e-07),
+    Ghost(20, 84, 0.000703999, 5.39744e-09, ("barrel_3_cone", "detector", "L5_bevel_2")),
+    Ghost(25, 15, 0.024531682, 1.8808e-07),
+    Ghost(25, 21, 0.023816372, 1.82596e-07),
+    Ghost(25, 13, 0.01082153, 8.29668e-08, ("barrel_1_cone",)),
+    Ghost(25, 9, 0.000169909, 1.30266e-09, ("stop_wall", "barrel_4_cone")),
+    Ghost(26, 6, 0.013466926, 1.03249e-07),
+    Ghost(26, 361, 2.2975e-05, 1.76145e-10),
+    Ghost(26, 362, 1.93729e-05, 1.48529e-10),
+    Ghost(26, 365, 8.34105e-06, 6.39494e-11),
+    Ghost(27, 70, 0.003072682, 9.18724e-07),
+    Ghost(27, 69, 0.005709146, 5.045e-07, ("stop_wall", "L2_rear", "barrel_3_cone")),
+    Ghost(27, 66, 0.607101326, 1.53019e-07),
+    Ghost(27, 67, 0.796453608, 1.12021e-07, ("stop_wall", "L2_rear", "L1_rear")),
+]
+FIELDS_DEG = sorted({ghost.field_deg for ghost in REPORT})
+THREE_REFLECTIONS = (20.0, 27.0)  # fields at which the study names paths with three
+
+
+@cache
+def checks() -> Mapping[str, Any]:
+    """The reference figures in the prescription's file."""
+    return json.loads(FILE.read_text(encoding="utf-8"))["checks"]
+
+
+@cache
+def shipped() -> Prescription:
+    """The camera as it is shipped."""
+    return from_json(FILE)
+
+
+def wide_open(barrel: bool) -> Prescription:
+    """
+    The camera for its image alone, with a detector that the image at 18° fits on.
+
+    Without ``barrel`` only the rims of the lenses clip: a source of the size of the stop lies in its plane, and the window,
+    which moves a tilted beam aside, is taken away, so that the ray through the pivot is the chief ray. With it everything
+    is as shipped, and the source is larger than the stop at all fields.
+    """
+    p = shipped()
+    detector = replace(p.detector, half_width=3.0, half_height=3.0)
+    if barrel:
+        structures = tuple(s for s in p.structures if s.part != "board")
+        return replace(p, structures=structures, detector=detector, source=replace(p.source, radius=1.4, plane="axis"))
+    surfaces = tuple(s for s in p.surfaces if s.part != "window")
+    source = replace(p.source, radius=p.stop.radius, plane="axis", pattern="grid")
+    return replace(p, surfaces=surfaces, structures=(), stop=None, detector=detector, source=source)
+
+
+def image_path(t: mistray.Trace, window: bool) -> Any:
+    """The row of the path that is transmitted by all lenses and meets nothing else."""
+    faces = [*(WINDOW if window else ()), *FACES]
+    wanted = " ".join([*(f"{name}:T" for name in faces), "detector:A"])
+    return next(row for row in t.paths if row.events == wanted)
+
+
+def image(rays: int) -> list[dict[str, float]]:
+    """
+    Spot, chief ray and relative illumination on the d line at the fields of the reference figures.
+
+    The relative illumination is that of an even scene by conservation of étendue: the flux that passes, with the cosine
+    of the tilted stop, times the solid angle in object space from which an area of the image collects,
+    sin θ dθ / (y dy).
+
+    Parameters
+    ----------
+    rays : int
+        For the lenses alone, on a grid. The camera with its barrel gets eight times as many random rays.
+    """
+    rims = wide_open(barrel=False)
+    scene, with_barrel = rims.to_scene(), wide_open(barrel=True).to_scene()
+    thin = replace(rims, source=replace(rims.source, radius=1e-5)).to_scene()
+    model = scene_xml.parse_scene(xml_text(rims))
+
+    def chief(field_deg: float) -> float:
+        t = mistray.trace(thin, rays=64, field_deg=field_deg, wavelength_nm=D_LINE_NM, max_reflections=0)
+        return float(image_path(t, window=False).y_mm)
+
+    def solid_angle(field_deg: float) -> float:
+        y = {k: chief(field_deg + k * STEP_DEG) if field_deg + k * STEP_DEG else 0.0 for k in (-1, 0, 1)}
+        slope = (y[1] - y[-1]) / np.radians(2 * STEP_DEG)
+        return float(np.sin(np.radians(field_deg)) / (y[0] * slope))
+
+    rows: list[dict[str, float]] = []
+    for figure, (_, _, barrel_figure) in zip(_figures(), _barrel_figures(), strict=True):
+        field = float(figure["field"])
+        settings = {"field_deg": field, "wavelength_nm": D_LINE_NM, "max_reflections": 0}
+        t = mistray.trace(scene, rays=rays, **settings)
+        row, run = image_path(t, window=False), t._runs[0]
+        full = image_path(mistray.trace(with_barrel, rays=8 * rays, **settings), window=True)
+        traced = replay(model, *run.start_rays(np.arange(run.rays)), row.event_list, D_LINE_NM)
+        rows.append(
+            {
+                "field_deg": field,
+                "rms_um": 1e3 * row.rms_radius_mm,
+                "rms_replayed_um": 1e3 * float(np.sqrt(np.sum(np.var(traced.end[traced.valid], axis=0)))),
+                "rms_figure_um": figure["rms_um"],
+                "rays": row.rays,
+                "rays_replayed": int(traced.valid.sum()),
+                "passed": row.rays / run.rays,
+                "passed_figure": figure["passed"],
+                "chief_mm": chief(field),
+                "chief_figure_mm": figure["chief_mm"],
+                "solid_angle": solid_angle(max(field, STEP_DEG)),
+                "power_W": row.power_W,
+                "power_barrel_W": full.power_W,
+                "relative_se_barrel": full.power_se_W / full.power_W,
+                "illumination_figure": figure["RI"],
+                "barrel_figure": barrel_figure,
+            }
+        )
+    first = rows[0]
+    for row in rows:
+        share = row["solid_angle"] / first["solid_angle"]
+        row["illumination"] = row["power_W"] / first["power_W"] * share
+        row["barrel"] = row["power_barrel_W"] / first["power_barrel_W"] * share
+        relative = np.hypot(row["relative_se_barrel"], first["relative_se_barrel"]) if row is not first else 0.0
+        row["barrel_se"] = float(row["barrel"] * relative)
+    return rows
+
+
+def _figures() -> list[dict[str, Any]]:
+    """Rows of the reference figures at the d line."""
+    return list(checks()["performance_R13_5p727_d"]["rows"])
+
+
+def _barrel_figures() -> list[list[float]]:
+    """(field, relative illumination without and with barrel) at the same fields."""
+    rows = checks()["relative_illumination_with_barrel"]["finite cylindrical stop wall (default)"]
+    fields = [row["field"] for row in _figures()]
+    return [row for row in rows if row[0] in fields]
+
+
+def radial(model: scene_xml.SceneModel, events: list[tuple[str, str]], radius: float, wavelength_nm: float) -> Any:
+    """
+    Flux and irradiance of an on-axis path by Gauss-Legendre quadrature over the square of the height in the beam.
+
+    Returns
+    -------
+    power_W, rms_mm, irradiance_W_mm2, relative_se_of_one_ray : float
+        For a beam of 1 W/mm²; the last, over √n, is the relative standard error of the irradiance from n random rays.
+    """
+    nodes, weights = np.polynomial.legendre.leggauss(4000)
+    r = radius * np.sqrt(0.5 * (nodes + 1))
+    origin = np.column_stack([0 * r, r, np.full_like(r, -3.0)])
+    traced = replay(model, origin, np.tile([0.0, 0.0, 1.0], (len(r), 1)), events, wavelength_nm)
+    w = 0.5 * weights * traced.flux
+    power = float(w.sum())
+    good = traced.valid
+    second, fourth = (float(w[good] @ traced.end[good, 1] ** k) / power for k in (2, 4))
+    rms = float(np.sqrt(second))
+    area = np.pi * radius**2
+    return area * power, rms, area * power / (np.pi * second), float(np.sqrt(fourth / second**2 - 1))
+
+
+def bare_lenses() -> scene_xml.SceneModel:
+    """The surfaces alone: nothing clips."""
+    return scene_xml.parse_scene(xml_text(replace(shipped(), structures=(), stop=None)))
+
+
+def on_axis(rays: int) -> list[dict[str, Any]]:
+    """RMS irradiance of the image on axis: what clips, at which wavelength; by quadrature and by the ray tree."""
+    scene = shipped().to_scene()
+    unclipped = replace(shipped(), stop=replace(shipped().stop, radius=1.26)).to_scene()
+    direct = [*((face, "SpecTran") for face in (*WINDOW, *FACES)), ("detector", "Absorbed")]
+    rows = []
+    for name, radius, traced in (("stop", shipped().stop.radius, scene), ("beam", BEAM_RADIUS, unclipped)):
+        for wavelength_nm in (D_LINE_NM, 550.0):
+            t = mistray.trace(traced, rays=rays, wavelength_nm=wavelength_nm, max_reflections=0)
+            row = image_path(t, window=True)
+            power, rms, irradiance, spread = radial(bare_lenses(), direct, radius, wavelength_nm)
+            rows.append(
+                {
+                    "limit": name,
+                    "radius_mm": radius,
+                    "wavelength_nm": wavelength_nm,
+                    "power_W": power,
+                    "rms_um": 1e3 * rms,
+                    "quadrature": irradiance,
+                    "traced": row.rms_irradiance_W_mm2,
+                    "traced_se": row.rms_irradiance_se_W_mm2,
+                    "study_se": irradiance * spread / np.sqrt(NOMINAL_RAYS),
+                    "million_se": irradiance * spread / 1e3,
+                }
+            )
+    return rows
+
+
+def ghost_pairs(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """
+    The four ghosts of Table 22 on axis: traced, by quadrature, and by quadrature with nothing that clips.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Of `ghost_table` at field 0.
+    """
+    clipped = scene_xml.parse_scene(xml_text(shipped()))
+    rows = []
+    for ghost in REPORT[:4]:
+        row = strongest(table, ghost.surfaces)
+        events = [tuple(event.rsplit(":", 1)) for event in row.events.split()]
+        _, rms, unclipped, spread = radial(bare_lenses(), events, BEAM_RADIUS, 550.0)
+        rows.append(
+            {
+                "surfaces": row.surfaces,
+                "study": ghost.irradiance,
+                "traced": row.rms_irradiance_W_mm2,
+                "traced_se": row.rms_irradiance_se_W_mm2,
+                "rms_um": 1e3 * row.rms_radius_mm,
+                "quadrature": radial(clipped, events, shipped().stop.radius, 550.0)[2],
+                "unclipped": unclipped,
+                "unclipped_rms_um": 1e3 * rms,
+                "study_se": unclipped * spread / np.sqrt(NOMINAL_RAYS),
+            }
+        )
+    return rows
+
+
+def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 2) -> pd.DataFrame:
+    """
+    The stray paths of a field, by falling RMS irradiance, those of fewer than 30 rays left out.
+
+    Columns as in `GhostReport.table`, and ``surfaces``: the reflecting surfaces joined by " → ", where several paths share
+    them with a number from the second on.
+    """
+    report = ghosts(scene, fields_deg=[field_deg], rays=rays, max_reflections=max_reflections, flux_threshold=1e-8)
+    table = report.table(field_deg)
+    table = table[(table.rank_rms_irradiance > 0) & table.well_sampled].sort_values("rank_rms_irradiance")
+    names = [" → ".join(re.findall(r"(\S+):R", events)) or "total reflection" for events in table.events]
+    count: dict[str, int] = {}
+    for i, name in enumerate(names):
+        count[name] = count.get(name, 0) + 1
+        names[i] = name if count[name] == 1 else f"{name} ({count[name]})"
+    return table.assign(surfaces=names)
+
+
+def strongest(table: pd.DataFrame, surfaces: tuple[str, ...]) -> Any:
+    """The path of these reflecting surfaces with the highest RMS irradiance, or None."""
+    rows = table[table.surfaces == " → ".join(surfaces)]
+    return rows.iloc[0] if len(rows) else None
