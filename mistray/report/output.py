@@ -61,7 +61,7 @@ def write_all(report: GhostReport, directory: str | Path, title: str = "scene", 
     ----------
     report : GhostReport
     directory : str or Path
-        Made if it is missing.
+        Made if it is missing, with the directories above it.
     title : str
         Name of the optical system.
     command : str
@@ -73,7 +73,7 @@ def write_all(report: GhostReport, directory: str | Path, title: str = "scene", 
         The files written.
     """
     target = writable_directory(directory)
-    draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=target.parent))
+    draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=_nearest_directory(target.parent)))
     try:
         pictures = draw(report)
         drafts = [*write_csv(report, draft), *_write(pictures, draft)]
@@ -82,7 +82,7 @@ def write_all(report: GhostReport, directory: str | Path, title: str = "scene", 
             path.write_text(path_sort_text(report[field]), encoding="utf-8")
             drafts.append(path)
         drafts.append(write_html(report, draft / "report.html", title, command, pictures))
-        target.mkdir(exist_ok=True)
+        target.mkdir(parents=True, exist_ok=True)
         return [path.replace(target / path.name) for path in drafts]
     finally:
         shutil.rmtree(draft, ignore_errors=True)
@@ -95,21 +95,24 @@ def writable_directory(directory: str | Path) -> Path:
     Raises
     ------
     MistrayError
-        The path is a file, its parent does not exist, or it may not be written.
+        The path is a file, or it may not be written.
     """
     target = Path(directory).expanduser().resolve()
     if target.exists() and not target.is_dir():
         raise MistrayError(f"output directory '{directory}' is a file; name a directory")
-    if not target.parent.is_dir():
-        raise MistrayError(f"output directory '{directory}': '{target.parent}' does not exist; make it first")
     try:
-        tempfile.TemporaryFile(dir=target if target.is_dir() else target.parent).close()
-        tempfile.TemporaryFile(dir=target.parent).close()
+        tempfile.TemporaryFile(dir=_nearest_directory(target)).close()
+        tempfile.TemporaryFile(dir=_nearest_directory(target.parent)).close()
     except OSError as error:
         raise MistrayError(
             f"output directory '{directory}' cannot be written ({error.strerror}); choose another"
         ) from None
     return target
+
+
+def _nearest_directory(path: Path) -> Path:
+    """The path, or the nearest one above it that exists."""
+    return next(place for place in (path, *path.parents) if place.exists())
 
 
 def _write(pictures: dict[str, bytes], directory: Path) -> list[Path]:

@@ -171,6 +171,7 @@ def test_output_directory_that_is_a_file_is_an_error(tmp_path):
         writable_directory(tmp_path / "out")
 
 
-def test_output_directory_without_a_parent_is_an_error(tmp_path):
-    with pytest.raises(MistrayError, match="does not exist; make it first"):
-        writable_directory(tmp_path / "a" / "b")
+def test_missing_directories_are_made(report, tmp_path):
+    write_all(report, tmp_path / "a" / "b")
+    assert (tmp_path / "a" / "b" / "report.html").is_file()
+    assert [path.name for path in tmp_path.iterdir()] == ["a"]

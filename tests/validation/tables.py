@@ -22,7 +22,8 @@ def number(value: float, se: float | None = None, digits: int = 4) -> str:
     decimals = 1 - math.floor(math.log10(se))
     if abs(value) < 1e-3 or abs(value) >= 1e6:
         exponent = math.floor(math.log10(abs(value)))
-        return f"({value / 10**exponent:.{max(decimals + exponent, 0)}f} ± {se / 10**exponent:.{max(decimals + exponent, 0)}f})e{exponent}"
+        scale, places = 10.0**exponent, max(decimals + exponent, 0)
+        return f"({value / scale:.{places}f} ± {se / scale:.{places}f})e{exponent}"
     decimals = max(decimals, 0)
     return f"{value:.{decimals}f} ± {se:.{decimals}f}"
 

@@ -1,0 +1,144 @@
+"""Where the flux goes: launched = detected + absorbed + escaped + cut, in every mode and at every field."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from oracles import closed_forms
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+
+import mistray
+
+SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
+MODES = [(splitting, below) for splitting in ("split", "one") for below in ("cut", "roulette")]
+FIELDS_DEG = (0.0, 0.4, 9.0, 30.0)
+
+
+@pytest.fixture(scope="module", params=SCENES, ids=[path.parent.name for path in SCENES])
+def scene(request: pytest.FixtureRequest):
+    return mistray.load(request.param)
+
+
+@pytest.mark.parametrize(("splitting", "below"), MODES)
+def test_closure(scene, splitting: str, below: str) -> None:
+    for field_deg in FIELDS_DEG:
+        t = mistray.trace(
+            scene, rays=2000, field_deg=field_deg, splitting=splitting, below_threshold=below, flux_threshold=1e-5
+        )
+        e = t.energy
+        assert abs(e.closure) < 1e-5, f"{field_deg} deg: {e}"
+        parts = [e.detected_W, e.escaped_W, *(watt for watt, _ in e.absorbed.values())]
+        assert min(parts) >= 0
+        assert e.cut["medium"] == 0
+        assert sum(row.power_W for row in t.paths) == pytest.approx(e.detected_W, rel=1e-9)
+        assert set(e.absorbed) == {shape.id() for shape in scene.shapes()} - {t.settings["detector"]}
+        rows = {row.id: row for row in t.surfaces}
+        for name, (watt, _) in e.absorbed.items():
+            assert rows[name].absorbed_W == watt
+            assert rows[name].incident_W >= watt
+        assert f"{'closure':<28}" in str(e)
+
+
+class TestCuts:
+    """Each limit takes what it says and books it."""
+
+    def test_threshold(self) -> None:
+        """Plate n = 1.5: 1e-2 stops the ghost of 1.6e-3, 1e-4 lets it pass and stops that of 2.6e-6."""
+        scene = mistray.load("plate")
+        r = 0.04
+        powers = closed_forms.plate_orders(r, 3)
+
+        def traced(threshold: float):
+            t = mistray.trace(scene, rays=1000, max_reflections=20, flux_threshold=threshold)
+            return t, t.energy.cut["flux_threshold"] / t.energy.launched_W
+
+        high, cut = traced(1e-2)
+        assert [row.order for row in high.paths] == [0]
+        # what is left after the first reflection at the rear goes: through the front (3.7 %) not, back (0.15 %) yes
+        assert cut == pytest.approx((1 - r) * r * r, rel=1e-6)
+        low, cut = traced(1e-4)
+        assert [row.order for row in low.paths] == [0, 2]
+        assert low.paths[1].power_W / low.energy.launched_W == pytest.approx(powers[1], rel=1e-6)
+        assert 0 < cut < 1e-4
+        none, cut = traced(0.0)
+        assert [row.order for row in none.paths[:3]] == [0, 2, 4]
+        assert cut == 0
+
+    def test_threshold_is_relative_to_the_start_ray(self, load_text) -> None:
+        """The irradiance of the source changes nothing."""
+        text = plates_text(1)
+        bright = text.replace('name="radius"', 'name="irradiance" value="1e-9"/><float name="radius"', 1)
+        tables = []
+        for scene, _ in (load_text(text), load_text(bright)):
+            t = mistray.trace(scene, rays=64, flux_threshold=1e-4, max_reflections=8)
+            tables.append([(row.events, row.rays, row.percent) for row in t.paths])
+        assert [row[:2] for row in tables[0]] == [row[:2] for row in tables[1]]
+        assert [row[2] for row in tables[0]] == pytest.approx([row[2] for row in tables[1]], rel=1e-9)
+
+    def test_reflections(self) -> None:
+        scene = mistray.load("plate")
+        r = 0.04
+        t = mistray.trace(scene, rays=100, max_reflections=0)
+        assert len(t.paths) == 1
+        assert t.energy.cut["max_reflections"] / t.energy.launched_W == pytest.approx(r + (1 - r) * r, rel=1e-6)
+        t = mistray.trace(scene, rays=100, max_reflections=1)
+        assert t.energy.escaped_W / t.energy.launched_W == pytest.approx(r + (1 - r) ** 2 * r, rel=1e-6)
+        assert t.energy.cut["max_reflections"] / t.energy.launched_W == pytest.approx((1 - r) * r * r, rel=1e-5)
+
+    def test_events(self) -> None:
+        """The direct path of the plate has three events, its first ghost five."""
+        scene = mistray.load("plate")
+        r = 0.04
+        for limit, orders in ((2, []), (3, [0]), (4, [0]), (5, [0, 2]), (6, [0, 2])):
+            t = mistray.trace(scene, rays=100, max_events=limit)
+            assert [row.order for row in t.paths] == orders
+            assert abs(t.energy.closure) < 1e-6
+        cut = mistray.trace(scene, rays=100, max_events=2).energy.cut["max_events"]
+        assert cut / (25 * 3.141592653589793) == pytest.approx(1 - r, rel=1e-6)
+
+    @pytest.mark.parametrize("below", ["cut", "roulette"])
+    def test_roulette_is_booked_and_zero_on_average(self, below: str) -> None:
+        """False alarm 6e-5: the mean of 40 seeds within 4 standard errors."""
+        from oracles.statistics import assert_z, mean_and_error
+
+        scene = mistray.load("cooke_triplet")
+        booked = []
+        for seed in range(40):
+            t = mistray.trace(scene, rays=500, flux_threshold=0.02, below_threshold=below, seed=seed)
+            booked.append(t.energy.cut["roulette"])
+            assert abs(t.energy.closure) < 1e-5
+        if below == "cut":
+            assert set(booked) == {0.0}
+        else:
+            assert min(booked) < 0 < max(booked)
+            mean, error = mean_and_error(booked)
+            assert_z("flux removed by roulette", mean, 0.0, error, k=4.0)
+
+    def test_media_that_do_not_fit(self, load_text) -> None:
+        """A ray that meets glass 1.6 from glass 1.5 is lost to the books as "medium", none is lost silently."""
+        scene, _ = load_text(
+            scene_text(
+                shape_xml("asphere", "front", 0.0, interface_xml("air", "1.5"), semi_diameter=2.0),
+                shape_xml("asphere", "rear", 1.0, interface_xml("1.6", "air"), semi_diameter=2.0),
+                shape_xml("asphere", "detector", 2.0, sensor=True, half_width=2.0, half_height=2.0),
+            )
+        )
+        t = mistray.trace(scene, rays=100)
+        assert t.energy.cut["medium"] / t.energy.launched_W == pytest.approx(0.96, rel=1e-6)
+        assert len(t.paths) == 0
+        assert abs(t.energy.closure) < 1e-6
+
+    @pytest.mark.parametrize("pair", [("air", "vacuum"), ("1.5", "1.50"), ("N-BK7", "n-bk7")])
+    def test_one_medium_by_two_names(self, load_text, pair: tuple[str, str]) -> None:
+        outside = "air" if pair[0] != "air" else "1.5"
+        scene, _ = load_text(
+            scene_text(
+                shape_xml("asphere", "front", 0.0, interface_xml(outside, pair[0]), semi_diameter=2.0),
+                shape_xml("asphere", "rear", 1.0, interface_xml(pair[1], outside), semi_diameter=2.0),
+                shape_xml("asphere", "detector", 2.0, sensor=True, half_width=2.0, half_height=2.0),
+            )
+        )
+        t = mistray.trace(scene, rays=100)
+        assert t.energy.cut["medium"] == 0
+        assert t.energy.detected_W > 0.9 * t.energy.launched_W
