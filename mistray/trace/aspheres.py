@@ -51,6 +51,7 @@ class AsphereSearch:
         self.table = table
         self.pieces = [piece for piece in table.pieces if piece.kind == "asphere"]
         self.rectangular = [piece for piece in self.pieces if not piece.outer]
+        self.clipped = bool(self.rectangular) or any(piece.inner > 0 for piece in self.pieces)
         self.count = max((len(piece.coefficients) for piece in self.pieces), default=0)
 
     def nearest(
@@ -88,7 +89,7 @@ class AsphereSearch:
             return number, bit, bit != 0
 
         def step(best, surface, searched, number, bit, going):  # type: ignore[no-untyped-def]
-            t = self._crossing(o, d, number, last == number, best, going)
+            t = self._first(o, d, number, last == number, best, going)
             nearer = going & (t < best)
             best, surface = dr.select(nearer, t, best), dr.select(nearer, number, surface)
             searched |= bit
@@ -106,11 +107,39 @@ class AsphereSearch:
         )
         return best, surface
 
-    def _crossing(
+    def _first(
         self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
     ) -> mi.Float:
+        """Distance to the first crossing within the aperture and nearer than `best`, infinite if there is none.
+
+        A ray may pass the full surface outside of a rectangular aperture, or in a central hole, and meet it later.
         """
-        Distance to the first crossing nearer than `best`, infinite if there is none: bracket, then safeguarded Newton.
+        if not self.clipped:
+            return self._crossing(o, d, number, own, best, active)[0]
+
+        def step(t, passed, own, going):  # type: ignore[no-untyped-def]
+            further, skipped = self._crossing(dr.fma(passed, d, o), d, number, own, best - passed, going)
+            t = dr.select(going, passed + further, t)
+            going = going & dr.isfinite(skipped)
+            return t, dr.select(going, passed + skipped, passed), own | going, going
+
+        t, *_ = dr.while_loop(
+            (dr.full(mi.Float, dr.inf, dr.width(best)), mi.Float(0), mi.Bool(own), mi.Bool(active)),
+            lambda *v: v[3],
+            step,
+            labels=("t", "passed", "own", "going"),
+            mode="symbolic",
+            label="aperture",
+        )
+        return t
+
+    def _crossing(
+        self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Float]:
+        """
+        Distance to the first crossing nearer than `best`: bracket, then safeguarded Newton.
+
+        Returned twice: if it lies within the aperture, and if it does not; infinite otherwise.
 
         Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere,
         |dz| > slope · sqrt(dx² + dy²): then the stretch holds one crossing at most. Otherwise it is walked in
@@ -220,4 +249,5 @@ class AsphereSearch:
             within = (dr.abs(x) <= half.x) & (dr.abs(y) <= half.y)
             inside = dr.select(rectangle, within, inside)
         t = start + s
-        return dr.select(found & inside & (t > dr.select(own, SELF_HIT * size, 0)), t, dr.inf)
+        found &= t > dr.select(own, SELF_HIT * size, 0)
+        return dr.select(found & inside, t, dr.inf), dr.select(found & ~inside, t, dr.inf)

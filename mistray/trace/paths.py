@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.ledger import ABSORBED, EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
-from mistray.trace.surfaces import DETECTOR, MIRROR, OPAQUE
+from mistray.trace.surfaces import DETECTOR, MIRROR, OPAQUE, WALL
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -44,8 +44,9 @@ class PathRow:
     order : int
         Ghost reflections: at refracting surfaces and at the detector; mirrors and total internal reflection apart.
     kind : str
-        "straight shot" (no surface before the detector), "direct" (no reflection but at mirrors), "ghost", "structure"
-        (reflections at opaque surfaces that are no mirror), "structure+ghost", "TIR" (total internal reflections only).
+        "direct" (no reflection but at mirrors), "straight shot" (the same, past all optics or through an edge or bevel,
+        that is, a ``frustum``), "ghost", "structure" (reflections at opaque surfaces that are no mirror),
+        "structure+ghost", "TIR" (total internal reflections only).
     ghost_1, ghost_2 : str
         First and second surface that reflects, mirrors and total internal reflection apart, or "-".
     scatter_1 : str
@@ -211,14 +212,14 @@ def describe_events(codes: np.ndarray, ids: Sequence[str], words: np.ndarray) ->
     ]
     structure = sum(is_structure for _, is_structure in reflecting)
     order, tir = len(reflecting) - structure, int(np.sum(kinds == TOTAL))
-    if len(codes) == 1:
-        kind = "straight shot"
-    elif order and structure:
+    if order and structure:
         kind = "structure+ghost"
     elif order or structure:
         kind = "ghost" if order else "structure"
+    elif tir:
+        kind = "TIR"
     else:
-        kind = "TIR" if tir else "direct"
+        kind = "straight shot" if len(codes) == 1 or np.any(words[surfaces[:-1]] & WALL) else "direct"
     names = [ids[s] for s, _ in reflecting] + ["-", "-"]
     return {
         "events": " ".join(f"{ids[s]}:{LETTERS[int(k)]}" for s, k in zip(surfaces, kinds, strict=True)),

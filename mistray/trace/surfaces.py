@@ -28,7 +28,7 @@ TABLE_NODES = 512
 # Row of the polynomial table: curvature, conic, a4 … a20, inner², z range, outer (-1: a rectangle), slope
 POLYNOMIAL_VECTORS = 4
 # Bits of the word that describes a surface to the kernel
-OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC = (1 << bit for bit in range(2, 7))
+OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC, WALL = (1 << bit for bit in range(2, 8))
 FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0xFFF
 
 
@@ -224,6 +224,7 @@ class SurfaceTable:
                 | (MIRROR if bsdf.mirror else 0)
                 | (DETECTOR if i == self.detector else 0)
                 | (STOCK if i >= len(self.pieces) else 0)
+                | (WALL if i < len(self.pieces) and self.pieces[i].wall else 0)
                 | (ASPHERIC if i < len(self.pieces) and self.pieces[i].coefficients else 0)
                 | (sides[0] << FRONT_MEDIUM_SHIFT)
                 | (sides[1] << BACK_MEDIUM_SHIFT)

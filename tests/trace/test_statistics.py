@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from oracles import closed_forms
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
-from oracles.statistics import assert_z, z_limit, z_score
+from oracles.statistics import assert_z, z_limit
 
 import mistray
 from mistray.trace.settings import Settings
@@ -145,16 +145,16 @@ class TestStandardErrors:
         assert all(row.incident_se_W <= 1e-7 * row.incident_W for row in t.surfaces if row.incident_W)
 
     def test_map(self, load_text) -> None:
-        """chi² of all pixels over 60 seeds, paths that do not overlap. False alarm 1e-3."""
-        scene, _ = load_text(lens_text())
+        """Variance over 60 seeds against the squared error, in all pixels together; false alarm 1e-3."""
+        scene, _ = load_text(lens_text().replace('value="64"', 'value="12"'))
         seeds = 60
         maps = [mistray.trace(scene, rays=4000, seed=seed, max_reflections=0, ledger=False) for seed in range(seeds)]
         values, errors = (np.array([getattr(t, key) for t in maps]) for key in ("irradiance", "irradiance_se"))
-        lit = (values > 0).sum(axis=0) > 0.9 * seeds
-        assert lit.sum() > 300
+        lit = (values > 0).all(axis=0)
+        assert lit.sum() > 60
         ratio = values[:, lit].var(axis=0, ddof=1) / np.square(errors[:, lit]).mean(axis=0)
         # each variance has 59 degrees of freedom
-        assert abs(ratio.mean() - 1) < z_limit(1, 1e-3) * np.sqrt(2 / 59 / lit.sum()) + 0.01
+        assert abs(ratio.mean() - 1) < z_limit(1, 1e-3) * np.sqrt(2 / 59 / lit.sum())
 
     def test_a_grid_has_honest_errors_too(self, load_text) -> None:
         """Those of random positions, hence too large rather than too small, and not those of rows of the grid."""
@@ -200,8 +200,8 @@ class TestStartRays:
         values = []
         for seed in range(60):
             (run,) = prepare(scene, Settings(rays=3200, seed=seed))
-            _, batch, _, o, _ = run.start_pass(0)
-            x, number = np.array(o.x, dtype=float), np.array(batch)
+            start = run.start_pass(0)
+            x, number = np.array(start.o.x, dtype=float), np.array(start.batch)
             values.append(np.bincount(number, x, 32) / np.bincount(number) * np.sqrt(4 * 100))  # radius 1: variance ¼
         values = np.array(values)
         assert abs(np.var(values) - 1) < z_limit(2, 1e-3) * np.sqrt(2 / values.size)
@@ -210,10 +210,8 @@ class TestStartRays:
 
     def test_seeds_differ(self, load_text) -> None:
         scene, _ = load_text(lens_text())
-        origins = [
-            prepare(scene, Settings(rays=1000, seed=seed))[0].start_rays(np.arange(1000))[0] for seed in (0, 1, 7)
-        ]
+        runs = [prepare(scene, Settings(rays=1000, seed=seed))[0] for seed in (0, 1, 7)]
+        origins = [run.start_rays(np.arange(1000))[0] for run in runs]
         for i in range(3):
             for j in range(i):
-                assert not np.intersect1d(origins[i][:, 0], origins[j][:, 0]).size > 10
-        assert abs(z_score(np.corrcoef(origins[0][:, 0], origins[1][:, 0])[0, 1], 0.0, 1.0)) < 0.2
+                assert np.intersect1d(origins[i][:, 0], origins[j][:, 0]).size < 10

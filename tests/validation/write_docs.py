@@ -1,0 +1,209 @@
+"""Writes the tables of docs/validation: ``python tests/validation/write_docs.py [phone_camera] [lsst]``."""
+
+from __future__ import annotations
+
+import math
+import sys
+from collections.abc import Callable
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+from validation import phone_camera
+from validation.tables import markdown, number, write
+
+IMAGE_RAYS = 40_000
+ON_AXIS_RAYS = 4_000_000
+GHOST_RAYS = {0.0: 400_000, 5.0: 400_000, 10.0: 400_000}
+FAR_GHOST_RAYS = 2_000_000
+THREE_REFLECTION_RAYS = 1_000_000
+TOP = 4
+LSST_RAYS = 100_000
+LSST_FIELDS_DEG = (0.0, 1.0, 1.4, 1.6, 1.75)
+
+
+def image_table(rows: list[dict[str, float]]) -> str:
+    """Spot, chief ray and illumination, each with its reference figure."""
+    header = ("field °", "RMS spot µm", "same rays, float64", "evenly sampled", "figure", "chief ray mm", "figure mm",
+              "passed", "figure passed", "illumination", "figure rel.", "with barrel", "figure barrel")  # fmt: skip
+    return markdown(
+        header,
+        [
+            (
+                f"{row['field_deg']:g}",
+                f"{row['rms_um']:.4f}",
+                f"{row['rms_replayed_um']:.4f}",
+                f"{row['rms_even_um']:.3f}",
+                f"{row['rms_figure_um']:.3f}",
+                f"{row['chief_mm']:.5f}",
+                f"{row['chief_figure_mm']:.5f}",
+                f"{row['passed']:.4f}",
+                f"{row['passed_figure']:.4f}",
+                f"{row['illumination']:.4f}",
+                f"{row['illumination_figure']:.4f}",
+                number(row["barrel"], row["barrel_se"]),
+                f"{row['barrel_figure']:.4f}",
+            )
+            for row in rows
+        ],
+    )
+
+
+def on_axis_table(rows: list[dict[str, float]]) -> str:
+    """RMS irradiance of the image on axis in kW/mm²."""
+    limits = {"stop": "stop", "beam": "source, no stop"}
+    return markdown(
+        ("beam ends at", "radius mm", "λ nm", "RMS spot µm", "quadrature", "ray tree", "± of 10⁴ rays", "± of 10⁶ rays"),
+        [
+            (
+                limits[row["limit"]],
+                f"{row['radius_mm']:.5f}",
+                f"{row['wavelength_nm']:.2f}",
+                f"{row['rms_um']:.4f}",
+                f"{row['quadrature'] / 1e3:.2f}",
+                number(row["traced"] / 1e3, row["traced_se"] / 1e3),
+                f"{row['study_se'] / 1e3:.1f}",
+                f"{row['million_se'] / 1e3:.2f}",
+            )
+            for row in rows
+        ],
+    )
+
+
+def pairs_table(rows: list[dict[str, float]]) -> str:
+    """The four ghosts of Table 22."""
+    return markdown(
+        ("ghost", "RMS radius µm", "ray tree", "quadrature", "quadrature, no stop", "± of 10⁴ rays", "study"),
+        [
+            (
+                str(row["surfaces"]),
+                f"{row['rms_um']:.2f}",
+                number(row["traced"], row["traced_se"]),
+                f"{row['quadrature']:.4f}",
+                f"{row['unclipped']:.4f}",
+                f"{row['study_se']:.2g}",
+                f"{row['study']:.4f}",
+            )
+            for row in rows
+        ],
+    )
+
+
+def ghost_rows(tables: dict[float, phone_camera.pd.DataFrame], three: dict[float, phone_camera.pd.DataFrame]) -> str:
+    """The four worst paths of each field beside those of the study."""
+    rows = []
+    for field, table in tables.items():
+        study = [ghost for ghost in phone_camera.REPORT if ghost.field_deg == field]
+        for rank, ghost in enumerate(study[:TOP]):
+            own = table.iloc[rank]
+            source = three.get(field) if len(ghost.surfaces) == 3 else table
+            same = phone_camera.strongest(source, ghost.surfaces) if source is not None and ghost.surfaces else None
+            rows.append(
+                (
+                    f"{field:g}",
+                    str(rank + 1),
+                    str(own.surfaces),
+                    number(own.rms_irradiance_W_mm2, own.rms_irradiance_se_W_mm2),
+                    f"{own.normalised_rms_irradiance:.3g}",
+                    str(ghost.path),
+                    " → ".join(ghost.surfaces) or "not named",
+                    f"{ghost.irradiance:.4g}",
+                    f"{ghost.normalised:.3g}",
+                    number(same.rms_irradiance_W_mm2, same.rms_irradiance_se_W_mm2) if same is not None else "–",
+                )
+            )
+    header = ("field °", "rank", "mistray: reflecting surfaces", "W/mm²", "normalised", "study: path", "its surfaces",
+              "study W/mm²", "study norm.", "mistray on its surfaces")  # fmt: skip
+    return markdown(header, rows)
+
+
+def write_phone_camera() -> None:
+    """docs/validation/phone_camera.md."""
+    scene = phone_camera.shipped().to_scene()
+    tables = {
+        field: phone_camera.ghost_table(scene, field, GHOST_RAYS.get(field, FAR_GHOST_RAYS))
+        for field in phone_camera.FIELDS_DEG
+    }
+    three = {
+        field: phone_camera.ghost_table(scene, field, THREE_REFLECTION_RAYS, max_reflections=3)
+        for field in phone_camera.THREE_REFLECTIONS
+    }
+    write(
+        "phone_camera.md",
+        {
+            "image": image_table(phone_camera.image(IMAGE_RAYS)),
+            "on_axis": on_axis_table(phone_camera.on_axis(ON_AXIS_RAYS)),
+            "pairs": pairs_table(phone_camera.ghost_pairs(tables[0])),
+            "ghosts": ghost_rows(tables, three),
+        },
+    )
+
+
+def write_lsst() -> None:
+    """docs/validation/lsst.md."""
+    from validation import lsst
+
+    results = {field: lsst.compare(field, LSST_RAYS) for field in LSST_FIELDS_DEG}
+    fields = []
+    for field, result in results.items():
+        for kind, pairs in (("neighbours", result.ghosts()), ("by M3 again", result.more)):
+            if pairs:
+                worst = lsst.differences(pairs)
+                fields.append(
+                    (
+                        f"{field:g}",
+                        kind,
+                        str(len(pairs)),
+                        str(sum(a.rays < 0.95 * _most_rays(result) for a, _ in pairs.values())),
+                        str(len(result.missing)),
+                        f"{1e3 * sum(a.flux for a, _ in pairs.values()):.4f}",
+                        str(worst["rays"]),
+                        f"{worst['flux']:.1e}",
+                        f"{worst['centroid_mm']:.1e}",
+                        f"{worst['rms']:.1e}",
+                    )
+                )
+    header = ("field °", "paths", "found", "vignetted", "only batoid's", "flux ‰", "Δ rays", "Δ flux / flux", "Δ centroid mm",
+              "Δ RMS radius / RMS radius")  # fmt: skip
+    ghosts = sorted(results[1.0].ghosts().items(), key=lambda item: -item[1][0].flux / item[1][0].rms_mm ** 2)
+    write(
+        "lsst.md",
+        {
+            "fields": markdown(header, fields),
+            "ghosts": markdown(
+                ("turns at", "rays", "flux ‰", "batoid ‰", "y mm", "batoid y mm", "RMS radius mm", "batoid RMS mm"),
+                [_lsst_row(lsst.label(names), *pair) for names, pair in ghosts[:10]],
+            ),
+            "more": markdown(
+                ("turns at", "rays", "flux ‰", "batoid ‰", "y mm", "batoid y mm", "RMS radius mm", "batoid RMS mm"),
+                [_lsst_row(lsst.label(names), *pair) for names, pair in list(results[1.6].more.items())[:5]],
+            ),
+            "image": markdown(
+                ("field °", "RMS spot µm", "batoid µm", "added in quadrature µm"),
+                [_image_row(field, result) for field, result in results.items()],
+            ),
+        },
+    )
+
+
+def _most_rays(result: object) -> int:
+    return max(a.rays for a, _ in result.paths.values())  # type: ignore[attr-defined]
+
+
+def _lsst_row(name: str, ours: object, theirs: object) -> tuple[str, ...]:
+    a, b = ours, theirs
+    return (name, str(a.rays), f"{1e3 * a.flux:.6f}", f"{1e3 * b.flux:.6f}", f"{a.y_mm:.4f}", f"{b.y_mm:.4f}",
+            f"{a.rms_mm:.5f}", f"{b.rms_mm:.5f}")  # type: ignore[attr-defined]  # fmt: skip
+
+
+def _image_row(field: float, result: object) -> tuple[str, ...]:
+    ours, theirs = next(pair for names, pair in result.paths.items() if result.order[names] == 0)  # type: ignore[attr-defined]
+    a, b = 1e3 * ours.rms_mm, 1e3 * theirs.rms_mm
+    return f"{field:g}", f"{a:.3f}", f"{b:.3f}", f"{math.sqrt(max(a * a - b * b, 0.0)):.2f}"
+
+
+REPORTS: dict[str, Callable[[], None]] = {"phone_camera": write_phone_camera, "lsst": write_lsst}
+
+if __name__ == "__main__":
+    for report in sys.argv[1:] or REPORTS:
+        REPORTS[report]()
