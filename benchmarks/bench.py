@@ -30,7 +30,7 @@ REPEATS = 5
 
 @dataclass
 class Row:
-    """One line of the table: what is compared, both rates, the ratio and the bar it should reach (None: for information)."""
+    """One line of the table: what is compared, both rates, the ratio and the bar it should reach (None: no bar)."""
 
     what: str
     ours: str
@@ -119,7 +119,8 @@ def ledger_cost(name: str, rays: int, bar: float) -> Row:
         return action
 
     on, off = alternate(run(True), run(False))
-    return Row(f"`{name}`: ledger on against off (start rays/s)", f"{rays / on / 1e6:.2f} M/s", f"{rays / off / 1e6:.2f} M/s", off / on, bar)
+    rates = [f"{rays / seconds / 1e3:.1f} k/s" for seconds in (on, off)]
+    return Row(f"`{name}`: ledger on against off (start rays/s)", *rates, off / on, bar)
 
 
 def against_batoid(rays: int, bar: float) -> Row:
@@ -140,9 +141,8 @@ def against_batoid(rays: int, bar: float) -> Row:
 
     def theirs() -> None:
         n = telescope.inMedium.getN(620e-9)
-        bundle = batoid.RayVector(
-            *(1e-3 * origin * flip).T, *(direction * flip / n).T, t=0.0, wavelength=620e-9, flux=1.0
-        )
+        x, v = 1e-3 * origin * flip, direction * flip / n
+        bundle = batoid.RayVector(*x.T, *v.T, t=0.0, wavelength=620e-9, flux=1.0)
         telescope.traceSplit(bundle, minFlux=settings.flux_threshold)
 
     def ours() -> None:
@@ -175,17 +175,24 @@ def first_run(name: str) -> str:
     with tempfile.TemporaryDirectory() as home:
         cold = seconds(home)
         warm = seconds(home)
-    return f"`{name}`, 1000 rays, fresh process to path table: {cold:.1f} s with an empty kernel cache, {warm:.1f} s after."
+    times = f"{cold:.1f} s with an empty kernel cache, {warm:.1f} s after"
+    return f"`{name}`, 1000 rays, fresh process to path table: {times}."
+
+
+def _cpu_information() -> list[str]:
+    file = Path("/proc/cpuinfo")
+    return file.read_text().splitlines() if file.exists() else []
 
 
 def machine() -> str:
     """The processor, the number of its threads that Dr.Jit uses, and the versions."""
     model = next(
-        (line.split(":", 1)[1].strip() for line in Path("/proc/cpuinfo").read_text().splitlines() if "model name" in line),
+        (line.split(":", 1)[1].strip() for line in _cpu_information() if "model name" in line),
         platform.processor(),
     )
     llvm = ".".join(str(part) for part in dr.detail.llvm_version())
-    return f"{model}, {dr.thread_count()} threads, {mi.variant()}, Mitsuba {mi.__version__}, Dr.Jit {dr.__version__}, LLVM {llvm}"
+    versions = f"Mitsuba {mi.__version__}, Dr.Jit {dr.__version__}, LLVM {llvm}"
+    return f"{model}, {dr.thread_count()} threads, {mi.variant()}, {versions}"
 
 
 def main() -> None:
@@ -205,7 +212,7 @@ def main() -> None:
         [
             "# Benchmarks",
             "",
-            "Written by `make bench`. Best of several alternating repeats, kernels compiled before; the ratios are what counts.",
+            "Written by `make bench`. Best of several alternating repeats, kernels compiled before; the ratios count.",
             "",
             f"Machine: {machine()}.",
             "",
@@ -213,9 +220,9 @@ def main() -> None:
             "",
             first_run("phone_camera"),
             "",
-            "A segment of the ray tree is more than a ray of the mesh: it includes Snell's law, R and T, the bookkeeping of",
-            "energy and the film. The mesh is the one that the plugins give to stock integrators; its rays are segments of the",
-            "same tree, sorted by start ray. batoid traces rays without a film or a ledger.",
+            "A segment of the ray tree is more than a ray of the mesh: it includes Snell's law, R and T, the",
+            "bookkeeping of energy and the film. The mesh is the one that the plugins give to stock integrators;",
+            "its rays are segments of the same tree, sorted by start ray. batoid traces rays without film or ledger.",
             "",
         ]
     )

@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from mistray import analysis, materials, physics, prescription, report, scene
     from mistray.analysis import GhostReport, ghosts
     from mistray.prescription import Detector, Prescription, Source, Structure, Surface
-    from mistray.scene import load
+    from mistray.scene import load  # type: ignore[no-redef]
     from mistray.trace import Trace, trace
 
 _HOMES = {
@@ -57,7 +57,7 @@ __all__ = [
 
 
 def _bind() -> None:
-    """Make the names that need the kernel; `trace` is the function, although the package `mistray.trace` has its name."""
+    """Bind the names that need the kernel; `trace` is the function, though a package has the same name."""
     ensure_variant()
     for name in ("load", "trace"):
         globals()[name] = getattr(importlib.import_module(_HOMES[name]), name)

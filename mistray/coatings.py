@@ -67,8 +67,8 @@ class CoatingTable:
         wavelengths, angles = np.unique(data["wavelength_nm"]), np.unique(data["angle_deg"])
         if len(rows) != len(wavelengths) * len(angles) or not rows:
             raise MistrayError(
-                f"coating table '{path}': {len(rows)} rows for {len(wavelengths)} wavelengths and {len(angles)} angles; "
-                "give every angle once at every wavelength"
+                f"coating table '{path}': {len(rows)} rows for {len(wavelengths)} wavelengths "
+                f"and {len(angles)} angles; give every angle once at every wavelength"
             )
         order = np.lexsort((-data["angle_deg"], data["wavelength_nm"]))
         columns = [data["R"], data.get("R_back", data["R"]), data["T"]]

@@ -203,7 +203,8 @@ class AsphereSearch:
             hi, fhi = dr.select(now, dr.select(crossed, t, turn), hi), dr.select(now, dr.select(crossed, ft, fm), fhi)
             return t, ft, gt, lo, hi, flo, fhi, found | now, going & ~now & (t < length)
 
-        ahead = sign(f0) != sign(d.z)  # a monotonic f has the slope's sign of dz: it grows away from zero, or comes to it
+        # A monotonic f rises or falls as z does: it comes to zero, or grows away from it
+        ahead = sign(f0) != sign(d.z)
         zero = mi.Float(0)
         _, _, _, lo, hi, flo, fhi, found, _ = dr.while_loop(
             (zero, f0, g0, zero, length, zero, zero, active & monotonic & ahead, active & ~monotonic),

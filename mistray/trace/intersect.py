@@ -16,7 +16,6 @@ import numpy as np
 from mistray.trace.aspheres import AsphereSearch, stretch
 from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, Piece, SurfaceTable
 
-
 GROUP = 6  # walls that are looked at together
 FAR = 1e30  # stands for infinity where it may be multiplied by zero
 
@@ -127,7 +126,9 @@ class Intersector:
             far = dr.fma(dr.minimum(best, FAR), ray.dz, ray.oz)
             near = (dr.maximum(ray.oz, far) >= group.z_low) & (dr.minimum(ray.oz, far) <= group.z_high)
 
-            def search(best: mi.Float, surface: mi.UInt32, members: list[int] = group.members) -> tuple[mi.Float, mi.UInt32]:
+            def search(
+                best: mi.Float, surface: mi.UInt32, members: list[int] = group.members
+            ) -> tuple[mi.Float, mi.UInt32]:
                 for k in members:
                     best, surface = test(k, best, surface)
                 return best, surface
@@ -179,7 +180,8 @@ def _groups(pieces: list[Piece], walls: list[int]) -> list[_Group]:
     """Cut the walls on each axis into groups of `GROUP`, from front to back."""
     groups = []
     for axis in sorted({pieces[k].axis for k in walls}):
-        members = sorted((k for k in walls if pieces[k].axis == axis), key=lambda k: pieces[k].z + sum(pieces[k].z_range) / 2)
+        here = [k for k in walls if pieces[k].axis == axis]
+        members = sorted(here, key=lambda k: pieces[k].z + sum(pieces[k].z_range) / 2)
         for first in range(0, len(members), GROUP):
             chosen = members[first : first + GROUP]
             low = min(pieces[k].z + pieces[k].z_range[0] for k in chosen)

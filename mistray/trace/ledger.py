@@ -1,8 +1,9 @@
 """The path ledger: an open-addressing hash table in device memory that the kernel fills.
 
 A path is the sequence of its events, (surface, what happened). Its key is a rolling 64-bit hash; the first ray that
-brings a new key claims a slot by compare-and-swap and writes the event list there. Two different paths share a key with
-a probability of about paths²/2^65, 3e-11 for 30 000 paths; `Ledger.decode` hashes every recorded list again and compares.
+brings a new key claims a slot by compare-and-swap and writes the event list there. Two different paths share a key
+with a probability of about paths²/2^65, 3e-11 for 30 000 paths; `Ledger.decode` hashes every recorded list again and
+compares.
 """
 
 from __future__ import annotations

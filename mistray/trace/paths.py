@@ -160,9 +160,7 @@ class PathTable(Sequence[PathRow]):
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
 
     def __str__(self) -> str:
-        lines = [
-            f"{'id':>4} {'power W':>12} {'± se':>9} {'%':>9} {'rays':>9} {'rms mm':>10} {'kind':<16} reflecting surfaces"
-        ]
+        lines = [f"{'id':>4} {'power W':>12} {'± se':>9} {'%':>9} {'rays':>9} {'rms mm':>10} {'kind':<16} reflects at"]
         for row in self._rows[:20]:
             lines.append(
                 f"{row.path_id:>4} {row.power_W:>12.5e} {row.power_se_W:>9.1e} {row.percent:>9.4g} {row.rays:>9} "

@@ -1,7 +1,7 @@
 """Recorded rays again in float64: the kernel says which surfaces, this says exactly where.
 
-The kernel's hits are float32 and good to a few 1e-7 of the system's size. Starting from the same start ray and following
-the recorded events, each hit is found again by Newton's method from the recorded one.
+The kernel's hits are float32 and good to a few 1e-7 of the system's size. Starting from the same start ray and
+following the recorded events, each hit is found again by Newton's method from the recorded one.
 """
 
 from __future__ import annotations
@@ -39,7 +39,9 @@ def retrace(
         Optical path length from the start.
     """
     d = direction / np.linalg.norm(direction)
-    points, directions, steps, indices = [origin], [], [], []
+    points, directions = [origin], []
+    steps: list[float] = []
+    indices: list[float] = []
     medium = 1.0
     for code, hit in zip(codes, hits, strict=True):
         surface, what = int(code) >> EVENT_BITS, int(code) & ((1 << EVENT_BITS) - 1)

@@ -1,10 +1,10 @@
 """The kernel: every lane walks the whole ray tree of its start ray, depth first.
 
-A lane holds one node at a time: a point on a surface, reached along a direction with a weight (its flux in units of the
-start ray's). At its first visit a node sends on its transmitted child and, if the reflected child is worth it, marks its
-depth as pending; when a branch ends the lane returns to the deepest pending node and sends on the reflected child. The
-nodes of the current path lie in local memory, indexed by depth, so the path is always at hand and nothing can overflow
-below `max_events`.
+A lane holds one node at a time: a point on a surface, reached along a direction with a weight (its flux in units of
+the start ray's). At its first visit a node sends on its transmitted child and, if the reflected child is worth it,
+marks its depth as pending; when a branch ends the lane returns to the deepest pending node and sends on the reflected
+child. The nodes of the current path lie in local memory, indexed by depth, so the path is always at hand and nothing
+can overflow below `max_events`.
 """
 
 from __future__ import annotations

@@ -106,7 +106,7 @@ class SurfaceFlux:
 
 
 class FluxReport(Sequence[SurfaceFlux]):
-    """Flux at every surface of the scene."""
+    """Flux at every surface of the scene, in the scene's order."""
 
     def __init__(self, rows: Sequence[SurfaceFlux]) -> None:
         self._rows = list(rows)
@@ -152,7 +152,8 @@ class Trace:
         self.settings = settings
         self.extent = runs[0].table.film()[2]
         self.irradiance, self.irradiance_se = self._map([run.film for run in runs])
-        self._paths = path_table(runs, [run.paths for run in runs]) if all(run.paths for run in runs) else None
+        decoded = [run.paths for run in runs if run.paths is not None]
+        self._paths = path_table(runs, decoded) if decoded else None
         self.surfaces = _flux_report(runs)
         self.energy = _energy(runs, self.surfaces)
         self.segments = round(sum(float(run.reasons[SEGMENTS].sum()) for run in runs))
@@ -160,6 +161,7 @@ class Trace:
 
     @property
     def paths(self) -> PathTable:
+        """Paths from the sources to the detector, the strongest first; raises if traced with ``ledger=False``."""
         if self._paths is None:
             raise MistrayError("this trace has no path table; trace with ledger=True")
         return self._paths
@@ -268,20 +270,21 @@ class Trace:
 
     def __repr__(self) -> str:
         count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"
-        return f"Trace({count}, {self.segments:.3g} segments, detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W)"
+        detected = f"detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W"
+        return f"Trace({count}, {self.segments:.3g} segments, {detected})"
 
 
 def _batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Standard error of a sum over batches (last axis) of `rays` start rays each, from the spread of their means."""
     expected = by_batch.sum(axis=-1, keepdims=True) * (rays / rays.sum())
-    used = max(np.count_nonzero(rays), 2)
+    used = max(int(np.count_nonzero(rays)), 2)
     return np.sqrt(used / (used - 1) * np.sum(np.square(by_batch - expected), axis=-1))
 
 
 def _flux_report(runs: Sequence[Run]) -> FluxReport:
     rows = []
     table = runs[0].table
-    for i in range(table.count):
+    for i in table.listed:
         values = np.zeros(3)
         variances = np.zeros(3)
         for run in runs:
@@ -305,14 +308,15 @@ def _flux_report(runs: Sequence[Run]) -> FluxReport:
 
 
 def _energy(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
-    detector = runs[0].table.detector
+    table = runs[0].table
+    (detector,) = (row for row in surfaces if row.id == table.ids[table.detector])
     escaped = sum(run.unit * run.reasons[ESCAPED].sum() for run in runs)
     escaped_se = np.sqrt(sum((run.unit * _batch_error(run.reasons[ESCAPED], run.started)) ** 2 for run in runs))
     return Energy(
         launched_W=sum(run.beam.power for run in runs),
-        detected_W=surfaces[detector].absorbed_W,
-        detected_se_W=surfaces[detector].absorbed_se_W,
-        absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for i, row in enumerate(surfaces) if i != detector},
+        detected_W=detector.absorbed_W,
+        detected_se_W=detector.absorbed_se_W,
+        absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row is not detector},
         escaped_W=float(escaped),
         escaped_se_W=float(escaped_se),
         cut={reason: float(sum(run.unit * run.reasons[row].sum() for run in runs)) for reason, row in CUTS.items()},
@@ -397,8 +401,9 @@ def trace(
         if run.reasons[FIRST_MISS].sum() == run.rays:
             beam = run.beam
             raise MistrayError(
-                f"source '{beam.name}': no ray of the beam along ({', '.join(f'{c:.4g}' for c in beam.direction)}) hits a "
-                "surface; check field_deg, the source's position and its size"
+                f"source '{beam.name}': no ray of the beam along "
+                f"({', '.join(f'{c:.4g}' for c in beam.direction)}) hits a surface; "
+                "check field_deg, the source's position and its size"
             )
     emitter = runs[0].beam.emitter
     return Trace(

@@ -1,4 +1,4 @@
-"""Arguments of a trace and their defaults, in one place for the function, the integrator plugin and the command line."""
+"""Arguments of a trace and their defaults, once for the function, the integrator plugin and the command line."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ class Settings:
 
     @classmethod
     def of(cls, scene: Any, **given: Any) -> Settings:
-        """Settings of a scene's ``straylight`` integrator, or the defaults; what is given and not None has precedence."""
+        """Settings of a scene's ``straylight`` integrator, or the defaults; what is given and not None comes first."""
         own = getattr(scene.integrator(), "settings", None) or cls()
         unknown = set(given) - {f.name for f in fields(cls)}
         if unknown:

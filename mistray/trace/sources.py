@@ -46,7 +46,9 @@ class Beam:
         """Rays that a request for `rays` starts: a grid has a square number."""
         return int(np.sqrt(rays)) ** 2 if self.emitter.pattern == "grid" else rays
 
-    def start(self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray) -> tuple[mi.Vector3f, mi.Vector3f]:
+    def start(
+        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray
+    ) -> tuple[mi.Vector3f, mi.Vector3f]:
         """
         Origins and directions of the start rays of one pass.
 

@@ -4,9 +4,9 @@ Surfaces that the plugins `asphere` and `frustum` describe are one family, a qua
 
     F(x, y, z) = a (x² + y²) + b z² + e z + g = 0
 
-in the frame of their vertex, with bounds in radius (or a rectangle) or in z, plus an even polynomial for aspheres. Every
-other shape of the scene ("stock": meshes, Mitsuba's own primitives) goes to one Mitsuba scene of its own and is hit
-through its acceleration structure.
+in the frame of their vertex, with bounds in radius (or a rectangle) or in z, plus an even polynomial for aspheres.
+Every other shape of the scene ("stock": meshes, Mitsuba's own primitives) goes to one Mitsuba scene of its own and is
+hit through its acceleration structure.
 """
 
 from __future__ import annotations
@@ -102,19 +102,22 @@ class SurfaceTable:
     """
 
     def __init__(self, scene: mi.Scene, wavelength_nm: float, detector: str | None = None) -> None:
-        shapes = list(scene.shapes())
-        analytic = [shape for shape in shapes if hasattr(shape, "outer_radius")]
-        stock = [shape for shape in shapes if not hasattr(shape, "outer_radius")]
-        self.shapes = analytic + stock
-        self.ids = [shape.id() for shape in self.shapes]
-        self.parts = [getattr(shape, "part", shape.id()) for shape in self.shapes]
+        # In the order of their ids: a ray that meets two surfaces within the rounding must not see the scene's order
+        named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(scene.shapes(), start=1)}
+        shapes = sorted(named.items())
+        analytic = [(name, shape) for name, shape in shapes if hasattr(shape, "outer_radius")]
+        stock = [(name, shape) for name, shape in shapes if not hasattr(shape, "outer_radius")]
+        self.ids = [name for name, _ in analytic + stock]
+        self.shapes = [shape for _, shape in analytic + stock]
+        self.listed = [self.ids.index(name) for name in named]
+        self.parts = [getattr(shape, "part", "") or name for name, shape in analytic + stock]
         self.spaces = [int(getattr(shape, "space", -1)) for shape in self.shapes]
         self.count = len(self.shapes)
         self.wavelength_nm = wavelength_nm
         self.interfaces = [_interface(shape) for shape in self.shapes]
         self.detector = self._find_detector(detector)
-        self._geometry(analytic)
-        self._stock(stock)
+        self._geometry(self.shapes[: len(analytic)])
+        self._stock(self.shapes[len(analytic) :])
         self._optics()
 
     def _find_detector(self, wanted: str | None) -> int:
@@ -182,7 +185,7 @@ class SurfaceTable:
         if not shapes:
             return
         self.stock_scene = mi.load_dict(
-            {"type": "scene", **{shape.id(): shape for shape in shapes}},
+            {"type": "scene", **dict(zip(self.ids[len(self.pieces) :], shapes, strict=True))},
             optimize=False,  # the key becomes the id
         )
         pointers = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes))
@@ -204,7 +207,8 @@ class SurfaceTable:
         nodes = np.linspace(0.0, 1.0, TABLE_NODES)
         optics = np.zeros((self.count, 4))
         words = np.zeros(self.count, dtype=np.uint32)
-        tables, rows = [], np.zeros(self.count, dtype=np.uint32)
+        tables: list[np.ndarray] = []
+        rows = np.zeros(self.count, dtype=np.uint32)
         media: dict[float, int] = {}  # by index: "air" and "vacuum", "1.5" and "1.50" are one medium
         self.kinds: set[int] = set()
         for i, bsdf in enumerate(self.interfaces):
@@ -250,7 +254,7 @@ class SurfaceTable:
                 )
             return width, height, (-half[0], half[0], -half[1], half[1])
         matrix = _rectangle_matrix(shape, self.ids[self.detector])
-        half = np.linalg.norm(matrix[:3, 0]), np.linalg.norm(matrix[:3, 1])
+        half = float(np.linalg.norm(matrix[:3, 0])), float(np.linalg.norm(matrix[:3, 1]))
         self.detector_axes = [matrix[:3, 3], matrix[:3, 0] / half[0], matrix[:3, 1] / half[1]]
         return width, height, (-half[0], half[0], -half[1], half[1])
 

@@ -1,4 +1,4 @@
-"""Runs the kernel: passes of bounded size, ledgers that grow when they are full, one run for each source and wavelength."""
+"""Runs the kernel: passes of bounded size, ledgers that grow when full, one run for each source and wavelength."""
 
 from __future__ import annotations
 
@@ -150,7 +150,8 @@ class Run:
             if capacity >= LAST_CAPACITY:
                 raise MistrayError(
                     f"more than {0.7 * capacity:.0f} paths reach the detector; raise flux_threshold "
-                    f"({self.settings.flux_threshold:g}), lower max_reflections ({self.settings.max_reflections}) or set ledger=False"
+                    f"({self.settings.flux_threshold:g}), lower max_reflections "
+                    f"({self.settings.max_reflections}) or set ledger=False"
                 )
             capacity = min(8 * capacity, LAST_CAPACITY)
         self.seconds = time.perf_counter() - started

@@ -82,7 +82,7 @@ class Collimated(mi.Emitter):
 
         rotation = self.matrix[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):
-            fail("to_world scales or shears; use a rigid motion and set the size by radius or half_width and half_height")
+            fail("to_world scales or shears; use a rigid motion and set the size by radius or half_width, half_height")
         a, b = self.size
         if self.rectangular and not (a > 0 and b > 0):
             fail(f"half_width = {a:g} mm and half_height = {b:g} mm; both must be positive")

@@ -36,7 +36,8 @@ class Revolution(mi.Mesh):
         rotation = self.matrix[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
             raise MistrayError(
-                f"shape '{self.name}': to_world scales, shears or mirrors; use a rigid motion and set the size by parameters"
+                f"shape '{self.name}': to_world scales, shears or mirrors; "
+                "use a rigid motion and set the size by parameters"
             )
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:

@@ -103,7 +103,11 @@ def compare(field_deg: float, rays: int) -> Comparison:
     return Comparison(
         t,
         {names: (sums(row), theirs[names]) for names, row in ours.items() if names in theirs},
-        {names: (sums(row), _follow(names, row, origin, direction)) for names, row in ours.items() if names not in theirs},
+        {
+            names: (sums(row), _follow(names, row, origin, direction))
+            for names, row in ours.items()
+            if names not in theirs
+        },
         {names: value for names, value in theirs.items() if names not in ours},
         order,
     )

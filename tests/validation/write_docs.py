@@ -53,7 +53,16 @@ def on_axis_table(rows: list[dict[str, float]]) -> str:
     """RMS irradiance of the image on axis in kW/mm²."""
     limits = {"stop": "stop", "beam": "source, no stop"}
     return markdown(
-        ("beam ends at", "radius mm", "λ nm", "RMS spot µm", "quadrature", "ray tree", "± of 10⁴ rays", "± of 10⁶ rays"),
+        (
+            "beam ends at",
+            "radius mm",
+            "λ nm",
+            "RMS spot µm",
+            "quadrature",
+            "ray tree",
+            "± of 10⁴ rays",
+            "± of 10⁶ rays",
+        ),
         [
             (
                 limits[row["limit"]],
