@@ -13,10 +13,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.aspheres import AsphereSearch, stretch
-from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, Piece, SurfaceTable
+from mistray.trace.surfaces import MILD_MARGIN, NO_SURFACE, SELF_HIT, Piece, SurfaceTable
 
 GROUP = 6  # walls that are looked at together
+ONE_STEP = 1e-6  # error after one Newton step that is small enough, in units of the aperture
 FAR = 1e30  # stands for infinity where it may be multiplied by zero
 
 
@@ -36,6 +38,10 @@ class Numbers:
     z_low: mi.Float
     z_high: mi.Float
     self_hit: mi.Float
+    wide2: mi.Float
+    departure: mi.Float
+    conic: mi.Float
+    coefficients: list[mi.Float]
 
     @classmethod
     def of(cls, p: Piece) -> Numbers:
@@ -60,6 +66,10 @@ class Numbers:
             z_low=opaque(p.z_range[0]),
             z_high=opaque(p.z_range[1]),
             self_hit=opaque(SELF_HIT * size),
+            wide2=opaque((MILD_MARGIN * size) ** 2),
+            departure=opaque(p.departure),
+            conic=opaque(b / a - 1 if conic and a else 0.0),
+            coefficients=[opaque(value) for value in p.coefficients],
         )
 
 
@@ -113,12 +123,18 @@ class Intersector:
 
         for k in self.singles:
             best, surface = test(k, best, surface)
-        if self.aspheres.pieces:
-            entries = [
-                _asphere_entry(rays[p.axis], self.numbers[k], last == p.index)
-                for k, p in enumerate(self.pieces)
-                if p.kind == "asphere"
-            ]
+        entries = []
+        for k, p in enumerate(self.pieces):
+            if p.kind != "asphere":
+                continue
+            if p.departure:
+                t, unsure = _mild_asphere(rays[p.axis], p, self.numbers[k], last == p.index)
+                nearer = t < best
+                best, surface = dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
+                entries.append(dr.select(unsure, mi.Float(0), dr.inf))
+            else:
+                entries.append(_asphere_entry(rays[p.axis], self.numbers[k], last == p.index))
+        if entries:
             best, surface = self.aspheres.nearest(o, d, last, entries, best, surface, active)
         # Walls come last, in groups along the axis: most lanes have met a lens before they reach most groups
         for group in self.groups:
@@ -252,6 +268,44 @@ def _conic(ray: _AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
         return real & (t > nearest) & sheet & _inside(ray, t, p, n)
 
     return _first(ta, tb, ok(ta), ok(tb))
+
+
+def _mild_asphere(ray: _AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Bool]:
+    """
+    Hit of an asphere that is close to its conic: one or two Newton steps from the conic's hit.
+
+    Also tells the rays for which that is not safe, because they meet the conic twice within the aperture, nearly touch
+    it, could come back to the surface they leave, or because the steps do not settle; they need the full search.
+    """
+    oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
+    a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
+    b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
+    g = dr.fma(c, dr.fma(k1 * oz, oz, ray.oo), -2 * oz)
+    ta, tb, real = _two_roots(a, b, g, own)
+    # The conic is hit where the asphere is, but for the departure along the ray
+    early = dr.select(own, n.self_hit, -4 * n.departure)
+
+    def near(t: mi.Float) -> mi.Bool:
+        x, y = ray.lateral(t)
+        sheet = c * k1 * dr.fma(t, ray.dz, oz) < 1
+        return real & (t > early) & sheet & (dr.fma(x, x, y * y) <= n.wide2)
+
+    near_a, near_b = near(ta), near(tb)
+    found = near_a | near_b
+    touching = dr.abs(dr.fma(b, b, -a * g)) < 4 * n.departure * dr.abs(a)
+    unsure = (near_a & near_b) | (own & found) | (touching & ~own)
+    t = dr.select(near_a, ta, tb)
+    # A step squares the error; the interaction at the hit adds one more
+    for _ in range(1 if p.departure**2 * abs(p.quadric[0]) < ONE_STEP * p.outer else 2):
+        x, y = ray.lateral(t)
+        r2 = dr.minimum(dr.fma(x, x, y * y), n.wide2)
+        height = dr.fma(t, ray.dz, oz) - sag(r2, c, n.conic, n.coefficients)
+        slope = ray.dz - 2 * sag_derivative(r2, c, n.conic, n.coefficients) * dr.fma(x, ray.dx, y * ray.dy)
+        step = height / slope
+        t -= step
+    unsure |= found & ~(dr.abs(step) * dr.abs(slope) < 4 * n.departure)
+    ok = found & ~unsure & (t > 0) & _inside(ray, t, p, n)
+    return dr.select(ok, t, dr.inf), unsure
 
 
 def _cone(ray: _AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:

@@ -134,7 +134,8 @@ def beams(
     if field_deg is not None and not -90 < field_deg < 90:
         raise MistrayError(f"field_deg is {field_deg:g}; it must lie between -90 and 90 degrees")
     result = []
-    for emitter in emitters:
+    for number, emitter in enumerate(emitters, start=1):
+        name = emitter.name or f"source_{number}"
         wavelengths, weights = emitter.wavelengths_nm, emitter.weights
         if wavelength_nm is not None:
             wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
@@ -145,5 +146,5 @@ def beams(
         distance = emitter.start_distance(scene.bbox(), direction, pivot)
         for wavelength, weight in zip(wavelengths, weights, strict=True):
             power = emitter.power(field_deg) * weight
-            result.append(Beam(emitter, emitter.name, float(wavelength), power, pivot, direction, u, v, distance))
+            result.append(Beam(emitter, name, float(wavelength), power, pivot, direction, u, v, distance))
     return result

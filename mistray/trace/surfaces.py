@@ -19,11 +19,14 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.physics.sag import sag
 
 NO_SURFACE = 0xFFFFFFFF
 # A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
 SELF_HIT = 1e-5
 FRESNEL, IDEAL, TABLED = 0, 1, 2
+# An asphere is hit through its conic if it departs from it by less than this, in units of its aperture and as a slope
+MILD_DEPARTURE, MILD_SLOPE, MILD_MARGIN = 0.004, 0.03, 1.02
 TABLE_NODES = 512
 # Row of the polynomial table: curvature, conic, a4 … a20, inner², z range, outer (-1: a rectangle), slope
 POLYNOMIAL_VECTORS = 4
@@ -64,6 +67,9 @@ class Piece:
         Largest |dz/dr| within the aperture (aspheres), dr/dz (cones).
     wall : bool
         Made by `frustum`: mechanics, of which a ray meets little.
+    departure : float
+        Largest distance in z of an asphere from its conic, mm, if it is so small that the conic's hit is a safe start
+        for Newton's method; 0 if not.
     """
 
     index: int
@@ -80,6 +86,7 @@ class Piece:
     z_range: tuple[float, float]
     slope: float
     wall: bool
+    departure: float = 0.0
 
 
 class SurfaceTable:
@@ -104,6 +111,8 @@ class SurfaceTable:
     def __init__(self, scene: mi.Scene, wavelength_nm: float, detector: str | None = None) -> None:
         # In the order of their ids: a ray that meets two surfaces within the rounding must not see the scene's order
         named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(scene.shapes(), start=1)}
+        if len(named) < len(scene.shapes()):
+            raise MistrayError("two shapes of the scene have the same id; give every shape an id of its own")
         shapes = sorted(named.items())
         analytic = [(name, shape) for name, shape in shapes if hasattr(shape, "outer_radius")]
         stock = [(name, shape) for name, shape in shapes if not hasattr(shape, "outer_radius")]
@@ -300,7 +309,19 @@ def _asphere_piece(shape: Any) -> dict[str, Any]:
         "z_range": (float(z.min()) - 1e-3 * span, float(z.max()) + 1e-3 * span),
         "slope": 1.02 * float(np.max(np.abs(slope))),
         "wall": False,
+        "departure": _mild_departure(shape) if kind == "asphere" else 0.0,
     }
+
+
+def _mild_departure(shape: Any) -> float:
+    """`Piece.departure` of an asphere."""
+    c, k, outer = shape.values["curvature"], shape.values["conic"], shape.outer_radius
+    r = np.linspace(0.0, MILD_MARGIN * outer, 513)
+    if c == 0 or (1 + k) * (c * r[-1]) ** 2 >= 1:
+        return 0.0
+    polynomial = np.asarray(sag(r * r, 0.0, 0.0, shape.coefficients))
+    departure, slope = np.max(np.abs(polynomial)), np.max(np.abs(np.gradient(polynomial, r)))
+    return float(departure) if departure < MILD_DEPARTURE * outer and slope < MILD_SLOPE else 0.0
 
 
 def _frustum_piece(v: dict[str, float]) -> dict[str, Any]:

@@ -77,7 +77,7 @@ class StrayLight(mi.CppADIntegrator):
         offset = int(mi.UInt32(seed)[0])
         wanted = replace(settings, rays=rays, seed=(settings.seed + offset) % 2**32)
         values = {f.name: getattr(wanted, f.name) for f in fields(Settings)}
-        result = trace(scene, detector=shape.id(), ledger=False, **values)
+        result = trace(scene, detector=shape.id() or None, ledger=False, **values)
         return mi.TensorXf(result.irradiance[:, :, None])
 
     def render_forward(self, scene: mi.Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> mi.TensorXf:

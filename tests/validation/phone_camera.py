@@ -21,6 +21,7 @@ from oracles.replay import Replay, replay
 
 import mistray
 from mistray.analysis import ghosts
+from mistray.materials import refractive_index as refractive_index
 from mistray.prescription import Prescription, from_json
 from mistray.prescription.scene_file import xml_text
 
@@ -310,6 +311,30 @@ def ghost_pairs(table: pd.DataFrame) -> list[dict[str, Any]]:
     return rows
 
 
+def implied_radii(tables: Mapping[float, pd.DataFrame]) -> list[dict[str, Any]]:
+    """
+    RMS radii in µm that the study's figures of the detector's ghosts imply, with the power that we find.
+
+    ``blur_um`` is what has to be added in quadrature to our radius, NaN where ours is the larger one.
+    """
+    rows = []
+    for ghost in REPORT:
+        if len(ghost.surfaces) == 2 and ghost.surfaces[0] == "detector" and "bevel" not in ghost.surfaces[1]:
+            row = strongest(tables[ghost.field_deg], ghost.surfaces)
+            own, study = 1e3 * row.rms_radius_mm, 1e3 * np.sqrt(row.power_W / (np.pi * ghost.irradiance))
+            rows.append(
+                {
+                    "field_deg": ghost.field_deg,
+                    "surfaces": row.surfaces,
+                    "power_mW": 1e3 * row.power_W,
+                    "rms_um": own,
+                    "study_rms_um": study,
+                    "blur_um": float(np.sqrt(study**2 - own**2)) if study > own else float("nan"),
+                }
+            )
+    return rows
+
+
 def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 2) -> pd.DataFrame:
     """
     The stray paths of a field, by falling RMS irradiance, those of fewer than 30 rays left out.
@@ -320,12 +345,18 @@ def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 
     report = ghosts(scene, fields_deg=[field_deg], rays=rays, max_reflections=max_reflections, flux_threshold=1e-8)
     table = report.table(field_deg)
     table = table[(table.rank_rms_irradiance > 0) & table.well_sampled].sort_values("rank_rms_irradiance")
-    names = [" → ".join(re.findall(r"(\S+):R", events)) or "total reflection" for events in table.events]
+    names = [_label(events) for events in table.events]
     count: dict[str, int] = {}
     for i, name in enumerate(names):
         count[name] = count.get(name, 0) + 1
         names[i] = name if count[name] == 1 else f"{name} ({count[name]})"
     return table.assign(surfaces=names)
+
+
+def _label(events: str) -> str:
+    """Reflecting surfaces of a path, or the bevels that it goes through on its way straight to the detector."""
+    reflecting = re.findall(r"(\S+):R", events)
+    return " → ".join(reflecting) or "through " + " and ".join(re.findall(r"(\S+_bevel_\d):T", events))
 
 
 def strongest(table: pd.DataFrame, surfaces: tuple[str, ...]) -> Any:

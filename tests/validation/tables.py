@@ -19,7 +19,7 @@ def number(value: float, se: float | None = None, digits: int = 4) -> str:
         return f"{value:,.0f}" if "e+" in text else text
     if se == 0 or not math.isfinite(se):
         return number(value)
-    decimals = 1 - math.floor(math.log10(se))
+    decimals = 1 - int(f"{se:.1e}".partition("e")[2])
     if abs(value) < 1e-3 or abs(value) >= 1e6:
         exponent = math.floor(math.log10(abs(value)))
         scale, places = 10.0**exponent, max(decimals + exponent, 0)

@@ -126,6 +126,24 @@ def ghost_rows(tables: dict[float, phone_camera.pd.DataFrame], three: dict[float
     return markdown(header, rows)
 
 
+def radii_table(rows: list[dict[str, float]]) -> str:
+    """RMS radii of the detector's ghosts, and those that the study implies."""
+    return markdown(
+        ("field °", "ghost", "power mW", "RMS radius µm", "study implies µm", "difference in quadrature µm"),
+        [
+            (
+                f"{row['field_deg']:g}",
+                str(row["surfaces"]),
+                f"{row['power_mW']:.3f}",
+                f"{row['rms_um']:.1f}",
+                f"{row['study_rms_um']:.1f}",
+                f"{row['blur_um']:.0f}" if math.isfinite(row["blur_um"]) else "–",
+            )
+            for row in rows
+        ],
+    )
+
+
 def write_phone_camera() -> None:
     """docs/validation/phone_camera.md."""
     scene = phone_camera.shipped().to_scene()
@@ -144,6 +162,7 @@ def write_phone_camera() -> None:
             "on_axis": on_axis_table(phone_camera.on_axis(ON_AXIS_RAYS)),
             "pairs": pairs_table(phone_camera.ghost_pairs(tables[0])),
             "ghosts": ghost_rows(tables, three),
+            "radii": radii_table(phone_camera.implied_radii(tables)),
         },
     )
 

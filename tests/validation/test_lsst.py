@@ -1,0 +1,93 @@
+"""Rubin/LSST ray by ray against batoid; see docs/validation/lsst.md."""
+
+from __future__ import annotations
+
+import pytest
+
+pytest.importorskip("batoid")
+
+from validation import lsst
+from validation.tables import read, value
+
+pytestmark = pytest.mark.validation
+
+RAYS = 20_000
+# 1°: the usual case. 1.6°: paths are clipped or lost, and light still clears the camera on its way from M2 to M3
+FIELDS_DEG = (1.0, 1.6)
+
+
+@pytest.fixture(scope="module", params=FIELDS_DEG)
+def result(request):
+    return request.param, lsst.compare(request.param, RAYS)
+
+
+def test_every_path_of_batoid_and_no_other(result):
+    """More are only those that come back to the camera by M3, which batoid's list of neighbours leaves out."""
+    field, comparison = result
+    assert not comparison.missing
+    assert len(comparison.ghosts()) == {1.0: 34, 1.6: 32}[field]
+    assert all(names.count("M3") > 1 for names in comparison.more)
+    assert not [names for names in comparison.paths if names.count("M3") > 1]
+    if field == 1.0:
+        # one reflection, so that the list of two-reflection paths is batoid's exactly
+        assert [comparison.order[names] for names in comparison.more] == [1]
+
+
+def test_flux_centroid_and_radius(result):
+    _, comparison = result
+    worst = lsst.differences(comparison.ghosts())
+    assert worst["flux"] < 2e-3
+    assert worst["centroid_mm"] < 0.05
+    assert worst["rms"] < 2e-3
+    # ray by ray, so that the only difference is a ray on the edge of an aperture
+    assert worst["rays"] <= 1
+    if worst["rays"] == 0:
+        assert worst["flux"] < 1e-6
+        assert worst["centroid_mm"] < 1e-3
+        assert worst["rms"] < 5e-5
+
+
+def test_paths_by_m3_are_real(result):
+    """batoid itself, told to follow the surfaces of these paths, finds the same light."""
+    _, comparison = result
+    worst = lsst.differences(comparison.more)
+    assert worst["rays"] <= 1
+    assert worst["flux"] < 5e-3
+    assert worst["centroid_mm"] < 0.1
+
+
+def test_many_paths_are_vignetted(result):
+    """A path that loses rays, each of which both programs must lose."""
+    _, comparison = result
+    most = max(ours.rays for ours, _ in comparison.paths.values())
+    assert sum(ours.rays < 0.95 * most for ours, _ in comparison.ghosts().values()) >= 15
+
+
+def test_the_image_is_limited_by_single_precision(result):
+    """Rounding of coordinates of metres blurs the image by less than a micrometre; the ghosts do not notice."""
+    _, comparison = result
+    ours, theirs = next(pair for names, pair in comparison.paths.items() if comparison.order[names] == 0)
+    assert ours.rays == theirs.rays
+    assert 0 <= ours.rms_mm**2 - theirs.rms_mm**2 < (1.5e-3) ** 2
+
+
+def test_the_camera_stands_in_the_way_beyond():
+    """At 1.75° light on its way from M2 to M3 meets the side of the camera, which batoid does not know."""
+    comparison = lsst.compare(1.75, RAYS)
+    ours, theirs = next(pair for names, pair in comparison.paths.items() if comparison.order[names] == 0)
+    assert 0.001 < 1 - ours.rays / theirs.rays < 0.004
+
+
+def test_the_report_holds_these_numbers(result):
+    field, comparison = result
+    rows = [row for row in read("lsst.md", "fields") if value(row["field °"])[0] == field]
+    assert [int(row["found"]) for row in rows] == [len(comparison.ghosts()), len(comparison.more)]
+    flux = 1e3 * sum(ours.flux for ours, _ in comparison.ghosts().values())
+    assert value(rows[0]["flux ‰"])[0] == pytest.approx(flux, rel=0.02)
+    if field == 1.0:
+        found = {lsst.label(names): ours for names, (ours, _) in comparison.ghosts().items()}
+        for row in read("lsst.md", "ghosts"):
+            ours = found[row["turns at"]]
+            assert value(row["flux ‰"])[0] == pytest.approx(1e3 * ours.flux, rel=0.01)
+            assert value(row["y mm"])[0] == pytest.approx(ours.y_mm, abs=5 * ours.rms_mm / ours.rays**0.5)
+            assert value(row["RMS radius mm"])[0] == pytest.approx(ours.rms_mm, rel=0.01)
