@@ -12,6 +12,10 @@ from mistray.errors import MistrayError
 from mistray.scene.check import check_overlaps
 from mistray.scene.messages import explain
 
+# Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it makes
+# one of our shapes would begin the next one inside of that wait, which has crashed the process.
+LOADING = {"optimize": False, "parallel": False}
+
 
 def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     """
@@ -34,9 +38,7 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     ensure_variant()
     given = source if isinstance(source, dict) else find(source)
     try:
-        scene = (
-            mi.load_dict(given, optimize=False) if isinstance(given, dict) else mi.load_file(str(given), optimize=False)
-        )
+        scene = mi.load_dict(given, **LOADING) if isinstance(given, dict) else mi.load_file(str(given), **LOADING)
     except Exception as error:  # Mitsuba raises RuntimeError and TypeError with text of many lines
         raise MistrayError(explain(error, given)) from None
     if not isinstance(scene, mi.Scene):

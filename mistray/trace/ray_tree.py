@@ -29,7 +29,7 @@ from mistray.trace.ledger import (
     extend_key,
 )
 from mistray.trace.settings import Settings
-from mistray.trace.surfaces import DETECTOR, NO_SURFACE, SurfaceTable
+from mistray.trace.surfaces import DETECTOR, NO_LOSS, NO_SURFACE, SurfaceTable
 
 # Rows of the tally: what is not tied to a surface
 ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)
@@ -230,7 +230,7 @@ def walk(
         first &= ~strayed
         R, T = it.R, it.T
         loss = 1 - R - T
-        absorbed = dr.select(dr.abs(loss) < 4e-7, 0, w * loss)
+        absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
         tallies.add_surface(s, HITS, batch, 1.0, first)
         tallies.add_surface(s, INCIDENT, batch, w, first)
         tallies.add_surface(s, ABSORBED_HERE, batch, absorbed, first & (absorbed > 0))
@@ -387,7 +387,7 @@ def _film_coordinates(table: SurfaceTable, it: Any) -> tuple[mi.Float, mi.Float]
     """Position on the detector in its own frame, mm."""
     if table.detector < len(table.pieces):
         return it.local.x, it.local.y
-    centre, right, up = (mi.Vector3f(v) for v in table.detector_axes)
+    centre, right, up = table.detector_axes
     return dr.dot(it.p - centre, right), dr.dot(it.p - centre, up)
 
 

@@ -24,6 +24,7 @@ from mistray.physics.sag import sag
 NO_SURFACE = 0xFFFFFFFF
 # A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
 SELF_HIT = 1e-5
+NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
 FRESNEL, IDEAL, TABLED = 0, 1, 2
 # An asphere is hit through its conic if it departs from it by less than this, in units of its aperture and as a slope
 MILD_DEPARTURE, MILD_SLOPE, MILD_MARGIN = 0.004, 0.03, 1.02
@@ -242,6 +243,10 @@ class SurfaceTable:
                 | (sides[0] << FRONT_MEDIUM_SHIFT)
                 | (sides[1] << BACK_MEDIUM_SHIFT)
             )
+            if i == self.detector and self._absorbs_nothing(bsdf, table):
+                raise MistrayError(
+                    f"detector '{self.ids[i]}' absorbs nothing (R + T = 1); give its interface R (and T = 0)"
+                )
         if len(media) >= MEDIUM_MASK:
             raise MistrayError(f"the scene has {len(media)} materials; at most {MEDIUM_MASK - 1} are possible")
         self.optics = mi.Float(optics.ravel())
@@ -249,6 +254,13 @@ class SurfaceTable:
         self.host_words = words
         self.table_row = mi.UInt32(rows)
         self.table = mi.Float(np.concatenate(tables)[:, [0, 1, 2, 2]].ravel() if tables else np.zeros(4))
+
+    @staticmethod
+    def _absorbs_nothing(bsdf: Any, table: np.ndarray | None) -> bool:
+        """Whether an interface takes less than the rounding at every angle, so that a detector stays dark."""
+        if table is not None:
+            return bool(np.all(table[:, :2].min(axis=1) + table[:, 2] > 1 - NO_LOSS))
+        return not bsdf.ideal or float(bsdf.R[0]) + float(bsdf.T[0]) > 1 - NO_LOSS
 
     def film(self) -> tuple[int, int, tuple[float, float, float, float]]:
         """Pixels across and down the detector, and its extent (x0, x1, y0, y1) in its own frame, mm."""
@@ -264,7 +276,8 @@ class SurfaceTable:
             return width, height, (-half[0], half[0], -half[1], half[1])
         matrix = _rectangle_matrix(shape, self.ids[self.detector])
         half = float(np.linalg.norm(matrix[:3, 0])), float(np.linalg.norm(matrix[:3, 1]))
-        self.detector_axes = [matrix[:3, 3], matrix[:3, 0] / half[0], matrix[:3, 1] / half[1]]
+        axes = (matrix[:3, 3], matrix[:3, 0] / half[0], matrix[:3, 1] / half[1])
+        self.detector_axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in axis)) for axis in axes]
         return width, height, (-half[0], half[0], -half[1], half[1])
 
 

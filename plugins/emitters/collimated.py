@@ -8,6 +8,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 
+STOCK_DISTANCE = 100.0  # start of the beam for stock integrators, in units of its size
+
 
 class Collimated(mi.Emitter):
     r"""
@@ -38,7 +40,8 @@ class Collimated(mi.Emitter):
     =================== ========= =================== ========= ===================================================
 
     With ``plane="axis"`` the flux is irradiance · area · cos θ. A ``grid`` is an equal-area map of a square grid
-    onto the cross-section; standard errors are then those of random positions, an upper bound.
+    onto the cross-section; standard errors are then those of random positions, an upper bound. A stock integrator
+    starts the beam 100 times its size upstream of the pivot unless ``distance`` is given.
 
     .. code-block:: xml
 
@@ -160,21 +163,33 @@ class Collimated(mi.Emitter):
 
     # Mitsuba's own protocol, so that a stock particle tracer can use the beam
 
-    def set_scene(self, scene: mi.Scene) -> None:
-        pivot, direction, _, _ = self.frame()
-        self._start = pivot - self.start_distance(scene.bbox(), direction, pivot) * direction
-
     def sample_ray(
         self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
-        _, direction, u, v = self.frame()
+        pivot, direction, u, v = self.frame()
+        start = pivot - (self.distance or STOCK_DISTANCE * max(self.size)) * direction
         x, y = self.positions(sample2)
         ray = dr.zeros(mi.Ray3f, dr.width(sample2))
-        ray.o = mi.Point3f(self._start) + mi.Vector3f(u) * x + mi.Vector3f(v) * y
-        ray.d = mi.Vector3f(direction)
+        ray.o = mi.Point3f(*start.tolist()) + mi.Vector3f(*u.tolist()) * x + mi.Vector3f(*v.tolist()) * y
+        ray.d = mi.Vector3f(*direction.tolist())
         ray.maxt = dr.largest(mi.Float)
         ray.time = time
         return ray, mi.Spectrum(self.power())
+
+    def sample_position(
+        self, time: mi.Float, sample: mi.Point2f, active: mi.Mask = True
+    ) -> tuple[mi.PositionSample3f, mi.Float]:
+        # The beam comes from infinitely far away: no camera sees it
+        return dr.zeros(mi.PositionSample3f, dr.width(sample)), mi.Float(0)
+
+    def sample_wavelengths(  # type: ignore[no-untyped-def]
+        self, si: mi.SurfaceInteraction3f, sample: mi.Float, active: mi.Mask = True
+    ):
+        # Mitsuba's RGB and mono variants carry no wavelength; the spectral ones get the first of the beam
+        wavelengths = dr.zeros(type(si.wavelengths), dr.width(sample))
+        if mi.is_spectral:
+            wavelengths += float(self.wavelengths_nm[0])
+        return wavelengths, mi.Spectrum(self.power())
 
     def sample_direction(self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True):  # type: ignore[no-untyped-def]
         return dr.zeros(mi.DirectionSample3f, dr.width(it)), mi.Spectrum(0)

@@ -113,13 +113,13 @@ class TestBox:
         x0, x1, y0, y1 = triplet.extent
         dx, dy = (x1 - x0) / width, (y1 - y0) / height
         row, column = np.unravel_index(triplet.irradiance.argmax(), triplet.irradiance.shape)
-        for reach in (0, 3, 40):
+        for reach in (0, 3, 40):  # the core of the image is narrower than a pixel
             c0, c1 = max(column - reach, 0), min(column + reach + 1, width)
             r0, r1 = max(row - reach, 0), min(row + reach + 1, height)
             eps = 1e-6 * dx
             box = triplet.box(x0 + c0 * dx + eps, x0 + c1 * dx - eps, y0 + r0 * dy + eps, y0 + r1 * dy - eps)
             inside = triplet.irradiance[r0:r1, c0:c1].sum() * dx * dy
-            assert sum(p.power_W for p in box) == pytest.approx(inside, rel=1e-4)
+            assert sum(p.power_W for p in box) == pytest.approx(inside, rel=1e-3)
             assert box[0].percent == pytest.approx(100 * box[0].power_W / sum(p.power_W for p in box))
             for p in box:
                 assert x0 + c0 * dx <= p.x_mm <= x0 + c1 * dx
@@ -157,7 +157,7 @@ class TestPathTable:
         table = triplet.paths.to_pandas()
         read = pd.read_csv(tmp_path / "paths.csv")
         assert list(read.columns) == list(table.columns)
-        pd.testing.assert_frame_equal(read, table, check_dtype=False, rtol=2e-9)
+        pd.testing.assert_frame_equal(read, table, check_dtype=False, rtol=5e-9)
 
     def test_rows(self, load_text, ball_text: str) -> None:
         """Classification of every row from its own events."""
@@ -205,7 +205,7 @@ class TestPathTable:
         assert [row.path_id for row in triplet.paths[:3]] == [0, 1, 2]
         assert triplet.paths[-1].path_id == len(triplet.paths) - 1
         text = str(triplet.paths)
-        assert "reflecting surfaces" in text
+        assert all(row.ghost_1 in text for row in triplet.paths[:20])
         assert text.count("\n") >= min(len(triplet.paths), 20)
         assert f"{len(triplet.paths)} paths" in repr(triplet)
 
@@ -298,25 +298,26 @@ class TestRayTables:
         with pytest.raises(mistray.MistrayError, match="path_id -1 does not exist"):
             triplet.history(-1)
 
-    def test_incident(self, triplet, tmp_path: Path) -> None:
-        count = sum(row.rays for row in triplet.paths)
-        table = triplet.incident(count + 10)
+    def test_incident(self, tmp_path: Path) -> None:
+        t = mistray.trace(mistray.load("cooke_triplet"), rays=1500, field_deg=8.0)
+        count = sum(row.rays for row in t.paths)
+        table = t.incident(count + 10)
         assert len(table) == count
         columns = ["ray", "wavelength_nm", "source", "start_ray", "node", "type", "history", "flux_W"]
         assert list(table.columns) == [*columns, "x_mm", "y_mm", "z_mm", "dx", "dy", "dz"]
         direction = table[["dx", "dy", "dz"]].to_numpy()
         np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, rtol=1e-12)
         assert np.all(direction[:, 2] > 0)
-        incident = next(row for row in triplet.surfaces if row.id == "detector").incident_W
+        incident = next(row for row in t.surfaces if row.id == "detector").incident_W
         assert table.flux_W.sum() == pytest.approx(incident, rel=1e-6)
         assert set(table.history.str.split().str[-1]) == {"Absorbed"}
         assert list(table.type) == [text.split()[-2] for text in table.history]
         assert (table.node == table.history.str.split().str.len()).all()
         table.to_csv(tmp_path / "incident.csv", index=False)
         pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "incident.csv"), table, check_dtype=False, rtol=1e-12)
-        assert len(triplet.incident(7)) == 7
+        assert len(t.incident(7)) == 7
         with pytest.raises(mistray.MistrayError, match="n is 0"):
-            triplet.incident(0)
+            t.incident(0)
 
     def test_straight_shot(self, load_text) -> None:
         scene, _ = load_text(
@@ -436,11 +437,9 @@ class TestColoursSourcesDetectors:
             shape_xml("asphere", "back", 5.0, sensor=True, half_width=30.0, half_height=30.0),
         ).replace('name="radius"', 'name="distance" value="2"/><float name="radius"', 1)
         scene, _ = load_text(text)
-        with pytest.raises(mistray.MistrayError, match=r"2 detectors \(back, side\); name one of them with detector="):
+        with pytest.raises(mistray.MistrayError, match=r"2 detectors \(back, side\)"):
             mistray.trace(scene, rays=100)
-        with pytest.raises(
-            mistray.MistrayError, match="'splitter' is no detector of this scene; choose one of back, side"
-        ):
+        with pytest.raises(mistray.MistrayError, match=r"'splitter' is no detector .* choose one of back, side"):
             mistray.trace(scene, rays=100, detector="splitter")
         for name, other, path in (("back", "side", "TA"), ("side", "back", "RA")):
             t = mistray.trace(scene, rays=100, detector=name)
@@ -511,9 +510,7 @@ class TestArguments:
         with pytest.raises(mistray.MistrayError, match="no detector; nest an 'irradiancemeter'"):
             mistray.trace(scene)
         scene = mistray.load(load_text(scene_text(detector))[1].path)
-        with pytest.raises(
-            mistray.MistrayError, match=r"no ray of the beam along \(0, 0.9848, 0.1736\) hits a surface"
-        ):
+        with pytest.raises(mistray.MistrayError, match=r"no ray of the beam along \(0, 0.9848, 0.1736\) hits"):
             mistray.trace(scene, rays=10, field_deg=80.0)
         bare = mistray.load({"type": "scene", "d": {"type": "asphere", "semi_diameter": 1.0,
                                                     "bsdf": {"type": "interface", "R": 0.0}}})  # fmt: skip

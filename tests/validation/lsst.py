@@ -1,7 +1,8 @@
 """Rubin/LSST in the r band, ray by ray beside batoid's split trace.
 
-Both programs get the same start rays, so that nothing differs by chance. batoid knows the order of the elements and lets
-light go to a neighbour only; from M3 it cannot come back to the camera a second time. `Comparison.more` holds such paths.
+Both programs get the same start rays, so that nothing differs by chance. batoid knows the order of the elements and
+lets light go to a neighbour only, so that none comes back to the camera from M3 a second time; `Comparison.more` holds
+such paths.
 """
 
 from __future__ import annotations

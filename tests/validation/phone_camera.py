@@ -21,7 +21,6 @@ from oracles.replay import Replay, replay
 
 import mistray
 from mistray.analysis import ghosts
-from mistray.materials import refractive_index as refractive_index
 from mistray.prescription import Prescription, from_json
 from mistray.prescription.scene_file import xml_text
 
@@ -30,8 +29,11 @@ D_LINE_NM = 587.5618
 BEAM_RADIUS = 1.252  # of the study's source, mm
 STEP_DEG = 0.05
 EVEN_RAYS = 40_000
+NODES = 20_000
 WINDOW = ("window_front", "window_rear")
 FACES = [f"{part}_{face}" for part in ("L1", "L2", "L3", "L4", "L5", "filter") for face in ("front", "rear")]
+
+DIRECT = [*((face, "SpecTran") for face in (*WINDOW, *FACES)), ("detector", "Absorbed")]
 
 
 @dataclass(frozen=True)
@@ -168,7 +170,7 @@ def image(rays: int) -> list[dict[str, float]]:
         t = mistray.trace(scene, rays=rays, **settings)
         row, run = image_path(t, window=False), t._runs[0]
         full = image_path(mistray.trace(with_barrel, rays=8 * rays, **settings), window=True)
-        traced = replay(model, *run.start_rays(np.arange(run.rays)), row.event_list, D_LINE_NM)
+        traced = replay(model, *run.start_rays(np.arange(run.rays)), row.event_list, D_LINE_NM, first_hit=False)
         even = _spot_um(model, row.event_list, field)
         rows.append(
             {
@@ -206,7 +208,7 @@ def _spot_um(model: scene_xml.SceneModel, events: list[tuple[str, str]], field_d
     direction = beams.field_direction(field_deg)
     points = np.column_stack([beams.disc_points(EVEN_RAYS, shipped().stop.radius), np.zeros(EVEN_RAYS)])
     origin = points - 0.3 * direction
-    return _rms_um(replay(model, origin, np.tile(direction, (EVEN_RAYS, 1)), events, D_LINE_NM))
+    return _rms_um(replay(model, origin, np.tile(direction, (EVEN_RAYS, 1)), events, D_LINE_NM, first_hit=False))
 
 
 def _rms_um(traced: Replay) -> float:
@@ -225,44 +227,91 @@ def _barrel_figures() -> list[list[float]]:
     return [row for row in rows if row[0] in fields]
 
 
-def radial(model: scene_xml.SceneModel, events: list[tuple[str, str]], radius: float, wavelength_nm: float) -> Any:
+def radial(
+    events: list[tuple[str, str]],
+    radius: float,
+    wavelength_nm: float,
+    stop: bool = True,
+    camera: Prescription | None = None,
+) -> tuple[float, ...]:
     """
-    Flux and irradiance of an on-axis path by Gauss-Legendre quadrature over the square of the height in the beam.
+    An on-axis path by quadrature (midpoints) over the square of the height in the beam, in float64.
+
+    Parameters
+    ----------
+    events : list of (surface, event)
+    radius : float
+        Of the beam of 1 W/mm², mm.
+    wavelength_nm : float
+    stop : bool
+        Whether the faces of the stop clip, on the way back too; nothing else does.
+    camera : Prescription, optional
+        Instead of the shipped one.
 
     Returns
     -------
-    power_W, rms_mm, irradiance_W_mm2, relative_se_of_one_ray : float
-        For a beam of 1 W/mm²; the last, over √n, is the relative standard error of the irradiance from n random rays.
+    power_W, rms_mm, irradiance_W_mm2, spread : float
+        The last, over √n, is the relative standard error of the irradiance from n random rays.
     """
-    nodes, weights = np.polynomial.legendre.leggauss(4000)
-    r = radius * np.sqrt(0.5 * (nodes + 1))
+    r = radius * np.sqrt((np.arange(NODES) + 0.5) / NODES)
     origin = np.column_stack([0 * r, r, np.full_like(r, -3.0)])
-    traced = replay(model, origin, np.tile([0.0, 0.0, 1.0], (len(r), 1)), events, wavelength_nm)
-    w = 0.5 * weights * traced.flux
-    power = float(w.sum())
-    good = traced.valid
-    second, fourth = (float(w[good] @ traced.end[good, 1] ** k) / power for k in (2, 4))
-    rms = float(np.sqrt(second))
-    area = np.pi * radius**2
-    return area * power, rms, area * power / (np.pi * second), float(np.sqrt(fourth / second**2 - 1))
+    model = _with_stop(camera or shipped())
+    traced = replay(model, origin, np.tile([0.0, 0.0, 1.0], (len(r), 1)), events, wavelength_nm, first_hit=False)
+    good = traced.valid.copy()
+    if stop:
+        for start, end, direction in zip(traced.points[:-1], traced.points[1:], traced.directions, strict=True):
+            length = np.linalg.norm(end - start, axis=1)
+            for shape in model.shapes:
+                if shape.part == "stop":
+                    good &= ~(shape.first_hit(start, direction, np.zeros(len(r), dtype=bool)) < length)
+    w = traced.flux[good] / NODES
+    share = float(w.sum())
+    second, fourth = (float(w @ traced.end[good, 1] ** k) / share for k in (2, 4))
+    power = np.pi * radius**2 * share
+    return power, float(np.sqrt(second)), power / (np.pi * second), float(np.sqrt(fourth / second**2 - 1))
 
 
-def bare_lenses() -> scene_xml.SceneModel:
-    """The surfaces alone: nothing clips."""
-    return scene_xml.parse_scene(xml_text(replace(shipped(), structures=(), stop=None)))
+@cache
+def _with_stop(camera: Prescription) -> scene_xml.SceneModel:
+    """Lenses, window, filter, detector and the stop for the float64 oracle."""
+    return scene_xml.parse_scene(xml_text(replace(camera, structures=())))
+
+
+def readings() -> list[dict[Any, Any]]:
+    """
+    RMS irradiance of the image on axis by quadrature, W/mm², for other readings of the study's tables.
+
+    Keys are "reading" and (radius of the beam in mm, wavelength in nm).
+    """
+
+    def changed(part: str, material: str) -> Prescription:
+        camera = shipped()
+        inside = {f"{part}_front": {"back": material}, f"{part}_rear": {"front": material}}
+        return replace(camera, surfaces=tuple(replace(s, **inside.get(s.name, {})) for s in camera.surfaces))
+
+    cameras = {
+        "as shipped": shipped(),
+        "window nd = 1.5168 (its paraxial table)": changed("window", "nd=1.5168 Vd=64.1"),
+        "filter nd = 1.5168 (its Table 5)": changed("filter", "nd=1.5168 Vd=64.1"),
+        "R(S13) = 5.272 (published copy)": from_json(FILE, variant="R13=5.272"),
+    }
+    beams_and_lines = [(r, nm) for r in (shipped().stop.radius, BEAM_RADIUS) for nm in (D_LINE_NM, 550.0)]
+    return [
+        {"reading": name} | {(r, nm): radial(DIRECT, r, nm, stop=False, camera=camera)[2] for r, nm in beams_and_lines}
+        for name, camera in cameras.items()
+    ]
 
 
 def on_axis(rays: int) -> list[dict[str, Any]]:
     """RMS irradiance of the image on axis: what clips, at which wavelength; by quadrature and by the ray tree."""
     scene = shipped().to_scene()
     unclipped = replace(shipped(), stop=replace(shipped().stop, radius=1.26)).to_scene()
-    direct = [*((face, "SpecTran") for face in (*WINDOW, *FACES)), ("detector", "Absorbed")]
     rows = []
     for name, radius, traced in (("stop", shipped().stop.radius, scene), ("beam", BEAM_RADIUS, unclipped)):
         for wavelength_nm in (D_LINE_NM, 550.0):
             t = mistray.trace(traced, rays=rays, wavelength_nm=wavelength_nm, max_reflections=0)
             row = image_path(t, window=True)
-            power, rms, irradiance, spread = radial(bare_lenses(), direct, radius, wavelength_nm)
+            power, rms, irradiance, spread = radial(DIRECT, radius, wavelength_nm, stop=name == "stop")
             rows.append(
                 {
                     "limit": name,
@@ -289,12 +338,11 @@ def ghost_pairs(table: pd.DataFrame) -> list[dict[str, Any]]:
     table : DataFrame
         Of `ghost_table` at field 0.
     """
-    clipped = scene_xml.parse_scene(xml_text(replace(shipped(), structures=())))
     rows = []
     for ghost in REPORT[:4]:
         row = strongest(table, ghost.surfaces)
         events = [tuple(event.rsplit(":", 1)) for event in row.events.split()]
-        _, rms, unclipped, spread = radial(bare_lenses(), events, BEAM_RADIUS, 550.0)
+        _, rms, unclipped, spread = radial(events, BEAM_RADIUS, 550.0, stop=False)
         rows.append(
             {
                 "surfaces": row.surfaces,
@@ -302,7 +350,7 @@ def ghost_pairs(table: pd.DataFrame) -> list[dict[str, Any]]:
                 "traced": row.rms_irradiance_W_mm2,
                 "traced_se": row.rms_irradiance_se_W_mm2,
                 "rms_um": 1e3 * row.rms_radius_mm,
-                "quadrature": radial(clipped, events, shipped().stop.radius, 550.0)[2],
+                "quadrature": radial(events, shipped().stop.radius, 550.0)[2],
                 "unclipped": unclipped,
                 "unclipped_rms_um": 1e3 * rms,
                 "study_se": unclipped * spread / np.sqrt(NOMINAL_RAYS),

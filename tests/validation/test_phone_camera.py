@@ -8,6 +8,9 @@ from oracles.statistics import assert_z, z_limit
 from validation import phone_camera
 from validation.tables import read, value
 
+import mistray
+from mistray.materials import refractive_index
+
 pytestmark = [pytest.mark.validation, pytest.mark.slow]
 
 GHOST_RAYS = {0.0: 30_000, 5.0: 40_000, 10.0: 60_000}
@@ -36,8 +39,8 @@ def test_spots(image):
     """
     The ray tree gives the spot of the same rays in float64, and the figures where these are sampled well enough.
 
-    At 17° and 18° a few rays in 10 000 pass the steep rim of L2_rear and land 60 to 150 µm away, so that the RMS depends on
-    which of them a sample holds.
+    At 17° and 18° a few rays in 10 000 pass the steep rim of L2_rear and land 60 to 150 µm away, so that the RMS
+    depends on which of them a sample holds.
     """
     for row in image:
         assert row["rays"] == row["rays_replayed"]
@@ -65,8 +68,8 @@ def test_relative_illumination(image):
 
 def test_irradiance_on_axis():
     """
-    By quadrature 129.2 (d line) and 129.6 kW/mm² (550 nm) for the light that passes the stop, 128.1 and 128.5 for the whole
-    beam of 1.252 mm; the figure of 128.6 to 128.9 lies between, within what a million random rays scatter.
+    By quadrature 129.2 (d line) and 129.6 kW/mm² (550 nm) for the light that passes the stop, 128.1 and 128.5 for the
+    whole beam of 1.252 mm; the figure of 128.6 to 128.9 lies between, within what a million random rays scatter.
     """
     rows = phone_camera.on_axis(400_000)
     for row in rows:
@@ -82,7 +85,7 @@ def test_irradiance_on_axis():
 
 
 def test_ghosts_on_axis(ghosts):
-    """The four of Table 22 are there; the two strongest are the window's, and nothing but the window itself lies between."""
+    """The four of Table 22, the window's first; the only other among the first five is the window with itself."""
     names = list(ghosts[0].surfaces[:5])
     assert names[:2] == ["detector → window_rear", "detector → window_front"]
     assert [name for name in names if name.startswith("detector")] == [
@@ -93,9 +96,47 @@ def test_ghosts_on_axis(ghosts):
     }
 
 
+def test_every_pair_of_surfaces_on_axis(scene):
+    """n (n - 1) / 2 = 105 for fifteen surfaces: each pair with the later one first, and no other."""
+    names = [*phone_camera.WINDOW, *phone_camera.FACES, "detector"]
+    t = mistray.trace(scene, rays=5_000, field_deg=0, max_reflections=2)
+    found = {(row.ghost_1, row.ghost_2) for row in t.paths if row.kind == "ghost"}
+    assert found == {(later, earlier) for i, earlier in enumerate(names) for later in names[i + 1 :]}
+    assert len(found) == 105
+
+
+def test_the_window_pair_and_the_stop(scene, ghosts):
+    """The stop takes 3 % of the returning light on axis, passes a fifth of it at 5°, and nothing at 10°."""
+    power = {}
+    for field in (0.0, 5.0, 10.0):
+        row = phone_camera.strongest(ghosts[field], ("detector", "window_rear"))
+        power[field] = 0.0 if row is None else row.power_W
+    direct = phone_camera.image_path(mistray.trace(scene, rays=30_000, field_deg=0, max_reflections=0), window=True)
+    unclipped = direct.power_W * 0.2 * 0.01 * 0.98**20 * 0.99**4  # detector, window, lenses and filter twice
+    assert power[5.0] / power[0.0] == pytest.approx(0.22, abs=0.03)
+    assert power[10.0] == 0
+    assert 1 - power[0.0] / unclipped == pytest.approx(0.029, abs=0.004)
+
+
+def test_the_study_is_wider_off_axis(ghosts):
+    """Its irradiances at our powers imply radii that exceed ours by 0.1 to 0.15 mm in quadrature in eight of ten."""
+    rows = phone_camera.implied_radii(ghosts)
+    off_axis = [row["blur_um"] for row in rows if row["field_deg"] > 0]
+    assert len(off_axis) == 10
+    assert sum(95 < blur < 150 for blur in off_axis) == 8
+    filters = [row["blur_um"] for row in rows if row["field_deg"] == 0 and "filter" in row["surfaces"]]
+    assert not any(blur > 10 for blur in filters)
+
+
+def test_other_readings_do_not_give_the_figure_either():
+    values = [value for row in phone_camera.readings() for key, value in row.items() if key != "reading"]
+    assert len(values) == 16
+    assert not [value for value in values if 128.6e3 <= value <= 128.9e3]
+
+
 def test_the_window_alone_repeats_the_image(scene):
     """Two reflections at parallel planes before the lens change the flux by R² and nothing else."""
-    t = phone_camera.mistray.trace(scene, rays=20_000, field_deg=0, max_reflections=2)
+    t = mistray.trace(scene, rays=20_000, field_deg=0, max_reflections=2)
     direct = phone_camera.image_path(t, window=True)
     (twice,) = [row for row in t.paths if (row.ghost_1, row.ghost_2, row.tir) == ("window_rear", "window_front", 0)]
     assert twice.rays == direct.rays
@@ -120,7 +161,7 @@ def test_retro_ghosts_of_the_filter(ghosts):
     """Closed form: a beam of slope u that returns through a gap of the air-equivalent length g has the radius 2 g u."""
     surfaces = {surface.name: surface for surface in phone_camera.shipped().surfaces}
     rear, front = surfaces["filter_rear"], surfaces["filter_front"]
-    index = phone_camera.refractive_index(rear.front, 550.0)
+    index = refractive_index(rear.front, 550.0)
     near = phone_camera.shipped().detector.z - rear.z
     gaps = {"filter_rear": near, "filter_front": near + (rear.z - front.z) / index}
     radii = {name: phone_camera.strongest(ghosts[0], ("detector", name)).rms_radius_mm for name in gaps}
@@ -162,7 +203,7 @@ def test_the_report_holds_these_numbers(image, ghosts):
             both = np.hypot(se, row.rms_irradiance_se_W_mm2)
             assert abs(row.rms_irradiance_W_mm2 - expected) < z_limit(32) * both, written
             compared += 1
-    assert compared >= 28  # a smaller run may leave some below thirty rays
+    assert compared >= 24  # a smaller run may leave some below thirty rays
     for ghost, written in zip(phone_camera.REPORT, read("phone_camera.md", "ghosts"), strict=True):
         assert written["study: path"] == str(ghost.path)
         assert value(written["study W/mm²"])[0] == pytest.approx(ghost.irradiance, rel=1e-3)

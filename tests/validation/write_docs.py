@@ -6,11 +6,16 @@ import math
 import sys
 from collections.abc import Callable
 from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 from validation import phone_camera
 from validation.tables import markdown, number, write
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from validation.lsst import Comparison, Sums
 
 IMAGE_RAYS = 40_000
 ON_AXIS_RAYS = 4_000_000
@@ -79,6 +84,13 @@ def on_axis_table(rows: list[dict[str, float]]) -> str:
     )
 
 
+def readings_table(rows: list[dict[Any, Any]]) -> str:
+    """RMS irradiance of the image on axis for other readings of the data, kW/mm²."""
+    columns = [key for key in rows[0] if key != "reading"]
+    header = ["reading of the study", *(f"{radius:.5f} mm, {nm:.2f} nm" for radius, nm in columns)]
+    return markdown(header, [[row["reading"], *(f"{row[key] / 1e3:.2f}" for key in columns)] for row in rows])
+
+
 def pairs_table(rows: list[dict[str, float]]) -> str:
     """The four ghosts of Table 22."""
     return markdown(
@@ -98,7 +110,7 @@ def pairs_table(rows: list[dict[str, float]]) -> str:
     )
 
 
-def ghost_rows(tables: dict[float, phone_camera.pd.DataFrame], three: dict[float, phone_camera.pd.DataFrame]) -> str:
+def ghost_rows(tables: dict[float, pd.DataFrame], three: dict[float, pd.DataFrame]) -> str:
     """The four worst paths of each field beside those of the study."""
     rows = []
     for field, table in tables.items():
@@ -160,6 +172,7 @@ def write_phone_camera() -> None:
         {
             "image": image_table(phone_camera.image(IMAGE_RAYS)),
             "on_axis": on_axis_table(phone_camera.on_axis(ON_AXIS_RAYS)),
+            "readings": readings_table(phone_camera.readings()),
             "pairs": pairs_table(phone_camera.ghost_pairs(tables[0])),
             "ghosts": ghost_rows(tables, three),
             "radii": radii_table(phone_camera.implied_radii(tables)),
@@ -191,8 +204,8 @@ def write_lsst() -> None:
                         f"{worst['rms']:.1e}",
                     )
                 )
-    header = ("field °", "paths", "found", "vignetted", "only batoid's", "flux ‰", "Δ rays", "Δ flux / flux", "Δ centroid mm",
-              "Δ RMS radius / RMS radius")  # fmt: skip
+    header = ("field °", "paths", "found", "vignetted", "only batoid's", "flux ‰", "Δ rays", "Δ flux / flux",
+              "Δ centroid mm", "Δ RMS radius / RMS radius")  # fmt: skip
     ghosts = sorted(results[1.0].ghosts().items(), key=lambda item: -item[1][0].flux / item[1][0].rms_mm ** 2)
     write(
         "lsst.md",
@@ -214,18 +227,17 @@ def write_lsst() -> None:
     )
 
 
-def _most_rays(result: object) -> int:
-    return max(a.rays for a, _ in result.paths.values())  # type: ignore[attr-defined]
+def _most_rays(result: Comparison) -> int:
+    return max(ours.rays for ours, _ in result.paths.values())
 
 
-def _lsst_row(name: str, ours: object, theirs: object) -> tuple[str, ...]:
-    a, b = ours, theirs
-    return (name, str(a.rays), f"{1e3 * a.flux:.6f}", f"{1e3 * b.flux:.6f}", f"{a.y_mm:.4f}", f"{b.y_mm:.4f}",
-            f"{a.rms_mm:.5f}", f"{b.rms_mm:.5f}")  # type: ignore[attr-defined]  # fmt: skip
+def _lsst_row(name: str, ours: Sums, theirs: Sums) -> tuple[str, ...]:
+    cells = [f"{1e3 * s.flux:.6f}" for s in (ours, theirs)] + [f"{s.y_mm:.4f}" for s in (ours, theirs)]
+    return (name, str(ours.rays), *cells, *(f"{s.rms_mm:.5f}" for s in (ours, theirs)))
 
 
-def _image_row(field: float, result: object) -> tuple[str, ...]:
-    ours, theirs = next(pair for names, pair in result.paths.items() if result.order[names] == 0)  # type: ignore[attr-defined]
+def _image_row(field: float, result: Comparison) -> tuple[str, ...]:
+    ours, theirs = next(pair for names, pair in result.paths.items() if result.order[names] == 0)
     a, b = 1e3 * ours.rms_mm, 1e3 * theirs.rms_mm
     return f"{field:g}", f"{a:.3f}", f"{b:.3f}", f"{math.sqrt(max(a * a - b * b, 0.0)):.2f}"
 

@@ -1,0 +1,356 @@
+"""Stock Mitsuba shapes and triangle meshes beside the analytic surfaces: they are hit, split and booked like these.
+
+Mitsuba finds their hits in float32, with an error that grows with the distance; a ray that leaves such a surface does
+not meet it again within a few roundings. Positions are therefore compared to 1e-5 of the scene's size.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles import nonsequential
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
+
+import mistray
+
+GLASS = interface_xml("air", "1.5")
+BALL = interface_xml("1.5", "air")  # the normal of a sphere points outwards
+
+
+def stock(kind: str, shape_id: str, inside: str, transform: str = "", bsdf: str | None = None) -> str:
+    """A stock shape's XML with its own parameters and steps of to_world."""
+    pose = f'<transform name="to_world">{transform}</transform>' if transform else ""
+    return f'<shape type="{kind}" id="{shape_id}">{inside}{pose}{bsdf or interface_xml(R=0.0)}</shape>'
+
+
+def detector_rectangle(transform: str, pixels: int = 64) -> str:
+    film = f'<film type="hdrfilm"><integer name="width" value="{pixels}"/><integer name="height" value="{pixels}"/>'
+    meter = f'<sensor type="irradiancemeter">{film}<rfilter type="box"/></film></sensor>'
+    return stock("rectangle", "detector", meter, transform)
+
+
+def prism_ply(path: Path) -> Path:
+    """A right-angle prism of 10 mm: entrance at z = 0, hypotenuse from (y -5, z 0) to (y 5, z 10), exit at y = -5."""
+    corners = [(x, y, z) for x in (-5.0, 5.0) for y, z in ((-5.0, 0.0), (5.0, 0.0), (-5.0, 10.0))]
+    # outward normals: entrance -z, exit -y, hypotenuse +y +z, and the two sides
+    quads = [(0, 1, 4, 3), (0, 3, 5, 2), (1, 2, 5, 4)]
+    triangles = [t for a, b, c, d in quads for t in ((a, b, c), (a, c, d))] + [(0, 2, 1), (3, 4, 5)]
+    centre = np.mean(corners, axis=0)
+    outward = []
+    for t in triangles:
+        a, b, c = (np.array(corners[i]) for i in t)
+        outside = np.dot(np.cross(b - a, c - a), (a + b + c) / 3 - centre) > 0
+        outward.append(t if outside else t[::-1])
+    lines = ["ply", "format ascii 1.0", f"element vertex {len(corners)}"]
+    lines += [f"property float {axis}" for axis in "xyz"]
+    lines += [f"element face {len(outward)}", "property list uchar int vertex_indices", "end_header"]
+    lines += [" ".join(map(str, corner)) for corner in corners] + [f"3 {a} {b} {c}" for a, b, c in outward]
+    path.write_text("\n".join(lines) + "\n", encoding="ascii")
+    return path
+
+
+def by_events(t: Any) -> dict[str, Any]:
+    return {row.events: row for row in t.paths}
+
+
+class TestDetector:
+    @pytest.mark.parametrize("turn", ["", '<rotate z="1" angle="30"/><rotate x="1" angle="20"/>'])
+    def test_rectangle_and_asphere_see_the_same(self, load_text, turn: str) -> None:
+        lens = [
+            shape_xml("asphere", "front", 0.0, GLASS, radius=40.0, semi_diameter=8.0),
+            shape_xml("asphere", "rear", 4.0, interface_xml("1.5", "air"), radius=-40.0, semi_diameter=8.0),
+        ]
+        place = f'{turn}<translate x="0.5" z="30"/>'
+        ours = shape_xml("asphere", "detector", 30.0, sensor=True, half_width=6.0, half_height=4.0)
+        ours = ours.replace('<translate z="30.0"/>', place)
+        theirs = detector_rectangle(f'<scale x="6" y="4"/>{place}')
+        a, b = (
+            mistray.trace(load_text(scene_text(*lens, d, radius=6.0))[0], rays=4000, field_deg=2.0)
+            for d in (ours, theirs)
+        )
+        assert a.extent == pytest.approx(b.extent, rel=1e-6)
+        assert set(by_events(a)) == set(by_events(b))
+        for events, row in by_events(a).items():
+            other = by_events(b)[events]
+            assert abs(other.rays - row.rays) <= 1
+            assert other.power_W == pytest.approx(row.power_W, rel=1e-3)
+            assert (other.x_mm, other.y_mm) == pytest.approx((row.x_mm, row.y_mm), abs=1e-3)
+            assert other.rms_radius_mm == pytest.approx(row.rms_radius_mm, abs=1e-3)
+        rough = np.abs(a.irradiance - b.irradiance).sum() / a.irradiance.sum()
+        assert rough < 2e-3  # rays that change the pixel
+
+    def test_other_shapes_are_refused(self, load_text) -> None:
+        film = '<film type="hdrfilm"><rfilter type="box"/></film>'
+        ball = stock("sphere", "eye", f'<sensor type="irradiancemeter">{film}</sensor>')
+        scene, _ = load_text(scene_text(shape_xml("asphere", "front", -5.0, GLASS, semi_diameter=3.0), ball))
+        with pytest.raises(
+            mistray.MistrayError, match=r"detector 'eye' is Sphere; use an 'asphere', .* or a 'rectangle'"
+        ):
+            mistray.trace(scene, rays=10)
+
+
+class TestBallLens:
+    """A sphere of glass, and the same made of two hemispheres of our own."""
+
+    def texts(self) -> tuple[str, str]:
+        screen = shape_xml("asphere", "detector", 9.0, sensor=True, half_width=12.0, half_height=12.0)
+        sphere = stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL)
+        halves = [
+            shape_xml("asphere", "ball_front", -5.0, GLASS, radius=5.0, semi_diameter=5.0),
+            shape_xml("asphere", "ball_rear", 5.0, interface_xml("1.5", "air"), radius=-5.0, semi_diameter=5.0),
+        ]
+        return scene_text(sphere, screen, radius=3.0), scene_text(*halves, screen, radius=3.0)
+
+    def test_sphere_and_hemispheres(self, load_text) -> None:
+        a, b = (mistray.trace(load_text(text)[0], rays=20_000, max_reflections=4) for text in self.texts())
+        ours: dict[str, list[Any]] = {}
+        for row in b.paths:
+            ours.setdefault(row.events.replace("ball_front", "ball").replace("ball_rear", "ball"), []).append(row)
+        assert set(by_events(a)) == set(ours)
+        assert len(ours) >= 4
+        for row in a.paths:
+            rows = ours[row.events]
+            assert row.rays == pytest.approx(sum(r.rays for r in rows), abs=4)
+            assert row.power_W == pytest.approx(sum(r.power_W for r in rows), rel=2e-3)
+        assert a.energy.detected_W == pytest.approx(b.energy.detected_W, rel=1e-5)
+        assert a.energy.escaped_W == pytest.approx(b.energy.escaped_W, rel=1e-4)
+        for t in (a, b):
+            assert abs(t.energy.closure) < 1e-6
+            assert t.energy.cut["medium"] < 1e-5 * t.energy.launched_W
+        assert a.paths[0].rms_radius_mm == pytest.approx(b.paths[0].rms_radius_mm, rel=1e-5)
+
+    def test_against_the_float64_oracle(self, load_text) -> None:
+        scene, model = load_text(self.texts()[0])
+        t = mistray.trace(scene, rays=400, max_reflections=4)
+        (run,) = t._runs
+        origin, direction = run.start_rays(np.arange(400))
+        power = np.full(400, run.unit)
+        ledger = nonsequential.trace(
+            model, origin, direction, power, 550.0, max_reflections=4, max_events=64, flux_threshold=1e-8
+        )
+        theirs = {record.text.replace(":TIR", ":I"): record for record in ledger.paths}
+        assert set(by_events(t)) == set(theirs)
+        for events, row in by_events(t).items():
+            record = theirs[events]
+            assert row.rays == record.rays
+            assert row.power_W == pytest.approx(record.power_W, rel=1e-4)
+            assert row.x_mm == pytest.approx(record.x_mm, abs=1e-3)
+            assert row.rms_radius_mm == pytest.approx(record.rms_radius_mm, abs=1e-3)
+
+    def test_history(self, load_text) -> None:
+        """Directions and optical path lengths use the normals of the sphere at the hits themselves."""
+        scene, _ = load_text(self.texts()[0])
+        t = mistray.trace(scene, rays=2000)
+        table = t.history(0, 20).to_pandas()
+        for _, ray in table.groupby("ray"):
+            points = ray[["x_mm", "y_mm", "z_mm"]].to_numpy()
+            assert list(ray.surface) == ["-", "ball", "ball", "detector"]
+            assert np.linalg.norm(points[1:3], axis=1) == pytest.approx([5.0, 5.0], abs=1e-5)
+            steps = np.diff(points, axis=0)
+            unit = steps / np.linalg.norm(steps, axis=1, keepdims=True)
+            np.testing.assert_allclose(ray[["dx", "dy", "dz"]].to_numpy()[:-1], unit, atol=2e-5)
+            lengths = np.linalg.norm(steps, axis=1)
+            np.testing.assert_allclose(np.diff(ray.opl_mm), lengths * [1, 1.5, 1], rtol=1e-6)
+        assert set(t.incident(50).node) == {3, 5}
+
+    def test_inside_out_and_again(self, load_text) -> None:
+        """Light whispers along the inside of a ball: many hits of one stock shape, none lost, none counted twice."""
+        scene, _ = load_text(
+            scene_text(
+                stock("sphere", "ball", '<float name="radius" value="5"/>', bsdf=BALL),
+                shape_xml("asphere", "detector", 40.0, sensor=True, half_width=1.0, half_height=1.0),
+                radius=4.99,
+            )
+        )
+        t = mistray.trace(scene, rays=5000, max_reflections=30, flux_threshold=1e-7)
+        assert t.energy.cut["medium"] < 1e-5 * t.energy.launched_W
+        assert abs(t.energy.closure) < 1e-5
+        assert t.energy.escaped_W + t.energy.detected_W == pytest.approx(t.energy.launched_W, rel=1e-5)
+        hits = next(row for row in t.surfaces if row.id == "ball")
+        assert hits.hits > 5000 * 6
+
+
+class TestMesh:
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def prism(tmp_path_factory) -> Path:
+        return prism_ply(tmp_path_factory.mktemp("mesh") / "prism.ply")
+
+    def text(self, prism: Path) -> str:
+        mesh = stock("ply", "prism", f'<string name="filename" value="{prism}"/>', bsdf=BALL)
+        below = shape_xml("asphere", "detector", 0.0, sensor=True, half_width=4.0, half_height=4.0)
+        below = below.replace('<translate z="0.0"/>', '<rotate x="1" angle="90"/><translate y="-9" z="5"/>')
+        return scene_text(mesh, below, radius=2.0)
+
+    def test_prism_turns_the_light_by_total_reflection(self, load_scene, prism: Path) -> None:
+        scene = load_scene(self.text(prism))
+        t = mistray.trace(scene, rays=5000)
+        direct = t.paths[0]
+        assert direct.events == "prism:T prism:I prism:T detector:A"
+        assert direct.kind == "TIR"
+        assert direct.rays == 5000
+        assert direct.power_W / t.energy.launched_W == pytest.approx(0.96**2, rel=1e-5)
+        assert t.energy.cut["medium"] == 0
+        assert abs(t.energy.closure) < 1e-6
+        # y of the entrance becomes z of the exit, and the prism does not scale
+        assert direct.rms_radius_mm == pytest.approx(2 / np.sqrt(2), abs=4 * direct.rms_radius_se_mm)
+        rows = {row.id: row for row in t.surfaces}
+        # entrance, hypotenuse, exit; then back and forth between exit and entrance once more
+        assert rows["prism"].hits == 5000 * 7
+
+    def test_history_of_a_mesh(self, load_scene, prism: Path) -> None:
+        scene = load_scene(self.text(prism))
+        t = mistray.trace(scene, rays=500)
+        for points in t.history(0, 10).rays:
+            x, y = points[0, :2]
+            np.testing.assert_allclose(points[1], [x, y, 0], atol=1e-5)
+            np.testing.assert_allclose(points[2], [x, y, 5 - y], atol=1e-4)
+            np.testing.assert_allclose(points[3], [x, -5, 5 - y], atol=1e-4)
+        opl = t.history(0, 10).to_pandas().query("intercept == 'Absorbed'").opl_mm
+        assert np.ptp(opl) < 1e-4
+
+    def test_mesh_of_a_lens_surface(self, load_text, load_scene, tmp_path: Path) -> None:
+        """The triangles of an asphere as a PLY: the same light to the accuracy of the facets."""
+        lens = [
+            shape_xml("asphere", "front", 0.0, GLASS, radius=60.0, semi_diameter=8.0),
+            shape_xml("asphere", "rear", 3.0, interface_xml("1.5", "air"), semi_diameter=8.0),
+            shape_xml("asphere", "detector", 60.0, sensor=True, half_width=8.0, half_height=8.0),
+        ]
+        scene, _ = load_text(scene_text(*lens, radius=6.0))
+        front = next(shape for shape in scene.shapes() if shape.id() == "front")
+        front.write_ply(str(tmp_path / "front.ply"))
+        mesh = stock("ply", "front", f'<string name="filename" value="{tmp_path / "front.ply"}"/>', bsdf=GLASS)
+        meshed = load_scene(scene_text(mesh, *lens[1:], radius=6.0))
+        a, b = (mistray.trace(s, rays=5000) for s in (scene, meshed))
+        assert [row.events for row in a.paths] == [row.events for row in b.paths]
+        for x, y in zip(a.paths, b.paths, strict=True):
+            assert y.power_W == pytest.approx(x.power_W, rel=1e-2)
+            assert y.rms_radius_mm == pytest.approx(x.rms_radius_mm, rel=0.05)
+        assert b.energy.cut["medium"] == 0
+
+
+class TestMixtures:
+    def test_nearest_of_both_kinds(self, load_text) -> None:
+        """Planes of both kinds in turn, in an order that differs from the file's: each ray meets them by distance."""
+        weak = interface_xml(R=0.1, T=0.9)
+        ours = [shape_xml("asphere", f"ours_{z}", float(z), weak, semi_diameter=3.0) for z in (6, 2, 4)]
+        theirs = [
+            stock("rectangle", f"theirs_{z}", "", f'<scale value="3"/><translate z="{z}"/>', weak) for z in (5, 1, 3)
+        ]
+        screen = shape_xml("asphere", "detector", 8.0, sensor=True, half_width=3.0, half_height=3.0)
+        scene, model = load_text(scene_text(*theirs, *ours, screen))
+        t = mistray.trace(scene, rays=300, flux_threshold=0.0)
+        order = ["theirs_1", "ours_2", "theirs_3", "ours_4", "theirs_5", "ours_6"]
+        assert t.paths[0].events == " ".join(f"{name}:T" for name in order) + " detector:A"
+        assert len(t.paths) == 1 + 15
+        (run,) = t._runs
+        origin, direction = run.start_rays(np.arange(300))
+        ledger = nonsequential.trace(model, origin, direction, np.full(300, run.unit), 550.0, flux_threshold=0.0)
+        assert {row.events for row in t.paths} == {record.text for record in ledger.paths}
+        for row in t.paths:
+            assert row.power_W == pytest.approx(ledger.find(*row.events.split()).power_W, rel=1e-6)
+
+    def test_disk_as_absorber(self, load_text) -> None:
+        """A black disk of half the beam's radius takes a quarter of it: 4 standard errors."""
+        scene, _ = load_text(
+            scene_text(
+                stock("disk", "spot", "", '<scale value="0.5"/><translate z="1"/>'),
+                shape_xml("asphere", "detector", 2.0, sensor=True, half_width=2.0, half_height=2.0),
+            )
+        )
+        t = mistray.trace(scene, rays=100_000)
+        watt, se = t.energy.absorbed["spot"]
+        assert watt == pytest.approx(np.pi / 4, abs=4 * se)
+        assert 0 < se < 0.01
+        assert t.energy.detected_W == pytest.approx(np.pi - watt, rel=1e-9)
+
+    def test_only_stock_shapes(self, load_text) -> None:
+        """The plate without a single plugin shape."""
+        scene, _ = load_text(
+            scene_text(
+                stock("rectangle", "front", "", '<scale value="20"/>', GLASS),
+                stock("rectangle", "rear", "", '<scale value="20"/><translate z="5"/>', interface_xml("1.5", "air")),
+                detector_rectangle('<scale value="20"/><translate z="9"/>'),
+            )
+        )
+        t = mistray.trace(scene, rays=500, max_reflections=8)
+        assert t.energy.detected_W / t.energy.launched_W == pytest.approx(0.96 / 1.04, rel=1e-6)
+        assert abs(t.energy.closure) < 1e-6
+
+    def test_cylinder(self, load_scene) -> None:
+        """A stock cylinder and a frustum as the wall of a rod: the normal of both points outwards."""
+        ends = [
+            shape_xml("asphere", "rod_front", 0.0, GLASS, semi_diameter=2.0),
+            shape_xml("asphere", "rod_rear", 20.0, interface_xml("1.5", "air"), semi_diameter=2.0),
+            shape_xml("asphere", "detector", 20.5, sensor=True, half_width=8.0, half_height=8.0),
+        ]
+        side = (
+            '<point name="p0" x="0" y="0" z="0"/><point name="p1" x="0" y="0" z="20"/><float name="radius" value="2"/>'
+        )
+        theirs = stock("cylinder", "rod_side", side, bsdf=BALL)
+        ours = shape_xml("frustum", "rod_side", 0.0, BALL, r0=2.0, z0=0.0, r1=2.0, z1=20.0)
+        a, b = (
+            mistray.trace(load_scene(scene_text(*ends, wall, radius=1.5)), rays=3000, field_deg=30.0)
+            for wall in (ours, theirs)
+        )
+        assert b.energy.detected_W == pytest.approx(a.energy.detected_W, rel=2e-3)
+        assert b.energy.cut["medium"] < 1e-3 * b.energy.launched_W
+        assert b.paths[0].events == a.paths[0].events
+
+    def test_names_survive_a_trace(self, load_text) -> None:
+        scene, _ = load_text(TestBallLens().texts()[0])
+        for _ in range(2):
+            t = mistray.trace(scene, rays=50)
+            assert [shape.id() for shape in scene.shapes()] == ["ball", "detector"]
+            assert t.paths[0].events == "ball:T ball:T detector:A"
+
+    @pytest.mark.parametrize("bsdf", ['<bsdf type="diffuse"/>', '<bsdf type="dielectric"/>', "<!-- none -->"])
+    def test_other_bsdfs_are_refused(self, load_scene, bsdf: str) -> None:
+        scene = load_scene(
+            scene_text(
+                stock("sphere", "ball", "", bsdf=bsdf),
+                shape_xml("asphere", "detector", 9.0, sensor=True, half_width=2.0, half_height=2.0),
+            ),
+        )
+        with pytest.raises(mistray.MistrayError, match=r"shape 'ball' carries the BSDF .* nest an 'interface' in it"):
+            mistray.trace(scene, rays=10)
+
+    def test_an_interface_for_several_shapes(self, tmp_path: Path) -> None:
+        """One bsdf by reference."""
+        glass = interface_xml("air", "air", R=0.1, T=0.9).replace("<bsdf", '<bsdf id="coat"', 1)
+        shared = [shape_xml("asphere", f"s{z}", float(z), '<ref id="coat"/>', semi_diameter=3.0) for z in (1, 2)]
+        screen = shape_xml("asphere", "detector", 8.0, sensor=True, half_width=3.0, half_height=3.0)
+        path = tmp_path / "scene.xml"
+        path.write_text(scene_text(glass, *shared, screen), encoding="utf-8")
+        t = mistray.trace(mistray.load(path), rays=10)
+        assert t.paths[0].power_W / t.energy.launched_W == pytest.approx(0.81, rel=1e-6)
+
+    def test_mesh_in_a_dict(self) -> None:
+        """`mi.load_dict` with a mesh object that was made in Python."""
+        mesh = mi.Mesh("wall", 4, 2)
+        params = mi.traverse(mesh)
+        params["vertex_positions"] = [-2, -2, 1, 2, -2, 1, 2, 2, 1, -2, 2, 1]
+        params["faces"] = [0, 1, 2, 0, 2, 3]
+        params.update()
+        mesh.set_bsdf(mi.load_dict({"type": "interface", "R": 0.25, "T": 0.75}))
+        to_world = mi.ScalarTransform4f().translate([0, 0, 3])
+        film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+        scene = mistray.load(
+            {
+                "type": "scene",
+                "beam": {"type": "collimated", "radius": 1.0},
+                "wall": mesh,
+                "detector": {
+                    "type": "rectangle", "to_world": to_world, "bsdf": {"type": "interface", "R": 0.0},
+                    "meter": {"type": "irradiancemeter", "film": film},
+                },
+            }
+        )  # fmt: skip
+        t = mistray.trace(scene, rays=100)
+        assert t.paths[0].events == "wall:T detector:A"
+        assert t.paths[0].power_W / t.energy.launched_W == pytest.approx(0.75, rel=1e-6)
+        assert t.paths[0].source == "beam"
