@@ -191,8 +191,8 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
         run, paths = runs[number], decoded[number]
         facts = describe_events(paths.codes[k], run.table.ids, run.table.host_words)
         numbers = _numbers(paths.sums[k], run.started, run.unit)
-        numbers["percent"] = 100 * numbers["power_W"] / total
-        numbers["percent_se"] = 100 * numbers["power_se_W"] / total
+        numbers["percent"] = float(100 * numbers["power_W"] / total)
+        numbers["percent_se"] = float(100 * numbers["power_se_W"] / total)
         rows.append(
             PathRow(path_id=path_id, source=run.beam.name, wavelength_nm=run.beam.wavelength_nm, **facts, **numbers)
         )
@@ -257,12 +257,13 @@ def _numbers(sums: np.ndarray, started: np.ndarray, unit: float) -> dict:
     without = total - sums
     without[:, 2:] *= (rays / np.maximum(rays - started, 1))[:, None]
     left_out = shape(without)
-    left_out = left_out[:, np.isfinite(left_out).all(axis=0)]
     n = left_out.shape[1]
     se = np.full(4, np.inf)
-    if n > 1 and count > 1:
-        se = np.sqrt((n - 1) / n * np.sum(np.square(left_out - left_out.mean(axis=1, keepdims=True)), axis=1))
-    return {
+    known = np.isfinite(left_out).all(axis=1)  # not where a batch holds all rays, or all but one
+    with np.errstate(invalid="ignore"):
+        spread = np.square(left_out - left_out.mean(axis=1, keepdims=True))
+    se[known] = np.sqrt((n - 1) / n * np.sum(spread, axis=1))[known]
+    numbers = {
         "rays": int(count),
         "power_W": unit * absorbed,
         "power_se_W": unit * absorbed * relative,
@@ -277,3 +278,4 @@ def _numbers(sums: np.ndarray, started: np.ndarray, unit: float) -> dict:
         "rms_irradiance_W_mm2": values[3],
         "rms_irradiance_se_W_mm2": se[3],
     }
+    return {key: value if isinstance(value, int) else float(value) for key, value in numbers.items()}

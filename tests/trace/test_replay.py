@@ -4,9 +4,10 @@
 flux, same optical path length, and no other surface in the way. `oracles.nonsequential` makes the whole ledger anew
 from the same start rays: same paths and no others, same flux in every book.
 
-The kernel computes in float32. A ray that passes a rim, or meets a surface near the critical angle, within the rounding
-may end in another path: such a ray is called fragile, and it is accepted only if the float64 tracer changes its mind
-too when the start ray is moved by `NUDGE` of the system's size.
+The kernel computes in float32. Hits agree to 1e-3 mm or 1e-5 of the system's size; a path with grazing hits magnifies
+the rounding of its earlier ones, and may be off by `ROUNDING` of the size times that. A ray that passes a rim, or meets
+a surface near the critical angle, within the rounding may end in another path: such a ray is called fragile, and it is
+accepted only if the float64 tracer changes its mind too when the start ray is moved by `NUDGE` of the system's size.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from mistray.trace.ray_tree import NODE_FLOATS
 
 ROOT = Path(__file__).parents[2]
 NUDGE = 1e-5
+ROUNDING = 1e-6
 REPLAYED = 8  # rays of each path that are replayed one event after the other
 # scene → (field_deg, rays), in the field and outside of it; every scene not named here is traced at FIELDS
 FIELDS = [(0.0, 300), (0.4, 300), (9.0, 300)]
@@ -98,6 +100,16 @@ class Case:
     def tolerance_mm(self) -> float:
         return max(1e-3, 1e-5 * self.size)
 
+    def place_tolerance(self, path: Branches) -> float:
+        """How far the end of a path may be off, mm: the rounding of every hit, magnified by what follows it."""
+        o, d = self.origin[path.lanes], self.direction[path.lanes]
+        step = 1e-7 * np.eye(3)[:2]
+        ends = [replay(self.model, o + s, d, path.events, self.wavelength_nm, first_hit=False).points for s in step]
+        exact = replay(self.model, o, d, path.events, self.wavelength_nm, first_hit=False).points
+        moved = np.max([np.linalg.norm(end - exact, axis=2) for end in ends], axis=0)
+        magnified = float(np.nanmax(moved[-1] / np.maximum(moved, 1e-9)))
+        return max(self.tolerance_mm, ROUNDING * self.size * magnified)
+
     @property
     def detector_reflectance(self) -> float:
         (name,) = self.model.detectors
@@ -156,7 +168,8 @@ def test_paths_replay_sequentially(case: Case) -> None:
         ok = traced.valid
         points = traced.points[1:, ok].transpose(1, 0, 2)
         off = np.abs(points - b.hits[ok]).max(initial=0.0)
-        assert off < case.tolerance_mm, f"path {row.path_id} {row.events}: off by {off:.2g} mm"
+        if off > case.tolerance_mm:
+            assert off < case.place_tolerance(b), f"path {row.path_id} {row.events}: off by {off:.2g} mm"
         absorbed = b.flux[ok, -1] * (1 - case.detector_reflectance)
         np.testing.assert_allclose(absorbed, traced.flux[ok], rtol=1e-4, err_msg=row.events)
         # optical path length and position of the table of single rays
@@ -223,11 +236,12 @@ def compare_ledgers(case: Case) -> None:
         assert row.rays == record.rays
         assert row.power_W == pytest.approx(record.power_W, rel=1e-4)
         assert row.incident_W == pytest.approx(record.incident_W, rel=1e-4)
-        assert row.x_mm == pytest.approx(record.x_mm, abs=case.tolerance_mm)
-        assert row.y_mm == pytest.approx(record.y_mm, abs=case.tolerance_mm)
-        assert row.rms_radius_mm == pytest.approx(record.rms_radius_mm, abs=case.tolerance_mm)
+        off = max(abs(getattr(row, key) - getattr(record, key)) for key in ("x_mm", "y_mm", "rms_radius_mm"))
+        if off > case.tolerance_mm:
+            assert off < case.place_tolerance(mine[events]), f"path {row.path_id} {row.events}: off by {off:.2g} mm"
 
-    slack = 1e-5 * ledger.launched_W + len(fragile) * run.unit
+    # branches that do not reach the detector may graze a rim too: a tenth of one start ray
+    slack = 1e-5 * ledger.launched_W + (len(fragile) + 0.1) * run.unit
     e = case.t.energy
     assert e.launched_W == pytest.approx(ledger.launched_W, rel=1e-9)
     assert e.detected_W == pytest.approx(ledger.detected_W, abs=slack)
@@ -244,6 +258,8 @@ def compare_ledgers(case: Case) -> None:
 def test_cases_are_in_the_field_and_outside() -> None:
     scenes = {path.parent.name: path for path in SCENES}
     inside, outside = traced(scenes["phone_camera"], 16.0, 100), traced(scenes["cooke_triplet"], 32.0, 300)
-    assert {"direct", "ghost", "structure"} <= {row.kind for row in inside.t.paths}
+    kinds = {row.kind for row in inside.t.paths}
+    assert {"direct", "ghost"} <= kinds
+    assert any("structure" in kind for kind in kinds)
     assert "direct" not in {row.kind for row in outside.t.paths}
     assert len(outside.t.paths) > 0
