@@ -79,6 +79,7 @@ class Interface(mi.BSDF):
         self.R = mi.Float(float(props.get("R", 0.0)))
         self.T = mi.Float(float(props.get("T", 0.0)))
         self._check()
+        self._held = (float(self.R[0]), float(self.T[0]))
         if "table" in props:
             path = str(mi.file_resolver().resolve(str(props.get("table"))))
             self.table = CoatingTable.read(path)
@@ -207,7 +208,12 @@ class Interface(mi.BSDF):
             callback.put("T", self.T, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
-        self._check()
+        try:
+            self._check()
+        except MistrayError:
+            self.R[0], self.T[0] = self._held
+            raise
+        self._held = (float(dr.detach(self.R)[0]), float(dr.detach(self.T)[0]))
 
     def to_string(self) -> str:
         coating = (

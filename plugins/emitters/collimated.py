@@ -87,9 +87,16 @@ class Collimated(mi.Emitter):
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):
             fail("to_world scales or shears; use a rigid motion and set the size by radius or half_width, half_height")
         a, b = self.size
-        if self.rectangular and not (a > 0 and b > 0):
+        for key, value in (
+            ("azimuth_deg", self.azimuth_deg),
+            ("irradiance", self.irradiance),
+            ("distance", self.distance),
+        ):
+            if not np.isfinite(value):
+                fail(f"{key} is {value:g}; it must be finite")
+        if self.rectangular and not (0 < a < np.inf and 0 < b < np.inf):
             fail(f"half_width = {a:g} mm and half_height = {b:g} mm; both must be positive")
-        if not self.rectangular and not a > 0:
+        if not self.rectangular and not 0 < a < np.inf:
             fail(f"radius is {a:g} mm; give a positive radius (or half_width and half_height)")
         if not self.rectangular and not 0 <= b < a:
             fail(f"inner_radius is {b:g} mm; it must lie between 0 and radius = {a:g} mm")
@@ -103,7 +110,7 @@ class Collimated(mi.Emitter):
             fail(f"plane is '{self.plane}'; use 'beam' or 'axis'")
         if self.pattern not in ("random", "grid"):
             fail(f"pattern is '{self.pattern}'; use 'random' or 'grid'")
-        if np.any(self.wavelengths_nm <= 0):
+        if not np.all(self.wavelengths_nm > 0):
             fail("wavelength_nm must be positive")
         if len(self.weights) != len(self.wavelengths_nm) or np.any(self.weights < 0) or not self.weights.sum() > 0:
             fail(f"weights needs {len(self.wavelengths_nm)} values ≥ 0 that are not all 0, one for each wavelength")

@@ -42,11 +42,17 @@ class Revolution(mi.Mesh):
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
         self.values = values
-        self.check()
+        self._check_all()
         self.parameters = {key: mi.Float(value) for key, value in values.items()}
         vertices, faces = self._tessellate()
         mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
         write_mesh(self, vertices, faces)
+
+    def _check_all(self) -> None:
+        for key, value in self.values.items():
+            if not np.isfinite(value):
+                raise MistrayError(f"shape '{self.name}': {key} is {value:g}; it must be finite")
+        self.check()
 
     def check(self) -> None:
         """Raise `MistrayError` if a value is impossible."""
@@ -79,21 +85,25 @@ class Revolution(mi.Mesh):
             callback.put(key, value, mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous)
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
-        changed = [key for key in self.__dict__.get("parameters", {}) if not keys or key in keys]
-        if changed and any(float(self.parameters[key][0]) != np.float32(self.values[key]) for key in changed):
-            before = dict(self.values)
-            for key in changed:
-                value = float(dr.detach(self.parameters[key])[0])
-                if value != float(np.float32(self.values[key])):
-                    self.values[key] = value
-            try:
-                self.check()
-            except MistrayError:
-                self.values = before
-                raise
-            write_mesh(self, *self._tessellate())
+        given = {key: float(dr.detach(value)[0]) for key, value in self.__dict__.get("parameters", {}).items()}
+        # Compared in float32, so that what was not touched keeps the digits of the scene
+        changed = {
+            key: value
+            for key, value in given.items()
+            if (not keys or key in keys) and value != float(np.float32(self.values[key]))
+        }
+        if not changed:
+            mi.Mesh.parameters_changed(self, keys)
             return
-        mi.Mesh.parameters_changed(self, keys)
+        before, self.values = self.values, self.values | changed
+        try:
+            self._check_all()
+        except MistrayError:
+            self.values = before
+            for key in changed:
+                self.parameters[key][0] = before[key]
+            raise
+        write_mesh(self, *self._tessellate())
 
     def to_string(self) -> str:
         inside = ", ".join(f"{key} = {value:g}" for key, value in self.values.items() if value)
@@ -146,6 +156,6 @@ def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray,
 def float_property(props: mi.Properties, key: str, default: Any = None) -> float:
     """A property as float; integers are accepted, anything else raises a `MistrayError` that names it."""
     value = props.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float):
+    if isinstance(value, bool) or not isinstance(value, int | float) or np.isnan(value):
         raise MistrayError(f"shape '{props.id()}': {key} is {value!r}; it must be a number")
     return float(value)

@@ -1,0 +1,126 @@
+"""`mistray.load`: where a scene may come from, and that what comes back is whole."""
+
+from __future__ import annotations
+
+import shutil
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import pytest
+from oracles import scene_xml
+
+import mistray
+from mistray.scene import find
+from mistray.scene.load import LOADING
+
+SCENES = sorted((Path(__file__).parents[1] / "scenes").glob("*/scene.xml"))
+
+
+@pytest.mark.parametrize("path", SCENES, ids=[path.parent.name for path in SCENES])
+def test_shipped_scenes_by_name_file_and_folder(path: Path, tmp_path: Path) -> None:
+    """All shapes arrive under their own names, in the file's order, with what the file says."""
+    copy = tmp_path / path.parent.name
+    shutil.copytree(path.parent, copy)
+    model = scene_xml.read_scene(path)
+    for source in (path.parent.name, path, str(path), copy, copy / "scene.xml"):
+        scene = mistray.load(source)
+        assert isinstance(scene, mi.Scene)
+        assert [shape.id() for shape in scene.shapes()] == [shape.shape_id for shape in model.shapes]
+    for shape, expected in zip(scene.shapes(), model.shapes, strict=True):
+        assert shape.part == expected.part
+        assert shape.space == expected.space
+        assert shape.is_sensor() == expected.detector
+        assert shape.bsdf().opaque == expected.interface.opaque
+        assert shape.bsdf().mirror == expected.interface.mirror
+        assert shape.matrix == pytest.approx(expected.to_world, abs=1e-9)
+    assert len(scene.emitters()) == len(model.emitters)
+    assert scene.integrator().settings.max_events == 64
+
+
+def test_find(tmp_path: Path) -> None:
+    assert find("plate").name == "scene.xml"
+    assert find(SCENES[0]) == SCENES[0]
+    assert find(SCENES[0].parent) == SCENES[0]
+    with pytest.raises(mistray.MistrayError, match=r"scene 'pancake': no such file; .* phone_camera, plate"):
+        find("pancake")
+    with pytest.raises(mistray.MistrayError, match="no such file"):
+        mistray.load(tmp_path)
+
+
+def test_a_file_wins_over_a_shipped_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A folder `plate` in the working directory is the user's own."""
+    mine = tmp_path / "plate"
+    mine.mkdir()
+    text = find("plate").read_text(encoding="utf-8").replace('id="plate_rear"', 'id="my_rear"')
+    (mine / "scene.xml").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    names = [shape.id() for shape in mistray.load("plate/scene.xml").shapes()]
+    assert "my_rear" in names
+
+
+@pytest.mark.parametrize(
+    ("source", "message"),
+    [
+        ({"type": "scene", "a": {"type": "asphere"}}, "give either semi_diameter"),
+        ({"type": "scene", "a": {"type": "asphere", "semi_diameter": 1.0, "colour": 2.0}}, "colour"),
+        ({"type": "asphere", "semi_diameter": 1.0}, 'add "type": "scene"'),
+        ({"type": "scene", "a": {"type": "spheroid"}}, "spheroid"),
+    ],
+)
+def test_errors_are_one_line(source: dict[str, Any], message: str) -> None:
+    with pytest.raises(mistray.MistrayError) as caught:
+        mistray.load(source)
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_coating_tables_lie_beside_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A relative path is relative to the scene file, not to the working directory."""
+    folder = tmp_path / "lens"
+    folder.mkdir()
+    (folder / "coat.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,.2,.7\n550,90,.2,.7\n", encoding="utf-8")
+    text = find("plate").read_text(encoding="utf-8")
+    text = text.replace('<string name="back" value="1.5"/>', '<string name="back" value="1.5"/>'
+                        '<string name="table" value="coat.csv"/>', 1)  # fmt: skip
+    (folder / "scene.xml").write_text(text, encoding="utf-8")
+    monkeypatch.chdir(tmp_path)
+    t = mistray.trace(mistray.load("lens/scene.xml"), rays=100, max_reflections=0)
+    assert t.paths[0].power_W / t.energy.launched_W == pytest.approx(0.7 * 0.96, rel=1e-6)
+
+
+def test_scenes_are_loaded_one_shape_after_the_other(monkeypatch: pytest.MonkeyPatch) -> None:
+    """In parallel, Mitsuba may begin one Python plugin inside of another one's constructor, on the same thread, while
+    this one waits for Dr.Jit. That has ended in a segmentation fault.
+    """
+    assert LOADING == {"optimize": False, "parallel": False}
+    depth = {"now": 0, "most": 0}
+    from mistray.plugins.shapes import revolution
+
+    write = revolution.write_mesh
+
+    def watched(*arguments: Any) -> None:
+        depth["now"] += 1
+        depth["most"] = max(depth["most"], depth["now"])
+        write(*arguments)
+        depth["now"] -= 1
+
+    monkeypatch.setattr(revolution, "write_mesh", watched)
+    for _ in range(3):
+        mistray.load("newtonian")
+    assert depth["most"] == 1
+
+
+def test_merged_shapes_keep_their_names() -> None:
+    """Mitsuba's scene optimisation would make one nameless mesh of these."""
+    black = {"type": "interface", "R": 0.0}
+    scene = mistray.load(
+        {
+            "type": "scene",
+            **{
+                f"disk_{z}": {"type": "disk", "to_world": mi.ScalarTransform4f().translate([0, 0, z]), "bsdf": black}
+                for z in range(3)
+            },
+        }
+    )
+    assert [shape.id() for shape in scene.shapes()] == ["disk_0", "disk_1", "disk_2"]
