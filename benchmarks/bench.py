@@ -179,6 +179,14 @@ def first_run(name: str) -> str:
     return f"`{name}`, 1000 rays, fresh process to path table: {times}."
 
 
+def cores_in_use() -> float:
+    """CPU time over wall time of a trace: how many cores the machine really gave to the threads."""
+    (run,) = prepare(mistray.load("double_gauss"), Settings(rays=1 << 18))
+    wall, cpu = time.perf_counter(), time.process_time()
+    run.execute(False, None)
+    return (time.process_time() - cpu) / (time.perf_counter() - wall)
+
+
 def _cpu_information() -> list[str]:
     file = Path("/proc/cpuinfo")
     return file.read_text().splitlines() if file.exists() else []
@@ -214,7 +222,7 @@ def main() -> None:
             "",
             "Written by `make bench`. Best of several alternating repeats, kernels compiled before; the ratios count.",
             "",
-            f"Machine: {machine()}.",
+            f"Machine: {machine()}; {cores_in_use():.1f} cores at work during a trace (batoid uses one).",
             "",
             *table,
             "",
