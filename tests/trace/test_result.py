@@ -61,6 +61,22 @@ class TestMaps:
         nothing, _ = triplet.irradiance_of([])
         assert not nothing.any()
 
+    @pytest.mark.parametrize(
+        "mode", [{"splitting": "one"}, {"splitting": "one", "below_threshold": "roulette", "flux_threshold": 0.5}]
+    )
+    def test_random_walks_repeat_exactly(self, mode: dict[str, Any]) -> None:
+        """Maps, boxes and histories trace the same rays again and must draw the same random numbers."""
+        t = mistray.trace(mistray.load("cooke_triplet"), rays=8000, field_deg=5.0, **mode)
+        total, _ = t.irradiance_of([row.path_id for row in t.paths])
+        np.testing.assert_allclose(total, t.irradiance, rtol=1e-12, atol=1e-12 * t.irradiance.max())
+        assert [row.rays for row in t.box(*t.extent)] == [row.rays for row in t.paths]
+        for row in t.paths[1:4]:
+            table = t.history(row.path_id, 10_000).to_pandas()
+            hits = table[table.intercept == "Absorbed"]
+            assert len(hits) == row.rays
+            assert hits.flux_W.sum() == pytest.approx(row.incident_W, rel=1e-9)
+            assert hits.x_mm.mean() == pytest.approx(row.x_mm, abs=1e-4 + row.x_se_mm)
+
     def test_errors(self, triplet) -> None:
         with pytest.raises(mistray.MistrayError, match=r"path_id 99999 does not exist; .* 0 … \d+"):
             triplet.irradiance_of([99999])
