@@ -131,7 +131,7 @@ OTHERS = [
     Case("a string", ('<float name="semi_diameter" value="5"/>', '<string name="semi_diameter" value="5"/>'),
          words=("shape 'L1_front': semi_diameter is '5'; it must be a number",)),
     Case("nan", ('name="semi_diameter" value="5"', 'name="semi_diameter" value="nan"'),
-         words=("semi_diameter is nan mm; it must be positive",)),
+         words=("semi_diameter is nan; it must be a number",)),
     Case("given twice", ('<float name="radius" value="20"/>',
          '<float name="radius" value="20"/><float name="radius" value="21"/>'),
          words=("shape 'L1_front': radius is given twice; keep one",)),
