@@ -160,11 +160,10 @@ class TestStockProtocol:
     def test_masks(self, pair: tuple[Any, Oracle]) -> None:
         bsdf, _ = pair
         si = self.surface(np.array([-0.9, 0.9]))
-        both = bsdf.sample(mi.BSDFContext(), si, mi.Float(0.5), mi.Point2f(0.5))[1]
         shares = []
         for component in (0, 1):
-            for context in (mi.BSDFContext(), mi.BSDFContext()):
-                context.component = component
+            context = mi.BSDFContext()
+            context.component = component
             context.type_mask = mi.BSDFFlags.DeltaReflection if component == 0 else mi.BSDFFlags.DeltaTransmission
             sample, weight = bsdf.sample(context, si, mi.Float(0.5), mi.Point2f(0.5))
             lit = np.array(weight)[0] > 0

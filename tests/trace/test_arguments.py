@@ -1,0 +1,204 @@
+"""What a trace is asked for: colours, sources, detectors, arguments, and what it says when that is not to be had."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+
+import mistray
+
+
+class TestColoursSourcesDetectors:
+    def test_wavelengths_with_weights(self, load_text) -> None:
+        """Each colour is traced with its own index and carries its share."""
+        text = plates_text(1, index="N-BK7").replace(
+            "</emitter>",
+            '<string name="wavelength_nm" value="486.1, 656.3"/><string name="weights" value="3, 1"/></emitter>',
+        )
+        t = mistray.trace(load_text(text)[0], rays=4000)
+        assert t.settings["wavelength_nm"] == [486.1, 656.3]
+        assert t.settings["rays"] == 4000
+        direct = {row.wavelength_nm: row for row in t.paths if row.order == 0}
+        assert set(direct) == {486.1, 656.3}
+        for wavelength, share in ((486.1, 0.75), (656.3, 0.25)):
+            n = mistray.materials.refractive_index("N-BK7", wavelength)
+            r = ((n - 1) / (n + 1)) ** 2
+            assert direct[wavelength].power_W == pytest.approx(np.pi * share * (1 - r) ** 2, rel=2e-6)
+        assert direct[486.1].rays == 3 * direct[656.3].rays
+        assert len({row.path_id for row in t.paths}) == len(t.paths) == 4
+        assert sum(row.power_W for row in t.paths) == pytest.approx(t.energy.detected_W, rel=1e-9)
+        assert t.energy.launched_W == pytest.approx(np.pi, rel=1e-12)
+        assert abs(t.energy.closure) < 1e-6
+        table = t.incident(10)
+        assert set(table.wavelength_nm) == {486.1, 656.3}
+        one = t.paths.find("p0_rear:R")[0]
+        assert set(t.history(one.path_id, 3).to_pandas().wavelength_nm) == {one.wavelength_nm}
+        total, _ = t.irradiance_of([row.path_id for row in t.paths])
+        np.testing.assert_allclose(total, t.irradiance, rtol=1e-9, atol=1e-12)
+
+    def test_wavelengths_of_the_call(self) -> None:
+        scene = mistray.load("lens_and_reflector")
+        t = mistray.trace(scene, rays=900, wavelength_nm=[486.1, 587.6, 656.3])
+        assert {row.wavelength_nm for row in t.paths} == {486.1, 587.6, 656.3}
+        assert t.energy.launched_W == pytest.approx(mistray.trace(scene, rays=900).energy.launched_W, rel=1e-12)
+
+    def test_a_colour_of_no_weight(self, load_text) -> None:
+        text = plates_text(1).replace(
+            "</emitter>",
+            '<string name="wavelength_nm" value="500, 600"/><string name="weights" value="1, 0"/></emitter>',
+        )
+        t = mistray.trace(load_text(text)[0], rays=100)
+        assert t.energy.launched_W == pytest.approx(np.pi)
+        assert {row.wavelength_nm for row in t.paths if row.power_W > 0} == {500.0}
+        assert np.isfinite([row.percent for row in t.paths]).all()
+
+    def two_sources(self) -> str:
+        second = (
+            '<emitter type="collimated" id="second"><float name="radius" value="0.5"/>'
+            '<float name="irradiance" value="8"/><float name="field_deg" value="10"/></emitter>'
+        )
+        return plates_text(1).replace("<emitter", f'{second}<emitter id="first"', 1)
+
+    def test_sources(self, load_text) -> None:
+        scene, _ = load_text(self.two_sources())
+        t = mistray.trace(scene, rays=3000)
+        assert t.energy.launched_W == pytest.approx(np.pi * (1 + 2), rel=1e-12)
+        rays = {row.source: row.rays for row in t.paths if row.order == 0}
+        assert rays == {"first": 1000, "second": 2000}  # in proportion to the flux
+        centres = {row.source: row.y_mm for row in t.paths if row.order == 0}
+        assert abs(centres["first"]) < 0.1
+        assert centres["second"] > 1.0
+        table = t.incident(20)
+        assert set(table.source) == {"first", "second"}
+        assert len(table) == 20
+        second = next(row for row in t.paths if row.source == "second" and row.order == 0)
+        history = t.history(second.path_id, 4).to_pandas()
+        assert set(history[history.intercept == "Emitted"].object) == {"second"}
+        both = mistray.trace(scene, rays=3000, field_deg=0.0)
+        assert all(abs(row.y_mm) < 0.1 for row in both.paths)
+
+    def test_detectors(self, load_text) -> None:
+        """Several detectors: one is chosen by name, the other ones absorb."""
+        mirror = interface_xml(R=0.5, T=0.5)
+        side = shape_xml(
+            "asphere", "side", -5.0, sensor=True, half_width=30.0, half_height=30.0, inner_semi_diameter=0.0
+        )
+        side = side.replace('<float name="inner_semi_diameter" value="0.0"/>', "")
+        text = scene_text(
+            side,
+            shape_xml("asphere", "splitter", 0.0, mirror, semi_diameter=20.0),
+            shape_xml("asphere", "back", 5.0, sensor=True, half_width=30.0, half_height=30.0),
+        ).replace('name="radius"', 'name="distance" value="2"/><float name="radius"', 1)
+        scene, _ = load_text(text)
+        with pytest.raises(mistray.MistrayError, match=r"2 detectors \(back, side\)"):
+            mistray.trace(scene, rays=100)
+        with pytest.raises(mistray.MistrayError, match=r"'splitter' is no detector .* choose one of back, side"):
+            mistray.trace(scene, rays=100, detector="splitter")
+        for name, other, path in (("back", "side", "TA"), ("side", "back", "RA")):
+            t = mistray.trace(scene, rays=100, detector=name)
+            assert t.settings["detector"] == name
+            assert [row.path for row in t.paths] == [path]
+            assert t.energy.detected_W == pytest.approx(np.pi / 2, rel=1e-6)
+            assert t.energy.absorbed[other][0] == pytest.approx(np.pi / 2, rel=1e-6)
+
+
+class TestArguments:
+    def test_the_scene_has_the_first_word_and_the_call_the_last(self, load_text) -> None:
+        text = plates_text(1).replace(
+            '<integrator type="straylight"/>',
+            '<integrator type="straylight"><integer name="rays" value="77"/><integer name="max_reflections" value="4"/>'
+            '<float name="flux_threshold" value="1e-6"/><string name="splitting" value="split"/>'
+            '<integer name="seed" value="9"/></integrator>',
+        )
+        scene, _ = load_text(text)
+        own = mistray.trace(scene).settings
+        assert (own["rays"], own["max_reflections"], own["flux_threshold"], own["seed"]) == (77, 4, 1e-6, 9)
+        given = mistray.trace(scene, rays=50, max_reflections=0, seed=0, flux_threshold=0.0).settings
+        assert (given["rays"], given["max_reflections"], given["flux_threshold"], given["seed"]) == (50, 0, 0.0, 0)
+        assert given["variant"] == "llvm_ad_rgb"
+        assert set(given["versions"]) == {"mistray", "mitsuba", "drjit", "numpy"}
+
+    def test_field_and_azimuth(self, load_text) -> None:
+        """Direction Rz(azimuth) (0, sin θ, cos θ)."""
+        scene, _ = load_text(plates_text(1))
+        for field, azimuth, expected in ((10.0, 0.0, (0, 1)), (10.0, 90.0, (-1, 0)), (-10.0, 0.0, (0, -1))):
+            t = mistray.trace(scene, rays=2000, field_deg=field, azimuth_deg=azimuth)
+            inside = np.arcsin(np.sin(np.radians(10)) / 1.5)
+            shift = 5 * np.tan(inside) + 5 * np.tan(np.radians(10))
+            place = (t.paths[0].x_mm, t.paths[0].y_mm)
+            assert place == pytest.approx(tuple(shift * np.array(expected)), abs=0.06)
+            assert (t.settings["field_deg"], t.settings["azimuth_deg"]) == (field, azimuth)
+
+    @pytest.mark.parametrize(
+        ("wrong", "message"),
+        [
+            ({"rays": 0}, "rays is 0"),
+            ({"rays": 2.5}, "rays is 2.5; it must be a whole number"),
+            ({"rays": 2**32}, "several seeds"),
+            ({"max_reflections": -1}, "max_reflections is -1"),
+            ({"max_events": 0}, "max_events is 0; it must lie between 1 and 64"),
+            ({"max_events": 65}, "max_events is 65"),
+            ({"flux_threshold": 1.0}, "flux_threshold is 1.0"),
+            ({"flux_threshold": float("nan")}, "flux_threshold is nan"),
+            ({"splitting": "both"}, "splitting is 'both'; use 'split' or 'one'"),
+            ({"below_threshold": "stop"}, "below_threshold is 'stop'; use 'cut' or 'roulette'"),
+            ({"seed": -1}, "seed is -1"),
+            ({"field_deg": 90.0}, "field_deg is 90; it must lie between -90 and 90"),
+            ({"field_deg": float("inf")}, "field_deg is inf"),
+            ({"azimuth_deg": float("nan")}, "azimuth_deg is nan"),
+            ({"wavelength_nm": -1.0}, "wavelength_nm is -1"),
+        ],
+    )
+    def test_out_of_range(self, wrong: dict[str, Any], message: str) -> None:
+        with pytest.raises(mistray.MistrayError) as caught:
+            mistray.trace(mistray.load("plate"), **{"rays": 10, **wrong})
+        assert message in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    def test_what_is_missing_or_wrong(self, load_text) -> None:
+        detector = shape_xml("asphere", "detector", 5.0, sensor=True, half_width=1.0, half_height=1.0)
+        with pytest.raises(mistray.MistrayError, match="got str; load the scene first"):
+            mistray.trace("plate")
+        scene, _ = load_text(scene_text(shape_xml("asphere", "wall", 0.0, semi_diameter=3.0)))
+        with pytest.raises(mistray.MistrayError, match="no detector; nest an 'irradiancemeter'"):
+            mistray.trace(scene)
+        scene = mistray.load(load_text(scene_text(detector))[1].path)
+        with pytest.raises(mistray.MistrayError, match=r"no ray of the beam along \(0, 0.9848, 0.1736\) hits"):
+            mistray.trace(scene, rays=10, field_deg=80.0)
+        bare = mistray.load({"type": "scene", "d": {"type": "asphere", "semi_diameter": 1.0,
+                                                    "bsdf": {"type": "interface", "R": 0.0}}})  # fmt: skip
+        with pytest.raises(mistray.MistrayError, match="no source; add an emitter of type 'collimated'"):
+            mistray.trace(bare)
+
+    def test_a_detector_that_absorbs_nothing(self, load_text) -> None:
+        """A bare interface in air transmits everything; a map of zeros would hide the mistake."""
+        for coating in ({}, {"R": 0.2, "T": 0.8}):
+            detector = shape_xml(
+                "asphere", "detector", 5.0, interface_xml(**coating), sensor=True, half_width=2.0, half_height=2.0
+            )
+            scene, _ = load_text(scene_text(detector))
+            with pytest.raises(mistray.MistrayError, match=r"detector 'detector' absorbs nothing .* R \(and T = 0\)"):
+                mistray.trace(scene, rays=10)
+
+    def test_progress(self) -> None:
+        calls: list[tuple[int, int]] = []
+        mistray.trace(mistray.load("plate"), rays=3000, progress=lambda done, total: calls.append((done, total)))
+        assert calls[-1] == (3000, 3000)
+        calls.clear()
+        mistray.trace(
+            mistray.load("plate"), rays=3000, wavelength_nm=[500, 600, 700],
+            progress=lambda done, total: calls.append((done, total)),
+        )  # fmt: skip
+        assert [done for done, _ in calls] == [1000, 2000, 3000]
+
+    def test_shapes_without_ids(self, load_text) -> None:
+        text = plates_text(1)
+        for name in ("p0_front", "p0_rear", "detector"):
+            text = text.replace(f' id="{name}"', "")
+        t = mistray.trace(load_text(text)[0], rays=10)
+        assert t.paths[0].events == "shape_1:T shape_2:T shape_3:A"
+        assert [row.part for row in t.surfaces] == ["shape_1", "shape_2", "shape_3"]
+        assert t.paths[0].source == "source_1"
