@@ -20,7 +20,7 @@ import numpy as np
 
 import mistray
 from mistray.prescription import from_batoid
-from mistray.trace.ray_tree import SEGMENTS
+from mistray.trace.books import SEGMENTS
 from mistray.trace.settings import Settings
 from mistray.trace.tracer import Run, prepare
 

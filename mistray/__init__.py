@@ -14,8 +14,9 @@ from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
-    from mistray import analysis, materials, physics, prescription, report, scene
+    from mistray import analysis, coatings, materials, optimize, physics, prescription, report, scene
     from mistray.analysis import GhostReport, ghosts
+    from mistray.optimize import Metric, gradient
     from mistray.prescription import Detector, Prescription, Source, Structure, Surface
     from mistray.scene import load  # type: ignore[no-redef]
     from mistray.trace import Trace, trace
@@ -26,17 +27,20 @@ _HOMES = {
     "Trace": "mistray.trace",
     "ghosts": "mistray.analysis",
     "GhostReport": "mistray.analysis",
+    "Metric": "mistray.optimize",
+    "gradient": "mistray.optimize",
     "Detector": "mistray.prescription",
     "Prescription": "mistray.prescription",
     "Source": "mistray.prescription",
     "Structure": "mistray.prescription",
     "Surface": "mistray.prescription",
 }
-_MODULES = ("analysis", "materials", "physics", "prescription", "report", "scene")
+_MODULES = ("analysis", "coatings", "materials", "optimize", "physics", "prescription", "report", "scene")
 
 __all__ = [
     "Detector",
     "GhostReport",
+    "Metric",
     "MistrayError",
     "Prescription",
     "Source",
@@ -44,10 +48,13 @@ __all__ = [
     "Surface",
     "Trace",
     "analysis",
+    "coatings",
     "ensure_variant",
     "ghosts",
+    "gradient",
     "load",
     "materials",
+    "optimize",
     "physics",
     "prescription",
     "report",

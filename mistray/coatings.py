@@ -13,7 +13,7 @@ from mistray.errors import MistrayError
 COLUMNS = ("wavelength_nm", "angle_deg", "R", "T")
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, eq=False)
 class CoatingTable:
     """
     R and T on a rectangular grid of wavelengths and angles.
@@ -119,3 +119,47 @@ class CoatingTable:
             u = (wavelength_nm - lam[i]) / (lam[i + 1] - lam[i])
             slab = (1 - u) * self.values[i] + u * self.values[i + 1]
         return np.column_stack([np.interp(cos_rare, self.cos_rare, slab[:, k]) for k in range(3)])
+
+    def response(self, wavelength_nm, n_front, n_back, cos_incident, from_front):  # type: ignore[no-untyped-def]
+        """Placeholder."""
+        n1, n2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
+        s2 = (n1 / n2) ** 2 * (1 - cos_incident**2)
+        c2 = np.sqrt(np.maximum(1 - s2, 0))
+        v = self.evaluate(wavelength_nm, np.minimum(cos_incident, c2))
+        r, t = v[:, 0 if from_front else 1], v[:, 2]
+        r, t = np.where(s2 >= 1, r + t, r), np.where(s2 >= 1, 0, t)
+        return Response(np.stack([r, r], 1), np.stack([t, t], 1), np.full(len(r), np.pi), np.zeros(len(r)))
+
+
+@dataclass(frozen=True)
+class Response:
+    """Placeholder of worker C's class."""
+
+    R: np.ndarray
+    T: np.ndarray
+    phase_r: np.ndarray
+    phase_t: np.ndarray
+
+
+@dataclass(frozen=True)
+class Bare:
+    """Placeholder of worker C's class."""
+
+    name: str = "bare"
+    opaque: bool = False
+
+    def response(self, wavelength_nm, n_front, n_back, cos_incident, from_front):  # type: ignore[no-untyped-def]
+        """Fresnel."""
+        n1, n2 = (n_front, n_back) if from_front else (n_back, n_front)
+        c1 = np.asarray(cos_incident) + 0j
+        c2 = np.sqrt(1 - (n1 / n2) ** 2 * (1 - c1 * c1) + 0j)
+        c2 = np.where((n2 * c2).imag < 0, -c2, c2)
+        rs = (n1 * c1 - n2 * c2) / (n1 * c1 + n2 * c2 + 1e-300)
+        rp = (n2 * c1 - n1 * c2) / (n2 * c1 + n1 * c2 + 1e-300)
+        R = np.abs(np.stack([rs, rp], axis=1)) ** 2
+        R[np.asarray(cos_incident) == 0] = 1
+        return Response(R, np.maximum(1 - R, 0), np.angle(rs * rp.conj()), np.zeros(len(R)))
+
+
+class Stack:
+    """Placeholder of worker C's class."""

@@ -14,6 +14,7 @@ from report.fake_trace import trace_at
 import mistray.scene
 import mistray.scenes
 from mistray import cli
+from mistray.cli import program
 from mistray.errors import MistrayError
 
 
@@ -61,16 +62,24 @@ def test_help_of_every_command_has_an_example(capsys):
         assert err == ""
 
 
-def test_the_command_line_itself_imports_nothing_heavy():
+@pytest.mark.parametrize("file", sorted(Path(cli.__file__).parent.glob("*.py")), ids=lambda file: file.stem)
+def test_the_command_line_itself_imports_nothing_heavy(file):
     """Analysis and Mitsuba are imported by the command that needs them, after libLLVM is settled."""
-    tree = ast.parse(Path(cli.__file__).read_text(encoding="utf-8"))
+    tree = ast.parse(file.read_text(encoding="utf-8"))
     names = set()
     for node in tree.body:
         if isinstance(node, ast.Import):
             names |= {alias.name for alias in node.names}
         elif isinstance(node, ast.ImportFrom):
             names.add(node.module)
-    assert {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names} == {"mistray.errors"}
+    heavy = {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names}
+    assert not {name for name in heavy if name != "mistray.errors" and not name.startswith("mistray.cli")}
+
+
+def test_every_command_is_in_the_list():
+    files = Path(cli.__file__).parent.glob("*.py")
+    commands = {file.stem for file in files if "\ndef add(commands" in file.read_text(encoding="utf-8")}
+    assert {module.__name__.rpartition(".")[2] for module in program.COMMANDS} == commands
 
 
 def test_version(capsys):

@@ -33,23 +33,6 @@ Polyline = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
-class DirectImage:
-    """
-    The direct image at one field angle, all wavelengths together.
-
-    Attributes
-    ----------
-    power_W, rms_radius_mm, rms_irradiance_W_mm2 : Estimate
-        Absorbed power, RMS radius about the centroid and ``P / (π r_rms²)``. The last two are NaN, and the power is 0,
-        where no direct light reaches the detector.
-    """
-
-    power_W: Estimate
-    rms_radius_mm: Estimate
-    rms_irradiance_W_mm2: Estimate
-
-
-@dataclass(frozen=True)
 class FieldSummary:
     """
     One row of the main table.
@@ -362,70 +345,8 @@ def ghosts(
     return GhostReport(scene, traces, nominal, settings)
 
 
-def direct_image(t: Trace) -> DirectImage:
-    """
-    Direct image of one trace.
-
-    Several direct paths (one for each wavelength, say) are pooled: powers add, second moments about the common centroid
-    add with the powers as weights. Errors of the pooled numbers are upper bounds.
-    """
-    table = t.paths.to_pandas()
-    rows = table[table.kind == DIRECT]
-    power = _power(rows)
-    if power.value <= 0:
-        return DirectImage(Estimate(0.0, power.se), UNKNOWN, UNKNOWN)
-    if len(rows) == 1:
-        row = rows.iloc[0]
-        return DirectImage(
-            power,
-            Estimate(float(row.rms_radius_mm), float(row.rms_radius_se_mm)),
-            Estimate(float(row.rms_irradiance_W_mm2), float(row.rms_irradiance_se_W_mm2)),
-        )
-    weight = (rows.power_W / power.value).to_numpy()
-    offset2 = (rows.x_mm - weight @ rows.x_mm) ** 2 + (rows.y_mm - weight @ rows.y_mm) ** 2
-    radius = math.sqrt(float(weight @ (rows.rms_radius_mm**2 + offset2)))
-    radius_se = float(weight @ (rows.rms_radius_mm * rows.rms_radius_se_mm)) / radius
-    irradiance = power.value / (math.pi * radius**2)
-    relative = power.se / power.value + 2 * radius_se / radius
-    return DirectImage(power, Estimate(radius, radius_se), Estimate(irradiance, irradiance * relative))
-
-
-def label(ghost_1: str, ghost_2: str, kind: str) -> str:
-    """A path in words: its ghost surfaces in the order of the light, or its kind when it has none."""
-    surfaces = [name for name in (ghost_1, ghost_2) if name != "-"]
-    return " → ".join(surfaces) if surfaces else "direct image" if kind == DIRECT else kind
-
-
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:
     """Progress of one trace as a part of the whole."""
     if progress is None:
         return None
     return lambda rays, of: progress(done + rays / of, fields)
-
-
-def _ranked(table: pd.DataFrame, nominal: DirectImage) -> pd.DataFrame:
-    table = table.copy()
-    table["label"] = [label(*row) for row in table[["ghost_1", "ghost_2", "kind"]].itertuples(index=False)]
-    normalised = [
-        Estimate(*row).over(nominal.rms_irradiance_W_mm2)
-        for row in table[["rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"]].itertuples(index=False)
-    ]
-    table["normalised_rms_irradiance"] = [estimate.value for estimate in normalised]
-    table["normalised_rms_irradiance_se"] = [estimate.se for estimate in normalised]
-    table["well_sampled"] = table.rays.to_numpy(np.int64) >= FEWEST_RAYS
-    stray = table.kind != DIRECT
-    power, irradiance = (table[name].to_numpy(np.float64) for name in ("power_W", "rms_irradiance_W_mm2"))
-    irradiance = np.where(np.isfinite(irradiance), irradiance, 0.0)
-    orders = {
-        "rank_power": np.lexsort((-power, ~stray)),
-        "rank_rms_irradiance": np.lexsort((-power, -irradiance, ~table.well_sampled, ~stray)),
-    }
-    for name, order in orders.items():
-        rank = np.empty(len(table), dtype=np.int64)
-        rank[order] = np.arange(1, len(table) + 1)
-        table[name] = np.where(stray, rank, 0)
-    return table
-
-
-def _power(rows: pd.DataFrame) -> Estimate:
-    return total(Estimate(float(p), float(se)) for p, se in zip(rows.power_W, rows.power_se_W, strict=True))

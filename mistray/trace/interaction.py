@@ -9,19 +9,25 @@ import mitsuba as mi
 
 from mistray.physics.fresnel import reflectance
 from mistray.physics.sag import sag, sag_derivative
-from mistray.trace.surfaces import (
+from mistray.trace.optics import (
     ASPHERIC,
     BACK_MEDIUM_SHIFT,
     FRESNEL,
     FRONT_MEDIUM_SHIFT,
+    IDEAL,
     MEDIUM_MASK,
     MIRROR,
     OPAQUE,
-    POLYNOMIAL_VECTORS,
-    TABLE_NODES,
+    REFLECTION_BACK,
+    REFLECTION_FRONT,
     TABLED,
-    SurfaceTable,
+    TRANSMISSION,
 )
+from mistray.trace.polarization import Mueller, from_plane, plane_of_incidence, to_plane
+from mistray.trace.surfaces import POLYNOMIAL_VECTORS, SurfaceTable
+
+# Channel of a gradient: an ideal coating reflects R + T beyond the critical angle
+REFLECTION_AND_TRANSMISSION = 3
 
 
 @dataclass
@@ -36,7 +42,8 @@ class Interaction:
     reflected, transmitted : mi.Vector3f
         Unit directions.
     R, T : mi.Float
-        Specular shares of the flux; what is left is absorbed. Total internal reflection has T = 0.
+        Specular shares of the flux, for the polarisation of the branch; what is left is absorbed. Total internal
+        reflection has T = 0.
     tir : mi.Bool
         Total internal reflection.
     word : mi.UInt32
@@ -45,6 +52,12 @@ class Interaction:
         Numbers of the materials on the side of incidence and on the other; 0 where any will do.
     local : mi.Vector3f
         The point in the surface's own frame, mm.
+    from_front : mi.Bool
+        Whether the light comes from the front.
+    place : Place
+        Where R and T stand in the tables.
+    polarized : Polarized or None
+        What becomes of the Stokes vector.
     """
 
     p: mi.Vector3f
@@ -57,10 +70,49 @@ class Interaction:
     medium_in: mi.UInt32
     medium_out: mi.UInt32
     local: mi.Vector3f
+    from_front: mi.Bool
+    place: Place
+    polarized: Polarized | None
+
+    def channel(self, reflect: mi.Bool) -> mi.UInt32:
+        """Column of the table that holds the factor of the reflected or the transmitted child."""
+        both = self.tir & ((self.word & 3) == IDEAL)
+        reflection = dr.select(self.from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
+        reflection = dr.select(both, REFLECTION_AND_TRANSMISSION, reflection)
+        return dr.select(reflect, reflection, mi.UInt32(TRANSMISSION))
+
+
+@dataclass
+class Place:
+    """Row of the table and the fraction of the way to the next row."""
+
+    row: mi.UInt32
+    fraction: mi.Float
+
+
+@dataclass
+class Polarized:
+    """The Stokes vector in the plane of incidence and what the surface does to it."""
+
+    stokes: mi.Vector3f
+    s: mi.Vector3f
+    reflection: Mueller
+    transmission: Mueller
+
+    def after(self, reflect: mi.Bool, d: mi.Vector3f) -> mi.Vector3f:
+        """Stokes vector of the child that leaves along d."""
+        chosen = dr.select(reflect, self.reflection.apply(self.stokes), self.transmission.apply(self.stokes))
+        return from_plane(chosen, d, self.s)
 
 
 def interact(
-    table: SurfaceTable, p: mi.Vector3f, d: mi.Vector3f, s: mi.UInt32, stock_normal: mi.Vector3f | None, active: mi.Bool
+    table: SurfaceTable,
+    p: mi.Vector3f,
+    d: mi.Vector3f,
+    s: mi.UInt32,
+    stock_normal: mi.Vector3f | None,
+    stokes: mi.Vector3f | None,
+    active: mi.Bool,
 ) -> Interaction:
     """
     Evaluate the surfaces s at the points p for light that travels along d.
@@ -74,13 +126,15 @@ def interact(
         Numbers of the surfaces.
     stock_normal : mi.Vector3f, optional
         Normal where the surface is a stock shape; needed if the scene has any.
+    stokes : mi.Vector3f, optional
+        Stokes vector of the light; None: unpolarised everywhere.
     active : mi.Bool
         Lanes that matter.
     """
     quadric = dr.gather(mi.Vector4f, table.quadric, s, active)
     vertex = dr.gather(mi.Vector4f, table.vertex, s, active)
-    optics = dr.gather(mi.Vector4f, table.optics, s, active)
-    word = dr.gather(mi.UInt32, table.words, s, active)
+    optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
+    word = dr.gather(mi.UInt32, table.optics.words, s, active)
     q = p - vertex.xyz
     dl = d
     if table.rotated:
@@ -136,8 +190,18 @@ def interact(
     cos_t = dr.sqrt(dr.maximum(0, 1 - sin2_t))
     reflected = dr.normalize(d - 2 * cos_i * along_d)
     transmitted = dr.normalize(eta * d + (cos_t - eta * cos_i) * along_d)
-    R, T = _reflectance_transmittance(table, s, word, optics, cos_i, cos_t, n_i, n_t, from_front, active)
-    R, T = dr.select(tir, R + T, R), dr.select(tir | opaque, 0, T)
+    kind = word & 3
+    place = _place(table, s, kind, tir, cos_i, cos_t, sin2_t, eta, active)
+    polarized = None
+    if stokes is None:
+        R, T = _unpolarized(table, kind, optics, place, cos_i, cos_t, n_i, n_t, from_front, active)
+        R, T = dr.select(tir, R + T, R), dr.select(tir | opaque, 0, T)
+    else:
+        in_plane = plane_of_incidence(d, normal)
+        turned = to_plane(stokes, d, in_plane)
+        reflection, transmission = _mueller(table, kind, optics, place, tir, from_front, active)
+        polarized = Polarized(turned, in_plane, reflection, transmission)
+        R, T = reflection.share(turned), dr.select(tir | opaque, 0, transmission.share(turned))
     front, back = (word >> FRONT_MEDIUM_SHIFT) & MEDIUM_MASK, (word >> BACK_MEDIUM_SHIFT) & MEDIUM_MASK
     return Interaction(
         p=p,
@@ -150,14 +214,38 @@ def interact(
         medium_in=dr.select(from_front, front, back),
         medium_out=dr.select(from_front, back, front),
         local=q,
+        from_front=from_front,
+        place=place,
+        polarized=polarized,
     )
 
 
-def _reflectance_transmittance(
+def _place(
     table: SurfaceTable,
     s: mi.UInt32,
-    word: mi.UInt32,
+    kind: mi.UInt32,
+    tir: mi.Bool,
+    cos_i: mi.Float,
+    cos_t: mi.Float,
+    sin2_t: mi.Float,
+    eta: mi.Float,
+    active: mi.Bool,
+) -> Place:
+    """Where the angle of incidence stands in the surface's table, see `mistray.trace.optics`."""
+    places = dr.gather(mi.Vector4u, table.optics.places, s, active)
+    y = dr.sqrt(dr.maximum(sin2_t - 1, 0))
+    x = dr.select(tir, y / (y + eta * cos_i), dr.minimum(cos_i, cos_t))
+    start, last = dr.select(tir, places.z, places.x), dr.select(tir, places.w, places.y)
+    x = dr.select(kind == TABLED, x * mi.Float(last), 0)
+    node = dr.minimum(mi.UInt32(x), last - 1)
+    return Place(start + node, x - mi.Float(node))
+
+
+def _unpolarized(
+    table: SurfaceTable,
+    kind: mi.UInt32,
     optics: mi.Vector4f,
+    place: Place,
     cos_i: mi.Float,
     cos_t: mi.Float,
     n_i: mi.Float,
@@ -165,24 +253,50 @@ def _reflectance_transmittance(
     from_front: mi.Bool,
     active: mi.Bool,
 ) -> tuple[mi.Float, mi.Float]:
-    kind = word & 3
+    """R and T, each the mean of s and p."""
+    kinds = table.optics.kinds
     R, T = optics.z, optics.w
-    if FRESNEL in table.kinds:
+    if FRESNEL in kinds:
         bare = reflectance(cos_i, cos_t, n_i, n_t)
-        if len(table.kinds) == 1:
+        if len(kinds) == 1:
             return bare, 1 - bare
         fresnel = kind == FRESNEL
         R, T = dr.select(fresnel, bare, R), dr.select(fresnel, 1 - bare, T)
-    if TABLED in table.kinds:
+    if TABLED in kinds:
         tabled = active & (kind == TABLED)
-        x = dr.minimum(cos_i, cos_t) * (TABLE_NODES - 1)
-        node = dr.minimum(mi.UInt32(x), TABLE_NODES - 2)
-        row = dr.gather(mi.UInt32, table.table_row, s, tabled) + node
-        low, high = (dr.gather(mi.Vector4f, table.table, row + k, tabled) for k in range(2))
-        values = dr.lerp(low, high, x - mi.Float(node))
+        low, high = (dr.gather(mi.Vector4f, table.optics.table, place.row + k, tabled) for k in range(2))
+        values = dr.lerp(low, high, place.fraction)
         R = dr.select(tabled, dr.select(from_front, values.x, values.y), R)
         T = dr.select(tabled, values.z, T)
     return R, T
+
+
+def _mueller(
+    table: SurfaceTable,
+    kind: mi.UInt32,
+    optics: mi.Vector4f,
+    place: Place,
+    tir: mi.Bool,
+    from_front: mi.Bool,
+    active: mi.Bool,
+) -> tuple[Mueller, Mueller]:
+    """Reflection and transmission of polarised light; bare surfaces are tabled as well."""
+    # An ideal coating acts on s and p alike, as a bare surface does at normal incidence
+    R, T = dr.select(tir, optics.z + optics.w, optics.z), optics.w
+    reflection, transmission = mi.Vector4f(R, R, -R, 0), mi.Vector4f(T, T, T, 0)
+    if TABLED in table.optics.kinds:
+        tabled = active & (kind == TABLED)
+        side = dr.select(from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
+
+        def row(channel: mi.UInt32) -> mi.Vector4f:
+            low, high = (
+                dr.gather(mi.Vector4f, table.optics.table, 3 * (place.row + k) + channel, tabled) for k in range(2)
+            )
+            return dr.lerp(low, high, place.fraction)
+
+        reflection = dr.select(tabled, row(side), reflection)
+        transmission = dr.select(tabled, row(mi.UInt32(TRANSMISSION)), transmission)
+    return Mueller(reflection), Mueller(transmission)
 
 
 def counts_as_reflection(interaction: Interaction) -> mi.Bool:

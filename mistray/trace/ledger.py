@@ -20,8 +20,9 @@ from mistray.errors import MistrayError
 ABSORBED, TRANSMITTED, REFLECTED, TOTAL = 0, 1, 2, 3
 EVENT_BITS = 2
 BATCHES = 32
-# Sums of a slot and batch: rays, incident, absorbed, absorbed², absorbed · x, absorbed · y, absorbed · (x² + y²), spare
-SUMS = 8
+# Sums of a slot and batch: rays, incident, absorbed, absorbed², absorbed · x, absorbed · y, absorbed · (x² + y²), and in
+# Stokes mode absorbed · (q, u, v)
+SUMS, STOKES_SUMS = 7, 10
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD
 
@@ -53,7 +54,7 @@ class DecodedPaths:
         Where each path lives in the table.
     codes : list of (k,) uint32
         Events, surface << 2 | what; the last is the absorption in the detector.
-    sums : (p, BATCHES, SUMS) float64
+    sums : (p, BATCHES, SUMS or STOKES_SUMS) float64
         In units of the flux of one start ray, see `SUMS`.
     """
 
@@ -73,21 +74,24 @@ class Ledger:
         Number of slots, a power of two. Memory: about 2 KiB a slot.
     max_events : int
         Longest event list.
+    stokes : bool
+        Sum the Stokes vectors as well.
     """
 
-    def __init__(self, capacity: int, max_events: int) -> None:
+    def __init__(self, capacity: int, max_events: int, stokes: bool = False) -> None:
         self.capacity, self.max_events = capacity, max_events
+        self.terms = STOKES_SUMS if stokes else SUMS
         self.mask = dr.opaque(mi.UInt32, capacity - 1)
         self.keys = dr.zeros(mi.UInt64, capacity)
         self.lengths = dr.zeros(mi.UInt32, capacity)
         self.events = dr.zeros(mi.UInt32, capacity * max_events)
-        self.sums = dr.zeros(mi.Float64, capacity * BATCHES * SUMS)
+        self.sums = dr.zeros(mi.Float64, capacity * BATCHES * self.terms)
         self.lost = dr.zeros(mi.UInt32, 1)
         dr.eval(self.keys, self.lengths, self.events, self.sums, self.lost)
 
     def clear_sums(self) -> None:
         """Forget the sums and keep the paths, so that a second trace finds the same slots."""
-        self.sums = dr.zeros(mi.Float64, self.capacity * BATCHES * SUMS)
+        self.sums = dr.zeros(mi.Float64, self.capacity * BATCHES * self.terms)
         dr.eval(self.sums)
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
@@ -120,12 +124,15 @@ class Ledger:
         absorbed: mi.Float,
         x: mi.Float,
         y: mi.Float,
+        stokes: mi.Vector3f | None,
         active: mi.Bool,
     ) -> None:
         """Add one hit of the detector to a slot; x and y in the detector's frame, mm."""
-        base = (slot * BATCHES + batch) * SUMS
+        base = (slot * BATCHES + batch) * self.terms
         a, x, y = mi.Float64(absorbed), mi.Float64(x), mi.Float64(y)
-        terms = (mi.Float64(1), mi.Float64(incident), a, a * a, a * x, a * y, a * (x * x + y * y))
+        terms = [mi.Float64(1), mi.Float64(incident), a, a * a, a * x, a * y, a * (x * x + y * y)]
+        if stokes is not None:
+            terms += [a * mi.Float64(component) for component in stokes]
         for k, term in enumerate(terms):
             dr.scatter_reduce(dr.ReduceOp.Add, self.sums, term, base + k, active)
 
@@ -161,7 +168,7 @@ class Ledger:
         slots = np.flatnonzero(keys)
         lengths = np.array(self.lengths)[slots]
         events = np.array(self.events).reshape(self.capacity, self.max_events)[slots]
-        sums = np.array(self.sums).reshape(self.capacity, BATCHES, SUMS)[slots]
+        sums = np.array(self.sums).reshape(self.capacity, BATCHES, self.terms)[slots]
         codes = [row[:length] for row, length in zip(events, lengths, strict=True)]
         wrong = sum(host_key(code) != int(key) for code, key in zip(codes, keys[slots], strict=True))
         if wrong:

@@ -11,8 +11,8 @@ from typing import TYPE_CHECKING, overload
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.ledger import ABSORBED, EVENT_BITS, REFLECTED, TOTAL, TRANSMITTED
-from mistray.trace.surfaces import DETECTOR, MIRROR, OPAQUE, WALL
+from mistray.trace.ledger import ABSORBED, EVENT_BITS, REFLECTED, SUMS, TOTAL, TRANSMITTED
+from mistray.trace.optics import DETECTOR, MIRROR, OPAQUE, WALL
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -67,6 +67,8 @@ class PathRow:
         RMS distance from the centroid.
     rms_irradiance_W_mm2 : float
         power / (π · rms_radius²).
+    polarization : float
+        Degree of polarisation of all light of the path together, 0 … 1; NaN if traced unpolarised.
     """
 
     path_id: int
@@ -96,6 +98,8 @@ class PathRow:
     rms_radius_se_mm: float
     rms_irradiance_W_mm2: float
     rms_irradiance_se_W_mm2: float
+    polarization: float
+    polarization_se: float
 
     @property
     def event_list(self) -> list[tuple[str, str]]:
@@ -114,7 +118,7 @@ class PathTable(Sequence[PathRow]):
     def __init__(self, rows: Sequence[PathRow], where: Sequence[tuple[int, int, int]]) -> None:
         self._rows = list(rows)
         # run, slot in its ledger, key
-        self._where = list(where)
+        self._places = {row.path_id: place for row, place in zip(self._rows, where, strict=True)}
 
     @overload
     def __getitem__(self, index: int) -> PathRow: ...
@@ -131,9 +135,8 @@ class PathTable(Sequence[PathRow]):
 
     def locate(self, path_id: int) -> tuple[int, int, int]:
         """Run, ledger slot and key of a path; raises `MistrayError` for an id that does not exist."""
-        for row, where in zip(self._rows, self._where, strict=True):
-            if row.path_id == path_id:
-                return where
+        if path_id in self._places:
+            return self._places[path_id]
         raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
 
     def find(self, *surfaces: str) -> list[PathRow]:
@@ -189,7 +192,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     rows, where = [], []
     for path_id, (number, k, _) in enumerate(entries):
         run, paths = runs[number], decoded[number]
-        facts = describe_events(paths.codes[k], run.table.ids, run.table.host_words)
+        facts = describe_events(paths.codes[k], run.table.ids, run.table.optics.host_words)
         numbers = _numbers(paths.sums[k], run.started, run.unit)
         numbers["percent"] = float(100 * numbers["power_W"] / total)
         numbers["percent_se"] = float(100 * numbers["power_se_W"] / total)
@@ -245,12 +248,13 @@ def _numbers(sums: np.ndarray, started: np.ndarray, unit: float) -> dict:
     relative = np.sqrt(max(squares - absorbed**2 / rays, 0.0)) / absorbed
 
     def shape(s: np.ndarray) -> np.ndarray:
-        """x, y, rms radius, rms irradiance of sums (…, SUMS)."""
+        """x, y, rms radius, rms irradiance, degree of polarisation of sums (…, SUMS)."""
         a = s[..., 2]
         with np.errstate(divide="ignore", invalid="ignore"):
             x, y = s[..., 4] / a, s[..., 5] / a
             variance = np.maximum(s[..., 6] / a - x * x - y * y, 0.0)
-            return np.stack([x, y, np.sqrt(variance), a * unit / (np.pi * variance)])
+            stokes = np.linalg.norm(s[..., SUMS:], axis=-1) / a if s.shape[-1] > SUMS else np.full(a.shape, np.nan)
+            return np.stack([x, y, np.sqrt(variance), a * unit / (np.pi * variance), stokes])
 
     values = shape(total)
     # Without the batch, and the flux scaled to that of all batches
@@ -258,7 +262,7 @@ def _numbers(sums: np.ndarray, started: np.ndarray, unit: float) -> dict:
     without[:, 2:] *= (rays / np.maximum(rays - started, 1))[:, None]
     left_out = shape(without)
     n = left_out.shape[1]
-    se = np.full(4, np.inf)
+    se = np.full(len(values), np.inf)
     known = np.isfinite(left_out).all(axis=1)  # not where a batch holds all rays, or all but one
     with np.errstate(invalid="ignore"):
         spread = np.square(left_out - left_out.mean(axis=1, keepdims=True))
@@ -277,5 +281,7 @@ def _numbers(sums: np.ndarray, started: np.ndarray, unit: float) -> dict:
         "rms_radius_se_mm": se[2],
         "rms_irradiance_W_mm2": values[3],
         "rms_irradiance_se_W_mm2": se[3],
+        "polarization": values[4],
+        "polarization_se": se[4] if np.isfinite(values[4]) else np.nan,
     }
     return {key: value if isinstance(value, int) else float(value) for key, value in numbers.items()}

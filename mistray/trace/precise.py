@@ -10,7 +10,8 @@ import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.ledger import ABSORBED, EVENT_BITS, TRANSMITTED
-from mistray.trace.surfaces import OPAQUE, SurfaceTable
+from mistray.trace.optics import OPAQUE
+from mistray.trace.surfaces import SurfaceTable
 
 
 def retrace(
@@ -49,7 +50,7 @@ def retrace(
         side = np.dot(d, normal) > 0
         front, back = table.interfaces[surface].indices(table.wavelength_nm)
         n_i, n_t = (front, back) if side else (back, front)
-        opaque = bool(table.host_words[surface] & OPAQUE)
+        opaque = bool(table.optics.host_words[surface] & OPAQUE)
         # The materials of an opaque surface mean nothing: the ray is in the material it was sent into
         indices.append(medium if opaque and indices else n_i)
         steps.append(float(np.linalg.norm(p - points[-1])))

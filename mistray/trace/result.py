@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -13,8 +13,9 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.history import RayHistory, read_rays
+from mistray.trace.ledger import BATCHES
 from mistray.trace.paths import PathTable, path_table
-from mistray.trace.ray_tree import (
+from mistray.trace.books import (
     ABSORBED_HERE,
     ESCAPED,
     EVENTS,
@@ -32,6 +33,8 @@ from mistray.trace.tracer import Run, prepare
 
 if TYPE_CHECKING:
     import pandas as pd
+
+    from mistray.trace.optics import Optics
 
 CUTS = {
     "flux_threshold": THRESHOLD,
@@ -55,6 +58,8 @@ class Energy:
     detected_se_W, escaped_se_W : float
     absorbed : dict
         Surface id → (absorbed flux, its standard error), the detector left out.
+    absorbed_in : dict
+        Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
     cut : dict
         Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_events",
         "roulette" (0 on average: what Russian roulette removed less what it added) and "medium" (a ray met a surface
@@ -65,14 +70,15 @@ class Energy:
     detected_W: float
     detected_se_W: float
     absorbed: dict[str, tuple[float, float]]
+    absorbed_in: dict[str, tuple[float, float]]
     escaped_W: float
     escaped_se_W: float
     cut: dict[str, float]
 
     @property
     def closure(self) -> float:
-        """(detected + absorbed + escaped + cut - launched) / launched."""
-        absorbed = sum(value for value, _ in self.absorbed.values())
+        """(detected + absorbed at surfaces and in media + escaped + cut - launched) / launched."""
+        absorbed = sum(value for value, _ in (*self.absorbed.values(), *self.absorbed_in.values()))
         return (
             self.detected_W + absorbed + self.escaped_W + sum(self.cut.values()) - self.launched_W
         ) / self.launched_W
@@ -85,6 +91,7 @@ class Energy:
         lines = [line("launched", self.launched_W), line("detected", self.detected_W, self.detected_se_W)]
         strongest = sorted(self.absorbed.items(), key=lambda item: -item[1][0])
         lines += [line(f"absorbed by {name}", *value) for name, value in strongest if value[0] > 0]
+        lines += [line(f"absorbed in {name}", *value) for name, value in self.absorbed_in.items()]
         lines.append(line("escaped", self.escaped_W, self.escaped_se_W))
         lines += [line(f"cut by {reason}", value) for reason, value in self.cut.items() if value]
         lines.append(f"{'closure':<28}{self.closure:>14.1e} (relative)")
@@ -153,7 +160,7 @@ class Trace:
         self._runs = runs
         self.settings = settings
         self.extent = runs[0].table.film()[2]
-        self.irradiance, self.irradiance_se = self._map([run.film for run in runs])
+        self.irradiance, self.irradiance_se = self._map(runs, [run.film for run in runs])
         decoded = [run.paths for run in runs if run.paths is not None]
         self._paths = path_table(runs, decoded) if decoded else None
         self.surfaces = _flux_report(runs)
@@ -168,16 +175,47 @@ class Trace:
             raise MistrayError("this trace has no path table; trace with ledger=True")
         return self._paths
 
-    def _map(self, films: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
-        x0, x1, y0, y1 = self.extent
-        height, width = films[0].shape[-2:]
-        pixel = (x1 - x0) * (y1 - y0) / (width * height)
-        total = sum(run.unit * film[0] for run, film in zip(self._runs, films, strict=True))
+    def _map(self, runs: Sequence[Run], films: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+        pixel = runs[0].pixel_area
+        total = sum(run.unit * film[0] for run, film in zip(runs, films, strict=True))
         variance = sum(
             run.unit**2 * np.maximum(film[1] - film[0] ** 2 / run.rays, 0.0)
-            for run, film in zip(self._runs, films, strict=True)
+            for run, film in zip(runs, films, strict=True)
         )
         return np.asarray(total) / pixel, np.sqrt(variance) / pixel
+
+    @property
+    def wavelengths_nm(self) -> list[float]:
+        """The wavelengths of the trace, ascending, nm."""
+        return sorted({run.beam.wavelength_nm for run in self._runs})
+
+    def _runs_at(self, wavelength_nm: float) -> list[Run]:
+        runs = [run for run in self._runs if run.beam.wavelength_nm == wavelength_nm]
+        if not runs:
+            known = ", ".join(f"{value:g}" for value in self.wavelengths_nm)
+            raise MistrayError(f"{wavelength_nm:g} nm was not traced; this trace has {known} nm")
+        return runs
+
+    def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Irradiance of one of the wavelengths of the trace; those of all wavelengths add up to `irradiance`.
+
+        Returns
+        -------
+        irradiance, standard_error : (height, width) float64
+            W/mm².
+        """
+        runs = self._runs_at(wavelength_nm)
+        return self._map(runs, [run.film for run in runs])
+
+    def energy_at(self, wavelength_nm: float) -> Energy:
+        """The energy ledger of one of the wavelengths of the trace."""
+        runs = self._runs_at(wavelength_nm)
+        return _energy(runs, _flux_report(runs))
+
+    def surfaces_at(self, wavelength_nm: float) -> FluxReport:
+        """Flux at every surface at one of the wavelengths of the trace."""
+        return _flux_report(self._runs_at(wavelength_nm))
 
     def irradiance_of(self, path_ids: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -216,7 +254,7 @@ class Trace:
                 if numbers[run].setdefault(slot, number) != number:
                     raise MistrayError(f"path_id {path_id} is in two groups; a path belongs to one map")
         stacks = [run.maps(slots, len(groups)) for run, slots in zip(self._runs, numbers, strict=True)]
-        return [self._map([stack[number] for stack in stacks]) for number in range(len(groups))]
+        return [self._map(self._runs, [stack[number] for stack in stacks]) for number in range(len(groups))]
 
     def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
         """
@@ -270,6 +308,49 @@ class Trace:
         ]
         return pd.concat(tables, ignore_index=True)
 
+    def adjoint(self, pixel: np.ndarray, path: np.ndarray) -> Iterator[tuple[Optics, np.ndarray, float]]:
+        """
+        Derivatives of a metric by R and T of all surfaces, by tracing the same rays in reverse.
+
+        Parameters
+        ----------
+        pixel : (height, width) float64
+            Derivative of the metric by the irradiance of each pixel, mm²/W.
+        path : (paths,) float64
+            Derivative of the metric by the power of each path, in the order of `paths`, 1/W.
+
+        Yields
+        ------
+        optics, rows, seconds
+            For each source and wavelength that matters: its coatings, the derivatives by the rows of their tables (see
+            `Run.derivatives`), and the time it took.
+        """
+        by_flux = np.asarray(pixel) / self._runs[0].pixel_area
+        for number, run in enumerate(self._runs):
+            slots = None
+            if np.any(path):
+                assert run.ledger is not None
+                slots = np.zeros(run.ledger.capacity)
+                for row, weight in zip(self.paths, path, strict=True):
+                    where, slot, _ = self.paths.locate(row.path_id)
+                    if where == number:
+                        slots[slot] = weight
+            pixels = by_flux if np.any(by_flux) else None
+            if pixels is None and (slots is None or not slots.any()):
+                continue
+            started = time.perf_counter()
+            yield run.table.optics, run.derivatives(pixels, slots), time.perf_counter() - started
+
+    def by_batch(self, path: np.ndarray) -> np.ndarray:
+        """Sum of the paths' powers times `path`, (paths,) float64, by batch of start rays: (BATCHES,) float64, W."""
+        total = np.zeros(BATCHES)
+        for row, weight in zip(self.paths, path, strict=True):
+            number, slot, _ = self.paths.locate(row.path_id)
+            run = self._runs[number]
+            assert run.paths is not None
+            total += weight * run.unit * run.paths.sums[np.searchsorted(run.paths.slots, slot), :, 2]
+        return total
+
     def __repr__(self) -> str:
         count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"
         detected = f"detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W"
@@ -314,11 +395,19 @@ def _energy(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
     (detector,) = (row for row in surfaces if row.id == table.ids[table.detector])
     escaped = sum(run.unit * run.reasons[ESCAPED].sum() for run in runs)
     escaped_se = np.sqrt(sum((run.unit * _batch_error(run.reasons[ESCAPED], run.started)) ** 2 for run in runs))
+    media: dict[str, tuple[float, float]] = {}
+    for run in runs:
+        for name, sums in zip(run.table.optics.media[1:], run.media[1:], strict=True):
+            if sums.any():
+                before, se = media.get(name, (0.0, 0.0))
+                error = float(run.unit * _batch_error(sums, run.started))
+                media[name] = before + float(run.unit * sums.sum()), float(np.hypot(se, error))
     return Energy(
         launched_W=sum(run.beam.power for run in runs),
         detected_W=detector.absorbed_W,
         detected_se_W=detector.absorbed_se_W,
         absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row is not detector},
+        absorbed_in=media,
         escaped_W=float(escaped),
         escaped_se_W=float(escaped_se),
         cut={reason: float(sum(run.unit * run.reasons[row].sum() for run in runs)) for reason, row in CUTS.items()},
@@ -331,12 +420,14 @@ def trace(
     field_deg: float | None = None,
     azimuth_deg: float | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
     max_reflections: int | None = None,
     max_events: int | None = None,
     flux_threshold: float | None = None,
     splitting: str | None = None,
     below_threshold: str | None = None,
     seed: int | None = None,
+    polarization: str | None = None,
     detector: str | None = None,
     ledger: bool = True,
     progress: Callable[[int, int], None] | None = None,
@@ -356,8 +447,10 @@ def trace(
     field_deg, azimuth_deg : float
         Direction of the beam, degrees.
     wavelength_nm : float or sequence of float
-        Vacuum wavelengths, nm; several share the flux equally.
-    max_reflections, max_events, flux_threshold, splitting, below_threshold, seed
+        Vacuum wavelengths, nm.
+    weights : sequence of float
+        Shares of the flux, one for each wavelength; normalised, equal by default.
+    max_reflections, max_events, flux_threshold, splitting, below_threshold, seed, polarization
         See `mistray.trace.Settings`.
     detector : str
         Id of the detector, if the scene has several.
@@ -387,8 +480,9 @@ def trace(
         splitting=splitting,
         below_threshold=below_threshold,
         seed=seed,
+        polarization=polarization,
     )
-    runs = prepare(scene, settings, field_deg, azimuth_deg, wavelength_nm, detector)
+    runs = prepare(scene, settings, field_deg, azimuth_deg, wavelength_nm, weights, detector)
     all_rays = sum(run.rays for run in runs)
     done = 0
     for run in runs:

@@ -33,6 +33,8 @@ class Settings:
         Below the threshold end the branch and book its flux, or play Russian roulette, which is unbiased.
     seed : int
         Of the random numbers, 0 … 2³²-1.
+    polarization : {"unpolarized", "stokes"}
+        Average R and T over both polarisations at every hit, or carry the Stokes vector of every branch along.
     """
 
     rays: int = 1_000_000
@@ -42,6 +44,7 @@ class Settings:
     splitting: str = "split"
     below_threshold: str = "cut"
     seed: int = 0
+    polarization: str = "unpolarized"
 
     def __post_init__(self) -> None:
         def fail(key: str, what: str) -> None:
@@ -67,6 +70,8 @@ class Settings:
             fail("below_threshold", "use 'cut' or 'roulette'")
         if not 0 <= self.seed < 2**32:
             fail("seed", "it must lie between 0 and 4294967295")
+        if self.polarization not in ("unpolarized", "stokes"):
+            fail("polarization", "use 'unpolarized' or 'stokes'")
 
     @classmethod
     def of(cls, scene: Any, **given: Any) -> Settings:
@@ -82,3 +87,8 @@ class Settings:
     def random(self) -> bool:
         """Whether the walk itself draws random numbers."""
         return self.below_threshold == "roulette" or self.splitting == "one"
+
+    @property
+    def stokes(self) -> bool:
+        """Whether branches carry their polarisation."""
+        return self.polarization == "stokes"

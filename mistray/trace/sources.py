@@ -108,7 +108,11 @@ def _sorted_points(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.P
 
 
 def beams(
-    scene: mi.Scene, field_deg: float | None = None, azimuth_deg: float | None = None, wavelength_nm: Any = None
+    scene: mi.Scene,
+    field_deg: float | None = None,
+    azimuth_deg: float | None = None,
+    wavelength_nm: Any = None,
+    weights: Any = None,
 ) -> list[Beam]:
     """
     The beams to trace: every ``collimated`` emitter of a scene at every wavelength.
@@ -118,12 +122,14 @@ def beams(
     field_deg, azimuth_deg : float, optional
         Instead of the emitters' own.
     wavelength_nm : float or sequence of float, optional
-        Instead of the emitters' own wavelengths; equal weights.
+        Instead of the emitters' own wavelengths.
+    weights : sequence of float, optional
+        Shares of the flux, one for each of `wavelength_nm`; normalised. By default all are equal.
 
     Raises
     ------
     MistrayError
-        If there is no source, or a field angle or wavelength is out of range.
+        If there is no source, or a field angle, a wavelength or a weight is out of range.
     """
     emitters = [emitter for emitter in scene.emitters() if hasattr(emitter, "start_distance")]
     if not emitters:
@@ -133,18 +139,31 @@ def beams(
             raise MistrayError(f"{key} is {value}; give a finite angle in degrees")
     if field_deg is not None and not -90 < field_deg < 90:
         raise MistrayError(f"field_deg is {field_deg:g}; it must lie between -90 and 90 degrees")
+    given = None if wavelength_nm is None and weights is None else _spectrum(wavelength_nm, weights)
     result = []
     for number, emitter in enumerate(emitters, start=1):
         name = emitter.name or f"source_{number}"
-        wavelengths, weights = emitter.wavelengths_nm, emitter.weights
-        if wavelength_nm is not None:
-            wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
-            weights = np.full(len(wavelengths), 1 / len(wavelengths))
-            if np.any(~(wavelengths > 0)):
-                raise MistrayError(f"wavelength_nm is {wavelength_nm}; it must be positive (nm)")
+        wavelengths, shares = given or (emitter.wavelengths_nm, emitter.weights)
         pivot, direction, u, v = emitter.frame(field_deg, azimuth_deg)
         distance = emitter.start_distance(scene.bbox(), direction, pivot)
-        for wavelength, weight in zip(wavelengths, weights, strict=True):
-            power = emitter.power(field_deg) * weight
+        for wavelength, share in zip(wavelengths, shares, strict=True):
+            power = emitter.power(field_deg) * share
             result.append(Beam(emitter, name, float(wavelength), power, pivot, direction, u, v, distance))
     return result
+
+
+def _spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Wavelengths and normalised weights of a call."""
+    if wavelength_nm is None:
+        raise MistrayError("weights are given without wavelength_nm; give one wavelength for each weight")
+    wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
+    if not wavelengths.size or not np.all((wavelengths > 0) & np.isfinite(wavelengths)):
+        raise MistrayError(f"wavelength_nm is {wavelength_nm}; it must be positive (nm)")
+    if len(np.unique(wavelengths)) < len(wavelengths):
+        raise MistrayError(f"wavelength_nm is {wavelength_nm}; give every wavelength once")
+    shares = np.ones(len(wavelengths)) if weights is None else np.atleast_1d(np.asarray(weights, dtype=np.float64))
+    if len(shares) != len(wavelengths):
+        raise MistrayError(f"{len(shares)} weights for {len(wavelengths)} wavelengths; give one for each")
+    if not np.all((shares >= 0) & np.isfinite(shares)) or not shares.sum() > 0:
+        raise MistrayError(f"weights are {weights}; they must be at least 0 and not all 0")
+    return wavelengths, shares / shares.sum()

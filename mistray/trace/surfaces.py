@@ -20,20 +20,15 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.sag import sag
+from mistray.trace.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
 
 NO_SURFACE = 0xFFFFFFFF
 # A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
 SELF_HIT = 1e-5
-NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
-FRESNEL, IDEAL, TABLED = 0, 1, 2
 # An asphere is hit through its conic if it departs from it by less than this, in units of its aperture and as a slope
 MILD_DEPARTURE, MILD_SLOPE, MILD_MARGIN = 0.004, 0.03, 1.02
-TABLE_NODES = 512
 # Row of the polynomial table: curvature, conic, a4 … a20, inner², z range, outer (-1: a rectangle), slope
 POLYNOMIAL_VECTORS = 4
-# Bits of the word that describes a surface to the kernel
-OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC, WALL = (1 << bit for bit in range(2, 8))
-FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0xFFF
 
 
 @dataclass
@@ -102,6 +97,8 @@ class SurfaceTable:
         Vacuum wavelength, nm.
     detector : str, optional
         Id of the detector; by default the only shape with an ``irradiancemeter``.
+    stokes : bool
+        Tabulate the coatings for polarised light.
 
     Raises
     ------
@@ -109,7 +106,9 @@ class SurfaceTable:
         For a shape without interface, a missing or ambiguous detector, a missing material.
     """
 
-    def __init__(self, scene: mi.Scene, wavelength_nm: float, detector: str | None = None) -> None:
+    def __init__(
+        self, scene: mi.Scene, wavelength_nm: float, detector: str | None = None, stokes: bool = False
+    ) -> None:
         # In the order of their ids: a ray that meets two surfaces within the rounding must not see the scene's order
         named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(scene.shapes(), start=1)}
         if len(named) < len(scene.shapes()):
@@ -128,7 +127,7 @@ class SurfaceTable:
         self.detector = self._find_detector(detector)
         self._geometry(self.shapes[: len(analytic)])
         self._stock(self.shapes[len(analytic) :])
-        self._optics()
+        self.optics = Optics(self.ids, self.interfaces, self._flags(), wavelength_nm, stokes)
 
     def _find_detector(self, wanted: str | None) -> int:
         sensors = [i for i, shape in enumerate(self.shapes) if shape.is_sensor()]
@@ -213,54 +212,18 @@ class SurfaceTable:
         ray = mi.Ray3f(mi.Point3f(*map(float, start)), mi.Vector3f(*map(float, direction)))
         return np.array(self.stock_scene.ray_intersect(ray).n, dtype=np.float64).ravel()
 
-    def _optics(self) -> None:
-        nodes = np.linspace(0.0, 1.0, TABLE_NODES)
-        optics = np.zeros((self.count, 4))
-        words = np.zeros(self.count, dtype=np.uint32)
-        tables: list[np.ndarray] = []
-        rows = np.zeros(self.count, dtype=np.uint32)
-        media: dict[float, int] = {}  # by index: "air" and "vacuum", "1.5" and "1.50" are one medium
-        self.kinds: set[int] = set()
-        for i, bsdf in enumerate(self.interfaces):
-            table = bsdf.tabulate(self.wavelength_nm, nodes)
-            kind = TABLED if table is not None else IDEAL if bsdf.ideal else FRESNEL
-            self.kinds.add(kind)
-            front, back = bsdf.indices(self.wavelength_nm)
-            optics[i] = front, back, float(bsdf.R[0]), float(bsdf.T[0])
-            if table is not None:
-                rows[i] = len(tables) * TABLE_NODES
-                tables.append(table)
-            opaque = bsdf.opaque
-            sides = [0 if opaque else media.setdefault(round(n, 9), len(media) + 1) for n in (front, back)]
-            words[i] = (
-                kind
-                | (OPAQUE if opaque else 0)
-                | (MIRROR if bsdf.mirror else 0)
-                | (DETECTOR if i == self.detector else 0)
-                | (STOCK if i >= len(self.pieces) else 0)
-                | (WALL if i < len(self.pieces) and self.pieces[i].wall else 0)
-                | (ASPHERIC if i < len(self.pieces) and self.pieces[i].coefficients else 0)
-                | (sides[0] << FRONT_MEDIUM_SHIFT)
-                | (sides[1] << BACK_MEDIUM_SHIFT)
+    def _flags(self) -> np.ndarray:
+        """The bits of the words that the geometry knows."""
+        flags = np.zeros(self.count, dtype=np.uint32)
+        for i in range(self.count):
+            piece = self.pieces[i] if i < len(self.pieces) else None
+            flags[i] = (
+                (DETECTOR if i == self.detector else 0)
+                | (STOCK if piece is None else 0)
+                | (WALL if piece is not None and piece.wall else 0)
+                | (ASPHERIC if piece is not None and piece.coefficients else 0)
             )
-            if i == self.detector and self._absorbs_nothing(bsdf, table):
-                raise MistrayError(
-                    f"detector '{self.ids[i]}' absorbs nothing (R + T = 1); give its interface R (and T = 0)"
-                )
-        if len(media) >= MEDIUM_MASK:
-            raise MistrayError(f"the scene has {len(media)} materials; at most {MEDIUM_MASK - 1} are possible")
-        self.optics = mi.Float(optics.ravel())
-        self.words = mi.UInt32(words)
-        self.host_words = words
-        self.table_row = mi.UInt32(rows)
-        self.table = mi.Float(np.concatenate(tables)[:, [0, 1, 2, 2]].ravel() if tables else np.zeros(4))
-
-    @staticmethod
-    def _absorbs_nothing(bsdf: Any, table: np.ndarray | None) -> bool:
-        """Whether an interface takes less than the rounding at every angle, so that a detector stays dark."""
-        if table is not None:
-            return bool(np.all(table[:, :2].min(axis=1) + table[:, 2] > 1 - NO_LOSS))
-        return not bsdf.ideal or float(bsdf.R[0]) + float(bsdf.T[0]) > 1 - NO_LOSS
+        return flags
 
     def film(self) -> tuple[int, int, tuple[float, float, float, float]]:
         """Pixels across and down the detector, and its extent (x0, x1, y0, y1) in its own frame, mm."""
@@ -283,7 +246,7 @@ class SurfaceTable:
 
 def _interface(shape: Any) -> Any:
     bsdf = shape.bsdf()
-    if not hasattr(bsdf, "tabulate"):
+    if not hasattr(bsdf, "coating"):
         kind = type(bsdf).__name__ if bsdf is None else str(bsdf).split("[")[0].strip()
         raise MistrayError(
             f"shape '{shape.id()}' carries the BSDF {kind}, which the ray tree cannot split; nest an 'interface' in it"

@@ -5,15 +5,18 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.adjoint import CHANNELS, Adjoint
+from mistray.trace.books import REASONS, STARTED, Film, Recorder, Tallies
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES, DecodedPaths, Ledger
-from mistray.trace.ray_tree import REASONS, STARTED, Film, Recorder, StartRays, Tallies, walk
+from mistray.trace.ray_tree import StartRays, walk
 from mistray.trace.settings import Settings
 from mistray.trace.sources import Beam, beams
 from mistray.trace.surfaces import SurfaceTable
@@ -41,6 +44,8 @@ class Run:
         Flux of a start ray, W.
     surfaces : (s, 3, BATCHES) float64
         Hits, incident and absorbed flux of every surface, in `unit`.
+    media : (m, BATCHES) float64
+        Flux that each medium absorbs, in `unit`.
     reasons : (REASONS, BATCHES) float64
     film : (2, height, width) float64
         Sums of detected flux and of its square, in `unit` and `unit`².
@@ -58,6 +63,7 @@ class Run:
     seed: int
     unit: float
     surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    media: np.ndarray = field(default_factory=lambda: np.zeros(0))
     reasons: np.ndarray = field(default_factory=lambda: np.zeros(0))
     film: np.ndarray = field(default_factory=lambda: np.zeros(0))
     paths: DecodedPaths | None = None
@@ -105,34 +111,31 @@ class Run:
             origins[here], directions[here] = np.array(start.o).T[index], np.array(start.d).T[index]
         return origins, directions
 
+    def make_tallies(self, film: Film, maps: int = 0) -> Tallies:
+        """Sums at zero, for as many maps of the detector."""
+        return Tallies(self.table.count, len(self.table.optics.media), film.width * film.height, maps)
+
     def launch(
         self,
-        tallies: Tallies,
         film: Film,
-        ledger: Ledger | None,
+        tallies: Tallies | None = None,
+        ledger: Ledger | None = None,
         box: Sequence[float] | None = None,
+        adjoint: Adjoint | None = None,
         progress: Progress | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> None:
         """Run the passes one after the other, until `stop`, which is asked after each, says so."""
         corners = None if box is None else mi.Vector4f(*(dr.opaque(mi.Float, float(v)) for v in box))
         for number in range(-(-self.rays // PASS_LANES)):
-            self._walk(self.start_pass(number), tallies, film, ledger, box=corners)
+            self._walk(self.start_pass(number), film, tallies, ledger, box=corners, adjoint=adjoint)
             if progress:
                 progress(min((number + 1) * PASS_LANES, self.rays), self.rays)
             if stop and stop():
                 return
 
-    def _walk(
-        self,
-        start: StartRays,
-        tallies: Tallies,
-        film: Film,
-        ledger: Ledger | None,
-        recorder: Recorder | None = None,
-        box: mi.Vector4f | None = None,
-    ) -> None:
-        walk(self.table, self.intersector, start, self.settings, tallies, film, ledger, recorder, box)
+    def _walk(self, start: StartRays, film: Film, *books: Any, **more: Any) -> None:
+        walk(self.table, self.intersector, start, self.settings, film, *books, **more)
         dr.eval()
         dr.sync_thread()
 
@@ -142,9 +145,9 @@ class Run:
         film = self.make_film()
         capacity = FIRST_CAPACITY
         while True:
-            tallies = Tallies(self.table.count, film.width * film.height)
-            self.ledger = Ledger(capacity, self.settings.max_events) if ledger else None
-            self.launch(tallies, film, self.ledger, progress=progress, stop=self.ledger_full)
+            tallies = self.make_tallies(film)
+            self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
+            self.launch(film, tallies, self.ledger, progress=progress, stop=self.ledger_full)
             if not self.ledger_full():
                 break
             if capacity >= LAST_CAPACITY:
@@ -156,6 +159,7 @@ class Run:
             capacity = min(8 * capacity, LAST_CAPACITY)
         self.seconds = time.perf_counter() - started
         self.surfaces = np.array(tallies.surfaces).reshape(self.table.count, 3, BATCHES)
+        self.media = np.array(tallies.media).reshape(-1, BATCHES)
         self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
         self.film = np.moveaxis(np.array(tallies.film).reshape(film.height, film.width, 2), 2, 0)
         self.paths = self.ledger.decode() if self.ledger else None
@@ -191,16 +195,43 @@ class Run:
         for slot, number in number_of_slot.items():
             numbers[slot] = number + 1
         film.map_of_slot = mi.UInt32(numbers)
-        tallies = Tallies(self.table.count, film.width * film.height, count)
-        self.launch(tallies, film, self.ledger)
+        tallies = self.make_tallies(film, count)
+        self.launch(film, tallies, self.ledger)
         return np.moveaxis(np.array(tallies.film).reshape(count, film.height, film.width, 2), 3, 1)
+
+    @property
+    def pixel_area(self) -> float:
+        """Area of a pixel of the detector, mm²."""
+        width, height, (x0, x1, y0, y1) = self.table.film()
+        return (x1 - x0) * (y1 - y0) / (width * height)
+
+    def derivatives(self, pixel: np.ndarray | None = None, slot: np.ndarray | None = None) -> np.ndarray:
+        """
+        Derivatives of a metric by the rows of the tables of R and T, by tracing the same rays in reverse.
+
+        Parameters
+        ----------
+        pixel : (height, width), optional
+            Derivative of the metric by the flux in each pixel, 1/W.
+        slot : (capacity,), optional
+            Derivative of the metric by the flux of each path, by ledger slot, 1/W; needs the ledger.
+
+        Returns
+        -------
+        (BATCHES, rows, CHANNELS) float64
+            By batch of start rays; see `mistray.trace.adjoint`.
+        """
+        weights = [None if w is None else mi.Float(self.unit * np.asarray(w).ravel()) for w in (pixel, slot)]
+        adjoint = Adjoint(self.table.optics.rows, *weights)
+        self.launch(self.make_film(), ledger=self.ledger if slot is not None else None, adjoint=adjoint)
+        return np.array(adjoint.sums).reshape(BATCHES, -1, CHANNELS)
 
     def paths_in_box(self, box: Sequence[float]) -> DecodedPaths:
         """The ledger of the same rays, of the hits within x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 only; mm."""
         assert self.ledger is not None
         self.ledger.clear_sums()
         film = self.make_film()
-        self.launch(Tallies(self.table.count, film.width * film.height), film, self.ledger, box=box)
+        self.launch(film, None, self.ledger, box=box)
         return self.ledger.decode()
 
     def record(self, key: int, count: int) -> Recorder:
@@ -212,14 +243,13 @@ class Run:
         """
         recorder = Recorder(max(count, RECORD_CAPACITY), self.settings.max_events, mi.UInt64(dr.opaque(mi.UInt64, key)))
         film = self.make_film()
-        tallies = Tallies(self.table.count, film.width * film.height)
         for number in range(-(-self.rays // PASS_LANES)):
             start = self.start_pass(number)
             host_batch = np.array(start.batch)
             for low, high in ((0, 1), (1, 4), (4, BATCHES)) if number == 0 else ((0, BATCHES),):
                 index = mi.UInt32(np.flatnonzero((host_batch >= low) & (host_batch < high)).astype(np.uint32))
                 if dr.width(index):
-                    self._walk(start.take(index), tallies, film, None, recorder)
+                    self._walk(start.take(index), film, recorder=recorder)
                 if int(recorder.count[0]) >= count:
                     return recorder
         return recorder
@@ -231,16 +261,17 @@ def prepare(
     field_deg: float | None = None,
     azimuth_deg: float | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
     detector: str | None = None,
 ) -> list[Run]:
     """Build one `Run` for each source and wavelength; the rays are shared in proportion to their flux."""
-    sources = beams(scene, field_deg, azimuth_deg, wavelength_nm)
+    sources = beams(scene, field_deg, azimuth_deg, wavelength_nm, weights)
     total = sum(beam.power for beam in sources)
     tables: dict[float, tuple[SurfaceTable, Intersector]] = {}
     runs = []
     for number, beam in enumerate(sources):
         if beam.wavelength_nm not in tables:
-            table = SurfaceTable(scene, beam.wavelength_nm, detector)
+            table = SurfaceTable(scene, beam.wavelength_nm, detector, settings.stokes)
             tables[beam.wavelength_nm] = table, Intersector(table)
         count = beam.count(max(1, round(settings.rays * beam.power / total)))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32

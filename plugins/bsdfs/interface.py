@@ -110,6 +110,18 @@ class Interface(mi.BSDF):
         """Refractive indices of the front and the back material at a wavelength in nm."""
         return refractive_index(self.front, wavelength_nm), refractive_index(self.back, wavelength_nm)
 
+    @property
+    def coating(self):
+        from mistray.coatings import Bare
+
+        return Bare() if self.table is None else self.table
+
+    film = None
+
+    def complex_indices(self, wavelength_nm: float) -> tuple[complex, complex]:
+        """Placeholder of worker C's method."""
+        return tuple(complex(n) for n in self.indices(wavelength_nm))
+
     def tabulate(self, wavelength_nm: float, cos_rare: np.ndarray) -> np.ndarray | None:
         """
         Reflectance and transmittance for the ray tree, or None if bare Fresnel or an ideal coating says it all.

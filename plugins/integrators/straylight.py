@@ -5,11 +5,15 @@ from __future__ import annotations
 from dataclasses import fields, replace
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.coating_gradient import IDEAL_PARAMETERS, LAYER_PARAMETERS, coating_gradient
 from mistray.trace.result import trace
 from mistray.trace.settings import Settings
+from mistray.trace.tracer import prepare
 
 
 class StrayLight(mi.CppADIntegrator):
@@ -31,9 +35,14 @@ class StrayLight(mi.CppADIntegrator):
     splitting         string  split, one     split     follow both children, or one at random
     below_threshold   string  cut, roulette  cut       end weak branches, or play Russian roulette (unbiased)
     seed              1       0 … 2³²-1      0         random numbers; the ``seed`` of ``mi.render`` is added
+    polarization      string  unpolarized,   unpolar-  average s and p at every hit, or carry the Stokes vector along
+                              stokes         ized
     ================= ======= ============== ========= =================================================================
 
-    No parameter is differentiable, and ``dr.backward`` through ``mi.render`` raises: gradients are not there yet.
+    None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by the
+    coatings of the scene: ``thickness_nm``, ``n_shift`` and ``k_shift`` of layers, ``R`` and ``T`` of ideal coatings. It
+    traces the same trees in reverse, see `mistray.trace.adjoint`, and leaves out branches below ``flux_threshold``.
+    `mistray.gradient` gives standard errors as well. Forward mode, ``polarization="stokes"`` and other parameters raise.
 
     .. code-block:: xml
 
@@ -55,6 +64,18 @@ class StrayLight(mi.CppADIntegrator):
         except MistrayError as error:
             raise MistrayError(f"integrator 'straylight': {error}") from None
 
+    def _settings(self, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
+        """Own settings with the arguments of a call: ``spp`` asks for rays, ``seed`` is added."""
+        size = sensor.film().size()
+        rays = spp * int(size[0]) * int(size[1]) if spp else self.settings.rays
+        return replace(self.settings, rays=rays, seed=(self.settings.seed + int(mi.UInt32(seed)[0])) % 2**32)
+
+    def _detector(self, sensor: mi.Sensor) -> str | None:
+        shape = sensor.get_shape()
+        if shape is None:
+            raise MistrayError("integrator 'straylight': the sensor is not nested in a shape; use an 'irradiancemeter'")
+        return shape.id() or None
+
     def render(
         self,
         scene: mi.Scene,
@@ -68,25 +89,38 @@ class StrayLight(mi.CppADIntegrator):
             raise MistrayError("integrator 'straylight': develop=False is not supported; render with develop=True")
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
-        settings = self.settings
-        size = sensor.film().size()
-        shape = sensor.get_shape()
-        if shape is None:
-            raise MistrayError("integrator 'straylight': the sensor is not nested in a shape; use an 'irradiancemeter'")
-        rays = spp * int(size[0]) * int(size[1]) if spp else settings.rays
-        offset = int(mi.UInt32(seed)[0])
-        wanted = replace(settings, rays=rays, seed=(settings.seed + offset) % 2**32)
+        wanted = self._settings(sensor, seed, spp)
         values = {f.name: getattr(wanted, f.name) for f in fields(Settings)}
-        result = trace(scene, detector=shape.id() or None, ledger=False, **values)
+        result = trace(scene, detector=self._detector(sensor), ledger=False, **values)
         return mi.TensorXf(result.irradiance[:, :, None])
 
     def render_forward(self, scene: mi.Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> mi.TensorXf:
-        raise MistrayError("integrator 'straylight' has no derivatives yet; render without gradients (dr.suspend_grad)")
+        raise MistrayError("integrator 'straylight' differentiates backward only; use dr.backward instead of dr.forward")
 
     def render_backward(
-        self, scene: mi.Scene, params: Any, grad_in: mi.TensorXf, sensor: Any = 0, seed: Any = 0, spp: int = 0
+        self,
+        scene: mi.Scene,
+        params: Any,
+        grad_in: mi.TensorXf,
+        sensor: mi.Sensor | int = 0,
+        seed: mi.UInt32 = 0,
+        spp: int = 0,
     ) -> None:
-        raise MistrayError("integrator 'straylight' has no derivatives yet; render without gradients (dr.suspend_grad)")
+        if isinstance(sensor, int):
+            sensor = scene.sensors()[sensor]
+        _check_differentiable(params)
+        runs = prepare(scene, self._settings(sensor, seed, spp), detector=self._detector(sensor))
+        by_irradiance = np.array(grad_in, dtype=np.float64)[:, :, 0]
+        with dr.resume_grad():
+            first_order = mi.Float(0)
+            for run in runs:
+                by_flux = by_irradiance / run.pixel_area
+                for owner, name, batches in coating_gradient(run.table.optics, run.derivatives(by_flux)):
+                    value = getattr(owner, name)
+                    if dr.grad_enabled(value):
+                        first_order += dr.sum(value * mi.Float(batches.sum(axis=0)))
+            if dr.grad_enabled(first_order):
+                dr.backward(first_order)
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         """The settings are Python numbers: nothing to expose."""
@@ -94,6 +128,16 @@ class StrayLight(mi.CppADIntegrator):
     def to_string(self) -> str:
         inside = ", ".join(f"{f.name} = {getattr(self.settings, f.name)}" for f in fields(Settings))
         return f"StrayLight[{inside}]"
+
+
+def _check_differentiable(params: Any) -> None:
+    """Raise if a gradient is asked for that would silently be 0."""
+    for key in params.keys() if params is not None else ():
+        if key.rsplit(".", 1)[-1] not in (*LAYER_PARAMETERS, *IDEAL_PARAMETERS) and dr.grad_enabled(params[key]):
+            raise MistrayError(
+                f"integrator 'straylight' has no derivative by '{key}'; coatings have, by "
+                f"{', '.join((*LAYER_PARAMETERS, *IDEAL_PARAMETERS))}"
+            )
 
 
 mi.register_integrator("straylight", lambda props: StrayLight(props))

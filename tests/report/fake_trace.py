@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 from types import SimpleNamespace
 
@@ -89,6 +90,8 @@ class FakePath:
             rms_radius_se_mm=rms * relative / 2,
             rms_irradiance_W_mm2=irradiance,
             rms_irradiance_se_W_mm2=irradiance * 2 * relative,
+            polarization=math.nan,
+            polarization_se=math.nan,
         )
 
 
@@ -112,6 +115,7 @@ class FakeTrace:
             detected_W=detected,
             detected_se_W=0.001 * detected,
             absorbed={"stop_wall": (0.9 * absorbed, 1e-3), "L1_rear": (0.1 * absorbed, 1e-4)},
+            absorbed_in={},
             escaped_W=1.25,
             escaped_se_W=0.01,
             cut={"flux_threshold": 1e-6, "max_events": cut_events, "max_reflections": 0.0, "medium": 0.0},

@@ -103,7 +103,7 @@ class Scene:
         d = dr.normalize(mi.Vector3f(direction.T.astype(np.float32)))
         t, surface = self.intersector.nearest(o, d, mi.UInt32(last), mi.Bool(True))
         hit = surface != NO_SURFACE
-        at = interact(self.table, dr.fma(t, d, o), d, dr.select(hit, surface, 0), None, hit)
+        at = interact(self.table, dr.fma(t, d, o), d, dr.select(hit, surface, 0), None, None, hit)
         numbers = np.array(surface).astype(np.int64)
         order = np.full(self.table.count, -1)
         order[self.number] = np.arange(len(self.ids))

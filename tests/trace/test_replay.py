@@ -25,7 +25,7 @@ import mistray
 from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.paths import INTERCEPTS
 from mistray.trace.precise import retrace
-from mistray.trace.ray_tree import NODE_FLOATS
+from mistray.trace.books import NODE_FLOATS
 
 ROOT = Path(__file__).parents[2]
 NUDGE = 1e-5

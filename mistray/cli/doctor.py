@@ -1,0 +1,28 @@
+"""`mistray doctor`."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Any
+
+from mistray.cli.arguments import RAW
+
+
+def add(commands: Any) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "doctor",
+        help="say what is installed, what is missing and how to get it",
+        description="Look for LLVM, Mitsuba and its variants, the packages mistray needs and a GPU.",
+        epilog="example:\n  mistray doctor",
+        formatter_class=RAW,
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from mistray import doctor
+
+    return doctor.main(as_json=options.json)

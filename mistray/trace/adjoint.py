@@ -1,0 +1,117 @@
+"""The kernel run in reverse: derivatives of a metric by R and T of every surface, angle and side.
+
+The weight of a branch is the product of the R and T along it, and a metric is known to first order by its derivative
+by the flux of every hit of the detector. So a second walk with the same start rays, at each event, needs the sum of
+derivative × flux over the subtree that the event leads to; divided by the event's own R or T it is the derivative by
+that number. In depth-first order the sum over a subtree is the difference of a running total between entering and
+leaving it. It is added to the two rows of the coating's table between which R or T was interpolated, so that what comes
+out is the exact derivative of the traced metric by the rows. `mistray.trace.coating_gradient` goes on from the rows to
+layers.
+
+What it leaves out: children that the primal did not follow (R or T exactly 0, or below the flux threshold).
+Source: the subtree sums are reverse-mode differentiation of a product over a tree; compare D. Vicini et al., "Path replay
+backpropagation", ACM Trans. Graph. 40, 108 (2021).
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.trace.interaction import Interaction
+from mistray.trace.ledger import BATCHES
+
+CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
+
+
+class Adjoint:
+    """
+    Sums of the derivatives of one metric.
+
+    Parameters
+    ----------
+    rows : int
+        Rows of the tables of R and T.
+    pixel : (pixels,) mi.Float, optional
+        Derivative of the metric by the flux in each pixel of the film.
+    slot : (capacity,) mi.Float, optional
+        Derivative of the metric by the flux of each path of the ledger.
+
+    Attributes
+    ----------
+    sums : (BATCHES, rows, CHANNELS) mi.Float64
+        Derivatives of the metric by the rows, by batch of start rays; in units of a start ray's flux.
+    """
+
+    def __init__(self, rows: int, pixel: mi.Float | None = None, slot: mi.Float | None = None) -> None:
+        self.rows, self.pixel, self.slot = rows, pixel, slot
+        self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
+        self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
+        dr.eval(self.sums)
+
+    def memory(self, max_events: int) -> tuple[Any, ...]:
+        """Local arrays by depth: cell of the table, fraction, factor, running total when the event was entered."""
+        return (
+            dr.alloc_local(mi.UInt32, max_events),
+            dr.alloc_local(mi.Float, max_events),
+            dr.alloc_local(mi.Float, max_events),
+            dr.alloc_local(mi.Float64, max_events),
+        )
+
+    def derivative(self, pixel: mi.UInt32, slot: mi.UInt32 | None, active: mi.Bool) -> mi.Float:
+        """Derivative of the metric by the flux of a hit."""
+        total = dr.zeros(mi.Float, dr.width(pixel))
+        if self.pixel is not None:
+            total += dr.gather(mi.Float, self.pixel, pixel, active)
+        if self.slot is not None:
+            assert slot is not None
+            total += dr.gather(mi.Float, self.slot, slot, active)
+        return total
+
+    def enter(
+        self, memory: tuple[Any, ...], depth: mi.UInt32, it: Interaction, reflect: mi.Bool, total: Any, active: mi.Bool
+    ) -> None:
+        """Note the event at this depth, before its child is followed."""
+        cells, fractions, factors, totals = memory
+        cells.write(it.place.row * CHANNELS + it.channel(reflect), depth, active)
+        fractions.write(it.place.fraction, depth, active)
+        factors.write(dr.select(reflect, it.R, it.T), depth, active)
+        totals.write(total, depth, active)
+
+    def detected(self, it: Interaction, batch: mi.UInt32, weighted: mi.Float, active: mi.Bool) -> None:
+        """A hit of the detector, which absorbs 1 - R - T; `weighted` is the derivative times the incident flux."""
+        active = active & (weighted != 0)
+        for reflect in (True, False):
+            cell = it.place.row * CHANNELS + it.channel(mi.Bool(reflect))
+            self._add(cell, it.place.fraction, batch, -weighted, active)
+
+    def leave(
+        self,
+        memory: tuple[Any, ...],
+        batch: mi.UInt32,
+        depth: mi.UInt32,
+        last: mi.UInt32,
+        total: mi.Float64,
+        active: mi.Bool,
+    ) -> None:
+        """Close the events at the depths last … depth - 1, whose subtrees are complete."""
+        cells, fractions, factors, totals = memory
+
+        def step(k):  # type: ignore[no-untyped-def]
+            k = k - 1
+            going = active & (k + 1 > last)
+            subtree = total - totals.read(k, going)
+            share = mi.Float(subtree) / factors.read(k, going)
+            self._add(cells.read(k, going), fractions.read(k, going), batch, share, going & (subtree != 0))
+            return (k,)
+
+        dr.while_loop((dr.select(active, depth, 0),), lambda k: active & (k > last), step, mode="symbolic")
+
+    def _add(self, cell: mi.UInt32, fraction: mi.Float, batch: mi.UInt32, value: mi.Float, active: mi.Bool) -> None:
+        index = batch * self.stride + cell
+        low, high = mi.Float64(value * (1 - fraction)), mi.Float64(value * fraction)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, low, index, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, high, index + CHANNELS, active & (fraction > 0))
+

@@ -1,0 +1,134 @@
+"""What the kernel writes to: sums of flux, the film, recorded branches."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.trace.ledger import BATCHES
+
+# Rows of the tally: what is not tied to a surface
+ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)
+REASONS = 9
+HITS, INCIDENT, ABSORBED_HERE = range(3)
+NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
+
+
+class Tallies:
+    """Float64 sums by batch: three for each surface, one for each medium and reason, and the film with its squares."""
+
+    def __init__(self, surfaces: int, media: int, pixels: int, maps: int = 0) -> None:
+        self.surfaces = dr.zeros(mi.Float64, surfaces * 3 * BATCHES)
+        self.media = dr.zeros(mi.Float64, media * BATCHES)
+        self.reasons = dr.zeros(mi.Float64, REASONS * BATCHES)
+        self.film = dr.zeros(mi.Float64, pixels * max(maps, 1) * 2)
+        dr.eval(self.surfaces, self.media, self.reasons, self.film)
+
+    def add_reason(self, reason: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
+        """Book flux (or a count) under a reason."""
+        dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, mi.Float64(value), reason * BATCHES + batch, active)
+
+    def add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
+        """Book hits, incident or absorbed flux at a surface."""
+        dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), (s * 3 + what) * BATCHES + batch, active)
+
+    def add_medium(self, medium: mi.UInt32, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
+        """Book flux that a medium absorbs."""
+        dr.scatter_reduce(dr.ReduceOp.Add, self.media, mi.Float64(value), medium * BATCHES + batch, active)
+
+
+@dataclass
+class Film:
+    """
+    Pixel grid of the detector.
+
+    Attributes
+    ----------
+    width, height : int
+    x0, y0, per_mm_x, per_mm_y : mi.Float
+        Corner (mm) and pixels per mm, opaque.
+    map_of_slot : mi.UInt32 or None
+        For maps of single paths: number of the map + 1 for each ledger slot, 0 for none.
+    """
+
+    width: int
+    height: int
+    x0: mi.Float
+    y0: mi.Float
+    per_mm_x: mi.Float
+    per_mm_y: mi.Float
+    map_of_slot: mi.UInt32 | None = None
+
+    def pixel(self, x: mi.Float, y: mi.Float) -> mi.UInt32:
+        """Number of the pixel that holds a point of the detector, row 0 at the smallest y."""
+        column = dr.clip(mi.Int32((x - self.x0) * self.per_mm_x), 0, self.width - 1)
+        row = dr.clip(mi.Int32((y - self.y0) * self.per_mm_y), 0, self.height - 1)
+        return mi.UInt32(row * self.width + column)
+
+
+@dataclass
+class Recorder:
+    """
+    Append buffer for whole branches: everything on the way to a leaf.
+
+    Attributes
+    ----------
+    capacity : int
+        Most branches that are kept.
+    key : mi.UInt64
+        Only paths with this key are recorded; 0 records every path that reaches the detector.
+    """
+
+    capacity: int
+    max_events: int
+    key: mi.UInt64
+
+    def __post_init__(self) -> None:
+        size = self.capacity * self.max_events
+        self.count = dr.zeros(mi.UInt32, 1)
+        self.lane = dr.zeros(mi.UInt32, self.capacity)
+        self.length = dr.zeros(mi.UInt32, self.capacity)
+        self.codes = dr.zeros(mi.UInt32, size)
+        self.nodes = dr.zeros(mi.Float, size * NODE_FLOATS)
+        dr.eval(self.count, self.lane, self.length, self.codes, self.nodes)
+
+
+def read_node(memory: Any, k: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
+    """Point, direction of arrival and weight of node k."""
+    v = [memory.read(k * NODE_FLOATS + j, active) for j in range(7)]
+    return mi.Vector3f(*v[:3]), mi.Vector3f(*v[3:6]), v[6]
+
+
+def record_branch(
+    recorder: Recorder,
+    nodes: Any,
+    event: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
+    active: mi.Bool,
+    p: mi.Vector3f,
+    d: mi.Vector3f,
+    w: mi.Float,
+    depth: mi.UInt32,
+    lane: mi.UInt32,
+) -> None:
+    """Write the current path, node by node, to the recorder."""
+    slot = dr.scatter_inc(recorder.count, mi.UInt32(0), active)
+    active = active & (slot < recorder.capacity)
+    dr.scatter(recorder.lane, lane, slot, active)
+    dr.scatter(recorder.length, depth + 1, slot, active)
+
+    def step(k):  # type: ignore[no-untyped-def]
+        going = active & (k <= depth)
+        here = k == depth
+        q, e, v = read_node(nodes, k, going & ~here)
+        values = (*dr.select(here, p, q), *dr.select(here, d, e), dr.select(here, w, v))
+        row = slot * recorder.max_events + k
+        dr.scatter(recorder.codes, event(k, going), row, going)
+        for j, value in enumerate(values):
+            dr.scatter(recorder.nodes, value, row * NODE_FLOATS + j, going)
+        return (k + 1,)
+
+    dr.while_loop((dr.zeros(mi.UInt32, dr.width(depth)),), lambda k: active & (k <= depth), step, mode="symbolic")

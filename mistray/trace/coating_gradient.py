@@ -1,0 +1,182 @@
+"""From derivatives by the rows of the tables of R and T to derivatives by coating parameters.
+
+The rows are exact values of the coating at the nodes, so the chain rule needs their derivatives by the thickness and
+the complex index of each layer. Those come from Dr.Jit's forward mode through `mistray.physics.thinfilm`, in float64,
+one lane for each row that was used and each parameter.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.thinfilm import reflectance_transmittance
+from mistray.trace.adjoint import CHANNELS
+from mistray.trace.interaction import REFLECTION_AND_TRANSMISSION
+from mistray.trace.ledger import BATCHES
+from mistray.trace.optics import IDEAL, OPAQUE, REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION, node_cosines
+
+if TYPE_CHECKING:
+    from mistray.coatings import Stack
+    from mistray.trace.optics import Optics
+
+LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
+IDEAL_PARAMETERS = ("R", "T")
+
+
+def coating_gradient(optics: Optics, sums: np.ndarray) -> Iterator[tuple[Any, str, np.ndarray]]:
+    """
+    Derivatives of a metric by the coating parameters of a scene.
+
+    Parameters
+    ----------
+    optics : Optics
+        Of the run that was traced.
+    sums : (BATCHES, rows, CHANNELS) float64
+        From `Run.derivatives`.
+
+    Yields
+    ------
+    owner, name, gradient
+        The plugin that owns the parameter, its name (``thickness_nm``, ``n_shift``, ``k_shift``, ``R``, ``T``), and the
+        derivatives by batch, (BATCHES, entries). A coating that several surfaces share comes once for each of them.
+
+    Raises
+    ------
+    MistrayError
+        If the run carried polarisation.
+    """
+    if optics.stokes:
+        raise MistrayError("gradients need polarization='unpolarized'; the Stokes vector has no derivative yet")
+    for i, bsdf in enumerate(optics.bsdfs):
+        kind = int(optics.host_words[i]) & 3
+        first, last, total_first, total_last = (int(v) for v in optics.host_places[i])
+        if kind == IDEAL:
+            own = sums[:, first].copy()
+            both = own[:, REFLECTION_AND_TRANSMISSION]
+            yield bsdf.film, "R", (own[:, REFLECTION_FRONT] + own[:, REFLECTION_BACK] + both)[:, None]
+            yield bsdf.film, "T", (own[:, TRANSMISSION] + both)[:, None]
+        elif kind == TABLED and bsdf.film is not None:
+            rows = np.concatenate(
+                [np.arange(first, first + last + 1), np.arange(total_first, total_first + total_last + 1)]
+            )
+            own = sums[:, rows, :REFLECTION_AND_TRANSMISSION]
+            used = np.flatnonzero(np.any(own, axis=(0, 2)))
+            slopes = _row_derivatives(
+                bsdf.coating,
+                optics.wavelength_nm,
+                *optics.complex_indices[i],
+                bool(optics.host_words[i] & OPAQUE),
+                (last + 1, total_last + 1),
+                used,
+            )
+            gradient = np.einsum("brc,prc->bp", own[:, used], slopes)
+            for name, part in zip(LAYER_PARAMETERS, np.split(gradient, len(LAYER_PARAMETERS), axis=1), strict=True):
+                yield bsdf.film, name, part
+
+
+def _row_derivatives(
+    stack: Stack,
+    wavelength_nm: float,
+    n_front: complex,
+    n_back: complex,
+    opaque: bool,
+    counts: tuple[int, int],
+    used: np.ndarray,
+) -> np.ndarray:
+    """
+    Derivatives of rows of a table by thickness, n and k of each layer.
+
+    Parameters
+    ----------
+    counts : (int, int)
+        Rows of the refraction part and of the total-reflection part.
+    used : (u,) int
+        The rows that are wanted, counted through both parts.
+
+    Returns
+    -------
+    (3 L, u, 3) float64
+        By the thicknesses, then n, then k, in the coating's own order of layers; columns as in the table.
+    """
+    indices, thickness, order = stack.front_to_back(wavelength_nm, n_front, n_back)
+    layers = len(indices)
+    if not len(used):
+        return np.zeros((3 * layers, 0, 3))
+    refraction = counts[0]
+    if opaque:
+        front = back = np.linspace(0.0, 1.0, refraction)
+        dense = np.zeros(counts[1])
+    else:
+        front, back, _ = node_cosines(n_front.real, n_back.real, refraction)
+        dense = node_cosines(n_front.real, n_back.real, counts[1])[2]
+    at_front, at_back = np.concatenate([front, dense])[used], np.concatenate([back, dense])[used]
+    total = used >= refraction
+    result = np.zeros((3 * layers, len(used), 3))
+    sides: list[tuple[bool, np.ndarray, np.ndarray]] = []
+    from_front, from_back = n_front.real > n_back.real, n_back.real > n_front.real
+    sides.append((True, at_front, ~total | from_front))
+    sides.append((False, at_back, ~total | from_back))
+    for is_front, cosines, rows in sides:
+        metal = (n_front if is_front else n_back).imag > (n_back if is_front else n_front).imag
+        if not rows.any() or (opaque and metal):
+            continue
+        ordered = (indices, thickness) if is_front else (indices[::-1], thickness[::-1])
+        outer = (n_front, n_back) if is_front else (n_back, n_front)
+        R, T = _tangents(*ordered, *outer, wavelength_nm, cosines[rows])
+        number = order if is_front else order[::-1]
+        slot = np.concatenate([number + part * layers for part in range(3)])
+        place = np.ix_(slot, np.flatnonzero(rows))
+        result[:, :, REFLECTION_FRONT if is_front else REFLECTION_BACK][place] = R
+        if is_front and not opaque:
+            below = ~total[rows]
+            result[:, :, TRANSMISSION][np.ix_(slot, np.flatnonzero(rows & ~total))] = T[:, below]
+    return result
+
+
+def _tangents(
+    indices: np.ndarray,
+    thickness: np.ndarray,
+    n_incident: complex,
+    n_substrate: complex,
+    wavelength_nm: float,
+    cosines: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """Derivatives of the mean R and T by d, n and k of each layer, (3 L, m) each, in the order of incidence."""
+    layers, nodes = len(indices), len(cosines)
+    lane = dr.arange(mi.UInt32, 3 * layers * nodes)
+    parameter = lane // nodes
+
+    def opaque(value: float) -> Any:
+        return dr.opaque(mi.Float64, float(value))
+
+    complex_type = mi.Complex2f64
+    n_layers, d_layers = [], []
+    with dr.resume_grad():
+        for j, (n, d) in enumerate(zip(indices, thickness, strict=True)):
+            values = [opaque(d), opaque(n.real), opaque(n.imag)]
+            moved = []
+            for part, value in enumerate(values):
+                x = value + dr.zeros(mi.Float64, dr.width(lane))
+                dr.enable_grad(x)
+                dr.set_grad(x, dr.select(parameter == part * layers + j, mi.Float64(1), mi.Float64(0)))
+                moved.append(x)
+            d_layers.append(moved[0])
+            n_layers.append(complex_type(moved[1], moved[2]))
+        outer = [complex_type(opaque(n.real), opaque(n.imag)) for n in (n_incident, n_substrate)]
+        cosine = dr.gather(mi.Float64, mi.Float64(cosines), lane % nodes)
+        (r_s, r_p), (t_s, t_p) = reflectance_transmittance(
+            outer[0], n_layers, d_layers, outer[1], opaque(wavelength_nm), cosine
+        )
+        mean_r, mean_t = 0.5 * (r_s + r_p), 0.5 * (t_s + t_p)
+        dr.enqueue(dr.ADMode.Forward, d_layers, n_layers)
+        dr.traverse(dr.ADMode.Forward)
+        gradients = dr.grad(mean_r), dr.grad(mean_t)
+        dr.eval(gradients)
+    shape = (3 * layers, nodes)
+    return np.array(gradients[0]).reshape(shape), np.array(gradients[1]).reshape(shape)

@@ -1,0 +1,298 @@
+"""What the surfaces of a scene do to the flux, as the kernel wants it: words, indices, media and tables of R and T.
+
+A coating is evaluated on the host in float64 and enters the kernel as a table over the angle of incidence, so that the
+cost of a hit does not depend on the number of its layers. A table has two parts:
+
+- *refraction*: uniform nodes in the cosine of the angle in the rarer of the two materials, 0 … 1. In this variable R
+  and T are smooth from either side, the critical angle of the denser side is the node 0;
+- *total reflection*: uniform nodes in w = y/(y + ρ cos θ), 0 … 1, where ρ ≥ 1 is the ratio of the indices, θ the angle
+  in the denser material and y² = ρ² sin² θ - 1. R is analytic in y at the critical angle (w = 0) and in cos θ at
+  grazing incidence (w = 1), and w is in both.
+
+The kernel interpolates linearly. Nodes are added until the error, estimated at the midpoints, is below `TABLE_ERROR`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.coatings import Bare, Response, Stack
+from mistray.errors import MistrayError
+
+# Kinds of surfaces, the lowest bits of their words
+FRESNEL, IDEAL, TABLED = 0, 1, 2
+OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC, WALL = (1 << bit for bit in range(2, 8))
+FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0xFFF
+NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
+TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
+FIRST_INTERVALS, LAST_INTERVALS = 256, 1 << 14
+# A material of larger k is a metal or a black glass: at 550 nm a k of 1e-3 leaves e^-23 after a millimetre
+OPAQUE_K = 1e-3
+# Channels of a table: R for light from the front and from the back, T; in Stokes mode four numbers for each
+REFLECTION_FRONT, REFLECTION_BACK, TRANSMISSION = range(3)
+
+
+@dataclass(frozen=True)
+class AngleTable:
+    """
+    R and T of one surface at one wavelength.
+
+    Attributes
+    ----------
+    refraction : (a, 3, c) float64
+        At uniform nodes of the cosine in the rarer material: R from the front, R from the back, T. c = 1 in unpolarised
+        light (mean of s and p); c = 4 in Stokes mode: the shares of s and p, and real and imaginary part of the product
+        of the amplitude of s with the conjugate one of p.
+    total : (b, 3, c) float64
+        The same at uniform nodes of w, for light from the denser side.
+    error : float
+        Bound of the interpolation error.
+    """
+
+    refraction: np.ndarray
+    total: np.ndarray
+    error: float
+
+
+def node_cosines(n_front: float, n_back: float, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Cosines of the angle of incidence at the nodes of a table.
+
+    Returns
+    -------
+    front, back : (count,) float64
+        Of the refraction part, in the front and in the back material.
+    dense : (count,) float64
+        Of the total-reflection part, in the denser material.
+    """
+    x = np.linspace(0.0, 1.0, count)
+    rho = max(n_front, n_back) / min(n_front, n_back)
+    denser = np.sqrt(1 - (1 - x * x) / rho**2)
+    front, back = (denser, x) if n_front > n_back else (x, denser)
+    return front, back, (1 - x) / np.hypot(x, 1 - x) * np.sqrt(rho * rho - 1) / rho
+
+
+def _channels(response: Response, reflection: bool, stokes: bool) -> np.ndarray:
+    """(m, c) numbers of one channel of a table."""
+    values, phase = (response.R, response.phase_r) if reflection else (response.T, response.phase_t)
+    if not stokes:
+        return values.mean(axis=1, keepdims=True)
+    product = np.sqrt(values[:, 0] * values[:, 1]) * np.exp(1j * phase)
+    return np.column_stack([values, product.real, product.imag])
+
+
+@lru_cache(maxsize=512)
+def angle_table(
+    coating: Any, wavelength_nm: float, n_front: complex, n_back: complex, opaque: bool, stokes: bool
+) -> AngleTable:
+    """
+    Tabulate a coating, with as many nodes as `TABLE_ERROR` asks for, at most `LAST_INTERVALS` + 1.
+
+    Parameters
+    ----------
+    coating : coating
+        See `mistray.coatings`.
+    wavelength_nm : float
+    n_front, n_back : complex
+        Of the materials on both sides.
+    opaque : bool
+        Light that enters is absorbed: the cosine is then the one on the side of incidence, and T is left out.
+    stokes : bool
+        Four numbers for each channel instead of one.
+    """
+
+    def side(cosines: np.ndarray, from_front: bool) -> Response:
+        metal = n_front if from_front else n_back
+        if opaque and metal.imag > OPAQUE_K:  # nothing travels in a metal; the row is never read
+            from_front = not from_front
+        answer: Response = coating.response(wavelength_nm, n_front, n_back, cosines, from_front)
+        return answer
+
+    def refraction(count: int) -> np.ndarray:
+        if opaque:
+            cosines = np.linspace(0.0, 1.0, count)
+            front, back = side(cosines, True), side(cosines, False)
+        else:
+            at_front, at_back, _ = node_cosines(n_front.real, n_back.real, count)
+            front, back = side(at_front, True), side(at_back, False)
+        through = _channels(front, False, stokes)
+        return np.stack(
+            [_channels(front, True, stokes), _channels(back, True, stokes), 0 * through if opaque else through], axis=1
+        )
+
+    def total(count: int) -> np.ndarray:
+        if opaque or n_front.real == n_back.real:
+            return np.zeros((2, 3, 4 if stokes else 1))
+        cosines = node_cosines(n_front.real, n_back.real, count)[2]
+        row = _channels(side(cosines, n_front.real > n_back.real), True, stokes)
+        return np.stack([row, row, np.zeros_like(row)], axis=1)
+
+    (first, error_1), (second, error_2) = _refined(refraction), _refined(total)
+    return AngleTable(first, second, max(error_1, error_2))
+
+
+def _refined(values: Any) -> tuple[np.ndarray, float]:
+    """Values at so many uniform nodes that linear interpolation is good enough, and the bound of its error."""
+    intervals = FIRST_INTERVALS
+    while True:
+        fine = values(2 * intervals + 1)
+        if len(fine) == 2:
+            return fine, 0.0
+        middle = np.max(np.abs(fine[1::2] - 0.5 * (fine[:-1:2] + fine[2::2])))
+        # The error at the midpoints falls with the square of the spacing; twice that for where it is not yet so
+        error = 0.5 * float(middle)
+        if middle == 0:  # a constant
+            return fine[[0, -1]], 0.0
+        if error <= TABLE_ERROR or 2 * intervals >= LAST_INTERVALS:
+            return fine, error
+        intervals *= 2
+
+
+class Optics:
+    """
+    Optical properties of all surfaces at one wavelength.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        Names of the surfaces, for messages.
+    bsdfs : sequence
+        Their ``interface`` plugins.
+    flags : (s,) uint32
+        Bits of the words that the geometry knows.
+    wavelength_nm : float
+        Vacuum wavelength, nm.
+    stokes : bool
+        Tabulate s, p and their phases.
+
+    Attributes
+    ----------
+    words : mi.UInt32
+        Kind, bits and media of each surface.
+    host_words : (s,) uint32
+    indices : mi.Float
+        (s, 4): index in front, index behind, R and T of an ideal coating.
+    places : mi.UInt32
+        (s, 4): first row and last interval of the refraction part and of the total-reflection part of its table.
+    table : mi.Float
+        Rows of `row_floats` numbers.
+    kinds : set of int
+        Kinds that occur.
+    media : list of str
+        Names of the materials by their numbers; 0 is "unknown".
+    absorption : mi.Float
+        Absorption coefficient of each medium, 1/mm.
+    absorbs : bool
+        Whether a medium absorbs.
+    error : float
+        Largest interpolation error of the tables.
+    """
+
+    def __init__(
+        self, ids: Sequence[str], bsdfs: Sequence[Any], flags: np.ndarray, wavelength_nm: float, stokes: bool
+    ) -> None:
+        self.wavelength_nm, self.stokes = wavelength_nm, stokes
+        self.bsdfs = list(bsdfs)
+        self.row_floats = 12 if stokes else 4
+        count = len(bsdfs)
+        self.host_indices = np.zeros((count, 4))
+        self.host_places = np.zeros((count, 4), dtype=np.uint32)
+        words = np.array(flags, dtype=np.uint32)
+        self.rows = 0
+        self.kinds: set[int] = set()
+        self.media = ["unknown"]
+        coefficients = [0.0]
+        numbers: dict[tuple[float, float], int] = {}
+        self.error = 0.0
+        rows: list[np.ndarray] = []
+        self.tables: list[AngleTable | None] = []
+        self.complex_indices: list[tuple[complex, complex]] = []
+        for i, bsdf in enumerate(bsdfs):
+            opaque = bsdf.opaque
+            sides = self._sides(bsdf, opaque)
+            opaque = opaque or max(n.imag for n in sides) > OPAQUE_K
+            kind = self._kind(bsdf, sides)
+            self.kinds.add(kind)
+            words[i] |= kind | (OPAQUE if opaque else 0) | (MIRROR if bsdf.mirror else 0)
+            # An opaque surface sends nothing on: no refraction, so one index will do
+            self.host_indices[i, :2] = (1.0, 1.0) if opaque else (sides[0].real, sides[1].real)
+            self.complex_indices.append(sides)
+            self.host_places[i] = self.rows, 1, self.rows, 1
+            table = None
+            if kind == IDEAL:
+                self.host_indices[i, 2:] = float(bsdf.R[0]), float(bsdf.T[0])
+            elif kind == TABLED:
+                table = angle_table(bsdf.coating, wavelength_nm, *sides, opaque, stokes)
+                self.error = max(self.error, table.error)
+                both = [self._rows(part) for part in (table.refraction, table.total)]
+                self.host_places[i] = (
+                    self.rows,
+                    len(both[0]) - 1,
+                    self.rows + len(both[0]),
+                    len(both[1]) - 1,
+                )
+                rows += both
+                self.rows += sum(map(len, both))
+            if kind != TABLED:  # a row of its own, for the gradient
+                rows.append(np.zeros((2, self.row_floats)))
+                self.rows += 2
+            self.tables.append(table)
+            if opaque:
+                continue
+            for n, spec, shift in zip(sides, (bsdf.front, bsdf.back), (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT), strict=True):
+                # By index, not by name: "air" and "vacuum", "1.5" and "1.50" are one medium
+                key = (round(n.real, 9), float(f"{n.imag:.9g}"))
+                if key not in numbers:
+                    numbers[key] = len(self.media)
+                    self.media.append(spec.strip())
+                    coefficients.append(4e6 * np.pi * n.imag / wavelength_nm)
+                words[i] |= numbers[key] << shift
+        if len(self.media) > MEDIUM_MASK:
+            raise MistrayError(f"the scene has {len(self.media) - 1} materials; at most {MEDIUM_MASK - 1} are possible")
+        detector = int(np.flatnonzero(words & DETECTOR)[0])
+        if self._absorbs_nothing(detector):
+            raise MistrayError(
+                f"detector '{ids[detector]}' absorbs nothing (R + T = 1); give its interface R (and T = 0)"
+            )
+        self.host_words = words
+        self.words = mi.UInt32(words)
+        self.indices = mi.Float(self.host_indices.ravel())
+        self.places = mi.UInt32(self.host_places.ravel())
+        self.table = mi.Float(np.concatenate(rows).ravel())
+        self.absorption = mi.Float(coefficients)
+        self.absorbs = any(coefficients)
+        dr.eval(self.words, self.indices, self.places, self.table, self.absorption)
+
+    def _sides(self, bsdf: Any, opaque: bool) -> tuple[complex, complex]:
+        """Indices on both sides; those of a surface that is opaque whatever lies behind it do not matter."""
+        if opaque and not isinstance(bsdf.coating, Stack):
+            return 1 + 0j, 1 + 0j
+        front, back = bsdf.complex_indices(self.wavelength_nm)
+        return complex(front), complex(back)
+
+    def _kind(self, bsdf: Any, sides: tuple[complex, complex]) -> int:
+        if bsdf.ideal:
+            return IDEAL
+        metal = max(n.imag for n in sides) > OPAQUE_K
+        return FRESNEL if isinstance(bsdf.coating, Bare) and not metal and not self.stokes else TABLED
+
+    def _rows(self, part: np.ndarray) -> np.ndarray:
+        """(nodes, row_floats) as the kernel reads them."""
+        if self.stokes:
+            return part.reshape(len(part), 12)
+        return np.concatenate([part[:, :, 0], np.zeros((len(part), 1))], axis=1)
+
+    def _absorbs_nothing(self, surface: int) -> bool:
+        """Whether an interface takes less than the rounding at every angle, so that a detector stays dark."""
+        bsdf, table = self.bsdfs[surface], self.tables[surface]
+        if table is not None:
+            shares = table.refraction if not self.stokes else table.refraction[:, :, :2].mean(axis=2, keepdims=True)
+            return bool(np.all(shares[:, :2, 0].min(axis=1) + shares[:, 2, 0] > 1 - NO_LOSS))
+        return not bsdf.ideal or float(bsdf.R[0]) + float(bsdf.T[0]) > 1 - NO_LOSS
