@@ -106,7 +106,6 @@ def test_ghosts_prints_the_main_table(capsys, fake):
 def test_ghosts_passes_every_option_on(capsys, fake):
     options = {
         "azimuth_deg": 30.0,
-        "wavelength_nm": 620.0,
         "rays": 1000,
         "max_reflections": 4,
         "max_events": 20,
@@ -114,11 +113,14 @@ def test_ghosts_passes_every_option_on(capsys, fake):
         "splitting": "one",
         "below_threshold": "roulette",
         "seed": 5,
+        "polarization": "stokes",
     }
     arguments = [text for key, value in options.items() for text in ("--" + key.replace("_", "-"), str(value))]
-    code, _, _ = run(capsys, "ghosts", "lens.xml", *arguments)
+    several = ("--wavelength-nm", "450", "550", "650", "--weights", "1", "2", "1")
+    code, _, _ = run(capsys, "ghosts", "lens.xml", *arguments, *several)
     assert code == 0
-    assert fake[0] == {"field_deg": None, **options}
+    spectrum = {"wavelength_nm": [450.0, 550.0, 650.0], "weights": [1.0, 2.0, 1.0]}
+    assert fake[0] == {"field_deg": None, **options, **spectrum}
 
 
 def test_ghosts_writes_its_files(capsys, fake, tmp_path):
@@ -160,6 +162,14 @@ def test_quiet_is_quiet(capsys, fake):
         (("ghosts", "x", "--wavelength-nm", "0"), "argument --wavelength-nm: 0 must be positive"),
         (("ghosts", "x", "--flux-threshold", "nan"), "argument --flux-threshold: 'nan' is not a number"),
         (("ghosts", "x", "--splitting", "some"), "argument --splitting: invalid choice: 'some'"),
+        (
+            ("ghosts", "x", "--wavelength-nm", "450", "550", "--weights", "1"),
+            "--weights has 1 values for 2 of --wavelength-nm; give one weight for each wavelength",
+        ),
+        (("ghosts", "x", "--weights", "1"), "--weights without --wavelength-nm; give one wavelength for each weight"),
+        (("ghosts", "x", "--stops", "2"), "--stops is about colour pictures; add --colour, or leave it out"),
+        (("ghosts", "x", "--colour"), "--colour draws pictures; say with --out where they shall go"),
+        (("ghosts", "x", "--polarization", "linear"), "argument --polarization: invalid choice: 'linear'"),
         (("ghosts", "x", "--depth", "2"), "unrecognized arguments: --depth 2"),
         (("import", "no_such_lens.json"), "lens 'no_such_lens.json': no such file; check the path"),
     ],
@@ -314,6 +324,13 @@ def test_bad_scenes_are_one_line(capfd, tmp_path, plate, damage, parts):
         (("no_such_scene",), ["scene 'no_such_scene': no such file", "plate"]),
         (("plate", "--rays", "0"), ["rays is 0"]),
         (("plate", "--flux-threshold", "2"), ["flux_threshold is 2"]),
+        (("plate", "--wavelength-nm", "550", "550"), ["give every wavelength once"]),
+        (("plate", "--wavelength-nm", "450", "550", "--weights", "0", "0"), ["weights are", "not all 0"]),
+        (("plate", "--colour", "--out", "no_such_folder"), ["1 wavelength (550 nm)", "needs at least 3"]),
+        (
+            ("plate", "--colour", "--out", "no_such_folder", "--wavelength-nm", "450", "550", "900"),
+            ["900 nm is not visible"],
+        ),
         (("plate", "--variant", "scalar_rgb"), ["variant 'scalar_rgb' cannot run the ray tree"]),
         (("plate", "--variant", "cuda_ad_spectral_mono"), ["variant 'cuda_ad_spectral_mono'"]),
     ],
@@ -334,6 +351,25 @@ def test_a_real_scene(capfd, tmp_path):
     assert answer["fields"][0]["paths_ghost"] > 0
     assert {Path(file).name for file in answer["files"]} == {file.name for file in out.iterdir()}
     assert "<title>Ghost analysis: plate</title>" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_a_real_scene_in_colour(capfd, tmp_path):
+    """The plate does not disperse: each line holds its share of every number."""
+    out = tmp_path / "out"
+    lines = ("--wavelength-nm", "450", "550", "650", "--weights", "1", "2", "1")
+    options = ("--rays", "4000", "--out", str(out), "--json", "--per-wavelength", "--colour", "--stops", "1.5")
+    code, text, err = run(capfd, "ghosts", "plate", *lines, *options)
+    answer = json.loads(text)
+    (field,) = answer["fields"]
+    parts = field["per_wavelength"]
+    assert (code, err) == (0, "")
+    assert [part["wavelength_nm"] for part in parts] == [450.0, 550.0, 650.0]
+    assert [part["share_of_flux"] for part in parts] == pytest.approx([0.25, 0.5, 0.25])
+    assert [part["stray_W"] / field["stray_W"] for part in parts] == pytest.approx([0.25, 0.5, 0.25], rel=1e-4)
+    assert all(abs(part["energy"]["closure"]) < 1e-5 for part in parts)
+    assert field["paths_ghost"] == parts[0]["paths_ghost"]
+    assert len(parts[1]["worst_paths"]) == len(field["worst_paths"])
+    assert (out / "colour_0deg.png").is_file()
 
 
 def test_a_reader_that_stops_reading_is_no_error():

@@ -166,7 +166,7 @@ OTHERS = [
     Case("source wavelength", source('<string name="wavelength_nm" value="green"/>'),
          words=("wavelength_nm is 'green'; give one number",)),
     Case("wavelength no glass has", ('value="1.5"', 'value="N-BK7"'), ("--wavelength-nm", "100"),
-         ("material 'N-BK7': 100 nm is outside of its 310 … 2325 nm",), times=2),
+         ("material 'N-BK7': 100 nm is outside of its 300 … 2500 nm",), times=2),
     Case("rays in the scene",
          ('type="straylight"/>', 'type="straylight"><integer name="rays" value="0"/></integrator>'),
          words=("integrator 'straylight': rays is 0; give 1",)),

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
 from typing import NamedTuple
 
 
@@ -26,14 +25,3 @@ class Estimate(NamedTuple):
 
 
 UNKNOWN = Estimate(math.nan, math.nan)
-
-
-def total(parts: Iterable[Estimate]) -> Estimate:
-    """
-    Sum of numbers of one run.
-
-    Their errors are added linearly: the paths of one run share start rays, so that nothing smaller is safe. The
-    standard error of a sum is therefore an upper bound.
-    """
-    parts = list(parts)
-    return Estimate(math.fsum(part.value for part in parts), math.fsum(part.se for part in parts))

@@ -3,11 +3,13 @@
 The yardstick is the RMS irradiance of a path, ``P / (π r_rms²)`` with P the power that the detector absorbs and r_rms
 the RMS distance of the rays from their centroid. Divided by that of the direct image on axis it is the *normalised*
 RMS irradiance: how bright the ghost stands against the image of the same source.
+
+With several wavelengths a path stands for its event list at all of them, and a number for all light, unless it says at
+which wavelength.
 """
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -16,14 +18,13 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
-from mistray.analysis.estimate import UNKNOWN, Estimate, total
+from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.irradiance import Map, MapStatistics, mirror_asymmetry, statistics
+from mistray.analysis.pool import by_path, power
+from mistray.analysis.ranking import DIRECT, KINDS, DirectImage, direct_image, ranked
 from mistray.errors import MistrayError
 from mistray.trace import Trace, trace
 
-DIRECT = "direct"
-KINDS = ("ghost", "structure", "structure+ghost", "TIR", "straight shot")
-FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain to rank by
 DRAWING_RAYS = 576  # start rays of the trace that gives rays to draw
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 NOMINAL_FIELD_DEG = 0.0
@@ -35,12 +36,14 @@ Polyline = npt.NDArray[np.float64]
 @dataclass(frozen=True)
 class FieldSummary:
     """
-    One row of the main table.
+    One row of the main table, of all light or of one wavelength.
 
     Attributes
     ----------
     field_deg : float
         Field angle, degrees.
+    wavelength_nm : float or None
+        None: all light.
     paths : int
         Paths that reach the detector, the direct ones included.
     paths_of_kind : dict
@@ -66,6 +69,7 @@ class FieldSummary:
     """
 
     field_deg: float
+    wavelength_nm: float | None
     paths: int
     paths_of_kind: dict[str, int]
     direct: DirectImage
@@ -97,8 +101,10 @@ class GhostReport(Mapping[float, Trace]):
     ----------
     scene : mi.Scene
         The scene that was traced.
+    wavelengths_nm : list of float
+        Ascending.
     nominal : DirectImage
-        Direct image on axis (field 0): the denominator of every normalised number.
+        Direct image on axis (field 0), all light: the denominator of every normalised number.
     nominal_trace : Trace
         The trace it was taken from.
     arguments : dict
@@ -110,13 +116,14 @@ class GhostReport(Mapping[float, Trace]):
     ) -> None:
         self.scene = scene
         self._traces = dict(traces)
-        self._tables: dict[float, pd.DataFrame] = {}
+        self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
         self._maps: dict[float, _FieldMaps] = {}
         self._drawings: dict[float, Trace] = {}
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self.arguments = dict(arguments)
         self.nominal_trace = nominal_trace
-        self.nominal = direct_image(nominal_trace)
+        self.wavelengths_nm = list(nominal_trace.wavelengths_nm)
+        self.nominal = direct_image(nominal_trace.paths.to_pandas())
 
     def __getitem__(self, field_deg: float) -> Trace:
         try:
@@ -131,21 +138,54 @@ class GhostReport(Mapping[float, Trace]):
     def __len__(self) -> int:
         return len(self._traces)
 
-    def table(self, field_deg: float) -> pd.DataFrame:
+    def nominal_at(self, wavelength_nm: float) -> DirectImage:
+        """Direct image on axis at one wavelength."""
+        table = self.nominal_trace.paths.to_pandas()
+        return direct_image(table[table.wavelength_nm == self._known(wavelength_nm)])
+
+    def weight(self, wavelength_nm: float) -> float:
+        """Share of a wavelength in the launched flux."""
+        launched = self.nominal_trace.energy_at(self._known(wavelength_nm)).launched_W
+        return launched / self.nominal_trace.energy.launched_W
+
+    def table(self, field_deg: float, per_wavelength: bool = False) -> pd.DataFrame:
         """
         Path table of one field, strongest path first.
+
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        per_wavelength : bool
+            One row for each path and wavelength instead of one for each path.
 
         Returns
         -------
         DataFrame
-            The columns of ``Trace.paths`` and ``label`` (ghost surfaces in words), ``normalised_rms_irradiance`` with
-            its ``_se``, ``well_sampled`` (at least `FEWEST_RAYS` rays), and the ranks among the stray paths, 1 = worst:
+            The columns of ``Trace.paths`` and ``path_ids`` (the path at each of its wavelengths; ``path_id`` is the
+            strongest of them, ``wavelength_nm`` and ``polarization`` are means with the powers as weights), ``label``
+            (ghost surfaces in words), ``normalised_rms_irradiance`` with its ``_se``, ``well_sampled`` (at least
+            `mistray.analysis.ranking.FEWEST_RAYS` rays), and the ranks among the stray paths, 1 = worst:
             ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). Paths that are not well sampled come last
-            in the second, because the RMS radius of a few rays is too small too often.
+            in the second, because the RMS radius of a few rays is too small too often. Per wavelength, the rows are
+            normalised to the on-axis image at their wavelength and ranked among those of the same.
         """
-        if field_deg not in self._tables:
-            self._tables[field_deg] = _ranked(self[field_deg].paths.to_pandas(), self.nominal)
-        return self._tables[field_deg]
+        key = field_deg, per_wavelength
+        if key not in self._tables:
+            table = self[field_deg].paths.to_pandas()
+            self._tables[key] = self._by_wavelength(table) if per_wavelength else self._all_light(table)
+        return self._tables[key]
+
+    def _all_light(self, table: pd.DataFrame) -> pd.DataFrame:
+        table = by_path(table)
+        return ranked(table, [self.nominal.rms_irradiance_W_mm2] * len(table))
+
+    def _by_wavelength(self, table: pd.DataFrame) -> pd.DataFrame:
+        parts = []
+        for wavelength in self.wavelengths_nm:
+            rows = by_path(table[table.wavelength_nm == wavelength])
+            parts.append(ranked(rows, [self.nominal_at(wavelength).rms_irradiance_W_mm2] * len(rows)))
+        return pd.concat(parts).sort_values("path_id", ignore_index=True)
 
     def top(self, field_deg: float, count: int = 4, by: str = "rms_irradiance") -> pd.DataFrame:
         """
@@ -165,18 +205,31 @@ class GhostReport(Mapping[float, Trace]):
         table = self.table(field_deg)
         return table[table.kind != DIRECT].sort_values(f"rank_{by}").head(count)
 
+    def spectrum(self, field_deg: float, path_id: int) -> pd.DataFrame:
+        """The rows of one path at each of its wavelengths, ascending; columns as in `table`."""
+        whole = self.table(field_deg)
+        (members,) = whole.path_ids[whole.path_id == path_id]
+        rows = self.table(field_deg, per_wavelength=True)
+        return rows[rows.path_id.isin(members)].sort_values("wavelength_nm")
+
+    def _known(self, wavelength_nm: float) -> float:
+        if wavelength_nm not in self.wavelengths_nm:
+            known = ", ".join(f"{value:g}" for value in self.wavelengths_nm)
+            raise MistrayError(f"{wavelength_nm:g} nm was not traced; traced wavelengths: {known} nm")
+        return wavelength_nm
+
     def map(self, field_deg: float, path_id: int) -> tuple[Map, Map]:
         """
         Irradiance map of one of the worst `MAPPED_PATHS` paths and its standard error, (H, W) in W/mm².
 
-        Of any other paths: ``report[field_deg].irradiance_of([path_id, …])``.
+        Of any other paths: ``report[field_deg].irradiance_of(path_ids)``.
         """
         try:
             return self._field_maps(field_deg).paths[path_id]
         except KeyError:
             raise MistrayError(
                 f"path {path_id} is not among the worst {MAPPED_PATHS} of field {field_deg:g} deg; "
-                "use report[field_deg].irradiance_of([path_id])"
+                "use report[field_deg].irradiance_of(path_ids)"
             ) from None
 
     def stray_map(self, field_deg: float) -> tuple[Map, Map]:
@@ -199,8 +252,8 @@ class GhostReport(Mapping[float, Trace]):
         """
         Rays of a path to draw, spread over the beam.
 
-        They come from a trace of their own with `DRAWING_RAYS` start rays, because the first rays of a large one fill
-        a corner of the beam only.
+        They come from a trace of their own with `DRAWING_RAYS` start rays for each wavelength, because the first rays
+        of a large one fill a corner of the beam only. All are of the wavelength of `path_id`.
 
         Returns
         -------
@@ -213,7 +266,7 @@ class GhostReport(Mapping[float, Trace]):
 
     def _draw(self, field_deg: float, path_id: int) -> list[Polyline]:
         if field_deg not in self._drawings:
-            few = self.arguments | {"rays": DRAWING_RAYS}
+            few = self.arguments | {"rays": DRAWING_RAYS * len(self.wavelengths_nm)}
             self._drawings[field_deg] = trace(self.scene, field_deg=field_deg, **few)
         drawing = self._drawings[field_deg]
         wanted = self[field_deg].paths[path_id]
@@ -239,31 +292,47 @@ class GhostReport(Mapping[float, Trace]):
             if table.empty:
                 dark = np.zeros_like(self[field_deg].irradiance)
                 return _FieldMaps((dark, dark), (dark, dark), {})
-            direct = list(table.path_id[table.kind == DIRECT])
+            members = dict(zip(table.path_id, table.path_ids, strict=True))
             worst = [int(path_id) for path_id in self.top(field_deg, MAPPED_PATHS).path_id]
-            others = [path_id for path_id in table.path_id[table.kind != DIRECT] if path_id not in worst]
-            first, *rest = self[field_deg].maps([direct, others, *([path_id] for path_id in worst)])
+            direct = [i for path_id in table.path_id[table.kind == DIRECT] for i in members[path_id]]
+            others = [i for path_id in table.path_id[table.kind != DIRECT] if path_id not in worst
+                      for i in members[path_id]]  # fmt: skip
+            first, *rest = self[field_deg].maps([direct, others, *(members[path_id] for path_id in worst)])
             stray = np.sum([image for image, _ in rest], axis=0), np.sqrt(np.sum([se**2 for _, se in rest], axis=0))
             self._maps[field_deg] = _FieldMaps(first, stray, dict(zip(worst, rest[1:], strict=True)))
         return self._maps[field_deg]
 
-    def summary(self, field_deg: float) -> FieldSummary:
-        """Key numbers of one field."""
-        t, table = self[field_deg], self.table(field_deg)
-        direct = self.nominal if t is self.nominal_trace else direct_image(t)
-        by_kind = {kind: _power(table[table.kind == kind]) for kind in KINDS}
-        stray = total(by_kind.values())
-        worst = self.top(field_deg, 1)
-        asymmetry, expected = mirror_asymmetry(t.irradiance, t.irradiance_se)
+    def summary(self, field_deg: float, wavelength_nm: float | None = None) -> FieldSummary:
+        """
+        Key numbers of one field.
+
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        wavelength_nm : float, optional
+            Of this wavelength alone, against the on-axis image at it. Default: of all light.
+        """
+        t = self[field_deg]
+        rows, table = t.paths.to_pandas(), self.table(field_deg, per_wavelength=wavelength_nm is not None)
+        if wavelength_nm is None:
+            nominal, irradiance = self.nominal, (t.irradiance, t.irradiance_se)
+        else:
+            nominal, irradiance = self.nominal_at(wavelength_nm), t.irradiance_at(wavelength_nm)
+            rows, table = (part[part.wavelength_nm == wavelength_nm] for part in (rows, table))
+        direct, stray = direct_image(rows), power(rows[rows.kind != DIRECT])
+        worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
+        asymmetry, expected = mirror_asymmetry(*irradiance)
         return FieldSummary(
             field_deg=field_deg,
+            wavelength_nm=wavelength_nm,
             paths=len(table),
             paths_of_kind={kind: int((table.kind == kind).sum()) for kind in (DIRECT, *KINDS)},
             direct=direct,
             stray_W=stray,
-            stray_of_kind_W=by_kind,
+            stray_of_kind_W={kind: power(rows[rows.kind == kind]) for kind in KINDS},
             ghost_to_signal=stray.over(direct.power_W),
-            stray_to_nominal=stray.over(self.nominal.power_W),
+            stray_to_nominal=stray.over(nominal.power_W),
             brightest=int(worst.path_id.iloc[0]) if len(worst) else None,
             brightest_normalised=(
                 Estimate(
@@ -272,7 +341,7 @@ class GhostReport(Mapping[float, Trace]):
                 if len(worst)
                 else UNKNOWN
             ),
-            map=statistics(t.irradiance, t.irradiance_se, t.extent, int(table.rays.sum())),
+            map=statistics(*irradiance, t.extent, int(table.rays.sum())),
             asymmetry=asymmetry,
             asymmetry_expected=expected,
         )
@@ -281,7 +350,8 @@ class GhostReport(Mapping[float, Trace]):
 def ghosts(
     scene: Any,
     fields_deg: Sequence[float] | None = None,
-    wavelength_nm: float | None = None,
+    wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
     azimuth_deg: float | None = None,
     rays: int | None = None,
     max_reflections: int | None = None,
@@ -290,6 +360,7 @@ def ghosts(
     splitting: str | None = None,
     below_threshold: str | None = None,
     seed: int | None = None,
+    polarization: str | None = None,
     progress: Progress | None = None,
 ) -> GhostReport:
     """
@@ -304,8 +375,9 @@ def ghosts(
         From `mistray.load`, with one source and one detector.
     fields_deg : sequence of float, optional
         Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
-    wavelength_nm, azimuth_deg, rays, max_reflections, max_events, flux_threshold, splitting, below_threshold, seed
-        As in `mistray.trace`; None takes the scene's own value.
+    wavelength_nm, weights, azimuth_deg, rays, max_reflections, max_events, flux_threshold, splitting, below_threshold,
+    seed, polarization
+        As in `mistray.trace`; None takes the scene's own value. The rays are shared by the wavelengths.
     progress : callable, optional
         Called now and then with (fields done, fields to do); the first counts parts of a field too.
 
@@ -323,12 +395,14 @@ def ghosts(
         "azimuth_deg": azimuth_deg,
         "rays": rays,
         "wavelength_nm": wavelength_nm,
+        "weights": weights,
         "max_reflections": max_reflections,
         "max_events": max_events,
         "flux_threshold": flux_threshold,
         "splitting": splitting,
         "below_threshold": below_threshold,
         "seed": seed,
+        "polarization": polarization,
     }
     settings = {key: value for key, value in given.items() if value is not None}
     wanted = [None] if fields_deg is None else list(dict.fromkeys(float(field) for field in fields_deg))

@@ -96,14 +96,17 @@ def by_path(table: pd.DataFrame) -> pd.DataFrame:
         The same columns and ``path_ids``, the `path_id` of all members; ``path_id`` is that of the strongest. A path of
         one wavelength keeps its numbers.
     """
+    result = table.assign(path_ids=[(int(path_id),) for path_id in table.path_id])
+    keys = ["source", "events"]
+    repeated = table.duplicated(keys, keep=False)
+    if not repeated.any():
+        return result
     rows = []
-    for _, members in table.groupby(["source", "events"], sort=False):
-        row = members.iloc[0].to_dict()  # the strongest: the table is sorted
-        if len(members) > 1:
-            row |= pooled(members)
-        rows.append(row | {"path_ids": tuple(int(path_id) for path_id in members.path_id)})
-    result = pd.DataFrame(rows, columns=[*table.columns, "path_ids"])
-    result = result.astype({name: kind for name, kind in table.dtypes.items() if name in result})
+    for _, members in table[repeated].groupby(keys, sort=False):
+        strongest = members.iloc[0].to_dict()  # the table is sorted
+        path_ids = tuple(int(path_id) for path_id in members.path_id)
+        rows.append(strongest | pooled(members) | {"path_ids": path_ids})
+    result = pd.concat([result[~repeated], pd.DataFrame(rows)[result.columns].astype(result.dtypes)])
     return result.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)
 
 

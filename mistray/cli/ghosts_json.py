@@ -9,28 +9,21 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from mistray.analysis.ghosts import GhostReport
+    from mistray.trace import Energy
 
 WORST_SHOWN = 4
 
 
-def as_json(report: GhostReport, files: Sequence[Path]) -> dict[str, Any]:
-    """What `mistray ghosts --json` prints."""
+def as_json(report: GhostReport, files: Sequence[Path], per_wavelength: bool = False) -> dict[str, Any]:
+    """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
     from mistray.report.tables import summary_frame, warnings
 
     fields = []
     for row in summary_frame(report).to_dict("records"):
-        energy = report[row["field_deg"]].energy
-        row["energy"] = {
-            "launched_W": energy.launched_W,
-            "detected_W": energy.detected_W,
-            "detected_se_W": energy.detected_se_W,
-            "absorbed_W": {name: {"value": power, "se": se} for name, (power, se) in energy.absorbed.items()},
-            "escaped_W": energy.escaped_W,
-            "escaped_se_W": energy.escaped_se_W,
-            "cut_W": dict(energy.cut),
-            "closure": energy.closure,
-        }
+        row["energy"] = _energy(report[row["field_deg"]].energy)
         row["worst_paths"] = report.top(row["field_deg"], WORST_SHOWN).to_dict("records")
+        if per_wavelength:
+            row["per_wavelength"] = _lines(report, row["field_deg"])
         fields.append(row)
     settings = {key: value for key, value in next(iter(report.values())).settings.items() if key != "field_deg"}
     answer = {
@@ -40,6 +33,37 @@ def as_json(report: GhostReport, files: Sequence[Path]) -> dict[str, Any]:
         "files": [str(file) for file in files],
     }
     return dict(_plain(answer))
+
+
+def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
+    """A field at each wavelength; the worst paths are those of all light."""
+    from mistray.report.tables import summary_frame
+
+    lines = []
+    worst = [report.spectrum(field_deg, path_id) for path_id in report.top(field_deg, WORST_SHOWN).path_id]
+    frame = summary_frame(report, per_wavelength=True)
+    for row in frame[frame.field_deg == field_deg].to_dict("records"):
+        wavelength = row["wavelength_nm"]
+        row["share_of_flux"] = report.weight(wavelength)
+        row["energy"] = _energy(report[field_deg].energy_at(wavelength))
+        spectra = [spectrum[spectrum.wavelength_nm == wavelength] for spectrum in worst]
+        row["worst_paths"] = [path for spectrum in spectra for path in spectrum.to_dict("records")]
+        lines.append(row)
+    return lines
+
+
+def _energy(energy: Energy) -> dict[str, Any]:
+    return {
+        "launched_W": energy.launched_W,
+        "detected_W": energy.detected_W,
+        "detected_se_W": energy.detected_se_W,
+        "absorbed_W": {name: {"value": power, "se": se} for name, (power, se) in energy.absorbed.items()},
+        "absorbed_in_W": {name: {"value": power, "se": se} for name, (power, se) in energy.absorbed_in.items()},
+        "escaped_W": energy.escaped_W,
+        "escaped_se_W": energy.escaped_se_W,
+        "cut_W": dict(energy.cut),
+        "closure": energy.closure,
+    }
 
 
 def _plain(value: Any) -> Any:

@@ -88,11 +88,11 @@ def gradient(metric: Metric, params: Mapping[str, Any], keys: Iterable[str] | No
             seconds += elapsed
             for owner, name, part in coating_gradient(optics, rows):
                 if (id(owner), name) in owners.values():
-                    key = (id(owner), name)
-                    sums[key] = sums.get(key, 0.0) + part
+                    sums[id(owner), name] = sums.get((id(owner), name), 0.0) + part
         by_batch += observation.trace.by_batch(path)
         variance += float(np.sum(np.square(pixel * observation.trace.irradiance_se)))
-    result, errors = {}, {}
+    result: dict[str, np.ndarray] = {}
+    errors: dict[str, np.ndarray] = {}
     for key, place in owners.items():
         batches = sums.get(place)
         if batches is None:  # the coating was never met

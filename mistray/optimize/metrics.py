@@ -196,6 +196,8 @@ def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> M
 
 
 def _metric(scene: Any, function: Callable[[list[Observation]], Any], traced: dict[str, Any], unit: str) -> Metric:
+    if "field_deg" in traced:
+        raise MistrayError(f"metric: field_deg = {traced['field_deg']}; give fields_deg instead of field_deg")
     own = {key: traced.pop(key) for key in ("fields_deg", "wavelength_nm", "weights") if key in traced}
     if own.get("fields_deg") is not None:
         own["fields_deg"] = tuple(float(angle) for angle in np.atleast_1d(own["fields_deg"]))

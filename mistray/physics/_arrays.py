@@ -1,8 +1,11 @@
-"""Square root for floats, NumPy and Dr.Jit arrays, so that a formula is written once."""
+"""Real and complex arithmetic for floats, NumPy and Dr.Jit arrays, so that a formula is written once."""
 
 from __future__ import annotations
 
 import math
+import operator
+import sys
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -29,3 +32,112 @@ def sqrt(x: Any) -> Any:
     import drjit as dr
 
     return dr.sqrt(x)
+
+
+@dataclass(frozen=True)
+class Arithmetic:
+    """
+    What a formula with complex numbers needs of an array library. All of it works in float64.
+
+    Attributes
+    ----------
+    real : callable
+        Makes an array of real numbers from a real number or array.
+    complex : callable
+        Makes an array of complex numbers from arrays of real and imaginary parts.
+    re, im : callable
+        Real and imaginary part of a number or array, real or complex.
+    is_real : callable
+        Whether a number or array is real: by its type in Dr.Jit, by its values in NumPy.
+    scaled : callable
+        A complex array times a real array, (real, complex).
+    sqrt, exp, sincos, maximum, select, detach : callable
+        As in Dr.Jit.
+    result : callable
+        Brings a result to the precision of the arguments.
+    """
+
+    real: Any
+    complex: Any
+    re: Any
+    im: Any
+    is_real: Any
+    scaled: Any
+    sqrt: Any
+    exp: Any
+    sincos: Any
+    maximum: Any
+    select: Any
+    detach: Any
+    result: Any
+
+
+def arithmetic(*values: Any) -> Arithmetic:
+    """
+    Arithmetic for the numbers and arrays of one formula.
+
+    Parameters
+    ----------
+    *values : number, numpy.ndarray or Dr.Jit array
+        All arguments of the formula.
+
+    Returns
+    -------
+    Arithmetic
+        That of Dr.Jit if one of the values is a Dr.Jit array, else that of NumPy.
+    """
+    kinds = [type(value) for value in values if type(value).__module__.startswith("drjit.")]
+    if not kinds:
+        return _NUMPY
+    import drjit as dr
+
+    widest = dr.expr_t(*kinds)
+    module = sys.modules[widest.__module__]
+    given = dr.value_t(widest) if dr.is_complex_v(widest) else widest
+    given_complex = module.Complex2f64 if given is module.Float64 else module.Complex2f
+
+    def part(of_array: Any, of_number: Any) -> Any:
+        return lambda x: of_array(x) if dr.is_array_v(x) else of_number(x)
+
+    return Arithmetic(
+        real=module.Float64,
+        complex=module.Complex2f64,
+        re=part(dr.real, np.real),
+        im=part(dr.imag, np.imag),
+        is_real=lambda x: not (dr.is_complex_v(x) if dr.is_array_v(x) else np.any(np.imag(x))),
+        scaled=lambda a, z: type(z)(a * z.real, a * z.imag),
+        sqrt=dr.sqrt,
+        exp=dr.exp,
+        sincos=dr.sincos,
+        maximum=dr.maximum,
+        select=dr.select,
+        detach=dr.detach,
+        result=lambda x: (given_complex if dr.is_complex_v(x) else given)(x),
+    )
+
+
+def _float64(x: Any) -> np.ndarray:
+    return np.asarray(x, dtype=np.float64)
+
+
+def _complex128(re: Any, im: Any) -> np.ndarray:
+    result = np.empty(np.broadcast(re, im).shape, dtype=np.complex128)
+    result.real, result.imag = re, im
+    return result
+
+
+_NUMPY = Arithmetic(
+    real=_float64,
+    complex=_complex128,
+    re=np.real,
+    im=np.imag,
+    is_real=lambda x: not np.any(np.imag(x)),
+    scaled=operator.mul,
+    sqrt=np.sqrt,
+    exp=np.exp,
+    sincos=lambda x: (np.sin(x), np.cos(x)),
+    maximum=np.maximum,
+    select=np.where,
+    detach=lambda x: x,
+    result=lambda x: x,
+)

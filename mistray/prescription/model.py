@@ -15,6 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mistray.coatings import preset
+from mistray.coatings.simple import check_shares
+from mistray.coatings.stack import SIDES
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
 from mistray.physics.crossing import meeting
@@ -32,6 +35,9 @@ MAX_COEFFICIENTS = 9
 class Coating:
     """What an interface does to the flux; without one it is a bare Fresnel interface.
 
+    Exactly one of ``R``, ``table``, ``layers`` and ``preset`` says what the coating is; see the plugin `thinfilm` and
+    docs/coatings.md.
+
     Attributes
     ----------
     R : float or None
@@ -39,27 +45,73 @@ class Coating:
     T : float or None
         Transmitted fraction, R + T ≤ 1; the rest is absorbed. ``None`` with R given: opaque.
     table : str or None
-        CSV file with the columns wavelength_nm, angle_deg, R, T and optionally R_back, relative to the scene file;
-        instead of R and T.
+        CSV file over wavelength and angle, or ``COATING.DAT:NAME`` for a coating of a Zemax file, relative to the scene
+        file.
+    layers : str or None
+        Layers such as ``"MgF2 99.64, 2.1 0.5w"``: material and thickness in nm, or in waves of `design_nm`.
+    preset : str or None
+        Name of a preset of `mistray.coatings.presets`.
+    first : str
+        Where the first layer lies: "outside" (the side of lower index), "front" or "back".
+    design_nm : float
+        Wavelength of thicknesses in waves, nm.
+    n_shift, k_shift : tuple of float
+        One for each layer, added to its n and k; empty: zeros.
+    name : str or None
+        Surfaces whose coatings have the same name share one object in the scene, with one set of parameters; ``None``:
+        each surface has its own.
     """
 
     R: float | None = None
     T: float | None = None
     table: str | None = None
+    layers: str | None = None
+    preset: str | None = None
+    _: KW_ONLY
+    first: str = "outside"
+    design_nm: float = 550.0
+    n_shift: tuple[float, ...] = ()
+    k_shift: tuple[float, ...] = ()
+    name: str | None = None
 
     def __post_init__(self) -> None:
-        if (self.R is None) == (self.table is None):
-            raise MistrayError(f"coating: R = {self.R} with table = {self.table!r}; give either R (and T) or a table")
-        total = (self.R or 0.0) + (self.T or 0.0)
-        if min(self.R or 0.0, self.T or 0.0) < 0 or total > 1:
-            raise MistrayError(f"coating: R = {self.R}, T = {self.T}; both must be ≥ 0 and R + T ≤ 1")
-        if self.table is not None and self.T is not None:
-            raise MistrayError(f"coating: T = {self.T} beside table '{self.table}'; the table already holds T")
+        what = f"coating '{self.name}'" if self.name else "coating"
+        recipes = {"R": self.R, "table": self.table, "layers": self.layers, "preset": self.preset}
+        given = [key for key, value in recipes.items() if value is not None]
+        if len(given) != 1:
+            raise MistrayError(
+                f"{what}: it has {' and '.join(f'{key} = {recipes[key]!r}' for key in given) or 'no recipe'}; "
+                "give one of R (and T), table, layers and preset"
+            )
+        if self.R is not None:
+            check_shares(self.R, self.T or 0.0, what)
+        elif self.T is not None:
+            raise MistrayError(f"{what}: T = {self.T} beside {given[0]} = {recipes[given[0]]!r}, which already holds T")
+        if self.preset is not None:
+            preset(self.preset, self.design_nm)
+        if self.name is not None:
+            _check_name(self.name)
+        if not self.design_nm > 0:
+            raise MistrayError(f"{what}: design_nm = {self.design_nm:g}; it must be greater than 0")
+        if self.first not in SIDES:
+            raise MistrayError(f"{what}: first = '{self.first}'; it is {', '.join(SIDES[:-1])} or {SIDES[-1]}")
+        defaults = Coating.__dataclass_fields__
+        for key in ("first", "n_shift", "k_shift"):
+            if getattr(self, key) != defaults[key].default and not self.layered:
+                raise MistrayError(f"{what}: {key} has no meaning beside {given[0]}, which has no layers; remove it")
+
+    @property
+    def layered(self) -> bool:
+        """Whether it has layers, so that the scene needs a `thinfilm`; a Zemax file may hold some."""
+        zemax = self.table is not None and not self.table.lower().endswith(".csv")
+        return self.layers is not None or self.preset is not None or zemax
 
     @property
     def opaque(self) -> bool:
-        """Whether no light is transmitted."""
-        return self.table is None and not self.T
+        """Whether no light is transmitted, as far as the coating alone decides it."""
+        if self.preset is not None:
+            return preset(self.preset).opaque
+        return self.R is not None and not self.T
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -400,7 +452,8 @@ class Prescription:
     Raises
     ------
     MistrayError
-        If two names are equal or two coaxial surfaces cross or coincide within the aperture that they share.
+        If two names are equal, coatings of one name differ, or two coaxial surfaces cross or coincide within the
+        aperture that they share.
     """
 
     name: str
@@ -417,6 +470,7 @@ class Prescription:
                 raise MistrayError(
                     f"prescription '{self.name}': {count} shapes are called '{name}'; give each its own name"
                 )
+        self.shared_coatings()
         optical = [s for s in (*self.surfaces, self.detector) if s is not None and s.coaxial]
         for a, b in combinations(optical, 2):
             _check_crossing(a, b)
@@ -429,6 +483,32 @@ class Prescription:
             yield from self.stop.faces()
         if self.detector is not None:
             yield self.detector
+
+    def shared_coatings(self) -> dict[str, Coating]:
+        """
+        Coatings that have a name, by it.
+
+        Raises
+        ------
+        MistrayError
+            If two coatings of one name differ, or a shape has that name.
+        """
+        shared: dict[str, Coating] = {}
+        names = {shape.name for shape in self.shapes()}
+        for shape in self.shapes():
+            coating = shape.coating
+            if coating is None or coating.name is None:
+                continue
+            if shared.setdefault(coating.name, coating) != coating:
+                raise MistrayError(
+                    f"prescription '{self.name}': two different coatings are called '{coating.name}', that of "
+                    f"'{shape.name}' is one; give each its own name"
+                )
+            if coating.name in names:
+                raise MistrayError(
+                    f"prescription '{self.name}': a shape and a coating are called '{coating.name}'; rename one"
+                )
+        return shared
 
     def with_source(self, **changes: Any) -> Prescription:
         """Copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``."""

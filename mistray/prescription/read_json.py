@@ -12,6 +12,7 @@ How faces are chosen, so that each stands in exactly one place:
 - The stop comes from ``aperture_stop``; pieces of the barrel that repeat it (labels with "AS") are left out.
 - The board behind the detector becomes a frame of four rectangles around it.
 - Numbers in the barrel that were rounded are moved onto the rims that they meet (within 2 µm).
+- A material may have a ``k``; where it has none, the lens is taken for lossless, and the scene says so with ``k=0``.
 """
 
 from __future__ import annotations
@@ -253,7 +254,7 @@ def _coating(row: Mapping[str, Any]) -> Coating:
 def _material(key: str, row: Mapping[str, Any]) -> str:
     if key == "AIR":
         return "air"
-    return f"nd={row['nd']} Vd={row['Vd']}" if row.get("Vd") else str(row["nd"])
+    return f"nd={row['nd']} Vd={row['Vd']} k={row.get('k', 0)}" if row.get("Vd") else str(row["nd"])
 
 
 def _even_orders(coefficients: Mapping[str, float]) -> list[tuple[int, float]]:

@@ -12,7 +12,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
-from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
+from mistray.prescription.model import Coating, Detector, Placed, Source, Structure, Surface
 
 if TYPE_CHECKING:
     from mistray.prescription.model import Prescription
@@ -22,7 +22,7 @@ Value = bool | int | float | str
 
 @dataclass(frozen=True)
 class _Node:
-    """One plugin: ``kind`` is the XML tag, ``plugin`` its type, ``place`` its frame."""
+    """One plugin: ``kind`` is the XML tag, ``plugin`` its type, ``place`` its frame; or a reference, a ``ref``."""
 
     kind: str
     plugin: str
@@ -36,12 +36,33 @@ def _interface(shape: Surface | Structure) -> _Node:
     coating = shape.coating
     in_air = shape.front == shape.back == "air"
     properties: dict[str, Value] = {} if in_air else {"front": shape.front, "back": shape.back}
-    if coating is not None:
-        given = {"R": coating.R, "T": coating.T, "table": coating.table}
-        properties |= {key: value for key, value in given.items() if value is not None}
+    children: tuple[_Node, ...] = ()
+    if coating is not None and coating.name is not None:
+        children = (_Node("ref", "", coating.name),)
+    elif coating is not None and coating.layered:
+        children = (_thinfilm(coating),)
+    elif coating is not None:
+        properties |= _recipe(coating)
     if isinstance(shape, Surface) and shape.mirror:
         properties["mirror"] = True
-    return _Node("bsdf", "interface", properties=properties)
+    return _Node("bsdf", "interface", properties=properties, children=children)
+
+
+def _thinfilm(coating: Coating) -> _Node:
+    properties = _recipe(coating)
+    if coating.first != "outside":
+        properties["first"] = coating.first
+    if coating.design_nm != 550.0:
+        properties["design_nm"] = coating.design_nm
+    for key in ("n_shift", "k_shift"):
+        if any(getattr(coating, key)):
+            properties[key] = _list_text(getattr(coating, key))
+    return _Node("bsdf", "thinfilm", coating.name, properties)
+
+
+def _recipe(coating: Coating) -> dict[str, Value]:
+    given = {key: getattr(coating, key) for key in ("R", "T", "table", "layers", "preset")}
+    return {key: value for key, value in given.items() if value is not None}
 
 
 def _labels(shape: Surface | Structure) -> dict[str, Value]:
@@ -113,6 +134,7 @@ def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
     assert prescription.detector is not None
     yield "", [_Node("integrator", "straylight", "integrator")]
     yield "Light", [_source(prescription.source)]
+    yield "Coatings of several surfaces", [_thinfilm(coating) for coating in prescription.shared_coatings().values()]
     yield "Optical surfaces", [_surface(s) for s in prescription.surfaces]
     yield "Structure", [_shape(s) for s in prescription.structures]
     yield "Aperture stop", [_structure(s) for s in (prescription.stop.faces() if prescription.stop else ())]
@@ -135,6 +157,8 @@ def scene_dict(prescription: Prescription) -> dict[str, Any]:
 
 
 def _node_dict(node: _Node) -> dict[str, Any]:
+    if node.kind == "ref":
+        return {"type": "ref", "id": node.id}
     result: dict[str, Any] = {"type": node.plugin, **node.properties}
     if node.place is not None and not _at_origin(node.place):
         import mitsuba as mi
@@ -180,6 +204,8 @@ def xml_text(prescription: Prescription) -> str:
 
 def _node_lines(node: _Node, depth: int) -> list[str]:
     pad = "    " * depth
+    if node.kind == "ref":
+        return [f"{pad}<ref id={quoteattr(str(node.id))}/>"]
     head = f'{pad}<{node.kind} type="{node.plugin}"' + (f" id={quoteattr(node.id)}" if node.id else "")
     body = [_property_line(key, value, depth + 1) for key, value in node.properties.items()]
     if node.place is not None and not _at_origin(node.place):

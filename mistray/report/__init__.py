@@ -1,5 +1,6 @@
 """Reports: printed tables, CSV, pictures, path-sort text and one self-contained HTML file."""
 
+from mistray.report.colour import ColourPictures, Look
 from mistray.report.html import html_text, write_html
 from mistray.report.layout import layout
 from mistray.report.output import writable_directory, write_all, write_png
@@ -8,6 +9,8 @@ from mistray.report.plots import ghost_image, levels_against_field, montage
 from mistray.report.tables import main_table, warnings, with_error, write_csv
 
 __all__ = [
+    "ColourPictures",
+    "Look",
     "SortedPath",
     "ghost_image",
     "html_text",

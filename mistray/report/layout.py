@@ -12,7 +12,8 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from mistray._mitsuba_compat import mesh_arrays
-from mistray.analysis.ghosts import DIRECT, GhostReport
+from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.ranking import DIRECT
 from mistray.report.plots import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 Polyline = npt.NDArray[np.float64]

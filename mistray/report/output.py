@@ -8,6 +8,7 @@ from pathlib import Path
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
+from mistray.report.colour import ColourPictures, Look
 from mistray.report.html import write_html
 from mistray.report.layout import layout
 from mistray.report.path_sort import path_sort_text
@@ -15,24 +16,34 @@ from mistray.report.plots import as_png, common_range, ghost_image, levels_again
 from mistray.report.tables import write_csv
 
 
-def draw(report: GhostReport) -> dict[str, bytes]:
+def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
     """
     All pictures as PNG, by file name.
+
+    Parameters
+    ----------
+    report : GhostReport
+    look : Look, optional
+        Draw colour pictures, too, like this.
 
     Returns
     -------
     dict
-        overview.png, levels.png and, for each field, ghosts_<field>deg.png and layout_<field>deg.png.
+        overview.png, levels.png and, for each field, ghosts_<field>deg.png and layout_<field>deg.png; with a look also
+        colour_<field>deg.png.
     """
     limits = common_range(report)
     pictures = {"overview.png": as_png(montage(report)), "levels.png": as_png(levels_against_field(report))}
     for field in report:
         pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(report, field, limits))
         pictures[f"layout_{field:g}deg.png"] = as_png(layout(report, field))
+    if look is not None:
+        colours = ColourPictures(report, look)
+        pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in report}
     return pictures
 
 
-def write_png(report: GhostReport, directory: str | Path) -> list[Path]:
+def write_png(report: GhostReport, directory: str | Path, look: Look | None = None) -> list[Path]:
     """
     Write the pictures of `draw`.
 
@@ -41,16 +52,25 @@ def write_png(report: GhostReport, directory: str | Path) -> list[Path]:
     report : GhostReport
     directory : str or Path
         Must exist.
+    look : Look, optional
+        See `draw`.
 
     Returns
     -------
     list of Path
         The files written.
     """
-    return _write(draw(report), Path(directory))
+    return _write(draw(report, look), Path(directory))
 
 
-def write_all(report: GhostReport, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
+def write_all(
+    report: GhostReport,
+    directory: str | Path,
+    title: str = "scene",
+    command: str = "",
+    per_wavelength: bool = False,
+    look: Look | None = None,
+) -> list[Path]:
     """
     Write CSV, PNG, path-sort files and report.html.
 
@@ -66,6 +86,10 @@ def write_all(report: GhostReport, directory: str | Path, title: str = "scene", 
         Name of the optical system.
     command : str
         Command line, quoted in the report.
+    per_wavelength : bool
+        Add tables of each wavelength, in the report and as CSV.
+    look : Look, optional
+        Add colour pictures, developed like this.
 
     Returns
     -------
@@ -75,13 +99,13 @@ def write_all(report: GhostReport, directory: str | Path, title: str = "scene", 
     target = writable_directory(directory)
     draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=_nearest_directory(target.parent)))
     try:
-        pictures = draw(report)
-        drafts = [*write_csv(report, draft), *_write(pictures, draft)]
+        pictures = draw(report, look)
+        drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
         for field in report:
             path = draft / f"path_sort_{field:g}deg.txt"
             path.write_text(path_sort_text(report[field]), encoding="utf-8")
             drafts.append(path)
-        drafts.append(write_html(report, draft / "report.html", title, command, pictures))
+        drafts.append(write_html(report, draft / "report.html", title, command, pictures, per_wavelength))
         target.mkdir(parents=True, exist_ok=True)
         return [path.replace(target / path.name) for path in drafts]
     finally:

@@ -16,8 +16,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 
-from mistray.analysis.ghosts import DIRECT, KINDS, GhostReport
+from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.irradiance import Extent, Map, log10_image, log_range, pixel_size
+from mistray.analysis.ranking import DIRECT, KINDS
 from mistray.errors import MistrayError
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (

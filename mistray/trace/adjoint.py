@@ -9,8 +9,8 @@ out is the exact derivative of the traced metric by the rows. `mistray.trace.coa
 layers.
 
 What it leaves out: children that the primal did not follow (R or T exactly 0, or below the flux threshold).
-Source: the subtree sums are reverse-mode differentiation of a product over a tree; compare D. Vicini et al., "Path replay
-backpropagation", ACM Trans. Graph. 40, 108 (2021).
+Source: the subtree sums are reverse-mode differentiation of a product over a tree; compare D. Vicini et al., "Path
+replay backpropagation", ACM Trans. Graph. 40, 108 (2021).
 """
 
 from __future__ import annotations
@@ -114,4 +114,3 @@ class Adjoint:
         low, high = mi.Float64(value * (1 - fraction)), mi.Float64(value * fraction)
         dr.scatter_reduce(dr.ReduceOp.Add, self.sums, low, index, active)
         dr.scatter_reduce(dr.ReduceOp.Add, self.sums, high, index + CHANNELS, active & (fraction > 0))
-

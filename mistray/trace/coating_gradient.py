@@ -16,9 +16,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.thinfilm import reflectance_transmittance
-from mistray.trace.adjoint import CHANNELS
 from mistray.trace.interaction import REFLECTION_AND_TRANSMISSION
-from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import IDEAL, OPAQUE, REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION, node_cosines
 
 if TYPE_CHECKING:
@@ -150,7 +148,8 @@ def _tangents(
     """Derivatives of the mean R and T by d, n and k of each layer, (3 L, m) each, in the order of incidence."""
     layers, nodes = len(indices), len(cosines)
     lane = dr.arange(mi.UInt32, 3 * layers * nodes)
-    parameter = lane // nodes
+    stride = dr.opaque(mi.UInt32, nodes)  # a literal would be compiled in, and the count changes with the design
+    parameter = lane // stride
 
     def opaque(value: float) -> Any:
         return dr.opaque(mi.Float64, float(value))
@@ -169,7 +168,7 @@ def _tangents(
             d_layers.append(moved[0])
             n_layers.append(complex_type(moved[1], moved[2]))
         outer = [complex_type(opaque(n.real), opaque(n.imag)) for n in (n_incident, n_substrate)]
-        cosine = dr.gather(mi.Float64, mi.Float64(cosines), lane % nodes)
+        cosine = dr.gather(mi.Float64, mi.Float64(cosines), lane % stride)
         (r_s, r_p), (t_s, t_p) = reflectance_transmittance(
             outer[0], n_layers, d_layers, outer[1], opaque(wavelength_nm), cosine
         )

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mistray.trace.books import NODE_FLOATS, Recorder
 from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.paths import INTERCEPTS
 from mistray.trace.precise import retrace
-from mistray.trace.books import NODE_FLOATS, Recorder
 
 if TYPE_CHECKING:
     import pandas as pd

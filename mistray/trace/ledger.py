@@ -20,8 +20,8 @@ from mistray.errors import MistrayError
 ABSORBED, TRANSMITTED, REFLECTED, TOTAL = 0, 1, 2, 3
 EVENT_BITS = 2
 BATCHES = 32
-# Sums of a slot and batch: rays, incident, absorbed, absorbed², absorbed · x, absorbed · y, absorbed · (x² + y²), and in
-# Stokes mode absorbed · (q, u, v)
+# Sums of a slot and batch: rays, incident, absorbed, absorbed², absorbed · x, absorbed · y, absorbed · (x² + y²), and
+# in Stokes mode absorbed · (q, u, v)
 SUMS, STOKES_SUMS = 7, 10
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD

@@ -9,7 +9,10 @@ cost of a hit does not depend on the number of its layers. A table has two parts
   in the denser material and y² = ρ² sin² θ - 1. R is analytic in y at the critical angle (w = 0) and in cos θ at
   grazing incidence (w = 1), and w is in both.
 
-The kernel interpolates linearly. Nodes are added until the error, estimated at the midpoints, is below `TABLE_ERROR`.
+The kernel interpolates linearly. Nodes are added until the error, estimated at the midpoints, is below `TABLE_ERROR`,
+or their number reaches `LAST_INTERVALS`. The refraction part of no stack we tried (40 random layers) needs as many;
+total reflection from a thick stack can have guided modes, dips too narrow for any table. The error is known:
+`Trace.coating_error`.
 """
 
 from __future__ import annotations
@@ -25,6 +28,7 @@ import numpy as np
 
 from mistray.coatings import Bare, Response, Stack
 from mistray.errors import MistrayError
+from mistray.trace.upload import upload
 
 # Kinds of surfaces, the lowest bits of their words
 FRESNEL, IDEAL, TABLED = 0, 1, 2
@@ -52,13 +56,14 @@ class AngleTable:
         of the amplitude of s with the conjugate one of p.
     total : (b, 3, c) float64
         The same at uniform nodes of w, for light from the denser side.
-    error : float
-        Bound of the interpolation error.
+    refraction_error, total_error : float
+        Bounds of the interpolation error of either part.
     """
 
     refraction: np.ndarray
     total: np.ndarray
-    error: float
+    refraction_error: float
+    total_error: float
 
 
 def node_cosines(n_front: float, n_back: float, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -134,8 +139,8 @@ def angle_table(
         row = _channels(side(cosines, n_front.real > n_back.real), True, stokes)
         return np.stack([row, row, np.zeros_like(row)], axis=1)
 
-    (first, error_1), (second, error_2) = _refined(refraction), _refined(total)
-    return AngleTable(first, second, max(error_1, error_2))
+    (first, first_error), (second, second_error) = _refined(refraction), _refined(total)
+    return AngleTable(first, second, first_error, second_error)
 
 
 def _refined(values: Any) -> tuple[np.ndarray, float]:
@@ -216,7 +221,7 @@ class Optics:
         self.complex_indices: list[tuple[complex, complex]] = []
         for i, bsdf in enumerate(bsdfs):
             opaque = bsdf.opaque
-            sides = self._sides(bsdf, opaque)
+            sides = self._sides(ids[i], bsdf, opaque)
             opaque = opaque or max(n.imag for n in sides) > OPAQUE_K
             kind = self._kind(bsdf, sides)
             self.kinds.add(kind)
@@ -230,7 +235,7 @@ class Optics:
                 self.host_indices[i, 2:] = float(bsdf.R[0]), float(bsdf.T[0])
             elif kind == TABLED:
                 table = angle_table(bsdf.coating, wavelength_nm, *sides, opaque, stokes)
-                self.error = max(self.error, table.error)
+                self.error = max(self.error, table.refraction_error, table.total_error)
                 both = [self._rows(part) for part in (table.refraction, table.total)]
                 self.host_places[i] = (
                     self.rows,
@@ -246,7 +251,9 @@ class Optics:
             self.tables.append(table)
             if opaque:
                 continue
-            for n, spec, shift in zip(sides, (bsdf.front, bsdf.back), (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT), strict=True):
+            for n, spec, shift in zip(
+                sides, (bsdf.front, bsdf.back), (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT), strict=True
+            ):
                 # By index, not by name: "air" and "vacuum", "1.5" and "1.50" are one medium
                 key = (round(n.real, 9), float(f"{n.imag:.9g}"))
                 if key not in numbers:
@@ -263,18 +270,21 @@ class Optics:
             )
         self.host_words = words
         self.words = mi.UInt32(words)
-        self.indices = mi.Float(self.host_indices.ravel())
-        self.places = mi.UInt32(self.host_places.ravel())
-        self.table = mi.Float(np.concatenate(rows).ravel())
+        self.indices = upload(mi.Float, self.host_indices)
+        self.places = upload(mi.UInt32, self.host_places)
+        self.table = upload(mi.Float, np.concatenate(rows))
         self.absorption = mi.Float(coefficients)
         self.absorbs = any(coefficients)
         dr.eval(self.words, self.indices, self.places, self.table, self.absorption)
 
-    def _sides(self, bsdf: Any, opaque: bool) -> tuple[complex, complex]:
+    def _sides(self, name: str, bsdf: Any, opaque: bool) -> tuple[complex, complex]:
         """Indices on both sides; those of a surface that is opaque whatever lies behind it do not matter."""
         if opaque and not isinstance(bsdf.coating, Stack):
             return 1 + 0j, 1 + 0j
-        front, back = bsdf.complex_indices(self.wavelength_nm)
+        try:
+            front, back = bsdf.complex_indices(self.wavelength_nm)
+        except MistrayError as error:
+            raise MistrayError(f"surface '{name}': {error}") from None
         return complex(front), complex(back)
 
     def _kind(self, bsdf: Any, sides: tuple[complex, complex]) -> int:

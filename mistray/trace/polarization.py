@@ -2,8 +2,8 @@
 
 A branch carries (q, u, v) = (Q, U, V)/I with respect to axes that follow from its direction d alone: the first is the
 projection of the world's x axis onto the plane normal to d (of the y axis where d is within 26° of x), the second
-d × first. Nothing but three numbers need be stored at a node. At a surface the Stokes vector is turned into the plane of
-incidence, with axes s = d × normal and d × s, then multiplied by the Mueller matrix of the coating, and turned back.
+d × first. Nothing but three numbers need be stored at a node. At a surface the Stokes vector is turned into the plane
+of incidence, with axes s = d × normal and d × s, then multiplied by the Mueller matrix of the coating, and turned back.
 
 With Q = |E₁|² - |E₂|² and U + iV = 2 E₁ E₂*, a coating of amplitudes j_s, j_p does
 

@@ -268,10 +268,10 @@ def walk(
         kept = (push | go) if keep_nodes else push
         for j, value in enumerate((p.x, p.y, p.z, d.x, d.y, d.z, w)):
             nodes.write(value, depth * NODE_FLOATS + j, kept)
-        for memory, vector, used in ((normals, state["normal"], has_stock), (polarizations, stokes, settings.stokes)):
+        for memory, name, used in ((normals, "normal", has_stock), (polarizations, "stokes", settings.stokes)):
             if used:
                 for j in range(3):
-                    memory.write(vector[j], depth * 3 + j, push)
+                    memory.write(state[name][j], depth * 3 + j, push)
         keys.write(state["key"], depth, push)
         words.write(s | (reflections << 16), depth, push)
         bit = mi.UInt64(1) << mi.UInt64(depth)
@@ -318,7 +318,9 @@ def walk(
             "p": dr.select(back, bp, dr.fma(t, heading, p)),
             "d": dr.select(back, bd, heading),
             "w": dr.select(back, bw, child),
-            "stokes": again_or(polarizations, it.polarized.after(reflect, heading)) if it.polarized else state["stokes"],
+            "stokes": again_or(polarizations, it.polarized.after(reflect, heading))
+            if it.polarized
+            else state["stokes"],
             "s": dr.select(back, word & 0xFFFF, dr.select(hit, s2, 0)),
             "normal": again_or(normals, normal2) if has_stock else state["normal"],
             "medium": dr.select(back, 0, medium),

@@ -5,29 +5,18 @@ from __future__ import annotations
 import importlib.metadata
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.books import FIRST_MISS, SEGMENTS
+from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import RayHistory, read_rays
 from mistray.trace.ledger import BATCHES
 from mistray.trace.paths import PathTable, path_table
-from mistray.trace.books import (
-    ABSORBED_HERE,
-    ESCAPED,
-    EVENTS,
-    FIRST_MISS,
-    HITS,
-    INCIDENT,
-    MEDIUM,
-    REFLECTIONS,
-    ROULETTE,
-    SEGMENTS,
-    THRESHOLD,
-)
 from mistray.trace.settings import Settings
 from mistray.trace.tracer import Run, prepare
 
@@ -35,100 +24,6 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.trace.optics import Optics
-
-CUTS = {
-    "flux_threshold": THRESHOLD,
-    "roulette": ROULETTE,
-    "max_reflections": REFLECTIONS,
-    "max_events": EVENTS,
-    "medium": MEDIUM,
-}
-TINY = 1e-300
-
-
-@dataclass(frozen=True)
-class Energy:
-    """
-    Where the flux of a trace went; all in W, ``_se`` are standard errors.
-
-    Attributes
-    ----------
-    launched_W, detected_W, escaped_W : float
-        `detected_W` is what the detector absorbs.
-    detected_se_W, escaped_se_W : float
-    absorbed : dict
-        Surface id → (absorbed flux, its standard error), the detector left out.
-    absorbed_in : dict
-        Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
-    cut : dict
-        Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_events",
-        "roulette" (0 on average: what Russian roulette removed less what it added) and "medium" (a ray met a surface
-        from a material that is not there: a gap or an overlap in the geometry).
-    """
-
-    launched_W: float
-    detected_W: float
-    detected_se_W: float
-    absorbed: dict[str, tuple[float, float]]
-    absorbed_in: dict[str, tuple[float, float]]
-    escaped_W: float
-    escaped_se_W: float
-    cut: dict[str, float]
-
-    @property
-    def closure(self) -> float:
-        """(detected + absorbed at surfaces and in media + escaped + cut - launched) / launched."""
-        absorbed = sum(value for value, _ in (*self.absorbed.values(), *self.absorbed_in.values()))
-        return (
-            self.detected_W + absorbed + self.escaped_W + sum(self.cut.values()) - self.launched_W
-        ) / self.launched_W
-
-    def __str__(self) -> str:
-        def line(name: str, value: float, se: float | None = None) -> str:
-            error = "" if se is None else f" ± {se:.1e}"
-            return f"{name:<28}{value:>14.6e}{error:<12} W {100 * value / self.launched_W:>11.5f} %"
-
-        lines = [line("launched", self.launched_W), line("detected", self.detected_W, self.detected_se_W)]
-        strongest = sorted(self.absorbed.items(), key=lambda item: -item[1][0])
-        lines += [line(f"absorbed by {name}", *value) for name, value in strongest if value[0] > 0]
-        lines += [line(f"absorbed in {name}", *value) for name, value in self.absorbed_in.items()]
-        lines.append(line("escaped", self.escaped_W, self.escaped_se_W))
-        lines += [line(f"cut by {reason}", value) for reason, value in self.cut.items() if value]
-        lines.append(f"{'closure':<28}{self.closure:>14.1e} (relative)")
-        return "\n".join(lines)
-
-
-@dataclass(frozen=True)
-class SurfaceFlux:
-    """One row of the flux report: hits, and incident and absorbed flux with standard errors, W."""
-
-    id: str
-    part: str
-    space: int
-    hits: int
-    incident_W: float
-    incident_se_W: float
-    absorbed_W: float
-    absorbed_se_W: float
-
-
-class FluxReport(Sequence[SurfaceFlux]):
-    """Flux at every surface of the scene, in the scene's order."""
-
-    def __init__(self, rows: Sequence[SurfaceFlux]) -> None:
-        self._rows = list(rows)
-
-    def __getitem__(self, index):  # type: ignore[no-untyped-def]
-        return self._rows[index]
-
-    def __len__(self) -> int:
-        return len(self._rows)
-
-    def to_pandas(self) -> pd.DataFrame:
-        """The report as a DataFrame, one column for each attribute of `SurfaceFlux`."""
-        import pandas as pd
-
-        return pd.DataFrame([asdict(row) for row in self._rows])
 
 
 class Trace:
@@ -150,6 +45,8 @@ class Trace:
         land in one place, the map scatters by 1.3 times the error.
     extent : tuple of float
         x0, x1, y0, y1 of the irradiance map in the detector's frame, mm.
+    coating_error : float
+        Bound of the error of R and T by interpolation over the angle of incidence, of the worst coating.
     segments : int
         Ray segments that were traced.
     seconds : float
@@ -163,8 +60,9 @@ class Trace:
         self.irradiance, self.irradiance_se = self._map(runs, [run.film for run in runs])
         decoded = [run.paths for run in runs if run.paths is not None]
         self._paths = path_table(runs, decoded) if decoded else None
-        self.surfaces = _flux_report(runs)
-        self.energy = _energy(runs, self.surfaces)
+        self.surfaces = flux_report(runs)
+        self.energy = energy_ledger(runs, self.surfaces)
+        self.coating_error = max(run.table.optics.error for run in runs)
         self.segments = round(sum(float(run.reasons[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)
 
@@ -211,11 +109,11 @@ class Trace:
     def energy_at(self, wavelength_nm: float) -> Energy:
         """The energy ledger of one of the wavelengths of the trace."""
         runs = self._runs_at(wavelength_nm)
-        return _energy(runs, _flux_report(runs))
+        return energy_ledger(runs, flux_report(runs))
 
     def surfaces_at(self, wavelength_nm: float) -> FluxReport:
         """Flux at every surface at one of the wavelengths of the trace."""
-        return _flux_report(self._runs_at(wavelength_nm))
+        return flux_report(self._runs_at(wavelength_nm))
 
     def irradiance_of(self, path_ids: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
@@ -253,7 +151,11 @@ class Trace:
                 run, slot, _ = self.paths.locate(int(path_id))
                 if numbers[run].setdefault(slot, number) != number:
                     raise MistrayError(f"path_id {path_id} is in two groups; a path belongs to one map")
-        stacks = [run.maps(slots, len(groups)) for run, slots in zip(self._runs, numbers, strict=True)]
+        size = (len(groups), 2, *self.irradiance.shape)
+        stacks = [
+            run.maps(slots, len(groups)) if slots else np.zeros(size)
+            for run, slots in zip(self._runs, numbers, strict=True)
+        ]
         return [self._map(self._runs, [stack[number] for stack in stacks]) for number in range(len(groups))]
 
     def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
@@ -357,63 +259,6 @@ class Trace:
         return f"Trace({count}, {self.segments:.3g} segments, {detected})"
 
 
-def _batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Standard error of a sum over batches (last axis) of `rays` start rays each, from the spread of their means."""
-    expected = by_batch.sum(axis=-1, keepdims=True) * (rays / rays.sum())
-    used = max(int(np.count_nonzero(rays)), 2)
-    return np.sqrt(used / (used - 1) * np.sum(np.square(by_batch - expected), axis=-1))
-
-
-def _flux_report(runs: Sequence[Run]) -> FluxReport:
-    rows = []
-    table = runs[0].table
-    for i in table.listed:
-        values = np.zeros(3)
-        variances = np.zeros(3)
-        for run in runs:
-            scale = np.array([1.0, run.unit, run.unit])
-            values += scale * run.surfaces[i].sum(axis=-1)
-            variances += (scale * _batch_error(run.surfaces[i], run.started)) ** 2
-        se = np.sqrt(variances)
-        rows.append(
-            SurfaceFlux(
-                table.ids[i],
-                table.parts[i],
-                table.spaces[i],
-                round(values[HITS]),
-                values[INCIDENT],
-                se[INCIDENT],
-                values[ABSORBED_HERE],
-                se[ABSORBED_HERE],
-            )
-        )
-    return FluxReport(rows)
-
-
-def _energy(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
-    table = runs[0].table
-    (detector,) = (row for row in surfaces if row.id == table.ids[table.detector])
-    escaped = sum(run.unit * run.reasons[ESCAPED].sum() for run in runs)
-    escaped_se = np.sqrt(sum((run.unit * _batch_error(run.reasons[ESCAPED], run.started)) ** 2 for run in runs))
-    media: dict[str, tuple[float, float]] = {}
-    for run in runs:
-        for name, sums in zip(run.table.optics.media[1:], run.media[1:], strict=True):
-            if sums.any():
-                before, se = media.get(name, (0.0, 0.0))
-                error = float(run.unit * _batch_error(sums, run.started))
-                media[name] = before + float(run.unit * sums.sum()), float(np.hypot(se, error))
-    return Energy(
-        launched_W=sum(run.beam.power for run in runs),
-        detected_W=detector.absorbed_W,
-        detected_se_W=detector.absorbed_se_W,
-        absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row is not detector},
-        absorbed_in=media,
-        escaped_W=float(escaped),
-        escaped_se_W=float(escaped_se),
-        cut={reason: float(sum(run.unit * run.reasons[row].sum() for run in runs)) for reason, row in CUTS.items()},
-    )
-
-
 def trace(
     scene: mi.Scene,
     rays: float | None = None,
@@ -502,6 +347,8 @@ def trace(
                 "check field_deg, the source's position and its size"
             )
     emitter = runs[0].beam.emitter
+    wavelengths = sorted({run.beam.wavelength_nm for run in runs})
+    power = sum(run.beam.power for run in runs)
     return Trace(
         runs,
         {
@@ -509,7 +356,10 @@ def trace(
             "rays": all_rays,
             "field_deg": emitter.field_deg if field_deg is None else float(field_deg),
             "azimuth_deg": emitter.azimuth_deg if azimuth_deg is None else float(azimuth_deg),
-            "wavelength_nm": sorted({run.beam.wavelength_nm for run in runs}),
+            "wavelength_nm": wavelengths,
+            "weights": [
+                sum(run.beam.power for run in runs if run.beam.wavelength_nm == w) / power for w in wavelengths
+            ],
             "detector": runs[0].table.ids[runs[0].table.detector],
             "ledger": ledger,
             "variant": mi.variant(),

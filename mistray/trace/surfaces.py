@@ -21,6 +21,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.sag import sag
 from mistray.trace.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
+from mistray.trace.upload import upload
 
 NO_SURFACE = 0xFFFFFFFF
 # A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
@@ -182,11 +183,11 @@ class SurfaceTable:
         half_size = np.zeros((self.count, 2))
         for p in self.pieces:
             half_size[p.index] = p.half_size
-        self.half_size = mi.Float(half_size.ravel())
-        self.quadric = mi.Float(quadric.ravel())
-        self.vertex = mi.Float(vertex.ravel())
-        self.polynomial = mi.Float(polynomial.ravel())
-        self.rotation = mi.Float(np.concatenate([self.rotations, np.zeros((self.count, 3, 1))], axis=2).ravel())
+        self.half_size = upload(mi.Float, half_size)
+        self.quadric = upload(mi.Float, quadric)
+        self.vertex = upload(mi.Float, vertex)
+        self.polynomial = upload(mi.Float, polynomial)
+        self.rotation = upload(mi.Float, np.concatenate([self.rotations, np.zeros((self.count, 3, 1))], axis=2))
 
     def _stock(self, shapes: list[Any]) -> None:
         """A Mitsuba scene of the shapes that are not ours, and the way from its shapes to surface numbers."""

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import CoatingTable
+from mistray.coatings import Bare, Coating, CoatingTable, Ideal
+from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
-from mistray.materials import refractive_index
+from mistray.materials import complex_index, refractive_index, resolved
 from mistray.physics.fresnel import reflectance
+from mistray.trace.optics import OPAQUE_K, REFLECTION_BACK, REFLECTION_FRONT, TRANSMISSION, angle_table
 
 STOCK_WAVELENGTH_NM = 550.0
+SIDES = ("front", "back", "mirror", "wavelength_nm")  # what an interface has beside its coating
 
 
 class Interface(mi.BSDF):
@@ -21,30 +26,35 @@ class Interface(mi.BSDF):
     The materials are those at the ``front`` (where the shape's normal comes from) and at the ``back`` (where
     it points to), so that a ray needs no stack of media. The reflectance R and the transmittance T are
 
-    - those of the bare surface (Fresnel, unpolarised, T = 1 - R) when no coating is given,
+    - those of the bare surface (Fresnel's equations) when no coating is given; a metal may lie on either side,
     - constant when ``R`` and ``T`` are given (an ideal coating; ``R`` alone makes the surface opaque),
-    - interpolated in a CSV file when ``table`` is given.
+    - interpolated in a CSV file when ``table`` is given,
+    - those of the nested ``thinfilm``: layers, a preset, or again R and T or a table. Several interfaces may
+      share one by ``<ref id="…"/>``; it is then one object, with one set of parameters.
 
-    A = 1 - R - T is absorbed. Beyond the critical angle the transmitted part is reflected as well: R + T.
+    A = 1 - R - T is absorbed. Beyond the critical angle nothing is transmitted: bare surfaces and layers
+    reflect what their equations give, ideal and tabled coatings R + T.
 
-    ============== ======= ======= ======== ==============================================================
-    parameter      unit    range   default  meaning
-    ============== ======= ======= ======== ==============================================================
-    front, back    string          air      material: ``air``, ``vacuum``, an index (``1.5168``),
-                                            ``nd=1.544 Vd=56.1`` or a glass name (``N-BK7``)
-    R              1       0 … 1   Fresnel  reflectance of an ideal coating (differentiable)
-    T              1       0 … 1   0 if R   transmittance of an ideal coating (differentiable)
-    table          file            none     CSV with the columns wavelength_nm, angle_deg, R, T and, where
-                                            the coating absorbs, R_back; the angle is the one in the rarer
-                                            material, for light from either side
-    mirror         bool            false    the design path reflects here: such a reflection is not counted
-                                            as a ghost bounce
-    wavelength_nm  nm      > 0     550      wavelength for *stock* integrators only; the ray tree uses the
-                                            wavelength of its source
-    ============== ======= ======= ======== ==============================================================
+    ================= ======= ======= ======== ===========================================================
+    parameter         unit    range   default  meaning
+    ================= ======= ======= ======== ===========================================================
+    front, back       string          air      material: ``air``, an index (``1.5168``, ``1.5+0.01i``),
+                                               ``nd=1.544 Vd=56.1``, a name (``N-BK7``, ``Al``) or a file;
+                                               see docs/materials.md
+    R                 1       0 … 1   Fresnel  reflectance of an ideal coating (differentiable)
+    T                 1       0 … 1   0 if R   transmittance of an ideal coating (differentiable)
+    table             file            none     CSV over wavelength and angle, see docs/coatings.md; the angle
+                                               is the one in the rarer material, for light from either side
+    (nested) thinfilm bsdf            none     the coating, instead of R, T and table
+    mirror            bool            false    the design path reflects here: such a reflection is not counted
+                                               as a ghost bounce
+    wavelength_nm     nm      > 0     550      wavelength for *stock* integrators only; the ray tree uses the
+                                               wavelength of its source
+    ================= ======= ======= ======== ===========================================================
 
-    Source: Fresnel's equations, see `mistray.physics.fresnel`. Under a stock integrator the plugin is a
-    delta BSDF (a smooth dielectric with the coating's R and T).
+    Source: Fresnel's equations, see `mistray.physics.thinfilm`. Under a stock integrator the plugin is a
+    delta BSDF for unpolarised light; R and T of a coating then come from the same table over the angle that
+    the ray tree uses, at ``wavelength_nm``. A material without k is taken for transparent there.
 
     .. code-block:: xml
 
@@ -57,32 +67,29 @@ class Interface(mi.BSDF):
 
     .. code-block:: python
 
-        {"type": "interface", "front": "air", "back": "nd=1.544 Vd=56.1", "R": 0.02, "T": 0.98}
+        {"type": "interface", "back": "N-BK7", "coating": {"type": "thinfilm", "preset": "bbar3"}}
     """
+
+    kind = "interface"
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.name = str(props.id())
-        self.front = str(props.get("front", "air"))
-        self.back = str(props.get("back", "air"))
-        self.mirror = bool(props.get("mirror", False))
         self.wavelength_nm = float(props.get("wavelength_nm", STOCK_WAVELENGTH_NM))
-        for spec in (self.front, self.back):
-            refractive_index(spec, self.wavelength_nm)  # an unknown material is an error of the scene, now
-        ideal = "R" in props or ("T" in props)
-        if ideal and ("table" in props):
-            raise MistrayError(f"interface '{self.name}': give R and T or table, not both")
-        self.table: CoatingTable | None = None
-        self.ideal = ideal
-        if ideal and "R" not in props:
-            raise MistrayError(f"interface '{self.name}': T is given without R; give both (A = 1 - R - T is absorbed)")
-        self.R = mi.Float(float(props.get("R", 0.0)))
-        self.T = mi.Float(float(props.get("T", 0.0)))
-        self._check()
-        self._held = (float(self.R[0]), float(self.T[0]))
-        if "table" in props:
-            path = str(mi.file_resolver().resolve(str(props.get("table"))))
-            self.table = CoatingTable.read(path)
+        self.front, self.back = (self._resolved(str(props.get(side, "air"))) for side in ("front", "back"))
+        self.mirror = bool(props.get("mirror", False))
+        self.indices(self.wavelength_nm)  # an unknown material is an error of the scene, now
+        self._own_ideal = False
+        self._R, self._T = mi.Float(0), mi.Float(0)
+        self._own: Coating = Bare()
+        self._held: tuple[np.ndarray, ...] = ()
+        self._stock: tuple[Coating, dict[str, Any]] | None = None
+        # Only objects are looked at: what is never asked for is reported as unknown
+        objects = [props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object]
+        nested = [item for item in objects if isinstance(item, mi.BSDF)]
+        self._nested = self._nested_film(props, nested) if nested else None
+        if self._nested is None:
+            self._read_coating(props)
         side = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
         self.m_components = [
             mi.BSDFFlags.DeltaReflection | side,
@@ -90,83 +97,180 @@ class Interface(mi.BSDF):
         ]
         self.m_flags = self.m_components[0] | self.m_components[1]
 
-    def _check(self) -> None:
-        if not self.ideal:
-            return
-        r, t = float(dr.detach(self.R)[0]), float(dr.detach(self.T)[0])
-        if not (0 <= r <= 1 and 0 <= t <= 1 and r + t <= 1 + 1e-6):
+    # -- the coating ---------------------------------------------------------------------------------------------
+
+    def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
+        """The nested thinfilm."""
+        film = nested[0]
+        if len(nested) > 1 or getattr(film, "kind", "") != "thinfilm":
+            what = f"{len(nested)} BSDFs" if len(nested) > 1 else f"{str(film).partition('[')[0]}"
+            raise MistrayError(f"interface '{self.name}': {what} nested; nest one 'thinfilm', its coating")
+        given = [key for key in ("R", "T", "table") if key in props]
+        if given:
+            raise MistrayError(f"interface '{self.name}': give {given[0]} or a nested thinfilm, not both")
+        if film.sides:
             raise MistrayError(
-                f"interface '{self.name}': R = {r:g} and T = {t:g}; both must lie in 0 … 1 and R + T must not exceed 1"
+                f"interface '{self.name}': its {film.title} has {film.sides[0]} as well; give {film.sides[0]} at the "
+                "interface only"
             )
+        return film
+
+    def _read_coating(self, props: mi.Properties) -> None:
+        """Coating from the parameters R and T or table."""
+        given = [key for key in ("R", "T", "table") if key in props]
+        if "table" in given and len(given) > 1:
+            raise MistrayError(f"{self.title}: give R and T or table, not both")
+        if given == ["T"]:
+            raise MistrayError(f"{self.title}: T is given without R; give both (A = 1 - R - T is absorbed)")
+        if given == ["table"]:
+            self._own = self._read_table(str(props.get("table")))
+        elif given:
+            self._own_ideal = True
+            self._R, self._T = mi.Float(float(props.get("R"))), mi.Float(float(props.get("T", 0.0)))
+            self._rebuild()
+
+    def _read_table(self, spec: str) -> Coating:
+        if not spec.lower().endswith(".csv"):
+            raise MistrayError(f"{self.title}: table '{spec}' is no CSV file; nest a 'thinfilm' for other files")
+        return CoatingTable.read(_resolve(spec))
+
+    @property
+    def title(self) -> str:
+        """For messages."""
+        return f"{self.kind} '{self.name}'"
+
+    def _parameters(self) -> dict[str, mi.Float]:
+        """The differentiable parameters of the coating that this plugin owns, by name."""
+        return {"R": self._R, "T": self._T} if self._own_ideal else {}
+
+    def _rebuild(self) -> None:
+        """Make the coating from the parameters; raises if they are impossible, and then nothing has changed."""
+        values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self._parameters().values())
+        for name, value, held in zip(self._parameters(), values, self._held, strict=False):
+            if len(value) != len(held):
+                raise MistrayError(f"{self.title}: {name} has {len(value)} entries; it must have {len(held)} as before")
+        self._own = self._build(*values)
+        self._held = values
+
+    def _build(self, *values: np.ndarray) -> Coating:
+        r, t = (float(value[0]) for value in values)
+        check_shares(r, t, self.title)
+        return Ideal(r, t, self.name)
+
+    @property
+    def _owner(self) -> Any:
+        """The plugin that has the coating: the nested one, or this one."""
+        return self if self._nested is None else self._nested
+
+    @property
+    def coating(self) -> Coating:
+        """The coating with the current values of its parameters."""
+        return self._owner._own
+
+    @property
+    def film(self) -> Any:
+        """The plugin that owns the coating's differentiable parameters, this one or the nested one; None if none."""
+        return self._owner if self._owner._parameters() else None
+
+    @property
+    def ideal(self) -> bool:
+        """Whether R and T are constants."""
+        return self._owner._own_ideal
+
+    @property
+    def R(self) -> mi.Float:
+        """Reflectance of an ideal coating."""
+        return self._owner._R
+
+    @property
+    def T(self) -> mi.Float:
+        """Transmittance of an ideal coating."""
+        return self._owner._T
 
     @property
     def opaque(self) -> bool:
-        """Whether nothing is transmitted at any wavelength and angle."""
-        if self.table is not None:
-            return self.table.opaque
-        return self.ideal and float(dr.detach(self.T)[0]) == 0.0
+        """Whether the coating transmits nothing at any wavelength and angle."""
+        return self.coating.opaque
+
+    # -- the materials -------------------------------------------------------------------------------------------
+
+    def _resolved(self, material: str) -> str:
+        return resolved(material, _resolve)
 
     def indices(self, wavelength_nm: float) -> tuple[float, float]:
-        """Refractive indices of the front and the back material at a wavelength in nm."""
+        """Real refractive indices of the front and the back material at a wavelength in nm."""
         return refractive_index(self.front, wavelength_nm), refractive_index(self.back, wavelength_nm)
 
-    @property
-    def coating(self):
-        from mistray.coatings import Bare
-
-        return Bare() if self.table is None else self.table
-
-    film = None
-
     def complex_indices(self, wavelength_nm: float) -> tuple[complex, complex]:
-        """Placeholder of worker C's method."""
-        return tuple(complex(n) for n in self.indices(wavelength_nm))
-
-    def tabulate(self, wavelength_nm: float, cos_rare: np.ndarray) -> np.ndarray | None:
         """
-        Reflectance and transmittance for the ray tree, or None if bare Fresnel or an ideal coating says it all.
+        Indices n + ik of the front and the back material.
 
-        Parameters
-        ----------
-        wavelength_nm : float
-            Vacuum wavelength, nm.
-        cos_rare : (n,) float
-            Cosine of the angle of incidence in the rarer material.
-
-        Returns
-        -------
-        (n, 3) float or None
-            R for light from the front, R for light from the back, T. A subclass with a coating of its own
-            overrides this.
+        Raises
+        ------
+        MistrayError
+            If a k is not known; the message names the interface.
         """
-        return None if self.table is None else self.table.evaluate(wavelength_nm, cos_rare)
+        try:
+            return complex_index(self.front, wavelength_nm), complex_index(self.back, wavelength_nm)
+        except MistrayError as error:
+            raise MistrayError(f"{self.title}: {error}" if self.name else str(error)) from None
+
+    # -- Mitsuba's protocol --------------------------------------------------------------------------------------
+
+    def _stock_indices(self) -> tuple[complex, complex]:
+        """Indices for stock integrators, which know no absorption in media: without k a material is transparent."""
+        found = []
+        for material in (self.front, self.back):
+            try:
+                found.append(complex_index(material, self.wavelength_nm))
+            except MistrayError:
+                found.append(complex(refractive_index(material, self.wavelength_nm)))
+        return found[0], found[1]
+
+    def _stock_table(self) -> dict[str, Any]:
+        """The coating at `wavelength_nm` for stock integrators: tables, and whether nothing is transmitted."""
+        coating = self.coating
+        if self._stock is None or self._stock[0] is not coating:
+            sides = self._stock_indices()
+            opaque = coating.opaque or max(n.imag for n in sides) > OPAQUE_K
+            table = None
+            if not self.ideal and (opaque or not isinstance(coating, Bare)):
+                table = angle_table(coating, self.wavelength_nm, *sides, opaque, False)
+            arrays = (
+                {}
+                if table is None
+                else {
+                    name: (mi.Float(np.ascontiguousarray(part[:, :, 0]).ravel()), len(part) - 1)
+                    for name, part in (("refraction", table.refraction), ("total", table.total))
+                }
+            )
+            self._stock = coating, {"n": sides, "opaque": opaque, "table": arrays}
+        return self._stock[1]
 
     def _specular(self, cos_wi: mi.Float, active: mi.Mask) -> tuple[mi.Float, mi.Float, mi.Float, mi.Float]:
         """R, T, the signed cosine of the transmitted direction and n_i/n_t, for a direction wi in the local frame."""
-        n_front, n_back = self.indices(self.wavelength_nm)
+        stock = self._stock_table()
+        n_front, n_back = (n.real for n in stock["n"])
         from_back = cos_wi > 0
         n_i, n_t = dr.select(from_back, n_back, n_front), dr.select(from_back, n_front, n_back)
         eta, cos_i = n_i / n_t, dr.abs(cos_wi)
         sin2_t = dr.square(eta) * dr.maximum(0, 1 - dr.square(cos_i))
-        tir = sin2_t >= 1
+        tir = (sin2_t >= 1) & (not stock["opaque"])
         cos_t = dr.sqrt(dr.maximum(0, 1 - sin2_t))
-        if self.table is not None:
-            nodes = np.linspace(0.0, 1.0, 257)
-            values = self.table.evaluate(self.wavelength_nm, nodes)
-            x = dr.minimum(cos_i, cos_t) * (len(nodes) - 1)
-            index = dr.minimum(mi.UInt32(x), len(nodes) - 2)
-            column = [mi.Float(values[:, k]) for k in range(3)]
-            r_f, r_b, t = (
-                dr.lerp(dr.gather(mi.Float, c, index, active), dr.gather(mi.Float, c, index + 1, active), x - index)
-                for c in column
+        if self.ideal:
+            r, t = dr.select(tir, self.R + self.T, self.R), dr.select(tir, 0, self.T)
+        elif stock["table"]:
+            rarer = cos_i if stock["opaque"] else dr.minimum(cos_i, cos_t)
+            r, t = _interpolate(*stock["table"]["refraction"], rarer, from_back, active)
+            y = dr.sqrt(dr.maximum(0, sin2_t - 1))
+            beyond, _ = _interpolate(
+                *stock["table"]["total"], y / dr.maximum(y + eta * cos_i, 1e-30), from_back, active
             )
-            r = dr.select(from_back, r_b, r_f)
-        elif self.ideal:
-            r, t = mi.Float(self.R), mi.Float(self.T)
+            r, t = dr.select(tir, beyond, r), dr.select(tir, 0, t)
         else:
-            r = reflectance(cos_i, cos_t, n_i, n_t)
+            r = dr.select(tir, 1, reflectance(cos_i, cos_t, n_i, n_t))
             t = 1 - r
-        return dr.select(tir, r + t, r), dr.select(tir, 0, t), -dr.mulsign(cos_t, cos_wi), eta
+        return r, t, -dr.mulsign(cos_t, cos_wi), eta
 
     def sample(
         self,
@@ -215,27 +319,50 @@ class Interface(mi.BSDF):
         return mi.Spectrum(0), mi.Float(0)
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
-        if self.ideal:
-            callback.put("R", self.R, mi.ParamFlags.Differentiable)
-            callback.put("T", self.T, mi.ParamFlags.Differentiable)
+        if self._nested is not None:
+            callback.put("coating", self._nested, mi.ParamFlags.Differentiable)
+        for name, value in self._parameters().items():
+            callback.put(name, value, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
+        if not self._parameters():  # a nested coating looks after its own
+            return
         try:
-            self._check()
+            self._rebuild()
         except MistrayError:
-            self.R[0], self.T[0] = self._held
+            for value, held in zip(self._parameters().values(), self._held, strict=True):
+                mi.set_property(value, mi.Float(held))  # in place: mi.traverse has handed out this very object
             raise
-        self._held = (float(dr.detach(self.R)[0]), float(dr.detach(self.T)[0]))
 
     def to_string(self) -> str:
-        coating = (
-            f"R = {float(self.R[0]):g}, T = {float(self.T[0]):g}"
-            if self.ideal
-            else "Fresnel"
-            if self.table is None
-            else "table"
-        )
-        return f"Interface[{self.front} | {self.back}, {coating}{', mirror' if self.mirror else ''}]"
+        mirror = ", mirror" if self.mirror else ""
+        return f"{type(self).__name__}[{self.front} | {self.back}, {self._owner._summary()}{mirror}]"
+
+    def _summary(self) -> str:
+        """The coating in a few words."""
+        if self._own_ideal:
+            return f"R = {float(self._R[0]):g}, T = {float(self._T[0]):g}"
+        return "Fresnel" if isinstance(self._own, Bare) else "table"
+
+
+def _resolve(path: str) -> str:
+    """A path that is relative to the scene file, made absolute where the file is found."""
+    return str(mi.file_resolver().resolve(path))
+
+
+def _interpolate(
+    values: mi.Float, intervals: int, x: mi.Float, from_back: mi.Mask, active: mi.Mask
+) -> tuple[mi.Float, mi.Float]:
+    """R and T at x in 0 … 1 of a table with rows of R from the front, R from the back and T at uniform nodes."""
+    place = x * intervals
+    index = dr.minimum(mi.UInt32(place), intervals - 1)
+    reflection = dr.select(from_back, mi.UInt32(REFLECTION_BACK), mi.UInt32(REFLECTION_FRONT))
+
+    def column(channel: Any) -> mi.Float:
+        low, high = (dr.gather(mi.Float, values, 3 * (index + step) + channel, active) for step in range(2))
+        return dr.lerp(low, high, place - index)
+
+    return column(reflection), column(TRANSMISSION)
 
 
 mi.register_bsdf("interface", lambda props: Interface(props))

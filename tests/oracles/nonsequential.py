@@ -13,7 +13,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from .geometry import Array, Mask
-from .glass import refractive_index
+from .glass import absorption_per_mm, refractive_index
 from .interface import interact
 from .replay import Event
 from .scene_xml import SceneModel
@@ -72,11 +72,13 @@ class Ledger:
     segments: int
     leaks_W: dict[tuple[str, str, str], float] = field(default_factory=dict)
     escaped_from_W: dict[str, float] = field(default_factory=dict)
+    absorbed_in_W: dict[str, float] = field(default_factory=dict)
 
     @property
     def closure(self) -> float:
         """(launched - everything booked) / launched."""
-        booked = self.detected_W + sum(self.absorbed_W.values()) + self.escaped_W + sum(self.cut_W.values())
+        absorbed = sum(self.absorbed_W.values()) + sum(self.absorbed_in_W.values())
+        booked = self.detected_W + absorbed + self.escaped_W + sum(self.cut_W.values())
         return (self.launched_W - booked) / self.launched_W
 
     def find(self, *events: str) -> PathRecord:
@@ -170,6 +172,7 @@ def trace(
         if not shape.interface.opaque:
             materials += [m for m in (shape.interface.front, shape.interface.back) if m not in materials]
     index = np.array([refractive_index(material, wavelength_nm) for material in materials])
+    absorption = np.array([absorption_per_mm(material, wavelength_nm) for material in materials])
     n = len(origin)
     unit = direction / np.linalg.norm(direction, axis=1, keepdims=True)
     none = np.full(n, -1)
@@ -178,6 +181,7 @@ def trace(
     floor = flux_threshold * np.asarray(power)
     trie = _Trie()
     absorbed: defaultdict[str, float] = defaultdict(float)
+    absorbed_in: defaultdict[str, float] = defaultdict(float)
     cut: defaultdict[str, float] = defaultdict(float)
     leaks: defaultdict[tuple[str, str, str], float] = defaultdict(float)
     hits: defaultdict[int, list[tuple[np.ndarray, Array, Array, Array]]] = defaultdict(list)
@@ -199,6 +203,11 @@ def trace(
             here = surface == number
             arrived = rays.take(here)
             point = arrived.origin + t[here, None] * arrived.direction
+            left_over = arrived.weight * np.exp(-absorption[arrived.medium] * t[here])
+            for medium in np.unique(arrived.medium[absorption[arrived.medium] > 0]):
+                lost = (arrived.weight - left_over)[arrived.medium == medium]
+                absorbed_in[materials[medium]] += float(lost.sum())
+            arrived.weight = left_over
             n_front, n_back = model.indices(shape.shape_id, wavelength_nm)
             out = interact(shape.interface, n_front, n_back, wavelength_nm, arrived.direction, shape.normal(point))
             after = arrived.medium
@@ -253,7 +262,18 @@ def trace(
     detected = sum(p.power_W for p in paths)
     launched = float(np.sum(power))
     lost = sum(escaped.values())
-    return Ledger(launched, detected, dict(absorbed), lost, dict(cut), paths, segments, dict(leaks), dict(escaped))
+    return Ledger(
+        launched,
+        detected,
+        dict(absorbed),
+        lost,
+        dict(cut),
+        paths,
+        segments,
+        dict(leaks),
+        dict(escaped),
+        dict(absorbed_in),
+    )
 
 
 def _record(events: tuple[Event, ...], order: int, parts: list[tuple[np.ndarray, Array, Array, Array]]) -> PathRecord:

@@ -1,8 +1,8 @@
 """Polarised light along recorded rays, in float64 with electric field vectors in three dimensions.
 
 Independent of the kernel's Stokes vectors: an unpolarised ray is two orthogonal fields that do not interfere, each a
-complex vector in space. Normals come from the directions of the ray itself (reflection: d' - d, refraction: n' d' - n d),
-bare surfaces from Fresnel's amplitudes, coatings from `tmm`. After R. A. Chipman, W.-S. T. Lam and G. Young, *Polarized
+complex vector in space. Normals come from the directions of the ray itself (reflection: d' - d, refraction: n' d' -
+n d), amplitudes of bare and coated surfaces from `tmm`. After R. A. Chipman, W.-S. T. Lam and G. Young, *Polarized
 Light and Optical Systems* (CRC Press, 2018), chapter 9.
 """
 
@@ -25,20 +25,19 @@ class Hit:
     layers: tuple[tuple[complex, float], ...] = ()
 
 
-def amplitudes(hit: Hit, cosine: float, wavelength_nm: float) -> tuple[complex, complex, float, float]:
+def amplitudes(hit: Hit, cosine: float, wavelength_nm: float) -> tuple[complex, complex]:
     """Amplitudes of s and p (E field, signs of `tmm`) scaled so that their squares are shares of the flux."""
-    sine = np.sqrt(max(1 - cosine * cosine, 0.0)) + 0j
+    angle = np.arcsin(np.sqrt(max(1 - cosine * cosine, 0.0)))
     index = [hit.n_in, *(n for n, _ in hit.layers), hit.n_out]
     thickness = [np.inf, *(d for _, d in hit.layers), np.inf]
-    s, p = (tmm.coh_tmm(pol, index, thickness, np.arcsin(sine.real), wavelength_nm) for pol in "sp")
+    s, p = (tmm.coh_tmm(pol, index, thickness, angle, wavelength_nm) for pol in "sp")
     if hit.kind in ("R", "I"):
-        return s["r"], p["r"], s["R"], p["R"]
-    return tuple(np.sqrt(a["T"]) * a["t"] / abs(a["t"]) for a in (s, p)) + (s["T"], p["T"])  # type: ignore[return-value]
+        return s["r"], p["r"]
+    s_t, p_t = (np.sqrt(a["T"]) * a["t"] / abs(a["t"]) for a in (s, p))
+    return s_t, p_t
 
 
-def transport(
-    directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float
-) -> tuple[np.ndarray, float]:
+def transport(directions: np.ndarray, hits: Sequence[Hit], wavelength_nm: float) -> tuple[np.ndarray, float]:
     """
     Flux behind each event for unpolarised light of flux 1, and the degree of polarisation at the end.
 
@@ -61,9 +60,13 @@ def transport(
         normal = normal / size if size > 1e-9 else before
         cosine = abs(float(before @ normal))
         s = np.cross(before, normal)
-        s = s / np.linalg.norm(s) if np.linalg.norm(s) > 1e-12 else np.cross(before, np.eye(3)[np.argmin(np.abs(before))])
+        s = (
+            s / np.linalg.norm(s)
+            if np.linalg.norm(s) > 1e-12
+            else np.cross(before, np.eye(3)[np.argmin(np.abs(before))])
+        )
         s = s / np.linalg.norm(s)
-        j_s, j_p, *_ = amplitudes(hit, cosine, wavelength_nm)
+        j_s, j_p = amplitudes(hit, cosine, wavelength_nm)
         p_in, p_out = np.cross(s, before), np.cross(s, after)
         fields = np.array([j_s * (f @ s) * s + j_p * (f @ p_in) * p_out for f in fields])
         flux.append(float(np.sum(np.abs(fields) ** 2)))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from .geometry import Array, Mask
-from .glass import refractive_index
+from .glass import absorption_per_mm, refractive_index
 from .interface import interact
 from .scene_xml import SceneModel
 
@@ -100,6 +100,7 @@ def replay(
     outcome, failed_at = np.zeros(n, dtype=int), np.full(n, -1)
     points, directions = [position.copy()], []
     medium = np.full(n, refractive_index(start_material, wavelength_nm))
+    absorption = np.full(n, absorption_per_mm(start_material, wavelength_nm))
     last: str | None = None
 
     def fail(mask: Mask, code: int, step: int) -> None:
@@ -127,6 +128,7 @@ def replay(
         length = np.zeros(n)
         length[alive] = np.where(np.isfinite(t), t, 0.0)
         opl += medium * length
+        flux *= np.exp(-absorption * length)
         position = position + length[:, None] * heading
         good = np.flatnonzero(outcome == 0)
         n_front, n_back = model.indices(shape_id, wavelength_nm)
@@ -139,6 +141,10 @@ def replay(
             heading[good] = hit.transmitted
             if not shape.interface.opaque:
                 medium[good] = np.where(hit.from_front, n_back, n_front)
+                front, back = (
+                    absorption_per_mm(m, wavelength_nm) for m in (shape.interface.front, shape.interface.back)
+                )
+                absorption[good] = np.where(hit.from_front, back, front)
         elif kind == "A":
             flux[good] *= 1 - hit.reflectance - hit.transmittance
         else:

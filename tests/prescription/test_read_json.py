@@ -92,19 +92,19 @@ def test_visible_rings_are_glass_and_contact_is_opaque(camera):
 
 # a point on the axis in every cell, and what fills the cell
 CELLS = {
-    "window": (-0.6, "nd=1.7715 Vd=72.2"),
+    "window": (-0.6, "nd=1.7715 Vd=72.2 k=0"),
     "gap 1": (-0.3, "air"),
-    "L1": (0.5, "nd=1.544 Vd=56.1"),
+    "L1": (0.5, "nd=1.544 Vd=56.1 k=0"),
     "gap 2": (1.15, "air"),
-    "L2": (1.3, "nd=1.632 Vd=23.3"),
+    "L2": (1.3, "nd=1.632 Vd=23.3 k=0"),
     "gap 3": (2.0, "air"),
-    "L3": (2.7, "nd=1.632 Vd=23.3"),
+    "L3": (2.7, "nd=1.632 Vd=23.3 k=0"),
     "gap 4": (3.2, "air"),
-    "L4": (4.0, "nd=1.544 Vd=56.1"),
+    "L4": (4.0, "nd=1.544 Vd=56.1 k=0"),
     "gap 5": (4.12, "air"),
-    "L5": (4.5, "nd=1.632 Vd=23.3"),
+    "L5": (4.5, "nd=1.632 Vd=23.3 k=0"),
     "gap 6": (5.3, "air"),
-    "filter": (5.4, "nd=1.516 Vd=64.1"),
+    "filter": (5.4, "nd=1.516 Vd=64.1 k=0"),
     "gap 7": (5.6, "air"),
 }
 RAYS = 4000

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -32,6 +32,7 @@ SETTINGS = {
     "splitting": "split",
     "below_threshold": "cut",
     "seed": 0,
+    "polarization": "unpolarized",
     "variant": "llvm_ad_rgb",
     "versions": {"mistray": "0.1.0", "mitsuba": "3.9.1"},
 }
@@ -50,6 +51,7 @@ class FakePath:
     radius: float = 0.1
     ghost_1: str = "-"
     ghost_2: str = "-"
+    wavelength: float = 550.0
     points: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
 
     def scatter(self, rng: np.random.Generator) -> None:
@@ -65,7 +67,7 @@ class FakePath:
         return PathRow(
             path_id=path_id,
             source="source",
-            wavelength_nm=550.0,
+            wavelength_nm=self.wavelength,
             events=self.events,
             path="".join(event[-1] for event in self.events.split()),
             order=self.events.count(":R") - structure,
@@ -98,7 +100,7 @@ class FakePath:
 class FakeTrace:
     """The attributes of `mistray.trace.Trace` that reports read, of the same classes where there are any."""
 
-    def __init__(self, paths: list[FakePath], field_deg: float = 0.0, cut_events: float = 0.0):
+    def __init__(self, paths: list[FakePath], field_deg: float = 0.0, cut_events: float = 0.0, shares=None):
         rng = np.random.default_rng(1)
         self.fakes = sorted(paths, key=lambda path: -path.power)
         for path in self.fakes:
@@ -106,28 +108,50 @@ class FakeTrace:
         detected = sum(path.power for path in self.fakes)
         self.paths = PathTable([path.row(k, detected) for k, path in enumerate(self.fakes)], [(0, 0, 0)] * len(paths))
         self.extent = EXTENT
-        self.settings = SETTINGS | {"field_deg": field_deg}
+        self.shares = shares or {550.0: 1.0}
+        self.wavelengths_nm = sorted(self.shares)
+        self.settings = SETTINGS | {"field_deg": field_deg, "wavelength_nm": self.wavelengths_nm}
         self.irradiance, self.irradiance_se = self.irradiance_of(range(len(paths)))
-        launched = 5.0
-        absorbed = launched - detected - 1.25 - cut_events - 1e-6
-        self.energy = Energy(
+        self.energy = self._energy(detected, 1.0, cut_events)
+        self.surfaces = self._surfaces(1.0)
+        self.segments = 12345
+        self.seconds = 0.25
+
+    def _energy(self, detected, share, cut_events):
+        launched = 5.0 * share
+        glass = 0.02 * share
+        absorbed = launched - detected - 1.25 * share - cut_events - 1e-6 * share - glass
+        return Energy(
             launched_W=launched,
             detected_W=detected,
             detected_se_W=0.001 * detected,
             absorbed={"stop_wall": (0.9 * absorbed, 1e-3), "L1_rear": (0.1 * absorbed, 1e-4)},
-            absorbed_in={},
-            escaped_W=1.25,
-            escaped_se_W=0.01,
-            cut={"flux_threshold": 1e-6, "max_events": cut_events, "max_reflections": 0.0, "medium": 0.0},
+            absorbed_in={"N-BK7": (glass, 1e-5)},
+            escaped_W=1.25 * share,
+            escaped_se_W=0.01 * share,
+            cut={"flux_threshold": 1e-6 * share, "max_events": cut_events, "max_reflections": 0.0, "medium": 0.0},
         )
-        self.surfaces = FluxReport(
+
+    def _surfaces(self, share):
+        return FluxReport(
             [
-                SurfaceFlux(name, part, space, 1000, 5.0 - 0.5 * space, 0.01, 0.1, 0.001)
+                SurfaceFlux(name, part, space, 1000, share * (5.0 - 0.5 * space), 0.01, 0.1 * share, 0.001)
                 for space, (name, part) in enumerate(PARTS.items())
             ]
         )
-        self.segments = 12345
-        self.seconds = 0.25
+
+    def _ids_at(self, wavelength_nm):
+        return [k for k, path in enumerate(self.fakes) if path.wavelength == wavelength_nm]
+
+    def irradiance_at(self, wavelength_nm):
+        return self.irradiance_of(self._ids_at(wavelength_nm))
+
+    def energy_at(self, wavelength_nm):
+        detected = sum(self.fakes[k].power for k in self._ids_at(wavelength_nm))
+        return self._energy(detected, self.shares[wavelength_nm], 0.0)
+
+    def surfaces_at(self, wavelength_nm):
+        return self._surfaces(self.shares[wavelength_nm])
 
     def irradiance_of(self, path_ids):
         x0, x1, y0, y1 = EXTENT
@@ -156,7 +180,7 @@ class FakeTrace:
         return SimpleNamespace(rays=rays)
 
 
-def trace_at(field_deg: float, cut_events: float = 0.0) -> FakeTrace:
+def paths_at(field_deg: float) -> list[FakePath]:
     """A field with a direct image (below 18 degrees), two ghosts, a structure path and one of very few rays."""
     y = 0.1 * field_deg
     window = f"{LENS} detector:R window_rear:R L1_front:T L1_rear:T detector:A"
@@ -169,4 +193,24 @@ def trace_at(field_deg: float, cut_events: float = 0.0) -> FakeTrace:
     ]
     if abs(field_deg) < 18:
         paths.append(FakePath(f"{LENS} detector:A", "direct", 3.0, 1000, 0.0, y, 0.02))
-    return FakeTrace(paths, field_deg, cut_events)
+    return paths
+
+
+def trace_at(field_deg: float, cut_events: float = 0.0) -> FakeTrace:
+    """The paths of `paths_at` at 550 nm."""
+    return FakeTrace(paths_at(field_deg), field_deg, cut_events)
+
+
+SHARES = {450.0: 0.25, 550.0: 0.5, 650.0: 0.25}
+
+
+def trace_in_colours(field_deg: float) -> FakeTrace:
+    """The paths of `paths_at` at 450, 550 and 650 nm; the ghost off the window is red: it lacks 450 nm."""
+    paths = []
+    for wavelength, share in SHARES.items():
+        for path in paths_at(field_deg):
+            if not (path.ghost_2 == "window_rear" and wavelength == 450.0):
+                step = 1e-3 * (wavelength - 550.0)  # lateral colour
+                rays = max(round(path.rays * share), 2)
+                paths.append(replace(path, power=path.power * share, rays=rays, x=path.x + step, wavelength=wavelength))
+    return FakeTrace(paths, field_deg, shares=SHARES)

@@ -6,11 +6,11 @@ from html.parser import HTMLParser
 
 import pytest
 from report.fake_scene import lens_scene
-from report.fake_trace import FakeTrace, trace_at
+from report.fake_trace import FakeTrace, trace_at, trace_in_colours
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
-from mistray.report import html, output
+from mistray.report import Look, html, output
 from mistray.report.html import html_text, write_html
 from mistray.report.output import writable_directory, write_all
 
@@ -46,7 +46,7 @@ def rays_to_draw():
     """Rays to draw from the fake trace instead of a new one."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(
-            sys.modules["mistray.analysis.ghosts"], "trace", lambda scene, field_deg, rays: trace_at(field_deg)
+            sys.modules["mistray.analysis.ghosts"], "trace", lambda scene, field_deg, rays: trace_in_colours(field_deg)
         )
         yield
 
@@ -55,6 +55,20 @@ def rays_to_draw():
 def report():
     traces = {field: trace_at(field) for field in (0.0, 20.0)}
     return GhostReport(lens_scene(), traces, traces[0.0], {})
+
+
+@pytest.fixture(scope="module")
+def colours():
+    traces = {field: trace_in_colours(field) for field in (0.0, 20.0)}
+    return GhostReport(lens_scene(), traces, traces[0.0], {})
+
+
+@pytest.fixture(scope="module")
+def coloured(colours, tmp_path_factory):
+    """The report with everything in it."""
+    out = tmp_path_factory.mktemp("out")
+    files = write_all(colours, out, per_wavelength=True, look=Look())
+    return (out / "report.html").read_text(encoding="utf-8"), {file.name for file in files}
 
 
 @pytest.fixture(scope="module")
@@ -71,16 +85,18 @@ def test_nothing_comes_from_the_network(text):
     assert not re.search(r"@import|url\(\s*['\"]?http|fetch\(|XMLHttpRequest", without_namespaces)
 
 
-def test_tags_are_balanced_and_ids_are_unique(text):
+@pytest.mark.parametrize("kind", ["one wavelength", "in colours"])
+def test_tags_are_balanced_and_ids_are_unique(text, coloured, kind):
     page = Page()
-    page.feed(text)
+    page.feed(text if kind == "one wavelength" else coloured[0])
     assert page.open == []
     assert len(page.ids) == len(set(page.ids))
     assert {link[1:] for link in page.links if link.startswith("#")} <= set(page.ids)
 
 
-def test_rows_have_as_many_cells_as_their_header(text):
-    for table in re.findall(r"<table.*?</table>", text, re.DOTALL):
+@pytest.mark.parametrize("kind", ["one wavelength", "in colours"])
+def test_rows_have_as_many_cells_as_their_header(text, coloured, kind):
+    for table in re.findall(r"<table.*?</table>", text if kind == "one wavelength" else coloured[0], re.DOTALL):
         counts = {len(re.findall(r"<t[dh][ >]", row)) for row in re.findall(r"<tr>.*?</tr>", table, re.DOTALL)}
         assert len(counts) == 1
 
@@ -175,3 +191,40 @@ def test_missing_directories_are_made(report, tmp_path):
     write_all(report, tmp_path / "a" / "b")
     assert (tmp_path / "a" / "b" / "report.html").is_file()
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
+
+
+def test_report_in_colours(coloured):
+    text, files = coloured
+    assert {"colour_0deg.png", "colour_20deg.png", "paths_per_wavelength.csv"} <= files
+    assert "450, 550, 650 nm with 25, 50, 25 % of the flux" in text
+    assert "the detector in colour, field 20°" in text
+    for name in ("t-summary-waves", "t-waves-field-20", "t-energy-450", "t-energy-650", "t-surfaces-wavelengths"):
+        assert f'id="{name}"' in text
+
+
+def test_a_path_has_one_row_in_its_field_and_one_for_each_wavelength_below(coloured):
+    text, _ = coloured
+    table = re.search(r'<table id="t-field-0".*?</table>', text, re.DOTALL)[0]
+    waves = re.search(r'<table id="t-waves-field-0".*?</table>', text, re.DOTALL)[0]
+    assert table.count("detector → L1_rear") == 1
+    assert waves.count("detector → L1_rear") == 3
+    assert "λ" in waves
+    assert "λ" not in table
+
+
+def test_without_the_flags_there_are_no_colours(text, tmp_path, report):
+    assert "in colour" not in text
+    assert "At each wavelength" not in text
+    names = {file.name for file in write_all(report, tmp_path)}
+    assert not {name for name in names if name.startswith("colour") or "per_wavelength" in name}
+
+
+def test_assumptions_name_the_polarisation(report):
+    assert "Unpolarised light at every surface" in html_text(report)
+    for t in report.values():
+        t.settings["polarization"] = "stokes"
+    try:
+        assert "as a Stokes vector" in html_text(report)
+    finally:
+        for t in report.values():
+            t.settings["polarization"] = "unpolarized"

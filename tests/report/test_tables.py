@@ -7,11 +7,11 @@ import numpy as np
 import pandas as pd
 import pytest
 from report.fake_scene import lens_scene
-from report.fake_trace import trace_at
+from report.fake_trace import SHARES, trace_at, trace_in_colours
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.report.tables import main_table, text_table, warnings, with_error, write_csv
+from mistray.report.tables import csv_tables, main_table, text_table, warnings, with_error, write_csv
 
 
 @pytest.fixture(scope="module")
@@ -41,7 +41,7 @@ def test_with_error(value, se, text):
 
 
 def test_text_table_aligns_its_columns():
-    text = text_table(["name", "power"], ["", "W"], [["a", "1.0"], ["longer", "22.0"]], left=(0,))
+    text = text_table([("name", ""), ("power", "W")], [["a", "1.0"], ["longer", "22.0"]], left=(0,))
     assert text.splitlines() == [
         "name    power",
         "          [W]",
@@ -106,3 +106,54 @@ def test_undersampled_paths_among_the_worst_are_a_warning(report):
     assert any(
         "field 0, 10, 20 deg: some of the worst four paths hold fewer than 30 rays" in w for w in warnings(report)
     )
+
+
+@pytest.fixture(scope="module")
+def colours():
+    traces = {field: trace_in_colours(field) for field in (0.0, 10.0)}
+    return GhostReport(lens_scene(), traces, traces[0.0], {})
+
+
+def test_a_path_is_printed_once_for_all_wavelengths(colours):
+    ghosts = [line for line in main_table(colours).splitlines() if "detector → L1_rear" in line]
+    assert [line.split()[0] for line in ghosts] == ["0", "10"]
+    assert "λ" not in main_table(colours)
+
+
+def test_the_table_per_wavelength_shows_the_spectrum_below_each_path(colours):
+    lines = main_table(colours, per_wavelength=True).splitlines()
+    start = next(k for k, line in enumerate(lines) if "detector → L1_rear" in line)
+    assert " all " in lines[start]
+    assert [line.split()[0] for line in lines[start + 1 : start + 4]] == ["450", "550", "650"]
+    header = lines.index("Energy ledger") + 1
+    assert lines[header].split()[:3] == ["field", "λ", "launched"]
+    assert [line.split()[:3] for line in lines[header + 3 : header + 7]] == [
+        ["0", "all", "5"], ["0", "450", "1.25"], ["0", "550", "2.5"], ["0", "650", "1.25"],
+    ]  # fmt: skip
+    assert "rows of one wavelength: normalised to the direct image on axis at that wavelength" in lines
+
+
+def test_csv_per_wavelength_adds_up(colours, tmp_path):
+    names = [file.name for file in write_csv(colours, tmp_path, per_wavelength=True)]
+    assert names[4:] == [f"{name}_per_wavelength.csv" for name in ("summary", "paths", "energy", "surfaces")]
+    tables = {name: pd.read_csv(tmp_path / name) for name in names}
+    for name in ("energy", "surfaces"):
+        parts, whole = tables[f"{name}_per_wavelength.csv"], tables[f"{name}.csv"]
+        assert list(parts.columns) == ["field_deg", "wavelength_nm", *whole.columns[1:]]
+        assert sorted(parts.wavelength_nm.unique()) == list(SHARES)
+        column, key = ("power_W", ["field_deg", "name"]) if name == "energy" else ("incident_W", ["field_deg", "id"])
+        got, expected = (table.groupby(key)[column].sum() for table in (parts, whole))
+        pd.testing.assert_series_equal(got, expected, rtol=1e-9, atol=1e-12)
+    paths, whole = tables["paths_per_wavelength.csv"], tables["paths.csv"]
+    assert whole.groupby("field_deg").size().tolist() == [5, 5]
+    assert [len(ids.split()) for ids in whole.path_ids[whole.ghost_2 == "window_rear"]] == [2, 2]
+    power = paths.groupby(["field_deg", "events"]).power_W.sum()
+    pd.testing.assert_series_equal(power, whole.groupby(["field_deg", "events"]).power_W.sum(), rtol=1e-9)
+    assert list(tables["summary_per_wavelength.csv"].columns[:3]) == ["field_deg", "wavelength_nm", "paths"]
+
+
+def test_absorption_in_glass_is_in_the_ledger(report):
+    energy = csv_tables(report)["energy.csv"]
+    glass = energy[energy.entry == "absorbed in"]
+    assert set(glass.name) == {"N-BK7"}
+    assert (glass.power_W == 0.02).all()

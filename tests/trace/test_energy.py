@@ -28,7 +28,7 @@ def test_closure(scene, splitting: str, below: str) -> None:
         )
         e = t.energy
         assert abs(e.closure) < 1e-5, f"{field_deg} deg: {e}"
-        parts = [e.detected_W, e.escaped_W, *(watt for watt, _ in e.absorbed.values())]
+        parts = [e.detected_W, e.escaped_W, *(watt for watt, _ in (*e.absorbed.values(), *e.absorbed_in.values()))]
         assert min(parts) >= 0
         assert e.cut["medium"] == 0
         assert sum(row.power_W for row in t.paths) == pytest.approx(e.detected_W, rel=1e-9)

@@ -176,9 +176,9 @@ class TestLedger:
         sizes = []
 
         class Watched(Ledger):
-            def __init__(self, capacity: int, max_events: int) -> None:
+            def __init__(self, capacity: int, *more: Any) -> None:
                 sizes.append(capacity)
-                super().__init__(capacity, max_events)
+                super().__init__(capacity, *more)
 
         monkeypatch.setattr(tracer, "Ledger", Watched)
         monkeypatch.setattr(tracer, "FIRST_CAPACITY", 16)

@@ -63,7 +63,7 @@ GLASS = 1.7
 
 
 def skew_path(angles_deg: list[tuple[float, float]], kinds: str, gap: float = 20.0) -> tuple[str, list[Hit]]:
-    """Planes along a ray that starts at (0, 0, 0) along z in air: angle of incidence and azimuth of its plane at each."""
+    """Planes along a ray that starts along z in air; angle of incidence and azimuth of its plane at each."""
 
     def plane(name: str, at: np.ndarray, normal: np.ndarray, bsdf: str, half: float, sensor: bool) -> str:
         helper = np.eye(3)[np.argmin(np.abs(normal))]
@@ -96,7 +96,7 @@ def skew_path(angles_deg: list[tuple[float, float]], kinds: str, gap: float = 20
 
 
 class TestSkewPaths:
-    """Flux and degree of polarisation of rays whose planes of incidence all differ, against transported field vectors."""
+    """Flux and degree of polarisation of rays whose planes of incidence all differ, against field vectors."""
 
     @pytest.mark.parametrize(
         ("angles_deg", "kinds"),

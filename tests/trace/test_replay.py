@@ -22,10 +22,10 @@ from oracles import nonsequential, scene_xml
 from oracles.replay import replay
 
 import mistray
+from mistray.trace.books import NODE_FLOATS
 from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.paths import INTERCEPTS
 from mistray.trace.precise import retrace
-from mistray.trace.books import NODE_FLOATS
 
 ROOT = Path(__file__).parents[2]
 NUDGE = 1e-5
@@ -248,6 +248,9 @@ def compare_ledgers(case: Case) -> None:
     assert e.escaped_W == pytest.approx(ledger.escaped_W, abs=slack)
     for name, (watt, _) in e.absorbed.items():
         assert watt == pytest.approx(ledger.absorbed_W.get(name, 0.0), abs=slack), name
+    assert set(e.absorbed_in) == set(ledger.absorbed_in_W)
+    for name, (watt, _) in e.absorbed_in.items():
+        assert watt == pytest.approx(ledger.absorbed_in_W[name], rel=1e-3, abs=slack), name
     for reason in ("max_reflections", "max_events", "flux_threshold"):
         assert e.cut[reason] == pytest.approx(ledger.cut_W.get(reason, 0.0), abs=slack), reason
     assert e.cut["roulette"] == 0

@@ -291,8 +291,8 @@ def readings() -> list[dict[Any, Any]]:
 
     cameras = {
         "as shipped": shipped(),
-        "window nd = 1.5168 (its paraxial table)": changed("window", "nd=1.5168 Vd=64.1"),
-        "filter nd = 1.5168 (its Table 5)": changed("filter", "nd=1.5168 Vd=64.1"),
+        "window nd = 1.5168 (its paraxial table)": changed("window", "nd=1.5168 Vd=64.1 k=0"),
+        "filter nd = 1.5168 (its Table 5)": changed("filter", "nd=1.5168 Vd=64.1 k=0"),
         "R(S13) = 5.272 (published copy)": from_json(FILE, variant="R13=5.272"),
     }
     beams_and_lines = [(r, nm) for r in (shipped().stop.radius, BEAM_RADIUS) for nm in (D_LINE_NM, 550.0)]

@@ -1,0 +1,220 @@
+"""`mistray coating`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mistray.cli.arguments import RAW, finite, positive
+from mistray.errors import MistrayError
+
+if TYPE_CHECKING:
+    import numpy as np
+
+    from mistray.coatings import Coating, Spectrum
+
+DEFAULT_WAVELENGTHS = "400:700:5"
+DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0)
+ROWS_SHOWN = 7
+MOST_WAVELENGTHS = 20_000
+
+
+def add(commands: Any) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "coating",
+        help="reflectance of a coating over wavelength and angle",
+        description="Evaluate a coating between two materials, or the coatings of a scene: R, T and A = 1 - R - T\n"
+        "over wavelength and angle, for s and p. Pictures, and a CSV table that scenes can use.",
+        epilog="examples:\n"
+        "  mistray coating bbar3 --plot bbar3.png\n"
+        "  mistray coating protected_al --wavelength-nm 400:1000:10 --angles-deg 0 45\n"
+        '  mistray coating "MgF2 99.64, 2.1 0.5w, 1.63 0.25w" --back N-SF6 --csv ar.csv\n'
+        "  mistray coating COATING.DAT:AR --design-nm 587.6\n"
+        "  mistray coating cooke_triplet --plot surfaces.png",
+        formatter_class=RAW,
+    )
+    parser.add_argument(
+        "coating", metavar="COATING",
+        help="preset, 'bare', table.csv, COATING.DAT:NAME, layers between commas (material and thickness in nm, or in "
+             "waves with a w), or a scene",
+    )  # fmt: skip
+    parser.add_argument("--front", metavar="MATERIAL", help="material in front (air)")
+    parser.add_argument("--back", metavar="MATERIAL", help="material behind (N-BK7)")
+    parser.add_argument("--from-back", action="store_true", help="light comes from behind")
+    parser.add_argument("--wavelength-nm", nargs="+", default=[DEFAULT_WAVELENGTHS], metavar="NM",
+                        help=f"wavelengths, or first:last:step ({DEFAULT_WAVELENGTHS})")  # fmt: skip
+    parser.add_argument("--angles-deg", type=finite, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
+                        help="angles of incidence (0 15 30 45)")  # fmt: skip
+    parser.add_argument("--design-nm", type=positive, default=550.0, metavar="NM",
+                        help="wavelength of thicknesses in waves and of presets (550)")  # fmt: skip
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .svg or .pdf")
+    parser.add_argument("--csv", type=Path, metavar="FILE",
+                        help="write R, T and phases; its angles are those in the material of lower index")  # fmt: skip
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from mistray.coatings import coating_from_text, spectrum, write_table
+
+    lam = wavelengths(options.wavelength_nm)
+    if options.plot is not None and options.plot.suffix.lower() not in (".png", ".svg", ".pdf"):
+        raise MistrayError(f"picture '{options.plot}': its name must end in .png, .svg or .pdf")
+    if _is_scene(options.coating):
+        return _scene(options, lam)
+    coating = coating_from_text(options.coating, options.design_nm)
+    front, back, from_front = options.front or "air", options.back or "N-BK7", not options.from_back
+    values = spectrum(coating, lam, options.angles_deg, front, back, from_front)
+    if options.plot is not None:
+        from mistray.report.coating_plots import coating_figure
+
+        _save(coating_figure(coating, lam, options.angles_deg, front, back, from_front), options.plot)
+    if options.csv is not None:
+        write_table(coating, options.csv, lam, options.angles_deg, front, back)
+    print(f"{coating.name or options.coating}: {front} | {back}, light from {front if from_front else back}")
+    print("\n\n".join([*_layers(coating, options.design_nm), _over_band(values), _sample(values)]))
+    _print_files(options.plot, options.csv)
+    return 0
+
+
+def wavelengths(words: list[str]) -> list[float]:
+    """Wavelengths from numbers and from ranges first:last:step."""
+    import numpy as np
+
+    found: list[float] = []
+    for word in words:
+        parts = word.split(":")
+        try:
+            numbers = [positive(part) for part in parts]
+        except argparse.ArgumentTypeError as error:
+            raise MistrayError(f"--wavelength-nm {word}: {error}; give numbers, or first:last:step") from None
+        if len(numbers) == 1:
+            found += numbers
+            continue
+        if len(numbers) != 3 or numbers[1] < numbers[0]:
+            raise MistrayError(f"--wavelength-nm {word}: give first:last:step with the last not below the first")
+        count = int((numbers[1] - numbers[0]) / numbers[2] + 1e-9) + 1
+        if count > MOST_WAVELENGTHS:
+            raise MistrayError(f"--wavelength-nm {word}: {count} wavelengths; take a larger step")
+        found += (numbers[0] + numbers[2] * np.arange(count)).tolist()
+    return sorted(set(found))
+
+
+def _is_scene(text: str) -> bool:
+    """Whether the argument is a scene: an XML file, a folder with one, or the name of a shipped one."""
+    if text.lower().endswith(".xml"):
+        return True
+    import mistray.scenes
+
+    shipped = Path(mistray.scenes.__file__).parent
+    return text.replace("_", "").isalnum() and (
+        (shipped / text / "scene.xml").is_file() or (Path(text) / "scene.xml").is_file()
+    )
+
+
+def _scene(options: argparse.Namespace, lam: list[float]) -> int:
+    """Coatings of the surfaces of a scene."""
+    from mistray._mitsuba_compat import silence_warnings
+    from mistray._variant import ensure_variant
+
+    given = [f"--{name.replace('_', '-')}" for name in ("front", "back", "from_back", "csv") if getattr(options, name)]
+    if given:
+        raise MistrayError(
+            f"{given[0]} has no meaning for a scene, whose surfaces have their own materials; leave it out"
+        )
+    ensure_variant()  # settles libLLVM before anything imports Mitsuba
+    silence_warnings()
+    from mistray.coatings import spectrum
+    from mistray.coatings.stack import outside_first
+    from mistray.materials import complex_index
+    from mistray.report.coating_plots import coated_surfaces, surfaces_figure
+    from mistray.report.tables import text_table
+    from mistray.scene import load
+
+    surfaces = coated_surfaces(load(options.coating))
+    if options.plot is not None:
+        _save(surfaces_figure(surfaces, lam, options.angles_deg), options.plot)
+    rows = []
+    for surface in surfaces:
+        sides = (complex_index(material, lam[0]) for material in (surface.front, surface.back))
+        values = spectrum(
+            surface.coating, lam, options.angles_deg, surface.front, surface.back, outside_first(*sides)
+        ).mean()
+        means = [f"{100 * value:.4f}" for value in values.mean(axis=0)]
+        rows.append([", ".join(surface.names), surface.coating.name or "ideal", surface.front, surface.back, *means])
+    print(f"mean reflectance from {lam[0]:g} to {lam[-1]:g} nm, unpolarised light from the side of lower index")
+    angles = [(f"{angle:g}°", "%") for angle in options.angles_deg]
+    print(text_table([(name, "") for name in ("surfaces", "coating", "front", "back")] + angles, rows, left=range(4)))
+    _print_files(options.plot)
+    return 0
+
+
+def _layers(coating: Coating, design_nm: float) -> list[str]:
+    """Table of the layers of a stack; nothing for others."""
+    from mistray.coatings import Stack
+    from mistray.report.tables import text_table
+
+    if not isinstance(coating, Stack) or not coating.layers:
+        return []
+    rows = []
+    for number, (layer, n) in enumerate(zip(coating.layers, coating.indices(design_nm), strict=True), start=1):
+        waves = n.real * layer.thickness_nm / design_nm
+        rows.append(
+            [str(number), layer.material, f"{layer.thickness_nm:.3f}", f"{n.real:.4f}", f"{n.imag:.3g}", f"{waves:.4f}"]
+        )
+    at = f"at {design_nm:g} nm"
+    heads = [("layer", coating.first), ("material", ""), ("thickness", "nm"), ("n", at), ("k", at), ("waves", at)]
+    return [text_table(heads, rows, left=(1,))]
+
+
+def _over_band(values: Spectrum) -> str:
+    """Table of the mean and the extremes of R over the wavelengths."""
+    from mistray.report.tables import text_table
+
+    lam, mean = values.wavelength_nm, values.mean()
+    rows = []
+    for k, angle in enumerate(values.angle_deg):
+        r = mean[:, k]
+        extremes = [f"{100 * r[i]:.4f} at {lam[i]:g}" for i in (r.argmin(), r.argmax())]
+        shares = [f"{100 * values.mean(share)[:, k].mean():.4f}" for share in "RTA"]
+        # A rounding below zero is no absorption
+        shares[2] = shares[2].removeprefix("-") if float(shares[2]) == 0 else shares[2]
+        rows.append([f"{angle:g}", *shares, *extremes])
+    band = f"% over {lam[0]:g} … {lam[-1]:g} nm"
+    heads = [("angle", "deg"), ("R", band), ("T", "%"), ("A", "%"), ("least R", "% at nm"), ("greatest R", "% at nm")]
+    return text_table(heads, rows)
+
+
+def _sample(values: Spectrum) -> str:
+    """Table of R at some of the wavelengths: unpolarised, and s and p off normal incidence."""
+    import numpy as np
+
+    from mistray.report.tables import text_table
+
+    lam = values.wavelength_nm
+    shown = np.unique(np.linspace(0, len(lam) - 1, min(ROWS_SHOWN, len(lam))).round().astype(int))
+    heads = [("wavelength", "nm")]
+    columns: list[np.ndarray] = []
+    for k, angle in enumerate(values.angle_deg):
+        heads.append((f"R {angle:g}°", "%"))
+        columns.append(values.mean()[:, k])
+        if angle > 0:
+            heads += [("s", "%"), ("p", "%")]
+            columns += [values.R[:, k, 0], values.R[:, k, 1]]
+    rows = [[f"{lam[i]:g}", *(f"{100 * column[i]:.4f}" for column in columns)] for i in shown]
+    return text_table(heads, rows)
+
+
+def _save(figure: Any, path: Path) -> None:
+    try:
+        figure.savefig(path, bbox_inches="tight", pad_inches=0.1)
+    except OSError as error:
+        raise MistrayError(f"picture '{path}': {error.strerror}; check the folder and its permissions") from None
+
+
+def _print_files(*paths: Path | None) -> None:
+    written = [str(path) for path in paths if path is not None]
+    if written:
+        print(f"\nwrote {', '.join(written)}")

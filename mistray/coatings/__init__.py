@@ -1,0 +1,45 @@
+"""Coatings: what an interface does to the flux of s and p, by a recipe of layers, fixed shares or a table.
+
+==================  ===================================================================================
+`Bare`              no coating, Fresnel's equations
+`Ideal`             the same R and T at all wavelengths and angles
+`CoatingTable`      R, T and phases over wavelength and angle, from CSV or a Zemax TABLE
+`Stack`, `Layer`    homogeneous layers with dispersion and absorption; `preset` knows some by name
+==================  ===================================================================================
+
+`read_coating`, `read_coating_file` and `write_table` read and write files, `spectrum` evaluates on a
+grid of wavelengths and angles.
+
+All answer `Coating.response` with a `Response`: shares of the flux for s and p and the phases between them, in float64.
+Wavelengths are those in vacuum, nm; N = n + ik with k > 0 absorbing.
+"""
+
+from mistray.coatings.files import coating_from_text, read_coating, write_table
+from mistray.coatings.presets import PRESETS, preset
+from mistray.coatings.response import Coating, Response
+from mistray.coatings.simple import Bare, Ideal
+from mistray.coatings.spectrum import Spectrum, spectrum
+from mistray.coatings.stack import Layer, Stack, layer_text, parse_layers
+from mistray.coatings.table import CoatingTable
+from mistray.coatings.zemax import CoatingFile, read_coating_file
+
+__all__ = [
+    "PRESETS",
+    "Bare",
+    "Coating",
+    "CoatingFile",
+    "CoatingTable",
+    "Ideal",
+    "Layer",
+    "Response",
+    "Spectrum",
+    "Stack",
+    "coating_from_text",
+    "layer_text",
+    "parse_layers",
+    "preset",
+    "read_coating",
+    "read_coating_file",
+    "spectrum",
+    "write_table",
+]

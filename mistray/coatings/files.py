@@ -1,0 +1,150 @@
+"""Coatings in files, and by the strings that name them."""
+
+from __future__ import annotations
+
+import csv
+import os
+import re
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mistray.coatings.presets import PRESETS, preset
+from mistray.coatings.response import Coating
+from mistray.coatings.simple import Bare
+from mistray.coatings.spectrum import spectrum
+from mistray.coatings.stack import METAL_K, Stack, parse_layers
+from mistray.coatings.table import CoatingTable
+from mistray.coatings.zemax import read_coating_file
+from mistray.errors import MistrayError
+from mistray.materials import complex_index
+
+_ZEMAX = re.compile(r"(.*\.dat):(.+)", re.IGNORECASE)
+
+
+def read_coating(
+    spec: str, design_nm: float = 550.0, mirror: bool = False, resolve: Callable[[str], str] = str
+) -> Coating:
+    """
+    A coating from a file.
+
+    Parameters
+    ----------
+    spec : str
+        ``table.csv``, or ``COATING.DAT:NAME`` for a Zemax file.
+    design_nm : float
+        For thicknesses in waves in a Zemax file, nm.
+    mirror : bool
+        Of a Zemax coating the last layer is the substrate, as for mirrors there.
+    resolve : callable
+        Applied to the path.
+
+    Raises
+    ------
+    MistrayError
+        If the string is neither of both, or the file is missing or malformed.
+    """
+    match = _ZEMAX.fullmatch(spec.strip())
+    if match:
+        file = read_coating_file(resolve(match[1]), design_nm)
+        return file.mirror(match[2].strip()) if mirror else file[match[2].strip()]
+    if spec.lower().endswith(".dat"):
+        names = ", ".join(read_coating_file(resolve(spec), design_nm))
+        raise MistrayError(f"coating file '{spec}': which coating? Write '{spec}:NAME' with one of {names or '(none)'}")
+    if not spec.lower().endswith(".csv"):
+        raise MistrayError(f"coating '{spec}' is no file that mistray knows; give table.csv or COATING.DAT:NAME")
+    return CoatingTable.read(resolve(spec))
+
+
+def coating_from_text(text: str, design_nm: float = 550.0) -> Coating:
+    """
+    A coating from whatever names one: ``bare``, a preset, a file as in `read_coating`, or layers as in `parse_layers`.
+
+    Raises
+    ------
+    MistrayError
+        If it is none of these.
+    """
+    spec = text.strip()
+    if spec == "bare":
+        return Bare()
+    if spec in PRESETS:
+        return preset(spec, design_nm)
+    if _ZEMAX.fullmatch(spec) or spec.lower().endswith((".csv", ".dat")):
+        return read_coating(spec, design_nm)
+    if " " not in spec:  # no layer is one word
+        try:
+            return preset(spec, design_nm)
+        except MistrayError as error:
+            raise MistrayError(
+                f"{error}; or give a file (table.csv, COATING.DAT:NAME) or layers ('MgF2 99.64, 2.1 0.5w')"
+            ) from None
+    return Stack(parse_layers(spec, design_nm), name=spec)
+
+
+def write_table(
+    coating: Coating,
+    path: str | Path,
+    wavelengths_nm: Sequence[float],
+    angles_deg: Sequence[float],
+    front: str = "air",
+    back: str = "1.5168",
+) -> None:
+    """
+    Write R, T and phases of a coating between two materials as CSV, which `CoatingTable.read` reads.
+
+    Parameters
+    ----------
+    coating : Coating
+    path : str or Path
+        Replaced if it is there; on an error the old file stays.
+    wavelengths_nm : sequence of float
+    angles_deg : sequence of float
+        In the material of lower index, for light from either side; on the transparent side if the other is a metal,
+        whose table is then that of an opaque surface.
+    front, back : str
+        Materials, see `mistray.materials`.
+
+    Raises
+    ------
+    MistrayError
+        If a material is unknown at a wavelength, or the file cannot be written.
+    """
+    sides = {side: _metal(material, wavelengths_nm) for side, material in (("front", front), ("back", back))}
+    seen = {
+        side: spectrum(coating, wavelengths_nm, angles_deg, front, back, side == "front", rarer=True)
+        for side, metal in sides.items()
+        if not metal
+    }
+    if not seen:
+        raise MistrayError(
+            f"coating '{coating.name}' between '{front}' and '{back}': both are metals; no light gets there"
+        )
+    ahead, behind = seen.get("front", seen.get("back")), seen.get("back", seen.get("front"))
+    assert ahead is not None
+    assert behind is not None
+    grid = np.meshgrid(ahead.wavelength_nm, ahead.angle_deg, indexing="ij")
+    columns = dict(zip(("wavelength_nm", "angle_deg"), grid, strict=True))
+    for share, values in (("R", ahead.R), ("T", ahead.T), ("R_back", behind.R)):
+        columns |= {f"{share}_{pol}": values[:, :, k] for k, pol in enumerate("sp")}
+    phases = {"phase_r_deg": ahead.phase_r, "phase_t_deg": ahead.phase_t, "phase_r_back_deg": behind.phase_r}
+    columns |= {name: np.degrees(values) for name, values in phases.items()}
+    rows = np.stack([values.ravel() for values in columns.values()], axis=1).tolist()
+    path = Path(path)
+    draft = path.with_name(path.name + ".part")
+    try:
+        with draft.open("w", newline="", encoding="utf-8") as file:
+            file.write(f"# {' '.join(coating.name.split()) or 'coating'} between {front} (front) and {back} (back)\n")
+            writer = csv.writer(file, lineterminator="\n")
+            writer.writerow(columns)
+            writer.writerows([repr(value) for value in row] for row in rows)
+        os.replace(draft, path)
+    except OSError as error:
+        draft.unlink(missing_ok=True)
+        raise MistrayError(f"coating table '{path}': {error.strerror}; check the folder and its permissions") from None
+
+
+def _metal(material: str, wavelengths_nm: Sequence[float]) -> bool:
+    """Whether a material is a metal at one of the wavelengths."""
+    return any(complex_index(material, wavelength).imag > METAL_K for wavelength in wavelengths_nm)

@@ -1,0 +1,119 @@
+"""What a coating answers: shares of the flux and phases, for s and p."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from mistray.physics.thinfilm import amplitudes, reflectance_transmittance
+
+
+@dataclass(frozen=True, eq=False)
+class Response:
+    """
+    Reflection and transmission of one interface at one wavelength, for m angles of incidence.
+
+    Attributes
+    ----------
+    R, T : (m, 2) float64
+        Shares of the incident flux that are reflected and that enter the far medium, columns s and p. A = 1 - R - T is
+        absorbed in the coating.
+    phase_r, phase_t : (m,) float64
+        arg(j_s) - arg(j_p) of the amplitudes of the E field, radians, in the signs of `mistray.physics.thinfilm`: π in
+        the reflection of an ordinary mirror at normal incidence, 0 in transmission.
+    """
+
+    R: np.ndarray
+    T: np.ndarray
+    phase_r: np.ndarray
+    phase_t: np.ndarray
+
+    @property
+    def A(self) -> np.ndarray:
+        """(m, 2) float64, share that the coating absorbs."""
+        return 1 - self.R - self.T
+
+
+class Coating(Protocol):
+    """
+    What every coating has; the kernel, the plots and the export know no more of it.
+
+    A coating is hashable, because its tables are cached.
+    """
+
+    @property
+    def name(self) -> str:
+        """For messages and titles."""
+        ...
+
+    @property
+    def opaque(self) -> bool:
+        """Whether T = 0 at every wavelength and angle."""
+        ...
+
+    def response(
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+    ) -> Response:
+        """
+        Answer to light from one side.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+            In vacuum, nm.
+        n_front, n_back : complex
+            n + ik of the two media.
+        cos_incident : (m,) float64
+            Cosine of the angle of incidence in the medium that the light comes from, 0 … 1. Beyond the critical angle
+            nothing is transmitted and R is that of the total reflection.
+        from_front : bool
+            Which of the media that is.
+
+        Raises
+        ------
+        MistrayError
+            If a material is unknown at the wavelength.
+        """
+        ...
+
+
+def layered_response(
+    n_layers: Sequence[complex] | np.ndarray,
+    d_nm: Sequence[float] | np.ndarray,
+    wavelength_nm: float,
+    n_front: complex,
+    n_back: complex,
+    cos_incident: np.ndarray,
+    from_front: bool,
+) -> Response:
+    """
+    Response of homogeneous layers, of a bare interface if there are none.
+
+    Parameters
+    ----------
+    n_layers, d_nm : sequence
+        n + ik and thickness in nm, from the front to the back.
+    wavelength_nm, n_front, n_back, cos_incident, from_front
+        As in `Coating.response`. Of the medium that the light comes from only the real part of the index counts: its
+        absorption is booked along the ray, and R and T of waves that decay along their way do not add up.
+    """
+    if not from_front:
+        n_layers, d_nm, n_front, n_back = n_layers[::-1], d_nm[::-1], n_back, n_front
+    setting = (complex(n_front.real), list(n_layers), list(d_nm), n_back, wavelength_nm, np.asarray(cos_incident))
+    (r_s, r_p), (t_s, t_p) = amplitudes(*setting)
+    reflected, transmitted = reflectance_transmittance(*setting)
+    return Response(
+        np.stack(reflected, axis=1),
+        np.stack(transmitted, axis=1),
+        np.angle(r_s * np.conj(r_p)),
+        np.angle(t_s * np.conj(t_p)),
+    )
+
+
+def total_reflection(n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool) -> np.ndarray:
+    """(m,) bool: where light from one side is beyond the critical angle of the two media."""
+    n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
+    return np.asarray((n_1 / n_2) ** 2 * (1 - np.square(cos_incident)) >= 1)

@@ -1,0 +1,80 @@
+"""The two coatings without a recipe: none at all, and fixed shares of the flux."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.coatings.response import Response, layered_response, total_reflection
+from mistray.errors import MistrayError
+
+# R + T of a lossless coating, written with six digits
+SUM_TOLERANCE = 1e-6
+
+
+def check_shares(r: float, t: float, what: str) -> None:
+    """
+    Check that R and T of one angle and wavelength are shares of a flux.
+
+    Raises
+    ------
+    MistrayError
+        If one of them is no number in 0 … 1, or their sum exceeds 1. The message starts with `what`.
+    """
+    if not (0 <= r <= 1 and 0 <= t <= 1 and r + t <= 1 + SUM_TOLERANCE):
+        raise MistrayError(f"{what}: R = {r:g} and T = {t:g}; both must lie in 0 … 1 and R + T must not exceed 1")
+
+
+@dataclass(frozen=True)
+class Bare:
+    """No coating: Fresnel's equations between the two media, which may absorb."""
+
+    name: str = "bare"
+    opaque: bool = False
+
+    def response(
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+    ) -> Response:
+        """See `Coating.response`."""
+        return layered_response((), (), wavelength_nm, n_front, n_back, cos_incident, from_front)
+
+
+@dataclass(frozen=True)
+class Ideal:
+    """
+    The same R and T at all wavelengths and angles, from both sides, for s and p; the phases of an ordinary mirror.
+
+    Attributes
+    ----------
+    R, T : float
+        Shares of the flux; beyond the critical angle R + T is reflected.
+    name : str
+
+    Raises
+    ------
+    MistrayError
+        If R or T is no share, or R + T > 1.
+    """
+
+    R: float
+    T: float
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        check_shares(self.R, self.T, f"coating '{self.name}'" if self.name else "ideal coating")
+
+    @property
+    def opaque(self) -> bool:
+        """Whether T = 0."""
+        return self.T == 0
+
+    def response(
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+    ) -> Response:
+        """See `Coating.response`."""
+        count = len(cos_incident)
+        beyond = total_reflection(n_front, n_back, cos_incident, from_front) & (not self.opaque)
+        r, t = np.where(beyond, self.R + self.T, self.R), np.where(beyond, 0.0, self.T)
+        return Response(np.stack([r, r], 1), np.stack([t, t], 1), np.full(count, math.pi), np.zeros(count))

@@ -1,0 +1,95 @@
+"""A coating between two materials over wavelength and angle."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.coatings.response import Coating
+from mistray.coatings.stack import METAL_K
+from mistray.errors import MistrayError
+from mistray.materials import complex_index
+
+
+@dataclass(frozen=True, eq=False)
+class Spectrum:
+    """
+    R and T on a grid of wavelengths and angles.
+
+    Attributes
+    ----------
+    wavelength_nm : (w,) float64
+    angle_deg : (a,) float64
+    R, T : (w, a, 2) float64
+        Shares of the flux, s and p. Light that enters a metal or a black glass (k > `METAL_K`) is absorbed: T = 0.
+    phase_r, phase_t : (w, a) float64
+        arg(j_s) - arg(j_p), rad; see `Response`.
+    """
+
+    wavelength_nm: np.ndarray
+    angle_deg: np.ndarray
+    R: np.ndarray
+    T: np.ndarray
+    phase_r: np.ndarray
+    phase_t: np.ndarray
+
+    @property
+    def A(self) -> np.ndarray:
+        """(w, a, 2) float64, share that is absorbed."""
+        return 1 - self.R - self.T
+
+    def mean(self, share: str = "R") -> np.ndarray:
+        """(w, a) mean of s and p of R, T or A: what unpolarised light sees."""
+        return np.asarray(getattr(self, share).mean(axis=2))
+
+
+def spectrum(
+    coating: Coating,
+    wavelengths_nm: Sequence[float] | np.ndarray,
+    angles_deg: Sequence[float] | np.ndarray,
+    front: str = "air",
+    back: str = "N-BK7",
+    from_front: bool = True,
+    rarer: bool = False,
+) -> Spectrum:
+    """
+    Evaluate a coating.
+
+    Parameters
+    ----------
+    coating : Coating
+    wavelengths_nm, angles_deg : sequence of float
+    front, back : str
+        Materials, see `mistray.materials`; k must be known.
+    from_front : bool
+        Side that the light comes from.
+    rarer : bool
+        The angles are those in the material of lower index, instead of those on the side of incidence.
+
+    Raises
+    ------
+    MistrayError
+        If an angle is outside of 0 … 90°, a material is unknown at a wavelength, or the light would come from a metal.
+    """
+    lam, angle = (np.asarray(values, dtype=np.float64) for values in (wavelengths_nm, angles_deg))
+    if not len(lam) or not len(angle) or angle.min() < 0 or angle.max() > 90:
+        raise MistrayError(f"coating '{coating.name}': {len(lam)} wavelengths, angles {angle}; angles lie in 0 … 90°")
+    cosine = np.cos(np.radians(angle))
+    answers = []
+    for wavelength in lam.tolist():
+        sides = complex_index(front, wavelength), complex_index(back, wavelength)
+        n_1, n_2 = sides if from_front else sides[::-1]
+        if n_1.imag > METAL_K:
+            raise MistrayError(
+                f"coating '{coating.name}': light from '{front if from_front else back}' (k = {n_1.imag:g} at "
+                f"{wavelength:g} nm), in which nothing travels; take the other side"
+            )
+        metal = n_2.imag > METAL_K
+        own = cosine
+        if rarer and n_1.real > n_2.real and not metal:
+            own = np.sqrt(1 - (n_2.real / n_1.real) ** 2 * (1 - cosine**2))
+        one = coating.response(wavelength, *sides, own, from_front)
+        answers.append((one.R, 0 * one.T if metal else one.T, one.phase_r, one.phase_t))
+    return Spectrum(lam, angle, *(np.array(values) for values in zip(*answers, strict=True)))

@@ -1,0 +1,239 @@
+"""Coatings made of layers, and their text form."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.coatings.response import Response, layered_response
+from mistray.errors import MistrayError
+from mistray.materials import complex_index, resolved
+
+SIDES = ("outside", "front", "back")
+# A medium of larger k is the substrate of the coating, whatever its n: at 550 nm it is dark after a millimetre
+METAL_K = 1e-3
+LAYER_FORM = "write 'material thickness' with the thickness in nm (99.64) or in waves (0.25w)"
+
+
+@dataclass(frozen=True)
+class Layer:
+    """
+    One homogeneous layer.
+
+    Attributes
+    ----------
+    material : str
+        See `mistray.materials`; k must be known.
+    thickness_nm : float
+        Geometrical thickness, ≥ 0, nm.
+    n_shift, k_shift : float
+        Added to n and k of the material at every wavelength: N = n + n_shift + i (k + k_shift).
+    """
+
+    material: str
+    thickness_nm: float
+    n_shift: float = 0.0
+    k_shift: float = 0.0
+
+    def index(self, wavelength_nm: float) -> complex:
+        """N = n + ik of the layer, shifts included."""
+        return complex_index(self.material, wavelength_nm) + complex(self.n_shift, self.k_shift)
+
+
+@dataclass(frozen=True)
+class Stack:
+    """
+    A coating of homogeneous layers.
+
+    Attributes
+    ----------
+    layers : tuple of Layer
+        In the coating's own order, which `first` ties to the surface; may be empty.
+    first : {"outside", "front", "back"}
+        Where the first layer lies: "outside", as coating houses write it, is the side of the medium of lower index (a
+        metal counts as the substrate; of two equal media the front is outside); "front" and "back" are the surface's.
+    name : str
+        For messages and titles.
+    opaque : bool
+        Nothing passes, whatever the media: T = 0. For mirror coatings with a thick layer of metal.
+
+    Raises
+    ------
+    MistrayError
+        If `first` is unknown, or a number of a layer is negative or not finite.
+    """
+
+    layers: tuple[Layer, ...]
+    first: str = "outside"
+    name: str = ""
+    opaque: bool = False
+
+    def __post_init__(self) -> None:
+        if self.first not in SIDES:
+            raise MistrayError(f"{self}: first = '{self.first}'; it is {', '.join(SIDES[:-1])} or {SIDES[-1]}")
+        for number, layer in enumerate(self.layers, start=1):
+            if not 0 <= layer.thickness_nm < math.inf:
+                raise MistrayError(
+                    f"{self}, layer {number} ({layer.material}): thickness {layer.thickness_nm:g} nm; "
+                    "it must be 0 or greater"
+                )
+            if not (math.isfinite(layer.n_shift) and math.isfinite(layer.k_shift)):
+                raise MistrayError(
+                    f"{self}, layer {number} ({layer.material}): n_shift = {layer.n_shift:g}, k_shift = "
+                    f"{layer.k_shift:g}; both must be finite"
+                )
+
+    def __str__(self) -> str:
+        return f"coating '{self.name}'" if self.name else "coating"
+
+    def indices(self, wavelength_nm: float) -> tuple[complex, ...]:
+        """
+        N = n + ik of the layers in the coating's own order.
+
+        Raises
+        ------
+        MistrayError
+            If a material is unknown there, or a shift leads to n ≤ 0 or k < 0.
+        """
+        result = []
+        for number, layer in enumerate(self.layers, start=1):
+            try:
+                index = layer.index(wavelength_nm)
+            except MistrayError as error:
+                raise MistrayError(f"{self}, layer {number}: {error}") from None
+            if not (index.real > 0 and index.imag >= 0):
+                raise MistrayError(
+                    f"{self}, layer {number} ({layer.material}): n = {index.real:g}, k = {index.imag:g} at "
+                    f"{wavelength_nm:g} nm; n must be greater than 0 and k 0 or greater, change n_shift or k_shift"
+                )
+            result.append(index)
+        return tuple(result)
+
+    def front_to_back(
+        self, wavelength_nm: float, n_front: complex, n_back: complex
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """
+        Layers in the order in which light from the front meets them.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+            In vacuum, nm.
+        n_front, n_back : complex
+            n + ik of the media, which decide where "outside" is.
+
+        Returns
+        -------
+        N : (L,) complex128
+        d_nm : (L,) float64
+        order : (L,) int
+            Own number, from 0, of the j-th layer from the front.
+        """
+        order = np.arange(len(self.layers))
+        if self.first == "back" or (self.first == "outside" and not outside_first(n_front, n_back)):
+            order = order[::-1]
+        indices = np.array(self.indices(wavelength_nm), dtype=np.complex128)
+        thickness = np.array([layer.thickness_nm for layer in self.layers], dtype=np.float64)
+        return indices[order], thickness[order], order
+
+    def response(
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+    ) -> Response:
+        """See `Coating.response`."""
+        indices, thickness, _ = self.front_to_back(wavelength_nm, n_front, n_back)
+        full = layered_response(indices, thickness, wavelength_nm, n_front, n_back, cos_incident, from_front)
+        return Response(full.R, 0 * full.T, full.phase_r, full.phase_t) if self.opaque else full
+
+
+def outside_first(n_front: complex, n_back: complex) -> bool:
+    """Whether the front is outside: the side of lower index, metals being substrates; of equal sides the front is."""
+    return (n_front.imag > METAL_K, n_front.real) <= (n_back.imag > METAL_K, n_back.real)
+
+
+def parse_layers(
+    text: str, design_nm: float = 550.0, name: str = "", resolve: Callable[[str], str] = str
+) -> tuple[Layer, ...]:
+    """
+    Read layers such as ``MgF2 99.64, 2.1 0.5w, 1.63+0.001i 84.4``.
+
+    Parameters
+    ----------
+    text : str
+        Layers between commas, or one a line: a material and, as last word, its thickness in nm; with a ``w`` its
+        optical thickness n d in waves at `design_nm`.
+    design_nm : float
+        Wavelength of the optical thicknesses, nm.
+    name : str
+        Of the coating, for messages.
+    resolve : callable
+        Applied to the path of a material that is a file.
+
+    Raises
+    ------
+    MistrayError
+        If a layer has no thickness, or the material of an optical thickness is unknown at `design_nm`.
+    """
+    if not design_nm > 0:
+        raise MistrayError(f"{Stack((), name=name)}: design_nm = {design_nm:g}; it must be greater than 0")
+    parts = [part.strip() for part in re.split(r"[,\n]", text)]
+    layers = []
+    for number, part in enumerate(parts, start=1):
+        where = f"{Stack((), name=name)}, layer {number}"
+        material, _, size = part.rpartition(" ")
+        try:
+            value = float(size.removesuffix("w"))
+        except ValueError:
+            value = math.nan
+        if not material or math.isnan(value):
+            raise MistrayError(f"{where}: '{part}' has no material and thickness; {LAYER_FORM}")
+        try:
+            material = resolved(material.strip(), resolve)
+        except MistrayError as error:
+            raise MistrayError(f"{where}: {error}") from None
+        layers.append(waves(material, value, design_nm, where) if size.endswith("w") else Layer(material, value))
+    return tuple(layers)
+
+
+def waves(material: str, optical_thickness: float, design_nm: float, where: str = "layer") -> Layer:
+    """
+    Layer of a given optical thickness: d = w λ/n with the real part n at the design wavelength.
+
+    Parameters
+    ----------
+    material : str
+    optical_thickness : float
+        w, waves.
+    design_nm : float
+        λ, nm.
+    where : str
+        Start of an error message.
+    """
+    try:
+        n = complex_index(material, design_nm).real
+    except MistrayError as error:
+        raise MistrayError(f"{where}: {error}") from None
+    return Layer(material, optical_thickness * design_nm / n)
+
+
+def layer_text(layers: Sequence[Layer]) -> str:
+    """
+    Write layers so that `parse_layers` reads the same numbers back.
+
+    Raises
+    ------
+    MistrayError
+        If a layer has a shift, or a material with a comma in its name (a file), which the text cannot hold.
+    """
+    for number, layer in enumerate(layers, start=1):
+        if "," in layer.material:
+            raise MistrayError(f"layer {number} ({layer.material}): the material has a comma; rename its file")
+        if layer.n_shift or layer.k_shift:
+            raise MistrayError(
+                f"layer {number} ({layer.material}): n_shift = {layer.n_shift:g}, k_shift = {layer.k_shift:g} have no "
+                "place in the text of the layers; give them beside it"
+            )
+    return ", ".join(f"{layer.material} {layer.thickness_nm!r}".removesuffix(".0") for layer in layers)

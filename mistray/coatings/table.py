@@ -1,0 +1,223 @@
+"""Reflectance and transmittance tabled over wavelength and angle, as a coating house delivers them."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mistray.coatings.response import Response, total_reflection
+from mistray.coatings.simple import SUM_TOLERANCE
+from mistray.errors import MistrayError
+
+REQUIRED = ("wavelength_nm", "angle_deg")
+SHARES = ("R", "T", "R_back")
+PHASES = ("phase_r_deg", "phase_t_deg", "phase_r_back_deg")
+COLUMNS = (*REQUIRED, *(f"{share}{pol}" for share in SHARES for pol in ("", "_s", "_p")), *PHASES)
+DEFAULT_PHASES = {"phase_r_deg": 180.0, "phase_t_deg": 0.0, "phase_r_back_deg": 180.0}
+FRONT, BACK, THROUGH = range(3)
+
+
+@dataclass(frozen=True, eq=False)
+class CoatingTable:
+    """
+    R and T on a rectangular grid of wavelengths and angles, for s and p, with phases where they are known.
+
+    Between the nodes R, T and the phase factors are linear in the wavelength and in the cosine; beyond the steepest
+    angle the last value is kept. A table of one wavelength holds for all.
+
+    Attributes
+    ----------
+    name : str
+        File or other name, for messages.
+    wavelength_nm : (w,) float64
+        Ascending, nm.
+    cos_rare : (a,) float64
+        Ascending cosine of the angle of incidence in the rarer of the two materials (the air side of a lens), for light
+        from either side; of the angle on the side that the light comes from if the coating is opaque.
+    shares : (w, a, 3, 2) float64
+        R for light from the front, R for light from the back, T (equal from both sides, by reciprocity); s and p.
+    phasors : (w, a, 3) complex128
+        exp(i φ) of the phases arg(j_s) - arg(j_p) that belong to them; see `Response`.
+    """
+
+    name: str
+    wavelength_nm: np.ndarray
+    cos_rare: np.ndarray
+    shares: np.ndarray
+    phasors: np.ndarray
+
+    @classmethod
+    def read(cls, path: str | Path) -> CoatingTable:
+        """
+        Read a CSV file.
+
+        Columns: wavelength_nm, angle_deg; R and T, or R_s, R_p, T_s, T_p; optionally R_back, or R_back_s and R_back_p,
+        where the coating absorbs; optionally the phases phase_r_deg, phase_t_deg, phase_r_back_deg, which are those of
+        s minus those of p (180, 0, 180 where they are missing). Lines that start with # are comments.
+
+        Raises
+        ------
+        MistrayError
+            If the file is missing, a column is missing or unknown, a cell is no number, the rows are no full grid, or
+            R + T exceeds 1.
+        """
+        what = f"coating table '{path}'"
+        try:
+            lines = Path(path).read_text(encoding="utf-8").splitlines()
+        except (OSError, UnicodeDecodeError) as error:
+            reason = error.strerror if isinstance(error, OSError) else "it is no text file"
+            raise MistrayError(f"{what}: {reason}; check the path, relative to the scene file") from None
+        numbered = [
+            (n, line) for n, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#")
+        ]
+        cells = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in numbered)]
+        header = _header(cells[0] if cells else [], what)
+        rows = []
+        for (number, _), row in zip(numbered[1:], cells[1:], strict=True):
+            try:
+                values = [float(cell) for cell in row]
+            except ValueError as error:
+                raise MistrayError(f"{what}, line {number}: {error}; every cell must be a number") from None
+            if len(values) != len(header) or not all(map(math.isfinite, values)):
+                raise MistrayError(f"{what}, line {number}: {len(header)} finite numbers are needed, as in the header")
+            rows.append(values)
+        columns = np.array(rows, dtype=np.float64).reshape(len(rows), len(header)).T
+        return cls.from_columns(str(path), dict(zip(header, columns, strict=True)))
+
+    @classmethod
+    def from_columns(cls, name: str, columns: Mapping[str, np.ndarray]) -> CoatingTable:
+        """
+        Arrange columns into a table.
+
+        Parameters
+        ----------
+        name : str
+        columns : mapping
+            Names as in `read` to arrays of the same length, rows in any order.
+
+        Raises
+        ------
+        MistrayError
+            If the rows are no full grid, an angle or a wavelength is out of range, or R + T exceeds 1.
+        """
+        what = f"coating table '{name}'"
+        lam, angle = (np.asarray(columns[key], dtype=np.float64) for key in REQUIRED)
+        wavelengths, angles = np.unique(lam), np.unique(angle)
+        grid = set(zip(lam, angle, strict=True))
+        if not len(lam) or len(lam) != len(wavelengths) * len(angles) or len(grid) != len(lam):
+            raise MistrayError(
+                f"{what}: {len(lam)} rows for {len(wavelengths)} wavelengths and {len(angles)} angles; "
+                "give every angle once at every wavelength"
+            )
+        if angles[0] < 0 or angles[-1] > 90 or wavelengths[0] <= 0:
+            raise MistrayError(
+                f"{what}: angles from {angles[0]:g} to {angles[-1]:g}°, wavelengths from {wavelengths[0]:g} nm; "
+                "angles must lie in 0 … 90°, wavelengths be positive"
+            )
+        order = np.lexsort((-angle, lam))
+        shape = (len(wavelengths), len(angles))
+
+        def pair(share: str) -> np.ndarray | None:
+            names = (share, share) if share in columns else (f"{share}_s", f"{share}_p")
+            if names[0] not in columns:
+                return None
+            return np.stack([np.asarray(columns[key])[order].reshape(shape) for key in names], axis=-1)
+
+        reflected, transmitted, behind = (pair(share) for share in SHARES)
+        assert reflected is not None
+        assert transmitted is not None
+        shares = np.stack([reflected, reflected if behind is None else behind, transmitted], axis=2)
+        worst = float(np.max(shares[:, :, :THROUGH].max(axis=2) + shares[:, :, THROUGH]))
+        if shares.min() < 0 or worst > 1 + SUM_TOLERANCE:
+            raise MistrayError(f"{what}: R + T reaches {worst:.6g} or a value is negative; R + T + A = 1 must hold")
+        phases = {
+            key: np.asarray(columns.get(key, np.full(len(lam), default))) for key, default in DEFAULT_PHASES.items()
+        }
+        if "phase_r_back_deg" not in columns and behind is None and "phase_r_deg" in columns:
+            phases["phase_r_back_deg"] = phases["phase_r_deg"]
+        angles_of = [phases[key][order].reshape(shape) for key in ("phase_r_deg", "phase_r_back_deg", "phase_t_deg")]
+        phasors = np.exp(1j * np.radians(np.stack(angles_of, axis=-1)))
+        return cls(name, wavelengths, np.cos(np.radians(angles[::-1])), shares, phasors)
+
+    @property
+    def opaque(self) -> bool:
+        """Whether T is 0 everywhere."""
+        return not np.any(self.shares[:, :, THROUGH])
+
+    def response(
+        self, wavelength_nm: float, n_front: complex, n_back: complex, cos_incident: np.ndarray, from_front: bool
+    ) -> Response:
+        """
+        See `Coating.response`; beyond the critical angle R + T of grazing incidence is reflected.
+
+        Raises
+        ------
+        MistrayError
+            If the wavelength is outside of the table.
+        """
+        cosine = np.asarray(cos_incident, dtype=np.float64)
+        n_1, n_2 = (n_front.real, n_back.real) if from_front else (n_back.real, n_front.real)
+        beyond = np.zeros(len(cosine), dtype=bool)
+        if n_1 > n_2 and not self.opaque:
+            beyond = total_reflection(n_front, n_back, cosine, from_front)
+            cosine = np.sqrt(np.maximum(1 - (n_1 / n_2) ** 2 * (1 - cosine**2), 0))
+        shares, phasors = self._slab(wavelength_nm)
+        reflection = FRONT if from_front else BACK
+
+        def at(values: np.ndarray) -> np.ndarray:
+            return np.asarray(np.interp(cosine, self.cos_rare, values))
+
+        r, t = (
+            np.stack([at(shares[:, channel, polarization]) for polarization in range(2)], axis=1)
+            for channel in (reflection, THROUGH)
+        )
+        phase_r, phase_t = (
+            np.arctan2(at(phasors[:, channel].imag), at(phasors[:, channel].real)) for channel in (reflection, THROUGH)
+        )
+        beyond = beyond[:, None]
+        return Response(np.where(beyond, r + t, r), np.where(beyond, 0.0, t), phase_r, phase_t)
+
+    def _slab(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
+        """Shares (a, 3, 2) and phasors (a, 3) at a wavelength."""
+        lam = self.wavelength_nm
+        if len(lam) == 1:
+            return self.shares[0], self.phasors[0]
+        if not lam[0] <= wavelength_nm <= lam[-1]:
+            raise MistrayError(
+                f"coating table '{self.name}': {wavelength_nm:g} nm is outside of its {lam[0]:g} … {lam[-1]:g} nm; "
+                "extend the table"
+            )
+        i = min(int(np.searchsorted(lam, wavelength_nm, side="right")) - 1, len(lam) - 2)
+        u = (wavelength_nm - lam[i]) / (lam[i + 1] - lam[i])
+        shares, phasors = ((1 - u) * values[i] + u * values[i + 1] for values in (self.shares, self.phasors))
+        return shares, phasors
+
+
+def _header(names: Sequence[str], what: str) -> list[str]:
+    """Check the names of the columns."""
+    given = list(names)
+    unknown = [name for name in given if name not in COLUMNS]
+    doubled = sorted({name for name in given if given.count(name) > 1})
+    if unknown or doubled:
+        raise MistrayError(
+            f"{what}: column '{(unknown or doubled)[0]}' is {'unknown' if unknown else 'there twice'}; "
+            f"possible are {', '.join(COLUMNS)}"
+        )
+    missing = [name for name in REQUIRED if name not in given]
+    for share in SHARES:
+        pair = [name for name in (f"{share}_s", f"{share}_p") if name in given]
+        if share in given and pair:
+            raise MistrayError(f"{what}: columns {share} and {pair[0]} are both there; give {share} or its s and p")
+        if len(pair) == 1 or (share not in given and not pair and share != "R_back"):
+            missing.append(f"{share} or {share}_s and {share}_p" if not pair else f"the partner of {pair[0]}")
+    if missing:
+        raise MistrayError(
+            f"{what}: column {', '.join(missing)} is missing; it needs wavelength_nm, angle_deg, R, T "
+            "(or R_s, R_p, T_s, T_p)"
+        )
+    return given

@@ -1,0 +1,285 @@
+"""Coating files of Zemax OpticStudio (COATING.DAT).
+
+    MATE name / wavelength n k                               µm; see `mistray.materials.mate`
+    COAT name / material thickness is_absolute loop taper    layers, the outermost first
+    COAT I.t                                                 T = 0.t, R = 1 - T
+    IDEAL name T R                                           R defaults to 1 - T
+    IDEAL2 name srr sri str sti prr pri ptr pti no_pi        complex amplitudes of reflection and transmission
+    TABLE name / ANGL a / WAVE w Rs Rp Ts Tp Ars Arp Ats Atp degrees, µm; phases in degrees, 0 where left out
+    TAPR name / …                                            variation over the aperture
+    ENCRYPTED file
+
+A thickness is in µm where ``is_absolute`` is 1, else in waves at the primary wavelength of the lens, which is not
+in the file. Layers from one with a loop index L ≠ 0 to the next with the same index are repeated L times. OpticStudio
+turns the order round where light passes from glass to air, and tables hold the angle in the medium of lower index:
+that is `Stack.first` = "outside" and `CoatingTable.cos_rare`.
+
+Phases: OpticStudio writes its waves exp(+iωt), so that a phase changes its sign here; 0 means that of an ordinary
+mirror or window. Only the difference of s and p is kept. Tapers and encrypted coatings are errors when such a coating
+is asked for. Source: OpticStudio user guide, "Defining Coatings", "The TABLE Data Section", "Specifying Coatings on
+Surfaces".
+"""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+from mistray.coatings.response import Coating
+from mistray.coatings.simple import Ideal
+from mistray.coatings.stack import Layer, Stack, waves
+from mistray.coatings.table import CoatingTable
+from mistray.errors import MistrayError
+from mistray.materials.mate import SECTIONS, numbered_lines, numbers, read_mate
+
+# The last layer of a mirror's coating is its substrate in OpticStudio, whatever its thickness; a metal of this is dark
+SUBSTRATE_NM = 1000.0
+BUILT_IN = ("AIR", "VACUUM")
+
+
+@dataclass
+class _Section:
+    """One section: its head and the lines below it, as words with line numbers."""
+
+    kind: str
+    name: str
+    line: int
+    words: list[str]
+    lines: list[tuple[int, list[str]]] = field(default_factory=list)
+
+
+class CoatingFile(Mapping[str, Coating]):
+    """
+    Coatings of a Zemax file by name; names ignore case.
+
+    Made by `read_coating_file`. A coating is made when it is looked up: `Stack` from COAT, `Ideal` from IDEAL and
+    ``COAT I.t``, `CoatingTable` from IDEAL2 and TABLE.
+    """
+
+    def __init__(self, path: Path, sections: dict[str, _Section], design_nm: float) -> None:
+        self.path, self.design_nm = path, design_nm
+        self._sections = sections
+
+    def __getitem__(self, name: str) -> Coating:
+        """
+        A coating.
+
+        Raises
+        ------
+        MistrayError
+            If there is none of that name, or it uses what mistray does not know: a taper, an encrypted file.
+        """
+        return self._make(self._find(name), mirror=False)
+
+    def __iter__(self) -> Iterator[str]:
+        return (section.name for section in self._sections.values())
+
+    def __len__(self) -> int:
+        return len(self._sections)
+
+    def mirror(self, name: str) -> Stack:
+        """
+        The coating of a mirror, whose last layer is the substrate; opaque.
+
+        Raises
+        ------
+        MistrayError
+            As for a look-up, and if the coating has no layers.
+        """
+        section = self._find(name)
+        stack = self._make(section, mirror=True)
+        if not isinstance(stack, Stack):
+            raise MistrayError(f"{self._where(section)}: {section.name} has no layers; give its R and T = 0 instead")
+        return stack
+
+    def _find(self, name: str) -> _Section:
+        section = self._sections.get(name.upper())
+        if section is None:
+            close = difflib.get_close_matches(name.upper(), self._sections, n=1)
+            names = ", ".join(self)
+            hint = f"did you mean '{self._sections[close[0]].name}'? There are" if close else "there are"
+            raise MistrayError(f"coating file '{self.path}': no coating '{name}'; {hint} {names or 'none'}")
+        return section
+
+    def _where(self, section: _Section, line: int | None = None) -> str:
+        return f"coating file '{self.path}', line {line or section.line}"
+
+    def _make(self, section: _Section, mirror: bool) -> Coating:
+        if section.kind == "ENCRYPTED":
+            raise MistrayError(
+                f"{self._where(section)}: coating {section.name} is encrypted; ask its vendor for a table of R and T"
+            )
+        if section.kind == "IDEAL":
+            return self._ideal(section)
+        if section.kind == "IDEAL2":
+            return self._ideal2(section)
+        if section.kind == "TABLE":
+            return self._table(section)
+        if _is_transmission(section.name):
+            t = float("0" + section.name[1:])
+            return Ideal(1 - t, t, section.name)
+        return self._stack(section, mirror)
+
+    def _ideal(self, section: _Section) -> Ideal:
+        where = self._where(section)
+        t, r = (*numbers(section.words[2:], 1, 2, where, "IDEAL, a name, T and R"), None)[:2]
+        assert t is not None
+        try:
+            return Ideal(1 - t if r is None else r, t, section.name)
+        except MistrayError as error:
+            raise MistrayError(f"{where}: {error}") from None
+
+    def _ideal2(self, section: _Section) -> CoatingTable:
+        where = self._where(section)
+        values = numbers(section.words[2:], 8, 9, where, "IDEAL2, a name, 8 parts of amplitudes and the pi flag")
+        s_r, s_t, p_r, p_t = (complex(*values[k : k + 2]) for k in (0, 2, 4, 6))
+        columns = {"R_s": abs(s_r) ** 2, "R_p": abs(p_r) ** 2, "T_s": abs(s_t) ** 2, "T_p": abs(p_t) ** 2}
+        phases = _phases(*(math.degrees(math.atan2(z.imag, z.real)) for z in (s_r, p_r, s_t, p_t)))
+        return self._tabled(section, [{"wavelength_nm": self.design_nm, "angle_deg": 0.0} | columns | phases])
+
+    def _table(self, section: _Section) -> CoatingTable:
+        rows: list[dict[str, float]] = []
+        angle: float | None = None
+        for line, words in section.lines:
+            where, key = self._where(section, line), words[0].upper()
+            if key == "ANGL":
+                (angle,) = numbers(words[1:], 1, 1, where, "ANGL and an angle in degrees")
+            elif key == "WAVE" and angle is not None:
+                values = numbers(words[1:], 5, 9, where, "WAVE, a wavelength in µm, Rs Rp Ts Tp and up to 4 phases")
+                phases = [*values[5:], *[0.0] * (9 - len(values))]
+                shares = dict(zip(("R_s", "R_p", "T_s", "T_p"), values[1:5], strict=True))
+                for pol in "sp":
+                    if (
+                        min(shares[f"R_{pol}"], shares[f"T_{pol}"]) < 0
+                        or shares[f"R_{pol}"] + shares[f"T_{pol}"] > 1 + 1e-6
+                    ):
+                        raise MistrayError(
+                            f"{where}: R{pol} = {shares[f'R_{pol}']:g}, T{pol} = {shares[f'T_{pol}']:g}; both must be "
+                            "0 or greater and their sum must not exceed 1"
+                        )
+                rows.append({"wavelength_nm": values[0] * 1e3, "angle_deg": angle} | shares | _phases(*phases))
+            else:
+                raise MistrayError(f"{where}: '{' '.join(words)}'; expected ANGL, then WAVE lines")
+        if not rows:
+            raise MistrayError(f"{self._where(section)}: table {section.name} has no data")
+        return self._tabled(section, rows)
+
+    def _tabled(self, section: _Section, rows: list[dict[str, float]]) -> CoatingTable:
+        columns = {key: np.array([row[key] for row in rows]) for key in rows[0]}
+        try:
+            return CoatingTable.from_columns(f"{self.path}:{section.name}", columns)
+        except MistrayError as error:
+            raise MistrayError(f"{self._where(section)}: {error}") from None
+
+    def _stack(self, section: _Section, mirror: bool) -> Stack:
+        layers: list[Layer] = []
+        start: int | None = None  # first layer of the group that is open, its loop index and line
+        loop, opened = 0, 0
+        for line, words in section.lines:
+            where = self._where(section, line)
+            layer, index = self._layer(words, where)
+            layers.append(layer)
+            if index and start is None:
+                start, loop, opened = len(layers) - 1, index, line
+            elif index and index != loop:
+                raise MistrayError(
+                    f"{where}: loop index {index} inside of the group of line {opened}, whose index is {loop}; close "
+                    "that group first"
+                )
+            elif index:
+                layers += layers[start:] * (loop - 1)
+                start = None
+        if start is not None:
+            raise MistrayError(
+                f"{self._where(section, opened)}: the group of loop index {loop} has no end; give its last layer the "
+                "same index"
+            )
+        if mirror and layers:
+            layers[-1] = Layer(layers[-1].material, SUBSTRATE_NM)
+        return Stack(tuple(layers), name=section.name, opaque=mirror)
+
+    def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:
+        """A layer and its loop index."""
+        if len(words) > 5 or len(words) < 2:
+            raise MistrayError(f"{where}: '{' '.join(words)}'; expected material thickness is_absolute loop taper")
+        if len(words) == 5:
+            raise MistrayError(f"{where}: taper {words[4]}; mistray has no coatings that vary over the aperture")
+        value, *flags = numbers(words[1:], 1, 3, where, "material thickness is_absolute loop")
+        absolute, loop = [*flags, 0.0, 0.0][:2]
+        if value < 0 or absolute not in (0, 1) or loop < 0 or loop != int(loop):
+            raise MistrayError(
+                f"{where}: thickness {value:g}, is_absolute {absolute:g}, loop index {loop:g}; they must be 0 or "
+                "greater, 0 or 1, and a whole number"
+            )
+        material = words[0].lower() if words[0].upper() in BUILT_IN else f"{self.path}:{words[0]}"
+        layer = Layer(material, value * 1e3) if absolute else waves(material, value, self.design_nm, where)
+        return layer, int(loop)
+
+
+def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile:
+    """
+    Read a Zemax coating file.
+
+    Parameters
+    ----------
+    path : str or Path
+    design_nm : float
+        Primary wavelength of the lens, for thicknesses in waves, nm.
+
+    Returns
+    -------
+    CoatingFile
+        A mapping from names to coatings.
+
+    Raises
+    ------
+    MistrayError
+        If the file is missing, a head or a MATE section is malformed, a name is there twice, or a layer's material is
+        not in the file; the message has the number of the line. Other errors come with the look-up.
+    """
+    if not design_nm > 0:
+        raise MistrayError(f"coating file '{path}': design_nm = {design_nm:g}; it must be greater than 0")
+    materials = {name.upper() for name in read_mate(path)}
+    sections: dict[str, _Section] = {}
+    current: _Section | None = None
+    seen = False
+    for number, words in numbered_lines(path):
+        where, key = f"coating file '{path}', line {number}", words[0].upper()
+        if key in SECTIONS:
+            seen, current = True, None
+            if key in ("MATE", "TAPR"):
+                continue
+            if len(words) < 2 or (key in ("COAT", "TABLE", "ENCRYPTED") and len(words) > 2):
+                raise MistrayError(f"{where}: '{' '.join(words)}'; write {key} and one name")
+            current = _Section(key, words[1], number, words)
+            other = sections.setdefault(current.name.upper(), current)
+            if other is not current:
+                raise MistrayError(
+                    f"{where}: coating {current.name} is there already, on line {other.line}; rename one"
+                )
+        elif not seen:
+            raise MistrayError(f"{where}: '{' '.join(words)}' before the first of {', '.join(SECTIONS)}")
+        elif current is not None:
+            if current.kind not in ("COAT", "TABLE") or _is_transmission(current.name):
+                raise MistrayError(
+                    f"{where}: '{' '.join(words)}' follows {current.kind} {current.name}, which is one line"
+                )
+            if current.kind == "COAT" and words[0].upper() not in materials and words[0].upper() not in BUILT_IN:
+                raise MistrayError(f"{where}: material {words[0]} has no MATE section in this file; add one")
+            current.lines.append((number, words))
+    return CoatingFile(Path(path), sections, design_nm)
+
+
+def _is_transmission(name: str) -> bool:
+    """Whether a name is that of an ideal coating such as I.99."""
+    return name[:2].upper() == "I." and name[2:].isdigit()
+
+
+def _phases(r_s: float, r_p: float, t_s: float, t_p: float) -> dict[str, float]:
+    """Phases of s against p in degrees from those of OpticStudio, which are added to those of an ordinary mirror."""
+    return {"phase_r_deg": 180.0 - (r_s - r_p), "phase_t_deg": -(t_s - t_p), "phase_r_back_deg": 180.0 - (r_s - r_p)}

@@ -1,0 +1,44 @@
+"""Refractive indices n + ik from the material strings of a scene.
+
+A material string is one of
+
+============================  ======================================================================== ==============
+string                        n                                                                        k
+============================  ======================================================================== ==============
+``air``, ``vacuum``           1; glass indices are relative to air, as catalogues give them            0
+``1.5168``                    constant                                                                 0
+``1.5+0.01i``                 constant                                                                 constant
+``nd=1.544 Vd=56.1``          two-term Cauchy through nd and Vd, see `cauchy_index`                    unknown
+``N-BK7``, ``schott/F2``      formula of the maker's catalogue (see `catalogue.MAKERS`)                from internal
+                                                                                                       transmittances
+``MgF2``, ``Al``, ``PMMA``    pinned page of refractiveindex.info (see `catalogue.PINNED`)             of the page
+``main/Ag/nk/Yang``           any page of its database, by its path                                    of the page
+``glass.csv``                 user's table, see `user_table`                                           of the table
+``makers.agf:N-BK7``          glass of a Zemax AGF file, see `agf`                                     from IT lines
+``COATING.DAT:MGF2``          MATE section of a Zemax coating file, see `mate`                         of the section
+============================  ======================================================================== ==============
+
+followed, if wanted, by `` k=VALUE`` (k is this number, whatever the data say) and `` extrapolate`` (wavelengths outside
+of the data's range are allowed: formulas are evaluated there, tables keep the value of their nearest end).
+
+Wavelengths are in nm, in vacuum. An unknown k is an error of `complex_index`, never a silent 0. docs/materials.md has
+the names, their pages and their sources.
+"""
+
+from mistray.materials.catalogue import names
+from mistray.materials.formulas import CAUCHY_RANGE_NM, LINE_C_NM, LINE_D_NM, LINE_F_NM, cauchy_index
+from mistray.materials.lookup import Source, complex_index, refractive_index, resolved, source
+
+__all__ = [
+    "CAUCHY_RANGE_NM",
+    "LINE_C_NM",
+    "LINE_D_NM",
+    "LINE_F_NM",
+    "Source",
+    "cauchy_index",
+    "complex_index",
+    "names",
+    "refractive_index",
+    "resolved",
+    "source",
+]

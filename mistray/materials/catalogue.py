@@ -1,0 +1,225 @@
+"""Names of materials and the pages they stand for: pinned materials and the catalogues of the glass makers."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from itertools import chain
+
+from mistray.errors import MistrayError
+from mistray.materials.pages import SUPPLIERS, data_folder
+
+_PMMA = "organic/(C5H8O2)n - poly(methyl methacrylate)/nk"
+_PS = "organic/(C8H8)n - polystyrene/nk"
+_PC = "organic/(C16H14O3)n - polycarbonate/nk"
+_POLYMERS = "other/commercial polymers"
+
+
+@dataclass(frozen=True)
+class Entry:
+    """
+    What a name stands for.
+
+    Attributes
+    ----------
+    name : str
+        As the catalogue spells it; glasses have their maker in front, as in ``schott/N-BK7``.
+    page : str
+        Page of n, and of k where `k_page` is None.
+    k_page : str or None
+        Page of k, where another page has it.
+    """
+
+    name: str
+    page: str
+    k_page: str | None = None
+
+
+_PINNED = [
+    # Crystals and glasses of no one maker
+    Entry("fused silica", "main/SiO2/nk/Malitson", "specs/schott/misc/LITHOSIL-Q"),
+    Entry("sapphire", "main/Al2O3/nk/Malitson-o"),
+    Entry("CaF2", "main/CaF2/nk/Daimon-20", "specs/schott/misc/LITHOTEC-CAF2"),
+    Entry("BaF2", "main/BaF2/nk/Malitson"),
+    Entry("LiF", "main/LiF/nk/Li"),
+    Entry("diamond", "main/C/nk/Phillip"),
+    Entry("soda lime", "glass/misc/soda-lime/nk/Rubin-clear"),
+    Entry("water", "main/H2O/nk/Hale"),
+    # Plastics
+    Entry("PMMA", f"{_PMMA}/Beadie"),
+    Entry("PC", f"{_PC}/Sultanova"),
+    Entry("PS", f"{_PS}/Sultanova"),
+    Entry("SAN", "other/mixed organic/(C8H8)n-(C3H3N)m/nk/Sultanova"),
+    Entry("NAS-21", f"{_POLYMERS}/NAS-21/nk/Sultanova"),
+    Entry("Optorez 1330", f"{_POLYMERS}/Optorez1330/nk/Sultanova"),
+    Entry("Zeonex E48R", f"{_POLYMERS}/ZeonexE48R/nk/Sultanova"),
+    Entry("PET", "organic/(C10H8O4)n - polyethylene terephthalate/nk/Zhang"),
+    Entry("PEI", "organic/(C37H24O6N2)n - polyetherimide/nk/Zhang"),
+    # Metals and semiconductors
+    Entry("Ag", "main/Ag/nk/Johnson"),
+    Entry("Al", "main/Al/nk/Rakic"),
+    Entry("Au", "main/Au/nk/Johnson"),
+    Entry("Be", "main/Be/nk/Rakic-BB"),
+    Entry("Co", "main/Co/nk/Johnson"),
+    Entry("Cr", "main/Cr/nk/Johnson"),
+    Entry("Cu", "main/Cu/nk/Johnson"),
+    Entry("Fe", "main/Fe/nk/Johnson"),
+    Entry("Ir", "main/Ir/nk/Schmitt-MS"),
+    Entry("Mo", "main/Mo/nk/Kirillova"),
+    Entry("Ni", "main/Ni/nk/Johnson"),
+    Entry("Pd", "main/Pd/nk/Johnson"),
+    Entry("Pt", "main/Pt/nk/Tselin"),
+    Entry("Rh", "main/Rh/nk/Weaver"),
+    Entry("Ti", "main/Ti/nk/Johnson"),
+    Entry("W", "main/W/nk/Weaver"),
+    Entry("brass", "other/alloys/Cu-Zn/nk/Querry-Cu70Zn30"),
+    Entry("stainless steel", "other/alloys/stainless steel/nk/Karlsson-austenitic"),
+    Entry("Si", "main/Si/nk/Schinke"),
+    Entry("Ge", "main/Ge/nk/Nunley"),
+    # Coating materials: thin films where the database has one with k in the visible
+    Entry("Al2O3", "main/Al2O3/nk/Franta"),
+    Entry("AlN", "main/AlN/nk/Beliaev1"),
+    Entry("CeF3", "main/CeF3/nk/Rodriguez-de Marcos"),
+    Entry("GdF3", "main/GdF3/nk/Franta"),
+    Entry("HfO2", "main/HfO2/nk/Franta"),
+    Entry("ITO", "other/mixed crystals/In2O3-SnO2/nk/Konig"),
+    Entry("LaF3", "main/LaF3/nk/Rodriguez-de Marcos"),
+    Entry("MgF2", "main/MgF2/nk/Franta"),
+    Entry("Nb2O5", "main/Nb2O5/nk/Franta"),
+    Entry("Sc2O3", "main/Sc2O3/nk/Belosludtsev"),
+    Entry("Si3N4", "main/Si3N4/nk/Beliaev"),
+    Entry("SiO", "main/SiO/nk/Hass"),
+    Entry("SiO2", "main/SiO2/nk/Franta-25C"),
+    Entry("Ta2O5", "main/Ta2O5/nk/Franta-2015"),
+    Entry("ThF4", "main/ThF4/nk/Heitmann"),
+    Entry("TiN", "main/TiN/nk/Beliaev-sputtering"),
+    Entry("TiO2", "main/TiO2/nk/Franta"),
+    Entry("WO3", "main/WO3/nk/Kulikova"),
+    Entry("Y2O3", "main/Y2O3/nk/Nigara"),
+    Entry("YbF3", "main/YbF3/nk/Amotchkina"),
+    Entry("ZnS", "main/ZnS/nk/Amotchkina"),
+    Entry("ZnSe", "main/ZnSe/nk/Amotchkina"),
+    Entry("ZrO2", "main/ZrO2/nk/Synowicki"),
+]
+
+PINNED: dict[str, Entry] = {entry.name: entry for entry in _PINNED}
+"""Materials that are not a maker's glass, by name."""
+
+MAKERS: dict[str, tuple[str, ...]] = {
+    "schott": ("optical", "obsolete", "misc", "infrared"),
+    "ohara": ("optical",),
+    "hoya": ("optical",),
+    "cdgm": ("optical",),
+    "hikari": ("optical",),
+    "sumita": ("optical",),
+    "lzos": ("optical",),
+}
+"""Glass makers and the folders of their pages; a name without its maker in front is looked up in this order."""
+
+_WORDS = {
+    "acrylic": "PMMA",
+    "alumina": "Al2O3",
+    "aluminium": "Al",
+    "aluminum": "Al",
+    "chromium": "Cr",
+    "copper": "Cu",
+    "germanium": "Ge",
+    "gold": "Au",
+    "nickel": "Ni",
+    "polycarbonate": "PC",
+    "polystyrene": "PS",
+    "silicon": "Si",
+    "silver": "Ag",
+    "titanium": "Ti",
+    "tungsten": "W",
+}
+"""Words to which a suggestion answers with the name."""
+
+_SHELVES = ("main/", "organic/", "glass/", "other/", SUPPLIERS)
+
+
+@cache
+def glasses() -> dict[str, dict[str, Entry]]:
+    """Maker → name of a glass → entry."""
+    root = data_folder() / SUPPLIERS
+    return {
+        maker: {
+            file.stem: Entry(f"{maker}/{file.stem}", f"{SUPPLIERS}{maker}/{folder}/{file.stem}")
+            for folder in folders
+            for file in sorted((root / maker / folder).glob("*.yml"))
+            if file.stem != "about"
+        }
+        for maker, folders in MAKERS.items()
+    }
+
+
+def names() -> list[str]:
+    """Every name: the pinned materials, then the glasses with their makers in front."""
+    return [*PINNED, *(entry.name for catalogue in glasses().values() for entry in catalogue.values())]
+
+
+@lru_cache(maxsize=1024)
+def find(name: str) -> Entry:
+    """
+    Entry of a name, a glass with its maker (``schott/N-BK7``) or a page (``main/Ag/nk/Yang``).
+
+    A name spelt exactly as a catalogue spells it means that entry: ``LaF3`` is the fluoride, ``LAF3`` the glass.
+    Otherwise capitals do not matter. A glass without its maker is the one of the first maker in `MAKERS` who has it.
+
+    Raises
+    ------
+    MistrayError
+        If nothing has that name, or both a pinned material and a glass have it when capitals do not matter. Whether
+        there is such a page is for `read_page` to say.
+    """
+    if name.startswith(_SHELVES) and ".." not in name:
+        return Entry(name, name)
+    name = name.replace("*", "star")  # the file of CDGM's H-K9L*
+    maker, slash, glass = name.partition("/")
+    if slash and maker.lower() in MAKERS:
+        for key, entry in glasses()[maker.lower()].items():
+            if key.lower() == glass.lower():
+                return entry
+        elsewhere = [hits[glass.lower()].name for hits in _by_lower_case()[1:] if glass.lower() in hits]
+        close = [f"{maker.lower()}/{key}" for key in _close(glass, glasses()[maker.lower()])]
+        raise _unknown(name, elsewhere or close)
+    for catalogue in (PINNED, *glasses().values()):
+        if name in catalogue:
+            return catalogue[name]
+    found = [hits[name.lower()] for hits in _by_lower_case() if name.lower() in hits]
+    if not found:
+        raise _unknown(name, _close(name, chain(*glasses().values(), PINNED)))
+    if found[0].name in PINNED and len(found) > 1:
+        other = found[1].name
+        raise MistrayError(
+            f"material '{name}' may be {found[0].name} or the glass {other}; write '{found[0].name}' or '{other}'"
+        )
+    return found[0]
+
+
+@cache
+def _by_lower_case() -> list[dict[str, Entry]]:
+    return [{key.lower(): entry for key, entry in part.items()} for part in (PINNED, *glasses().values())]
+
+
+def _unknown(name: str, close: list[str]) -> MistrayError:
+    remedy = (
+        f"did you mean {' or '.join(close)}? docs/materials.md lists the names"
+        if close
+        else "use air, a number, 'n+ki', 'nd=… Vd=…', a name (docs/materials.md lists them; glasses of "
+        f"{', '.join(MAKERS)}), file.csv or file.agf:NAME"
+    )
+    return MistrayError(f"material '{name}' is unknown; {remedy}")
+
+
+def _close(wanted: str, spellings: Iterable[str]) -> list[str]:
+    """Up to three names that hold `wanted` or look like it, the likeliest first."""
+    wanted = wanted.lower()
+    if wanted in _WORDS:
+        return [_WORDS[wanted]]
+    spelt = {key.lower(): key for key in spellings}
+    close = sorted((key for key in spelt if wanted in key), key=len) if len(wanted) > 2 else []
+    close += [key for key in difflib.get_close_matches(wanted, spelt) if key not in close]
+    return [spelt[key] for key in close[:3]]

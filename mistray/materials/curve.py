@@ -1,0 +1,81 @@
+"""n or k over wavelength: a formula or a table, and the range in which it holds."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.errors import MistrayError
+
+
+@dataclass(frozen=True, eq=False)
+class Curve:
+    """
+    One quantity over wavelength.
+
+    Attributes
+    ----------
+    evaluate : callable
+        Wavelength in nm → value; nan where there is none.
+    range_nm : tuple of two float or None
+        Where the data hold, nm; None if everywhere.
+    """
+
+    evaluate: Callable[[float], float]
+    range_nm: tuple[float, float] | None = None
+
+    def at(self, wavelength_nm: float, what: str, extrapolate: bool, remedy: str) -> float:
+        """
+        Value at a wavelength.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+            Greater than 0, nm.
+        what : str
+            Start of an error message, such as "material 'N-BK7'".
+        extrapolate : bool
+            Whether a wavelength outside of the range is wanted: formulas are evaluated there, tables keep the value of
+            the nearest end.
+        remedy : str
+            End of the message about a wavelength outside of the range.
+
+        Raises
+        ------
+        MistrayError
+            If the wavelength is outside of the range and `extrapolate` is false, or if there is no value.
+        """
+        if self.range_nm is not None and not extrapolate and not self.range_nm[0] <= wavelength_nm <= self.range_nm[1]:
+            low, high = self.range_nm
+            raise MistrayError(f"{what}: {wavelength_nm:g} nm is outside of its {low:g} … {high:g} nm; {remedy}")
+        try:
+            value = self.evaluate(wavelength_nm)
+        except (ArithmeticError, ValueError):
+            value = math.nan
+        if not math.isfinite(value):
+            raise MistrayError(f"{what}: its data have no value at {wavelength_nm:g} nm; use another wavelength")
+        return value
+
+
+def constant(value: float) -> Curve:
+    """The same value everywhere."""
+    return Curve(lambda wavelength_nm: value)
+
+
+def table(wavelength_nm: Sequence[float] | np.ndarray, values: Sequence[float] | np.ndarray) -> Curve:
+    """
+    Linear interpolation over wavelength.
+
+    Parameters
+    ----------
+    wavelength_nm : (n,) float
+        Different from each other, in any order, n ≥ 1.
+    values : (n,) float
+        nan next to a wavelength means that there is no value between it and its neighbours.
+    """
+    x, order = np.unique(np.asarray(wavelength_nm, dtype=np.float64), return_index=True)
+    y = np.asarray(values, dtype=np.float64)[order]
+    return Curve(lambda at: float(np.interp(at, x, y)), (float(x[0]), float(x[-1])))

@@ -1,0 +1,122 @@
+"""The MATE sections of a Zemax coating file: n and k of coating materials over wavelength.
+
+    MATE name
+    wavelength n k
+
+with wavelengths in µm and, since OpticStudio writes its waves exp(+iωt), k negative for a material that absorbs; the
+sign is turned here. A line that starts with ! is a comment. Source: OpticStudio user guide, "Defining Coatings".
+"""
+
+from __future__ import annotations
+
+import math
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from mistray.errors import MistrayError
+
+SECTIONS = ("MATE", "TAPR", "COAT", "IDEAL", "IDEAL2", "TABLE", "ENCRYPTED")
+Table = tuple[np.ndarray, np.ndarray, np.ndarray]
+
+
+def read_mate(path: str | Path) -> dict[str, Table]:
+    """
+    Read the materials of a coating file.
+
+    Parameters
+    ----------
+    path : str or Path
+
+    Returns
+    -------
+    dict
+        Name as in the file → (wavelength_nm, n, k), each (w,) float64, ascending wavelengths, k ≥ 0 absorbs.
+
+    Raises
+    ------
+    MistrayError
+        If the file is missing, or a line of a MATE section is malformed; the message has the number of the line.
+    """
+    try:
+        stamp = Path(path).stat().st_mtime_ns
+    except OSError as error:
+        raise MistrayError(f"coating file '{path}': {error.strerror}; check the path") from None
+    return _read_mate(str(path), stamp)
+
+
+@lru_cache(maxsize=16)
+def _read_mate(path: str, stamp: int) -> dict[str, Table]:
+    materials: dict[str, list[tuple[float, float, float]]] = {}
+    heads: dict[str, int] = {}
+    current: list[tuple[float, float, float]] | None = None
+    for number, words in numbered_lines(path):
+        where = f"coating file '{path}', line {number}"
+        if words[0].upper() in SECTIONS:
+            current = None
+            if words[0].upper() == "MATE":
+                if len(words) != 2:
+                    raise MistrayError(f"{where}: '{' '.join(words)}'; write MATE and one name")
+                if words[1].upper() in heads:
+                    raise MistrayError(
+                        f"{where}: material {words[1]} is there already, on line {heads[words[1].upper()]}; rename one"
+                    )
+                heads[words[1].upper()] = number
+                current = materials.setdefault(words[1], [])
+        elif current is not None:
+            wavelength, n, k = numbers(words, 3, 3, where, "wavelength in µm, n, k")
+            if not (wavelength > 0 and n > 0 and k <= 0):
+                raise MistrayError(
+                    f"{where}: wavelength {wavelength:g} µm, n = {n:g}, k = {k:g}; wavelength and n must be greater "
+                    "than 0, k 0 or negative (a material that absorbs has k < 0 in these files)"
+                )
+            if current and wavelength * 1e3 <= current[-1][0]:
+                raise MistrayError(f"{where}: wavelength {wavelength:g} µm does not follow the one before; sort them")
+            current.append((wavelength * 1e3, n, -k))
+    for name, rows in materials.items():
+        if not rows:
+            raise MistrayError(f"coating file '{path}', line {heads[name.upper()]}: material {name} has no data")
+    return {name: _columns(rows) for name, rows in materials.items()}
+
+
+def _columns(rows: list[tuple[float, float, float]]) -> Table:
+    wavelength, n, k = np.array(rows, dtype=np.float64).T
+    return wavelength, n, k
+
+
+def numbered_lines(path: str | Path) -> list[tuple[int, list[str]]]:
+    """
+    Words of the lines of a coating file that are neither empty nor comments, with their line numbers from 1.
+
+    Raises
+    ------
+    MistrayError
+        If the file cannot be read.
+    """
+    try:
+        data = Path(path).read_bytes()
+    except OSError as error:
+        raise MistrayError(f"coating file '{path}': {error.strerror}; check the path") from None
+    # OpticStudio writes either encoding; names are plain, so that only comments can suffer
+    text = data.decode("utf-16") if data[:2] in (b"\xff\xfe", b"\xfe\xff") else data.decode("utf-8-sig", "replace")
+    lines = ((number, line.partition("!")[0].split()) for number, line in enumerate(text.splitlines(), start=1))
+    return [(number, words) for number, words in lines if words]
+
+
+def numbers(words: list[str], least: int, most: int, where: str, what: str) -> list[float]:
+    """
+    Numbers of a line.
+
+    Raises
+    ------
+    MistrayError
+        If there are fewer than `least` or more than `most` words, or one is no finite number.
+    """
+    try:
+        values = [float(word) for word in words]
+    except ValueError:
+        values = [math.nan]
+    if not (least <= len(values) <= most and all(map(math.isfinite, values))):
+        raise MistrayError(f"{where}: '{' '.join(words)}'; expected {what}")
+    return values

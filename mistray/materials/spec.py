@@ -1,0 +1,148 @@
+"""The parts of a material string, without looking anything up."""
+
+from __future__ import annotations
+
+import math
+import re
+from dataclasses import dataclass
+from functools import lru_cache
+
+from mistray.errors import MistrayError
+
+_NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
+_REAL = re.compile(rf"[-+]?{_NUMBER}")
+_COMPLEX = re.compile(rf"([-+]?{_NUMBER})\s*([-+])\s*({_NUMBER})\s*[ij]")
+_ND_VD = re.compile(rf"nd\s*=\s*([-+]?{_NUMBER})\s*[,;\s]\s*Vd\s*=\s*([-+]?{_NUMBER})", re.IGNORECASE)
+_ENTRY = re.compile(r"(.*\.(?:agf|dat)):(.+)", re.IGNORECASE)
+_SUFFIX = re.compile(r"\s+(?:(extrapolate)|k\s*=\s*(\S*))$", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Constant:
+    """The same n at every wavelength; k is None where the string does not state it, and then 0."""
+
+    n: float
+    k: float | None
+
+
+@dataclass(frozen=True)
+class AbbeNumber:
+    """A glass of which only nd and Vd are known."""
+
+    nd: float
+    vd: float
+
+
+@dataclass(frozen=True)
+class UserFile:
+    """A CSV table (`entry` is None), a glass of an AGF file or a material of a Zemax coating file."""
+
+    path: str
+    entry: str | None
+
+
+@dataclass(frozen=True)
+class Name:
+    """A name of the catalogues."""
+
+    name: str
+
+
+@dataclass(frozen=True)
+class Spec:
+    """
+    A parsed material string.
+
+    Attributes
+    ----------
+    text : str
+        The string without outer blanks.
+    form : Constant, AbbeNumber, UserFile or Name
+        What it names.
+    suffix : str
+        The suffixes as they were written, with the blank before them.
+    k : float or None
+        Of the suffix ``k=VALUE``.
+    extrapolate : bool
+        Whether the suffix ``extrapolate`` is there.
+    """
+
+    text: str
+    form: Constant | AbbeNumber | UserFile | Name
+    suffix: str
+    k: float | None
+    extrapolate: bool
+
+
+@lru_cache(maxsize=1024)
+def parse(material: str) -> Spec:
+    """
+    Take a material string apart.
+
+    Raises
+    ------
+    MistrayError
+        If a number is out of its range or a suffix is given twice.
+    """
+    text = material.strip()
+    body, k, extrapolate = text, None, False
+    while match := _SUFFIX.search(body):
+        if match[1]:
+            if extrapolate:
+                raise MistrayError(f"material '{text}': 'extrapolate' is given twice; give it once")
+            extrapolate = True
+        else:
+            if k is not None:
+                raise MistrayError(f"material '{text}': 'k=' is given twice; give it once")
+            k = _k(text, match[2])
+        body = body[: match.start()]
+    form = _form(text, body)
+    if k is not None and isinstance(form, Constant) and form.k is not None:
+        raise MistrayError(f"material '{text}': k is given twice; leave out 'k=' or the imaginary part")
+    return Spec(text, form, text[len(body) :], k, extrapolate)
+
+
+def _form(text: str, body: str) -> Constant | AbbeNumber | UserFile | Name:
+    if body.lower() in ("air", "vacuum"):
+        return Constant(1.0, None)
+    if _REAL.fullmatch(body):
+        return Constant(_at_least_one(text, float(body)), None)
+    if match := _COMPLEX.fullmatch(body):
+        n, k = float(match[1]), float(match[3])
+        if match[2] == "-" and k != 0:
+            raise MistrayError(f"material '{text}': k is negative; an absorbing material is n+ki with k > 0 here")
+        if k == 0:
+            _at_least_one(text, n)
+        if not 0 < n < math.inf:
+            raise MistrayError(f"material '{text}': index {n:g}; it must be greater than 0")
+        return Constant(n, _finite(text, k))
+    if match := _ND_VD.fullmatch(body):
+        nd, vd = _at_least_one(text, float(match[1])), float(match[2])
+        if not 0 < vd < math.inf:
+            raise MistrayError(f"material '{text}': Vd = {vd:g}; it must be greater than 0")
+        return AbbeNumber(nd, vd)
+    if match := _ENTRY.fullmatch(body):
+        return UserFile(match[1].strip(), match[2].strip())
+    if body.lower().endswith((".agf", ".dat")):
+        raise MistrayError(f"material '{text}': which material of the file? Write '{body}:NAME'")
+    if body.lower().endswith(".csv"):
+        return UserFile(body, None)
+    return Name(body)
+
+
+def _at_least_one(text: str, index: float) -> float:
+    if not 1 <= index < math.inf:
+        raise MistrayError(f"material '{text}': index {index:g}; a real index is at least 1")
+    return index
+
+
+def _finite(text: str, k: float) -> float:
+    if not 0 <= k < math.inf:
+        raise MistrayError(f"material '{text}': k = {k:g}; it must be finite and at least 0 (n + ik, k > 0 absorbs)")
+    return k
+
+
+def _k(text: str, value: str) -> float:
+    if not _REAL.fullmatch(value):
+        raise MistrayError(f"material '{text}': k = '{value}' is no number; write for instance 'k=0' or 'k=1e-7'")
+    return _finite(text, float(value))

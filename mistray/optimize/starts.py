@@ -1,0 +1,149 @@
+"""Designs to start from: local minima of a cheap stand-in for the metric, found from many points within the bounds.
+
+A ghost of two reflections carries about R² of the light, so the stand-in is the mean square of R over the band, over a few
+angles and over the glasses of a coating's surfaces. It knows nothing of the rays; the traced metric ranks what it finds.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import minimize
+from scipy.stats import qmc
+
+from mistray.materials import complex_index
+from mistray.optimize.designs import Design, Placed
+from mistray.physics.thinfilm import reflectance_transmittance
+
+ANGLES_DEG = (0.0, 15.0, 30.0, 45.0)  # in the rarer material
+POINTS = 256  # of the Latin hypercube
+KEPT = 24  # of them that are followed to a minimum
+DIFFERENCE_NM = 0.01
+SAME_NM = 1.0  # minima nearer than this in every layer are one
+
+
+@dataclass(frozen=True)
+class Proxy:
+    """
+    Mean square reflectance of a coating over band, angles and glasses.
+
+    Attributes
+    ----------
+    layers : (L, w, 1) complex128
+        Indices in the order from the thinner medium.
+    media : list of ((w, 1) complex128, (w, 1) complex128)
+        Indices before and behind, for each glass.
+    wavelength_nm, weights : (w, 1) float64
+    order : (L,) int
+        Own numbers of the layers from the thinner medium, for each glass.
+    """
+
+    layers: list[np.ndarray]
+    media: list[tuple[np.ndarray, np.ndarray]]
+    orders: list[np.ndarray]
+    wavelength_nm: np.ndarray
+    weights: np.ndarray
+
+    @classmethod
+    def of(cls, placed: Placed, wavelength_nm: Sequence[float], weights: Sequence[float]) -> Proxy:
+        """The proxy of one coating of a study."""
+        start = placed.group.start
+        layers, media, orders = [], [], []
+        for front, back in placed.glasses:
+            sides = np.array([[complex_index(front, nm), complex_index(back, nm)] for nm in wavelength_nm])
+            stacks = [start.front_to_back(nm, *pair) for nm, pair in zip(wavelength_nm, sides, strict=True)]
+            indices, order = np.array([stack[0] for stack in stacks]), stacks[0][2]
+            if sides[0, 1].real < sides[0, 0].real:  # light comes from the rarer medium
+                sides, indices, order = sides[:, ::-1], indices[:, ::-1], order[::-1]
+            layers.append(np.moveaxis(indices, 1, 0)[:, :, None])
+            media.append((sides[:, 0, None], sides[:, 1, None]))
+            orders.append(order)
+        return cls(layers, media, orders, np.array(wavelength_nm)[:, None], np.array(weights)[:, None])
+
+    def __call__(self, thickness_nm: np.ndarray) -> np.ndarray:
+        """Mean square R of designs, (n, L) in nm → (n,)."""
+        cosines = np.cos(np.radians(ANGLES_DEG))[None, None, :]
+        total = np.zeros(len(thickness_nm))
+        for indices, (before, behind), order in zip(self.layers, self.media, self.orders, strict=True):
+            d = [thickness_nm[:, k, None, None] for k in order]
+            (r_s, r_p), _ = reflectance_transmittance(
+                before[None], [n[None] for n in indices], d, behind[None], self.wavelength_nm[None], cosines
+            )
+            mean = np.mean(np.square(0.5 * (r_s + r_p)), axis=2)
+            total += mean @ self.weights[:, 0]
+        return total / len(self.layers)
+
+
+def minima(proxy: Proxy, bounds_nm: Sequence[tuple[float, float]], given: np.ndarray, seed: int) -> list[np.ndarray]:
+    """
+    Local minima of the proxy within bounds, the deepest first.
+
+    Parameters
+    ----------
+    proxy : Proxy
+    bounds_nm : sequence of (low, high)
+        Of each layer, nm.
+    given : (L,) float64
+        A design that is followed to its minimum too, nm.
+    seed : int
+        Of the Latin hypercube.
+
+    Returns
+    -------
+    list of (L,) float64
+        Thicknesses, nm.
+    """
+    low, high = np.array(bounds_nm).T
+    points = qmc.scale(qmc.LatinHypercube(len(low), seed=np.random.default_rng(seed)).random(POINTS), low, high)
+    best = points[np.argsort(proxy(points))[:KEPT]]
+    steps = DIFFERENCE_NM * np.concatenate([np.zeros((1, len(low))), np.eye(len(low)), -np.eye(len(low))])
+
+    def slope(d: np.ndarray) -> tuple[float, np.ndarray]:
+        values = np.log(proxy(np.abs(d + steps)))
+        up, down = np.split(values[1:], 2)
+        return float(values[0]), (up - down) / (2 * DIFFERENCE_NM)
+
+    found: list[tuple[float, np.ndarray]] = []
+    for start in (given, *best):
+        end = minimize(slope, start, jac=True, method="L-BFGS-B", bounds=bounds_nm)
+        found.append((float(end.fun), np.asarray(end.x)))
+    found.sort(key=lambda item: item[0])
+    distinct: list[np.ndarray] = []
+    for _, d in found:
+        if all(np.max(np.abs(d - other)) > SAME_NM for other in distinct):
+            distinct.append(d)
+    return distinct
+
+
+def starts(
+    placed: Sequence[Placed], wavelength_nm: Sequence[float], weights: Sequence[float], count: int, seed: int
+) -> list[Design]:
+    """
+    The given design and, if more are wanted, combinations of minima of the proxy.
+
+    The first of them takes the deepest minimum of every coating, the second the next, and so on; a coating with fewer
+    minima keeps its last.
+
+    Parameters
+    ----------
+    placed : sequence of Placed
+    wavelength_nm, weights : sequence of float
+        The band.
+    count : int
+        Most designs.
+    seed : int
+    """
+    given = {p.group.name: np.array([layer.thickness_nm for layer in p.group.start.layers]) for p in placed}
+    designs = [Design("given", given)]
+    if count == 1:
+        return designs
+    lists = {
+        p.group.name: minima(Proxy.of(p, wavelength_nm, weights), p.group.bounds_nm, given[p.group.name], seed)
+        for p in placed
+    }
+    for k in range(min(count - 1, max(map(len, lists.values())))):
+        thickness = {name: found[min(k, len(found) - 1)] for name, found in lists.items()}
+        designs.append(Design(f"minimum {k + 1} of the mean square R", thickness))
+    return designs

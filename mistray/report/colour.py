@@ -1,0 +1,271 @@
+"""The ghosts in colour: irradiance at each wavelength → CIE XYZ → sRGB, as a photograph would show them.
+
+The light of a trace consists of lines or narrow bands, each with its share of the flux, so the integrals of colorimetry
+are sums over the lines: ``X = Σ E_i x̄(λ_i)`` with E_i the irradiance of line i in W/mm² (not per nm) and x̄, ȳ, z̄ the
+CIE 1931 2° observer (ISO/CIE 11664-1), linear between its values at whole nm. XYZ are in W/mm², up to the factor 683
+lm/W of the luminous flux; only their ratios matter here.
+
+White
+    "source": the light of the source itself comes out as grey, as after the white balance of a camera. The adaptation
+    is Bradford's, from the XYZ of the launched flux to D65. "D65": no adaptation; the colours are those that an eye
+    adapted to daylight sees.
+Exposure
+    In stops (factors of two) above the one that gives the brightest pixel of the reference the luminance of white: of
+    the stray light of all fields ("ghosts"), or of the direct image on axis ("direct"). All fields have the same.
+Luminance
+    That of every pixel is its Y times the exposure, so it is linear in the power; adaptation and gamut change the
+    chromaticity alone.
+Gamut
+    Outside of sRGB the negative channels are set to 0, which keeps the colour as saturated as the screen allows and the
+    luminance right. Above the luminance of white the channels are cut off at 1 one by one, so that overexposed ghosts
+    go towards white, as on a sensor. The shares of the pixels that this concerns are reported.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+from matplotlib.figure import Figure
+
+from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.spectral import spectral_maps
+from mistray.errors import MistrayError
+
+Array = npt.NDArray[np.float64]
+OBSERVER = "CIE 1931 2 Degree Standard Observer"
+FEWEST_WAVELENGTHS = 3
+WHITES = ("source", "D65")
+REFERENCES = ("ghosts", "direct")
+LEAST_CONE_RESPONSE = 1e-3  # of a white, relative to its luminance
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Look:
+    """
+    How colour pictures are developed; see the head of this module.
+
+    Attributes
+    ----------
+    stops : float
+        Exposure, stops above `reference`.
+    reference : {"ghosts", "direct"}
+        What is as bright as white at 0 stops.
+    white : {"source", "D65"}
+        What comes out as grey.
+    """
+
+    stops: float = 0.0
+    reference: str = "ghosts"
+    white: str = "source"
+
+    def __post_init__(self) -> None:
+        if not np.isfinite(self.stops) or abs(self.stops) > 200:
+            raise MistrayError(f"colour: {self.stops} stops; give a number between -200 and 200")
+        if self.reference not in REFERENCES:
+            raise MistrayError(f"colour: reference is '{self.reference}'; use 'ghosts' or 'direct'")
+        if self.white not in WHITES:
+            raise MistrayError(f"colour: white is '{self.white}'; use 'source' or 'D65'")
+
+
+@dataclass(frozen=True)
+class Developed:
+    """
+    A picture ready to be shown.
+
+    Attributes
+    ----------
+    rgb : (..., 3) float
+        sRGB, encoded, 0 … 1.
+    outside, overexposed : float
+        Shares of the lit pixels, 0 … 1: outside of the gamut of sRGB, and with a channel above its upper end.
+    """
+
+    rgb: Array
+    outside: float
+    overexposed: float
+
+
+def check_wavelengths(wavelengths_nm: Sequence[float]) -> None:
+    """Raise `MistrayError` unless these wavelengths can give a colour picture."""
+    if len(wavelengths_nm) < FEWEST_WAVELENGTHS:
+        known = ", ".join(f"{value:g}" for value in wavelengths_nm)
+        raise MistrayError(
+            f"colour: {len(wavelengths_nm)} wavelength{'s' * (len(wavelengths_nm) > 1)} ({known} nm); a colour picture "
+            f"needs at least {FEWEST_WAVELENGTHS}, such as 450 550 650"
+        )
+    observer(np.array(wavelengths_nm))
+
+
+def observer(wavelength_nm: npt.ArrayLike) -> Array:
+    """
+    x̄, ȳ, z̄ of the CIE 1931 2° observer.
+
+    Parameters
+    ----------
+    wavelength_nm : (n,) float
+        360 … 830 nm.
+
+    Returns
+    -------
+    (n, 3) float
+
+    Raises
+    ------
+    MistrayError
+        A wavelength lies outside of the table.
+    """
+    colour = _colour_science()
+    table = colour.MSDS_CMFS[OBSERVER]
+    wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
+    low, high = float(table.wavelengths[0]), float(table.wavelengths[-1])
+    outside = wavelengths[(wavelengths < low) | (wavelengths > high)]
+    if outside.size:
+        raise MistrayError(
+            f"colour: {outside[0]:g} nm is not visible; the CIE observer is known from {low:g} to {high:g} nm"
+        )
+    return np.column_stack([np.interp(wavelengths, table.wavelengths, values) for values in table.values.T])
+
+
+def xyz(power: npt.ArrayLike, wavelength_nm: npt.ArrayLike) -> Array:
+    """
+    XYZ of light that consists of lines.
+
+    Parameters
+    ----------
+    power : (n, ...) float
+        Power, irradiance or reflectance at each wavelength.
+    wavelength_nm : (n,) float
+        360 … 830 nm.
+
+    Returns
+    -------
+    (..., 3) float
+        In the unit of `power`.
+    """
+    return np.tensordot(np.asarray(power, dtype=np.float64), observer(wavelength_nm), axes=(0, 0))
+
+
+def develop(light: Array, exposure: float, white: Array | None = None) -> Developed:
+    """
+    Turn XYZ into sRGB (IEC 61966-2-1); see the head of this module.
+
+    Parameters
+    ----------
+    light : (..., 3) float
+        XYZ.
+    exposure : float
+        Factor that makes Y = 1 of what shall be as bright as white.
+    white : (3,) float, optional
+        XYZ that comes out as grey, of any luminance. Default: D65, without adaptation.
+
+    Raises
+    ------
+    MistrayError
+        If `white` is too saturated to be a white: one of its cone responses is not positive.
+    """
+    colour = _colour_science()
+    space = colour.RGB_COLOURSPACES["sRGB"]
+    primaries = colour.normalised_primary_matrix(space.primaries, space.whitepoint)
+    to_rgb = np.linalg.inv(primaries)
+    if white is not None:
+        cones = colour.CHROMATIC_ADAPTATION_TRANSFORMS["Bradford"]
+        own, wanted = cones @ (white / white[1]), cones @ colour.xy_to_XYZ(space.whitepoint)
+        if own.min() < LEAST_CONE_RESPONSE:
+            raise MistrayError("colour: the light of the source is too saturated to be taken as white; use white D65")
+        to_rgb = to_rgb @ np.linalg.inv(cones) @ np.diag(wanted / own) @ cones
+    linear = light @ to_rgb.T
+    luminance = light[..., 1]
+    outside = linear.min(axis=-1) < -ROUNDING * luminance
+    inside = np.maximum(linear, 0.0)
+    own_luminance = inside @ primaries[1]
+    lit = own_luminance > 0
+    inside[lit] *= (exposure * luminance[lit] / own_luminance[lit])[..., None]
+    over = inside.max(axis=-1) > 1 + ROUNDING
+    count = max(int(np.count_nonzero(lit)), 1)
+    rgb = np.asarray(space.cctf_encoding(np.clip(inside, 0.0, 1.0)), dtype=np.float64)
+    return Developed(rgb, np.count_nonzero(outside) / count, np.count_nonzero(over) / count)
+
+
+def _colour_science() -> Any:
+    """
+    The package ``colour``, imported when it is needed because that takes a second.
+
+    It changes on import how NumPy prints numbers, and with that the digits that pandas writes to CSV; that is undone.
+    """
+    with np.printoptions():
+        import colour
+    return colour
+
+
+class ColourPictures:
+    """
+    All light and the stray light of every field in colour, with one exposure.
+
+    Parameters
+    ----------
+    report : GhostReport
+        With at least three wavelengths, all of them visible.
+    look : Look, optional
+        Default: ``Look()``.
+
+    Attributes
+    ----------
+    look : Look
+    all_light, stray : dict
+        Field angle → `Developed`, (H, W, 3); row 0 is at the smallest y.
+    """
+
+    def __init__(self, report: GhostReport, look: Look | None = None) -> None:
+        check_wavelengths(report.wavelengths_nm)
+        self.look = look or Look()
+        self._wavelengths_nm = report.wavelengths_nm
+        self._extents = {field: t.extent for field, t in report.items()}
+        light, stray = {}, {}
+        for field, t in report.items():
+            maps = spectral_maps(t)
+            stray[field] = xyz(maps.stray, maps.wavelengths_nm)
+            light[field] = stray[field] + xyz(maps.direct, maps.wavelengths_nm)
+        if self.look.reference == "ghosts":
+            peak = max(float(image[..., 1].max()) for image in stray.values())
+        else:
+            maps = spectral_maps(report.nominal_trace)
+            peak = float(xyz(maps.direct, maps.wavelengths_nm)[..., 1].max())
+        exposure = 2.0**self.look.stops / peak if peak > 0 else 1.0
+        white = None
+        if self.look.white == "source":
+            white = xyz([report.weight(wavelength) for wavelength in report.wavelengths_nm], report.wavelengths_nm)
+        self.all_light = {field: develop(image, exposure, white) for field, image in light.items()}
+        self.stray = {field: develop(image, exposure, white) for field, image in stray.items()}
+
+    def figure(self, field_deg: float) -> Figure:
+        """All light on the left, the stray light alone on the right, with what the picture was made of."""
+        extent = self._extents[field_deg]
+        aspect = (extent[3] - extent[2]) / (extent[1] - extent[0])
+        figure = Figure(figsize=(9.6, 1.1 + 4.3 * max(aspect, 0.45)), dpi=110, layout="constrained")
+        panels = figure.subplots(1, 2, sharex=True, sharey=True)
+        pictures = (self.all_light[field_deg], "all light"), (self.stray[field_deg], "without the direct image")
+        for axes, (picture, title) in zip(panels, pictures, strict=True):
+            axes.imshow(picture.rgb, origin="lower", extent=extent, interpolation="nearest", aspect="equal")
+            axes.set_title(f"field {field_deg:g}°, {title}", fontsize=10)
+            axes.set_xlabel("x [mm]")
+        panels[0].set_ylabel("y [mm]")
+        figure.supxlabel(self.caption(field_deg), fontsize=7.5, color="#555555")
+        return figure
+
+    def caption(self, field_deg: float) -> str:
+        """What the pictures of a field were made of."""
+        nm = self._wavelengths_nm
+        lines = ", ".join(f"{value:g}" for value in nm) if len(nm) <= 7 else f"{len(nm)} from {nm[0]:g} to {nm[-1]:g}"
+        over = "brightest ghost" if self.look.reference == "ghosts" else "direct image on axis"
+        white = "the light of the source" if self.look.white == "source" else "D65"
+        stray = self.stray[field_deg]
+        return (
+            f"wavelengths: {lines} nm; white: {white}; exposure: {self.look.stops:+g} stops over the {over}\n"
+            f"of the pixels with stray light {stray.outside:.0%} lie outside of sRGB, {stray.overexposed:.0%} are "
+            "overexposed"
+        )

@@ -1,0 +1,177 @@
+"""Where the flux of a trace went: the energy ledger and the flux report of the surfaces."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mistray.trace.books import (
+    ABSORBED_HERE,
+    ESCAPED,
+    EVENTS,
+    HITS,
+    INCIDENT,
+    MEDIUM,
+    REFLECTIONS,
+    ROULETTE,
+    THRESHOLD,
+)
+from mistray.trace.tracer import Run
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CUTS = {
+    "flux_threshold": THRESHOLD,
+    "roulette": ROULETTE,
+    "max_reflections": REFLECTIONS,
+    "max_events": EVENTS,
+    "medium": MEDIUM,
+}
+
+
+@dataclass(frozen=True)
+class Energy:
+    """
+    Where the flux of a trace went; all in W, ``_se`` are standard errors.
+
+    Attributes
+    ----------
+    launched_W, detected_W, escaped_W : float
+        `detected_W` is what the detector absorbs.
+    detected_se_W, escaped_se_W : float
+    absorbed : dict
+        Surface id → (absorbed flux, its standard error), the detector left out.
+    absorbed_in : dict
+        Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
+    cut : dict
+        Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_events",
+        "roulette" (0 on average: what Russian roulette removed less what it added) and "medium" (a ray met a surface
+        from a material that is not there: a gap or an overlap in the geometry).
+    """
+
+    launched_W: float
+    detected_W: float
+    detected_se_W: float
+    absorbed: dict[str, tuple[float, float]]
+    absorbed_in: dict[str, tuple[float, float]]
+    escaped_W: float
+    escaped_se_W: float
+    cut: dict[str, float]
+
+    @property
+    def closure(self) -> float:
+        """(detected + absorbed at surfaces and in media + escaped + cut - launched) / launched."""
+        absorbed = sum(value for value, _ in (*self.absorbed.values(), *self.absorbed_in.values()))
+        return (
+            self.detected_W + absorbed + self.escaped_W + sum(self.cut.values()) - self.launched_W
+        ) / self.launched_W
+
+    def __str__(self) -> str:
+        def line(name: str, value: float, se: float | None = None) -> str:
+            error = "" if se is None else f" ± {se:.1e}"
+            return f"{name:<28}{value:>14.6e}{error:<12} W {100 * value / self.launched_W:>11.5f} %"
+
+        lines = [line("launched", self.launched_W), line("detected", self.detected_W, self.detected_se_W)]
+        strongest = sorted(self.absorbed.items(), key=lambda item: -item[1][0])
+        lines += [line(f"absorbed by {name}", *value) for name, value in strongest if value[0] > 0]
+        lines += [line(f"absorbed in {name}", *value) for name, value in self.absorbed_in.items()]
+        lines.append(line("escaped", self.escaped_W, self.escaped_se_W))
+        lines += [line(f"cut by {reason}", value) for reason, value in self.cut.items() if value]
+        lines.append(f"{'closure':<28}{self.closure:>14.1e} (relative)")
+        return "\n".join(lines)
+
+
+@dataclass(frozen=True)
+class SurfaceFlux:
+    """One row of the flux report: hits, and incident and absorbed flux with standard errors, W."""
+
+    id: str
+    part: str
+    space: int
+    hits: int
+    incident_W: float
+    incident_se_W: float
+    absorbed_W: float
+    absorbed_se_W: float
+
+
+class FluxReport(Sequence[SurfaceFlux]):
+    """Flux at every surface of the scene, in the scene's order."""
+
+    def __init__(self, rows: Sequence[SurfaceFlux]) -> None:
+        self._rows = list(rows)
+
+    def __getitem__(self, index):  # type: ignore[no-untyped-def]
+        return self._rows[index]
+
+    def __len__(self) -> int:
+        return len(self._rows)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """The report as a DataFrame, one column for each attribute of `SurfaceFlux`."""
+        import pandas as pd
+
+        return pd.DataFrame([asdict(row) for row in self._rows])
+
+
+def _batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
+    """Standard error of a sum over batches (last axis) of `rays` start rays each, from the spread of their means."""
+    expected = by_batch.sum(axis=-1, keepdims=True) * (rays / rays.sum())
+    used = max(int(np.count_nonzero(rays)), 2)
+    return np.sqrt(used / (used - 1) * np.sum(np.square(by_batch - expected), axis=-1))
+
+
+def flux_report(runs: Sequence[Run]) -> FluxReport:
+    """Flux report of some runs together."""
+    rows = []
+    table = runs[0].table
+    for i in table.listed:
+        values = np.zeros(3)
+        variances = np.zeros(3)
+        for run in runs:
+            scale = np.array([1.0, run.unit, run.unit])
+            values += scale * run.surfaces[i].sum(axis=-1)
+            variances += (scale * _batch_error(run.surfaces[i], run.started)) ** 2
+        se = np.sqrt(variances)
+        rows.append(
+            SurfaceFlux(
+                table.ids[i],
+                table.parts[i],
+                table.spaces[i],
+                round(values[HITS]),
+                values[INCIDENT],
+                se[INCIDENT],
+                values[ABSORBED_HERE],
+                se[ABSORBED_HERE],
+            )
+        )
+    return FluxReport(rows)
+
+
+def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
+    """Energy ledger of some runs together, with their flux report."""
+    table = runs[0].table
+    (detector,) = (row for row in surfaces if row.id == table.ids[table.detector])
+    escaped = sum(run.unit * run.reasons[ESCAPED].sum() for run in runs)
+    escaped_se = np.sqrt(sum((run.unit * _batch_error(run.reasons[ESCAPED], run.started)) ** 2 for run in runs))
+    media: dict[str, tuple[float, float]] = {}
+    for run in runs:
+        for name, sums in zip(run.table.optics.media[1:], run.media[1:], strict=True):
+            if sums.any():
+                before, se = media.get(name, (0.0, 0.0))
+                error = float(run.unit * _batch_error(sums, run.started))
+                media[name] = before + float(run.unit * sums.sum()), float(np.hypot(se, error))
+    return Energy(
+        launched_W=sum(run.beam.power for run in runs),
+        detected_W=detector.absorbed_W,
+        detected_se_W=detector.absorbed_se_W,
+        absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row is not detector},
+        absorbed_in=media,
+        escaped_W=float(escaped),
+        escaped_se_W=float(escaped_se),
+        cut={reason: float(sum(run.unit * run.reasons[row].sum() for run in runs)) for reason, row in CUTS.items()},
+    )

@@ -1,0 +1,161 @@
+"""Plugin `thinfilm`: a coating of layers, by itself or nested in an `interface`."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.coatings import Coating, Layer, Stack, parse_layers, preset
+from mistray.coatings.files import read_coating
+from mistray.errors import MistrayError
+from mistray.plugins.bsdfs.interface import SIDES, Interface, _resolve
+
+RECIPES = ("layers", "preset", "table", "R")
+LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
+
+
+class ThinFilm(Interface):
+    r"""
+    Optical coating (:monosp:`thinfilm`): a stack of layers, a preset, a table, or constant R and T.
+
+    Nested in an ``interface`` it is its coating; the materials on both sides are then those of the
+    interface, and several interfaces may share one object by ``<ref id="…"/>``. By itself it is an
+    interface with a coating and takes ``front``, ``back``, ``mirror`` and ``wavelength_nm`` as well.
+
+    Exactly one of ``layers``, ``preset``, ``table`` and ``R`` says what the coating is. R, T and the phases
+    of layers follow from the wave equation for s and p, with absorption in the layers and in the media,
+    total reflection and its frustration; what is neither reflected nor transmitted is absorbed.
+
+    ============== ======= ======= ======== ==============================================================
+    parameter      unit    range   default  meaning
+    ============== ======= ======= ======== ==============================================================
+    layers         string          none     ``MgF2 99.64, 2.1 0.5w, 1.63+0.001i 84.4``: material (see
+                                            docs/materials.md; k must be known) and thickness in nm, or in
+                                            waves of ``design_nm`` with a w
+    preset         string          none     ``mgf2_quarter_wave``, ``v_coat``, ``bbar3``, ``bbar4``,
+                                            ``protected_al``, ``protected_ag``
+    table          file            none     CSV over wavelength and angle, or a coating of a Zemax file:
+                                            ``COATING.DAT:NAME``
+    R              1       0 … 1   none     constant reflectance (differentiable)
+    T              1       0 … 1   0        constant transmittance beside R (differentiable)
+    first          string          outside  where the first layer lies: ``outside`` is the side of lower
+                                            index (metals count as substrate), else ``front`` or ``back``
+    design_nm      nm      > 0     550      wavelength of thicknesses in waves; the materials of the layers
+                                            must be known there
+    n_shift        list            0        numbers, one for each layer, added to its n (differentiable)
+    k_shift        list            0        the same for k (differentiable)
+    opaque         bool            false    nothing passes: T = 0; of a COAT of a Zemax file the last layer
+                                            is then the substrate, as for a mirror there
+    front, back    string          air      materials, by itself only; see ``interface``
+    mirror         bool            false    by itself only; see ``interface``
+    wavelength_nm  nm      > 0     550      by itself only; see ``interface``
+    ============== ======= ======= ======== ==============================================================
+
+    In ``mi.traverse`` layers have ``thickness_nm`` (nm, ≥ 0), ``n_shift`` and ``k_shift``: arrays with one
+    entry for each layer, in the order of ``layers``, all differentiable through the ray tree. N = n +
+    n_shift + i (k + k_shift) at every wavelength.
+
+    Source: see `mistray.physics.thinfilm`; the presets are described in `mistray.coatings.presets`.
+
+    .. code-block:: xml
+
+        <bsdf type="thinfilm" id="ar"><string name="preset" value="bbar3"/></bsdf>
+        <shape type="asphere" id="lens_front">
+            <bsdf type="interface"><string name="back" value="N-BK7"/><ref id="ar"/></bsdf>
+        </shape>
+
+    .. code-block:: python
+
+        {"type": "thinfilm", "back": "N-BK7", "layers": "MgF2 99.64", "first": "outside"}
+    """
+
+    kind = "thinfilm"
+
+    def _read_coating(self, props: mi.Properties) -> None:
+        self.sides = [key for key in SIDES if key in props]
+        self._layers: tuple[Layer, ...] | None = None
+        self._first, self._opaque = str(props.get("first", "outside")), bool(props.get("opaque", False))
+        self._design_nm = float(props.get("design_nm", 550.0))
+        given = [key for key in (*RECIPES, "T") if key in props]
+        if len([key for key in given if key != "T"]) != 1 or ("T" in given and "R" not in given):
+            raise MistrayError(
+                f"{self.title}: it has {' and '.join(given) or 'no coating'}; give one of layers, preset, table, or R "
+                "and T"
+            )
+        recipe = given[0]
+        self._recipe = recipe if recipe == "R" else str(props.get(recipe))
+        if not self.name or self.name in ("bsdf", "coating"):  # names that Mitsuba gives
+            self.name = self._recipe
+        if recipe == "R":
+            super()._read_coating(props)
+        else:
+            coating = self._recipe_coating(recipe)
+            if isinstance(coating, Stack):
+                self._start_layers(coating, props)
+            else:
+                self._own = coating
+        only_layers = ("first", "opaque", "design_nm", "n_shift", "k_shift")
+        unused = [key for key in only_layers if key in props and self._layers is None]
+        if unused:
+            raise MistrayError(f"{self.title}: {unused[0]} has no meaning without layers; remove it")
+
+    def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
+        raise MistrayError(f"{self.title}: a BSDF is nested in it; nest the thinfilm in an 'interface' instead")
+
+    def _recipe_coating(self, recipe: str) -> Coating:
+        if recipe == "layers":
+            return Stack(parse_layers(self._recipe, self._design_nm, self.name, _resolve))
+        if recipe == "preset":
+            return preset(self._recipe, self._design_nm)
+        return read_coating(self._recipe, self._design_nm, self._opaque, _resolve)
+
+    def _start_layers(self, stack: Stack, props: mi.Properties) -> None:
+        """Take the parameters of the layers from a recipe."""
+        self._layers, self._opaque = stack.layers, stack.opaque or self._opaque
+        if not stack.layers:
+            raise MistrayError(f"{self.title}: it has no layer; leave it out for a bare surface")
+        shifts = [self._numbers(str(props.get(key, "")), key) for key in LAYER_PARAMETERS[1:]]
+        self.thickness_nm = mi.Float([layer.thickness_nm for layer in stack.layers])
+        self.n_shift, self.k_shift = (mi.Float(values) for values in shifts)
+        self._rebuild()
+
+    def _numbers(self, text: str, key: str) -> list[float]:
+        """A list of one number for each layer; zeros if there is no text."""
+        assert self._layers is not None
+        if not text:
+            return [0.0] * len(self._layers)
+        try:
+            values = [float(word) for word in text.replace(",", " ").split()]
+        except ValueError as error:
+            raise MistrayError(f"{self.title}: {key}: {error}; write numbers with commas between them") from None
+        if len(values) != len(self._layers):
+            raise MistrayError(f"{self.title}: {key} has {len(values)} numbers for {len(self._layers)} layers")
+        return values
+
+    def _parameters(self) -> dict[str, mi.Float]:
+        if self._layers is None:
+            return super()._parameters()
+        return {"thickness_nm": self.thickness_nm, "n_shift": self.n_shift, "k_shift": self.k_shift}
+
+    def _build(self, *values: np.ndarray) -> Coating:
+        if self._layers is None:
+            return super()._build(*values)
+        layers = tuple(
+            dataclasses.replace(layer, thickness_nm=float(d), n_shift=float(n), k_shift=float(k))
+            for layer, d, n, k in zip(self._layers, *values, strict=True)
+        )
+        stack = Stack(layers, self._first, self.name, self._opaque)
+        stack.indices(self._design_nm)  # unknown materials and impossible shifts are errors of the scene, now
+        return stack
+
+    def _summary(self) -> str:
+        if self._layers is None:
+            return super()._summary()
+        thickness = ", ".join(f"{layer.material} {layer.thickness_nm:.6g}" for layer in self._own.layers)
+        return f"{thickness} nm, first {self._first}{', opaque' if self._opaque else ''}"
+
+
+mi.register_bsdf("thinfilm", lambda props: ThinFilm(props))

@@ -1,0 +1,69 @@
+"""The tables of docs/materials.md say what the code does."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.materials import complex_index, refractive_index, source
+from mistray.materials.catalogue import MAKERS, PINNED
+
+PAGE = (Path(__file__).parents[2] / "docs" / "materials.md").read_text(encoding="utf-8")
+
+
+def rows(section: str) -> list[list[str]]:
+    """Cells of the tables below a heading, without the tables' heads."""
+    text = PAGE.partition(f"\n## {section}\n")[2].partition("\n## ")[0]
+    lines = [line for line in text.splitlines() if line.startswith("| ")]
+    cells = [[cell.strip() for cell in line.strip("|").split("|")] for line in lines]
+    return [row for row in cells if row[0] not in ("name", "case", "string")]
+
+
+MATERIALS = {row[0].strip("`"): row for row in rows("Pinned materials")}
+
+
+def test_every_pinned_material_is_listed():
+    assert list(MATERIALS) == list(PINNED)
+
+
+@pytest.mark.parametrize("name", PINNED)
+def test_row_of_a_material(name):
+    _, _, n, k, n_range, k_range, page, reference = MATERIALS[name]
+    found = source(name)
+    assert float(n) == pytest.approx(refractive_index(name, 550.0), abs=5.1e-5)
+    if k == "unknown":
+        with pytest.raises(MistrayError):
+            complex_index(name, 550.0)
+    else:
+        assert float(k) == pytest.approx(complex_index(name, 550.0).imag, rel=0.05, abs=0)
+    for printed, known in ((n_range, found.n_range_nm), (k_range, found.k_range_nm)):
+        assert printed == ("unknown" if known is None else f"{known[0]:.6g} … {known[1]:.6g}")
+    pages = re.findall(r"`(.+?)`", page)
+    assert pages == [part for part in (found.page, found.k_page) if part]
+    author, _, journal = reference.partition(", ")
+    assert re.split(" and | et al", author)[0] in found.reference
+    assert journal in found.reference
+
+
+@pytest.mark.parametrize("row", rows("When something is wrong"), ids=lambda row: row[0])
+def test_message(row, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    name, wavelength = re.fullmatch(r"`(.+)`(?: at (\d+) nm)?", row[0]).groups()
+    with pytest.raises(MistrayError) as caught:
+        complex_index(name, float(wavelength or 550))
+    assert str(caught.value) == row[1]
+
+
+def test_the_makers_are_in_their_order():
+    listed = re.search(r"The makers are ((?:`\w+`(?:, | and )?)+)", PAGE)
+    assert re.findall(r"`(\w+)`", listed[1]) == list(MAKERS)
+
+
+def test_what_is_said_to_be_missing_is_missing():
+    for name in ("cryolite", "AlF3", "PSU", "COC", "PBT"):
+        with pytest.raises(MistrayError, match="unknown"):
+            source(name)
+    assert source("organic/(C5H8O2)n - poly(methyl methacrylate)/nk/Zhang-Mitsubishi").k_known

@@ -1,0 +1,152 @@
+"""What a material string may be, and what is said about a wrong one."""
+
+from __future__ import annotations
+
+import math
+
+import pytest
+from oracles import glass
+
+from mistray.errors import MistrayError
+from mistray.materials import LINE_C_NM, LINE_D_NM, LINE_F_NM, complex_index, refractive_index, resolved, source
+
+
+@pytest.mark.parametrize(
+    ("text", "n"),
+    [("air", 1), (" Vacuum ", 1), ("1.5168", 1.5168), ("1", 1), ("1.5+0.01i", 1.5 + 0.01j),
+     ("0.958 + 6.69j", 0.958 + 6.69j), ("1.5 k=1e-7", 1.5 + 1e-7j), ("air k=2e-9", 1 + 2e-9j),
+     ("nd=1.544 Vd=56.1 k=0", 1.544), ("ND = 1.544, VD = 56.1  K = 3e-8", 1.544 + 3e-8j),
+     ("1.5+0i", 1.5), ("2e0+.5i", 2 + 0.5j)],
+)  # fmt: skip
+def test_numbers(text, n):
+    assert complex_index(text, LINE_D_NM) == pytest.approx(n, abs=1e-15)
+    assert refractive_index(text, LINE_D_NM) == pytest.approx(complex(n).real, abs=1e-15)
+
+
+@pytest.mark.parametrize("text", ["1.5168", "air", "1.5+0.01i"])
+def test_constants_hold_everywhere(text):
+    assert complex_index(text, 10.0) == complex_index(text, 1e6) == complex_index(f"{text} extrapolate", 1e6)
+
+
+def test_nd_and_vd_come_back():
+    nd, nf, nc = (refractive_index("nd=1.632 Vd=23.3", line) for line in (LINE_D_NM, LINE_F_NM, LINE_C_NM))
+    assert nd == pytest.approx(1.632, abs=1e-15)
+    assert (nd - 1) / (nf - nc) == pytest.approx(23.3, rel=1e-12)
+
+
+@pytest.mark.parametrize("material", ["nd=1.544 Vd=56.1 k=1e-6", "1.7+1e-4i", "N-BK7 extrapolate", "air", "1.5 k=0"])
+def test_the_oracle_reads_the_same_strings(material):
+    assert refractive_index(material, 520.0) == pytest.approx(glass.refractive_index(material, 520.0), abs=1e-12)
+
+
+def test_an_explicit_k_replaces_that_of_the_data():
+    k = complex_index("N-BK7", 400.0).imag
+    assert k > 0
+    assert complex_index("N-BK7 k=0", 400.0) == complex_index("N-BK7", 400.0).real
+    assert complex_index("N-BK7 k=1e-3", 400.0).imag == 1e-3
+    assert complex_index("PMMA k=0", 550.0).imag == 0
+
+
+def test_suffixes_in_any_order():
+    outside = "N-BK7 k=2e-7 extrapolate"
+    assert complex_index(outside, 280.0) == complex_index("N-BK7   extrapolate k=2e-7", 280.0)
+    assert complex_index(outside, 280.0) == complex(refractive_index("N-BK7 Extrapolate", 280.0), 2e-7)
+
+
+def test_extrapolation_goes_on_with_the_formula_and_keeps_the_end_of_a_table():
+    """N-BK7 from 300 nm on: at 280 nm its Sellmeier formula and the k of 300 nm; a table of n keeps its end, too."""
+    assert refractive_index("N-BK7 extrapolate", 280.0) == pytest.approx(glass.refractive_index("N-BK7", 280.0), 1e-12)
+    assert complex_index("N-BK7 extrapolate", 280.0).imag == complex_index("N-BK7", 300.0).imag
+    assert complex_index("Ag extrapolate", 5000.0) == complex_index("Ag", source("Ag").n_range_nm[1])
+    assert refractive_index("nd=1.5 Vd=60 extrapolate", 350.0) > refractive_index("nd=1.5 Vd=60", 400.0)
+
+
+def test_extrapolation_onto_a_pole_is_an_error():
+    """The middle resonance of N-BK7 lies at 141.5 nm; n² is negative on its short side."""
+    with pytest.raises(MistrayError, match="no value at 140 nm"):
+        refractive_index("N-BK7 extrapolate", 140.0)
+
+
+@pytest.mark.parametrize(
+    ("text", "wavelength_nm", "message"),
+    [
+        ("N-BK8", 550.0, "did you mean N-BK7"),
+        ("bk7", 550.0, "did you mean N-BK7"),
+        ("SBSL7", 550.0, "did you mean S-BSL7"),
+        ("fused_silica", 550.0, "did you mean fused silica"),
+        ("MgF", 550.0, "did you mean MgF2"),
+        ("silver", 550.0, r"did you mean Ag\?"),
+        ("schott/BK7", 550.0, "did you mean schott/N-BK7"),
+        ("hoya/N-BK7", 550.0, r"did you mean schott/N-BK7\?"),
+        ("main/Ag/nk/Nobody", 550.0, "page 'main/Ag/nk/Nobody' is not in the database"),
+        ("main/Ag/about", 550.0, "page 'main/Ag/about' holds no n or k"),
+        ("main/../main/Ag/nk/Yang", 550.0, "unknown"),
+        ("main/Si/nk/Daub", 1000.0, "has k only"),
+        ("unobtainium", 550.0, "use air, a number"),
+        ("", 550.0, "unknown"),
+        ("0.9", 550.0, "at least 1"),
+        ("-1.5", 550.0, "at least 1"),
+        ("1e999", 550.0, "at least 1"),
+        ("0.9+0i", 550.0, "at least 1"),
+        ("0+2i", 550.0, "greater than 0"),
+        ("1.5-0.01i", 550.0, r"k is negative; .* n\+ki"),
+        ("1.5+0.01i k=0", 550.0, "k is given twice"),
+        ("N-BK7 k=0 k=0", 550.0, "'k=' is given twice"),
+        ("N-BK7 extrapolate extrapolate", 550.0, "'extrapolate' is given twice"),
+        ("N-BK7 k=-1", 550.0, "k = -1; it must be finite and at least 0"),
+        ("N-BK7 k=", 550.0, "k = '' is no number"),
+        ("N-BK7 k=none", 550.0, "k = 'none' is no number"),
+        ("nd=1.5 Vd=0", 550.0, "Vd = 0"),
+        ("nd=0.5 Vd=60", 550.0, "at least 1"),
+        ("nd=1.5 Vd=60", 250.0, "400 … 1000 nm"),
+        ("N-BK7", 200.0, "300 … 2500 nm; use a wavelength inside, or append ' extrapolate'"),
+        ("glass.agf", 550.0, "Write 'glass.agf:NAME'"),
+        ("COATING.DAT", 550.0, "Write 'COATING.DAT:NAME'"),
+        ("nowhere/glass.csv", 550.0, "nowhere/glass.csv: No such file"),
+        ("nowhere/glass.agf:F2", 550.0, "nowhere/glass.agf: No such file"),
+        ("air", 0.0, "greater than 0"),
+        ("air", math.nan, "greater than 0"),
+    ],
+)
+def test_errors_name_the_remedy(text, wavelength_nm, message):
+    for function in (refractive_index, complex_index):
+        with pytest.raises(MistrayError, match=message) as caught:
+            function(text, wavelength_nm)
+        assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("text", ["PMMA", "nd=1.544 Vd=56.1", "sapphire", "BSL7", "ohara/BSL7"])
+def test_an_unknown_k_is_an_error_and_not_zero(text):
+    """BSL7: its page has k = 0 at every wavelength, for want of data."""
+    assert refractive_index(text, 550.0) > 1.4
+    with pytest.raises(MistrayError, match=r"k is unknown.*append ' k=0'") as caught:
+        complex_index(text, 550.0)
+    assert "\n" not in str(caught.value)
+    assert not source(text).k_known
+
+
+def test_k_has_its_own_range():
+    """ZnS: n from 400 to 14000 nm, k up to 1000 nm."""
+    assert source("ZnS").n_range_nm == (400.0, 14000.0)
+    assert source("ZnS").k_range_nm == (400.0, 1000.0)
+    assert refractive_index("ZnS", 2000.0) == pytest.approx(2.26, abs=0.02)
+    with pytest.raises(MistrayError, match="k of material 'ZnS': 2000 nm is outside of its 400 … 1000 nm; append ' k="):
+        complex_index("ZnS", 2000.0)
+    assert complex_index("ZnS extrapolate", 2000.0).imag == complex_index("ZnS", 1000.0).imag
+    assert complex_index("ZnS k=0", 2000.0).imag == 0
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("N-BK7 k=0", "N-BK7 k=0"),
+        (" 1.5 ", " 1.5 "),
+        ("glass.csv", "/data/glass.csv"),
+        ("My Glass.CSV  k=1e-7 extrapolate", "/data/My Glass.CSV  k=1e-7 extrapolate"),
+        ("a/makers.agf:N-BK7", "/data/a/makers.agf:N-BK7"),
+        ("C:/a.AGF:F2 extrapolate", "/data/C:/a.AGF:F2 extrapolate"),
+        ("COATING.DAT:MGF2 k=0", "/data/COATING.DAT:MGF2 k=0"),
+    ],
+)
+def test_resolved(text, expected):
+    assert resolved(text, lambda path: f"/data/{path}") == expected

@@ -1,0 +1,292 @@
+"""Colour pictures against published colorimetry: the observer, sRGB, white, exposure, coatings."""
+
+import subprocess
+import sys
+
+import numpy as np
+import pytest
+from oracles import colour as oracle
+from report.fake_scene import lens_scene
+from report.fake_trace import EXTENT, SHAPE, SHARES, FakePath, FakeTrace, trace_at
+
+from mistray.analysis.ghosts import GhostReport
+from mistray.coatings import preset
+from mistray.errors import MistrayError
+from mistray.report.colour import ColourPictures, Look, check_wavelengths, develop, observer, xyz
+from mistray.report.plots import as_png
+
+VISIBLE = np.arange(400.0, 701.0, 10.0)
+DESIGN_NM, GLASS = 550.0, 1.5168
+
+
+class SmoothTrace(FakeTrace):
+    """Its paths are discs without noise."""
+
+    def irradiance_of(self, path_ids):
+        x0, x1, y0, y1 = EXTENT
+        x = np.linspace(x0, x1, 2 * SHAPE[1] + 1)[1::2]
+        y = np.linspace(y0, y1, 2 * SHAPE[0] + 1)[1::2][:, None]
+        image = np.zeros(SHAPE)
+        for path in (self.fakes[path_id] for path_id in path_ids):
+            inside = np.hypot(x - path.x, y - path.y) < path.radius
+            image[inside] += path.power / (np.pi * path.radius**2)
+        return image, np.zeros(SHAPE)
+
+
+GREY, YELLOW, DIRECT = (-1.0, 0.0), (1.0, 0.0), (0.0, 1.0)
+
+
+def at(image, place):
+    """The pixel at a place."""
+    column = (place[0] - EXTENT[0]) / (EXTENT[1] - EXTENT[0]) * SHAPE[1]
+    row = (place[1] - EXTENT[2]) / (EXTENT[3] - EXTENT[2]) * SHAPE[0]
+    return image[int(row), int(column)]
+
+
+def trace(field_deg, level):
+    """Direct image, a ghost with the spectrum of the source, and one that lacks 450 nm; radii 0.1, 0.5 and 0.4 mm."""
+    paths = []
+    for wavelength, share in SHARES.items():
+        paths.append(FakePath("a:T", "direct", 3.0 * share, 10, *DIRECT, 0.1, wavelength=wavelength))
+        paths.append(FakePath("a:R", "ghost", 1e-4 * level * share, 10, *GREY, 0.5, wavelength=wavelength))
+        if wavelength > 500:
+            paths.append(FakePath("b:R", "ghost", 5e-5 * level * share, 10, *YELLOW, 0.4, wavelength=wavelength))
+    return SmoothTrace(paths, field_deg, shares=SHARES)
+
+
+@pytest.fixture(scope="module")
+def report():
+    traces = {0.0: trace(0.0, 1.0), 20.0: trace(20.0, 0.3)}
+    return GhostReport(lens_scene(), traces, traces[0.0], {})
+
+
+@pytest.mark.parametrize("wavelength", oracle.OBSERVER)
+def test_observer_is_the_published_one(wavelength):
+    np.testing.assert_allclose(observer([wavelength])[0], oracle.OBSERVER[wavelength], atol=1e-6)
+
+
+def test_observer_is_linear_between_its_values():
+    np.testing.assert_allclose(observer([555.25])[0], 0.75 * observer([555])[0] + 0.25 * observer([556])[0], rtol=1e-12)
+
+
+@pytest.mark.parametrize("wavelength", oracle.SPECTRUM_LOCUS)
+def test_lines_have_the_chromaticities_of_the_spectrum(wavelength):
+    light = xyz([3e-4], [wavelength])
+    np.testing.assert_allclose(oracle.chromaticity(light), oracle.SPECTRUM_LOCUS[wavelength], atol=1e-5)
+
+
+def test_equal_energy_is_in_the_middle():
+    """Over 360 … 830 nm in steps of 1 nm; the observer is normalised to this within 1e-4."""
+    wavelengths = np.arange(360.0, 831.0)
+    np.testing.assert_allclose(oracle.chromaticity(xyz(np.ones(471), wavelengths)), [1 / 3, 1 / 3], atol=1e-4)
+
+
+def test_the_colour_package_leaves_numpy_s_printing_alone():
+    """It would cut the numbers of every CSV file that pandas writes afterwards to twelve digits."""
+    code = (
+        "import numpy as np; before = np.get_printoptions(); from mistray.report.colour import observer; "
+        "observer([550.0]); assert np.get_printoptions() == before; print(repr(np.float64(0.1)))"
+    )
+    done = subprocess.run([sys.executable, "-W", "error", "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stdout.strip()) == (0, "np.float64(0.1)"), done.stderr
+
+
+def test_light_adds_up():
+    """XYZ of a map is the sum of those of its lines, each by its irradiance alone."""
+    rng = np.random.default_rng(2)
+    maps, nm = rng.random((3, 4, 5)), [450.0, 550.0, 650.0]
+    parts = sum(xyz(maps[k : k + 1], nm[k : k + 1]) for k in range(3))
+    np.testing.assert_allclose(xyz(maps, nm), parts, rtol=1e-12)
+    np.testing.assert_allclose(xyz(7 * maps, nm), 7 * parts, rtol=1e-12)
+    assert xyz(maps, nm).shape == (4, 5, 3)
+
+
+@pytest.mark.parametrize("weights", [(1, 1, 1), (1, 2, 1), (5, 1, 2)])
+@pytest.mark.parametrize("level", [1e-6, 0.18, 1.0])
+def test_light_of_the_source_is_grey(weights, level):
+    source = xyz(weights, [450.0, 550.0, 650.0])
+    got = develop(level * source, 1 / source[1], source)
+    np.testing.assert_allclose(got.rgb, oracle.encode(np.full(3, level)), rtol=1e-9)
+    assert (got.outside, got.overexposed) == (0, 0)
+
+
+def test_without_adaptation_it_is_srgb():
+    """Random colours inside of the gamut, by a matrix from the primaries and the white of IEC 61966-2-1."""
+    linear = np.random.default_rng(3).random((200, 3))
+    got = develop(linear @ oracle.rgb_to_xyz().T, 1.0)
+    np.testing.assert_allclose(got.rgb, oracle.encode(linear), atol=1e-9)
+    assert (got.outside, got.overexposed) == (0, 0)
+
+
+@pytest.mark.parametrize("white", [None, xyz([1, 2, 1], [450.0, 550.0, 650.0])])
+def test_luminance_is_linear_for_every_colour(white):
+    """Also outside of the gamut and with adaptation; 5e-3 of the luminance of white is the brightest that is safe."""
+    wavelengths = np.arange(420.0, 701.0, 20.0)
+    light = np.array([xyz([1.0], [wavelength]) for wavelength in wavelengths])
+    light *= (np.linspace(5e-4, 5e-3, len(light)) / light[:, 1])[:, None]
+    got = develop(light, 2.0, white)
+    luminance = oracle.decode(got.rgb) @ oracle.rgb_to_xyz()[1]
+    np.testing.assert_allclose(luminance, 2 * light[:, 1], rtol=1e-6)
+    assert got.outside == 1
+    assert got.overexposed == 0
+
+
+def test_hues_of_the_spectrum():
+    got = {nm: develop(xyz([1.0], [nm]) / xyz([1.0], [nm])[1], 0.05).rgb for nm in (450.0, 530.0, 580.0, 650.0)}
+    assert got[450.0].argmax() == 2
+    assert got[530.0].argmax() == 1
+    assert got[580.0][2] == 0 < 0.6 * got[580.0][0] < got[580.0][1]  # yellow
+    assert got[650.0].argmax() == 0
+    assert got[650.0][1] == got[650.0][2] == 0
+
+
+def test_overexposed_light_goes_towards_white():
+    source = xyz([1, 1, 1], [450.0, 550.0, 650.0])
+    got = develop(np.array([0.5, 1.0, 40.0])[:, None] * source, 1 / source[1], source)
+    np.testing.assert_allclose(got.rgb[1:], 1.0)
+    assert got.overexposed == pytest.approx(1 / 3)
+
+
+def test_darkness_is_black():
+    got = develop(np.zeros((2, 2, 3)), 1.0)
+    assert (got.rgb == 0).all()
+    assert (got.outside, got.overexposed) == (0, 0)
+
+
+def reflected(layers):
+    """XYZ of white light that a coating on glass reflects at normal incidence, and that of the light itself."""
+    power = oracle.stack_in_air(layers, GLASS, VISIBLE)
+    return xyz(power, VISIBLE), xyz(np.ones(len(VISIBLE)), VISIBLE)
+
+
+def test_bare_glass_is_grey():
+    light, white = reflected([])
+    assert light[1] / white[1] == pytest.approx(oracle.bare(GLASS), rel=1e-12)
+    np.testing.assert_allclose(np.ptp(develop(light, 0.2 / light[1], white).rgb), 0, atol=1e-12)
+
+
+def test_quarter_wave_mgf2_is_purple():
+    """R rises from 1.26 % at 550 nm to both ends, more to the blue: a weak purple, on the purple side of white."""
+    light, white = reflected([(1.38, DESIGN_NM / 4 / 1.38)])
+    red, green, blue = oracle.decode(develop(light, 0.2 / light[1], white).rgb)
+    assert green < 0.95 * red < 0.95 * blue
+    assert light[1] / white[1] == pytest.approx(0.01326, abs=2e-5)
+    np.testing.assert_allclose(oracle.chromaticity(light), [0.3211, 0.3046], atol=2e-4)
+
+
+def test_v_coat_is_deep_blue_and_magenta():
+    """R = 0 at 550 nm leaves the ends of the spectrum only; hardly any green is left."""
+    layers = [(1.38, 0.31797 * DESIGN_NM / 1.38), (2.10, 0.06703 * DESIGN_NM / 2.10)]
+    light, white = reflected(layers)
+    red, green, blue = oracle.decode(develop(light, 0.02 / light[1], white).rgb)
+    assert green < 0.01 * blue
+    assert 0.1 * blue < red < blue
+    x, y = oracle.chromaticity(light)
+    assert (x, y) == (pytest.approx(0.2129, abs=2e-4), pytest.approx(0.0734, abs=2e-4))
+    assert y < 0.15  # far below white at 1/3
+
+
+@pytest.mark.parametrize(("name", "purity"), [("mgf2_quarter_wave", 0.02), ("bbar3", 0.15), ("v_coat", 0.2)])
+def test_presets_leave_a_blue_or_purple_residue(name, purity):
+    """The coatings as mistray computes them: green is what they suppress best. Purity: distance from white in x, y."""
+    response = [preset(name).response(float(nm), 1.0, GLASS, np.ones(1), True).R.mean() for nm in VISIBLE]
+    light, white = xyz(response, VISIBLE), xyz(np.ones(len(VISIBLE)), VISIBLE)
+    assert light[1] / white[1] < 0.4 * oracle.bare(GLASS)
+    x, y = oracle.chromaticity(light) - oracle.chromaticity(white)
+    assert y < x < 0
+    assert np.hypot(x, y) > purity
+
+
+def luminance(picture):
+    return oracle.decode(picture.rgb) @ oracle.rgb_to_xyz()[1]
+
+
+def test_brightest_ghost_of_all_fields_is_white_at_no_stops(report):
+    """Discs of 1e-4 W and 0.5 mm: the grey one is the brightest, since 450 nm adds hardly any luminance to it."""
+    pictures = ColourPictures(report)
+    y = {nm: oracle.OBSERVER[nm][1] for nm in (450.0, 650.0)} | {550.0: observer([550.0])[0, 1]}
+    grey = 1e-4 / (np.pi * 0.5**2) * sum(share * y[nm] for nm, share in SHARES.items())
+    yellow = 5e-5 / (np.pi * 0.4**2) * sum(share * y[nm] for nm, share in SHARES.items() if nm > 500)
+    assert grey > yellow
+    np.testing.assert_allclose(at(pictures.stray[0.0].rgb, GREY), 1, rtol=1e-9)
+    np.testing.assert_allclose(luminance(pictures.stray[20.0])[0, 0], 0)
+    assert at(luminance(pictures.stray[20.0]), GREY) == pytest.approx(0.3, rel=1e-6)
+    assert at(luminance(pictures.stray[20.0]), YELLOW) == pytest.approx(0.3 * yellow / grey, rel=1e-5)
+    assert "+0 stops over the brightest ghost" in pictures.caption(0.0)
+
+
+def test_a_stop_is_a_factor_of_two(report):
+    dim, bright = (luminance(ColourPictures(report, Look(stops=stops)).stray[0.0]) for stops in (-4.0, -3.0))
+    assert at(bright, GREY) == pytest.approx(1 / 8, rel=1e-6)
+    np.testing.assert_allclose(bright, 2 * dim, rtol=1e-6)
+
+
+def test_exposure_over_the_direct_image_leaves_the_ghosts_dark(report):
+    pictures = ColourPictures(report, Look(reference="direct"))
+    np.testing.assert_allclose(at(pictures.all_light[0.0].rgb, DIRECT), 1, rtol=1e-9)
+    assert pictures.all_light[0.0].overexposed == 0
+    ratio = 1e-4 / 0.5**2 / (3 / 0.1**2)
+    assert at(luminance(pictures.stray[0.0]), GREY) == pytest.approx(ratio, rel=1e-6)
+    assert (at(pictures.stray[0.0].rgb, DIRECT) == 0).all()
+    assert "direct image on axis" in pictures.caption(0.0)
+
+
+def test_light_without_blue_is_yellow_and_that_of_the_source_grey(report):
+    rgb = ColourPictures(report, Look(stops=-1.0)).stray[20.0].rgb
+    assert np.ptp(at(rgb, GREY)) < 1e-9
+    red, green, blue = at(rgb, YELLOW)
+    assert blue < 0.3 * min(red, green)
+    unadapted = ColourPictures(report, Look(stops=-1.0, white="D65")).stray[20.0].rgb
+    np.testing.assert_allclose(at(unadapted, GREY), at(rgb, GREY).mean(), atol=0.25)
+    assert np.ptp(at(unadapted, GREY)) > 0.05
+
+
+def test_pictures_show_all_light_and_the_stray_light(report):
+    pictures = ColourPictures(report, Look(stops=1.0, white="D65"))
+    figure = pictures.figure(0.0)
+    left, right = (axes.get_images()[0] for axes in figure.axes)
+    np.testing.assert_array_equal(left.get_array(), pictures.all_light[0.0].rgb)
+    np.testing.assert_array_equal(right.get_array(), pictures.stray[0.0].rgb)
+    assert tuple(left.get_extent()) == report[0.0].extent
+    assert [axes.get_xlabel() for axes in figure.axes] == ["x [mm]", "x [mm]"]
+    caption = figure.get_supxlabel()
+    assert all(words in caption for words in ("450, 550, 650 nm", "white: D65", "+1 stops over the brightest ghost"))
+    assert as_png(figure).startswith(b"\x89PNG")
+
+
+@pytest.mark.parametrize(
+    ("wavelengths", "words"),
+    [
+        ([550.0], r"colour: 1 wavelength \(550 nm\); a colour picture needs at least 3, such as 450 550 650"),
+        ([450.0, 650.0], r"colour: 2 wavelengths \(450, 650 nm\)"),
+        ([450.0, 550.0, 1064.0], r"colour: 1064 nm is not visible; the CIE observer is known from 360 to 830 nm"),
+    ],
+)
+def test_wavelengths_that_give_no_colour_are_errors(wavelengths, words):
+    with pytest.raises(MistrayError, match=words):
+        check_wavelengths(wavelengths)
+
+
+def test_a_report_of_one_wavelength_has_no_colours():
+    t = trace_at(0.0)
+    with pytest.raises(MistrayError, match="needs at least 3"):
+        ColourPictures(GhostReport(lens_scene(), {0.0: t}, t, {}))
+
+
+def test_a_saturated_source_is_no_white():
+    red = xyz([1, 1, 1], [660.0, 680.0, 700.0])
+    with pytest.raises(MistrayError, match="too saturated to be taken as white; use white D65"):
+        develop(red, 1.0, red)
+
+
+@pytest.mark.parametrize(
+    ("look", "words"),
+    [
+        ({"stops": float("nan")}, "nan stops"),
+        ({"reference": "sky"}, "reference is 'sky'; use 'ghosts' or 'direct'"),
+        ({"white": "E"}, "white is 'E'; use 'source' or 'D65'"),
+    ],
+)
+def test_bad_looks_are_errors(look, words):
+    with pytest.raises(MistrayError, match=words):
+        Look(**look)

@@ -1,0 +1,114 @@
+"""Beer-Lambert along the way: closed forms, and every loss in the ledger under its medium."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+
+import mistray
+
+TAU = 0.9  # of 5 mm at 550 nm
+K = float(-np.log(TAU) * 550e-6 / (4 * np.pi * 5.0))
+DARK = f"1.5+{K!r}i"
+
+
+def coated_plate() -> str:
+    """R = 0.02 in front, 0.05 behind, no loss in the coatings."""
+    text = plates_text(1, index=DARK, R=0.02, T=0.98)
+    rear = interface_xml(DARK, "air", R=0.02, T=0.98)
+    assert rear in text
+    return text.replace(rear, interface_xml(DARK, "air", R=0.05, T=0.95))
+
+
+class TestPlate:
+    def test_all_orders(self, load_scene) -> None:
+        """T = (1-R1)(1-R2)τ/(1-R1R2τ²), R = R1 + (1-R1)²R2τ²/(1-R1R2τ²), the rest stays in the glass."""
+        t = mistray.trace(load_scene(coated_plate()), rays=500, max_reflections=12, flux_threshold=0.0)
+        e, many = t.energy, 1 - 0.02 * 0.05 * TAU**2
+        through = 0.98 * 0.95 * TAU / many
+        back = 0.02 + 0.98**2 * 0.05 * TAU**2 / many
+        assert through == pytest.approx(0.8385792491918453, rel=1e-12)
+        assert e.detected_W / e.launched_W == pytest.approx(through, rel=2e-6)
+        assert e.escaped_W / e.launched_W == pytest.approx(back, rel=1e-5)
+        assert set(e.absorbed_in) == {DARK}
+        value, se = e.absorbed_in[DARK]
+        assert value / e.launched_W == pytest.approx(1 - through - back, rel=1e-5)
+        assert se / e.launched_W < 1e-6
+        assert sum(v for v, _ in e.absorbed.values()) == pytest.approx(0, abs=1e-6)
+        assert abs(e.closure) < 1e-6
+        assert f"absorbed in {DARK}" in str(e)
+
+    def test_slanted(self, load_scene) -> None:
+        """The way through the plate is 5 mm/cos θ'."""
+        t = mistray.trace(load_scene(coated_plate()), rays=500, field_deg=40.0, max_reflections=0)
+        cosine = np.sqrt(1 - (np.sin(np.radians(40)) / 1.5) ** 2)
+        assert t.paths[0].power_W / t.energy.launched_W == pytest.approx(0.98 * 0.95 * TAU ** (1 / cosine), rel=3e-6)
+
+    @pytest.mark.parametrize("how", [{"splitting": "one"}, {"polarization": "stokes"}])
+    def test_other_ways_to_trace(self, load_scene, how) -> None:
+        """False-alarm probability of the sampled one: 4.5 σ, 7e-6."""
+        t = mistray.trace(load_scene(coated_plate()), rays=20_000, max_reflections=12, flux_threshold=0.0, **how)
+        expected = 0.8385792491918453 * t.energy.launched_W
+        assert abs(t.energy.detected_W - expected) < 4.5 * t.energy.detected_se_W + 3e-6 * expected
+        assert abs(t.energy.closure) < 1e-6
+
+    def test_wavelength(self, load_scene) -> None:
+        """The same k absorbs more at a shorter wavelength: τ^(550/λ)."""
+        t = mistray.trace(load_scene(coated_plate()), rays=900, wavelength_nm=[400.0, 550.0], max_reflections=0)
+        for wavelength in (400.0, 550.0):
+            (row,) = (row for row in t.paths if row.wavelength_nm == wavelength)
+            assert row.power_W / (t.energy.launched_W / 2) == pytest.approx(
+                0.98 * 0.95 * TAU ** (550 / wavelength), rel=3e-6
+            )
+            assert abs(t.energy_at(wavelength).closure) < 1e-6
+        total = sum(t.energy_at(w).absorbed_in[DARK][0] for w in (400.0, 550.0))
+        assert t.energy.absorbed_in[DARK][0] == pytest.approx(total, rel=1e-12)
+
+
+def test_light_stays_in_the_medium_at_an_opaque_wall(load_scene) -> None:
+    """A painted rear face (R = 0.6) sends the light back through the glass: 1 - τ and again R τ (1 - τ)."""
+    text = scene_text(
+        shape_xml("asphere", "front", 0.0, interface_xml("air", DARK, R=0.0, T=1.0), semi_diameter=20.0),
+        shape_xml("asphere", "paint", 5.0, interface_xml(R=0.6), semi_diameter=20.0),
+        shape_xml("asphere", "detector", 50.0, sensor=True, half_width=5.0, half_height=5.0),
+    )
+    e = mistray.trace(load_scene(text), rays=100).energy
+    assert e.absorbed_in[DARK][0] / e.launched_W == pytest.approx((1 - TAU) * (1 + 0.6 * TAU), rel=1e-5)
+    assert e.absorbed["paint"][0] / e.launched_W == pytest.approx(TAU * 0.4, rel=1e-5)
+    assert e.escaped_W / e.launched_W == pytest.approx(TAU**2 * 0.6, rel=1e-5)
+    assert abs(e.closure) < 1e-6
+
+
+def test_clear_glass_books_nothing(load_scene) -> None:
+    e = mistray.trace(load_scene(plates_text(1)), rays=10).energy
+    assert e.absorbed_in == {}
+
+
+def test_history_and_replay_know_the_loss(load_scene) -> None:
+    t = mistray.trace(load_scene(coated_plate()), rays=100, max_reflections=2)
+    (ghost,) = (row for row in t.paths if row.order == 2)
+    flux = t.history(ghost.path_id, n=1).to_pandas().flux_W.to_numpy()
+    np.testing.assert_allclose(
+        flux / flux[0],
+        np.cumprod([1, 1, 0.98 * TAU, 0.05 * TAU, 0.02 * TAU, 0.95]),
+        rtol=3e-6,
+    )
+
+
+def test_metal_takes_what_it_does_not_reflect(load_scene) -> None:
+    """A mirror of a metal: R of Fresnel with n + ik, the rest absorbed at the surface, nothing behind."""
+    n = 0.958 + 6.69j
+    text = scene_text(
+        shape_xml("asphere", "mirror", 0.0, interface_xml("air", "0.958+6.69i"), semi_diameter=20.0),
+        shape_xml("asphere", "detector", 50.0, sensor=True, half_width=5.0, half_height=5.0),
+    )
+    for field in (0.0, 60.0):
+        e = mistray.trace(load_scene(text), rays=100, field_deg=field).energy
+        c = np.cos(np.radians(field))
+        q = np.sqrt(n * n - np.sin(np.radians(field)) ** 2)
+        r_s, r_p = (c - q) / (c + q), (n * n * c - q) / (n * n * c + q)
+        R = (abs(r_s) ** 2 + abs(r_p) ** 2) / 2
+        assert e.absorbed["mirror"][0] / e.launched_W == pytest.approx(1 - R, abs=2e-6)
+        assert e.escaped_W / e.launched_W == pytest.approx(R, abs=2e-6)
+        assert abs(e.closure) < 1e-6
