@@ -16,7 +16,7 @@ from mistray.errors import MistrayError
 if TYPE_CHECKING:
     from mistray import analysis, coatings, materials, optimize, physics, prescription, report, scene
     from mistray.analysis import GhostReport, ghosts
-    from mistray.optimize import Metric, gradient
+    from mistray.optimize import Metric, gradient  # type: ignore[no-redef]
     from mistray.prescription import Detector, Prescription, Source, Structure, Surface
     from mistray.scene import load  # type: ignore[no-redef]
     from mistray.trace import Trace, trace

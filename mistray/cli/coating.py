@@ -104,14 +104,22 @@ def wavelengths(words: list[str]) -> list[float]:
 
 def _is_scene(text: str) -> bool:
     """Whether the argument is a scene: an XML file, a folder with one, or the name of a shipped one."""
+    from mistray.coatings import PRESETS
+
     if text.lower().endswith(".xml"):
         return True
-    import mistray.scenes
+    if " " in text or text in PRESETS or text == "bare" or ".csv" in text.lower() or ".dat" in text.lower():
+        return False
+    from mistray._variant import ensure_variant
 
-    shipped = Path(mistray.scenes.__file__).parent
-    return text.replace("_", "").isalnum() and (
-        (shipped / text / "scene.xml").is_file() or (Path(text) / "scene.xml").is_file()
-    )
+    ensure_variant()  # settles libLLVM before anything imports Mitsuba
+    from mistray.scene.load import find
+
+    try:
+        find(text)
+    except MistrayError:
+        return False
+    return True
 
 
 def _scene(options: argparse.Namespace, lam: list[float]) -> int:

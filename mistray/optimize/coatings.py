@@ -19,13 +19,14 @@ from mistray.optimize.gradient import LEFT_OUT, gradient
 from mistray.optimize.read_study import read_study
 from mistray.optimize.starts import starts
 from mistray.optimize.study import Study
-from mistray.optimize.verify import Comparison, compare
+from mistray.optimize.verify import Comparison, compare, measure
 from mistray.scene import load
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating
 
 FIRST_STEP_NM = 5.0  # the largest change of a thickness in the first step of a search
 SMALL_STEPS = 2  # so many in a row end a search
+STEPS_USED = "all steps used"
 
 Progress = Callable[[Step, Design], None]
 
@@ -42,6 +43,8 @@ class Optimization:
         The scene file.
     placed : tuple of Placed
         The coatings and their surfaces.
+    band_nm : tuple of float
+        Wavelengths of the metric, ascending, nm.
     designs : tuple of Design
         The start designs; the first is the given one.
     steps : tuple of Step
@@ -60,6 +63,7 @@ class Optimization:
     study: Study
     source: Path
     placed: tuple[Placed, ...]
+    band_nm: tuple[float, ...]
     designs: tuple[Design, ...]
     steps: tuple[Step, ...]
     ended: dict[int, str]
@@ -68,6 +72,11 @@ class Optimization:
     left_out: tuple[str, ...]
     search_seconds: float
     verification_seconds: float
+
+    @property
+    def best_step(self) -> Step:
+        """The step with the smallest metric."""
+        return min(self.steps, key=lambda step: step.value)
 
     @property
     def coatings(self) -> list[SharedCoating]:
@@ -127,9 +136,9 @@ def optimize_coatings(
     state = file.read() if file is not None and resume else State()
     bare = load(source)
     placed = place(bare, read)
+    band, weights = spectrum(bare, read.metric)
     if not state.designs:
-        band = spectrum(bare, read.metric)
-        state.designs = starts(placed, *band, read.optimizer.starts, read.metric.seed)
+        state.designs = starts(placed, band, weights, read.optimizer.starts, read.metric.seed)
     coated = CoatedScene(source, placed)
     search = _Search(coated, read, state, file, progress)
     search.run()
@@ -138,16 +147,20 @@ def optimize_coatings(
         state.designs[best.start].name, {name: np.array(d, dtype=np.float64) for name, d in best.thickness_nm.items()}
     )
     started = time.perf_counter()
-    comparison = compare(coated, read.metric, state.designs[0], design)
+    levels = []
+    for thickness in (state.designs[0].thickness_nm, design.thickness_nm):
+        coated.apply(thickness)
+        levels.append(measure(coated.scene, read.metric))
     return Optimization(
         read,
         source,
         placed,
+        band,
         tuple(state.designs),
         tuple(state.steps),
         dict(state.ended),
         design,
-        comparison,
+        compare(*levels),
         (LEFT_OUT,),
         state.steps[-1].seconds,
         time.perf_counter() - started,
@@ -268,6 +281,3 @@ class _Search:
         self.state.ended[start] = ended
         if self.file is not None:
             self.file.write(self.state)
-
-
-STEPS_USED = "all steps used"

@@ -14,6 +14,7 @@ import numpy as np
 
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
+from mistray.optimize.gradient import parameter_owners
 from mistray.optimize.study import CoatingGroup, MetricStudy, Study
 from mistray.scene import load
 from mistray.scene.recoat import SharedCoating, write_recoated
@@ -43,7 +44,8 @@ class Placed:
         """The design with other thicknesses, nm."""
         start = self.group.start
         layers = (
-            dataclasses.replace(layer, thickness_nm=float(d)) for layer, d in zip(start.layers, thickness_nm, strict=True)
+            dataclasses.replace(layer, thickness_nm=float(d))
+            for layer, d in zip(start.layers, thickness_nm, strict=True)
         )
         return dataclasses.replace(start, layers=tuple(layers))
 
@@ -151,9 +153,8 @@ class CoatedScene:
             self.scene = load(write_recoated(source, start, Path(folder) / "scene.xml"))
         self.params = mi.traverse(self.scene)
         films = {shape.id(): shape.bsdf().film for shape in self.scene.shapes() if hasattr(shape.bsdf(), "film")}
-        nodes = {
-            id(self.params.properties[key][2]): key for key in self.params.keys() if key.endswith(".thickness_nm")
-        }
+        owners = parameter_owners(self.params)
+        nodes = {owner: key for key, (owner, name) in owners.items() if name == "thickness_nm"}
         self.keys = {item.group.name: nodes[id(films[item.surfaces[0]])] for item in placed}
         self.params.keep(list(self.keys.values()))
 

@@ -235,4 +235,5 @@ class _Reader:
             self.whole(section, "steps", "optimizer.", Optimizer.steps, 0, 10_000),
             self.number(section, "tolerance", "optimizer.", Optimizer.tolerance, 0.0, 1.0),
             self.whole(section, "starts", "optimizer.", Optimizer.starts, 1, 100),
+            self.whole(section, "searches", "optimizer.", Optimizer.searches, 1, 100),
         )

@@ -1,7 +1,7 @@
 """Designs to start from: local minima of a cheap stand-in for the metric, found from many points within the bounds.
 
-A ghost of two reflections carries about R² of the light, so the stand-in is the mean square of R over the band, over a few
-angles and over the glasses of a coating's surfaces. It knows nothing of the rays; the traced metric ranks what it finds.
+A ghost of two reflections carries about R² of the light, so the stand-in is the mean square of R over the band, over a
+few angles and over the glasses of a coating's surfaces. It knows nothing of rays; the traced metric ranks its minima.
 """
 
 from __future__ import annotations
@@ -31,13 +31,13 @@ class Proxy:
 
     Attributes
     ----------
-    layers : (L, w, 1) complex128
-        Indices in the order from the thinner medium.
+    layers : list of (L, w, 1) complex128
+        Indices of the layers in the order from the rarer medium, for each glass.
     media : list of ((w, 1) complex128, (w, 1) complex128)
-        Indices before and behind, for each glass.
+        Indices of the rarer and the denser medium, for each glass.
+    orders : list of (L,) int
+        Own numbers of the layers in that order, for each glass.
     wavelength_nm, weights : (w, 1) float64
-    order : (L,) int
-        Own numbers of the layers from the thinner medium, for each glass.
     """
 
     layers: list[np.ndarray]

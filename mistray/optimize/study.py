@@ -103,12 +103,15 @@ class Optimizer:
     tolerance : float
         A search ends after two steps that each lower the metric by less than this, relative.
     starts : int
-        Number of designs to start from, the given one included; 1 … 100.
+        Number of start designs that are traced, the given one included; 1 … 100.
+    searches : int
+        From so many of them, the best ones, a search begins; 1 … 100.
     """
 
     steps: int = 40
     tolerance: float = 1e-3
-    starts: int = 3
+    starts: int = 4
+    searches: int = 1
 
 
 @dataclass(frozen=True)
@@ -132,7 +135,8 @@ class Study:
 
     @property
     def fingerprint(self) -> str:
-        """Hash of all that determines the course of the search but the number of steps."""
+        """Hash of what must agree for a search to go on: all but its length."""
         content = {**asdict(self), "name": None}
-        content["optimizer"].pop("steps")
+        for key in ("steps", "searches", "tolerance"):  # a search may go on with others
+            content["optimizer"].pop(key)
         return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()

@@ -96,7 +96,7 @@ class Coating:
         if self.first not in SIDES:
             raise MistrayError(f"{what}: first = '{self.first}'; it is {', '.join(SIDES[:-1])} or {SIDES[-1]}")
         defaults = Coating.__dataclass_fields__
-        for key in ("first", "n_shift", "k_shift"):
+        for key in ("first", "design_nm", "n_shift", "k_shift"):
             if getattr(self, key) != defaults[key].default and not self.layered:
                 raise MistrayError(f"{what}: {key} has no meaning beside {given[0]}, which has no layers; remove it")
 

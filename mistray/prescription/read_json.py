@@ -248,6 +248,10 @@ class _Reader:
 
 
 def _coating(row: Mapping[str, Any]) -> Coating:
+    """R and T, or one of layers, preset and table with what belongs to them; see `Coating`."""
+    recipe = [key for key in ("layers", "preset", "table", "first", "design_nm", "name") if key in row]
+    if recipe:
+        return Coating(**{key: row[key] for key in recipe})
     return Coating(R=float(row["R"]), T=float(row["T"]))
 
 

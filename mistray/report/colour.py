@@ -11,7 +11,7 @@ White
     adapted to daylight sees.
 Exposure
     In stops (factors of two) above the one that gives the brightest pixel of the reference the luminance of white: of
-    the stray light of all fields ("ghosts"), or of the direct image on axis ("direct"). All fields have the same.
+    the stray light of all fields ("ghosts"), or of the direct image on axis ("direct"). All fields have the same. Where the reference is dark the pictures are black.
 Luminance
     That of every pixel is its Y times the exposure, so it is linear in the power; adaptation and gamut change the
     chromaticity alone.
@@ -235,7 +235,8 @@ class ColourPictures:
         else:
             maps = spectral_maps(report.nominal_trace)
             peak = float(xyz(maps.direct, maps.wavelengths_nm)[..., 1].max())
-        exposure = 2.0**self.look.stops / peak if peak > 0 else 1.0
+        self._dark = peak == 0
+        exposure = 0.0 if self._dark else 2.0**self.look.stops / peak
         white = None
         if self.look.white == "source":
             white = xyz([report.weight(wavelength) for wavelength in report.wavelengths_nm], report.wavelengths_nm)
@@ -262,6 +263,8 @@ class ColourPictures:
         nm = self._wavelengths_nm
         lines = ", ".join(f"{value:g}" for value in nm) if len(nm) <= 7 else f"{len(nm)} from {nm[0]:g} to {nm[-1]:g}"
         over = "brightest ghost" if self.look.reference == "ghosts" else "direct image on axis"
+        if self._dark:
+            return f"wavelengths: {lines} nm; the {over} is dark, so there is nothing to expose for"
         white = "the light of the source" if self.look.white == "source" else "D65"
         stray = self.stray[field_deg]
         return (

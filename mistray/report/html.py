@@ -52,6 +52,8 @@ DEFINITIONS = (
     ("ghost surfaces", "surfaces where the path was reflected, in the order of the light; structure counts, the "
      "mirrors of the design path do not"),
     ("path", "T transmitted, R reflected, I totally internally reflected, A absorbed; open it for the surfaces"),
+    ("polarisation", "degree of polarisation of all light of a path together, 0 … 1; of several wavelengths the mean, "
+     "weighted by power"),
     ("wavelengths", "a path is a list of surfaces; its numbers are those of all wavelengths together"),
     ("± ", "one standard error; errors of sums are upper bounds, because the paths of one run share their start rays"),
 )  # fmt: skip
@@ -134,9 +136,9 @@ def html_text(
 def _head(report: GhostReport, title: str, settings: dict[str, Any], summaries: Sequence[FieldSummary]) -> str:
     fields = ", ".join(f"{field:g}" for field in report)
     lines = f"{', '.join(f'{wavelength:g}' for wavelength in report.wavelengths_nm)} nm"
-    if len(report.wavelengths_nm) > 1:
-        shares = ", ".join(f"{100 * report.weight(wavelength):.3g}" for wavelength in report.wavelengths_nm)
-        lines += f" with {shares} % of the flux"
+    shares = [f"{100 * report.weight(wavelength):.3g}" for wavelength in report.wavelengths_nm]
+    if len(shares) > 1:
+        lines += f" with {', '.join(shares)} % of the flux" if len(set(shares)) > 1 else " in equal shares"
     traced = (
         f"Fields {fields}° at azimuth {setting_text(settings['azimuth_deg'])}°, {lines}, "
         f"{thousands(settings['rays'])} start rays at each field, up to {settings['max_reflections']} reflections."

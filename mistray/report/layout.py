@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -14,6 +15,7 @@ from matplotlib.figure import Figure
 from mistray._mitsuba_compat import mesh_arrays
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.ranking import DIRECT
+from mistray.errors import MistrayError
 from mistray.report.plots import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 Polyline = npt.NDArray[np.float64]
@@ -117,9 +119,9 @@ def chain(start: Polyline, end: Polyline, steps: Sequence[Polyline], tolerance: 
     return np.empty((0, 2))
 
 
-def layout(report: GhostReport, field_deg: float, ghosts: int = 3) -> Figure:
+def layout(report: GhostReport, field_deg: float, ghosts: int = 3, path_ids: Sequence[int] | None = None) -> Figure:
     """
-    Section of the system with rays of the direct image and of the worst stray paths of one field.
+    Section of the system with rays of the direct image and of the worst stray paths of one field, or of chosen paths.
 
     Parameters
     ----------
@@ -128,6 +130,8 @@ def layout(report: GhostReport, field_deg: float, ghosts: int = 3) -> Figure:
         Field angle, degrees.
     ghosts : int
         Number of stray paths drawn, the worst by RMS irradiance first.
+    path_ids : sequence of int, optional
+        Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
     """
     lines = section(report.scene)
     low, high = _bounds(lines)
@@ -138,10 +142,7 @@ def layout(report: GhostReport, field_deg: float, ghosts: int = 3) -> Figure:
     )
     axes = figure.subplots()
     _draw_system(axes, report.scene, lines)
-    table = report.table(field_deg)
-    chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
-    for colour, row in zip(GHOST_COLOURS, report.top(field_deg, ghosts).itertuples(index=False), strict=False):
-        chosen.append((int(row.path_id), colour, f"{row.label} ({row.kind})"))
+    chosen = _chosen(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, path_ids)
     for path_id, colour, label in chosen:
         rays = meridional(report.rays_of(field_deg, path_id), RAYS_DRAWN)
         axes.plot([], [], color=colour, lw=0.8, label=label if rays else f"{label}, too rare to draw")
@@ -160,6 +161,28 @@ def layout(report: GhostReport, field_deg: float, ghosts: int = 3) -> Figure:
             *axes.get_legend_handles_labels(), loc="outside lower center", ncols=len(chosen), fontsize=8, frameon=False
         )
     return figure
+
+
+def _chosen(report: GhostReport, field_deg: float, ghosts: int) -> list[tuple[int, str, str]]:
+    """Path, colour and label of the direct image and of the worst stray paths."""
+    table = report.table(field_deg)
+    chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
+    for colour, row in zip(GHOST_COLOURS, report.top(field_deg, ghosts).itertuples(index=False), strict=False):
+        chosen.append((int(row.path_id), colour, f"{row.label} ({row.kind})"))
+    return chosen
+
+
+def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> list[tuple[int, str, str]]:
+    """Path, colour and label of these paths."""
+    rows = report.table(field_deg).set_index("path_id")
+    unknown = [path_id for path_id in path_ids if path_id not in rows.index]
+    if unknown:
+        raise MistrayError(f"path {unknown[0]} is not in the table of field {field_deg:g} deg; see report.table")
+    colours = itertools.cycle(GHOST_COLOURS)
+    return [
+        (int(path_id), BLUE if number == 0 else next(colours), f"path {path_id}: {rows.label[path_id]}")
+        for number, path_id in enumerate(path_ids)
+    ]
 
 
 def meridional(rays: Sequence[Polyline], count: int) -> list[Polyline]:

@@ -103,7 +103,7 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
         shown = str(value).strip('"')
         return f"unknown parameter '{key}' = {shown} of {element}; {_choose(key, known, 'remove it')}"
     if own:
-        if re.match(r"interface '(bsdf)?': ", own):  # a nested bsdf has no name of its own
+        if re.match(r"(interface|thinfilm)( '(bsdf|coating)?')?: ", own):  # a nested bsdf has no name of its own
             return f"{element}: {own.partition(': ')[2]}"
         named = any(f"'{name}'" in own for name in (element.id, element.plugin) if name)
         return own if named else f"{element}: {own}"

@@ -1,7 +1,7 @@
 """Coatings put on surfaces of a scene file; everything else in the file, comments and layout included, stays as it is.
 
 The text is edited in place: a coating becomes one ``<bsdf type="thinfilm" id="…">``, and each surface that it covers
-refers to it from its ``interface``. What the surface had before goes: R, T, table, a coating of its own or a shared one.
+refers to it from its ``interface``. What it had before goes: R, T, table, a coating of its own or a shared one.
 """
 
 from __future__ import annotations
@@ -154,8 +154,8 @@ class _File:
         shape = self.ids.get(surface)
         if shape is None or shape.tag != "shape":
             raise MistrayError(
-                f"scene '{self.path}': it has no shape '{surface}'; coatings can be put on shapes that stand in the file "
-                "with their id, not on included ones"
+                f"scene '{self.path}': it has no shape '{surface}'; coatings can be put on shapes that stand in the "
+                "file with their id, not on included ones"
             )
         for child in shape.children:
             meant = self.ids.get(child.values.get("id", "")) if child.tag == "ref" else child

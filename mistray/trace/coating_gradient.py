@@ -17,6 +17,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.thinfilm import reflectance_transmittance
 from mistray.trace.interaction import REFLECTION_AND_TRANSMISSION
+from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import IDEAL, OPAQUE, REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION, node_cosines
 
 if TYPE_CHECKING:
@@ -60,11 +61,8 @@ def coating_gradient(optics: Optics, sums: np.ndarray) -> Iterator[tuple[Any, st
             yield bsdf.film, "R", (own[:, REFLECTION_FRONT] + own[:, REFLECTION_BACK] + both)[:, None]
             yield bsdf.film, "T", (own[:, TRANSMISSION] + both)[:, None]
         elif kind == TABLED and bsdf.film is not None:
-            rows = np.concatenate(
-                [np.arange(first, first + last + 1), np.arange(total_first, total_first + total_last + 1)]
-            )
-            own = sums[:, rows, :REFLECTION_AND_TRANSMISSION]
-            used = np.flatnonzero(np.any(own, axis=(0, 2)))
+            own = sums[:, first : total_first + total_last + 1, :REFLECTION_AND_TRANSMISSION]
+            used = np.flatnonzero(np.any(own.any(axis=0), axis=1))
             slopes = _row_derivatives(
                 bsdf.coating,
                 optics.wavelength_nm,
@@ -73,7 +71,7 @@ def coating_gradient(optics: Optics, sums: np.ndarray) -> Iterator[tuple[Any, st
                 (last + 1, total_last + 1),
                 used,
             )
-            gradient = np.einsum("brc,prc->bp", own[:, used], slopes)
+            gradient = own[:, used].reshape(BATCHES, -1) @ slopes.reshape(len(slopes), -1).T
             for name, part in zip(LAYER_PARAMETERS, np.split(gradient, len(LAYER_PARAMETERS), axis=1), strict=True):
                 yield bsdf.film, name, part
 
@@ -111,8 +109,8 @@ def _row_derivatives(
         front = back = np.linspace(0.0, 1.0, refraction)
         dense = np.zeros(counts[1])
     else:
-        front, back, _ = node_cosines(n_front.real, n_back.real, refraction)
-        dense = node_cosines(n_front.real, n_back.real, counts[1])[2]
+        front, back, _ = node_cosines(n_front.real, n_back.real, np.linspace(0.0, 1.0, refraction))
+        dense = node_cosines(n_front.real, n_back.real, np.linspace(0.0, 1.0, counts[1]))[2]
     at_front, at_back = np.concatenate([front, dense])[used], np.concatenate([back, dense])[used]
     total = used >= refraction
     result = np.zeros((3 * layers, len(used), 3))

@@ -17,7 +17,7 @@ total reflection from a thick stack can have guided modes, dips too narrow for a
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Any
@@ -66,18 +66,24 @@ class AngleTable:
     total_error: float
 
 
-def node_cosines(n_front: float, n_back: float, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     Cosines of the angle of incidence at the nodes of a table.
 
+    Parameters
+    ----------
+    n_front, n_back : float
+        Indices on both sides.
+    x : (m,) float64
+        The variable of either part, 0 … 1.
+
     Returns
     -------
-    front, back : (count,) float64
+    front, back : (m,) float64
         Of the refraction part, in the front and in the back material.
-    dense : (count,) float64
+    dense : (m,) float64
         Of the total-reflection part, in the denser material.
     """
-    x = np.linspace(0.0, 1.0, count)
     rho = max(n_front, n_back) / min(n_front, n_back)
     denser = np.sqrt(1 - (1 - x * x) / rho**2)
     front, back = (denser, x) if n_front > n_back else (x, denser)
@@ -120,44 +126,45 @@ def angle_table(
         answer: Response = coating.response(wavelength_nm, n_front, n_back, cosines, from_front)
         return answer
 
-    def refraction(count: int) -> np.ndarray:
+    def refraction(x: np.ndarray) -> np.ndarray:
         if opaque:
-            cosines = np.linspace(0.0, 1.0, count)
-            front, back = side(cosines, True), side(cosines, False)
+            front, back = side(x, True), side(x, False)
         else:
-            at_front, at_back, _ = node_cosines(n_front.real, n_back.real, count)
+            at_front, at_back, _ = node_cosines(n_front.real, n_back.real, x)
             front, back = side(at_front, True), side(at_back, False)
         through = _channels(front, False, stokes)
         return np.stack(
             [_channels(front, True, stokes), _channels(back, True, stokes), 0 * through if opaque else through], axis=1
         )
 
-    def total(count: int) -> np.ndarray:
-        if opaque or n_front.real == n_back.real:
-            return np.zeros((2, 3, 4 if stokes else 1))
-        cosines = node_cosines(n_front.real, n_back.real, count)[2]
+    def total(x: np.ndarray) -> np.ndarray:
+        cosines = node_cosines(n_front.real, n_back.real, x)[2]
         row = _channels(side(cosines, n_front.real > n_back.real), True, stokes)
         return np.stack([row, row, np.zeros_like(row)], axis=1)
 
-    (first, first_error), (second, second_error) = _refined(refraction), _refined(total)
+    first, first_error = _refined(refraction)
+    if opaque or n_front.real == n_back.real:  # there is no critical angle
+        return AngleTable(first, np.zeros((2, *first.shape[1:])), first_error, 0.0)
+    second, second_error = _refined(total)
     return AngleTable(first, second, first_error, second_error)
 
 
-def _refined(values: Any) -> tuple[np.ndarray, float]:
+def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
     """Values at so many uniform nodes that linear interpolation is good enough, and the bound of its error."""
     intervals = FIRST_INTERVALS
+    coarse = values(np.linspace(0.0, 1.0, intervals + 1))
     while True:
-        fine = values(2 * intervals + 1)
-        if len(fine) == 2:
-            return fine, 0.0
-        middle = np.max(np.abs(fine[1::2] - 0.5 * (fine[:-1:2] + fine[2::2])))
-        # The error at the midpoints falls with the square of the spacing; twice that for where it is not yet so
-        error = 0.5 * float(middle)
+        fine = np.empty((2 * intervals + 1, *coarse.shape[1:]))
+        fine[::2] = coarse
+        fine[1::2] = values((np.arange(intervals) + 0.5) / intervals)
+        middle = float(np.max(np.abs(fine[1::2] - 0.5 * (fine[:-1:2] + fine[2::2]))))
         if middle == 0:  # a constant
             return fine[[0, -1]], 0.0
+        # The error at the midpoints falls with the square of the spacing; twice that for where it is not yet so
+        error = 0.5 * middle
         if error <= TABLE_ERROR or 2 * intervals >= LAST_INTERVALS:
             return fine, error
-        intervals *= 2
+        coarse, intervals = fine, 2 * intervals
 
 
 class Optics:

@@ -16,6 +16,7 @@ from mistray.physics.fresnel import reflectance
 from mistray.trace.optics import OPAQUE_K, REFLECTION_BACK, REFLECTION_FRONT, TRANSMISSION, angle_table
 
 STOCK_WAVELENGTH_NM = 550.0
+UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
 SIDES = ("front", "back", "mirror", "wavelength_nm")  # what an interface has beside its coating
 
 
@@ -74,7 +75,7 @@ class Interface(mi.BSDF):
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
-        self.name = str(props.id())
+        self.name = "" if props.id() in UNNAMED else str(props.id())
         self.wavelength_nm = float(props.get("wavelength_nm", STOCK_WAVELENGTH_NM))
         self.front, self.back = (self._resolved(str(props.get(side, "air"))) for side in ("front", "back"))
         self.mirror = bool(props.get("mirror", False))
@@ -137,7 +138,7 @@ class Interface(mi.BSDF):
     @property
     def title(self) -> str:
         """For messages."""
-        return f"{self.kind} '{self.name}'"
+        return f"{self.kind} '{self.name}'" if self.name else self.kind
 
     def _parameters(self) -> dict[str, mi.Float]:
         """The differentiable parameters of the coating that this plugin owns, by name."""

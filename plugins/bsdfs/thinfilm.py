@@ -86,9 +86,8 @@ class ThinFilm(Interface):
                 "and T"
             )
         recipe = given[0]
-        self._recipe = recipe if recipe == "R" else str(props.get(recipe))
-        if not self.name or self.name in ("bsdf", "coating"):  # names that Mitsuba gives
-            self.name = self._recipe
+        self._recipe = "" if recipe == "R" else str(props.get(recipe))
+        self.name = self.name or self._recipe
         if recipe == "R":
             super()._read_coating(props)
         else:
@@ -107,7 +106,7 @@ class ThinFilm(Interface):
 
     def _recipe_coating(self, recipe: str) -> Coating:
         if recipe == "layers":
-            return Stack(parse_layers(self._recipe, self._design_nm, self.name, _resolve))
+            return Stack(parse_layers(self._recipe, self._design_nm, self.name, _resolve), name=self.name)
         if recipe == "preset":
             return preset(self._recipe, self._design_nm)
         return read_coating(self._recipe, self._design_nm, self._opaque, _resolve)

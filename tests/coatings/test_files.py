@@ -60,7 +60,7 @@ class TestNames:
         assert "\n" not in str(caught.value)
 
     def test_unknown_kind_of_file(self) -> None:
-        with pytest.raises(MistrayError, match="coating 'ar.xlsx' is no file that mistray knows; give table.csv or"):
+        with pytest.raises(MistrayError, match=r"coating 'ar\.xlsx' is no file that mistray knows; give table.csv or"):
             read_coating("ar.xlsx")
 
 
@@ -72,7 +72,9 @@ class TestTables:
         write_table(coating, tmp_path / "out.csv", WAVELENGTHS, ANGLES, front, back)
         table = CoatingTable.read(tmp_path / "out.csv")
         for from_front in (True, False):
-            one, other = (spectrum(c, WAVELENGTHS, ANGLES, front, back, from_front, rarer=True) for c in (coating, table))
+            one, other = (
+                spectrum(c, WAVELENGTHS, ANGLES, front, back, from_front, rarer=True) for c in (coating, table)
+            )
             np.testing.assert_allclose(other.R, one.R, atol=1e-9)
             np.testing.assert_allclose(other.T, one.T, atol=1e-9)
             strong = one.R.min(axis=2) > 1e-10
@@ -95,7 +97,7 @@ class TestTables:
         assert [file.name for file in tmp_path.iterdir()] == ["out.csv"]
 
     def test_errors(self, tmp_path: Path) -> None:
-        with pytest.raises(MistrayError, match="out.csv': No such file or directory; check the folder"):
+        with pytest.raises(MistrayError, match=r"out\.csv': No such file or directory; check the folder"):
             write_table(GREY, tmp_path / "none" / "out.csv", [550.0], [0.0])
         with pytest.raises(MistrayError, match="both are metals; no light gets there"):
             write_table(GREY, tmp_path / "out.csv", [550.0], [0.0], "Al", "Ag")

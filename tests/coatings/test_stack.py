@@ -125,7 +125,9 @@ class TestShifts:
     @pytest.mark.parametrize(("n_shift", "k_shift"), [(0.0, -0.5), (-1.7, 0.0)])
     def test_impossible(self, n_shift: float, k_shift: float) -> None:
         stack = Stack((Layer("1.38", 10.0), Layer("1.6+0.4i", 90.0, n_shift, k_shift)), name="ar")
-        with pytest.raises(MistrayError, match=r"coating 'ar', layer 2 \(1.6\+0.4i\): n = .*, k = .* at 550 nm; n must"):
+        with pytest.raises(
+            MistrayError, match=r"coating 'ar', layer 2 \(1.6\+0.4i\): n = .*, k = .* at 550 nm; n must"
+        ):
             stack.response(550.0, AIR, GLASS, COSINES, True)
 
 
@@ -164,7 +166,7 @@ class TestText:
 
     def test_round_trip(self) -> None:
         rng = np.random.default_rng(3)
-        layers = tuple(Layer(m, float(d)) for m, d in zip(["MgF2", "1.5+0.1i", "TiO2"] * 4, rng.random(12) * 300))
+        layers = tuple(Layer(material, 300 * rng.random()) for material in ["MgF2", "1.5+0.1i", "TiO2"] * 4)
         assert parse_layers(layer_text(layers)) == layers
         assert layer_text((Layer("MgF2", 100.0), Layer("2.1", 0.5))) == "MgF2 100, 2.1 0.5"
 

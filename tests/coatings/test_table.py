@@ -124,7 +124,10 @@ def test_outside_of_the_wavelengths(read) -> None:
         (PLAIN.replace(".20", "n/a"), "line 4: could not convert string to float: 'n/a'; every cell must be a number"),
         (PLAIN.replace("500,60,.20,.70", "500,60,.20"), "line 4: 4 finite numbers are needed, as in the header"),
         (PLAIN.replace(".20", "nan"), "line 4: 4 finite numbers are needed"),
-        (PLAIN.replace("600,60,.40,.50\n", ""), "3 rows for 2 wavelengths and 2 angles; give every angle once at every"),
+        (
+            PLAIN.replace("600,60,.40,.50\n", ""),
+            "3 rows for 2 wavelengths and 2 angles; give every angle once at every",
+        ),
         (PLAIN.replace("600,60", "600,0"), "give every angle once at every wavelength"),
         (PLAIN.splitlines()[1], "0 rows for 0 wavelengths"),
         (PLAIN.replace(".80", ".95"), "R + T reaches 1.05 or a value is negative"),

@@ -7,6 +7,9 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 import pytest
+from oracles.statistics import assert_z
+
+import mistray
 
 T = mi.ScalarTransform4f
 
@@ -91,3 +94,73 @@ def test_a_lens_magnifies() -> None:
     bare = render(disk, [0, 0, -40], [0, 0, 3]) > 20
     magnified = render({**disk, **lens()}, [0, 0, -40], [0, 0, 3]) > 20
     assert magnified.sum() > 1.5 * bare.sum()
+
+
+INCIDENCE_DEG, GLASS = 40.0, "1.5168"
+
+
+def window(film: dict[str, Any]) -> dict[str, Any]:
+    """A plane plate of 3 mm with a coating on both faces, 60 mm wide."""
+    size = {"type": "asphere", "half_width": 30.0, "half_height": 30.0}
+    return {
+        "ar": {"type": "thinfilm", **film},
+        "front": {**size, "bsdf": glass("air", GLASS, coating={"type": "ref", "id": "ar"})},
+        "rear": {
+            **size,
+            "to_world": T().translate([0, 0, 3]),
+            "bsdf": glass(GLASS, "air", coating={"type": "ref", "id": "ar"}),
+        },
+    }
+
+
+@pytest.mark.parametrize(
+    "film", [{"preset": "bbar3"}, {"layers": "2.1+0.3i 20, 1.46 90"}, {"layers": "2.3 0.25w, 1.38 0.25w, 2.3 0.25w"}]
+)
+def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None:
+    """
+    A screen behind a coated window, seen by `path` at 40°, has the brightness that `straylight` gives a beam.
+
+    Both follow the reflections inside of the plate. False-alarm probability 1e-3.
+    """
+    beam = mistray.load(
+        {
+            "type": "scene",
+            "beam": {"type": "collimated", "radius": 2.0, "field_deg": INCIDENCE_DEG},
+            **window(film),
+            "detector": {
+                "type": "asphere", "half_width": 40.0, "half_height": 40.0, "to_world": T().translate([0, 0, 10]),
+                "bsdf": glass("air", "air", R=0.0),
+                "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}},
+            },
+        }
+    )  # fmt: skip
+    energy = mistray.trace(beam, rays=500, max_reflections=20, flux_threshold=1e-9).energy
+    passed = energy.detected_W / energy.launched_W
+    along = np.array([0.0, np.sin(np.radians(INCIDENCE_DEG)), np.cos(np.radians(INCIDENCE_DEG))])
+    screen = {
+        "screen": {
+            "type": "rectangle", "to_world": T().translate([0, 0, 20]).rotate([1, 0, 0], 180).scale(200.0),
+            "bsdf": {"type": "diffuse", "reflectance": 0.0}, "light": {"type": "area", "radiance": 1.0},
+        }
+    }  # fmt: skip
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "path", "max_depth": 50, "rr_depth": 1000},
+            "camera": {
+                "type": "orthographic",
+                "to_world": T().look_at((-40 * along).tolist(), [0, 0, 0], [1, 0, 0]).scale([2, 2, 1]),
+                "film": {
+                    "type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"},
+                    "pixel_format": "luminance",
+                },
+            },
+            **window(film), **screen,
+        },
+        optimize=False, parallel=False,
+    )  # fmt: skip
+    pixels = np.array(mi.render(scene, spp=8192, seed=3)).ravel().astype(float)
+    error = pixels.std(ddof=1) / np.sqrt(pixels.size)
+    assert error < 4e-4
+    # what straylight leaves out beyond 20 reflections, and float32
+    assert_z("radiance of the screen", pixels.mean(), passed, error, false_alarm=1e-3, floor=1e-6)

@@ -64,8 +64,8 @@ class TestParameters:
     def test_constant_shares(self) -> None:
         bsdf = load(R=0.1, T=0.8)
         assert bsdf.ideal
-        assert (bsdf.coating.R, bsdf.coating.T) == pytest.approx((0.1, 0.8))
         assert isinstance(bsdf.coating, Ideal)
+        np.testing.assert_allclose([bsdf.coating.R, bsdf.coating.T], [0.1, 0.8], rtol=1e-7)
         assert load(R=0.1).opaque
 
     def test_files(self, tmp_path: Path) -> None:
@@ -148,7 +148,11 @@ class TestParameters:
         [
             ({"preset": "bbar3"}, {"R": 0.1}, "give R or a nested thinfilm, not both"),
             ({"preset": "bbar3"}, {"table": "a.csv"}, "give table or a nested thinfilm, not both"),
-            ({"preset": "bbar3", "back": "1.6"}, {}, "its thinfilm 'bbar3' has back as well; give back at the interface"),
+            (
+                {"preset": "bbar3", "back": "1.6"},
+                {},
+                "its thinfilm 'bbar3' has back as well; give back at the interface",
+            ),
             ({"preset": "bbar3", "mirror": True}, {}, "has mirror as well"),
         ],
     )
@@ -206,7 +210,7 @@ class TestTraverse:
         ours = {key for key in params.keys() if key.rsplit(".")[-1] in ("thickness_nm", "n_shift", "k_shift", "R", "T")}  # noqa: SIM118
         assert ours == KEYS
         for key in KEYS:
-            assert params.flags(key) & mi.ParamFlags.Differentiable.value, key
+            assert not params.flags(key) & mi.ParamFlags.NonDifferentiable.value, key
         np.testing.assert_allclose(np.array(params["ar.thickness_nm"]), [99.63768, 130.95238, 84.355828], rtol=1e-6)
 
     def test_a_shared_coating_is_one_object(self, scene: mi.Scene) -> None:
@@ -244,7 +248,7 @@ class TestTraverse:
         params["coating.R"] = mi.Float(0.2)
         params.update()
         assert float(bsdf.R[0]) == pytest.approx(0.2)
-        assert bsdf.coating.R == pytest.approx(0.2)
+        np.testing.assert_allclose(bsdf.coating.R, 0.2, rtol=1e-7)
 
     def test_the_trace_sees_an_update(self, scene: mi.Scene) -> None:
         """Normal incidence on the shared coating, on both faces: T² times the filter's and the splitter's."""

@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -59,12 +60,22 @@ def test_bad_names(name):
 @pytest.mark.parametrize(
     ("build", "wanted"),
     [
-        (lambda: Coating(), "give either R (and T) or a table"),
-        (lambda: Coating(R=0.1, table="x.csv"), "give either R (and T) or a table"),
-        (lambda: Coating(T=0.5), "give either R"),
-        (lambda: Coating(R=0.6, T=0.5), "R + T ≤ 1"),
-        (lambda: Coating(R=-0.1), "≥ 0"),
-        (lambda: Coating(table="x.csv", T=0.1), "already holds T"),
+        (lambda: Coating(), "coating: it has no recipe; give one of R (and T), table, layers and preset"),
+        (lambda: Coating(R=0.1, table="x.csv"), "coating: it has R = 0.1 and table = 'x.csv'; give one of"),
+        (lambda: Coating(layers="1.38 10", preset="bbar3"), "layers = '1.38 10' and preset = 'bbar3'; give one of"),
+        (lambda: Coating(T=0.5), "give one of R (and T)"),
+        (lambda: Coating(R=0.6, T=0.5), "coating: R = 0.6 and T = 0.5; both must lie in 0 … 1 and R + T must"),
+        (lambda: Coating(R=-0.1), "R = -0.1"),
+        (lambda: Coating(R=0.6, T=0.5, name="ar"), "coating 'ar': R = 0.6"),
+        (lambda: Coating(table="x.csv", T=0.1), "T = 0.1 beside table = 'x.csv', which already holds T"),
+        (lambda: Coating(layers="1.38 10", T=0.1), "already holds T"),
+        (lambda: Coating(preset="bbar9"), "coating preset 'bbar9' is unknown; did you mean 'bbar4'?"),
+        (lambda: Coating(layers="1.38 10", design_nm=0.0), "design_nm = 0; it must be greater than 0"),
+        (lambda: Coating(layers="1.38 10", first="top"), "first = 'top'; it is outside, front or back"),
+        (lambda: Coating(R=0.1, first="front"), "coating: first has no meaning beside R, which has no layers"),
+        (lambda: Coating(table="x.csv", n_shift=(0.1,)), "n_shift has no meaning beside table"),
+        (lambda: Coating(R=0.1, design_nm=600.0), "design_nm has no meaning beside R"),
+        (lambda: Coating(R=0.1, name="a.b"), "must not be empty, hold a dot"),
         (lambda: Structure("s", 1.0, 0.0, -1.0, 1.0), "radii must be ≥ 0"),
         (lambda: Structure("s", 1.0, 0.0, 1.0, 0.0), "no area"),
         (lambda: Structure("s", 0.0, 0.0, 0.0, 1.0), "no area"),
@@ -83,6 +94,32 @@ def test_bad_names(name):
 )  # fmt: skip
 def test_bad_parts(build, wanted):
     assert wanted in message(build)
+
+
+def test_which_coatings_have_layers():
+    assert not Coating(R=0.1).layered
+    assert not Coating(table="a.csv").layered
+    assert Coating(table="COATING.DAT:AR").layered
+    assert Coating(preset="bbar3").layered
+    assert Coating(layers="1.38 10").layered
+
+
+def test_which_coatings_are_opaque():
+    assert Coating(R=0.1).opaque
+    assert not Coating(R=0.1, T=0.1).opaque
+    assert Coating(preset="protected_al").opaque
+    assert not any(Coating(**kind).opaque for kind in ({"preset": "bbar3"}, {"layers": "1.4 10"}, {"table": "a.csv"}))
+
+
+def test_named_coatings_are_one():
+    ar, other = Coating(preset="bbar3", name="ar"), Coating(preset="bbar4", name="ar")
+    front, rear = lens()
+    both = system(replace(front, coating=ar), replace(rear, coating=ar))
+    assert both.shared_coatings() == {"ar": ar}
+    text = message(system, replace(front, coating=ar), replace(rear, coating=other))
+    assert "two different coatings are called 'ar', that of 'L1_rear' is one; give each its own name" in text
+    text = message(system, replace(front, coating=replace(ar, name="L1_rear")), rear)
+    assert "a shape and a coating are called 'L1_rear'; rename one" in text
 
 
 def test_duplicate_names():

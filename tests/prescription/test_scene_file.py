@@ -47,6 +47,23 @@ def everything():
             ),
             Surface("coated", z=2.0, semi_diameter=1.0, front="N-BK7", back="1.7", coating=Coating(table="ar.csv")),
             Surface("bare", z=3.0, semi_diameter=1.0, front="1.7"),
+            Surface(
+                "layered",
+                z=3.5,
+                semi_diameter=1.0,
+                coating=Coating(
+                    layers="1.38 99.6, 2.1 0.5w",
+                    first="back",
+                    design_nm=1 / 3e-3,
+                    n_shift=(0.1, 0.0),
+                    k_shift=(0.0, 1e-3),
+                ),
+            ),
+            Surface("preset", z=3.7, semi_diameter=1.0, coating=Coating(preset="bbar3")),
+            Surface("shared_1", z=4.0, semi_diameter=1.0, back="1.5", coating=Coating(preset="v_coat", name="ar")),
+            Surface("shared_2", z=4.5, semi_diameter=1.0, front="1.5", coating=Coating(preset="v_coat", name="ar")),
+            Surface("zemax", z=4.8, semi_diameter=1.0, coating=Coating(table="COATING.DAT:AR")),
+            Surface("split", z=5.0, semi_diameter=1.0, coating=Coating(R=0.1, T=0.8, name="split_coating")),
         ),
         structures=(Structure("edge", 1.0, 2.0, 1.0, 3.0, front="1.7", y=0.5, tilt_deg=(90.0, 0.0, 0.0), space=0),),
         stop=Stop(0.5, -0.2, -0.1, 1.5, 1.6, coating=Coating(R=0.07)),
@@ -70,6 +87,8 @@ def everything():
 
 def from_xml(element):
     """The dictionary form of an XML element, with to_world as a (4, 4) array."""
+    if element.tag == "ref":
+        return {"type": "ref", "id": element.get("id")}
     result = {"type": element.get("type")}
     for child in element:
         if child.tag in READ:
@@ -127,6 +146,16 @@ def test_dictionary_and_xml_hold_the_same(everything):
     }  # fmt: skip
     assert written["detector"]["sensor"]["film"]["width"] == 40
     assert written["fold"]["bsdf"] == {"type": "interface", "R": 1.0, "mirror": True}
+    assert written["layered"]["bsdf"]["bsdf"] == {
+        "type": "thinfilm", "layers": "1.38 99.6, 2.1 0.5w", "first": "back", "design_nm": 1 / 3e-3,
+        "n_shift": "0.1, 0.0", "k_shift": "0.0, 0.001",
+    }  # fmt: skip
+    assert written["preset"]["bsdf"]["bsdf"] == {"type": "thinfilm", "preset": "bbar3"}
+    assert written["ar"] == {"type": "thinfilm", "preset": "v_coat"}
+    assert written["split_coating"] == {"type": "thinfilm", "R": 0.1, "T": 0.8}
+    for name in ("shared_1", "shared_2"):
+        assert written[name]["bsdf"]["ref"] == {"type": "ref", "id": "ar"}
+    assert written["zemax"]["bsdf"]["bsdf"] == {"type": "thinfilm", "table": "COATING.DAT:AR"}
     assert written["source"]["wavelength_nm"] == "486.1, 587.6"
     assert [key for key in written if key.startswith("stop")] == ["stop_front", "stop_wall", "stop_rear"]
 
@@ -161,3 +190,31 @@ def test_bad_targets(everything, tmp_path):
     with pytest.raises(MistrayError, match="nan cannot be written"):
         infinite.to_xml(tmp_path / "scene.xml")
     assert not list(tmp_path.iterdir())
+
+
+def test_both_forms_load_to_the_same_coatings(tmp_path):
+    """Dictionary and file give the same coatings; a named one is one object with one key."""
+    import mitsuba as mi
+
+    import mistray
+
+    ar = Coating(layers="1.38 99.6, 2.1 0.5w", design_nm=500.0, n_shift=(0.01, 0.0), name="ar")
+    system = Prescription(
+        name="coated",
+        surfaces=(
+            Surface("front", semi_diameter=2.0, back="1.5", coating=ar),
+            Surface("rear", z=1.0, semi_diameter=2.0, front="1.5", coating=ar),
+            Surface("mirror", z=3.0, semi_diameter=2.0, coating=Coating(preset="protected_al"), mirror=True),
+        ),
+        detector=Detector(z=5.0, half_width=2.0, half_height=2.0),
+        source=Source(radius=1.0),
+    )
+    system.to_xml(tmp_path / "scene.xml")
+    scenes = [system.to_scene(), mistray.load(tmp_path / "scene.xml")]
+    coatings = [[shape.bsdf().coating for shape in scene.shapes()] for scene in scenes]
+    assert coatings[0] == coatings[1]
+    assert coatings[0][0] is coatings[0][1]
+    assert coatings[0][0].indices(500.0) == pytest.approx((1.39, 2.1), rel=1e-7)
+    for scene in scenes:
+        keys = [key for key in mi.traverse(scene).keys() if key.endswith("thickness_nm")]  # noqa: SIM118
+        assert keys == ["ar.thickness_nm", "mirror.bsdf.coating.thickness_nm"]

@@ -231,6 +231,14 @@ def test_exposure_over_the_direct_image_leaves_the_ghosts_dark(report):
     assert "direct image on axis" in pictures.caption(0.0)
 
 
+def test_a_lens_without_ghosts_has_nothing_to_expose_for():
+    light = [FakePath("a:T", "direct", 1.0, 10, *DIRECT, 0.1, wavelength=wavelength) for wavelength in SHARES]
+    t = SmoothTrace(light, shares=SHARES)
+    pictures = ColourPictures(GhostReport(lens_scene(), {0.0: t}, t, {}))
+    assert (pictures.all_light[0.0].rgb == 0).all()
+    assert "the brightest ghost is dark" in pictures.caption(0.0)
+
+
 def test_light_without_blue_is_yellow_and_that_of_the_source_grey(report):
     rgb = ColourPictures(report, Look(stops=-1.0)).stray[20.0].rgb
     assert np.ptp(at(rgb, GREY)) < 1e-9

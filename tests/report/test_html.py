@@ -6,7 +6,7 @@ from html.parser import HTMLParser
 
 import pytest
 from report.fake_scene import lens_scene
-from report.fake_trace import FakeTrace, trace_at, trace_in_colours
+from report.fake_trace import SHARES, FakeTrace, trace_at, trace_in_colours
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
@@ -154,10 +154,11 @@ def test_write_all_writes_every_file(report, tmp_path):
     assert [entry.name for entry in tmp_path.iterdir()] == ["out"]
 
 
-def test_write_all_of_a_detector_in_the_dark(tmp_path):
-    dark = FakeTrace([])
+@pytest.mark.parametrize("shares", [None, SHARES])
+def test_write_all_of_a_detector_in_the_dark(tmp_path, shares):
+    dark = FakeTrace([], shares=shares)
     report = GhostReport(lens_scene(), {0.0: dark}, dark, {})
-    write_all(report, tmp_path / "out")
+    write_all(report, tmp_path / "out", per_wavelength=True, look=Look() if shares else None)
     text = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
     assert "No stray path reaches the detector." in text
     assert "no direct light reaches the detector on axis" in text

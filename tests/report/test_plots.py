@@ -195,3 +195,21 @@ def test_layout_says_which_path_is_too_rare(report, monkeypatch):
 def test_layout_out_of_field_draws_stray_paths_only(drawable):
     labels = layout(drawable, 20.0, ghosts=1).axes[0].get_legend_handles_labels()[1]
     assert labels == ["detector → L1_rear (ghost)"]
+
+
+def test_layout_draws_the_paths_asked_for(drawable):
+    table = drawable.table(10.0)
+    direct, window = (
+        table.path_id[table.kind == "direct"].iloc[0],
+        table.path_id[table.ghost_2 == "window_rear"].iloc[0],
+    )
+    axes = layout(drawable, 10.0, path_ids=[direct, window]).axes[0]
+    handles, labels = axes.get_legend_handles_labels()
+    assert labels == [f"path {direct}: direct image", f"path {window}: detector → window_rear"]
+    assert handles[0].get_color() != handles[1].get_color()
+    with pytest.raises(MistrayError, match="path 99 is not in the table of field 10 deg"):
+        layout(drawable, 10.0, path_ids=[99])
+
+
+def test_layout_without_ghosts_draws_the_direct_image(drawable):
+    assert layout(drawable, 10.0, ghosts=0).axes[0].get_legend_handles_labels()[1] == ["direct image"]

@@ -1,0 +1,223 @@
+"""What an optimisation of coatings leaves behind: scene, tables, pictures, and the text that is printed."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from matplotlib.figure import Figure
+from matplotlib.lines import Line2D
+
+from mistray.analysis.estimate import Estimate
+from mistray.coatings import spectrum
+from mistray.coatings.stack import outside_first
+from mistray.errors import MistrayError
+from mistray.materials import complex_index
+from mistray.optimize import Comparison, Optimization, Step
+from mistray.optimize.designs import Placed
+from mistray.report.output import writable_directory
+from mistray.report.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, as_png
+from mistray.report.tables import text_table, with_error
+from mistray.scene.recoat import write_recoated
+
+COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
+ANGLES_DEG = (0.0, 30.0)
+POINTS = 121  # of a curve over wavelength
+MARGIN = 0.15  # of the band, drawn on either side of it
+
+
+def comparison_table(comparison: Comparison) -> str:
+    """Before and after: the whole, each field and each wavelength."""
+    rows = []
+    for row in comparison.marginals():
+        what = "all"
+        if row.field_deg is not None:
+            what = f"field {row.field_deg:g}°"
+        elif row.wavelength_nm is not None:
+            what = f"{row.wavelength_nm:g} nm"
+        numbers = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
+        rows.append([what, *(with_error(Estimate(*pair)) for pair in numbers)])
+    return text_table([("", ""), ("before", ""), ("after", ""), ("before / after", "")], rows, left=(0,))
+
+
+def design_table(result: Optimization) -> str:
+    """The layers of every coating before and after."""
+    rows = []
+    for item in result.placed:
+        before = result.designs[0].thickness_nm[item.group.name]
+        after = result.best.thickness_nm[item.group.name]
+        for k, (layer, (low, high)) in enumerate(zip(item.group.start.layers, item.group.bounds_nm, strict=True)):
+            at_bound = "at its bound" if min(after[k] - low, high - after[k]) < 1e-6 * high else ""
+            name = item.group.name if k == 0 else ""
+            rows.append([name, str(k + 1), layer.material, f"{before[k]:.2f}", f"{after[k]:.2f}", at_bound])
+    heads = [("coating", ""), ("layer", ""), ("material", ""), ("before", "nm"), ("after", "nm"), ("", "")]
+    return text_table(heads, rows, left=(0, 2, 5))
+
+
+def report_text(result: Optimization) -> str:
+    """What `mistray optimize` prints at the end."""
+    metric = result.study.metric
+    lines = [
+        f"{metric.kind} of the paths '{metric.paths}', {len(result.comparison.seeds)} seeds not used in the search"
+    ]
+    lines += [comparison_table(result.comparison), ""]
+    for item in result.placed:
+        lines.append(f"coating '{item.group.name}' on {', '.join(item.surfaces)}; first layer {item.group.start.first}")
+    lines += [design_table(result), ""]
+    best = result.best_step
+    lines.append(
+        f"best design: from start {best.start + 1} of {len(result.designs)} ({result.best.name}), step {best.step}"
+    )
+    for number, reason in sorted(result.ended.items()):
+        lines.append(f"search from start {number + 1}: {reason}")
+    lines.append(
+        f"{result.steps[-1].evaluations} gradients, {result.search_seconds:.1f} s; verification "
+        f"{result.verification_seconds:.1f} s"
+    )
+    lines += [f"not in the gradient: {text}" for text in result.left_out]
+    return "\n".join(lines)
+
+
+def convergence_figure(result: Optimization) -> Figure:
+    """Metric and gradient norm against the number of gradients computed, one line for each start."""
+    figure = Figure(figsize=(10.4, 4.0), dpi=110, layout="constrained")
+    left, right = figure.subplots(1, 2)
+    for number, design in enumerate(result.designs):
+        steps = [step for step in result.steps if step.start == number]
+        x = [step.evaluations for step in steps]
+        style = {"color": COLOURS[number % len(COLOURS)], "marker": "o", "ms": 3.5, "lw": 1.1}
+        left.errorbar(x, [s.value for s in steps], [s.value_se for s in steps], label=design.name, capsize=2, **style)
+        right.plot(x, [s.gradient_norm for s in steps], **style)
+    unit = {"path_power": "share of the launched power", "ghost_to_signal": "share of the direct image"}
+    left.set_ylabel(f"{result.study.metric.paths}: {unit[result.study.metric.kind]}")
+    left.legend(fontsize=8, frameon=False)
+    right.set_ylabel("|d log(metric) / d thickness| [1/nm]")
+    for axes in (left, right):
+        axes.set_yscale("log")
+        axes.set_xlabel("gradients computed")
+        axes.grid(True, which="major", color="#dddddd", lw=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+    figure.supxlabel("error bars: one standard error; all points trace the same rays", fontsize=7.5, color="#555555")
+    return figure
+
+
+def reflectance_figure(result: Optimization) -> Figure:
+    """R(λ) of every coating before and after, at 0° and 30° in the rarer material, one row for each glass."""
+    panels = [(item, glass) for item in result.placed for glass in _glasses(item)]
+    columns = min(2, len(panels))
+    rows = -(-len(panels) // columns)
+    figure = Figure(figsize=(5.4 * columns, 0.6 + 3.2 * rows), dpi=110, layout="constrained")
+    grid = figure.subplots(rows, columns, squeeze=False)
+    wavelengths = _drawn_wavelengths(result)
+    for axes, (item, (front, back)) in zip(grid.flat, panels, strict=False):
+        from_front = outside_first(complex_index(front, wavelengths[0]), complex_index(back, wavelengths[0]))
+        for name, thickness, style in (("before", result.designs[0], "--"), ("after", result.best, "-")):
+            stack = item.stack(thickness.thickness_nm[item.group.name])
+            values = spectrum(stack, wavelengths, ANGLES_DEG, front, back, from_front).mean()
+            for k, colour in enumerate(COLOURS[: len(ANGLES_DEG)]):
+                axes.plot(wavelengths, 100 * values[:, k], style, color=colour, lw=1.4 if name == "after" else 1.0)
+        axes.axvspan(result.band_nm[0], result.band_nm[-1], color="#f0f0f0", zorder=0)
+        sides = (front, back) if from_front else (back, front)
+        axes.set_title(f"{item.group.name}, {' | '.join(sides)}", fontsize=10)
+        axes.set_xlim(wavelengths[0], wavelengths[-1])
+        axes.set_ylim(bottom=0)
+        axes.set_xlabel("wavelength [nm]")
+        axes.set_ylabel("reflectance [%]")
+        axes.grid(True, color="#dddddd", lw=0.6)
+        axes.spines[["top", "right"]].set_visible(False)
+    for axes in grid.flat[len(panels) :]:
+        axes.set_axis_off()
+    handles = [Line2D([], [], color=COLOURS[k], label=f"{angle:g}°") for k, angle in enumerate(ANGLES_DEG)]
+    handles += [Line2D([], [], color=BLACK, ls=ls, label=name) for ls, name in (("--", "before"), ("-", "after"))]
+    grid.flat[0].legend(handles=handles, fontsize=8, frameon=False)
+    figure.supxlabel("mean of s and p; grey: wavelengths of the study", fontsize=7.5, color="#555555")
+    return figure
+
+
+def write_optimization(result: Optimization, directory: str | Path) -> list[Path]:
+    """
+    Write scene.xml, table.csv, history.csv, convergence.png and reflectance.png, each one whole or not at all.
+
+    Parameters
+    ----------
+    result : Optimization
+    directory : str or Path
+        Made if it is missing.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    target = writable_directory(directory)
+    target.mkdir(parents=True, exist_ok=True)
+    note = f"thicknesses of the study {Path(result.study.name).name} on {result.source.name}"
+    files = [write_recoated(result.source, result.coatings, target / "scene.xml", note)]
+    files.append(_write(target / "table.csv", _csv(_table_rows(result.comparison))))
+    files.append(_write(target / "history.csv", _csv(_history_rows(result.steps, result))))
+    files.append(_write(target / "convergence.png", as_png(convergence_figure(result))))
+    files.append(_write(target / "reflectance.png", as_png(reflectance_figure(result))))
+    return files
+
+
+def _glasses(item: Placed) -> list[tuple[str, str]]:
+    """Materials on both sides; a pair and its reverse look the same from outside if the first layer is outside."""
+    if item.group.start.first != "outside":
+        return list(item.glasses)
+    return list({frozenset(pair): pair for pair in reversed(item.glasses)}.values())[::-1]
+
+
+def _drawn_wavelengths(result: Optimization) -> np.ndarray:
+    """The band and a little beyond, as far as all materials are known."""
+    materials = {name for item in result.placed for pair in item.glasses for name in pair}
+    materials |= {layer.material for item in result.placed for layer in item.group.start.layers}
+    ends = []
+    for edge, beyond in ((result.band_nm[0], 1 - MARGIN), (result.band_nm[-1], 1 + MARGIN)):
+        try:
+            for material in materials:
+                complex_index(material, edge * beyond)
+            ends.append(edge * beyond)
+        except MistrayError:  # no data there
+            ends.append(edge)
+    return np.linspace(*ends, POINTS)
+
+
+def _table_rows(comparison: Comparison) -> list[list[object]]:
+    head = "field_deg wavelength_nm before before_se after after_se ratio ratio_se".split()
+    rows = [
+        ["all" if row.field_deg is None else row.field_deg, "all" if row.wavelength_nm is None else row.wavelength_nm]
+        + [row.before, row.before_se, row.after, row.after_se, row.ratio, row.ratio_se]
+        for row in comparison.rows
+    ]
+    return [head, *rows]
+
+
+def _history_rows(steps: Sequence[Step], result: Optimization) -> list[list[object]]:
+    fields = "start step evaluations value value_se gradient_norm seconds".split()
+    names = [f"{item.group.name}_{k}_nm" for item in result.placed for k in range(1, len(item.group.start.layers) + 1)]
+    rows = [
+        [getattr(step, key) for key in fields]
+        + [d for item in result.placed for d in step.thickness_nm[item.group.name]]
+        for step in steps
+    ]
+    return [[*fields, *names], *rows]
+
+
+def _csv(rows: list[list[object]]) -> bytes:
+    text = io.StringIO()
+    csv.writer(text, lineterminator="\n").writerows(rows)
+    return text.getvalue().encode()
+
+
+def _write(path: Path, content: bytes) -> Path:
+    draft = path.with_name(path.name + ".part")
+    try:
+        draft.write_bytes(content)
+        os.replace(draft, path)
+    except OSError as error:
+        raise MistrayError(f"file '{path}': {error.strerror}; check the folder and its permissions") from None
+    return path

@@ -1,0 +1,456 @@
+"""Stacks against tables, against `tmm` and against closed forms, in NumPy and in Dr.Jit at both precisions.
+
+All of it is computed in float64 whatever the precision of the arrays, so float32 results differ from float64 ones by
+the rounding of arguments and result only. What rounded arguments do to R and T is bounded in
+`test_float32_differs_by_the_rounding_of_its_arguments`.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pandas as pd
+import pytest
+from oracles.stacks import Stack, by_tmm, random_stack
+
+import mistray
+from mistray.physics import thinfilm
+from mistray.physics.thinfilm import amplitudes, reflectance_transmittance
+
+DATA = Path(__file__).parents[1] / "data"
+GLASS = 1.5168
+# Vectors: 1e-12 where the computation is float64 throughout; 2e-6 with float32 arguments.
+EXACT, SINGLE = 1e-12, 2e-6
+TO_TMM = 1e-5
+
+
+@dataclass(frozen=True)
+class Library:
+    """Makes the arrays of one library, and NumPy arrays from them."""
+
+    name: str
+    tolerance: float
+
+    def __str__(self) -> str:
+        return self.name
+
+    def real(self, x: Any) -> Any:
+        x = np.asarray(x, dtype=float)
+        if self.name == "numpy":
+            return x
+        return (mi.Float if self.name == "float32" else mi.Float64)(x.ravel())
+
+    def index(self, n: Any) -> Any:
+        """Real arrays for real indices, complex ones for the others."""
+        n = np.asarray(n)
+        if not np.any(n.imag):
+            return self.real(n.real)
+        if self.name == "numpy":
+            return n
+        kind = mi.Complex2f if self.name == "float32" else mi.Complex2f64
+        return kind(self.real(n.real), self.real(n.imag))
+
+    def back(self, x: Any) -> np.ndarray:
+        if self.name == "numpy":
+            return np.atleast_1d(x)
+        parts = [np.array(part, dtype=float) for part in ((dr.real(x), dr.imag(x)) if dr.is_complex_v(x) else (x,))]
+        return parts[0] if len(parts) == 1 else parts[0] + 1j * parts[1]
+
+    def solve(self, stack: Stack, wavelength_nm: Any, cosine: Any) -> np.ndarray:
+        """R, T, r, t for s and p: (4, 2, m) complex128."""
+        arguments = (
+            self.index(stack.n_incident),
+            [self.index(n) for n in stack.n_layers],
+            [self.real(d) for d in stack.d_nm],
+            self.index(stack.n_substrate),
+            self.real(wavelength_nm),
+            self.real(cosine),
+        )
+        results = (*reflectance_transmittance(*arguments), *amplitudes(*arguments))
+        if self.name != "numpy":
+            dr.eval(results)  # in one kernel
+        m = np.broadcast(wavelength_nm, cosine).size
+        return np.array([[np.broadcast_to(self.back(x), m) for x in pair] for pair in results])
+
+
+NUMPY, DOUBLE, FLOAT = Library("numpy", EXACT), Library("float64", EXACT), Library("float32", SINGLE)
+LIBRARIES = [NUMPY, DOUBLE, FLOAT]
+each_library = pytest.mark.parametrize("library", LIBRARIES, ids=str)
+
+
+def table(name: str) -> pd.DataFrame:
+    return pd.read_csv(DATA / name, comment="#")
+
+
+def designs() -> dict[str, Stack]:
+    found = {"bare": Stack(1.0, (), (), GLASS), "Al_bare": Stack(1.0, (), (), 0.958 + 6.69j)}
+    for name, rows in table("thinfilm_designs.csv").groupby("design"):
+        rows = rows.sort_values("layer_index_from_air")
+        substrate = complex(rows.substrate_n.iloc[0], rows.substrate_k.iloc[0])
+        found[str(name)] = Stack(1.0, tuple(rows.n + 1j * rows.k), tuple(rows.thickness_nm), substrate)
+    return found
+
+
+INTERNAL = {
+    "glass_to_air": Stack(GLASS, (), (), 1.0),
+    "glass_MgF2_air": Stack(GLASS, (1.38,), (550 / 4 / 1.38,), 1.0),
+    "FTIR_gap100nm": Stack(GLASS, (1.0,), (100.0,), GLASS),
+    "FTIR_gap1000nm": Stack(GLASS, (1.0,), (1000.0,), GLASS),
+}
+
+
+def cosines(degrees: Any) -> np.ndarray:
+    return np.cos(np.radians(np.asarray(degrees, dtype=float)))
+
+
+def of_polarisation(values: np.ndarray, pol: pd.Series) -> np.ndarray:
+    """(4, 2, m) → (4, m), the polarisation of each row."""
+    return values[:, (pol == "p").astype(int), np.arange(len(pol))]
+
+
+class TestVectors:
+    @each_library
+    @pytest.mark.parametrize("design", sorted(designs()))
+    def test_designs(self, design, library):
+        rows = table("thinfilm.csv").query("design == @design")
+        assert len(rows) == 56
+        found = of_polarisation(library.solve(designs()[design], rows.lambda_nm, cosines(rows.aoi_deg)), rows.pol)
+        for values, expected in zip(
+            (*found, 1 - found[0] - found[1]),
+            (rows["R"], rows["T"], rows.r_re + 1j * rows.r_im, rows.t_re + 1j * rows.t_im, rows["A"]),
+            strict=True,
+        ):
+            np.testing.assert_allclose(values, expected, rtol=0, atol=library.tolerance)
+
+    @each_library
+    @pytest.mark.parametrize("case", sorted(INTERNAL))
+    def test_internal(self, case, library):
+        """From inside glass, total reflection and its frustration included, with phases."""
+        rows = table("thinfilm_internal.csv").query("case == @case")
+        assert len(rows) == 14
+        R, T, r, _ = of_polarisation(library.solve(INTERNAL[case], 550.0, cosines(rows.aoi_deg_in_glass)), rows.pol)
+        expected = rows.r_re + 1j * rows.r_im
+        np.testing.assert_allclose(R, rows["R"], rtol=0, atol=library.tolerance)
+        np.testing.assert_allclose(T, rows["T"], rtol=0, atol=library.tolerance)
+        np.testing.assert_allclose(r, expected, rtol=0, atol=library.tolerance)
+        turn = np.exp(1j * np.radians(rows.phase_deg))
+        np.testing.assert_allclose(np.angle(r / turn), 0, atol=(library.tolerance / abs(expected)).max())
+
+    @each_library
+    def test_fresnel(self, library):
+        rows = table("fresnel.csv")
+        assert len(rows) == 35
+        for (n1, n2), group in rows.groupby(["n1", "n2"]):
+            R, *_ = library.solve(Stack(n1, (), (), n2), 550.0, cosines(group.aoi)).real
+            for values, expected in ((R[0], group.Rs), (R[1], group.Rp), (R.mean(axis=0), group.Runpol)):
+                np.testing.assert_allclose(values, expected, rtol=0, atol=library.tolerance)
+
+
+LAYERS = 40
+ANGLES = 7
+
+
+@functools.lru_cache
+def random_cases() -> tuple[list[tuple[Stack, float, np.ndarray]], np.ndarray]:
+    """200 stacks of 1-40 layers, each with a wavelength and 7 angles of 0-89.9°, and their (200, 4, 2, 7) by `tmm`."""
+    rng = np.random.default_rng(20)
+    cases, expected = [], []
+    for i in range(200):
+        stack, wavelength = random_stack(rng, 1 + i % LAYERS), rng.uniform(300.0, 1100.0)
+        angle = np.concatenate([[0.0, 89.9], rng.uniform(0, 89.9, ANGLES - 2)])
+        cases.append((stack, wavelength, cosines(angle)))
+        expected.append(np.stack([by_tmm(stack, wavelength, c) for c in cosines(angle)], axis=-1))
+    return cases, np.array(expected)
+
+
+def side_by_side() -> tuple[Stack, np.ndarray, np.ndarray]:
+    """All 200 cases as arrays, one lane for each stack and angle; missing layers have no thickness."""
+    cases, _ = random_cases()
+    n, d = np.ones((LAYERS, len(cases)), complex), np.zeros((LAYERS, len(cases)))
+    for i, (stack, _, _) in enumerate(cases):
+        n[: len(stack.d_nm), i], d[: len(stack.d_nm), i] = stack.n_layers, stack.d_nm
+
+    def lanes(x: Any) -> np.ndarray:
+        return np.repeat(x, ANGLES)
+
+    outer = [lanes([getattr(stack, side) for stack, _, _ in cases]) for side in ("n_incident", "n_substrate")]
+    every = Stack(outer[0], tuple(map(lanes, n)), tuple(map(lanes, d)), outer[1])
+    return every, lanes([wavelength for _, wavelength, _ in cases]), np.concatenate([cosine for _, _, cosine in cases])
+
+
+def solve_side_by_side(library: Library) -> np.ndarray:
+    """(200, 4, 2, 7)."""
+    return np.moveaxis(library.solve(*side_by_side()).reshape(4, 2, -1, ANGLES), 2, 0)
+
+
+class TestRandomStacks:
+    def test_numpy(self):
+        cases, expected = random_cases()
+        for case, reference in zip(cases, expected, strict=True):
+            np.testing.assert_allclose(NUMPY.solve(*case), reference, rtol=0, atol=TO_TMM)
+
+    def test_drjit_float64(self):
+        np.testing.assert_allclose(solve_side_by_side(DOUBLE), random_cases()[1], rtol=0, atol=TO_TMM)
+
+    def test_drjit_float32(self):
+        """R and T; rounded thicknesses turn the phases of r and t by more, see the last test of this class."""
+        found, expected = solve_side_by_side(FLOAT)[:, :2], random_cases()[1][:, :2]
+        np.testing.assert_allclose(found, expected, rtol=0, atol=TO_TMM)
+        assert abs(found - expected).mean() < 2e-7
+
+    def test_absorption_is_never_negative(self):
+        """But for the last digits of R and T."""
+        for library, rounding in ((DOUBLE, 1e-13), (FLOAT, 2**-23)):
+            R, T = np.moveaxis(solve_side_by_side(library).real, 1, 0)[:2]
+            assert (1 - R - T).min() >= -rounding
+            assert min(R.min(), T.min()) >= 0
+
+    def test_float32_is_the_rounded_float64_result(self):
+        """Float32 arguments, taken as they are, give the same as in float64 to half a unit of the last digit."""
+        stack, wavelength, cosine = side_by_side()
+
+        def rounded(x: Any) -> np.ndarray:
+            x = np.asarray(x)
+            return x.astype(np.complex64 if x.dtype.kind == "c" else np.float32).astype(x.dtype)
+
+        n, d = tuple(map(rounded, stack.n_layers)), tuple(map(rounded, stack.d_nm))
+        same = Stack(rounded(stack.n_incident), n, d, rounded(stack.n_substrate)), rounded(wavelength), rounded(cosine)
+        np.testing.assert_allclose(
+            FLOAT.solve(*same)[:2], NUMPY.solve(*same)[:2], rtol=2**-24 * (1 + 1e-6), atol=2**-149
+        )
+
+    def test_float32_differs_by_the_rounding_of_its_arguments(self):
+        """
+        A bound for every stack from its own derivatives.
+
+        Rounding moves an argument x by at most 2⁻²⁴ |x|: thickness, wavelength, index and cosine, which together make
+        the phases 2πqd/λ. To first order R, T, r or t moves by at most 2⁻²⁴ Σ |x ∂R/∂x|, and its own rounding adds
+        2⁻²⁴ of its size. The derivatives are central differences in float64; 1e-9 covers their error and second order.
+        """
+        stack, wavelength, cosine = side_by_side()
+        lanes = slice(2, None, ANGLES)  # one random angle for each stack
+        outer = [stack.n_incident.real, stack.n_substrate.real, stack.n_substrate.imag, wavelength, cosine]
+        n, d = np.array(stack.n_layers)[:, lanes], np.array(stack.d_nm)[:, lanes]
+        values = np.concatenate([n.real, n.imag, d, [x[lanes] for x in outer]])
+
+        def solve(v: np.ndarray) -> np.ndarray:
+            n, d = v[:LAYERS] + 1j * v[LAYERS : 2 * LAYERS], v[2 * LAYERS : 3 * LAYERS]
+            n_incident, n_substrate, k_substrate, wavelength_nm, cosine = v[3 * LAYERS :]
+            arguments = n_incident, n, d, n_substrate + 1j * k_substrate, wavelength_nm, cosine
+            return np.array([*reflectance_transmittance(*arguments), *amplitudes(*arguments)])
+
+        exact = solve(values)
+        bound = 2**-24 * abs(exact) + 1e-9
+        for j in range(len(values)):
+            moved = np.array([values, values])
+            moved[:, j] *= [[1 + 1e-5], [1 - 1e-5]]
+            bound += 2**-24 * abs(np.subtract(*map(solve, moved))) / 2e-5
+        error = abs(FLOAT.solve(*side_by_side())[..., lanes] - exact)
+        assert np.all(error <= bound), f"float32 error {(error / bound).max():.2f} of its bound"
+        assert np.median(error) > 0.01 * np.median(bound), "the bound is far above what it bounds"
+
+
+class TestEnergy:
+    @each_library
+    def test_lossless_stacks_lose_nothing(self, library):
+        cases, _ = random_cases()
+        for stack, wavelength, cosine in cases[:: 8 if library is NUMPY else 40]:
+            lossless = Stack(stack.n_incident, tuple(np.real(stack.n_layers)), stack.d_nm, 1.45)
+            R, T, *_ = library.solve(lossless, wavelength, cosine).real
+            np.testing.assert_allclose(R + T, 1, rtol=0, atol=1e-6)
+
+    def test_complex_indices_without_absorption_are_real_ones(self):
+        stack = designs()["HR_(HL)^7H"]
+        cosine = np.linspace(0, 1, 101)
+        real = DOUBLE.solve(stack, 500.0, cosine)[:2]
+        n = [mi.Complex2f64(x.real, 0) for x in stack.n_layers]
+        d = [mi.Float64(x) for x in stack.d_nm]
+        found = reflectance_transmittance(1.0, n, d, GLASS, 500.0, mi.Float64(cosine))
+        np.testing.assert_allclose(np.array(found), real, rtol=0, atol=EXACT)
+
+    @pytest.mark.parametrize("n_incident", [1.5 + 1e-7j, 1.5 + 0.01j, 0.9 + 3j])
+    def test_absorbing_incident_medium(self, n_incident):
+        """As `tmm` has it, with a real tangential index; T stays ≥ 0 beyond the critical angle."""
+        stack = Stack(n_incident, (1.38, 2.1 + 0.1j), (80.0, 60.0), 1.0)
+        cosine = cosines([0, 30, 45, 60, 85])
+        found = NUMPY.solve(stack, 550.0, cosine)
+        expected = np.stack([by_tmm(stack, 550.0, c) for c in cosine], axis=-1)
+        np.testing.assert_allclose(found, expected, rtol=1e-10, atol=1e-12)
+        assert found[1].real.min() >= 0
+
+    @pytest.mark.parametrize("seed", range(20))
+    def test_reciprocity(self, seed):
+        """Between lossless media T is the same along a path from either side, whatever the stack absorbs."""
+        rng = np.random.default_rng(seed)
+        stack = random_stack(rng, 1 + 2 * seed)
+        stack = Stack(stack.n_incident, stack.n_layers, stack.d_nm, 1.7)
+        from_back = np.linspace(0.85, 1, 20)
+        sine = 1.7 / stack.n_incident * np.sqrt(1 - from_back**2)
+        from_back, from_front = from_back[sine < 1], np.sqrt(1 - sine[sine < 1] ** 2)
+        forth = NUMPY.solve(stack, 550.0, from_front)
+        back = NUMPY.solve(stack.reversed(), 550.0, from_back)
+        np.testing.assert_allclose(forth[1], back[1], rtol=1e-11)
+        if max(np.imag(stack.n_layers)) > 0.01:
+            assert abs(forth[0] - back[0]).max() > 1e-6  # R differs, so the test can tell the sides apart
+
+
+class TestLimits:
+    @each_library
+    def test_total_reflection(self, library):
+        """|r| = 1 and the phases of Born and Wolf, 7th ed., section 1.5.4."""
+        cosine = cosines(np.linspace(41.5, 89.9, 50))
+        R, T, r, _ = library.solve(Stack(GLASS, (), (), 1.0), 550.0, cosine)
+        np.testing.assert_allclose(R, 1, rtol=0, atol=library.tolerance)
+        assert np.all(T == 0)
+        decay = np.sqrt(GLASS**2 * (1 - cosine**2) - 1)
+        s, p = -2 * np.arctan(decay / (GLASS * cosine)), -2 * np.arctan(GLASS * decay / cosine)
+        slack = 100 * library.tolerance  # the phase is steep at the critical angle
+        np.testing.assert_allclose(np.angle(r / np.exp(1j * np.array([s, p]))), 0, atol=slack)
+
+    def test_total_reflection_survives_lossless_layers(self):
+        stack = Stack(GLASS, (1.38, 2.1, 1.2), (90.0, 50.0, 200.0), 1.0)
+        R, T, *_ = NUMPY.solve(stack, 550.0, cosines(np.linspace(42, 89.9, 200)))
+        np.testing.assert_allclose(R, 1, rtol=0, atol=EXACT)
+        assert np.all(T == 0)
+
+    @each_library
+    def test_frustrated_total_reflection(self, library):
+        """Airy's formula for a gap with the internal reflection coefficient, for a real exponent."""
+        cosine, gap, wavelength = cosines(55.0), np.array([1.0, 30.0, 200.0, 1000.0]), 550.0
+        decay = np.sqrt(GLASS**2 * (1 - cosine**2) - 1)
+        through = np.exp(-2 * math.pi * decay * gap / wavelength)
+        for i, ratio in enumerate((GLASS * cosine / (1j * decay), cosine / GLASS / (1j * decay))):
+            r = (ratio - 1) / (ratio + 1)
+            T = abs((1 - r**2) * through / (1 - r**2 * through**2)) ** 2
+            for one_gap, expected in zip(gap, T, strict=True):
+                found = library.solve(Stack(GLASS, (1.0,), (one_gap,), GLASS), wavelength, cosine)
+                np.testing.assert_allclose(found[1, i], expected, rtol=library.tolerance * 10)
+
+    @pytest.mark.parametrize("n", [1.2, 1.2 + 1e-12j])
+    def test_critical_angle_of_a_layer(self, n):
+        """q = 0 in the layer: its matrix is 1 for E, linear for H, and R, T pass smoothly through it."""
+        stack, cosine = Stack(1.5, (n, 1.38), (300.0, 80.0), 1.6), 0.6
+        shift = np.concatenate([[0.0], 10.0 ** np.arange(-18, -5), -(10.0 ** np.arange(-18, -5))])
+        values = NUMPY.solve(stack, 550.0, cosine + shift)
+        assert np.all(np.isfinite(values))
+        np.testing.assert_allclose(values, values[:, :, :1] + 0 * values, rtol=0, atol=1e-4)
+        np.testing.assert_allclose(values[:, :, abs(shift) < 1e-12], values[:, :, :1] + np.zeros(13), atol=1e-10)
+        exact = by_tmm(stack, 550.0, cosine + 1e-6)
+        np.testing.assert_allclose(values[:, :, np.argmin(abs(shift - 1e-6))], exact, rtol=0, atol=1e-9)
+
+    def test_series_meets_the_general_form(self):
+        """Layers a little thinner and a little thicker than where the series ends, real, evanescent and absorbing."""
+        for n in (1.38, 1.01, 0.5 + 3j):
+            q = np.sqrt(complex(n) ** 2 - 1.5**2 * (1 - 0.6**2))
+            edge = math.sqrt(thinfilm._SERIES) / abs(q) * 550 / (2 * math.pi)
+            for d in (edge * 0.999, edge * 1.001):
+                stack = Stack(1.5, (n,), (d,), 1.7)
+                np.testing.assert_allclose(
+                    NUMPY.solve(stack, 550.0, 0.6)[..., 0], by_tmm(stack, 550.0, 0.6), rtol=0, atol=1e-13
+                )
+
+    @each_library
+    def test_grazing_incidence(self, library):
+        """cos θ = 0: all is reflected, unless there is no step of the index at all."""
+        for stack in (INTERNAL["glass_MgF2_air"], designs()["HR_(HL)^7H"], designs()["Al_SiO_HW"]):
+            R, T, r, t = library.solve(stack, 550.0, 0.0)
+            np.testing.assert_allclose(R, 1, atol=1e-7)
+            np.testing.assert_allclose(T, 0, atol=1e-7)
+            assert np.all(np.isfinite([r, t]))
+        R, T, *_ = library.solve(Stack(1.5, (1.5, 1.5), (100.0, 200.0), 1.5), 550.0, [0.0, 1e-9, 0.5])
+        np.testing.assert_allclose(R, 0, atol=1e-7)
+        np.testing.assert_allclose(T, 1, atol=1e-7)
+
+    @each_library
+    def test_thick_absorbing_layers(self, library):
+        """A millimetre of silver, forty times: R of bulk silver, T = 0, no NaN."""
+        silver = 0.055 + 3.32j
+        stack = Stack(1.0, (silver,) * 40, (1e6,) * 40, 1.5)
+        cosine = cosines([0, 30, 60, 89, 90])
+        R, T, r, t = library.solve(stack, 550.0, cosine)
+        bulk = library.solve(Stack(1.0, (), (), silver), 550.0, cosine)[2]
+        np.testing.assert_allclose(r, bulk, rtol=0, atol=library.tolerance)
+        assert np.all(T == 0)
+        assert np.all(t == 0)
+        assert np.all(R < 1 + 1e-12)
+
+    def test_thick_evanescent_layer(self):
+        """A gap so wide that exp(-Im δ) underflows."""
+        R, T, *_ = NUMPY.solve(Stack(GLASS, (1.0,), (1e6,), GLASS), 550.0, cosines(60.0))
+        np.testing.assert_allclose(R, 1, atol=EXACT)
+        assert np.all(T == 0)
+
+    def test_layers_without_thickness_do_nothing(self):
+        cosine = cosines([0, 40, 80])
+        with_them = NUMPY.solve(Stack(1.0, (3 + 2j, 1.38, 1.0), (0.0, 90.0, 0.0), 1.5), 550.0, cosine)
+        without = NUMPY.solve(Stack(1.0, (1.38,), (90.0,), 1.5), 550.0, cosine)
+        np.testing.assert_allclose(with_them, without, rtol=0, atol=1e-15)
+
+
+class TestCalls:
+    def test_arguments_broadcast(self):
+        wavelength, cosine = np.linspace(400, 700, 5)[:, None], np.linspace(0, 1, 7)
+        n = 1.38 + 0.01 * (550 / wavelength) ** 2
+        (R, _), (T, _) = reflectance_transmittance(1.0, [n, 2.1], [100.0, 50.0], 1.5, wavelength, cosine)
+        assert R.shape == T.shape == (5, 7)
+        assert R.dtype == np.float64
+        r, _ = amplitudes(1.0, [n, 2.1], [100.0, 50.0], 1.5, wavelength, cosine)
+        assert r[0].shape == (5, 7)
+        assert r[0].dtype == np.complex128
+        alone = reflectance_transmittance(1.0, [float(n[2, 0]), 2.1], [100.0, 50.0], 1.5, 550.0, float(cosine[3]))
+        assert R[2, 3] == pytest.approx(float(alone[0][0]), abs=1e-15)
+
+    @pytest.mark.parametrize("kind", ["Float", "Float64"])
+    def test_types_of_the_arguments_are_kept(self, kind):
+        real, complex_ = getattr(mi, kind), mi.Complex2f if kind == "Float" else mi.Complex2f64
+        (R, _), (T, _) = reflectance_transmittance(1.0, [2.1 + 0.1j], [real(50.0)], 1.5, 550.0, 0.5)
+        assert type(R) is type(T) is real
+        (r, _), (t, _) = amplitudes(1.0, [2.1 + 0.1j], [50], np.float64(1.5), 550, real([0.5, 1.0]))
+        assert type(r) is type(t) is complex_
+        assert dr.width(r) == 2
+
+    def test_as_many_thicknesses_as_indices(self):
+        with pytest.raises(mistray.MistrayError, match="2 indices and 1 thicknesses; give one of each"):
+            reflectance_transmittance(1.0, [1.38, 2.1], [100.0], 1.5, 550.0, 1.0)
+
+
+def wrong_phase(original: Callable[..., Any]) -> Callable[..., Any]:
+    def joined(*arguments: Any) -> Any:
+        layer = original(*arguments)
+        return layer._replace(over=-layer.over, times=-layer.times)
+
+    return joined
+
+
+def growing(original: Callable[..., Any]) -> Callable[..., Any]:
+    def joined(*arguments: Any) -> Any:
+        layer = original(*arguments)
+        return layer._replace(factor=1 / layer.factor)
+
+    return joined
+
+
+def other_branch(original: Callable[..., Any]) -> Callable[..., Any]:
+    def root(*arguments: Any) -> Any:
+        q, modulus = original(*arguments)
+        return -q, modulus
+
+    return root
+
+
+@pytest.mark.parametrize(
+    ("function", "mutation"), [("_joined", wrong_phase), ("_joined", growing), ("_root", other_branch)]
+)
+def test_a_wrong_sign_is_seen(monkeypatch, function, mutation):
+    """The comparison with `tmm` fails if a sign inside is turned round."""
+    monkeypatch.setattr(thinfilm, function, mutation(getattr(thinfilm, function)))
+    with pytest.raises(AssertionError):
+        TestRandomStacks().test_numpy()

@@ -1,0 +1,122 @@
+"""Pictures of coatings: what is drawn is what the coating says."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray.coatings import Bare, Ideal, preset, spectrum
+from mistray.errors import MistrayError
+from mistray.report.coating_plots import coated_surfaces, coating_figure, surfaces_figure
+
+WAVELENGTHS = np.arange(450.0, 651.0, 50.0)
+
+
+def line(axes, label: str):
+    return next(item for item in axes.get_lines() if item.get_label() == label)
+
+
+def test_lines_are_the_spectra() -> None:
+    figure = coating_figure(preset("bbar3"), WAVELENGTHS, [0.0, 40.0], back="1.5168")
+    left, right = figure.axes
+    values = spectrum(preset("bbar3"), WAVELENGTHS, [0.0, 40.0], back="1.5168")
+    np.testing.assert_allclose(line(left, "0°").get_ydata(), 100 * values.mean()[:, 0])
+    drawn = {
+        item.get_linestyle(): item for item in left.get_lines() if item.get_color() == line(left, "40°").get_color()
+    }
+    np.testing.assert_allclose(drawn["-"].get_ydata(), 100 * values.mean()[:, 1])
+    np.testing.assert_allclose(drawn["--"].get_ydata(), 100 * values.R[:, 1, 0])
+    np.testing.assert_allclose(drawn[":"].get_ydata(), 100 * values.R[:, 1, 1])
+    for wavelength in (450, 550, 650):
+        curve = line(right, f"{wavelength} nm")
+        at = spectrum(preset("bbar3"), [wavelength], curve.get_xdata(), back="1.5168").mean()[0]
+        np.testing.assert_allclose(curve.get_ydata(), 100 * at)
+    assert right.get_yscale() == "log"
+    assert left.get_ylim()[0] == 0
+    assert line(left, "bare, 0°").get_ydata()[0] == pytest.approx(4.21646, abs=1e-4)
+
+
+def test_mirrors_have_a_linear_scale_and_no_bare_line() -> None:
+    left, right = coating_figure(preset("protected_al"), WAVELENGTHS, [0.0]).axes
+    assert right.get_yscale() == left.get_yscale() == "linear"
+    assert all(not str(item.get_label()).startswith("bare") for item in left.get_lines())
+
+
+def test_total_reflection_has_a_logarithmic_scale() -> None:
+    left, _ = coating_figure(Bare(), WAVELENGTHS, [0.0, 60.0], from_front=False).axes
+    assert left.get_yscale() == "log"
+
+
+def test_axes_say_what_they_are() -> None:
+    figure = coating_figure(Ideal(0.1, 0.9, "split"), WAVELENGTHS, [0.0], "air", "N-SF6", from_front=False)
+    left, right = figure.axes
+    assert left.get_xlabel() == "wavelength [nm]"
+    assert right.get_xlabel() == "angle of incidence in N-SF6 [deg]"
+    assert left.get_ylabel() == right.get_ylabel() == "reflectance [%]"
+    assert figure.get_suptitle() == "split, N-SF6 | air, light from N-SF6"
+
+
+@pytest.fixture(scope="module")
+def scene():
+    film = {"type": "thinfilm", "preset": "bbar3"}
+    surface = {"type": "asphere", "semi_diameter": 5.0}
+
+    def at(z: float) -> mi.ScalarTransform4f:
+        return mi.ScalarTransform4f().translate([0, 0, z])
+
+    return mistray.load(
+        {
+            "type": "scene",
+            "ar": film,
+            "a": {**surface, "bsdf": {"type": "interface", "back": "1.6", "coating": {"type": "ref", "id": "ar"}}},
+            "b": {**surface, "to_world": at(2), "bsdf": {"type": "interface", "front": "1.6", "back": "air"}},
+            "c": {
+                **surface,
+                "to_world": at(4),
+                "bsdf": {"type": "interface", "back": "1.6", "coating": {"type": "ref", "id": "ar"}},
+            },
+            "d": {
+                **surface,
+                "to_world": at(6),
+                "bsdf": {"type": "interface", "front": "1.6", "R": 0.9, "mirror": True},
+            },
+            "wall": {**surface, "to_world": at(20), "bsdf": {"type": "interface", "R": 0.0}},
+        }
+    )
+
+
+def test_surfaces_of_a_scene_go_together(scene) -> None:
+    groups = coated_surfaces(scene)
+    assert [group.names for group in groups] == [("a", "c"), ("b",), ("d",)]
+    assert groups[0].coating.name == "ar"
+    assert (groups[1].front, groups[1].back) == ("1.6", "air")
+    assert isinstance(groups[1].coating, Bare)
+
+
+def test_one_row_for_each_kind_of_surface(scene) -> None:
+    groups = coated_surfaces(scene)
+    figure = surfaces_figure(groups, WAVELENGTHS, [0.0, 30.0])
+    assert len(figure.axes) == 6
+    first = figure.axes[0]
+    assert first.get_title(loc="left") == "a, c"
+    expected = spectrum(groups[0].coating, WAVELENGTHS, [30.0], "air", "1.6").mean()[:, 0]
+    np.testing.assert_allclose(line(first, "30°").get_ydata(), 100 * expected)
+    # the rear of a lens is drawn from the air as well
+    behind = spectrum(Bare(), WAVELENGTHS, [30.0], "1.6", "air", from_front=False).mean()[:, 0]
+    np.testing.assert_allclose(line(figure.axes[2], "30°").get_ydata(), 100 * behind)
+
+
+def test_errors(scene) -> None:
+    with pytest.raises(MistrayError, match="needs two or more wavelengths, there is 1"):
+        coating_figure(Bare(), [550.0], [0.0])
+    with pytest.raises(MistrayError, match="needs two or more wavelengths"):
+        surfaces_figure(coated_surfaces(scene), [550.0], [0.0])
+
+    class Empty:
+        def shapes(self) -> list:
+            return []
+
+    with pytest.raises(MistrayError, match="no optical surface"):
+        coated_surfaces(Empty())

@@ -1,0 +1,58 @@
+"""The notebooks run, and are committed without what running them leaves behind."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import nbformat
+import pytest
+from nbclient import NotebookClient
+
+NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
+CELL_SECONDS = 300
+# Run after the last cell of a notebook: its claims
+CLAIMS = {
+    "cooke_triplet_webinar": """
+        assert len(traces[1e-3].paths) < len(traces[1e-4].paths) < len(traces[1e-6].paths)
+        assert second == 1 and ghost.rms_radius_mm > 100 * bare.table(FIELD_DEG).rms_radius_mm.iloc[0]
+        assert len(coarse.paths) > 10
+        assert [path.kind for path in coarse_coated.paths] == ["direct"]
+        assert fall.value - 4 * fall.se > 10
+        assert whole[0].stray_W.value > 10 * whole[1].stray_W.value
+    """,
+}
+
+
+def read(path: Path) -> nbformat.NotebookNode:
+    return nbformat.read(path, as_version=4)
+
+
+def test_there_are_notebooks():
+    assert NOTEBOOKS
+    assert set(CLAIMS) <= {path.stem for path in NOTEBOOKS}
+
+
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_committed_without_outputs(path):
+    notebook = read(path)
+    nbformat.validate(notebook)
+    for cell in notebook.cells:
+        if cell.cell_type == "code":
+            assert cell.outputs == [], f"{path.name}: clear the outputs before committing"
+            assert cell.execution_count is None, f"{path.name}: clear the execution counts before committing"
+    assert set(notebook.metadata) <= {"kernelspec", "language_info"}
+    assert notebook.metadata.kernelspec.name == "python3"
+    assert set(notebook.metadata.language_info) == {"name"}
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+def test_runs(path, tmp_path):
+    notebook = read(path)
+    claims = "\n".join(line.strip() for line in CLAIMS.get(path.stem, "").splitlines())
+    notebook.cells.append(nbformat.v4.new_code_cell(claims))
+    NotebookClient(notebook, timeout=CELL_SECONDS, resources={"metadata": {"path": str(tmp_path)}}).execute()
+    outputs = [output for cell in notebook.cells if cell.cell_type == "code" for output in cell.outputs]
+    assert any("image/png" in output.get("data", {}) for output in outputs), "no picture"
+    complaints = [output.text for output in outputs if output.output_type == "stream" and output.name == "stderr"]
+    assert not complaints
