@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 # From the ground up. A module imports from its own layer and from those before it.
 LAYERS = [
     {"errors"},
+    {"replace_file"},
     {"_mitsuba_compat"},
     {"_variant"},
     {"physics", "materials", "coatings"},
@@ -34,7 +35,7 @@ PLUGINS_MAY_IMPORT = {"errors", "_mitsuba_compat", "physics", "materials", "coat
 # A shipped scene is a prescription written in Python.
 SCENES_MAY_IMPORT = {"errors", "materials", "prescription", "scenes"}
 # These work on arrays and tables, or before Mitsuba can be imported.
-NO_MITSUBA = {"errors", "physics", "materials", "coatings", "scenes", "report", "doctor", "cli"}
+NO_MITSUBA = {"errors", "replace_file", "physics", "materials", "coatings", "scenes", "report", "doctor", "cli"}
 # Importing Dr.Jit opens libLLVM, so these do it in functions, once libLLVM is settled or somebody asks for a scene.
 LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
 # (importing layer, imported layer): upward imports inside a function, each with its reason.

@@ -116,6 +116,7 @@ class GhostReport(Mapping[float, Trace]):
     ) -> None:
         self.scene = scene
         self._traces = dict(traces)
+        self._frames: dict[Trace, pd.DataFrame] = {}
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
         self._maps: dict[float, _FieldMaps] = {}
         self._drawings: dict[float, Trace] = {}
@@ -123,7 +124,7 @@ class GhostReport(Mapping[float, Trace]):
         self.arguments = dict(arguments)
         self.nominal_trace = nominal_trace
         self.wavelengths_nm = list(nominal_trace.wavelengths_nm)
-        self.nominal = direct_image(nominal_trace.paths.to_pandas())
+        self.nominal = direct_image(self._rows(nominal_trace))
 
     def __getitem__(self, field_deg: float) -> Trace:
         try:
@@ -140,7 +141,7 @@ class GhostReport(Mapping[float, Trace]):
 
     def nominal_at(self, wavelength_nm: float) -> DirectImage:
         """Direct image on axis at one wavelength."""
-        table = self.nominal_trace.paths.to_pandas()
+        table = self._rows(self.nominal_trace)
         return direct_image(table[table.wavelength_nm == self._known(wavelength_nm)])
 
     def weight(self, wavelength_nm: float) -> float:
@@ -172,9 +173,15 @@ class GhostReport(Mapping[float, Trace]):
         """
         key = field_deg, per_wavelength
         if key not in self._tables:
-            table = self[field_deg].paths.to_pandas()
+            table = self._rows(self[field_deg])
             self._tables[key] = self._by_wavelength(table) if per_wavelength else self._all_light(table)
         return self._tables[key]
+
+    def _rows(self, t: Trace) -> pd.DataFrame:
+        """The path table of a trace, made once."""
+        if t not in self._frames:
+            self._frames[t] = t.paths.to_pandas()
+        return self._frames[t]
 
     def _all_light(self, table: pd.DataFrame) -> pd.DataFrame:
         table = by_path(table)
@@ -280,7 +287,7 @@ class GhostReport(Mapping[float, Trace]):
         if field is not None:
             image, se = self._field_maps(field).direct
         else:
-            table = self.nominal_trace.paths.to_pandas()
+            table = self._rows(self.nominal_trace)
             image, se = self.nominal_trace.irradiance_of(list(table.path_id[table.kind == DIRECT]))
         brightest = np.unravel_index(np.argmax(image), image.shape)
         return Estimate(float(image[brightest]), float(se[brightest]))
@@ -314,7 +321,7 @@ class GhostReport(Mapping[float, Trace]):
             Of this wavelength alone, against the on-axis image at it. Default: of all light.
         """
         t = self[field_deg]
-        rows, table = t.paths.to_pandas(), self.table(field_deg, per_wavelength=wavelength_nm is not None)
+        rows, table = self._rows(t), self.table(field_deg, per_wavelength=wavelength_nm is not None)
         if wavelength_nm is None:
             nominal, irradiance = self.nominal, (t.irradiance, t.irradiance_se)
         else:

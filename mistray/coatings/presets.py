@@ -4,8 +4,8 @@
 ``mgf2_quarter_wave``  1.38 (MgF2-like), one quarter wave. On n = 1.5168: R = 1.2835 % at the design wavelength
 ``v_coat``             1.38 and 2.10, 0.31797 and 0.06703 waves. R = 0 at the design wavelength on n = 1.5168
 ``bbar3``              quarter-half-quarter: 1.38, 2.10, 1.63 with 0.25, 0.5, 0.25 waves. R ≤ 0.26 % from 450 to 650 nm
-``bbar4``              1.38, 2.10, 1.38, 2.10 with 0.2389, 0.5079, 0.0834, 0.0552 waves. R ≤ 0.33 %, 0.085 % in the mean,
-                       from 420 to 680 nm
+``bbar4``              1.38, 2.10, 1.38, 2.10 with 0.2389, 0.5079, 0.0834, 0.0552 waves. R ≤ 0.33 %, 0.085 % in the
+                       mean, from 420 to 680 nm
 ``protected_al``       half a wave of 1.60 (SiO-like) on 150 nm of aluminium; opaque
 ``protected_ag``       half a wave of 1.46 (SiO2-like) on 250 nm of silver; opaque
 =====================  =============================================================================================

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
@@ -13,6 +12,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.optimize.designs import Design
+from mistray.replace_file import replace_file
 
 FORM = 1  # changes when the content does
 
@@ -105,13 +105,8 @@ class Checkpoint:
             "ended": {str(start): reason for start, reason in state.ended.items()},
             "steps": [asdict(step) for step in state.steps],
         }
-        draft = self.path.with_name(self.path.name + ".part")
-        try:
-            self.path.parent.mkdir(parents=True, exist_ok=True)
-            draft.write_text(json.dumps(content, indent=1), encoding="utf-8")
-            os.replace(draft, self.path)
-        except OSError as error:
-            raise MistrayError(f"checkpoint '{self.path}': {error.strerror}; check the folder") from None
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        replace_file(self.path, json.dumps(content, indent=1), "checkpoint")
 
     def read(self) -> State:
         """

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import numpy as np
@@ -13,6 +13,9 @@ from mistray.errors import MistrayError
 from mistray.optimize.metrics import Metric
 from mistray.trace.coating_gradient import IDEAL_PARAMETERS, LAYER_PARAMETERS, coating_gradient
 from mistray.trace.ledger import BATCHES
+
+if TYPE_CHECKING:
+    from mistray.trace.optics import Optics
 
 
 @dataclass(frozen=True)
@@ -80,17 +83,22 @@ def gradient(metric: Metric, params: Mapping[str, Any], keys: Iterable[str] | No
     dr.backward(value)
     primal = sum(o.trace.seconds for o in observations)
     sums: dict[tuple[int, str], np.ndarray] = {}
+    rows: dict[tuple[float, ...], tuple[Optics, np.ndarray]] = {}
     seconds, variance = 0.0, 0.0
     by_batch = np.zeros(BATCHES)
     for observation in observations:
         pixel, path = observation.derivatives()
-        for optics, rows, elapsed in observation.trace.adjoint(pixel, path):
+        for optics, part, elapsed in observation.trace.adjoint(pixel, path):
             seconds += elapsed
-            for owner, name, part in coating_gradient(optics, rows):
-                if (id(owner), name) in owners.values():
-                    sums[id(owner), name] = sums.get((id(owner), name), 0.0) + part
+            # Fields share their tables: the rows of all of them go through the chain rule at once
+            shared = optics.wavelength_nm, *(id(table) for table in optics.tables)
+            rows[shared] = optics, part + rows[shared][1] if shared in rows else part
         by_batch += observation.trace.by_batch(path)
         variance += float(np.sum(np.square(pixel * observation.trace.irradiance_se)))
+    places = set(owners.values())
+    for optics, total in rows.values():
+        for owner, name, part in coating_gradient(optics, total, lambda owner, name: (id(owner), name) in places):
+            sums[id(owner), name] = sums.get((id(owner), name), 0.0) + part
     result: dict[str, np.ndarray] = {}
     errors: dict[str, np.ndarray] = {}
     for key, place in owners.items():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import operator
 import sys
 from dataclasses import dataclass
 from typing import Any
@@ -49,8 +48,6 @@ class Arithmetic:
         Real and imaginary part of a number or array, real or complex.
     is_real : callable
         Whether a number or array is real: by its type in Dr.Jit, by its values in NumPy.
-    scaled : callable
-        A complex array times a real array, (real, complex).
     sqrt, exp, sincos, maximum, select, detach : callable
         As in Dr.Jit.
     result : callable
@@ -62,7 +59,6 @@ class Arithmetic:
     re: Any
     im: Any
     is_real: Any
-    scaled: Any
     sqrt: Any
     exp: Any
     sincos: Any
@@ -105,7 +101,6 @@ def arithmetic(*values: Any) -> Arithmetic:
         re=part(dr.real, np.real),
         im=part(dr.imag, np.imag),
         is_real=lambda x: not (dr.is_complex_v(x) if dr.is_array_v(x) else np.any(np.imag(x))),
-        scaled=lambda a, z: type(z)(a * z.real, a * z.imag),
         sqrt=dr.sqrt,
         exp=dr.exp,
         sincos=dr.sincos,
@@ -132,7 +127,6 @@ _NUMPY = Arithmetic(
     re=np.real,
     im=np.imag,
     is_real=lambda x: not np.any(np.imag(x)),
-    scaled=operator.mul,
     sqrt=np.sqrt,
     exp=np.exp,
     sincos=lambda x: (np.sin(x), np.cos(x)),

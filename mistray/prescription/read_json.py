@@ -12,6 +12,7 @@ How faces are chosen, so that each stands in exactly one place:
 - The stop comes from ``aperture_stop``; pieces of the barrel that repeat it (labels with "AS") are left out.
 - The board behind the detector becomes a frame of four rectangles around it.
 - Numbers in the barrel that were rounded are moved onto the rims that they meet (within 2 µm).
+- A coating is R and T, or a recipe of `Coating`: ``layers``, ``preset`` or ``table`` with what belongs to them.
 - A material may have a ``k``; where it has none, the lens is taken for lossless, and the scene says so with ``k=0``.
 """
 

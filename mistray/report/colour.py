@@ -11,7 +11,8 @@ White
     adapted to daylight sees.
 Exposure
     In stops (factors of two) above the one that gives the brightest pixel of the reference the luminance of white: of
-    the stray light of all fields ("ghosts"), or of the direct image on axis ("direct"). All fields have the same. Where the reference is dark the pictures are black.
+    the stray light of all fields ("ghosts"), or of the direct image on axis ("direct"). All fields have the same; where
+    the reference is dark the pictures are black.
 Luminance
     That of every pixel is its Y times the exposure, so it is linear in the power; adaptation and gamut change the
     chromaticity alone.

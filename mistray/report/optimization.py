@@ -4,21 +4,22 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import MaxNLocator
 
 from mistray.analysis.estimate import Estimate
 from mistray.coatings import spectrum
 from mistray.coatings.stack import outside_first
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
-from mistray.optimize import Comparison, Optimization, Step
+from mistray.optimize import Comparison, Optimization
 from mistray.optimize.designs import Placed
+from mistray.replace_file import replace_file
 from mistray.report.output import writable_directory
 from mistray.report.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, as_png
 from mistray.report.tables import text_table, with_error
@@ -26,12 +27,14 @@ from mistray.scene.recoat import write_recoated
 
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 ANGLES_DEG = (0.0, 30.0)
-POINTS = 121  # of a curve over wavelength
-MARGIN = 0.15  # of the band, drawn on either side of it
+POINTS = 201  # of a curve over wavelength
+UNITS = {"path_power": "W/W", "ghost_to_signal": "1"}
+MEANINGS = {"path_power": "power over launched power", "ghost_to_signal": "power over that of the direct image"}
+MARGIN = 0.08  # of the band, drawn on either side of it
 
 
-def comparison_table(comparison: Comparison) -> str:
-    """Before and after: the whole, each field and each wavelength."""
+def comparison_table(comparison: Comparison, unit: str = "") -> str:
+    """Before and after, in `unit`: the whole, each field and each wavelength."""
     rows = []
     for row in comparison.marginals():
         what = "all"
@@ -41,7 +44,7 @@ def comparison_table(comparison: Comparison) -> str:
             what = f"{row.wavelength_nm:g} nm"
         numbers = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
         rows.append([what, *(with_error(Estimate(*pair)) for pair in numbers)])
-    return text_table([("", ""), ("before", ""), ("after", ""), ("before / after", "")], rows, left=(0,))
+    return text_table([("", ""), ("before", unit), ("after", unit), ("before / after", "1")], rows, left=(0,))
 
 
 def design_table(result: Optimization) -> str:
@@ -64,7 +67,7 @@ def report_text(result: Optimization) -> str:
     lines = [
         f"{metric.kind} of the paths '{metric.paths}', {len(result.comparison.seeds)} seeds not used in the search"
     ]
-    lines += [comparison_table(result.comparison), ""]
+    lines += [comparison_table(result.comparison, UNITS[metric.kind]), ""]
     for item in result.placed:
         lines.append(f"coating '{item.group.name}' on {', '.join(item.surfaces)}; first layer {item.group.start.first}")
     lines += [design_table(result), ""]
@@ -92,13 +95,13 @@ def convergence_figure(result: Optimization) -> Figure:
         style = {"color": COLOURS[number % len(COLOURS)], "marker": "o", "ms": 3.5, "lw": 1.1}
         left.errorbar(x, [s.value for s in steps], [s.value_se for s in steps], label=design.name, capsize=2, **style)
         right.plot(x, [s.gradient_norm for s in steps], **style)
-    unit = {"path_power": "share of the launched power", "ghost_to_signal": "share of the direct image"}
-    left.set_ylabel(f"{result.study.metric.paths}: {unit[result.study.metric.kind]}")
+    left.set_ylabel(f"{result.study.metric.paths}: {MEANINGS[result.study.metric.kind]}")
     left.legend(fontsize=8, frameon=False)
     right.set_ylabel("|d log(metric) / d thickness| [1/nm]")
     for axes in (left, right):
         axes.set_yscale("log")
         axes.set_xlabel("gradients computed")
+        axes.xaxis.set_major_locator(MaxNLocator(integer=True))
         axes.grid(True, which="major", color="#dddddd", lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)
     figure.supxlabel("error bars: one standard error; all points trace the same rays", fontsize=7.5, color="#555555")
@@ -114,17 +117,20 @@ def reflectance_figure(result: Optimization) -> Figure:
     grid = figure.subplots(rows, columns, squeeze=False)
     wavelengths = _drawn_wavelengths(result)
     for axes, (item, (front, back)) in zip(grid.flat, panels, strict=False):
+        inside = (wavelengths >= result.band_nm[0] - 1e-6) & (wavelengths <= result.band_nm[-1] + 1e-6)
+        curves = []
         from_front = outside_first(complex_index(front, wavelengths[0]), complex_index(back, wavelengths[0]))
         for name, thickness, style in (("before", result.designs[0], "--"), ("after", result.best, "-")):
             stack = item.stack(thickness.thickness_nm[item.group.name])
             values = spectrum(stack, wavelengths, ANGLES_DEG, front, back, from_front).mean()
+            curves.append(values)
             for k, colour in enumerate(COLOURS[: len(ANGLES_DEG)]):
                 axes.plot(wavelengths, 100 * values[:, k], style, color=colour, lw=1.4 if name == "after" else 1.0)
         axes.axvspan(result.band_nm[0], result.band_nm[-1], color="#f0f0f0", zorder=0)
         sides = (front, back) if from_front else (back, front)
         axes.set_title(f"{item.group.name}, {' | '.join(sides)}", fontsize=10)
         axes.set_xlim(wavelengths[0], wavelengths[-1])
-        axes.set_ylim(bottom=0)
+        axes.set_ylim(0, 110 * max(np.max(curve[inside]) for curve in curves))
         axes.set_xlabel("wavelength [nm]")
         axes.set_ylabel("reflectance [%]")
         axes.grid(True, color="#dddddd", lw=0.6)
@@ -155,12 +161,12 @@ def write_optimization(result: Optimization, directory: str | Path) -> list[Path
     """
     target = writable_directory(directory)
     target.mkdir(parents=True, exist_ok=True)
-    note = f"thicknesses of the study {Path(result.study.name).name} on {result.source.name}"
+    note = f"result of the study {Path(result.study.name).name}"
     files = [write_recoated(result.source, result.coatings, target / "scene.xml", note)]
-    files.append(_write(target / "table.csv", _csv(_table_rows(result.comparison))))
-    files.append(_write(target / "history.csv", _csv(_history_rows(result.steps, result))))
-    files.append(_write(target / "convergence.png", as_png(convergence_figure(result))))
-    files.append(_write(target / "reflectance.png", as_png(reflectance_figure(result))))
+    files.append(replace_file(target / "table.csv", _csv(_table_rows(result.comparison))))
+    files.append(replace_file(target / "history.csv", _csv(_history_rows(result))))
+    files.append(replace_file(target / "convergence.png", as_png(convergence_figure(result))))
+    files.append(replace_file(target / "reflectance.png", as_png(reflectance_figure(result))))
     return files
 
 
@@ -183,41 +189,30 @@ def _drawn_wavelengths(result: Optimization) -> np.ndarray:
             ends.append(edge * beyond)
         except MistrayError:  # no data there
             ends.append(edge)
-    return np.linspace(*ends, POINTS)
+    return np.union1d(np.linspace(ends[0], ends[1], POINTS), result.band_nm)
 
 
-def _table_rows(comparison: Comparison) -> list[list[object]]:
-    head = "field_deg wavelength_nm before before_se after after_se ratio ratio_se".split()
-    rows = [
-        ["all" if row.field_deg is None else row.field_deg, "all" if row.wavelength_nm is None else row.wavelength_nm]
-        + [row.before, row.before_se, row.after, row.after_se, row.ratio, row.ratio_se]
-        for row in comparison.rows
+def _table_rows(comparison: Comparison) -> list[Sequence[object]]:
+    rows: list[Sequence[object]] = [
+        ("field_deg", "wavelength_nm", "before", "before_se", "after", "after_se", "ratio", "ratio_se")
     ]
-    return [head, *rows]
+    for row in comparison.rows:
+        place = ("all" if value is None else value for value in (row.field_deg, row.wavelength_nm))
+        rows.append((*place, row.before, row.before_se, row.after, row.after_se, row.ratio, row.ratio_se))
+    return rows
 
 
-def _history_rows(steps: Sequence[Step], result: Optimization) -> list[list[object]]:
-    fields = "start step evaluations value value_se gradient_norm seconds".split()
+def _history_rows(result: Optimization) -> list[Sequence[object]]:
+    fields = ("start", "step", "evaluations", "value", "value_se", "gradient_norm", "seconds")
     names = [f"{item.group.name}_{k}_nm" for item in result.placed for k in range(1, len(item.group.start.layers) + 1)]
-    rows = [
-        [getattr(step, key) for key in fields]
-        + [d for item in result.placed for d in step.thickness_nm[item.group.name]]
-        for step in steps
-    ]
-    return [[*fields, *names], *rows]
+    rows: list[Sequence[object]] = [(*fields, *names)]
+    for step in result.steps:
+        thickness = (d for item in result.placed for d in step.thickness_nm[item.group.name])
+        rows.append((*(getattr(step, key) for key in fields), *thickness))
+    return rows
 
 
-def _csv(rows: list[list[object]]) -> bytes:
+def _csv(rows: Sequence[Sequence[object]]) -> str:
     text = io.StringIO()
     csv.writer(text, lineterminator="\n").writerows(rows)
-    return text.getvalue().encode()
-
-
-def _write(path: Path, content: bytes) -> Path:
-    draft = path.with_name(path.name + ".part")
-    try:
-        draft.write_bytes(content)
-        os.replace(draft, path)
-    except OSError as error:
-        raise MistrayError(f"file '{path}': {error.strerror}; check the folder and its permissions") from None
-    return path
+    return text.getvalue()

@@ -16,6 +16,7 @@ from xml.sax.saxutils import escape, quoteattr
 
 from mistray.coatings import Stack, layer_text
 from mistray.errors import MistrayError
+from mistray.replace_file import replace_file
 
 # What says which coating an interface or a thinfilm has
 COATING_VALUES = {"R", "T", "table", "layers", "preset", "first", "design_nm", "n_shift", "k_shift", "opaque"}
@@ -228,15 +229,7 @@ def write_recoated(source: str | Path, coatings: Sequence[SharedCoating], target
         The file.
     """
     target = Path(target)
-    text = recoated(source, coatings, target.parent, note)
-    draft = target.with_name(target.name + ".part")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        os.replace(draft, target)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise MistrayError(f"scene file '{target}': {error.strerror}; check the folder and its permissions") from None
-    return target
+    return replace_file(target, recoated(source, coatings, target.parent, note), "scene file")
 
 
 def _coated(file: _File, interface: _Element, name: str, copied: bool) -> bytes:

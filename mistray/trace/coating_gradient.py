@@ -7,7 +7,7 @@ one lane for each row that was used and each parameter.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -28,7 +28,9 @@ LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
 IDEAL_PARAMETERS = ("R", "T")
 
 
-def coating_gradient(optics: Optics, sums: np.ndarray) -> Iterator[tuple[Any, str, np.ndarray]]:
+def coating_gradient(
+    optics: Optics, sums: np.ndarray, wanted: Callable[[Any, str], bool] = lambda owner, name: True
+) -> Iterator[tuple[Any, str, np.ndarray]]:
     """
     Derivatives of a metric by the coating parameters of a scene.
 
@@ -38,6 +40,8 @@ def coating_gradient(optics: Optics, sums: np.ndarray) -> Iterator[tuple[Any, st
         Of the run that was traced.
     sums : (BATCHES, rows, CHANNELS) float64
         From `Run.derivatives`.
+    wanted : callable
+        Says of a plugin and a name whether its derivative is asked for; by default all are.
 
     Yields
     ------
@@ -56,11 +60,16 @@ def coating_gradient(optics: Optics, sums: np.ndarray) -> Iterator[tuple[Any, st
         kind = int(optics.host_words[i]) & 3
         first, last, total_first, total_last = (int(v) for v in optics.host_places[i])
         if kind == IDEAL:
-            own = sums[:, first].copy()
+            own = sums[:, first]
             both = own[:, REFLECTION_AND_TRANSMISSION]
-            yield bsdf.film, "R", (own[:, REFLECTION_FRONT] + own[:, REFLECTION_BACK] + both)[:, None]
-            yield bsdf.film, "T", (own[:, TRANSMISSION] + both)[:, None]
+            found = {"R": own[:, REFLECTION_FRONT] + own[:, REFLECTION_BACK] + both, "T": own[:, TRANSMISSION] + both}
+            for name in IDEAL_PARAMETERS:
+                if wanted(bsdf.film, name):
+                    yield bsdf.film, name, found[name][:, None]
         elif kind == TABLED and bsdf.film is not None:
+            names = [name for name in LAYER_PARAMETERS if wanted(bsdf.film, name)]
+            if not names:
+                continue
             own = sums[:, first : total_first + total_last + 1, :REFLECTION_AND_TRANSMISSION]
             used = np.flatnonzero(np.any(own.any(axis=0), axis=1))
             slopes = _row_derivatives(
@@ -70,10 +79,11 @@ def coating_gradient(optics: Optics, sums: np.ndarray) -> Iterator[tuple[Any, st
                 bool(optics.host_words[i] & OPAQUE),
                 (last + 1, total_last + 1),
                 used,
+                [LAYER_PARAMETERS.index(name) for name in names],
             )
             gradient = own[:, used].reshape(BATCHES, -1) @ slopes.reshape(len(slopes), -1).T
-            for name, part in zip(LAYER_PARAMETERS, np.split(gradient, len(LAYER_PARAMETERS), axis=1), strict=True):
-                yield bsdf.film, name, part
+            for name, values in zip(names, np.split(gradient, len(names), axis=1), strict=True):
+                yield bsdf.film, name, values
 
 
 def _row_derivatives(
@@ -84,9 +94,10 @@ def _row_derivatives(
     opaque: bool,
     counts: tuple[int, int],
     used: np.ndarray,
+    parts: list[int],
 ) -> np.ndarray:
     """
-    Derivatives of rows of a table by thickness, n and k of each layer.
+    Derivatives of rows of a table by the parameters of each layer.
 
     Parameters
     ----------
@@ -94,16 +105,18 @@ def _row_derivatives(
         Rows of the refraction part and of the total-reflection part.
     used : (u,) int
         The rows that are wanted, counted through both parts.
+    parts : list of int
+        The parameters that are wanted, numbers in `LAYER_PARAMETERS`.
 
     Returns
     -------
-    (3 L, u, 3) float64
-        By the thicknesses, then n, then k, in the coating's own order of layers; columns as in the table.
+    (parts · L, u, 3) float64
+        By each parameter for all layers, in the coating's own order; columns as in the table.
     """
     indices, thickness, order = stack.front_to_back(wavelength_nm, n_front, n_back)
     layers = len(indices)
     if not len(used):
-        return np.zeros((3 * layers, 0, 3))
+        return np.zeros((len(parts) * layers, 0, 3))
     refraction = counts[0]
     if opaque:
         front = back = np.linspace(0.0, 1.0, refraction)
@@ -113,7 +126,7 @@ def _row_derivatives(
         dense = node_cosines(n_front.real, n_back.real, np.linspace(0.0, 1.0, counts[1]))[2]
     at_front, at_back = np.concatenate([front, dense])[used], np.concatenate([back, dense])[used]
     total = used >= refraction
-    result = np.zeros((3 * layers, len(used), 3))
+    result = np.zeros((len(parts) * layers, len(used), 3))
     sides: list[tuple[bool, np.ndarray, np.ndarray]] = []
     from_front, from_back = n_front.real > n_back.real, n_back.real > n_front.real
     sides.append((True, at_front, ~total | from_front))
@@ -124,9 +137,9 @@ def _row_derivatives(
             continue
         ordered = (indices, thickness) if is_front else (indices[::-1], thickness[::-1])
         outer = (n_front, n_back) if is_front else (n_back, n_front)
-        R, T = _tangents(*ordered, *outer, wavelength_nm, cosines[rows])
+        R, T = _tangents(*ordered, *outer, wavelength_nm, cosines[rows], parts)
         number = order if is_front else order[::-1]
-        slot = np.concatenate([number + part * layers for part in range(3)])
+        slot = np.concatenate([number + block * layers for block in range(len(parts))])
         place = np.ix_(slot, np.flatnonzero(rows))
         result[:, :, REFLECTION_FRONT if is_front else REFLECTION_BACK][place] = R
         if is_front and not opaque:
@@ -142,10 +155,11 @@ def _tangents(
     n_substrate: complex,
     wavelength_nm: float,
     cosines: np.ndarray,
+    parts: list[int],
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the mean R and T by d, n and k of each layer, (3 L, m) each, in the order of incidence."""
+    """Derivatives of the mean R and T by the parameters of each layer, (parts · L, m), in the order of incidence."""
     layers, nodes = len(indices), len(cosines)
-    lane = dr.arange(mi.UInt32, 3 * layers * nodes)
+    lane = dr.arange(mi.UInt32, len(parts) * layers * nodes)
     stride = dr.opaque(mi.UInt32, nodes)  # a literal would be compiled in, and the count changes with the design
     parameter = lane // stride
 
@@ -161,7 +175,8 @@ def _tangents(
             for part, value in enumerate(values):
                 x = value + dr.zeros(mi.Float64, dr.width(lane))
                 dr.enable_grad(x)
-                dr.set_grad(x, dr.select(parameter == part * layers + j, mi.Float64(1), mi.Float64(0)))
+                mine = parameter == parts.index(part) * layers + j if part in parts else mi.Bool(False)
+                dr.set_grad(x, dr.select(mine, mi.Float64(1), mi.Float64(0)))
                 moved.append(x)
             d_layers.append(moved[0])
             n_layers.append(complex_type(moved[1], moved[2]))
@@ -175,5 +190,5 @@ def _tangents(
         dr.traverse(dr.ADMode.Forward)
         gradients = dr.grad(mean_r), dr.grad(mean_t)
         dr.eval(gradients)
-    shape = (3 * layers, nodes)
+    shape = (len(parts) * layers, nodes)
     return np.array(gradients[0]).reshape(shape), np.array(gradients[1]).reshape(shape)

@@ -105,13 +105,13 @@ class Interface(mi.BSDF):
         film = nested[0]
         if len(nested) > 1 or getattr(film, "kind", "") != "thinfilm":
             what = f"{len(nested)} BSDFs" if len(nested) > 1 else f"{str(film).partition('[')[0]}"
-            raise MistrayError(f"interface '{self.name}': {what} nested; nest one 'thinfilm', its coating")
+            raise MistrayError(f"{self.title}: {what} nested; nest one 'thinfilm', its coating")
         given = [key for key in ("R", "T", "table") if key in props]
         if given:
-            raise MistrayError(f"interface '{self.name}': give {given[0]} or a nested thinfilm, not both")
+            raise MistrayError(f"{self.title}: give {given[0]} or a nested thinfilm, not both")
         if film.sides:
             raise MistrayError(
-                f"interface '{self.name}': its {film.title} has {film.sides[0]} as well; give {film.sides[0]} at the "
+                f"{self.title}: its {film.title} has {film.sides[0]} as well; give {film.sides[0]} at the "
                 "interface only"
             )
         return film
@@ -234,18 +234,12 @@ class Interface(mi.BSDF):
         if self._stock is None or self._stock[0] is not coating:
             sides = self._stock_indices()
             opaque = coating.opaque or max(n.imag for n in sides) > OPAQUE_K
-            table = None
+            tables = {}
             if not self.ideal and (opaque or not isinstance(coating, Bare)):
                 table = angle_table(coating, self.wavelength_nm, *sides, opaque, False)
-            arrays = (
-                {}
-                if table is None
-                else {
-                    name: (mi.Float(np.ascontiguousarray(part[:, :, 0]).ravel()), len(part) - 1)
-                    for name, part in (("refraction", table.refraction), ("total", table.total))
-                }
-            )
-            self._stock = coating, {"n": sides, "opaque": opaque, "table": arrays}
+                for name, part in (("refraction", table.refraction), ("total", table.total)):
+                    tables[name] = mi.Float(np.ascontiguousarray(part[:, :, 0]).ravel()), len(part) - 1
+            self._stock = coating, {"n": sides, "opaque": opaque, "tables": tables}
         return self._stock[1]
 
     def _specular(self, cos_wi: mi.Float, active: mi.Mask) -> tuple[mi.Float, mi.Float, mi.Float, mi.Float]:
@@ -260,12 +254,12 @@ class Interface(mi.BSDF):
         cos_t = dr.sqrt(dr.maximum(0, 1 - sin2_t))
         if self.ideal:
             r, t = dr.select(tir, self.R + self.T, self.R), dr.select(tir, 0, self.T)
-        elif stock["table"]:
+        elif stock["tables"]:
             rarer = cos_i if stock["opaque"] else dr.minimum(cos_i, cos_t)
-            r, t = _interpolate(*stock["table"]["refraction"], rarer, from_back, active)
+            r, t = _interpolate(*stock["tables"]["refraction"], rarer, from_back, active)
             y = dr.sqrt(dr.maximum(0, sin2_t - 1))
             beyond, _ = _interpolate(
-                *stock["table"]["total"], y / dr.maximum(y + eta * cos_i, 1e-30), from_back, active
+                *stock["tables"]["total"], y / dr.maximum(y + eta * cos_i, 1e-30), from_back, active
             )
             r, t = dr.select(tir, beyond, r), dr.select(tir, 0, t)
         else:

@@ -457,3 +457,94 @@ def test_coatings_of_equal_parameters_are_one_key() -> None:
     assert one.coating == other.coating
     assert hash(one.coating) == hash(other.coating)
     assert one.coating == Stack(tuple(Layer(_text(n), d) for n, d in LAYERS), name="ar")
+
+
+class TestTrace:
+    """The ray tree sees what the coating says."""
+
+    @staticmethod
+    def fold(bsdf: dict[str, Any]) -> mi.Scene:
+        """A beam along z, a mirror at 30°, a detector in the reflected beam."""
+        return mistray.load(
+            {
+                "type": "scene",
+                "beam": {"type": "collimated", "radius": 2.0, "distance": 20.0},
+                "mirror": {
+                    "type": "asphere", "semi_diameter": 10.0, "to_world": T().rotate([1, 0, 0], 30.0), "bsdf": bsdf,
+                },
+                "detector": {
+                    "type": "asphere", "semi_diameter": 10.0,
+                    "to_world": T().rotate([1, 0, 0], 60.0).translate([0, 0, -30]),
+                    "bsdf": {"type": "interface", "R": 0.0},
+                    "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}},
+                },
+            }
+        )  # fmt: skip
+
+    @pytest.mark.parametrize("alone", [True, False])
+    def test_a_mirror(self, alone: bool) -> None:
+        film = {"type": "thinfilm", "preset": "protected_ag"}
+        bsdf = {**film, "mirror": True} if alone else {"type": "interface", "mirror": True, "coating": film}
+        energy = mistray.trace(self.fold(bsdf), rays=1000, wavelength_nm=600.0).energy
+        cosine = np.cos(np.radians([30.0]))
+        expected = preset("protected_ag").response(600.0, 1 + 0j, 1 + 0j, cosine, True)
+        assert energy.detected_W / energy.launched_W == pytest.approx(expected.R.mean(), rel=3e-6)
+        assert energy.absorbed["mirror"][0] / energy.launched_W == pytest.approx(expected.A.mean(), abs=3e-6)
+
+    def test_a_table_of_a_coating_traces_as_the_coating(self, tmp_path: Path) -> None:
+        """Written with 1° steps, the table differs from its layers by the interpolation over the angle only."""
+        from mistray.coatings import write_table
+
+        layers = "2.1+0.3i 20, 1.46 90"
+        film = {"type": "thinfilm", "layers": layers}
+        write_table(load(layers=layers).coating, tmp_path / "t.csv", [550.0], np.arange(0.0, 90.5, 1.0), back="air")
+        found = []
+        for bsdf in (
+            film,
+            {"type": "thinfilm", "table": str(tmp_path / "t.csv")},
+            {"type": "interface", "table": str(tmp_path / "t.csv")},
+        ):
+            energy = mistray.trace(self.fold({**bsdf, "mirror": True}), rays=1000, wavelength_nm=550.0).energy
+            found.append(energy.detected_W / energy.launched_W)
+        assert found[1] == found[2]
+        assert found[0] == pytest.approx(found[1], rel=1e-5)
+
+    def test_the_side_of_incidence_matters(self) -> None:
+        """An absorbing film between equal media: from the other side it reflects another share."""
+        bsdf = {"type": "thinfilm", "layers": "2.1+0.3i 20, 1.46 90", "mirror": True}
+        found = [
+            mistray.trace(self.fold({**bsdf, "first": first}), rays=1000, wavelength_nm=550.0).energy.detected_W
+            for first in ("front", "outside", "back")
+        ]
+        assert found[0] == found[1]
+        assert abs(found[0] / found[2] - 1) > 0.1
+
+    def test_wavelength_out_of_range(self) -> None:
+        scene = self.fold({"type": "thinfilm", "layers": "N-BK7 100", "mirror": True})
+        with pytest.raises(mistray.MistrayError, match=r"layer 1: material 'N-BK7': 5000 nm is outside") as caught:
+            mistray.trace(scene, rays=10, wavelength_nm=5000.0)
+        assert "\n" not in str(caught.value)
+
+
+class TestMessages:
+    """A scene that cannot be loaded says in one line which coating is wrong."""
+
+    @pytest.mark.parametrize(
+        ("film", "words"),
+        [
+            ({"layers": "MgF 5"}, "thinfilm of interface of asphere 'L1': coating 'MgF 5', layer 1: material 'MgF' is"),
+            ({"R": 0.6, "T": 0.6}, "thinfilm of interface of asphere 'L1': R = 0.6 and T = 0.6; both must lie"),
+            ({}, "thinfilm of interface of asphere 'L1': it has no coating; give one of layers"),
+            (
+                {"layer": "1.38 4"},
+                "unknown parameter 'layer' = 1.38 4 of thinfilm of interface of asphere 'L1'; did you",
+            ),
+            ({"table": "c.dat:AR"}, "coating file 'c.dat': No such file"),
+        ],
+    )
+    def test_nested(self, film: dict[str, Any], words: str) -> None:
+        bsdf = {"type": "interface", "coating": {"type": "thinfilm", **film}}
+        with pytest.raises(mistray.MistrayError) as caught:
+            mistray.load({"type": "scene", "L1": {"type": "asphere", "semi_diameter": 1.0, "bsdf": bsdf}})
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)

@@ -9,7 +9,7 @@ import pytest
 from oracles import nonsequential, scene_xml
 
 from mistray.errors import MistrayError
-from mistray.prescription import Structure, from_json
+from mistray.prescription import Coating, Structure, from_json
 from mistray.prescription.scene_file import xml_text
 
 FILE = Path(__file__).parents[2] / "scenes" / "phone_camera" / "prescription.json"
@@ -182,3 +182,16 @@ def test_missing_and_unreadable_files(tmp_path):
     path.write_text("{")
     with pytest.raises(MistrayError, match="must be a JSON file"):
         from_json(path)
+
+
+def test_coatings_of_layers(tmp_path):
+    """A coating of the file is R and T, or a recipe of `Coating`."""
+    layers = {"layers": "MgF2 99.6, 2.1 0.5w", "design_nm": 500.0}
+    shared = {"preset": "bbar3", "name": "ar"}
+    change = {"lenses": layers, "window, IR filter": shared}
+    camera = from_json(broken(tmp_path, lambda data: data["coatings"].update(change)))
+    by_part = {surface.part: surface.coating for surface in camera.surfaces}
+    assert by_part["L1"] == Coating(**layers)
+    assert by_part["window"] == by_part["filter"] == Coating(**shared)
+    with pytest.raises(MistrayError, match="preset 'bbar' is unknown"):
+        from_json(broken(tmp_path, lambda data: data["coatings"].update({"lenses": {"preset": "bbar"}})))

@@ -1,0 +1,192 @@
+"""Coatings put on surfaces of a scene file: what changes, what stays, and what is refused."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+import pytest
+
+import mistray
+from mistray.coatings import Layer, Stack, preset
+from mistray.errors import MistrayError
+from mistray.scene.load import find
+from mistray.scene.recoat import SharedCoating, recoated, write_recoated
+
+AR = Stack((Layer("1.38", 99.5), Layer("2.1", 131.25)), name="AR")
+TRIPLET = find("cooke_triplet")
+SCENE = """<?xml version="1.0" encoding="utf-8"?>
+<!-- a > b, "quoted" -->
+<scene version="3.0.0">
+    <integrator type="straylight"/>
+    <emitter type="collimated"><float name="radius" value="1"/></emitter>
+    <bsdf type="interface" id="glass">
+        <string name="back" value="1.5"/> <!-- crown -->
+        <float name="R" value="0.1"/>
+        <float name="T" value="0.9"/>
+    </bsdf>
+    <bsdf type="thinfilm" id="old">
+        <string name="preset" value="v_coat"/>
+    </bsdf>
+    <!-- the lens -->
+    <shape type="asphere" id="a">
+        <float name="semi_diameter" value="5"/>
+        <ref id="glass"/>
+    </shape>
+    <shape type="asphere" id="b">
+        <float name="semi_diameter" value="5"/>
+        <transform name="to_world"><translate z="2"/></transform>
+        <bsdf type="interface">
+            <string name="front" value="1.5"/>
+            <ref id="old"/>
+        </bsdf>
+    </shape>
+    <shape type="asphere" id="c"><float name="semi_diameter" value="5"/>
+        <transform name="to_world"><translate z="4"/></transform>
+        <bsdf type="interface"><string name="back" value="1.6"/><bsdf type="thinfilm"><string name="layers" value="1.4 100"/></bsdf></bsdf></shape>
+    <shape type="asphere" id="d"><float name="semi_diameter" value="5"/>
+        <transform name="to_world"><translate z="6"/></transform>
+        <bsdf type='thinfilm' id="alone"><string name="front" value="1.6"/><string name="preset" value="bbar3"/><string name="back" value="air"/></bsdf></shape>
+    <shape type="asphere" id="e"><float name="semi_diameter" value="5"/>
+        <transform name="to_world"><translate z="8"/></transform><bsdf type="interface"/></shape>
+    <shape type="asphere" id="detector">
+        <float name="half_width" value="5"/><float name="half_height" value="5"/>
+        <transform name="to_world"><translate z="9"/></transform>
+        <bsdf type="interface"><float name="R" value="0"/></bsdf>
+        <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor>
+    </shape>
+</scene>
+"""  # noqa: E501
+
+
+def store(folder: Path, text: str) -> Path:
+    path = folder / "scene.xml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def changes(before: str, after: str) -> tuple[list[str], list[str]]:
+    """Lines that went and lines that came."""
+    lines = list(difflib.ndiff(before.splitlines(), after.splitlines()))
+    return [x[2:].strip() for x in lines if x[0] == "-"], [x[2:].strip() for x in lines if x[0] == "+"]
+
+
+def coatings(path: Path) -> dict[str, Stack]:
+    scene = mistray.load(path)
+    return {shape.id(): shape.bsdf().coating for shape in scene.shapes()}
+
+
+class TestWhatChanges:
+    def test_only_the_new_lines(self, tmp_path: Path) -> None:
+        before = TRIPLET.read_text(encoding="utf-8")
+        after = recoated(TRIPLET, [SharedCoating("AR", AR, ("L1_front", "L3_rear"))], TRIPLET.parent, "for a test -- x")
+        gone, new = changes(before, after)
+        assert gone == []
+        assert [line for line in new if line] == [
+            "<!-- Coatings put on by mistray: for a test - - x -->",
+            '<bsdf type="thinfilm" id="AR">',
+            '<string name="layers" value="1.38 99.5, 2.1 131.25"/>',
+            "</bsdf>",
+            '<ref id="AR"/>',
+            '<ref id="AR"/>',
+        ]
+
+    def test_every_way_to_have_a_coating(self, tmp_path: Path) -> None:
+        """Shared interface, shared coating, nested coating, coating alone, nothing: all end with the new design."""
+        source = store(tmp_path, SCENE)
+        done = write_recoated(source, [SharedCoating("AR", AR, ("a", "b", "c", "d", "e"))], tmp_path / "new.xml")
+        text = done.read_text(encoding="utf-8")
+        scene = mistray.load(done)
+        bsdfs = {shape.id(): shape.bsdf() for shape in scene.shapes()}
+        films = {id(bsdfs[name].film) for name in "abcde"}
+        assert len(films) == 1, "one design, one object"
+        for name, sides in {"a": ("air", "1.5"), "b": ("1.5", "air"), "c": ("air", "1.6"), "d": ("1.6", "air")}.items():
+            assert (bsdfs[name].front, bsdfs[name].back) == sides
+            assert bsdfs[name].coating.layers == AR.layers
+        assert bsdfs["detector"].opaque
+        assert 'id="glass"' in text, "others may refer to the shared interface"
+        assert 'id="old"' not in text, "nobody refers to the old coating any more"
+        assert 'id="alone"' in text, "the surface keeps its name"
+        for kept in ('<!-- a > b, "quoted" -->', "<!-- crown -->", "<!-- the lens -->"):
+            assert kept in text
+
+    def test_others_keep_their_coating(self, tmp_path: Path) -> None:
+        source = store(tmp_path, SCENE)
+        done = write_recoated(source, [SharedCoating("AR", AR, ("a",))], tmp_path / "new.xml")
+        before, after = coatings(source), coatings(done)
+        assert after["a"].layers == AR.layers
+        assert {name: c for name, c in after.items() if name != "a"} == {n: c for n, c in before.items() if n != "a"}
+
+    def test_again(self, tmp_path: Path) -> None:
+        """A second design replaces the first one under the same name, with its note."""
+        source = store(tmp_path, SCENE)
+        first = write_recoated(source, [SharedCoating("AR", AR, ("a", "b"))], tmp_path / "1.xml", "first")
+        second = write_recoated(first, [SharedCoating("AR", preset("bbar3"), ("a", "b"))], tmp_path / "2.xml", "second")
+        text = second.read_text(encoding="utf-8")
+        assert text.count('id="AR"') == 3
+        assert "first" not in text
+        direct = recoated(source, [SharedCoating("AR", preset("bbar3"), ("a", "b"))], tmp_path, "second")
+        assert text == direct
+
+    def test_a_name_that_is_taken(self, tmp_path: Path) -> None:
+        source = store(tmp_path, SCENE)
+        text = recoated(source, [SharedCoating("glass", AR, ("a",)), SharedCoating("old", AR, ("c",))], tmp_path)
+        assert '<bsdf type="thinfilm" id="glass_2">' in text
+        assert '<bsdf type="thinfilm" id="old_2">' in text, "b still refers to the old one"
+
+    def test_order_and_design_wavelength(self, tmp_path: Path) -> None:
+        infrared = Stack((Layer("Ge", 300.0),), first="back")
+        text = recoated(TRIPLET, [SharedCoating("IR", infrared, ("L1_front",), 10600.0)], tmp_path)
+        assert '<string name="first" value="back"/>' in text
+        assert '<float name="design_nm" value="10600.0"/>' in text
+
+    def test_files_beside_the_scene_are_still_found(self, tmp_path: Path) -> None:
+        """A table and a glass named relative to the old folder, and a scene that names none."""
+        (tmp_path / "t.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,0.1,0.9\n550,90,0.1,0.9\n")
+        (tmp_path / "g.csv").write_text("wavelength_nm,n,k\n400,1.5,0\n700,1.5,0\n")
+        text = SCENE.replace('<bsdf type="interface"/>', '<bsdf type="interface"><string name="table" value="t.csv"/></bsdf>')
+        source = store(tmp_path, text.replace('value="1.6"', 'value="g.csv"'))
+        other = tmp_path / "results"
+        other.mkdir()
+        done = write_recoated(source, [SharedCoating("AR", AR, ("a",))], other / "scene.xml")
+        assert '<path value=".."/>' in done.read_text(encoding="utf-8")
+        tables = [Path(coatings(path)["e"].name).resolve() for path in (source, done)]
+        assert tables[0] == tables[1] == tmp_path.resolve() / "t.csv"
+        assert "<path" not in recoated(source, [SharedCoating("AR", AR, ("a",))], tmp_path)
+        assert "<path" not in recoated(TRIPLET, [SharedCoating("AR", AR, ("L1_front",))], other)
+
+
+class TestRefusals:
+    @pytest.mark.parametrize(
+        ("surfaces", "message"),
+        [
+            (("nothing",), "it has no shape 'nothing'"),
+            (("a", "a"), "shape 'a' gets two coatings"),
+            (("glass",), "it has no shape 'glass'"),
+        ],
+    )
+    def test_surfaces(self, tmp_path: Path, surfaces: tuple[str, ...], message: str) -> None:
+        with pytest.raises(MistrayError, match=message):
+            recoated(store(tmp_path, SCENE), [SharedCoating("AR", AR, surfaces)], tmp_path)
+
+    def test_files(self, tmp_path: Path) -> None:
+        coating = [SharedCoating("AR", AR, ("a",))]
+        with pytest.raises(MistrayError, match=r"none\.xml': No such file"):
+            recoated(tmp_path / "none.xml", coating, tmp_path)
+        with pytest.raises(MistrayError, match="line 2: broken XML, mismatched tag"):
+            recoated(store(tmp_path, "<scene>\n</scen>"), coating, tmp_path)
+        with pytest.raises(MistrayError, match="its encoding is latin-1; save it as UTF-8"):
+            recoated(store(tmp_path, SCENE.replace("utf-8", "latin-1")), coating, tmp_path)
+        diffuse = SCENE.replace('<bsdf type="interface"/>', '<bsdf type="diffuse"/>')
+        with pytest.raises(MistrayError, match="shape 'e': its BSDF is 'diffuse'; a coating needs an 'interface'"):
+            recoated(store(tmp_path, diffuse), [SharedCoating("AR", AR, ("e",))], tmp_path)
+        bare = SCENE.replace('<bsdf type="interface"/>', "")
+        with pytest.raises(MistrayError, match="shape 'e': it has no BSDF"):
+            recoated(store(tmp_path, bare), [SharedCoating("AR", AR, ("e",))], tmp_path)
+
+    def test_the_old_file_stays_when_the_new_one_cannot_be_written(self, tmp_path: Path) -> None:
+        source = store(tmp_path, SCENE)
+        (tmp_path / "scene.xml.part").mkdir()  # the draft cannot be written
+        with pytest.raises(MistrayError, match="Is a directory"):
+            write_recoated(source, [SharedCoating("AR", AR, ("a",))], source)
+        assert source.read_text(encoding="utf-8") == SCENE
