@@ -12,12 +12,14 @@ import os
 import platform
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from rows import Row, alternate
+from thinfilm import thin_films
 
 import mistray
 from mistray.optimize import gradient, path_power
@@ -27,39 +29,6 @@ from mistray.trace.settings import Settings
 from mistray.trace.tracer import Run, prepare
 
 HERE = Path(__file__).parent
-REPEATS = 5
-
-
-@dataclass
-class Row:
-    """One line of the table: what is compared, both rates, the ratio and the bar it should reach (None: no bar)."""
-
-    what: str
-    ours: str
-    other: str
-    ratio: float
-    bar: float | None
-    small: bool = False
-
-    def __str__(self) -> str:
-        verdict = ""
-        if self.bar is not None:
-            reached = self.ratio <= self.bar if self.small else self.ratio >= self.bar
-            verdict = f"{'≤' if self.small else '≥'} {self.bar:g} {'reached' if reached else 'NOT REACHED'}"
-        return f"| {self.what} | {self.ours} | {self.other} | {self.ratio:.2f} | {verdict} |"
-
-
-def alternate(first: Callable[[], None], second: Callable[[], None]) -> tuple[float, float]:
-    """Best wall time of each of two actions, run in turn; both are run once before."""
-    first()
-    second()
-    best = [np.inf, np.inf]
-    for _ in range(REPEATS):
-        for k, action in enumerate((first, second)):
-            start = time.perf_counter()
-            action()
-            best[k] = min(best[k], time.perf_counter() - start)
-    return best[0], best[1]
 
 
 def tree_segments(run: Run, most: int) -> tuple[mi.Point3f, mi.Vector3f]:
@@ -276,6 +245,7 @@ def main() -> None:
         stokes_cost("double_gauss", 1 << 17, 0.5),
         gradient_cost("cooke_triplet", 1 << 16, 2.5),
         gradient_cost("phone_camera", 1 << 12, 2.5),
+        *thin_films(),
     ]
     table = ["| compared | mistray | other | ratio | bar |", "|---|---|---|---|---|", *map(str, rows)]
     text = "\n".join(

@@ -13,16 +13,20 @@ REPEATS = 5
 
 @dataclass
 class Row:
-    """What is compared, both rates, the ratio and the bar it should reach (None: no bar)."""
+    """What is compared, both rates, the ratio and the bar (None: no bar); `small`: the ratio must stay below it."""
 
     what: str
     ours: str
     other: str
     ratio: float
     bar: float | None
+    small: bool = False
 
     def __str__(self) -> str:
-        verdict = "" if self.bar is None else f"≥ {self.bar:g} {'reached' if self.ratio >= self.bar else 'NOT REACHED'}"
+        verdict = ""
+        if self.bar is not None:
+            reached = self.ratio <= self.bar if self.small else self.ratio >= self.bar
+            verdict = f"{'≤' if self.small else '≥'} {self.bar:g} {'reached' if reached else 'NOT REACHED'}"
         ratio = "" if np.isnan(self.ratio) else f"{self.ratio:.2f}"
         return f"| {self.what} | {self.ours} | {self.other} | {ratio} | {verdict} |"
 

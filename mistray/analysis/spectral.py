@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -24,23 +24,53 @@ class SpectralMaps:
         Flux of the sources.
     direct, stray : (n, H, W) float
         Of the direct paths and of all others, W/mm² in each line or band; not divided by its width.
+    stray_hits : (n,) float
+        Rays of the paths that are not direct at the detector.
     """
 
     wavelengths_nm: npt.NDArray[np.float64]
     launched_W: npt.NDArray[np.float64]
     direct: npt.NDArray[np.float64]
     stray: npt.NDArray[np.float64]
+    stray_hits: npt.NDArray[np.float64]
+
+    def block_for(self, hits: float) -> int:
+        """
+        Side of the blocks of pixels that hold at least `hits` stray rays of each wavelength, in the mean of those lit.
+
+        Returns
+        -------
+        int
+            A common divisor of the height and the width, 1 if the pixels themselves hold as many.
+        """
+        height, width = self.stray.shape[1:]
+        blocks = [b for b in range(1, min(height, width) + 1) if height % b == width % b == 0]
+        for block in blocks:
+            lit = np.count_nonzero(self.binned(block).stray, axis=(1, 2))
+            if np.all(self.stray_hits >= hits * np.maximum(lit, 1) * (self.stray_hits > 0)):
+                return block
+        return blocks[-1]
+
+    def binned(self, block: int) -> SpectralMaps:
+        """The mean irradiance of blocks of pixels; `block` divides the height and the width."""
+        n, height, width = self.stray.shape
+        shape = (n, height // block, block, width // block, block)
+        direct, stray = (values.reshape(shape).mean(axis=(2, 4)) for values in (self.direct, self.stray))
+        return replace(self, direct=direct, stray=stray)
 
 
 def spectral_maps(t: Trace) -> SpectralMaps:
     """The maps of a trace at each of its wavelengths, by tracing its rays again."""
     table = t.paths.to_pandas()
-    direct, stray = [], []
+    direct, stray, hits = [], [], []
     for wavelength in t.wavelengths_nm:
         rows = table[table.wavelength_nm == wavelength]
         groups = [list(rows.path_id[rows.kind == DIRECT]), list(rows.path_id[rows.kind != DIRECT])]
         (image, _), (others, _) = t.maps(groups)
         direct.append(image)
         stray.append(others)
+        hits.append(float(rows.rays[rows.kind != DIRECT].sum()))
     launched = [t.energy_at(wavelength).launched_W for wavelength in t.wavelengths_nm]
-    return SpectralMaps(np.array(t.wavelengths_nm), np.array(launched), np.array(direct), np.array(stray))
+    return SpectralMaps(
+        np.array(t.wavelengths_nm), np.array(launched), np.array(direct), np.array(stray), np.array(hits)
+    )

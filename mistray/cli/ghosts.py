@@ -69,6 +69,8 @@ def add(commands: Any) -> None:
                         help="brightest pixel of the stray light, or of the direct image on axis (ghosts)")  # fmt: skip
     colour.add_argument("--white", choices=("source", "D65"),
                         help="what comes out as grey: the light of the source, or D65 (source)")  # fmt: skip
+    colour.add_argument("--block", type=count, metavar="N",
+                        help="pixels averaged along each side; 0: as many as the noise asks for (0)")  # fmt: skip
     parser.set_defaults(run=run)
 
 
@@ -136,7 +138,7 @@ def _check_weights(options: argparse.Namespace) -> None:
 
 def _look(options: argparse.Namespace) -> Look | None:
     """How colour pictures shall look; None if there shall be none."""
-    given = {key: getattr(options, key) for key in ("stops", "reference", "white")}
+    given = {key: getattr(options, key) for key in ("stops", "reference", "white", "block")}
     given = {key: value for key, value in given.items() if value is not None}
     if not options.colour:
         if given:

@@ -56,8 +56,17 @@ def run(options: argparse.Namespace) -> int:
     from mistray.report.optimization import report_text, write_optimization
 
     checkpoint = None
+    shown = not options.quiet and sys.stderr.isatty()
+    saved = options.resume
     if options.out is not None:
         checkpoint = writable_directory(options.out) / "checkpoint.json"
+
+    def progress(step: Step, design: Design) -> None:
+        nonlocal saved
+        saved = checkpoint is not None
+        if shown:
+            _show(step, design)
+
     try:
         result = optimize_coatings(
             options.scene,
@@ -65,11 +74,11 @@ def run(options: argparse.Namespace) -> int:
             steps=options.steps,
             checkpoint=checkpoint,
             resume=options.resume,
-            progress=None if options.quiet or not sys.stderr.isatty() else _show,
+            progress=progress,
         )
         files = [] if options.out is None else write_optimization(result, options.out)
     except KeyboardInterrupt:
-        if checkpoint is None or not checkpoint.is_file():
+        if not saved:
             raise
         print(f"mistray: interrupted; all steps are in {checkpoint}, go on with --resume", file=sys.stderr)
         return INTERRUPTED

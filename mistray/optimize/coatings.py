@@ -277,7 +277,7 @@ class _Search:
             options={"maxiter": limit - begin, "ftol": 0.0, "gtol": 0.0},
         )
         if ended == STEPS_USED and taken < limit:
-            ended = f"no lower value along the gradient ({outcome.message})"
+            ended = "converged" if outcome.success else f"no lower value along the gradient ({outcome.message})"
         self.state.ended[start] = ended
         if self.file is not None:
             self.file.write(self.state)

@@ -92,9 +92,11 @@ def place(scene: Any, study: Study) -> tuple[Placed, ...]:
     Raises
     ------
     MistrayError
-        If a surface does not exist, is opaque or is in two groups, or "all" finds none.
+        If a surface does not exist, is opaque or is in two groups, "all" finds none, or a material of a layer is not
+        known over the band.
     """
-    nm = spectrum(scene, study.metric)[0][0]
+    band = spectrum(scene, study.metric)[0]
+    nm = band[0]
     shapes = {shape.id(): shape for shape in scene.shapes()}
     clear = {name: shape for name, shape in shapes.items() if _is_clear(shape.bsdf(), nm)}
     refracting = [name for name, shape in clear.items() if len(set(shape.bsdf().indices(nm))) == 2]
@@ -104,6 +106,11 @@ def place(scene: Any, study: Study) -> tuple[Placed, ...]:
         where = f"study '{study.name}', coating '{group.name}'"
         if group.surfaces is None and not refracting:
             raise MistrayError(f'{where}: surfaces = "all" finds no transparent refracting surface; name the surfaces')
+        try:
+            for wavelength in band:
+                group.start.indices(wavelength)
+        except MistrayError as error:
+            raise MistrayError(f"{where}: {error}") from None
         surfaces = tuple(refracting) if group.surfaces is None else group.surfaces
         for name in surfaces:
             if name not in shapes:

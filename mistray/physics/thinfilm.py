@@ -34,8 +34,9 @@ from mistray.physics._arrays import Arithmetic, arithmetic
 
 Pair = tuple[Any, Any]
 
-# Below this |δ²| a layer's matrix is summed as series; the first terms left out, δ⁸/8! and δ⁸/9!, are below 3e-17.
-_SERIES = 1e-3
+# Below this |δ²| a layer's matrix is summed as series; the first terms left out, δ⁶/6! and δ⁶/7!, are below 2e-18.
+# Above it, derivatives by q² suffer from rounding, about 1e-16/δ² and so below 1e-11.
+_SERIES = 1e-5
 # Smallest |q²| but for rounding: a root of zero would have no derivative. R and T move by about its root, 1e-30.
 _FLOOR = 1e-60
 # Smallest cosine of incidence. At grazing incidence q vanishes in all media of the same index and r would be 0/0; here
@@ -47,13 +48,13 @@ _SCALE_EVERY = 8
 
 
 class _Fields(NamedTuple):
-    """Result for one polarisation; H as seen from the front."""
+    """Waves at the front of the stack and the field behind it, for one polarisation, in one arbitrary unit."""
 
     forward: Any  # Y₀E + H: 2 Y₀ times the incident wave
     backward: Any  # Y₀E - H: 2 Y₀ times the reflected wave
     admittance_front: Any  # Y₀ = q/g
     admittance_back: Any
-    passed: Any  # field behind the stack in the same unit; real and positive
+    passed: Any  # E behind the stack; real and positive
 
 
 class _Layer(NamedTuple):
@@ -226,8 +227,8 @@ def _joined(ops: Arithmetic, small: Any, q2: Any, phase_per_q: Any, general: _La
     """Power series in δ² where ``small``, else ``general``."""
     x = ops.select(small, phase_per_q, 0 * phase_per_q)
     w = q2 * (x * x)
-    cos = 1 - w * (1 / 2 - w * (1 / 24 - w * (1 / 720)))
-    over = (1 - w * (1 / 6 - w * (1 / 120 - w * (1 / 5040)))) * x
+    cos = 1 - w * (1 / 2 - w * (1 / 24))
+    over = (1 - w * (1 / 6 - w * (1 / 120))) * x
     series = _Layer(cos, over, over * q2, 1 + 0 * x)
     return _Layer(*(ops.select(small, a, b) for a, b in zip(series, general, strict=True)))
 

@@ -20,6 +20,9 @@ Gamut
     Outside of sRGB the negative channels are set to 0, which keeps the colour as saturated as the screen allows and the
     luminance right. Above the luminance of white the channels are cut off at 1 one by one, so that overexposed ghosts
     go towards white, as on a sensor. The shares of the pixels that this concerns are reported.
+Noise
+    Every wavelength has rays of its own, so pixels with few rays show speckles of all colours. Pixels are averaged in
+    square blocks, as many as it takes for `HITS_PER_BLOCK` stray rays of each wavelength in a lit block.
 """
 
 from __future__ import annotations
@@ -43,6 +46,7 @@ WHITES = ("source", "D65")
 REFERENCES = ("ghosts", "direct")
 LEAST_CONE_RESPONSE = 1e-3  # of a white, relative to its luminance
 ROUNDING = 1e-9
+HITS_PER_BLOCK = 20  # leaves about 20 % of noise in each line, less in luminance
 
 
 @dataclass(frozen=True)
@@ -58,11 +62,14 @@ class Look:
         What is as bright as white at 0 stops.
     white : {"source", "D65"}
         What comes out as grey.
+    block : int
+        Pixels averaged along each side; a divisor of the height and the width. 0: as many as the noise asks for.
     """
 
     stops: float = 0.0
     reference: str = "ghosts"
     white: str = "source"
+    block: int = 0
 
     def __post_init__(self) -> None:
         if not np.isfinite(self.stops) or abs(self.stops) > 200:
@@ -71,6 +78,8 @@ class Look:
             raise MistrayError(f"colour: reference is '{self.reference}'; use 'ghosts' or 'direct'")
         if self.white not in WHITES:
             raise MistrayError(f"colour: white is '{self.white}'; use 'source' or 'D65'")
+        if self.block < 0:
+            raise MistrayError(f"colour: blocks of {self.block} pixels; give 1 or more, or 0 to let the noise decide")
 
 
 @dataclass(frozen=True)
@@ -217,8 +226,10 @@ class ColourPictures:
     Attributes
     ----------
     look : Look
+    block : int
+        Pixels that were averaged along each side.
     all_light, stray : dict
-        Field angle → `Developed`, (H, W, 3); row 0 is at the smallest y.
+        Field angle → `Developed`, (H / block, W / block, 3); row 0 is at the smallest y.
     """
 
     def __init__(self, report: GhostReport, look: Look | None = None) -> None:
@@ -227,14 +238,22 @@ class ColourPictures:
         self._wavelengths_nm = report.wavelengths_nm
         self._extents = {field: t.extent for field, t in report.items()}
         light, stray = {}, {}
-        for field, t in report.items():
-            maps = spectral_maps(t)
+        spectral = {field: spectral_maps(t) for field, t in report.items()}
+        self.block = self.look.block or max(maps.block_for(HITS_PER_BLOCK) for maps in spectral.values())
+        for maps in spectral.values():
+            if any(size % self.block for size in maps.stray.shape[1:]):
+                height, width = maps.stray.shape[1:]
+                raise MistrayError(
+                    f"colour: blocks of {self.block} pixels do not fill {width} × {height}; give a common divisor"
+                )
+        for field in report:
+            maps = spectral[field].binned(self.block)
             stray[field] = xyz(maps.stray, maps.wavelengths_nm)
             light[field] = stray[field] + xyz(maps.direct, maps.wavelengths_nm)
         if self.look.reference == "ghosts":
             peak = max(float(image[..., 1].max()) for image in stray.values())
         else:
-            maps = spectral_maps(report.nominal_trace)
+            maps = spectral_maps(report.nominal_trace).binned(self.block)
             peak = float(xyz(maps.direct, maps.wavelengths_nm)[..., 1].max())
         self._dark = peak == 0
         exposure = 0.0 if self._dark else 2.0**self.look.stops / peak
@@ -268,8 +287,9 @@ class ColourPictures:
             return f"wavelengths: {lines} nm; the {over} is dark, so there is nothing to expose for"
         white = "the light of the source" if self.look.white == "source" else "D65"
         stray = self.stray[field_deg]
+        blocks = f"; {self.block} × {self.block} pixels averaged" if self.block > 1 else ""
         return (
-            f"wavelengths: {lines} nm; white: {white}; exposure: {self.look.stops:+g} stops over the {over}\n"
+            f"wavelengths: {lines} nm; white: {white}; exposure: {self.look.stops:+g} stops over the {over}{blocks}\n"
             f"of the pixels with stray light {stray.outside:.0%} lie outside of sRGB, {stray.overexposed:.0%} are "
             "overexposed"
         )

@@ -53,12 +53,13 @@ def design_table(result: Optimization) -> str:
     for item in result.placed:
         before = result.designs[0].thickness_nm[item.group.name]
         after = result.best.thickness_nm[item.group.name]
-        for k, (layer, (low, high)) in enumerate(zip(item.group.start.layers, item.group.bounds_nm, strict=True)):
-            at_bound = "at its bound" if min(after[k] - low, high - after[k]) < 1e-6 * high else ""
+        for k, (layer, bounds) in enumerate(zip(item.group.start.layers, item.group.bounds_nm, strict=True)):
             name = item.group.name if k == 0 else ""
-            rows.append([name, str(k + 1), layer.material, f"{before[k]:.2f}", f"{after[k]:.2f}", at_bound])
-    heads = [("coating", ""), ("layer", ""), ("material", ""), ("before", "nm"), ("after", "nm"), ("", "")]
-    return text_table(heads, rows, left=(0, 2, 5))
+            held = "*" if min(abs(after[k] - bound) for bound in bounds) < 1e-6 * bounds[1] else " "
+            rows.append([name, str(k + 1), layer.material, f"{before[k]:.2f}", f"{after[k]:.2f}{held}"])
+    heads = [("coating", ""), ("layer", ""), ("material", ""), ("before", "nm"), ("after", "nm ")]
+    table = text_table(heads, rows, left=(0, 2))
+    return f"{table}\n* at its bound" if any(row[-1].endswith("*") for row in rows) else table
 
 
 def report_text(result: Optimization) -> str:

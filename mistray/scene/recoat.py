@@ -143,12 +143,20 @@ class _File:
                 return start
         return element.start
 
-    def note_before(self, element: _Element) -> list[tuple[int, int, bytes]]:
-        """The edit that removes the note of `recoated` before a coating, if there is one."""
-        start = self.head(element)
-        if not self.data[start : element.start].startswith(f"<!-- {NOTE}".encode()):
-            return []
-        return [(len(self.data[:start].rstrip()), len(self.data[: element.start].rstrip()), b"")]
+    def removals(self, coatings: Sequence[_Element]) -> Iterator[tuple[int, int, bytes]]:
+        """Edits that remove shared coatings; with those of `recoated` go their note and the empty line behind them."""
+        end_of_ours = -1
+        for coating in coatings:
+            start, end = self.with_blanks(coating)
+            head = self.head(coating)
+            noted = self.data[head : coating.start].startswith(f"<!-- {NOTE}".encode())
+            if noted:
+                start = len(self.data[:head].rstrip())
+            if noted or start == end_of_ours:
+                end_of_ours = coating.end
+                empty = re.compile(rb"\n[ \t]*(?=\n)").match(self.data, end)
+                end = empty.end() if empty else end
+            yield start, end, b""
 
     def interface(self, surface: str) -> tuple[_Element, _Element]:
         """The child of a shape that is its surface, and the ``interface`` or ``thinfilm`` that it is or refers to."""
@@ -200,7 +208,9 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
                 raise MistrayError(f"shape '{surface}' gets two coatings; put it into one group")
             done.add(surface)
             place, interface = file.interface(surface)
-            edits.append((place.start, place.end, _coated(file, interface, name, copied=place is not interface)))
+            text = _coated(file, interface, name, copied=place is not interface)
+            deeper = file.indent(place)[len(file.indent(interface)) :]
+            edits.append((place.start, place.end, text.replace(b"\n", b"\n" + deeper.encode())))
     shapes = [child for child in file.root.children if child.tag == "shape"]
     at = file.head(shapes[0])
     lines = [f"<!-- {NOTE}{f': {_comment(note)}' if note else ''} -->"]
@@ -208,8 +218,7 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
         lines += _coating_lines(name, coating)
     pad = file.indent(shapes[0])
     edits.append((at, at, "".join(f"{line}\n{pad}" for line in [*lines, ""]).replace(f"\n{pad}\n", "\n\n").encode()))
-    for element in _forsaken(file, done):
-        edits += [(*file.with_blanks(element), b""), *file.note_before(element)]
+    edits += file.removals(_forsaken(file, done))
     if _names_files(file) and Path(folder).resolve() != file.path.resolve().parent:
         way = os.path.relpath(file.path.resolve().parent, Path(folder).resolve())
         edits.append((file.root.inside, file.root.inside, f"\n{pad}<path value={quoteattr(way)}/>".encode()))

@@ -10,6 +10,7 @@ from report.fake_scene import lens_scene
 from report.fake_trace import EXTENT, SHAPE, SHARES, FakePath, FakeTrace, trace_at
 
 from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.spectral import SpectralMaps
 from mistray.coatings import preset
 from mistray.errors import MistrayError
 from mistray.report.colour import ColourPictures, Look, check_wavelengths, develop, observer, xyz
@@ -203,7 +204,7 @@ def luminance(picture):
 
 def test_brightest_ghost_of_all_fields_is_white_at_no_stops(report):
     """Discs of 1e-4 W and 0.5 mm: the grey one is the brightest, since 450 nm adds hardly any luminance to it."""
-    pictures = ColourPictures(report)
+    pictures = ColourPictures(report, Look(block=1))
     y = {nm: oracle.OBSERVER[nm][1] for nm in (450.0, 650.0)} | {550.0: observer([550.0])[0, 1]}
     grey = 1e-4 / (np.pi * 0.5**2) * sum(share * y[nm] for nm, share in SHARES.items())
     yellow = 5e-5 / (np.pi * 0.4**2) * sum(share * y[nm] for nm, share in SHARES.items() if nm > 500)
@@ -216,13 +217,13 @@ def test_brightest_ghost_of_all_fields_is_white_at_no_stops(report):
 
 
 def test_a_stop_is_a_factor_of_two(report):
-    dim, bright = (luminance(ColourPictures(report, Look(stops=stops)).stray[0.0]) for stops in (-4.0, -3.0))
+    dim, bright = (luminance(ColourPictures(report, Look(block=1, stops=stops)).stray[0.0]) for stops in (-4.0, -3.0))
     assert at(bright, GREY) == pytest.approx(1 / 8, rel=1e-6)
     np.testing.assert_allclose(bright, 2 * dim, rtol=1e-6)
 
 
 def test_exposure_over_the_direct_image_leaves_the_ghosts_dark(report):
-    pictures = ColourPictures(report, Look(reference="direct"))
+    pictures = ColourPictures(report, Look(block=1, reference="direct"))
     np.testing.assert_allclose(at(pictures.all_light[0.0].rgb, DIRECT), 1, rtol=1e-9)
     assert pictures.all_light[0.0].overexposed == 0
     ratio = 1e-4 / 0.5**2 / (3 / 0.1**2)
@@ -234,23 +235,23 @@ def test_exposure_over_the_direct_image_leaves_the_ghosts_dark(report):
 def test_a_lens_without_ghosts_has_nothing_to_expose_for():
     light = [FakePath("a:T", "direct", 1.0, 10, *DIRECT, 0.1, wavelength=wavelength) for wavelength in SHARES]
     t = SmoothTrace(light, shares=SHARES)
-    pictures = ColourPictures(GhostReport(lens_scene(), {0.0: t}, t, {}))
+    pictures = ColourPictures(GhostReport(lens_scene(), {0.0: t}, t, {}), Look(block=1))
     assert (pictures.all_light[0.0].rgb == 0).all()
     assert "the brightest ghost is dark" in pictures.caption(0.0)
 
 
 def test_light_without_blue_is_yellow_and_that_of_the_source_grey(report):
-    rgb = ColourPictures(report, Look(stops=-1.0)).stray[20.0].rgb
+    rgb = ColourPictures(report, Look(block=1, stops=-1.0)).stray[20.0].rgb
     assert np.ptp(at(rgb, GREY)) < 1e-9
     red, green, blue = at(rgb, YELLOW)
     assert blue < 0.3 * min(red, green)
-    unadapted = ColourPictures(report, Look(stops=-1.0, white="D65")).stray[20.0].rgb
+    unadapted = ColourPictures(report, Look(block=1, stops=-1.0, white="D65")).stray[20.0].rgb
     np.testing.assert_allclose(at(unadapted, GREY), at(rgb, GREY).mean(), atol=0.25)
     assert np.ptp(at(unadapted, GREY)) > 0.05
 
 
 def test_pictures_show_all_light_and_the_stray_light(report):
-    pictures = ColourPictures(report, Look(stops=1.0, white="D65"))
+    pictures = ColourPictures(report, Look(block=1, stops=1.0, white="D65"))
     figure = pictures.figure(0.0)
     left, right = (axes.get_images()[0] for axes in figure.axes)
     np.testing.assert_array_equal(left.get_array(), pictures.all_light[0.0].rgb)
@@ -298,3 +299,27 @@ def test_a_saturated_source_is_no_white():
 def test_bad_looks_are_errors(look, words):
     with pytest.raises(MistrayError, match=words):
         Look(**look)
+
+
+def test_noise_asks_for_blocks():
+    """4 × 4 blocks hold 16 times the rays; the mean irradiance, and so the light, stays."""
+    rng = np.random.default_rng(0)
+    stray = rng.poisson(8.0, (3, 60, 40)).astype(float)
+    hits = stray.sum(axis=(1, 2))
+    nm = np.array([450.0, 550.0, 650.0])
+    maps = SpectralMaps(nm, np.ones(3), np.zeros_like(stray), stray, hits)
+    assert maps.block_for(100.0) == 4
+    assert maps.block_for(5.0) == 1
+    assert maps.block_for(1e9) == 20
+    binned = maps.binned(4)
+    assert binned.stray.shape == (3, 15, 10)
+    np.testing.assert_allclose(binned.stray.mean(axis=(1, 2)), stray.mean(axis=(1, 2)), rtol=1e-12)
+    np.testing.assert_allclose(binned.stray[1, 2, 3], stray[1, 8:12, 12:16].mean(), rtol=1e-12)
+
+
+def test_blocks_that_do_not_fill_the_picture(report):
+    with pytest.raises(MistrayError, match="blocks of 7 pixels do not fill"):
+        ColourPictures(report, Look(block=7))
+    with pytest.raises(MistrayError, match="give 1 or more"):
+        Look(block=-1)
+    assert "pixels averaged" in ColourPictures(report, Look(block=2)).caption(0.0)

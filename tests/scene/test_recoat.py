@@ -118,15 +118,17 @@ class TestWhatChanges:
         assert {name: c for name, c in after.items() if name != "a"} == {n: c for n, c in before.items() if n != "a"}
 
     def test_again(self, tmp_path: Path) -> None:
-        """A second design replaces the first one under the same name, with its note."""
+        """Other designs replace the first ones under the same names, with their note."""
         source = store(tmp_path, SCENE)
-        first = write_recoated(source, [SharedCoating("AR", AR, ("a", "b"))], tmp_path / "1.xml", "first")
-        second = write_recoated(first, [SharedCoating("AR", preset("bbar3"), ("a", "b"))], tmp_path / "2.xml", "second")
-        text = second.read_text(encoding="utf-8")
-        assert text.count('id="AR"') == 3
-        assert "first" not in text
-        direct = recoated(source, [SharedCoating("AR", preset("bbar3"), ("a", "b"))], tmp_path, "second")
-        assert text == direct
+
+        def coatings(name: str) -> list[SharedCoating]:
+            return [SharedCoating("AR", preset(name), ("a", "b")), SharedCoating("c", preset(name), ("c",))]
+
+        first = write_recoated(source, coatings("v_coat"), tmp_path / "1.xml", "first")
+        second = recoated(first, coatings("bbar3"), tmp_path, "second")
+        assert second == recoated(source, coatings("bbar3"), tmp_path, "second")
+        assert second.count('id="AR"') == 3
+        assert "first" not in second
 
     def test_a_name_that_is_taken(self, tmp_path: Path) -> None:
         source = store(tmp_path, SCENE)
@@ -144,7 +146,9 @@ class TestWhatChanges:
         """A table and a glass named relative to the old folder, and a scene that names none."""
         (tmp_path / "t.csv").write_text("wavelength_nm,angle_deg,R,T\n550,0,0.1,0.9\n550,90,0.1,0.9\n")
         (tmp_path / "g.csv").write_text("wavelength_nm,n,k\n400,1.5,0\n700,1.5,0\n")
-        text = SCENE.replace('<bsdf type="interface"/>', '<bsdf type="interface"><string name="table" value="t.csv"/></bsdf>')
+        text = SCENE.replace(
+            '<bsdf type="interface"/>', '<bsdf type="interface"><string name="table" value="t.csv"/></bsdf>'
+        )
         source = store(tmp_path, text.replace('value="1.6"', 'value="g.csv"'))
         other = tmp_path / "results"
         other.mkdir()

@@ -1,0 +1,147 @@
+"""`mistray optimize`: report, files, progress, interruption, bad input."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+from typing import Any
+
+import pytest
+from oracles.small_scenes import plates_text, write
+
+import mistray.optimize
+from mistray import cli
+
+STUDY = """
+[metric]
+wavelength_nm = 550
+rays = 32
+
+[[coating]]
+name = "AR"
+surfaces = "all"
+layers = "1.38 60"
+thickness_nm = [20, 180]
+
+[optimizer]
+starts = 1
+steps = 3
+"""
+
+
+@pytest.fixture
+def files(tmp_path: Path) -> tuple[str, str, str]:
+    study = tmp_path / "study.toml"
+    study.write_text(STUDY)
+    return str(write(tmp_path, plates_text(1))), str(study), str(tmp_path / "out")
+
+
+def run(capsys: Any, *arguments: str) -> tuple[int, str, str]:
+    code = cli.main(["optimize", *arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_report_and_files(capsys: Any, files: tuple[str, str, str]) -> None:
+    scene, study, out = files
+    code, printed, errors = run(capsys, scene, study, "--out", out)
+    assert (code, errors) == (0, "")
+    assert "before / after" in printed
+    assert "search from start 1: all steps used" in printed
+    assert {"scene.xml", "table.csv", "history.csv", "convergence.png", "reflectance.png", "checkpoint.json"} == {
+        path.name for path in Path(out).iterdir()
+    }
+    code, printed, _ = run(capsys, scene, study, "--out", out, "--resume", "--steps", "40", "--quiet")
+    assert (code, printed) == (0, "")
+    assert len((Path(out) / "history.csv").read_text().splitlines()) > 5
+
+
+def test_without_a_folder_nothing_is_written(capsys: Any, files: tuple[str, str, str]) -> None:
+    scene, study, _ = files
+    before = sorted(Path(scene).parent.iterdir())
+    assert run(capsys, scene, study, "--steps", "0")[0] == 0
+    assert sorted(Path(scene).parent.iterdir()) == before
+
+
+def test_progress_on_a_terminal(capsys: Any, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+    scene, study, _ = files
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
+    _, _, errors = run(capsys, scene, study, "--steps", "1")
+    lines = errors.splitlines()
+    assert len(lines) == 2
+    assert lines[0].startswith("start 1 (given), step 0: ")
+    assert "±" in lines[1]
+    assert "|gradient| " in lines[1]
+
+
+class TestInterruption:
+    def interrupt(self, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
+        """Ctrl-C while a step is computed."""
+        from mistray.optimize import coatings
+
+        evaluate, calls = coatings._Search.evaluate, []
+
+        def evaluated(self: Any, d: Any) -> Any:
+            calls.append(d)
+            if len(calls) > after:
+                raise KeyboardInterrupt
+            return evaluate(self, d)
+
+        monkeypatch.setattr(coatings._Search, "evaluate", evaluated)
+
+    def test_the_checkpoint_stays(
+        self, capsys: Any, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        scene, study, out = files
+        with monkeypatch.context() as patch:
+            self.interrupt(patch, 3)
+            code, printed, errors = run(capsys, scene, study, "--out", out)
+        assert (code, printed) == (130, "")
+        assert (
+            errors == f"mistray: interrupted; all steps are in {Path(out) / 'checkpoint.json'}, go on with --resume\n"
+        )
+        code, printed, _ = run(capsys, scene, study, "--out", out, "--resume")
+        assert code == 0
+        assert "before / after" in printed
+
+    def test_without_a_folder(self, capsys: Any, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch) -> None:
+        scene, study, _ = files
+        self.interrupt(monkeypatch, 1)
+        code, _, errors = run(capsys, scene, study)
+        assert (code, errors) == (130, "mistray: interrupted, nothing was written\n")
+
+    def test_before_the_first_step(
+        self, capsys: Any, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch
+    ) -> None:
+        scene, study, out = files
+        self.interrupt(monkeypatch, 0)
+        code, _, errors = run(capsys, scene, study, "--out", out)
+        assert (code, errors) == (130, "mistray: interrupted, nothing was written\n")
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("rays = 32", "ray = 32"), "metric.ray is unknown; did you mean 'rays'?"),
+        (('"all"', '["p9_front"]'), "coating 'AR': the scene has no surface 'p9_front'; choose from p0_front, p0_rear"),
+        (("[20, 180]", "[70, 180]"), "starts with 60 nm; widen the bounds or change the start"),
+    ],
+)
+def test_bad_studies(capsys: Any, files: tuple[str, str, str], change: tuple[str, str], message: str) -> None:
+    scene, study, out = files
+    Path(study).write_text(STUDY.replace(*change))
+    code, printed, errors = run(capsys, scene, study, "--out", out)
+    assert (code, printed, errors.count("\n")) == (2, "", 1)
+    assert errors.startswith(f"mistray: error: study '{study}'")
+    assert message in errors
+    assert not Path(out).exists()
+
+
+def test_bad_arguments(capsys: Any, files: tuple[str, str, str]) -> None:
+    scene, study, out = files
+    assert "--resume needs the folder of the checkpoint; give --out" in run(capsys, scene, study, "--resume")[2]
+    assert "run without resuming" in run(capsys, scene, study, "--out", out, "--resume")[2]
+    assert "no such file" in run(capsys, "no_scene.xml", study)[2]
+    assert "No such file" in run(capsys, scene, "no_study.toml")[2]
+    assert "is a file; name a directory" in run(capsys, scene, study, "--out", study)[2]
+    assert mistray.optimize.read_study(study).optimizer.steps == 3
