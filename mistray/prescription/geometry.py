@@ -14,7 +14,8 @@ from itertools import pairwise
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.prescription.model import Coating, Detector, Stop, Structure, Surface
+from mistray.prescription.coating import Coating
+from mistray.prescription.model import Detector, Stop, Structure, Surface
 
 Point = tuple[float, float]
 """(r, z) of a profile, mm."""

@@ -15,103 +15,18 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mistray.coatings import preset
-from mistray.coatings.simple import check_shares
-from mistray.coatings.stack import SIDES
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
 from mistray.physics.crossing import meeting
 from mistray.physics.paraxial import ParaxialSystem
 from mistray.physics.sag import conic_end, sag
+from mistray.prescription.coating import BLACK, Coating, check_name
 
 if TYPE_CHECKING:
     from pathlib import Path
 
 MAX_COEFFICIENTS = 9
 """Number of even coefficients a4 … a20 that the `asphere` plugin takes."""
-
-
-@dataclass(frozen=True)
-class Coating:
-    """What an interface does to the flux; without one it is a bare Fresnel interface.
-
-    Exactly one of ``R``, ``table``, ``layers`` and ``preset`` says what the coating is; see the plugin `thinfilm` and
-    docs/coatings.md.
-
-    Attributes
-    ----------
-    R : float or None
-        Reflected fraction in [0, 1], from both sides and at every angle.
-    T : float or None
-        Transmitted fraction, R + T ≤ 1; the rest is absorbed. ``None`` with R given: opaque.
-    table : str or None
-        CSV file over wavelength and angle, or ``COATING.DAT:NAME`` for a coating of a Zemax file, relative to the scene
-        file.
-    layers : str or None
-        Layers such as ``"MgF2 99.64, 2.1 0.5w"``: material and thickness in nm, or in waves of `design_nm`.
-    preset : str or None
-        Name of a preset of `mistray.coatings.presets`.
-    first : str
-        Where the first layer lies: "outside" (the side of lower index), "front" or "back".
-    design_nm : float
-        Wavelength of thicknesses in waves, nm.
-    n_shift, k_shift : tuple of float
-        One for each layer, added to its n and k; empty: zeros.
-    name : str or None
-        Surfaces whose coatings have the same name share one object in the scene, with one set of parameters; ``None``:
-        each surface has its own.
-    """
-
-    R: float | None = None
-    T: float | None = None
-    table: str | None = None
-    layers: str | None = None
-    preset: str | None = None
-    _: KW_ONLY
-    first: str = "outside"
-    design_nm: float = 550.0
-    n_shift: tuple[float, ...] = ()
-    k_shift: tuple[float, ...] = ()
-    name: str | None = None
-
-    def __post_init__(self) -> None:
-        what = f"coating '{self.name}'" if self.name else "coating"
-        recipes = {"R": self.R, "table": self.table, "layers": self.layers, "preset": self.preset}
-        given = [key for key, value in recipes.items() if value is not None]
-        if len(given) != 1:
-            raise MistrayError(
-                f"{what}: it has {' and '.join(f'{key} = {recipes[key]!r}' for key in given) or 'no recipe'}; "
-                "give one of R (and T), table, layers and preset"
-            )
-        if self.R is not None:
-            check_shares(self.R, self.T or 0.0, what)
-        elif self.T is not None:
-            raise MistrayError(f"{what}: T = {self.T} beside {given[0]} = {recipes[given[0]]!r}, which already holds T")
-        if self.preset is not None:
-            preset(self.preset, self.design_nm)
-        if self.name is not None:
-            _check_name(self.name)
-        if not self.design_nm > 0:
-            raise MistrayError(f"{what}: design_nm = {self.design_nm:g}; it must be greater than 0")
-        if self.first not in SIDES:
-            raise MistrayError(f"{what}: first = '{self.first}'; it is {', '.join(SIDES[:-1])} or {SIDES[-1]}")
-        defaults = Coating.__dataclass_fields__
-        for key in ("first", "design_nm", "n_shift", "k_shift"):
-            if getattr(self, key) != defaults[key].default and not self.layered:
-                raise MistrayError(f"{what}: {key} has no meaning beside {given[0]}, which has no layers; remove it")
-
-    @property
-    def layered(self) -> bool:
-        """Whether it has layers, so that the scene needs a `thinfilm`; a Zemax file may hold some."""
-        zemax = self.table is not None and not self.table.lower().endswith(".csv")
-        return self.layers is not None or self.preset is not None or zemax
-
-    @property
-    def opaque(self) -> bool:
-        """Whether no light is transmitted, as far as the coating alone decides it."""
-        if self.preset is not None:
-            return preset(self.preset).opaque
-        return self.R is not None and not self.T
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -196,7 +111,7 @@ class Surface(Placed):
     space: int = -1
 
     def __post_init__(self) -> None:
-        _check_name(self.name)
+        check_name(self.name)
         rectangle = (self.half_width, self.half_height)
         if (self.semi_diameter is None) == (None in rectangle):
             raise MistrayError(
@@ -278,12 +193,12 @@ class Structure(Placed):
     _: KW_ONLY
     front: str = "air"
     back: str = "air"
-    coating: Coating | None = Coating(R=0.0)
+    coating: Coating | None = BLACK
     part: str | None = None
     space: int = -1
 
     def __post_init__(self) -> None:
-        _check_name(self.name)
+        check_name(self.name)
         if min(self.r0, self.r1) < 0:
             raise MistrayError(f"structure '{self.name}': r0 = {self.r0:g}, r1 = {self.r1:g} mm; radii must be ≥ 0")
         if self.r0 == self.r1 and (self.z0 == self.z1 or self.r0 == 0):
@@ -306,7 +221,7 @@ class Detector(Surface):
 
     name: str = "detector"
     _: KW_ONLY
-    coating: Coating | None = Coating(R=0.0)
+    coating: Coating | None = BLACK
     pixels: tuple[int, int] = (256, 256)
 
     def __post_init__(self) -> None:
@@ -337,7 +252,7 @@ class Stop:
     outer_front: float
     outer_rear: float
     _: KW_ONLY
-    coating: Coating | None = Coating(R=0.0)
+    coating: Coating | None = BLACK
     part: str = "stop"
     space: int = -1
 
@@ -551,11 +466,6 @@ class Prescription:
         from mistray.scene import load
 
         return load(self.to_dict())
-
-
-def _check_name(name: str) -> None:
-    if not name or "." in name or name != name.strip():
-        raise MistrayError(f"shape '{name}': a name must not be empty, hold a dot or start or end with a blank")
 
 
 def _check_crossing(a: Surface, b: Surface) -> None:

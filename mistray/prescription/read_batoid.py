@@ -21,8 +21,9 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel
-from mistray.prescription.model import Coating, Detector, Prescription, Source, Structure, Surface
+from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
 
 if TYPE_CHECKING:
     import batoid

@@ -26,8 +26,9 @@ from pathlib import Path
 from typing import Any
 
 from mistray.errors import MistrayError
+from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import Point, detector_frame, lens_edge
-from mistray.prescription.model import Coating, Detector, Prescription, Source, Stop, Structure, Surface
+from mistray.prescription.model import Detector, Prescription, Source, Stop, Structure, Surface
 
 _ROUNDING_MM = 2e-6
 _SURFACE_NAME = re.compile(r"S\d+\s+(\S+)\s+(front|rear)")

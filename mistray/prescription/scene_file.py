@@ -12,7 +12,8 @@ from xml.sax.saxutils import escape, quoteattr
 
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
-from mistray.prescription.model import Coating, Detector, Placed, Source, Structure, Surface
+from mistray.prescription.coating import Coating
+from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
 
 if TYPE_CHECKING:
     from mistray.prescription.model import Prescription

@@ -140,7 +140,7 @@ def reflectance_figure(result: Optimization) -> Figure:
         axes.set_axis_off()
     handles = [Line2D([], [], color=COLOURS[k], label=f"{angle:g}°") for k, angle in enumerate(ANGLES_DEG)]
     handles += [Line2D([], [], color=BLACK, ls=ls, label=name) for ls, name in (("--", "before"), ("-", "after"))]
-    grid.flat[0].legend(handles=handles, fontsize=8, frameon=False)
+    figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
     figure.supxlabel("mean of s and p; grey: wavelengths of the study", fontsize=7.5, color="#555555")
     return figure
 
