@@ -12,6 +12,11 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 CELL_SECONDS = 300
 # Run after the last cell of a notebook: its claims
 CLAIMS = {
+    "triplet_ar": """
+        assert against_mgf2.total.ratio - 4.5 * against_mgf2.total.ratio_se > 3
+        assert result.comparison.total.ratio - 4.5 * result.comparison.total.ratio_se > 1
+        assert min(against_mgf2.rows, key=lambda row: row.ratio).wavelength_nm == 550
+    """,
     "cooke_triplet_webinar": """
         assert len(traces[1e-3].paths) < len(traces[1e-4].paths) < len(traces[1e-6].paths)
         assert second == 1 and ghost.rms_radius_mm > 100 * bare.table(FIELD_DEG).rms_radius_mm.iloc[0]

@@ -17,6 +17,7 @@ from mistray.optimize.metrics import KINDS
 from mistray.optimize.study import METRICS, CoatingGroup, MetricStudy, Optimizer, Study
 
 ALL = "all"
+COATING_KEYS = ("name", "surfaces", "layers", "preset", "design_nm", "first", "thickness_nm")
 
 
 def read_study(source: str | Path | Mapping[str, Any]) -> Study:
@@ -166,7 +167,7 @@ class _Reader:
 
     def coating(self, section: dict[str, Any], number: int) -> CoatingGroup:
         place = f"coating[{number}]."
-        self.known(section, place, ("name", "surfaces", "layers", "preset", "design_nm", "first", "thickness_nm"))
+        self.known(section, place, COATING_KEYS)
         name = section.get("name", f"coating_{number}")
         if not isinstance(name, str) or not name:
             raise self.fail(f"{place}name", f"is {name!r}; it must be text")

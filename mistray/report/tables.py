@@ -15,6 +15,7 @@ from mistray.analysis.ranking import DIRECT, FEWEST_RAYS, KINDS
 from mistray.trace import Trace
 
 LIMIT_WARNING = 1e-6  # of the launched flux
+COATING_WARNING = 1e-4  # of R and T, by interpolation over the angle
 CLOSURE_WARNING = 1e-5
 MOST_DECIMALS = 6
 CUT_TEXTS = {
@@ -219,6 +220,13 @@ def warnings(report: GhostReport) -> list[str]:
     if open_ends:
         worst = max(abs(report[field].energy.closure) for field in open_ends)
         found.append(f"{_fields(open_ends)}: the energy closes to {worst:.1e} only, not to {CLOSURE_WARNING:g}")
+    coarse = [field for field, t in report.items() if t.coating_error > COATING_WARNING]
+    if coarse:
+        worst = max(report[field].coating_error for field in coarse)
+        found.append(
+            f"{_fields(coarse)}: R of a coating in total reflection varies too fast with the angle for its table; the "
+            f"error is up to {worst:.1e}"
+        )
     few = [field for field in report if not report.top(field, 4).well_sampled.all()]
     if few:
         found.append(f"{_fields(few)}: some of the worst four paths hold fewer than {FEWEST_RAYS} rays; raise rays")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import copy
+import re
+import tomllib
 from pathlib import Path
 from typing import Any
 
@@ -10,8 +12,9 @@ import pytest
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import read_study
+from mistray.optimize import MetricStudy, Optimizer, read_study
 from mistray.optimize.designs import place, spectrum
+from mistray.optimize.read_study import COATING_KEYS
 
 ROOT = Path(__file__).parents[2]
 GOOD: dict[str, Any] = {
@@ -38,6 +41,11 @@ def changed(place: str, value: Any) -> dict[str, Any]:
     return study
 
 
+@pytest.fixture(scope="module")
+def scene() -> Any:
+    return mistray.load("cooke_triplet")
+
+
 class TestReading:
     def test_values_and_defaults(self) -> None:
         study = read_study(GOOD)
@@ -60,6 +68,22 @@ class TestReading:
     def test_the_file_of_the_example(self) -> None:
         study = read_study(ROOT / "examples" / "triplet_ar.toml")
         assert [group.name for group in study.coatings] == ["crown", "flint"]
+
+    def test_the_studies_of_the_docs(self, scene: Any) -> None:
+        text = (ROOT / "docs" / "optimization.md").read_text(encoding="utf-8")
+        blocks = re.findall(r"^```toml\n(.*?)^```", text, re.MULTILINE | re.DOTALL)
+        assert blocks
+        for block in blocks:
+            placed = place(scene, read_study(tomllib.loads(block)))
+            assert [item.group.name for item in placed] == ["crown", "flint"]
+
+    def test_every_key_is_in_the_docs(self) -> None:
+        text = (ROOT / "docs" / "optimization.md").read_text(encoding="utf-8")
+        named = set(re.findall(r"^\| `(\w+\.\w+)` \|", text, re.MULTILINE))
+        known = {f"metric.{key}" for key in MetricStudy.__dataclass_fields__}
+        known |= {f"optimizer.{key}" for key in Optimizer.__dataclass_fields__}
+        known |= {f"coating.{key}" for key in COATING_KEYS}
+        assert named == known
 
     def test_a_thickness_in_waves_is_meant_at_design_nm(self) -> None:
         study = changed("coating.0.design_nm", 600.0)
@@ -148,11 +172,6 @@ class TestRefusals:
         file.write_text("[metric]\nrays = 3\n")
         with pytest.raises(MistrayError, match=r"study '.*study\.toml': coating is missing"):
             read_study(file)
-
-
-@pytest.fixture(scope="module")
-def scene() -> Any:
-    return mistray.load("cooke_triplet")
 
 
 class TestSurfaces:

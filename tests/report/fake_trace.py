@@ -108,6 +108,7 @@ class FakeTrace:
         detected = sum(path.power for path in self.fakes)
         self.paths = PathTable([path.row(k, detected) for k, path in enumerate(self.fakes)], [(0, 0, 0)] * len(paths))
         self.extent = EXTENT
+        self.coating_error = 0.0
         self.shares = shares or {550.0: 1.0}
         self.wavelengths_nm = sorted(self.shares)
         self.settings = SETTINGS | {"field_deg": field_deg, "wavelength_nm": self.wavelengths_nm}

@@ -157,3 +157,13 @@ def test_absorption_in_glass_is_in_the_ledger(report):
     glass = energy[energy.entry == "absorbed in"]
     assert set(glass.name) == {"N-BK7"}
     assert (glass.power_W == 0.02).all()
+
+
+def test_a_coarse_coating_is_told():
+    t = trace_at(0.0)
+    report = GhostReport(lens_scene(), {0.0: t}, t, {})
+    assert not any("too fast with the angle" in line for line in warnings(report))
+    t.coating_error = 2e-3
+    (line,) = (line for line in warnings(report) if "too fast with the angle" in line)
+    assert line.startswith("field 0 deg")
+    assert "2.0e-03" in line

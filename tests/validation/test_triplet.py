@@ -52,7 +52,9 @@ def test_only_the_design_path_is_left(field_deg) -> None:
     assert coated.energy.cut["flux_threshold"] > 0
 
 
-@pytest.mark.parametrize("coating", [{"preset": "bbar3"}, {"layers": "MgF2 95, Ta2O5 30, Cr 2"}, {"R": 0.02, "T": 0.97}])
+@pytest.mark.parametrize(
+    "coating", [{"preset": "bbar3"}, {"layers": "MgF2 95, Ta2O5 30, Cr 2"}, {"R": 0.02, "T": 0.97}]
+)
 @pytest.mark.parametrize("polarization", ["unpolarized", "stokes"])
 def test_energy(coating, polarization) -> None:
     """Every loss is booked: at the surface whose coating takes it, or in the glass."""
