@@ -48,9 +48,15 @@ def test_report_and_files(capsys: Any, files: tuple[str, str, str]) -> None:
     assert (code, errors) == (0, "")
     assert "before / after" in printed
     assert "search from start 1: all steps used" in printed
-    assert {"scene.xml", "table.csv", "history.csv", "convergence.png", "reflectance.png", "checkpoint.json"} == {
-        path.name for path in Path(out).iterdir()
-    }
+    assert {
+        "scene.xml",
+        "table.csv",
+        "history.csv",
+        "convergence.png",
+        "reflectance.png",
+        "report.html",
+        "checkpoint.json",
+    } == {path.name for path in Path(out).iterdir()}
     code, printed, _ = run(capsys, scene, study, "--out", out, "--resume", "--steps", "40", "--quiet")
     assert (code, printed) == (0, "")
     assert len((Path(out) / "history.csv").read_text().splitlines()) > 5

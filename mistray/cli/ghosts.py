@@ -64,7 +64,7 @@ def add(commands: Any) -> None:
     colour = parser.add_argument_group("colour pictures (need --out and three wavelengths or more)")
     colour.add_argument("--colour", action="store_true", help="draw the ghosts as a photograph would show them")
     colour.add_argument("--stops", type=finite, metavar="S",
-                        help="exposure, stops over the one that gives the reference full brightness (0)")  # fmt: skip
+                        help="exposure, stops over the one that just fills the brightest channel (0)")  # fmt: skip
     colour.add_argument("--reference", choices=("ghosts", "direct"),
                         help="brightest pixel of the stray light, or of the direct image on axis (ghosts)")  # fmt: skip
     colour.add_argument("--white", choices=("source", "D65"),

@@ -36,7 +36,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
     parser.add_argument("--out", type=Path, metavar="DIR",
-                        help="write scene.xml, tables, pictures and the checkpoint there")  # fmt: skip
+                        help="write scene.xml, report.html, tables, pictures and the checkpoint there")  # fmt: skip
     parser.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
     parser.add_argument("--quiet", action="store_true", help="no progress, no report")
     parser.set_defaults(run=run)
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> int:
             resume=options.resume,
             progress=progress,
         )
-        files = [] if options.out is None else write_optimization(result, options.out)
+        files = [] if options.out is None else write_optimization(result, options.out, options.command_line)
     except KeyboardInterrupt:
         if not saved:
             raise
@@ -85,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     if not options.quiet:
         print(report_text(result))
         if files:
-            print(f"\n{len(files)} files in {options.out}, {options.out / 'scene.xml'} among them")
+            print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
     return 0
 
 

@@ -10,15 +10,15 @@ White
     is Bradford's, from the XYZ of the launched flux to D65. "D65": no adaptation; the colours are those that an eye
     adapted to daylight sees.
 Exposure
-    In stops (factors of two) above the one that gives the brightest pixel of the reference the luminance of white: of
-    the stray light of all fields ("ghosts"), or of the direct image on axis ("direct"). All fields have the same; where
-    the reference is dark the pictures are black.
+    In stops (factors of two) above the one that just fills the brightest channel of the reference: of the stray light
+    of all fields ("ghosts"), or of the direct image on axis ("direct"). All fields have the same; where the reference
+    is dark the pictures are black.
 Luminance
     That of every pixel is its Y times the exposure, so it is linear in the power; adaptation and gamut change the
     chromaticity alone.
 Gamut
     Outside of sRGB the negative channels are set to 0, which keeps the colour as saturated as the screen allows and the
-    luminance right. Above the luminance of white the channels are cut off at 1 one by one, so that overexposed ghosts
+    luminance right. Channels are cut off at 1 one by one, so that overexposed ghosts
     go towards white, as on a sensor. The shares of the pixels that this concerns are reported.
 Noise
     Every wavelength has rays of its own, so pixels with few rays show speckles of all colours. Pixels are averaged in
@@ -59,7 +59,7 @@ class Look:
     stops : float
         Exposure, stops above `reference`.
     reference : {"ghosts", "direct"}
-        What is as bright as white at 0 stops.
+        What just fills its brightest channel at 0 stops.
     white : {"source", "D65"}
         What comes out as grey.
     block : int
@@ -169,7 +169,7 @@ def develop(light: Array, exposure: float, white: Array | None = None) -> Develo
     light : (..., 3) float
         XYZ.
     exposure : float
-        Factor that makes Y = 1 of what shall be as bright as white.
+        Factor of the light; 1 makes white of Y = 1.
     white : (3,) float, optional
         XYZ that comes out as grey, of any luminance. Default: D65, without adaptation.
 
@@ -177,6 +177,24 @@ def develop(light: Array, exposure: float, white: Array | None = None) -> Develo
     ------
     MistrayError
         If `white` is too saturated to be a white: one of its cone responses is not positive.
+    """
+    linear, outside = linear_rgb(light, white)
+    linear = exposure * linear
+    count = max(int(np.count_nonzero(linear.max(axis=-1) > 0)), 1)
+    over = linear.max(axis=-1) > 1 + ROUNDING
+    encode = _colour_science().RGB_COLOURSPACES["sRGB"].cctf_encoding
+    rgb = np.asarray(encode(np.clip(linear, 0.0, 1.0)), dtype=np.float64)
+    return Developed(rgb, np.count_nonzero(outside) / count, np.count_nonzero(over) / count)
+
+
+def linear_rgb(light: Array, white: Array | None = None) -> tuple[Array, npt.NDArray[np.bool_]]:
+    """
+    Linear sRGB without negative channels and with the luminance of the light, and where the light is outside of sRGB.
+
+    Parameters
+    ----------
+    light, white
+        As for `develop`.
     """
     colour = _colour_science()
     space = colour.RGB_COLOURSPACES["sRGB"]
@@ -194,11 +212,8 @@ def develop(light: Array, exposure: float, white: Array | None = None) -> Develo
     inside = np.maximum(linear, 0.0)
     own_luminance = inside @ primaries[1]
     lit = own_luminance > 0
-    inside[lit] *= (exposure * luminance[lit] / own_luminance[lit])[..., None]
-    over = inside.max(axis=-1) > 1 + ROUNDING
-    count = max(int(np.count_nonzero(lit)), 1)
-    rgb = np.asarray(space.cctf_encoding(np.clip(inside, 0.0, 1.0)), dtype=np.float64)
-    return Developed(rgb, np.count_nonzero(outside) / count, np.count_nonzero(over) / count)
+    inside[lit] *= (luminance[lit] / own_luminance[lit])[..., None]
+    return inside, outside
 
 
 def _colour_science() -> Any:
@@ -250,16 +265,16 @@ class ColourPictures:
             maps = spectral[field].binned(self.block)
             stray[field] = xyz(maps.stray, maps.wavelengths_nm)
             light[field] = stray[field] + xyz(maps.direct, maps.wavelengths_nm)
-        if self.look.reference == "ghosts":
-            peak = max(float(image[..., 1].max()) for image in stray.values())
-        else:
-            maps = spectral_maps(report.nominal_trace).binned(self.block)
-            peak = float(xyz(maps.direct, maps.wavelengths_nm)[..., 1].max())
-        self._dark = peak == 0
-        exposure = 0.0 if self._dark else 2.0**self.look.stops / peak
         white = None
         if self.look.white == "source":
             white = xyz([report.weight(wavelength) for wavelength in report.wavelengths_nm], report.wavelengths_nm)
+        references = list(stray.values())
+        if self.look.reference == "direct":
+            maps = spectral_maps(report.nominal_trace).binned(self.block)
+            references = [xyz(maps.direct, maps.wavelengths_nm)]
+        peak = max(float(linear_rgb(image, white)[0].max()) for image in references)
+        self._dark = peak == 0
+        exposure = 0.0 if self._dark else 2.0**self.look.stops / peak
         self.all_light = {field: develop(image, exposure, white) for field, image in light.items()}
         self.stray = {field: develop(image, exposure, white) for field, image in stray.items()}
 

@@ -20,10 +20,11 @@ from mistray.materials import complex_index
 from mistray.optimize import Comparison, Optimization
 from mistray.optimize.designs import Placed
 from mistray.replace_file import replace_file
+from mistray.report.html_optimization import optimization_html
 from mistray.report.output import writable_directory
 from mistray.report.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, as_png
 from mistray.report.tables import text_table, with_error
-from mistray.scene.recoat import write_recoated
+from mistray.scene.recoat import recoated
 
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 ANGLES_DEG = (0.0, 30.0)
@@ -145,15 +146,17 @@ def reflectance_figure(result: Optimization) -> Figure:
     return figure
 
 
-def write_optimization(result: Optimization, directory: str | Path) -> list[Path]:
+def write_optimization(result: Optimization, directory: str | Path, command: str = "") -> list[Path]:
     """
-    Write scene.xml, table.csv, history.csv, convergence.png and reflectance.png, each one whole or not at all.
+    Write scene.xml, table.csv, history.csv, convergence.png, reflectance.png and report.html, each whole or not at all.
 
     Parameters
     ----------
     result : Optimization
     directory : str or Path
         Made if it is missing.
+    command : str
+        Command line, quoted in the report.
 
     Returns
     -------
@@ -162,13 +165,20 @@ def write_optimization(result: Optimization, directory: str | Path) -> list[Path
     """
     target = writable_directory(directory)
     target.mkdir(parents=True, exist_ok=True)
-    note = f"result of the study {Path(result.study.name).name}"
-    files = [write_recoated(result.source, result.coatings, target / "scene.xml", note)]
-    files.append(replace_file(target / "table.csv", _csv(_table_rows(result.comparison))))
-    files.append(replace_file(target / "history.csv", _csv(_history_rows(result))))
-    files.append(replace_file(target / "convergence.png", as_png(convergence_figure(result))))
-    files.append(replace_file(target / "reflectance.png", as_png(reflectance_figure(result))))
-    return files
+    pictures = {
+        "convergence.png": as_png(convergence_figure(result)),
+        "reflectance.png": as_png(reflectance_figure(result)),
+    }
+    source = result.source.resolve()
+    title = source.parent.name if source.name == "scene.xml" else source.stem
+    files: dict[str, str | bytes] = {
+        "scene.xml": recoated(result.source, result.coatings, target, f"study {Path(result.study.name).name}"),
+        "table.csv": _csv(_table_rows(result.comparison)),
+        "history.csv": _csv(_history_rows(result)),
+        **pictures,
+        "report.html": optimization_html(result, pictures, UNITS[result.study.metric.kind], title, command),
+    }
+    return [replace_file(target / name, content) for name, content in files.items()]
 
 
 def _glasses(item: Placed) -> list[tuple[str, str]]:

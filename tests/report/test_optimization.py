@@ -49,9 +49,10 @@ def test_files(result: Optimization, tmp_path: Path) -> None:
         "history.csv",
         "convergence.png",
         "reflectance.png",
+        "report.html",
     ]
     assert sorted(file.name for file in (tmp_path / "new" / "out").iterdir()) == sorted(file.name for file in files)
-    for file in files[3:]:
+    for file in files[3:5]:
         assert file.read_bytes().startswith(b"\x89PNG")
     scene = mistray.load(files[0])
     for shape in scene.shapes():
@@ -69,6 +70,18 @@ def test_files(result: Optimization, tmp_path: Path) -> None:
     assert float(history[0]["rear_1_nm"]) == 60.0
     assert float(history[0]["front_2_nm"]) == 30.0
     assert write_optimization(result, tmp_path / "new" / "out") == files, "files are replaced"
+
+
+def test_html(result: Optimization, tmp_path: Path) -> None:
+    """Complete in itself, with every row of the comparison, every layer and the command."""
+    html = write_optimization(result, tmp_path, "mistray optimize <x>")[-1].read_text(encoding="utf-8")
+    assert "http" not in html
+    assert html.count("data:image/png;base64,") == 2
+    assert "mistray optimize &lt;x&gt;" in html
+    table = html[html.index("t-comparison") : html.index("t-designs")]
+    assert table.count("<tr>") == 1 + len(result.comparison.rows)
+    assert f"{result.best.thickness_nm['front'][0]:.2f}" in html
+    assert "times smaller" in html
 
 
 def test_a_file_in_the_way(result: Optimization, tmp_path: Path) -> None:
