@@ -62,6 +62,12 @@ def test_report_and_files(capsys: Any, files: tuple[str, str, str]) -> None:
     assert len((Path(out) / "history.csv").read_text().splitlines()) > 5
 
 
+def test_help(capsys: Any) -> None:
+    with pytest.raises(SystemExit):
+        cli.main(["optimize", "--help"])
+    assert "mistray optimize cooke_triplet examples/triplet_ar.toml" in capsys.readouterr().out
+
+
 def test_without_a_folder_nothing_is_written(capsys: Any, files: tuple[str, str, str]) -> None:
     scene, study, _ = files
     before = sorted(Path(scene).parent.iterdir())

@@ -206,6 +206,11 @@ class _Search:
                 f"'{self.study.metric.paths}', choose others or more rays"
             )
         slopes = np.concatenate([result.gradient[self.coated.keys[name]] for name in self.names])
+        if not np.all(np.isfinite(slopes)):
+            raise MistrayError(
+                f"study '{self.study.name}': the gradient is not finite at thicknesses {np.round(d, 3).tolist()} nm; "
+                "change the bounds so that they leave these out"
+            )
         return result.value, result.value_se, slopes / result.value
 
     def free(self, d: np.ndarray, slope: np.ndarray) -> np.ndarray:
