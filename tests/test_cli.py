@@ -261,14 +261,10 @@ def test_import_of_batoid(capsys, tmp_path):
 
 
 def test_import_that_fails_leaves_nothing(capsys, monkeypatch, lens, tmp_path):
-    import mistray.prescription
+    def broken(prescription):
+        raise MistrayError("surface 'L1': no material; give one")
 
-    class Broken:
-        def to_xml(self, path):
-            path.write_text("<scene")
-            raise MistrayError("surface 'L1': no material; give one")
-
-    monkeypatch.setattr(mistray.prescription, "from_json", lambda path, variant: Broken())
+    monkeypatch.setattr("mistray.prescription.scene_file.xml_text", broken)
     fails(capsys, "import", str(lens), "-o", str(tmp_path / "a.xml"))
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["lens.json"]
 

@@ -47,12 +47,7 @@ def run(options: argparse.Namespace) -> int:
         prescription = _from_batoid(lens, options)
     else:
         raise MistrayError(f"lens '{lens}': files of type '{lens.suffix}' cannot be read; give .json or batoid .yaml")
-    draft = output.with_name(f".{output.name}.draft")
-    try:
-        prescription.to_xml(draft)
-        draft.replace(output)
-    finally:
-        draft.unlink(missing_ok=True)
+    prescription.to_xml(output)
     count = sum(1 for _ in prescription.shapes())
     print(f"{output}: {count} surfaces; next: {shlex.join(['mistray', 'ghosts', str(output)])}")
     return 0

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import csv
-import os
+import io
 import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
@@ -19,6 +19,7 @@ from mistray.coatings.table import CoatingTable
 from mistray.coatings.zemax import read_coating_file
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
+from mistray.replace_file import replace_file
 
 _ZEMAX = re.compile(r"(.*\.dat):(.+)", re.IGNORECASE)
 
@@ -131,18 +132,12 @@ def write_table(
     phases = {"phase_r_deg": ahead.phase_r, "phase_t_deg": ahead.phase_t, "phase_r_back_deg": behind.phase_r}
     columns |= {name: np.degrees(values) for name, values in phases.items()}
     rows = np.stack([values.ravel() for values in columns.values()], axis=1).tolist()
-    path = Path(path)
-    draft = path.with_name(path.name + ".part")
-    try:
-        with draft.open("w", newline="", encoding="utf-8") as file:
-            file.write(f"# {' '.join(coating.name.split()) or 'coating'} between {front} (front) and {back} (back)\n")
-            writer = csv.writer(file, lineterminator="\n")
-            writer.writerow(columns)
-            writer.writerows([repr(value) for value in row] for row in rows)
-        os.replace(draft, path)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise MistrayError(f"coating table '{path}': {error.strerror}; check the folder and its permissions") from None
+    text = io.StringIO()
+    text.write(f"# {' '.join(coating.name.split()) or 'coating'} between {front} (front) and {back} (back)\n")
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows([repr(value) for value in row] for row in rows)
+    replace_file(path, text.getvalue(), "coating table")
 
 
 def _metal(material: str, wavelengths_nm: Sequence[float]) -> bool:

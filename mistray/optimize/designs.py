@@ -21,6 +21,8 @@ from mistray.scene.recoat import SharedCoating, write_recoated
 from mistray.trace.optics import OPAQUE_K
 from mistray.trace.sources import beams
 
+THIN = 1.01  # index of the medium that counts as air
+
 
 @dataclass(frozen=True)
 class Placed:
@@ -99,19 +101,19 @@ def place(scene: Any, study: Study) -> tuple[Placed, ...]:
     nm = band[0]
     shapes = {shape.id(): shape for shape in scene.shapes()}
     clear = {name: shape for name, shape in shapes.items() if _is_clear(shape.bsdf(), nm)}
-    refracting = [name for name, shape in clear.items() if len(set(shape.bsdf().indices(nm))) == 2]
+    lenses = [name for name, shape in clear.items() if _meets_air(shape, nm)]
     owner: dict[str, str] = {}
     placed = []
     for group in study.coatings:
         where = f"study '{study.name}', coating '{group.name}'"
-        if group.surfaces is None and not refracting:
-            raise MistrayError(f'{where}: surfaces = "all" finds no transparent refracting surface; name the surfaces')
+        if group.surfaces is None and not lenses:
+            raise MistrayError(f'{where}: surfaces = "all" finds no transparent surface in air; name the surfaces')
         try:
             for wavelength in band:
                 group.start.indices(wavelength)
         except MistrayError as error:
             raise MistrayError(f"{where}: {error}") from None
-        surfaces = tuple(refracting) if group.surfaces is None else group.surfaces
+        surfaces = tuple(lenses) if group.surfaces is None else group.surfaces
         for name in surfaces:
             if name not in shapes:
                 raise MistrayError(f"{where}: the scene has no surface '{name}'; choose from {', '.join(clear)}")
@@ -132,6 +134,12 @@ def _is_clear(bsdf: Any, wavelength_nm: float) -> bool:
     if not hasattr(bsdf, "coating") or bsdf.opaque or bsdf.mirror:
         return False
     return max(n.imag for n in bsdf.complex_indices(wavelength_nm)) <= OPAQUE_K
+
+
+def _meets_air(shape: Any, wavelength_nm: float) -> bool:
+    """Whether this is an optical surface, no edge or bevel, with air on one side and something denser on the other."""
+    low, high = sorted(shape.bsdf().indices(wavelength_nm))
+    return getattr(shape, "kind", None) != "frustum" and low < THIN < high
 
 
 class CoatedScene:

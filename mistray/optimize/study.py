@@ -75,7 +75,7 @@ class CoatingGroup:
     name : str
         Id of the coating in the scene.
     surfaces : tuple of str or None
-        Ids of shapes; None: every transparent refracting surface.
+        Ids of shapes; None: every transparent optical surface in air.
     start : Stack
         Design to start from.
     bounds_nm : tuple of (float, float)

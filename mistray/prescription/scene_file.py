@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -14,6 +13,7 @@ from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
+from mistray.replace_file import replace_file
 
 if TYPE_CHECKING:
     from mistray.prescription.model import Prescription
@@ -176,15 +176,7 @@ def write_xml(prescription: Prescription, path: str | Path) -> None:
     MistrayError
         If the prescription has no detector or no source, or the file cannot be written.
     """
-    text = xml_text(prescription)
-    path = Path(path)
-    draft = path.with_name(path.name + ".part")
-    try:
-        draft.write_text(text, encoding="utf-8")
-        os.replace(draft, path)
-    except OSError as error:
-        draft.unlink(missing_ok=True)
-        raise MistrayError(f"scene file '{path}': {error.strerror}; check the folder and its permissions") from None
+    replace_file(path, xml_text(prescription), "scene file")
 
 
 def xml_text(prescription: Prescription) -> str:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import os
 from collections.abc import Mapping, Sequence
 from html import escape
 from importlib.resources import files
@@ -13,6 +12,7 @@ from typing import Any
 from mistray.analysis.estimate import UNKNOWN
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.ranking import KINDS
+from mistray.replace_file import replace_file
 from mistray.report.html_fields import field_section
 from mistray.report.html_ledgers import energy_ledger, surface_ledger
 from mistray.report.markup import (
@@ -90,14 +90,7 @@ def write_html(
     Path
         The file written.
     """
-    path = Path(path)
-    draft = path.with_name(f".{path.name}.{os.getpid()}")
-    try:
-        draft.write_text(html_text(report, title, command, pictures, per_wavelength), encoding="utf-8")
-        draft.replace(path)
-    finally:
-        draft.unlink(missing_ok=True)
-    return path
+    return replace_file(path, html_text(report, title, command, pictures, per_wavelength), "report")
 
 
 def html_text(

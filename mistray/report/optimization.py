@@ -58,7 +58,7 @@ def design_table(result: Optimization) -> str:
             name = item.group.name if k == 0 else ""
             held = "*" if min(abs(after[k] - bound) for bound in bounds) < 1e-6 * bounds[1] else " "
             rows.append([name, str(k + 1), layer.material, f"{before[k]:.2f}", f"{after[k]:.2f}{held}"])
-    heads = [("coating", ""), ("layer", ""), ("material", ""), ("before", "nm"), ("after", "nm ")]
+    heads = [("coating", ""), ("layer", ""), ("material", ""), ("before", "nm"), ("after", "nm")]
     table = text_table(heads, rows, left=(0, 2))
     return f"{table}\n* at its bound" if any(row[-1].endswith("*") for row in rows) else table
 

@@ -187,6 +187,17 @@ class TestSurfaces:
         }
 
     @pytest.mark.parametrize(
+        ("name", "left_out"), [("double_gauss", {"L2_L3", "L4_L5"}), ("phone_camera", {"L1_bevel_2", "detector"})]
+    )
+    def test_all_are_no_cemented_surfaces_and_no_bevels(self, name: str, left_out: set[str]) -> None:
+        scene = mistray.load(name)
+        study = read_study({"coating": [{"surfaces": "all", "preset": "bbar3", "thickness_nm": [10, 200]}]})
+        (placed,) = place(scene, study)
+        assert left_out <= {shape.id() for shape in scene.shapes()}
+        assert not left_out & set(placed.surfaces)
+        assert {"L1_front", "L1_rear", "L2_front"} <= set(placed.surfaces)
+
+    @pytest.mark.parametrize(
         ("surfaces", "message"),
         [
             (["L2_front", "L9"], "coating 'b': the scene has no surface 'L9'; choose from L1_front"),
