@@ -12,13 +12,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import Stack
+from mistray.coatings import METAL_K, Stack
 from mistray.errors import MistrayError
 from mistray.optimize.gradient import parameter_owners
 from mistray.optimize.study import CoatingGroup, MetricStudy, Study
 from mistray.scene import load
 from mistray.scene.recoat import SharedCoating, write_recoated
-from mistray.trace.optics import OPAQUE_K
 from mistray.trace.sources import beams
 
 THIN = 1.01  # index of the medium that counts as air
@@ -133,7 +132,7 @@ def _is_clear(bsdf: Any, wavelength_nm: float) -> bool:
     """Whether light gets through an interface."""
     if not hasattr(bsdf, "coating") or bsdf.opaque or bsdf.mirror:
         return False
-    return max(n.imag for n in bsdf.complex_indices(wavelength_nm)) <= OPAQUE_K
+    return max(n.imag for n in bsdf.complex_indices(wavelength_nm)) <= METAL_K
 
 
 def _meets_air(shape: Any, wavelength_nm: float) -> bool:

@@ -26,7 +26,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import Bare, Response, Stack
+from mistray.coatings import METAL_K, Bare, Response, Stack
 from mistray.errors import MistrayError
 from mistray.trace.upload import upload
 
@@ -37,8 +37,6 @@ FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0xFFF
 NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
 FIRST_INTERVALS, LAST_INTERVALS = 256, 1 << 14
-# A material of larger k is a metal or a black glass: at 550 nm a k of 1e-3 leaves e^-23 after a millimetre
-OPAQUE_K = 1e-3
 # Channels of a table: R for light from the front and from the back, T; in Stokes mode four numbers for each
 REFLECTION_FRONT, REFLECTION_BACK, TRANSMISSION = range(3)
 
@@ -121,7 +119,7 @@ def angle_table(
 
     def side(cosines: np.ndarray, from_front: bool) -> Response:
         metal = n_front if from_front else n_back
-        if opaque and metal.imag > OPAQUE_K:  # nothing travels in a metal; the row is never read
+        if opaque and metal.imag > METAL_K:  # nothing travels in a metal; the row is never read
             from_front = not from_front
         answer: Response = coating.response(wavelength_nm, n_front, n_back, cosines, from_front)
         return answer
@@ -229,7 +227,7 @@ class Optics:
         for i, bsdf in enumerate(bsdfs):
             opaque = bsdf.opaque
             sides = self._sides(ids[i], bsdf, opaque)
-            opaque = opaque or max(n.imag for n in sides) > OPAQUE_K
+            opaque = opaque or max(n.imag for n in sides) > METAL_K
             kind = self._kind(bsdf, sides)
             self.kinds.add(kind)
             words[i] |= kind | (OPAQUE if opaque else 0) | (MIRROR if bsdf.mirror else 0)
@@ -297,7 +295,7 @@ class Optics:
     def _kind(self, bsdf: Any, sides: tuple[complex, complex]) -> int:
         if bsdf.ideal:
             return IDEAL
-        metal = max(n.imag for n in sides) > OPAQUE_K
+        metal = max(n.imag for n in sides) > METAL_K
         return FRESNEL if isinstance(bsdf.coating, Bare) and not metal and not self.stokes else TABLED
 
     def _rows(self, part: np.ndarray) -> np.ndarray:

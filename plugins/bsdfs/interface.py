@@ -8,12 +8,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import Bare, Coating, CoatingTable, Ideal
+from mistray.coatings import METAL_K, Bare, Coating, CoatingTable, Ideal
 from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, refractive_index, resolved
 from mistray.physics.fresnel import reflectance
-from mistray.trace.optics import OPAQUE_K, REFLECTION_BACK, REFLECTION_FRONT, TRANSMISSION, angle_table
+from mistray.trace.optics import REFLECTION_BACK, REFLECTION_FRONT, TRANSMISSION, angle_table
 
 STOCK_WAVELENGTH_NM = 550.0
 UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
@@ -233,7 +233,7 @@ class Interface(mi.BSDF):
         coating = self.coating
         if self._stock is None or self._stock[0] is not coating:
             sides = self._stock_indices()
-            opaque = coating.opaque or max(n.imag for n in sides) > OPAQUE_K
+            opaque = coating.opaque or max(n.imag for n in sides) > METAL_K
             tables = {}
             if not self.ideal and (opaque or not isinstance(coating, Bare)):
                 table = angle_table(coating, self.wavelength_nm, *sides, opaque, False)
