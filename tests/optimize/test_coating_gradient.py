@@ -95,6 +95,16 @@ class TestCookeTriplet:
         }[kind]()  # fmt: skip
         assert compare(metric, params, 10, seed=1) < TOLERANCE
 
+    def test_a_design_that_all_surfaces_share(self) -> None:
+        """One object, one key: its derivative is the sum over the surfaces."""
+        prescription = build_triplet()
+        ar = Coating(layers="1.38 95, 2.1 120, 1.63 80", name="ar")
+        shared = replace(prescription, surfaces=tuple(replace(s, coating=ar) for s in prescription.surfaces)).to_scene()
+        params = keep_coatings(shared, "thickness_nm", "n_shift")
+        assert list(params.keys()) == ["ar.thickness_nm", "ar.n_shift"]
+        metric = path_power(shared, "ghost", rays=3000, fields_deg=(0.0, 12.0), **TRACED)
+        assert compare(metric, params, 6, seed=5) < TOLERANCE
+
     def test_a_wrong_gradient_fails(self, triplet, monkeypatch: pytest.MonkeyPatch) -> None:
         """With the transmission's share left out the comparison is off by far more than the tolerance."""
         derivatives = Run.derivatives
