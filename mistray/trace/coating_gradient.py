@@ -14,6 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.coatings import METAL_K
 from mistray.errors import MistrayError
 from mistray.physics.thinfilm import reflectance_transmittance
 from mistray.trace.interaction import REFLECTION_AND_TRANSMISSION
@@ -127,13 +128,13 @@ def _row_derivatives(
     at_front, at_back = np.concatenate([front, dense])[used], np.concatenate([back, dense])[used]
     total = used >= refraction
     result = np.zeros((len(parts) * layers, len(used), 3))
-    sides: list[tuple[bool, np.ndarray, np.ndarray]] = []
-    from_front, from_back = n_front.real > n_back.real, n_back.real > n_front.real
-    sides.append((True, at_front, ~total | from_front))
-    sides.append((False, at_back, ~total | from_back))
+    # Total reflection is seen from the denser side only
+    sides = (
+        (True, at_front, ~total | (n_front.real > n_back.real)),
+        (False, at_back, ~total | (n_back.real > n_front.real)),
+    )
     for is_front, cosines, rows in sides:
-        metal = (n_front if is_front else n_back).imag > (n_back if is_front else n_front).imag
-        if not rows.any() or (opaque and metal):
+        if not rows.any() or (n_front if is_front else n_back).imag > METAL_K:  # nothing travels in a metal
             continue
         ordered = (indices, thickness) if is_front else (indices[::-1], thickness[::-1])
         outer = (n_front, n_back) if is_front else (n_back, n_front)

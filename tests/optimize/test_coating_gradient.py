@@ -187,6 +187,31 @@ class TestPhoneCamera:
 class TestAngles:
     """Where the table has its special places."""
 
+    @pytest.mark.parametrize("glass", ["1.5", "1.5+1e-7i"])
+    def test_second_surface_mirror(self, load_scene, glass) -> None:
+        """An opaque mirror coating behind a glass that may absorb a little; the glass is no metal."""
+        mirror = (
+            f'<bsdf type="interface"><string name="front" value="{glass}"/><string name="back" value="air"/>'
+            '<bsdf type="thinfilm"><string name="layers" value="1.46 80, 0.6+3i 25"/><boolean name="opaque" value="true"/>'
+            '<string name="first" value="front"/></bsdf></bsdf>'
+        )
+        entrance = (
+            f'<bsdf type="interface"><string name="front" value="air"/><string name="back" value="{glass}"/></bsdf>'
+        )
+        text = scene_text(
+            shape_xml("asphere", "entrance", 0.0, entrance, semi_diameter=20.0),
+            shape_xml("asphere", "mirror", 5.0, mirror, semi_diameter=20.0),
+            shape_xml("asphere", "detector", -10.0, sensor=True, half_width=20.0, half_height=20.0),
+        ).replace(
+            '<float name="radius" value="1.0"/>', '<float name="radius" value="1.0"/><float name="distance" value="2"/>'
+        )
+        scene = load_scene(text)
+        params = keep_coatings(scene, "thickness_nm", "n_shift", "k_shift")
+        metric = path_power(scene, "all", rays=200, fields_deg=20.0, **TRACED)
+        assert metric.value() > 0.3
+        assert all(np.all(values != 0) for values in gradient(metric, params).gradient.values())
+        assert compare(metric, params, 6, seed=6) < TOLERANCE
+
     def test_both_sides_and_total_reflection(self, load_scene) -> None:
         """The absorbing film takes part of the total reflection, from inside the glass and near the critical angle."""
         film = (
