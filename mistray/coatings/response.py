@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from mistray.physics.thinfilm import amplitudes, reflectance_transmittance
+from mistray.physics.thinfilm import amplitudes_and_shares
 
 
 @dataclass(frozen=True, eq=False)
@@ -103,8 +103,7 @@ def layered_response(
     if not from_front:
         n_layers, d_nm, n_front, n_back = n_layers[::-1], d_nm[::-1], n_back, n_front
     setting = (complex(n_front.real), list(n_layers), list(d_nm), n_back, wavelength_nm, np.asarray(cos_incident))
-    (r_s, r_p), (t_s, t_p) = amplitudes(*setting)
-    reflected, transmitted = reflectance_transmittance(*setting)
+    (r_s, r_p), (t_s, t_p), reflected, transmitted = amplitudes_and_shares(*setting)
     return Response(
         np.stack(reflected, axis=1),
         np.stack(transmitted, axis=1),

@@ -103,11 +103,8 @@ def amplitudes(
     MistrayError
         If there are not as many thicknesses as indices.
     """
-    ops, polarisations = _solve(n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident)
-    r_s, r_p = (ops.result(m.backward / m.forward) for m in polarisations)
-    t_s, t_p = (2 * m.passed * (m.admittance_front / m.forward) for m in polarisations)
-    front, back = (_number(ops, n) for n in (n_incident, n_substrate))
-    return (r_s, r_p), (ops.result(t_s), ops.result(t_p * front / back))
+    solved = _solve(n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident)
+    return _amplitudes(*solved, n_incident, n_substrate)
 
 
 def reflectance_transmittance(
@@ -132,7 +129,39 @@ def reflectance_transmittance(
         Real, ≥ 0; types as in `amplitudes`. If the incident medium is lossless, R + T ≤ 1 to rounding, and the stack
         absorbs the rest. If it absorbs, incident and reflected wave interfere, and R + T may exceed 1 by about k/n.
     """
-    ops, polarisations = _solve(n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident)
+    return _shares(*_solve(n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident))
+
+
+def amplitudes_and_shares(
+    n_incident: Any,
+    n_layers: Sequence[Any],
+    d_nm: Sequence[Any],
+    n_substrate: Any,
+    wavelength_nm: Any,
+    cos_incident: Any,
+) -> tuple[Pair, Pair, Pair, Pair]:
+    """
+    Results of `amplitudes` and of `reflectance_transmittance`, one after the other, at the price of one.
+
+    Parameters
+    ----------
+    n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident
+        As in `amplitudes`, and so are the errors.
+    """
+    solved = _solve(n_incident, n_layers, d_nm, n_substrate, wavelength_nm, cos_incident)
+    return *_amplitudes(*solved, n_incident, n_substrate), *_shares(*solved)
+
+
+def _amplitudes(
+    ops: Arithmetic, polarisations: tuple[_Fields, _Fields], n_incident: Any, n_substrate: Any
+) -> tuple[Pair, Pair]:
+    r_s, r_p = (ops.result(m.backward / m.forward) for m in polarisations)
+    t_s, t_p = (2 * m.passed * (m.admittance_front / m.forward) for m in polarisations)
+    front, back = (_number(ops, n) for n in (n_incident, n_substrate))
+    return (r_s, r_p), (ops.result(t_s), ops.result(t_p * front / back))
+
+
+def _shares(ops: Arithmetic, polarisations: tuple[_Fields, _Fields]) -> tuple[Pair, Pair]:
     R, T = [], []
     for m in polarisations:
         incident = _norm2(ops, m.forward)
