@@ -74,16 +74,10 @@ class Design:
 
 def spectrum(scene: Any, study: MetricStudy) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """Wavelengths (nm, ascending) and their shares of the flux: those of the study, or else of the scene's sources."""
-    if study.wavelength_nm is not None:
-        wavelengths = np.array(study.wavelength_nm)
-        weights = np.ones(len(wavelengths)) if study.weights is None else np.array(study.weights)
-    else:
-        sources = beams(scene)
-        wavelengths = np.unique([beam.wavelength_nm for beam in sources])
-        weights = np.array([sum(b.power for b in sources if b.wavelength_nm == nm) for nm in wavelengths])
-    order = np.argsort(wavelengths)
-    shares = weights[order] / weights.sum()
-    return tuple(float(nm) for nm in wavelengths[order]), tuple(float(share) for share in shares)
+    sources = beams(scene, wavelength_nm=study.wavelength_nm, weights=study.weights)
+    wavelengths = np.unique([beam.wavelength_nm for beam in sources])
+    powers = np.array([sum(b.power for b in sources if b.wavelength_nm == nm) for nm in wavelengths])
+    return tuple(float(nm) for nm in wavelengths), tuple(float(share) for share in powers / powers.sum())
 
 
 def place(scene: Any, study: Study) -> tuple[Placed, ...]:

@@ -270,8 +270,9 @@ class ColourPictures:
             white = xyz([report.weight(wavelength) for wavelength in report.wavelengths_nm], report.wavelengths_nm)
         references = list(stray.values())
         if self.look.reference == "direct":
-            maps = spectral_maps(report.nominal_trace).binned(self.block)
-            references = [xyz(maps.direct, maps.wavelengths_nm)]
+            on_axis = [spectral[field] for field, t in report.items() if t is report.nominal_trace]
+            maps = on_axis[0] if on_axis else spectral_maps(report.nominal_trace)
+            references = [xyz(maps.binned(self.block).direct, maps.wavelengths_nm)]
         peak = max(float(linear_rgb(image, white)[0].max()) for image in references)
         self._dark = peak == 0
         exposure = 0.0 if self._dark else 2.0**self.look.stops / peak

@@ -11,6 +11,7 @@ hit through its acceleration structure.
 
 from __future__ import annotations
 
+from copy import copy
 from dataclasses import dataclass
 from typing import Any
 
@@ -129,6 +130,13 @@ class SurfaceTable:
         self._geometry(self.shapes[: len(analytic)])
         self._stock(self.shapes[len(analytic) :])
         self.optics = Optics(self.ids, self.interfaces, self._flags(), wavelength_nm, stokes)
+
+    def at(self, wavelength_nm: float) -> SurfaceTable:
+        """The same surfaces at another wavelength; the geometry is shared."""
+        other = copy(self)
+        other.wavelength_nm = wavelength_nm
+        other.optics = Optics(self.ids, self.interfaces, self._flags(), wavelength_nm, self.optics.stokes)
+        return other
 
     def _find_detector(self, wanted: str | None) -> int:
         sensors = [i for i, shape in enumerate(self.shapes) if shape.is_sensor()]

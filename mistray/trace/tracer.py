@@ -267,13 +267,15 @@ def prepare(
     """Build one `Run` for each source and wavelength; the rays are shared in proportion to their flux."""
     sources = beams(scene, field_deg, azimuth_deg, wavelength_nm, weights)
     total = sum(beam.power for beam in sources)
-    tables: dict[float, tuple[SurfaceTable, Intersector]] = {}
+    first = SurfaceTable(scene, sources[0].wavelength_nm, detector, settings.stokes)
+    intersector = Intersector(first)
+    tables = {first.wavelength_nm: first}
     runs = []
     for number, beam in enumerate(sources):
         if beam.wavelength_nm not in tables:
-            table = SurfaceTable(scene, beam.wavelength_nm, detector, settings.stokes)
-            tables[beam.wavelength_nm] = table, Intersector(table)
+            tables[beam.wavelength_nm] = first.at(beam.wavelength_nm)
         count = beam.count(max(1, round(settings.rays * beam.power / total)))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
-        runs.append(Run(beam, *tables[beam.wavelength_nm], settings, count, stream, beam.power / count))
+        table = tables[beam.wavelength_nm]
+        runs.append(Run(beam, table, intersector, settings, count, stream, beam.power / count))
     return runs
