@@ -19,11 +19,12 @@ from mistray.coatings.presets import PRESETS, preset
 from mistray.coatings.response import Coating, Response
 from mistray.coatings.simple import Bare, Ideal
 from mistray.coatings.spectrum import Spectrum, spectrum
-from mistray.coatings.stack import METAL_K, Layer, Stack, layer_text, parse_layers
+from mistray.coatings.stack import LAYER_PARAMETERS, METAL_K, Layer, Stack, layer_text, parse_layers
 from mistray.coatings.table import CoatingTable
 from mistray.coatings.zemax import CoatingFile, read_coating_file
 
 __all__ = [
+    "LAYER_PARAMETERS",
     "METAL_K",
     "PRESETS",
     "Bare",

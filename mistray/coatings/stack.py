@@ -14,6 +14,8 @@ from mistray.errors import MistrayError
 from mistray.materials import complex_index, resolved
 
 SIDES = ("outside", "front", "back")
+# What can be differentiated of a layer, as `thinfilm` names it; n_shift and k_shift are `Layer` attributes as well
+LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
 # A medium of larger k is a metal or a black glass: at 550 nm a k of 1e-3 leaves e^-23 after a millimetre. It is the
 # substrate of the coating, whatever its n, and light that enters it is booked as absorbed at the surface
 METAL_K = 1e-3

@@ -9,9 +9,11 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import numpy as np
 
+from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
 from mistray.optimize.metrics import Metric
-from mistray.trace.coating_gradient import IDEAL_PARAMETERS, LAYER_PARAMETERS, coating_gradient
+from mistray.trace.coating_gradient import IDEAL_PARAMETERS, coating_gradient
+from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES
 
 if TYPE_CHECKING:
@@ -52,6 +54,8 @@ class Gradient:
         return "\n".join([*lines, *(f"left out: {text}" for text in self.left_out)])
 
 
+# Runs of several fields and wavelengths are added batch by batch; each splits its rays evenly
+EQUAL = np.ones(BATCHES)
 LEFT_OUT = "branches below flux_threshold and children of R = 0 or T = 0, which the trace does not follow"
 
 
@@ -105,10 +109,10 @@ def gradient(metric: Metric, params: Mapping[str, Any], keys: Iterable[str] | No
         batches = sums.get(place)
         if batches is None:  # the coating was never met
             batches = np.zeros((BATCHES, int(np.size(params[key]))))
-        result[key], errors[key] = batches.sum(axis=0), _error(batches)
+        result[key], errors[key] = batches.sum(axis=0), batch_error(batches.T, EQUAL)
     return Gradient(
         float(dr.detach(value)[0]),
-        float(np.sqrt(variance + _error(by_batch) ** 2)),
+        float(np.sqrt(variance + batch_error(by_batch, EQUAL) ** 2)),
         result,
         errors,
         [LEFT_OUT],
@@ -140,9 +144,3 @@ def parameter_owners(params: Mapping[str, Any], keys: Iterable[str] | None = Non
     if not found:
         raise MistrayError("no coating parameter to differentiate by; give surfaces a 'thinfilm' or an ideal R and T")
     return found
-
-
-def _error(batches: np.ndarray) -> np.ndarray:
-    """Standard error of a sum over batches (first axis)."""
-    n = len(batches)
-    return np.sqrt(n / (n - 1) * np.sum(np.square(batches - batches.mean(axis=0)), axis=0))

@@ -181,8 +181,8 @@ def write_xml(prescription: Prescription, path: str | Path) -> None:
 
 def xml_text(prescription: Prescription) -> str:
     """Text of the XML file, ending in a newline."""
-    lines = ["<?xml version='1.0' encoding='utf-8'?>", f"<!-- {_comment(prescription.name)}"]
-    lines += [f"     {_comment(line)}".rstrip() for line in prescription.provenance.strip().splitlines()]
+    lines = ["<?xml version='1.0' encoding='utf-8'?>", f"<!-- {comment_text(prescription.name)}"]
+    lines += [f"     {comment_text(line)}".rstrip() for line in prescription.provenance.strip().splitlines()]
     lines += [
         "     Units: mm, nm, W. Light travels +z; front is the -z side of a surface. -->",
         '<scene version="3.0.0">',
@@ -246,5 +246,6 @@ def _number(value: float) -> str:
     return repr(float(value)).removesuffix(".0")
 
 
-def _comment(text: str) -> str:
+def comment_text(text: str) -> str:
+    """A text that may stand within an XML comment."""
     return escape(text).replace("--", "- -")

@@ -12,10 +12,11 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 from xml.parsers import expat
-from xml.sax.saxutils import escape, quoteattr
+from xml.sax.saxutils import quoteattr
 
 from mistray.coatings import Stack, layer_text
 from mistray.errors import MistrayError
+from mistray.prescription.scene_file import comment_text
 from mistray.replace_file import replace_file
 
 # What says which coating an interface or a thinfilm has
@@ -213,7 +214,7 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
             edits.append((place.start, place.end, text.replace(b"\n", b"\n" + deeper.encode())))
     shapes = [child for child in file.root.children if child.tag == "shape"]
     at = file.head(shapes[0])
-    lines = [f"<!-- {NOTE}{f': {_comment(note)}' if note else ''} -->"]
+    lines = [f"<!-- {NOTE}{f': {comment_text(note)}' if note else ''} -->"]
     for coating, name in zip(coatings, names, strict=True):
         lines += _coating_lines(name, coating)
     pad = file.indent(shapes[0])
@@ -284,10 +285,6 @@ def _coating_lines(name: str, coating: SharedCoating) -> list[str]:
     if coating.design_nm != DESIGN_NM:
         lines.append(f'{INDENT}<float name="design_nm" value="{coating.design_nm!r}"/>')
     return [*lines, "</bsdf>"]
-
-
-def _comment(text: str) -> str:
-    return escape(text).replace("--", "- -")
 
 
 def _names(file: _File, coatings: Sequence[SharedCoating]) -> list[str]:

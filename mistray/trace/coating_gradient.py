@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import METAL_K
+from mistray.coatings import LAYER_PARAMETERS, METAL_K
 from mistray.errors import MistrayError
 from mistray.physics.thinfilm import reflectance_transmittance
 from mistray.trace.interaction import REFLECTION_AND_TRANSMISSION
@@ -25,7 +25,6 @@ if TYPE_CHECKING:
     from mistray.coatings import Stack
     from mistray.trace.optics import Optics
 
-LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
 IDEAL_PARAMETERS = ("R", "T")
 
 

@@ -118,7 +118,7 @@ class FluxReport(Sequence[SurfaceFlux]):
         return pd.DataFrame([asdict(row) for row in self._rows])
 
 
-def _batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
+def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Standard error of a sum over batches (last axis) of `rays` start rays each, from the spread of their means."""
     expected = by_batch.sum(axis=-1, keepdims=True) * (rays / rays.sum())
     used = max(int(np.count_nonzero(rays)), 2)
@@ -135,7 +135,7 @@ def flux_report(runs: Sequence[Run]) -> FluxReport:
         for run in runs:
             scale = np.array([1.0, run.unit, run.unit])
             values += scale * run.surfaces[i].sum(axis=-1)
-            variances += (scale * _batch_error(run.surfaces[i], run.started)) ** 2
+            variances += (scale * batch_error(run.surfaces[i], run.started)) ** 2
         se = np.sqrt(variances)
         rows.append(
             SurfaceFlux(
@@ -157,13 +157,13 @@ def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
     table = runs[0].table
     (detector,) = (row for row in surfaces if row.id == table.ids[table.detector])
     escaped = sum(run.unit * run.reasons[ESCAPED].sum() for run in runs)
-    escaped_se = np.sqrt(sum((run.unit * _batch_error(run.reasons[ESCAPED], run.started)) ** 2 for run in runs))
+    escaped_se = np.sqrt(sum((run.unit * batch_error(run.reasons[ESCAPED], run.started)) ** 2 for run in runs))
     media: dict[str, tuple[float, float]] = {}
     for run in runs:
         for name, sums in zip(run.table.optics.media[1:], run.media[1:], strict=True):
             if sums.any():
                 before, se = media.get(name, (0.0, 0.0))
-                error = float(run.unit * _batch_error(sums, run.started))
+                error = float(run.unit * batch_error(sums, run.started))
                 media[name] = before + float(run.unit * sums.sum()), float(np.hypot(se, error))
     return Energy(
         launched_W=sum(run.beam.power for run in runs),

@@ -22,6 +22,7 @@ from mistray.trace.optics import (
     REFLECTION_FRONT,
     TABLED,
     TRANSMISSION,
+    total_variable,
 )
 from mistray.trace.polarization import Mueller, from_plane, plane_of_incidence, to_plane
 from mistray.trace.surfaces import POLYNOMIAL_VECTORS, SurfaceTable
@@ -233,8 +234,7 @@ def _place(
 ) -> Place:
     """Where the angle of incidence stands in the surface's table, see `mistray.trace.optics`."""
     places = dr.gather(mi.Vector4u, table.optics.places, s, active)
-    y = dr.sqrt(dr.maximum(sin2_t - 1, 0))
-    x = dr.select(tir, y / (y + eta * cos_i), dr.minimum(cos_i, cos_t))
+    x = dr.select(tir, total_variable(sin2_t, eta, cos_i), dr.minimum(cos_i, cos_t))
     start, last = dr.select(tir, places.z, places.x), dr.select(tir, places.w, places.y)
     x = dr.select(kind == TABLED, x * mi.Float(last), 0)
     node = dr.minimum(mi.UInt32(x), last - 1)

@@ -97,6 +97,21 @@ def _channels(response: Response, reflection: bool, stokes: bool) -> np.ndarray:
     return np.column_stack([values, product.real, product.imag])
 
 
+def total_variable(sin2_t: Any, eta: Any, cos_i: Any) -> Any:
+    """
+    The variable w of the total-reflection part, as Dr.Jit array; 0 where light is refracted.
+
+    Parameters
+    ----------
+    sin2_t : mi.Float
+        (n_i/n_t)² sin² θ, at least 1 in total reflection.
+    eta, cos_i : mi.Float
+        n_i/n_t, and the cosine of incidence.
+    """
+    y = dr.sqrt(dr.maximum(sin2_t - 1, 0))
+    return dr.select(y > 0, y / (y + eta * cos_i), 0)
+
+
 @lru_cache(maxsize=512)
 def angle_table(
     coating: Any, wavelength_nm: float, n_front: complex, n_back: complex, opaque: bool, stokes: bool
@@ -227,8 +242,9 @@ class Optics:
         for i, bsdf in enumerate(bsdfs):
             opaque = bsdf.opaque
             sides = self._sides(ids[i], bsdf, opaque)
-            opaque = opaque or max(n.imag for n in sides) > METAL_K
-            kind = self._kind(bsdf, sides)
+            metal = max(n.imag for n in sides) > METAL_K
+            opaque = opaque or metal
+            kind = self._kind(bsdf, metal)
             self.kinds.add(kind)
             words[i] |= kind | (OPAQUE if opaque else 0) | (MIRROR if bsdf.mirror else 0)
             # An opaque surface sends nothing on: no refraction, so one index will do
@@ -292,10 +308,9 @@ class Optics:
             raise MistrayError(f"surface '{name}': {error}") from None
         return complex(front), complex(back)
 
-    def _kind(self, bsdf: Any, sides: tuple[complex, complex]) -> int:
+    def _kind(self, bsdf: Any, metal: bool) -> int:
         if bsdf.ideal:
             return IDEAL
-        metal = max(n.imag for n in sides) > METAL_K
         return FRESNEL if isinstance(bsdf.coating, Bare) and not metal and not self.stokes else TABLED
 
     def _rows(self, part: np.ndarray) -> np.ndarray:

@@ -13,7 +13,7 @@ from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, refractive_index, resolved
 from mistray.physics.fresnel import reflectance
-from mistray.trace.optics import REFLECTION_BACK, REFLECTION_FRONT, TRANSMISSION, angle_table
+from mistray.trace.optics import REFLECTION_BACK, REFLECTION_FRONT, TRANSMISSION, angle_table, total_variable
 
 STOCK_WAVELENGTH_NM = 550.0
 UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
@@ -257,10 +257,7 @@ class Interface(mi.BSDF):
         elif stock["tables"]:
             rarer = cos_i if stock["opaque"] else dr.minimum(cos_i, cos_t)
             r, t = _interpolate(*stock["tables"]["refraction"], rarer, from_back, active)
-            y = dr.sqrt(dr.maximum(0, sin2_t - 1))
-            beyond, _ = _interpolate(
-                *stock["tables"]["total"], y / dr.maximum(y + eta * cos_i, 1e-30), from_back, active
-            )
+            beyond, _ = _interpolate(*stock["tables"]["total"], total_variable(sin2_t, eta, cos_i), from_back, active)
             r, t = dr.select(tir, beyond, r), dr.select(tir, 0, t)
         else:
             r = dr.select(tir, 1, reflectance(cos_i, cos_t, n_i, n_t))

@@ -8,13 +8,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import Coating, Layer, Stack, parse_layers, preset
+from mistray.coatings import LAYER_PARAMETERS, Coating, Layer, Stack, parse_layers, preset
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.interface import SIDES, Interface, _resolve
 
 RECIPES = ("layers", "preset", "table", "R")
-LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
 
 
 class ThinFilm(Interface):

@@ -9,8 +9,9 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
-from mistray.trace.coating_gradient import IDEAL_PARAMETERS, LAYER_PARAMETERS, coating_gradient
+from mistray.trace.coating_gradient import IDEAL_PARAMETERS, coating_gradient
 from mistray.trace.result import trace
 from mistray.trace.settings import Settings
 from mistray.trace.tracer import prepare

@@ -192,8 +192,8 @@ class TestAngles:
         """An opaque mirror coating behind a glass that may absorb a little; the glass is no metal."""
         mirror = (
             f'<bsdf type="interface"><string name="front" value="{glass}"/><string name="back" value="air"/>'
-            '<bsdf type="thinfilm"><string name="layers" value="1.46 80, 0.6+3i 25"/><boolean name="opaque" value="true"/>'
-            '<string name="first" value="front"/></bsdf></bsdf>'
+            '<bsdf type="thinfilm"><string name="layers" value="1.46 80, 0.6+3i 25"/>'
+            '<boolean name="opaque" value="true"/><string name="first" value="front"/></bsdf></bsdf>'
         )
         entrance = (
             f'<bsdf type="interface"><string name="front" value="air"/><string name="back" value="{glass}"/></bsdf>'
