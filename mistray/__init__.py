@@ -35,7 +35,7 @@ _HOMES = {
     "Structure": "mistray.prescription",
     "Surface": "mistray.prescription",
 }
-_MODULES = ("analysis", "coatings", "materials", "optimize", "physics", "prescription", "report", "scene")
+_MODULES = ("analysis", "coatings", "materials", "optimize", "physics", "prescription", "report", "scatter", "scene")
 
 __all__ = [
     "Detector",
@@ -58,6 +58,7 @@ __all__ = [
     "physics",
     "prescription",
     "report",
+    "scatter",
     "scene",
     "trace",
 ]

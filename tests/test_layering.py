@@ -17,6 +17,7 @@ LAYERS = [
     {"_mitsuba_compat"},
     {"_variant"},
     {"physics", "materials", "coatings"},
+    {"scatter"},
     {"prescription"},
     {"scene"},
     {"trace"},
@@ -31,11 +32,22 @@ LAYERS = [
 # `physics` holds equations and nothing else.
 PURE = {"physics": {"errors", "physics"}}
 # Plugins are looked up by Mitsuba: they use these, and no module imports them.
-PLUGINS_MAY_IMPORT = {"errors", "_mitsuba_compat", "physics", "materials", "coatings", "trace", "plugins"}
+PLUGINS_MAY_IMPORT = {"errors", "_mitsuba_compat", "physics", "materials", "coatings", "scatter", "trace", "plugins"}
 # A shipped scene is a prescription written in Python.
 SCENES_MAY_IMPORT = {"errors", "materials", "prescription", "scenes"}
 # These work on arrays and tables, or before Mitsuba can be imported.
-NO_MITSUBA = {"errors", "replace_file", "physics", "materials", "coatings", "scenes", "report", "doctor", "cli"}
+NO_MITSUBA = {
+    "errors",
+    "replace_file",
+    "physics",
+    "materials",
+    "coatings",
+    "scatter",
+    "scenes",
+    "report",
+    "doctor",
+    "cli",
+}
 # Importing Dr.Jit opens libLLVM, so these do it in functions, once libLLVM is settled or somebody asks for a scene.
 LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
 # (importing layer, imported layer): upward imports inside a function, each with its reason.

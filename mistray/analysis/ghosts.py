@@ -11,7 +11,7 @@ which wavelength.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -20,10 +20,12 @@ import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.irradiance import Map, MapStatistics, mirror_asymmetry, statistics
-from mistray.analysis.pool import by_path, power
-from mistray.analysis.ranking import DIRECT, KINDS, DirectImage, direct_image, ranked
+from mistray.analysis.pool import by_path
+from mistray.analysis.ranking import DirectImage, direct_image, ranked
+from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.errors import MistrayError
-from mistray.trace import Trace, trace
+from mistray.trace import Settings, Trace, trace
+from mistray.trace.path_events import DIRECT, STRAY_KINDS, way_text
 
 DRAWING_RAYS = 576  # start rays of the trace that gives rays to draw
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
@@ -121,6 +123,7 @@ class GhostReport(Mapping[float, Trace]):
         self._maps: dict[float, _FieldMaps] = {}
         self._drawings: dict[float, Trace] = {}
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
+        self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
         self.arguments = dict(arguments)
         self.nominal_trace = nominal_trace
         self.wavelengths_nm = list(nominal_trace.wavelengths_nm)
@@ -163,9 +166,11 @@ class GhostReport(Mapping[float, Trace]):
         Returns
         -------
         DataFrame
-            The columns of ``Trace.paths`` and ``path_ids`` (the path at each of its wavelengths; ``path_id`` is the
-            strongest of them, ``wavelength_nm`` and ``polarization`` are means with the powers as weights), ``label``
-            (ghost surfaces in words), ``normalised_rms_irradiance`` with its ``_se``, ``well_sampled`` (at least
+            The columns of ``Trace.paths`` and ``path_ids`` (the path at each of its wavelengths, scattered at random
+            and aimed; ``path_id`` is the strongest of them, ``wavelength_nm`` and ``polarization`` are means with the
+            powers as weights), ``label`` (ghost surfaces and where it scatters, in words), ``percent_of_stray`` with
+            its ``_se`` (of the power of all stray paths; ``percent`` is of all light, the direct image included),
+            ``normalised_rms_irradiance`` with its ``_se``, ``well_sampled`` (at least
             `mistray.analysis.ranking.FEWEST_RAYS` rays), and the ranks among the stray paths, 1 = worst:
             ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). Paths that are not well sampled come last
             in the second, because the RMS radius of a few rays is too small too often. Per wavelength, the rows are
@@ -178,20 +183,19 @@ class GhostReport(Mapping[float, Trace]):
         return self._tables[key]
 
     def _rows(self, t: Trace) -> pd.DataFrame:
-        """The path table of a trace, made once."""
+        """The path table of a trace by ways of the light, made once."""
         if t not in self._frames:
-            self._frames[t] = t.paths.to_pandas()
+            self._frames[t] = t.paths.by_way()
         return self._frames[t]
 
     def _all_light(self, table: pd.DataFrame) -> pd.DataFrame:
-        table = by_path(table)
-        return ranked(table, [self.nominal.rms_irradiance_W_mm2] * len(table))
+        return ranked(by_path(table), self.nominal.rms_irradiance_W_mm2)
 
     def _by_wavelength(self, table: pd.DataFrame) -> pd.DataFrame:
         parts = []
         for wavelength in self.wavelengths_nm:
             rows = by_path(table[table.wavelength_nm == wavelength])
-            parts.append(ranked(rows, [self.nominal_at(wavelength).rms_irradiance_W_mm2] * len(rows)))
+            parts.append(ranked(rows, self.nominal_at(wavelength).rms_irradiance_W_mm2))
         return pd.concat(parts).sort_values("path_id", ignore_index=True)
 
     def top(self, field_deg: float, count: int = 4, by: str = "rms_irradiance") -> pd.DataFrame:
@@ -218,6 +222,36 @@ class GhostReport(Mapping[float, Trace]):
         (members,) = whole.path_ids[whole.path_id == path_id]
         rows = self.table(field_deg, per_wavelength=True)
         return rows[rows.path_id.isin(members)].sort_values("wavelength_nm")
+
+    @property
+    def scatters(self) -> bool:
+        """Whether scattered light reaches the detector at any field."""
+        return any(bool((self._rows(t).scatters > 0).any()) for t in self._traces.values())
+
+    def scatter_surfaces(self, field_deg: float, wavelength_nm: float | None = None) -> pd.DataFrame:
+        """
+        Light on the detector by the first surface that scatters it.
+
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        wavelength_nm : float, optional
+            Of this wavelength alone. Default: of all light.
+
+        Returns
+        -------
+        DataFrame
+            See `mistray.analysis.scatter_surfaces.scatter_surfaces`.
+        """
+        rows = self._rows(self[field_deg])
+        if wavelength_nm is not None:
+            rows = rows[rows.wavelength_nm == self._known(wavelength_nm)]
+        return scatter_surfaces(self[field_deg], rows)
+
+    def power_of(self, field_deg: float, rows: pd.DataFrame) -> Estimate:
+        """Power of some rows of a table of this field together, W; the error is that of the sum."""
+        return _power(self[field_deg], rows)
 
     def _known(self, wavelength_nm: float) -> float:
         if wavelength_nm not in self.wavelengths_nm:
@@ -277,10 +311,13 @@ class GhostReport(Mapping[float, Trace]):
             self._drawings[field_deg] = trace(self.scene, field_deg=field_deg, **few)
         drawing = self._drawings[field_deg]
         wanted = self[field_deg].paths[path_id]
-        for row in drawing.paths:
-            if (row.source, row.wavelength_nm, row.events) == (wanted.source, wanted.wavelength_nm, wanted.events):
-                return list(drawing.history(row.path_id, n=DRAWING_RAYS).rays)
-        return []
+        (events,) = way_text([wanted.events])
+        rows = self._rows(drawing)
+        rows = rows[
+            (rows.source == wanted.source) & (rows.wavelength_nm == wanted.wavelength_nm) & (rows.events == events)
+        ]
+        members = [i for path_ids in rows.path_ids for i in path_ids]
+        return [ray for i in members for ray in drawing.history(i, n=DRAWING_RAYS).rays]
 
     def _nominal_peak(self) -> Estimate:
         field = next((field for field, t in self.items() if t is self.nominal_trace), None)
@@ -320,6 +357,12 @@ class GhostReport(Mapping[float, Trace]):
         wavelength_nm : float, optional
             Of this wavelength alone, against the on-axis image at it. Default: of all light.
         """
+        key = field_deg, wavelength_nm
+        if key not in self._summaries:
+            self._summaries[key] = self._summarised(field_deg, wavelength_nm)
+        return self._summaries[key]
+
+    def _summarised(self, field_deg: float, wavelength_nm: float | None) -> FieldSummary:
         t = self[field_deg]
         rows, table = self._rows(t), self.table(field_deg, per_wavelength=wavelength_nm is not None)
         if wavelength_nm is None:
@@ -327,17 +370,17 @@ class GhostReport(Mapping[float, Trace]):
         else:
             nominal, irradiance = self.nominal_at(wavelength_nm), t.irradiance_at(wavelength_nm)
             rows, table = (part[part.wavelength_nm == wavelength_nm] for part in (rows, table))
-        direct, stray = direct_image(rows), power(rows[rows.kind != DIRECT])
+        direct, stray = direct_image(rows), _power(t, rows[rows.kind != DIRECT])
         worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
         asymmetry, expected = mirror_asymmetry(*irradiance)
         return FieldSummary(
             field_deg=field_deg,
             wavelength_nm=wavelength_nm,
             paths=len(table),
-            paths_of_kind={kind: int((table.kind == kind).sum()) for kind in (DIRECT, *KINDS)},
+            paths_of_kind={kind: int((table.kind == kind).sum()) for kind in (DIRECT, *STRAY_KINDS)},
             direct=direct,
             stray_W=stray,
-            stray_of_kind_W={kind: power(rows[rows.kind == kind]) for kind in KINDS},
+            stray_of_kind_W={kind: _power(t, rows[rows.kind == kind]) for kind in STRAY_KINDS},
             ghost_to_signal=stray.over(direct.power_W),
             stray_to_nominal=stray.over(nominal.power_W),
             brightest=int(worst.path_id.iloc[0]) if len(worst) else None,
@@ -354,27 +397,25 @@ class GhostReport(Mapping[float, Trace]):
         )
 
 
+def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
+    """Power of some rows of a path table of a trace together, W."""
+    return Estimate(*t.paths.power([i for path_ids in rows.path_ids for i in path_ids]))
+
+
 def ghosts(
     scene: Any,
     fields_deg: Sequence[float] | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
     weights: Sequence[float] | None = None,
     azimuth_deg: float | None = None,
-    rays: int | None = None,
-    max_reflections: int | None = None,
-    max_events: int | None = None,
-    flux_threshold: float | None = None,
-    splitting: str | None = None,
-    below_threshold: str | None = None,
-    seed: int | None = None,
-    polarization: str | None = None,
     progress: Progress | None = None,
+    **settings: Any,
 ) -> GhostReport:
     """
-    Trace a scene at several field angles and rank its ghosts.
+    Trace a scene at several field angles and rank its stray light.
 
     The direct image on axis, the denominator of every normalised number, is taken from the field 0; when that is not
-    among ``fields_deg`` it is traced as well, without reflections.
+    among ``fields_deg`` it is traced as well, without reflections and scatter.
 
     Parameters
     ----------
@@ -382,11 +423,13 @@ def ghosts(
         From `mistray.load`, with one source and one detector.
     fields_deg : sequence of float, optional
         Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
-    wavelength_nm, weights, azimuth_deg, rays, max_reflections, max_events, flux_threshold, splitting, below_threshold,
-    seed, polarization
+    wavelength_nm, weights, azimuth_deg
         As in `mistray.trace`; None takes the scene's own value. The rays are shared by the wavelengths.
     progress : callable, optional
         Called now and then with (fields done, fields to do); the first counts parts of a field too.
+    **settings
+        rays, max_reflections, max_scatters and the other attributes of `mistray.trace.Settings`; what is left out or
+        None takes the scene's own value.
 
     Returns
     -------
@@ -396,34 +439,25 @@ def ghosts(
     Raises
     ------
     MistrayError
-        No field is given, or what `mistray.trace` raises.
+        No field is given, an argument is unknown, or what `mistray.trace` raises.
     """
-    given: dict[str, Any] = {
-        "azimuth_deg": azimuth_deg,
-        "rays": rays,
-        "wavelength_nm": wavelength_nm,
-        "weights": weights,
-        "max_reflections": max_reflections,
-        "max_events": max_events,
-        "flux_threshold": flux_threshold,
-        "splitting": splitting,
-        "below_threshold": below_threshold,
-        "seed": seed,
-        "polarization": polarization,
-    }
-    settings = {key: value for key, value in given.items() if value is not None}
+    unknown = set(settings) - {f.name for f in fields(Settings)}
+    if unknown:
+        raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of ghosts; see mistray.trace.Settings")
+    given = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, **settings}
+    arguments = {key: value for key, value in given.items() if value is not None}
     wanted = [None] if fields_deg is None else list(dict.fromkeys(float(field) for field in fields_deg))
     if not wanted:
         raise MistrayError("ghosts: fields_deg is empty; give at least one field angle in degrees")
     traces = {}
     for done, field in enumerate(wanted):
-        t = trace(scene, field_deg=field, progress=_part(progress, done, len(wanted)), **settings)
+        t = trace(scene, field_deg=field, progress=_part(progress, done, len(wanted)), **arguments)
         traces[float(t.settings["field_deg"])] = t
     if NOMINAL_FIELD_DEG in traces:
         nominal = traces[NOMINAL_FIELD_DEG]
     else:
-        nominal = trace(scene, field_deg=NOMINAL_FIELD_DEG, **(settings | {"max_reflections": 0}))
-    return GhostReport(scene, traces, nominal, settings)
+        nominal = trace(scene, field_deg=NOMINAL_FIELD_DEG, **(arguments | {"max_reflections": 0, "max_scatters": 0}))
+    return GhostReport(scene, traces, nominal, arguments)
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,9 +9,8 @@ import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.pool import pooled, power
+from mistray.trace.path_events import DIRECT
 
-DIRECT = "direct"
-KINDS = ("ghost", "structure", "structure+ghost", "TIR", "straight shot")
 FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain to rank by
 
 
@@ -54,13 +52,16 @@ def direct_image(table: pd.DataFrame) -> DirectImage:
     )
 
 
-def label(ghost_1: str, ghost_2: str, kind: str) -> str:
-    """A path in words: its ghost surfaces in the order of the light, or its kind when it has none."""
-    surfaces = [name for name in (ghost_1, ghost_2) if name != "-"]
-    return " → ".join(surfaces) if surfaces else "direct image" if kind == DIRECT else kind
+def label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str = "-", scatters: int = 0) -> str:
+    """A path in words: its ghost surfaces in the order of the light and where it scatters, or its kind."""
+    ghosts = " → ".join(name for name in (ghost_1, ghost_2) if name != "-")
+    if scatters:
+        more = f" and {scatters - 1} more" if scatters > 1 else ""
+        return f"{ghosts}{', ' if ghosts else ''}scatter at {scatter_1}{more}"
+    return ghosts or ("direct image" if kind == DIRECT else kind)
 
 
-def ranked(table: pd.DataFrame, yardsticks: Sequence[Estimate]) -> pd.DataFrame:
+def ranked(table: pd.DataFrame, yardstick: Estimate) -> pd.DataFrame:
     """
     A path table with labels, normalised RMS irradiance and ranks.
 
@@ -68,8 +69,8 @@ def ranked(table: pd.DataFrame, yardsticks: Sequence[Estimate]) -> pd.DataFrame:
     ----------
     table : DataFrame
         Columns as in ``Trace.paths``.
-    yardsticks : sequence of Estimate
-        For each row the RMS irradiance that it is divided by, W/mm².
+    yardstick : Estimate
+        The RMS irradiance that each row is divided by, W/mm².
 
     Returns
     -------
@@ -77,13 +78,16 @@ def ranked(table: pd.DataFrame, yardsticks: Sequence[Estimate]) -> pd.DataFrame:
         The same rows with the columns that `GhostReport.table` lists.
     """
     table = table.copy()
-    table["label"] = [label(*row) for row in table[["ghost_1", "ghost_2", "kind"]].itertuples(index=False)]
+    words = table[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]]
+    table["label"] = [label(*row) for row in words.itertuples(index=False)]
     pairs = table[["rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"]].itertuples(index=False)
-    normalised = [Estimate(*pair).over(yardstick) for pair, yardstick in zip(pairs, yardsticks, strict=True)]
+    normalised = [Estimate(*pair).over(yardstick) for pair in pairs]
     table["normalised_rms_irradiance"] = [estimate.value for estimate in normalised]
     table["normalised_rms_irradiance_se"] = [estimate.se for estimate in normalised]
     table["well_sampled"] = table.rays.to_numpy(np.int64) >= FEWEST_RAYS
     stray = table.kind != DIRECT
+    for name, power_name in (("percent_of_stray", "power_W"), ("percent_of_stray_se", "power_se_W")):
+        table[name] = (100 * table[power_name] / table.power_W[stray].sum()).where(stray)
     light, irradiance = (table[name].to_numpy(np.float64) for name in ("power_W", "rms_irradiance_W_mm2"))
     irradiance = np.where(np.isfinite(irradiance), irradiance, 0.0)
     orders = {

@@ -138,7 +138,7 @@ def _scene(options: argparse.Namespace, lam: list[float]) -> int:
     from mistray.coatings.stack import outside_first
     from mistray.materials import complex_index
     from mistray.report.coating_plots import coated_surfaces, surfaces_figure
-    from mistray.report.tables import text_table
+    from mistray.report.text import text_table
     from mistray.scene import load
 
     surfaces = coated_surfaces(load(options.coating))
@@ -162,7 +162,7 @@ def _scene(options: argparse.Namespace, lam: list[float]) -> int:
 def _layers(coating: Coating, design_nm: float) -> list[str]:
     """Table of the layers of a stack; nothing for others."""
     from mistray.coatings import Stack
-    from mistray.report.tables import text_table
+    from mistray.report.text import text_table
 
     if not isinstance(coating, Stack) or not coating.layers:
         return []
@@ -179,7 +179,7 @@ def _layers(coating: Coating, design_nm: float) -> list[str]:
 
 def _over_band(values: Spectrum) -> str:
     """Table of the mean and the extremes of R over the wavelengths."""
-    from mistray.report.tables import text_table
+    from mistray.report.text import text_table
 
     lam, mean = values.wavelength_nm, values.mean()
     rows = []
@@ -199,7 +199,7 @@ def _sample(values: Spectrum) -> str:
     """Table of R at some of the wavelengths: unpolarised, and s and p off normal incidence."""
     import numpy as np
 
-    from mistray.report.tables import text_table
+    from mistray.report.text import text_table
 
     lam = values.wavelength_nm
     shown = np.unique(np.linspace(0, len(lam) - 1, min(ROWS_SHOWN, len(lam))).round().astype(int))

@@ -7,6 +7,7 @@ import contextlib
 import json
 import sys
 from collections.abc import Iterator
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -23,12 +24,13 @@ def add(commands: Any) -> None:
     """Declare the command."""
     parser = commands.add_parser(
         "ghosts",
-        help="trace the ghosts of a scene and rank them",
+        help="trace the ghosts and the scattered light of a scene and rank them",
         description="Trace a scene at one or more field angles, list all paths to the detector and rank the stray\n"
         "ones by RMS irradiance P/(π r_rms²), relative to the direct image on axis.",
         epilog="examples:\n"
         "  mistray ghosts phone_camera --field-deg 0 5 10 15 20 25 27 --out out\n"
         "  mistray ghosts scene.xml --wavelength-nm 620 --rays 1e7 --json\n"
+        "  mistray ghosts scene.xml --max-scatters 2 --max-reflections 1 --aimed-rays 4 --out out\n"
         "  mistray ghosts scene.xml --wavelength-nm 450 550 650 --weights 1 2 1 --colour --out out",
         formatter_class=RAW,
     )
@@ -45,6 +47,8 @@ def add(commands: Any) -> None:
     tracing.add_argument("--rays", type=count, metavar="N", help="start rays at each field (1e6)")
     tracing.add_argument("--max-reflections", type=count, metavar="N",
                          help="reflections on one path, those of mirrors and TIR not counted (2)")  # fmt: skip
+    tracing.add_argument("--max-generations", type=count, metavar="N",
+                         help="reflections and scatter events together on one path (no limit)")  # fmt: skip
     tracing.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one path (64)")
     tracing.add_argument("--flux-threshold", type=finite, metavar="F",
                          help="flux below which a ray ends, relative to its start ray (1e-8)")  # fmt: skip
@@ -56,6 +60,19 @@ def add(commands: Any) -> None:
     tracing.add_argument("--polarization", choices=("unpolarized", "stokes"),
                          help="means of s and p at every hit, or Stokes vectors along paths (unpolarized)")  # fmt: skip
     tracing.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
+    scatter = parser.add_argument_group("scatter (default: as the scene says, else what stands in brackets)")
+    scatter.add_argument("--max-scatters", type=count, metavar="N", help="scatter events on one path; 0: none (1)")
+    scatter.add_argument("--max-optical-scatters", type=count, metavar="N",
+                         help="those of them at surfaces that transmit (no limit)")  # fmt: skip
+    scatter.add_argument("--max-random-scatters", type=count, metavar="N",
+                         help="those of them that are not aimed at a target (no limit)")  # fmt: skip
+    scatter.add_argument("--scatter-rays", type=count, metavar="N", help="rays scattered at random at every hit (1)")
+    scatter.add_argument("--aimed-rays", type=count, metavar="N",
+                         help="rays aimed at the targets at every hit, to either side; 0: none (1)")  # fmt: skip
+    scatter.add_argument("--aim", choices=("auto", "targets", "none"),
+                         help="aim at the detector and targets of the scene, only at these, or not (auto)")  # fmt: skip
+    scatter.add_argument("--scatter-threshold", type=finite, metavar="F",
+                         help="flux below which a scattered ray ends, relative to its start (1e-4)")  # fmt: skip
     output = parser.add_argument_group("output")
     output.add_argument("--out", type=Path, metavar="DIR", help="write report.html, CSV, PNG and path-sort files there")
     output.add_argument("--per-wavelength", action="store_true", help="add paths and ledgers at each wavelength")
@@ -85,6 +102,7 @@ def run(options: argparse.Namespace) -> int:
     from mistray.report import main_table, writable_directory, write_all
     from mistray.report.colour import check_wavelengths
     from mistray.scene import load
+    from mistray.trace import Settings
 
     _check_weights(options)
     look = _look(options)
@@ -100,15 +118,8 @@ def run(options: argparse.Namespace) -> int:
             wavelength_nm=options.wavelength_nm,
             weights=options.weights,
             azimuth_deg=options.azimuth_deg,
-            rays=options.rays,
-            max_reflections=options.max_reflections,
-            max_events=options.max_events,
-            flux_threshold=options.flux_threshold,
-            splitting=options.splitting,
-            below_threshold=options.below_threshold,
-            seed=options.seed,
-            polarization=options.polarization,
             progress=progress,
+            **{setting.name: getattr(options, setting.name) for setting in fields(Settings)},
         )
     files = []
     if options.out is not None:

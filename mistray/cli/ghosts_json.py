@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -16,12 +17,14 @@ WORST_SHOWN = 4
 
 def as_json(report: GhostReport, files: Sequence[Path], per_wavelength: bool = False) -> dict[str, Any]:
     """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
-    from mistray.report.tables import summary_frame, warnings
+    from mistray.report.csv_tables import summary_frame
+    from mistray.report.tables import warnings
 
     fields = []
     for row in summary_frame(report).to_dict("records"):
         row["energy"] = _energy(report[row["field_deg"]].energy)
         row["worst_paths"] = report.top(row["field_deg"], WORST_SHOWN).to_dict("records")
+        row |= _scatter(report, row["field_deg"])
         if per_wavelength:
             row["per_wavelength"] = _lines(report, row["field_deg"])
         fields.append(row)
@@ -37,7 +40,7 @@ def as_json(report: GhostReport, files: Sequence[Path], per_wavelength: bool = F
 
 def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
     """A field at each wavelength; the worst paths are those of all light."""
-    from mistray.report.tables import summary_frame
+    from mistray.report.csv_tables import summary_frame
 
     lines = []
     worst = [report.spectrum(field_deg, path_id) for path_id in report.top(field_deg, WORST_SHOWN).path_id]
@@ -50,6 +53,16 @@ def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
         row["worst_paths"] = [path for spectrum in spectra for path in spectrum.to_dict("records")]
         lines.append(row)
     return lines
+
+
+def _scatter(report: GhostReport, field_deg: float) -> dict[str, Any]:
+    """Where the scattered light of a field comes from, and how well it was sampled."""
+    from mistray.analysis.aiming_check import sampling_check
+
+    return {
+        "scattered_by": report.scatter_surfaces(field_deg).to_dict("records"),
+        "sampling": asdict(sampling_check(report[field_deg])),
+    }
 
 
 def _energy(energy: Energy) -> dict[str, Any]:

@@ -18,8 +18,10 @@ string                        n                                                 
 ``COATING.DAT:MGF2``          MATE section of a Zemax coating file, see `mate`                         of the section
 ============================  ======================================================================== ==============
 
-followed, if wanted, by `` k=VALUE`` (k is this number, whatever the data say) and `` extrapolate`` (wavelengths outside
-of the data's range are allowed: formulas are evaluated there, tables keep the value of their nearest end).
+followed, if wanted, by `` k=VALUE`` (k is this number, whatever the data say), `` extrapolate`` (wavelengths outside of
+the data's range are allowed: formulas are evaluated there, tables keep the value of their nearest end), and
+`` scatter=PER_MM g=G`` (the material scatters this share of the light per mm, with the phase function of Henyey and
+Greenstein of asymmetry g).
 
 Wavelengths are in nm, in vacuum. An unknown k is an error of `complex_index`, never a silent 0. docs/materials.md has
 the names, their pages and their sources.
@@ -27,14 +29,17 @@ the names, their pages and their sources.
 
 from mistray.materials.catalogue import names
 from mistray.materials.formulas import CAUCHY_RANGE_NM, LINE_C_NM, LINE_D_NM, LINE_F_NM, cauchy_index
-from mistray.materials.lookup import Source, complex_index, refractive_index, resolved, source
+from mistray.materials.lookup import Source, bulk_scatter, complex_index, refractive_index, resolved, source
+from mistray.materials.spec import BulkScatter
 
 __all__ = [
     "CAUCHY_RANGE_NM",
     "LINE_C_NM",
     "LINE_D_NM",
     "LINE_F_NM",
+    "BulkScatter",
     "Source",
+    "bulk_scatter",
     "cauchy_index",
     "complex_index",
     "names",

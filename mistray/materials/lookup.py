@@ -15,7 +15,7 @@ from mistray.materials.curve import Curve, constant, table
 from mistray.materials.formulas import CAUCHY_RANGE_NM, cauchy_index
 from mistray.materials.mate import read_mate
 from mistray.materials.pages import read_page
-from mistray.materials.spec import AbbeNumber, Constant, Spec, UserFile, parse
+from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, Spec, UserFile, parse
 
 
 @dataclass(frozen=True)
@@ -93,6 +93,11 @@ def refractive_index(material: str, wavelength_nm: float) -> float:
     spec = parse(material)
     _check_wavelength(spec, wavelength_nm)
     return _real(spec, _material(spec), wavelength_nm)
+
+
+def bulk_scatter(material: str) -> BulkScatter:
+    """Scatter inside of a material, from the suffixes ``scatter=`` and ``g=`` of its string; none without them."""
+    return parse(material).bulk
 
 
 def complex_index(material: str, wavelength_nm: float) -> complex:

@@ -14,7 +14,7 @@ _REAL = re.compile(rf"[-+]?{_NUMBER}")
 _COMPLEX = re.compile(rf"([-+]?{_NUMBER})\s*([-+])\s*({_NUMBER})\s*[ij]")
 _ND_VD = re.compile(rf"nd\s*=\s*([-+]?{_NUMBER})\s*[,;\s]\s*Vd\s*=\s*([-+]?{_NUMBER})", re.IGNORECASE)
 _ENTRY = re.compile(r"(.*\.(?:agf|dat)):(.+)", re.IGNORECASE)
-_SUFFIX = re.compile(r"\s+(?:(extrapolate)|k\s*=\s*(\S*))$", re.IGNORECASE)
+_SUFFIX = re.compile(r"\s+(?:(extrapolate)|(k|scatter|g)\s*=\s*(\S*))$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -49,6 +49,23 @@ class Name:
 
 
 @dataclass(frozen=True)
+class BulkScatter:
+    """
+    Scatter inside of a material.
+
+    Attributes
+    ----------
+    per_mm : float
+        Share of the light that is scattered per length, 1/mm.
+    g : float
+        Asymmetry of the phase function of Henyey and Greenstein, its mean cosine, -1 < g < 1.
+    """
+
+    per_mm: float = 0.0
+    g: float = 0.0
+
+
+@dataclass(frozen=True)
 class Spec:
     """
     A parsed material string.
@@ -65,6 +82,8 @@ class Spec:
         Of the suffix ``k=VALUE``.
     extrapolate : bool
         Whether the suffix ``extrapolate`` is there.
+    bulk : BulkScatter
+        Of the suffixes ``scatter=PER_MM`` and ``g=G``.
     """
 
     text: str
@@ -72,6 +91,7 @@ class Spec:
     suffix: str
     k: float | None
     extrapolate: bool
+    bulk: BulkScatter
 
 
 @lru_cache(maxsize=1024)
@@ -85,21 +105,19 @@ def parse(material: str) -> Spec:
         If a number is out of its range or a suffix is given twice.
     """
     text = material.strip()
-    body, k, extrapolate = text, None, False
+    body, given = text, dict[str, str]()
     while match := _SUFFIX.search(body):
-        if match[1]:
-            if extrapolate:
-                raise MistrayError(f"material '{text}': 'extrapolate' is given twice; give it once")
-            extrapolate = True
-        else:
-            if k is not None:
-                raise MistrayError(f"material '{text}': 'k=' is given twice; give it once")
-            k = _k(text, match[2])
+        key, value = ("extrapolate", "") if match[1] else (match[2].lower(), match[3])
+        if key in given:
+            shown = key if match[1] else f"{key}="
+            raise MistrayError(f"material '{text}': '{shown}' is given twice; give it once")
+        given[key] = value
         body = body[: match.start()]
+    k = _k(text, given["k"]) if "k" in given else None
     form = _form(text, body)
     if k is not None and isinstance(form, Constant) and form.k is not None:
         raise MistrayError(f"material '{text}': k is given twice; leave out 'k=' or the imaginary part")
-    return Spec(text, form, text[len(body) :], k, extrapolate)
+    return Spec(text, form, text[len(body) :], k, "extrapolate" in given, _bulk(text, given))
 
 
 def _form(text: str, body: str) -> Constant | AbbeNumber | UserFile | Name:
@@ -146,3 +164,22 @@ def _k(text: str, value: str) -> float:
     if not _REAL.fullmatch(value):
         raise MistrayError(f"material '{text}': k = '{value}' is no number; write for instance 'k=0' or 'k=1e-7'")
     return _finite(text, float(value))
+
+
+def _bulk(text: str, given: dict[str, str]) -> BulkScatter:
+    if "scatter" not in given:
+        if "g" in given:
+            raise MistrayError(f"material '{text}': 'g=' without 'scatter='; give the scatter per mm as well")
+        return BulkScatter()
+    values = []
+    for key in ("scatter", "g"):
+        value = given.get(key, "0")
+        if not _REAL.fullmatch(value):
+            raise MistrayError(f"material '{text}': {key} = '{value}' is no number; write for instance '{key}=0.01'")
+        values.append(float(value))
+    per_mm, g = values
+    if not 0 <= per_mm < math.inf:
+        raise MistrayError(f"material '{text}': scatter = {per_mm:g} per mm; it must be finite and not negative")
+    if not -1 < g < 1:
+        raise MistrayError(f"material '{text}': g = {g:g}; the mean cosine of the scatter lies between -1 and 1")
+    return BulkScatter(per_mm, g)

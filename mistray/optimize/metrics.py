@@ -12,6 +12,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace import PathRow, Trace, trace
+from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
 Selection = str | Callable[[PathRow], bool]
 
@@ -76,7 +77,7 @@ class Observation:
         )
 
 
-KINDS = ("all", "stray", "direct", "straight shot", "ghost", "structure", "structure+ghost", "TIR")
+KINDS = ("all", "stray", DIRECT, *STRAY_KINDS)
 
 
 def _matches(selection: Selection, row: PathRow) -> bool:
@@ -85,7 +86,7 @@ def _matches(selection: Selection, row: PathRow) -> bool:
     if selection == "all":
         return True
     if selection == "stray":
-        return row.kind != "direct"
+        return row.kind != DIRECT
     return selection in (row.kind, row.events)
 
 

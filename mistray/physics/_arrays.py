@@ -48,7 +48,7 @@ class Arithmetic:
         Real and imaginary part of a number or array, real or complex.
     is_real : callable
         Whether a number or array is real: by its type in Dr.Jit, by its values in NumPy.
-    sqrt, exp, sincos, maximum, select, detach : callable
+    sqrt, exp, log, sincos, maximum, select, detach : callable
         As in Dr.Jit.
     result : callable
         Brings a result to the precision of the arguments.
@@ -61,6 +61,7 @@ class Arithmetic:
     is_real: Any
     sqrt: Any
     exp: Any
+    log: Any
     sincos: Any
     maximum: Any
     select: Any
@@ -103,6 +104,7 @@ def arithmetic(*values: Any) -> Arithmetic:
         is_real=lambda x: not (dr.is_complex_v(x) if dr.is_array_v(x) else np.any(np.imag(x))),
         sqrt=dr.sqrt,
         exp=dr.exp,
+        log=dr.log,
         sincos=dr.sincos,
         maximum=dr.maximum,
         select=dr.select,
@@ -129,6 +131,7 @@ _NUMPY = Arithmetic(
     is_real=lambda x: not np.any(np.imag(x)),
     sqrt=np.sqrt,
     exp=np.exp,
+    log=np.log,
     sincos=lambda x: (np.sin(x), np.cos(x)),
     maximum=np.maximum,
     select=np.where,

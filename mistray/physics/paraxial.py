@@ -15,6 +15,8 @@ import numpy.typing as npt
 
 from mistray.errors import MistrayError
 
+COLLIMATED = 1e-12  # slope per mm of height, 1/mm, below which a marginal ray is taken for parallel to the axis
+
 
 @dataclass(frozen=True)
 class Ghost:
@@ -124,6 +126,25 @@ class ParaxialSystem:
             raise MistrayError(f"stop at z = {stop_z:g} mm: it lies in a focus; no chief ray is defined there")
         return self.trace(-height_from_u / height_from_y, u)
 
+    def images_seen(self, field_deg: float, stop_z: float) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+        """
+        Image of a distant object as seen from the space after each surface: where scattered light should go.
+
+        Parameters
+        ----------
+        field_deg : float
+            Angle of the edge of the field to the axis, degrees.
+        stop_z : float
+            As in `chief_ray`.
+
+        Returns
+        -------
+        length, height : (n,) float64
+            See `image_seen`.
+        """
+        marginal, chief = self.trace(1.0, 0.0), self.chief_ray(field_deg, stop_z)
+        return image_seen(marginal[:, 0], marginal[:, 1], chief[:, 0], chief[:, 1])
+
     def _height_at(self, z: float, y: float, u: float) -> float:
         """Height at ``z`` of the ray that starts with (y, u) at the first vertex."""
         k = int(np.searchsorted(self.z, z, side="left")) - 1
@@ -180,3 +201,31 @@ class ParaxialSystem:
                 focus = math.inf if u == 0 else -y / u
                 ghosts.append(Ghost(first, second, abs(y), focus, power))
         return ghosts
+
+
+def image_seen(
+    y: npt.ArrayLike, u: npt.ArrayLike, chief_y: npt.ArrayLike, chief_u: npt.ArrayLike
+) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:
+    """
+    The image that light leaving surfaces towards it would reach: ISL and ISH of importance sampling.
+
+    ISL = -y/u', where the marginal ray in the space *after* the surface crosses the axis, and ISH = |ȳ + ū' ISL|, the
+    height of the chief ray there. The length is negative where the image is virtual.
+
+    Parameters
+    ----------
+    y, u : (n,) array_like
+        Marginal ray: height at each surface (mm) and slope after it.
+    chief_y, chief_u : (n,) array_like
+        Chief ray of the edge of the field.
+
+    Returns
+    -------
+    length, height : (n,) float64
+        Distance from the vertex of each surface and half size of the image, mm; ``inf`` where it lies at infinity.
+    """
+    y, u, chief_y, chief_u = (np.asarray(values, dtype=np.float64) for values in (y, u, chief_y, chief_u))
+    at_infinity = np.abs(u) <= COLLIMATED * np.abs(y)
+    length = np.where(at_infinity, np.inf, -y / np.where(at_infinity, 1.0, u))
+    height = np.where(at_infinity, np.inf, np.abs(chief_y + chief_u * np.where(at_infinity, 0.0, length)))
+    return length, height

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import KW_ONLY, dataclass, replace
 from itertools import combinations
 from typing import TYPE_CHECKING, Any
@@ -21,6 +21,8 @@ from mistray.physics.crossing import meeting
 from mistray.physics.paraxial import ParaxialSystem
 from mistray.physics.sag import conic_end, sag
 from mistray.prescription.coating import BLACK, Coating, check_name
+from mistray.prescription.naming import scattering, shared_items
+from mistray.prescription.scatter import Scatter
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -86,6 +88,8 @@ class Surface(Placed):
         Materials on the -z and the +z side; see `mistray.materials`.
     coating : Coating or None
         ``None``: bare Fresnel.
+    scatter : tuple of Scatter
+        Models that scatter a part of the light; they add.
     mirror : bool
         The design path reflects here, so that this reflection is no ghost.
     part : str or None
@@ -106,6 +110,7 @@ class Surface(Placed):
     front: str = "air"
     back: str = "air"
     coating: Coating | None = None
+    scatter: tuple[Scatter, ...] = ()
     mirror: bool = False
     part: str | None = None
     space: int = -1
@@ -181,7 +186,7 @@ class Structure(Placed):
         points away from: the inside of a tube, the -z side of an annulus.
     coating : Coating or None
         ``None``: bare Fresnel. The default is a perfect absorber.
-    part, space
+    scatter, part, space
         As in `Surface`.
     """
 
@@ -194,6 +199,7 @@ class Structure(Placed):
     front: str = "air"
     back: str = "air"
     coating: Coating | None = BLACK
+    scatter: tuple[Scatter, ...] = ()
     part: str | None = None
     space: int = -1
 
@@ -242,7 +248,7 @@ class Stop:
         Axial positions of its faces, mm; equal for a thin stop, which is one annulus.
     outer_front, outer_rear : float
         Outer radii of the two faces, mm.
-    coating, part, space
+    coating, scatter, part, space
         As in `Structure`; the part's name also starts the names of the faces.
     """
 
@@ -253,6 +259,7 @@ class Stop:
     outer_rear: float
     _: KW_ONLY
     coating: Coating | None = BLACK
+    scatter: tuple[Scatter, ...] = ()
     part: str = "stop"
     space: int = -1
 
@@ -274,7 +281,14 @@ class Stop:
             profiles.append(("wall", self.radius, self.z_front, self.radius, self.z_rear))
             profiles.append(("rear", self.radius, self.z_rear, self.outer_rear, self.z_rear))
         return tuple(
-            Structure(f"{self.part}_{face}", *profile, coating=self.coating, part=self.part, space=self.space)
+            Structure(
+                f"{self.part}_{face}",
+                *profile,
+                coating=self.coating,
+                scatter=self.scatter,
+                part=self.part,
+                space=self.space,
+            )
             for face, *profile in profiles
         )
 
@@ -367,8 +381,8 @@ class Prescription:
     Raises
     ------
     MistrayError
-        If two names are equal, coatings of one name differ, or two coaxial surfaces cross or coincide within the
-        aperture that they share.
+        If two names are equal, coatings or scatter models of one name differ, or two coaxial surfaces cross or coincide
+        within the aperture that they share.
     """
 
     name: str
@@ -385,7 +399,7 @@ class Prescription:
                 raise MistrayError(
                     f"prescription '{self.name}': {count} shapes are called '{name}'; give each its own name"
                 )
-        self.shared_coatings()
+        self.shared_scatter()
         optical = [s for s in (*self.surfaces, self.detector) if s is not None and s.coaxial]
         for a, b in combinations(optical, 2):
             _check_crossing(a, b)
@@ -408,22 +422,40 @@ class Prescription:
         MistrayError
             If two coatings of one name differ, or a shape has that name.
         """
-        shared: dict[str, Coating] = {}
-        names = {shape.name for shape in self.shapes()}
-        for shape in self.shapes():
-            coating = shape.coating
-            if coating is None or coating.name is None:
-                continue
-            if shared.setdefault(coating.name, coating) != coating:
-                raise MistrayError(
-                    f"prescription '{self.name}': two different coatings are called '{coating.name}', that of "
-                    f"'{shape.name}' is one; give each its own name"
-                )
-            if coating.name in names:
-                raise MistrayError(
-                    f"prescription '{self.name}': a shape and a coating are called '{coating.name}'; rename one"
-                )
+        return shared_items(self, "coating", lambda shape: (shape.coating,) if shape.coating else ())
+
+    def shared_scatter(self) -> dict[str, Scatter]:
+        """
+        Scatter models that have a name, by it.
+
+        Raises
+        ------
+        MistrayError
+            If two models of one name differ, or a shape or a coating has that name.
+        """
+        shared = shared_items(self, "scatter model", lambda shape: shape.scatter)
+        for name in shared.keys() & self.shared_coatings().keys():
+            raise MistrayError(
+                f"prescription '{self.name}': a coating and a scatter model are called '{name}'; rename one"
+            )
         return shared
+
+    def with_scatter(self, rules: Mapping[str, Sequence[Scatter]]) -> Prescription:
+        """
+        Copy whose shapes scatter.
+
+        Parameters
+        ----------
+        rules : mapping of str to sequence of Scatter
+            Name of a shape, or a pattern such as ``"barrel_*"`` → models. They add to what a shape has, and those of
+            all patterns that match add.
+
+        Raises
+        ------
+        MistrayError
+            If a pattern matches no shape, or only some of the faces of a stop, which have one description.
+        """
+        return scattering(self, rules)
 
     def with_source(self, **changes: Any) -> Prescription:
         """Copy with some parameters of the source replaced, for example ``with_source(field_deg=10)``."""

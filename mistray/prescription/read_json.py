@@ -13,6 +13,8 @@ How faces are chosen, so that each stands in exactly one place:
 - The board behind the detector becomes a frame of four rectangles around it.
 - Numbers in the barrel that were rounded are moved onto the rims that they meet (within 2 µm).
 - A coating is R and T, or a recipe of `Coating`: ``layers``, ``preset`` or ``table`` with what belongs to them.
+- Scatter is a list (``scatter``): the plugin (``kind``), its properties, a ``name`` if its parameters are one set, and
+  the ``shapes`` that have it, names of faces or patterns such as ``barrel_*``.
 - A material may have a ``k``; where it has none, the lens is taken for lossless, and the scene says so with ``k=0``.
 """
 
@@ -29,6 +31,7 @@ from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import Point, detector_frame, lens_edge
 from mistray.prescription.model import Detector, Prescription, Source, Stop, Structure, Surface
+from mistray.prescription.scatter import Scatter
 
 _ROUNDING_MM = 2e-6
 _SURFACE_NAME = re.compile(r"S\d+\s+(\S+)\s+(front|rear)")
@@ -95,7 +98,7 @@ class _Reader:
             frame += detector_frame(
                 detector, max(piece.r0, piece.r1), coating=self.structure_coating, name="board", space=piece.space
             )
-        return Prescription(
+        result = Prescription(
             name=str(self.data["title"]),
             surfaces=self.surfaces,
             structures=(*bodies, *pieces.values(), *frame),
@@ -104,6 +107,10 @@ class _Reader:
             source=self._source(),
             provenance=f"Generated from {self.path.name}; see SOURCE.md.",
         )
+        for row in self.data.get("scatter", []):
+            model = _scatter(row)
+            result = result.with_scatter({pattern: (model,) for pattern in row["shapes"]})
+        return result
 
     def _changes(self, variant: str | None) -> dict[str, dict[str, float]]:
         """Changed values by surface label, from "S13.radius": 5.272."""
@@ -255,6 +262,11 @@ def _coating(row: Mapping[str, Any]) -> Coating:
     if recipe:
         return Coating(**{key: row[key] for key in recipe})
     return Coating(R=float(row["R"]), T=float(row["T"]))
+
+
+def _scatter(row: Mapping[str, Any]) -> Scatter:
+    properties = {key: value for key, value in row.items() if key not in ("kind", "name", "shapes")}
+    return Scatter(row["kind"], properties, name=row.get("name"))
 
 
 def _material(key: str, row: Mapping[str, Any]) -> str:

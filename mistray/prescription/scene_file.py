@@ -13,12 +13,11 @@ from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
+from mistray.prescription.scatter import Scatter, Value
 from mistray.replace_file import replace_file
 
 if TYPE_CHECKING:
     from mistray.prescription.model import Prescription
-
-Value = bool | int | float | str
 
 
 @dataclass(frozen=True)
@@ -44,6 +43,7 @@ def _interface(shape: Surface | Structure) -> _Node:
         children = (_thinfilm(coating),)
     elif coating is not None:
         properties |= _recipe(coating)
+    children += tuple(_Node("ref", "", model.name) if model.name else _scatter(model) for model in shape.scatter)
     if isinstance(shape, Surface) and shape.mirror:
         properties["mirror"] = True
     return _Node("bsdf", "interface", properties=properties, children=children)
@@ -59,6 +59,10 @@ def _thinfilm(coating: Coating) -> _Node:
         if any(getattr(coating, key)):
             properties[key] = _list_text(getattr(coating, key))
     return _Node("bsdf", "thinfilm", coating.name, properties)
+
+
+def _scatter(model: Scatter) -> _Node:
+    return _Node("bsdf", model.kind, model.name, dict(model.properties))
 
 
 def _recipe(coating: Coating) -> dict[str, Value]:
@@ -136,6 +140,7 @@ def _sections(prescription: Prescription) -> Iterator[tuple[str, list[_Node]]]:
     yield "", [_Node("integrator", "straylight", "integrator")]
     yield "Light", [_source(prescription.source)]
     yield "Coatings of several surfaces", [_thinfilm(coating) for coating in prescription.shared_coatings().values()]
+    yield "Scatter of several surfaces", [_scatter(model) for model in prescription.shared_scatter().values()]
     yield "Optical surfaces", [_surface(s) for s in prescription.surfaces]
     yield "Structure", [_shape(s) for s in prescription.structures]
     yield "Aperture stop", [_structure(s) for s in (prescription.stop.faces() if prescription.stop else ())]
@@ -165,7 +170,11 @@ def _node_dict(node: _Node) -> dict[str, Any]:
         import mitsuba as mi
 
         result["to_world"] = mi.ScalarTransform4d(node.place.to_world())
-    return result | {child.kind: _node_dict(child) for child in node.children}
+    kinds = [child.kind for child in node.children]
+    for place, child in enumerate(node.children):
+        before = kinds[:place].count(child.kind)
+        result[f"{child.kind}_{before + 1}" if before else child.kind] = _node_dict(child)
+    return result
 
 
 def write_xml(prescription: Prescription, path: str | Path) -> None:

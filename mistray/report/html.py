@@ -11,10 +11,10 @@ from typing import Any
 
 from mistray.analysis.estimate import UNKNOWN
 from mistray.analysis.ghosts import FieldSummary, GhostReport
-from mistray.analysis.ranking import KINDS
 from mistray.replace_file import replace_file
 from mistray.report.html_fields import field_section
 from mistray.report.html_ledgers import energy_ledger, surface_ledger
+from mistray.report.html_scatter import scatter_ledger
 from mistray.report.markup import (
     cell,
     data_table,
@@ -26,12 +26,14 @@ from mistray.report.markup import (
     thousands,
 )
 from mistray.report.plots import as_png, as_svg, levels_against_field, montage
-from mistray.report.tables import ABSENT, warnings, with_error
+from mistray.report.tables import warnings
+from mistray.report.text import ABSENT, with_error
+from mistray.trace.path_events import STRAY_KINDS
 
 ASSUMPTIONS = (
     "Geometric optics: rays are straight lines between surfaces; no diffraction, and paths add without interference.",
-    "Specular light only: reflection and refraction at ideal surfaces, no scatter. Structure reflects specularly with "
-    "the reflectance that the scene gives it.",
+    "{scatter}",
+    "Structure reflects specularly with the reflectance that the scene gives it.",
     "{polarization}; the coatings are those of the scene, bare surfaces follow Fresnel.",
     "A source at infinity: one collimated beam for each field angle, with the irradiance that the scene states.",
 )
@@ -39,23 +41,33 @@ POLARIZATION = {
     "unpolarized": "Unpolarised light at every surface: R and T are the means of s and p at every hit",
     "stokes": "Polarisation is carried along every path as a Stokes vector; the light of the source is unpolarised",
 }
+SPECULAR = "Specular light only: reflection and refraction at smooth surfaces; no scattered light reaches the detector."
+SCATTERED = (
+    "Surfaces scatter by the models that the scene gives them, up to {max_scatters} times along a path. Scattered "
+    "light is unpolarised. Aimed rays and random ones share the flux by weights, so that their sum is right on average."
+)
 DEFINITIONS = (
     ("power", "flux that the detector absorbs; the incident flux is in paths.csv"),
     ("RMS radius", "root of the mean square distance of a path's rays from their centroid, weighted by flux"),
     ("RMS irradiance", "P / (π r_rms²): power of the path over the disc of its RMS radius"),
     ("normalised", "RMS irradiance of the path over that of the direct image on axis (field 0°)"),
     ("stray light", "everything that reaches the detector and is not the direct image"),
+    ("of all light", "share of everything that the detector absorbs at this field, the direct image included"),
+    ("of stray light", "share of the stray light at this field"),
     ("stray/direct", "stray power over the power of the direct image at the same field; – where there is none"),
     ("stray/nominal", "stray power over the power of the direct image on axis"),
     ("peak stray/peak nominal", "brightest pixel of the stray light over that of the on-axis image; depends on the "
      "pixel size"),
-    ("ghost surfaces", "surfaces where the path was reflected, in the order of the light; structure counts, the "
-     "mirrors of the design path do not"),
-    ("path", "T transmitted, R reflected, I totally internally reflected, A absorbed; open it for the surfaces"),
+    ("ghost surfaces", "surfaces where the path was reflected specularly, in the order of the light; structure counts, "
+     "the mirrors of the design path do not"),
+    ("single, multiple scatter", "one or several scatter events on the way; with specular reflections besides them "
+     "ghost + scatter"),
+    ("path", "T transmitted, R reflected, I totally internally reflected, t scattered in transmission, r scattered in "
+     "reflection, A absorbed; open it for the surfaces"),
     ("polarisation", "degree of polarisation of all light of a path together, 0 … 1; of several wavelengths the mean, "
      "weighted by power"),
     ("wavelengths", "a path is a list of surfaces; its numbers are those of all wavelengths together"),
-    ("± ", "one standard error; errors of sums are upper bounds, because the paths of one run share their start rays"),
+    ("± ", "one standard error; of a sum of paths from the spread of 32 batches of start rays"),
 )  # fmt: skip
 
 
@@ -111,6 +123,7 @@ def html_text(
         _pictures(report, pictures),
         section("fields", "Field by field", "".join(fields)),
         section("energy", "Energy ledger", energy_ledger(report, per_wavelength)),
+        *([section("scatter", "Scattered light", scatter_ledger(report))] if report.scatters else []),
         section("surfaces", "Flux at every surface", surface_ledger(report, per_wavelength)),
         section("settings", "Assumptions, definitions and settings", _settings(settings, report, command)),
     ]
@@ -132,9 +145,11 @@ def _head(report: GhostReport, title: str, settings: dict[str, Any], summaries: 
     shares = [f"{100 * report.weight(wavelength):.3g}" for wavelength in report.wavelengths_nm]
     if len(shares) > 1:
         lines += f" with {', '.join(shares)} % of the flux" if len(set(shares)) > 1 else " in equal shares"
+    scatters = f" and {settings['max_scatters']} scatter events" if report.scatters else ""
     traced = (
         f"Fields {fields}° at azimuth {setting_text(settings['azimuth_deg'])}°, {lines}, "
-        f"{thousands(settings['rays'])} start rays at each field, up to {settings['max_reflections']} reflections."
+        f"{thousands(settings['rays'])} start rays at each field, up to {settings['max_reflections']} reflections"
+        f"{scatters}."
     )
     found = warnings(report)
     box = ""
@@ -145,7 +160,8 @@ def _head(report: GhostReport, title: str, settings: dict[str, Any], summaries: 
             + "</ul></div>"
         )
     links = (("summary", "Summary"), ("pictures", "Pictures"), ("fields", "Fields"), ("energy", "Energy"),
-             ("surfaces", "Surfaces"), ("settings", "Settings"))  # fmt: skip
+             *([("scatter", "Scatter")] if report.scatters else []), ("surfaces", "Surfaces"),
+             ("settings", "Settings"))  # fmt: skip
     nav = "".join(f'<a href="#{target}">{text}</a>' for target, text in links)
     return (
         f'<header><h1>Ghost analysis: {escape(title)}</h1><p class="sub">{escape(traced)}</p>'
@@ -169,7 +185,7 @@ def _finding(report: GhostReport, summaries: Sequence[FieldSummary]) -> str:
 
 
 def _summary(report: GhostReport, summaries: Sequence[FieldSummary], per_wavelength: bool) -> str:
-    kinds = [kind for kind in KINDS if any(s.paths_of_kind[kind] for s in summaries)]
+    kinds = [kind for kind in STRAY_KINDS if any(s.paths_of_kind[kind] for s in summaries)]
     header = [
         ("field", "deg"), ("paths", ""), ("direct image", "W"), ("stray light", "W"),
         *((f"of it {kind}", "W") for kind in kinds),
@@ -226,7 +242,9 @@ def _pictures(report: GhostReport, pictures: Mapping[str, bytes]) -> str:
 
 def _settings(settings: dict[str, Any], report: GhostReport, command: str) -> str:
     polarization = POLARIZATION[settings["polarization"]]
-    assumptions = "".join(f"<li>{escape(text.format(polarization=polarization))}</li>" for text in ASSUMPTIONS)
+    scatter = SCATTERED.format(**settings) if report.scatters else SPECULAR
+    texts = [text.format(polarization=polarization, scatter=scatter) for text in ASSUMPTIONS]
+    assumptions = "".join(f"<li>{escape(text)}</li>" for text in texts)
     definitions = "".join(f"<dt>{escape(term)}</dt><dd>{escape(text)}</dd>" for term, text in DEFINITIONS)
     shown = {key: value for key, value in settings.items() if key not in ("field_deg", "versions")}
     shown["fields_deg"] = ", ".join(f"{field:g}" for field in report)

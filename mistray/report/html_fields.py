@@ -15,13 +15,18 @@ from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.report.layout import layout
 from mistray.report.markup import cell, data_table, figure, filter_box, image, number_cell, thousands
 from mistray.report.plots import as_png, as_svg, common_range, ghost_image, thumbnail
-from mistray.report.tables import ABSENT, number
+from mistray.report.text import ABSENT, number
 
 ROWS_SHOWN = 60  # the worst paths by RMS irradiance
 STRONGEST_SHOWN = 10  # and by power
+AT_WAVELENGTHS = (
+    "Normalised to the on-axis image at the same wavelength. Of all light: at all wavelengths; of stray light: at this "
+    "one."
+)
 PATH_NUMBERS = (
     ("power", "W", "power_W", "power_se_W"),
-    ("of detected", "%", "percent", "percent_se"),
+    ("of all light", "%", "percent", "percent_se"),
+    ("of stray light", "%", "percent_of_stray", "percent_of_stray_se"),
     ("x", "mm", "x_mm", "x_se_mm"),
     ("y", "mm", "y_mm", "y_se_mm"),
     ("RMS radius", "mm", "rms_radius_mm", "rms_radius_se_mm"),
@@ -92,7 +97,8 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
 def _paths(report: GhostReport, field_deg: float, name: str) -> str:
     table = report.table(field_deg).sort_values("rank_rms_irradiance")
     shown = _shown(table)
-    header = [("image", ""), *_header(shown, False), ("rank", "RMS irr."), ("rank", "power"), ("path", "T R I A", "t")]
+    ranks = [("rank", "RMS irr."), ("rank", "power")]
+    header = [("image", ""), *_header(shown, False), *ranks, ("path", "T R I t r A", "t")]
     pictured = set(report.top(field_deg, MAPPED_PATHS).path_id)
     rows = [
         [
@@ -103,10 +109,11 @@ def _paths(report: GhostReport, field_deg: float, name: str) -> str:
         ]
         for row in shown.itertuples(index=False)
     ]
-    left_out = len(table) - len(rows)
+    left_out = table[~table.path_id.isin(shown.path_id)]
     notes = []
-    if left_out > 0:
-        notes.append(f"{left_out} more paths are in paths.csv.")
+    if len(left_out):
+        share = f"{left_out.percent_of_stray.sum():.3g} % of the stray light"
+        notes.append(f"{len(left_out)} more paths are in paths.csv; together they hold {share}.")
     if not shown.well_sampled.all():
         notes.append(f"* fewer than {FEWEST_RAYS} rays: RMS radius and irradiance are unreliable, ranked last.")
     return (
@@ -127,8 +134,7 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> s
         f"<details><summary>The same paths at each wavelength ({len(rows)} rows)</summary>"
         + filter_box(name, "filter rows, for example: detector window", f"filter the paths of field {field_deg:g}°")
         + data_table(name, _header(shown, True), rows)
-        + '<p class="note">Normalised to the on-axis image at the same wavelength; of detected: of all wavelengths.</p>'
-        + "</details>"
+        + f'<p class="note">{AT_WAVELENGTHS}</p></details>'
     )
 
 
@@ -144,7 +150,7 @@ def _numbers(table: pd.DataFrame) -> list[tuple[str, str, str, str]]:
 
 def _header(table: pd.DataFrame, wavelength: bool) -> list[tuple[str, ...]]:
     return [
-        ("path", "no."), ("1st → 2nd ghost surface", "", "t"), ("kind", "", "t"),
+        ("path", "no."), ("1st → 2nd ghost surface, scatter", "", "t"), ("kind", "", "t"),
         *([("λ", "nm")] if wavelength else []), ("rays", ""), *((text, unit) for text, unit, _, _ in _numbers(table)),
     ]  # fmt: skip
 

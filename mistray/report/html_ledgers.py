@@ -6,8 +6,9 @@ from collections.abc import Iterable, Sequence
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
+from mistray.report.csv_tables import surface_table
 from mistray.report.markup import cell, data_table, filter_box, number_cell
-from mistray.report.tables import ABSENT, number, surface_table
+from mistray.report.text import ABSENT, number
 from mistray.trace import Energy
 
 

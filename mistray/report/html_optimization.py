@@ -10,7 +10,7 @@ from importlib.resources import files
 from mistray.analysis.estimate import Estimate
 from mistray.optimize import Optimization
 from mistray.report.markup import cell, data_table, figure, image, number_cell, section, setting_text
-from mistray.report.tables import with_error
+from mistray.report.text import with_error
 
 
 def optimization_html(

@@ -14,9 +14,9 @@ from matplotlib.figure import Figure
 
 from mistray._mitsuba_compat import mesh_arrays
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.ranking import DIRECT
 from mistray.errors import MistrayError
 from mistray.report.plots import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.trace.path_events import DIRECT
 
 Polyline = npt.NDArray[np.float64]
 

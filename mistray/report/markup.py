@@ -9,7 +9,7 @@ from html import escape
 from typing import Any
 
 from mistray.analysis.estimate import Estimate
-from mistray.report.tables import ABSENT, with_error
+from mistray.report.text import ABSENT, with_error
 
 
 def section(anchor: str, title: str, body: str) -> str:
@@ -47,12 +47,13 @@ def filter_box(table: str, placeholder: str, label: str) -> str:
     )
 
 
-def number_cell(estimate: Estimate) -> str:
-    """A cell that shows the value, below it the error, and sorts by the value."""
+def number_cell(estimate: Estimate, note: str = "") -> str:
+    """A cell that shows the value, below it the error and a note, and sorts by the value."""
     if not math.isfinite(estimate.value):
         return cell(ABSENT)
     value, _, error = with_error(estimate).partition(" ± ")
-    return f'<td data-v="{estimate.value:.9g}">{value}<small>± {error}</small></td>'
+    below = f"<small>{escape(note)}</small>" if note else ""
+    return f'<td data-v="{estimate.value:.9g}">{value}<small>± {error}</small>{below}</td>'
 
 
 def figure(content: str, caption: str = "") -> str:

@@ -23,7 +23,7 @@ from mistray.replace_file import replace_file
 from mistray.report.html_optimization import optimization_html
 from mistray.report.output import writable_directory
 from mistray.report.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION, as_png
-from mistray.report.tables import text_table, with_error
+from mistray.report.text import text_table, with_error
 from mistray.scene.recoat import recoated
 
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)

@@ -9,11 +9,13 @@ from pathlib import Path
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
 from mistray.report.colour import ColourPictures, Look
+from mistray.report.csv_tables import write_csv
 from mistray.report.html import write_html
 from mistray.report.layout import layout
 from mistray.report.path_sort import path_sort_text
 from mistray.report.plots import as_png, common_range, ghost_image, levels_against_field, montage
-from mistray.report.tables import write_csv
+
+PATHS_SORTED = 1000  # paths in a path-sort file
 
 
 def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
@@ -72,7 +74,7 @@ def write_all(
     look: Look | None = None,
 ) -> list[Path]:
     """
-    Write CSV, PNG, path-sort files and report.html.
+    Write CSV, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
 
     All files are made in a temporary directory beside the target and moved there at the end, so that a failure leaves
     nothing half-written. Files of the same names are replaced, others are left alone.
@@ -103,7 +105,7 @@ def write_all(
         drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
         for field in report:
             path = draft / f"path_sort_{field:g}deg.txt"
-            path.write_text(path_sort_text(report[field]), encoding="utf-8")
+            path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
             drafts.append(path)
         drafts.append(write_html(report, draft / "report.html", title, command, pictures, per_wavelength))
         target.mkdir(parents=True, exist_ok=True)

@@ -15,7 +15,10 @@ from mistray.errors import MistrayError
 from mistray.trace import Trace
 
 TITLE = "Path sort: all paths that end on the detector, sorted by absorbed flux."
-COLUMNS = ("Path", "Rays", "Absorbed flux [W]", "Standard error [W]", "Percent", "Wavelength [nm]", "Intercepts")
+COLUMNS = (
+    "Path", "Rays", "Absorbed flux [W]", "Standard error [W]", "Percent of detected flux", "Wavelength [nm]",
+    "Intercepts",
+)  # fmt: skip
 RAY_COLUMNS = ("Split", "Intercept", "Object", "Surface")
 ENDS = ("Emitted", "Absorbed")
 _PATH_LINE = re.compile(r"Path (\d+): ")
@@ -61,27 +64,20 @@ def sorted_paths(trace: Trace, count: int | None = None) -> list[SortedPath]:
     count : int, optional
         Only the strongest so many.
     """
-    surfaces = trace.surfaces.to_pandas()
-    part = dict(zip(surfaces.id, surfaces.part, strict=True))
-    table = trace.paths.to_pandas().head(count) if count is not None else trace.paths.to_pandas()
-    entries = []
-    for row, path in zip(table.itertuples(index=False), trace.paths, strict=False):
-        events = [
-            ("Emitted", "", ""),
-            *((kind, part[name], name) for name, kind in path.event_list if kind != "Emitted"),
-        ]
-        entries.append(
-            SortedPath(
-                int(row.path_id),
-                int(row.rays),
-                float(row.power_W),
-                float(row.power_se_W),
-                float(row.percent),
-                float(row.wavelength_nm),
-                tuple(events),
-            )
+    # A medium that scatters is no surface; it is its own part
+    part = {row.id: row.part for row in trace.surfaces}
+    return [
+        SortedPath(
+            row.path_id,
+            row.rays,
+            row.power_W,
+            row.power_se_W,
+            row.percent,
+            row.wavelength_nm,
+            (("Emitted", "", ""), *((kind, part.get(name, name), name) for name, kind in row.event_list)),
         )
-    return entries
+        for row in trace.paths[:count]
+    ]
 
 
 def path_sort_text(trace: Trace, count: int | None = None) -> str:
@@ -100,7 +96,12 @@ def path_sort_text(trace: Trace, count: int | None = None) -> str:
         Text that `parse_path_sort` reads back.
     """
     entries = sorted_paths(trace, count)
-    lines = [TITLE, _settings_line(trace.settings), "", "\t".join(COLUMNS)]
+    lines = [TITLE, _settings_line(trace.settings)]
+    left_out = len(trace.paths) - len(entries)
+    if left_out:
+        rest = 100 - sum(path.percent for path in entries)
+        lines.append(f"{left_out} weaker paths are left out; together they hold {rest:.3g} % of the detected flux.")
+    lines += ["", "\t".join(COLUMNS)]
     for path in entries:
         numbers = (
             f"{path.absorbed_W:.9g}",
@@ -167,5 +168,14 @@ def _representative_rays(lines: Sequence[str]) -> dict[int, tuple[tuple[str, str
 
 
 def _settings_line(settings: dict[str, Any]) -> str:
-    shown = ("field_deg", "azimuth_deg", "rays", "max_reflections", "flux_threshold", "splitting", "seed")
+    shown = (
+        "field_deg",
+        "azimuth_deg",
+        "rays",
+        "max_reflections",
+        "max_scatters",
+        "flux_threshold",
+        "splitting",
+        "seed",
+    )
     return ", ".join(f"{key} = {settings[key]}" for key in shown if key in settings)

@@ -18,21 +18,35 @@ from matplotlib.figure import Figure
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.irradiance import Extent, Map, log10_image, log_range, pixel_size
-from mistray.analysis.ranking import DIRECT, KINDS
 from mistray.errors import MistrayError
+from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7",
 )  # fmt: skip
+GREY, BROWN = "#7f7f7f", "#8a6d1d"
 KIND_COLOURS = {
     DIRECT: BLUE,
     "ghost": VERMILION,
     "structure": GREEN,
     "structure+ghost": PURPLE,
+    "single scatter": BLACK,
+    "multiple scatter": GREY,
+    "ghost + scatter": BROWN,
     "TIR": SKY,
     "straight shot": ORANGE,
 }
-KIND_MARKERS = {DIRECT: "o", "ghost": "s", "structure": "^", "structure+ghost": "D", "TIR": "P", "straight shot": "v"}
+KIND_MARKERS = {
+    DIRECT: "o",
+    "ghost": "s",
+    "structure": "^",
+    "structure+ghost": "D",
+    "single scatter": "*",
+    "multiple scatter": "X",
+    "ghost + scatter": "p",
+    "TIR": "P",
+    "straight shot": "v",
+}
 IRRADIANCE_LABEL = "log$_{10}$ irradiance [W/mm²]"
 DECADES = 12.0
 FIELDS_AS_TICKS = 10
@@ -151,7 +165,7 @@ def levels_against_field(report: GhostReport) -> Figure:
     figure = Figure(figsize=(10.4, 4.0), dpi=110, layout="constrained")
     left, right = figure.subplots(1, 2)
     series = {DIRECT: [s.direct.power_W for s in summaries]}
-    series |= {kind: [s.stray_of_kind_W[kind] for s in summaries] for kind in KINDS}
+    series |= {kind: [s.stray_of_kind_W[kind] for s in summaries] for kind in STRAY_KINDS}
     for kind, estimates in series.items():
         _error_bars(
             left,
@@ -188,7 +202,7 @@ def levels_against_field(report: GhostReport) -> Figure:
         axes.grid(True, which="major", color="#dddddd", lw=0.6)
         axes.spines[["top", "right"]].set_visible(False)
         if axes.get_legend_handles_labels()[0]:
-            axes.legend(fontsize=8, frameon=False)
+            axes.legend(fontsize=8, framealpha=0.85, edgecolor="none")
         if len(fields) <= FIELDS_AS_TICKS:
             axes.set_xticks(fields)
     _caption(figure, "error bars: one standard error")

@@ -82,7 +82,7 @@ def check_overlaps(scene: mi.Scene) -> None:
     MistrayError
         Names the two surfaces.
     """
-    shapes = list(scene.shapes())
+    shapes = [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
     axes: list[_Axis] = []
     for shape in shapes:
         if getattr(shape, "kind", None) == "asphere":

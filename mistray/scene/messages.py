@@ -103,7 +103,8 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
         shown = str(value).strip('"')
         return f"unknown parameter '{key}' = {shown} of {element}; {_choose(key, known, 'remove it')}"
     if own:
-        if re.match(r"(interface|thinfilm)( '(bsdf|coating)?')?: ", own):  # a nested bsdf has no name of its own
+        kind = re.match(r"(\w+)( '(bsdf|coating)?')?: ", own)  # a nested bsdf has no name of its own
+        if kind and (kind[1] in ("interface", "thinfilm") or _is_model(kind[1], element.plugin)):
             return f"{element}: {own.partition(': ')[2]}"
         named = any(f"'{name}'" in own for name in (element.id, element.plugin) if name)
         return own if named else f"{element}: {own}"
@@ -116,6 +117,11 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
         plain = noise.sub("", plain)
     subject = "the dict" if isinstance(source, dict) else "the file"
     return f"{plain.strip()}; correct {subject}"
+
+
+def _is_model(name: str, plugin: str) -> bool:
+    """Whether a scatter model, by the name of its class, is that of a plugin: HarveyShack of harvey_shack."""
+    return plugin.replace("_", "").startswith(name.lower().replace("_", ""))
 
 
 def _syntax(match: re.Match[str], element: Element) -> str:

@@ -22,6 +22,7 @@ import mitsuba as mi
 
 from mistray.trace.interaction import Interaction
 from mistray.trace.ledger import BATCHES
+from mistray.trace.scattering import Given
 
 CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
 
@@ -52,7 +53,7 @@ class Adjoint:
         dr.eval(self.sums)
 
     def memory(self, max_events: int) -> tuple[Any, ...]:
-        """Local arrays by depth: cell of the table, fraction, factor, running total when the event was entered."""
+        """Local arrays by depth: cell of the table, fraction, slope, running total when the event was entered."""
         return (
             dr.alloc_local(mi.UInt32, max_events),
             dr.alloc_local(mi.Float, max_events),
@@ -71,21 +72,34 @@ class Adjoint:
         return total
 
     def enter(
-        self, memory: tuple[Any, ...], depth: mi.UInt32, it: Interaction, reflect: mi.Bool, total: Any, active: mi.Bool
+        self,
+        memory: tuple[Any, ...],
+        depth: mi.UInt32,
+        it: Interaction,
+        reflect: mi.Bool,
+        slope: mi.Float,
+        total: Any,
+        active: mi.Bool,
     ) -> None:
-        """Note the event at this depth, before its child is followed."""
-        cells, fractions, factors, totals = memory
+        """Note the event at this depth, before its child is followed; `slope` is d ln(child's weight) / d(R or T)."""
+        cells, fractions, slopes, totals = memory
         cells.write(it.place.row * CHANNELS + it.channel(reflect), depth, active)
         fractions.write(it.place.fraction, depth, active)
-        factors.write(dr.select(reflect, it.R, it.T), depth, active)
+        slopes.write(slope, depth, active)
         totals.write(total, depth, active)
 
-    def detected(self, it: Interaction, batch: mi.UInt32, weighted: mi.Float, active: mi.Bool) -> None:
-        """A hit of the detector, which absorbs 1 - R - T; `weighted` is the derivative times the incident flux."""
+    def detected(
+        self, it: Interaction, given: Given | None, batch: mi.UInt32, weighted: mi.Float, active: mi.Bool
+    ) -> None:
+        """A hit of the detector, which absorbs the rest; `weighted` is the derivative times the incident flux."""
         active = active & (weighted != 0)
         for reflect in (True, False):
             cell = it.place.row * CHANNELS + it.channel(mi.Bool(reflect))
-            self._add(cell, it.place.fraction, batch, -weighted, active)
+            taken = weighted
+            if given is not None:
+                shares = given.reflection if reflect else given.transmission
+                taken = weighted * (shares.kept + shares.slope)
+            self._add(cell, it.place.fraction, batch, -taken, active)
 
     def leave(
         self,
@@ -97,13 +111,13 @@ class Adjoint:
         active: mi.Bool,
     ) -> None:
         """Close the events at the depths last … depth - 1, whose subtrees are complete."""
-        cells, fractions, factors, totals = memory
+        cells, fractions, slopes, totals = memory
 
         def step(k):  # type: ignore[no-untyped-def]
             k = k - 1
             going = active & (k + 1 > last)
             subtree = total - totals.read(k, going)
-            share = mi.Float(subtree) / factors.read(k, going)
+            share = mi.Float(subtree) * slopes.read(k, going)
             self._add(cells.read(k, going), fractions.read(k, going), batch, share, going & (subtree != 0))
             return (k,)
 

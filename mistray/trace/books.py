@@ -13,28 +13,48 @@ from mistray.trace.ledger import BATCHES
 
 # Rows of the tally: what is not tied to a surface
 ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)
-REASONS = 9
-HITS, INCIDENT, ABSORBED_HERE = range(3)
+# Scatter that a limit cuts, what was to be scattered less what the scattered rays carry, and the number, flux and
+# squared flux of the hits of the detector by scattered rays
+SCATTERS, SAMPLING, SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES = range(9, 14)
+REASONS = 14
+# Columns of the tally of a surface; the last two count its aimed rays and those that reach the detector undeflected
+HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
+SURFACE_SUMS = 5
 NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
 
 
 class Tallies:
-    """Float64 sums by batch: three for each surface, one for each medium and reason, and the film with its squares."""
+    """
+    Float64 sums by batch: some for each surface, one for each medium and reason, and the film with its squares.
+
+    `largest` is the largest flux of a scattered ray at the detector, as the bits of a float32.
+    """
 
     def __init__(self, surfaces: int, media: int, pixels: int, maps: int = 0) -> None:
-        self.surfaces = dr.zeros(mi.Float64, surfaces * 3 * BATCHES)
+        self.surfaces = dr.zeros(mi.Float64, surfaces * SURFACE_SUMS * BATCHES)
         self.media = dr.zeros(mi.Float64, media * BATCHES)
         self.reasons = dr.zeros(mi.Float64, REASONS * BATCHES)
         self.film = dr.zeros(mi.Float64, pixels * max(maps, 1) * 2)
-        dr.eval(self.surfaces, self.media, self.reasons, self.film)
+        self.largest = dr.zeros(mi.UInt32, 1)
+        dr.eval(self.surfaces, self.media, self.reasons, self.film, self.largest)
 
     def add_reason(self, reason: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
         """Book flux (or a count) under a reason."""
         dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, mi.Float64(value), reason * BATCHES + batch, active)
 
     def add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
-        """Book hits, incident or absorbed flux at a surface."""
-        dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), (s * 3 + what) * BATCHES + batch, active)
+        """Book one of the sums of a surface."""
+        index = (s * SURFACE_SUMS + what) * BATCHES + batch
+        dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), index, active)
+
+    def add_scattered(self, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
+        """Book a hit of the detector by a ray that has been scattered."""
+        self.add_reason(SCATTERED_HITS, batch, 1.0, active)
+        self.add_reason(SCATTERED_FLUX, batch, flux, active)
+        self.add_reason(SCATTERED_SQUARES, batch, dr.square(mi.Float64(flux)), active)
+        # The bits of positive floats are in the order of the floats
+        bits = dr.reinterpret_array(mi.UInt32, flux)
+        dr.scatter_reduce(dr.ReduceOp.Max, self.largest, bits, mi.UInt32(0), active)
 
     def add_medium(self, medium: mi.UInt32, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
         """Book flux that a medium absorbs."""

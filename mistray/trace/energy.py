@@ -17,6 +17,8 @@ from mistray.trace.books import (
     MEDIUM,
     REFLECTIONS,
     ROULETTE,
+    SAMPLING,
+    SCATTERS,
     THRESHOLD,
 )
 from mistray.trace.tracer import Run
@@ -28,6 +30,8 @@ CUTS = {
     "flux_threshold": THRESHOLD,
     "roulette": ROULETTE,
     "max_reflections": REFLECTIONS,
+    "max_scatters": SCATTERS,
+    "scatter_sampling": SAMPLING,
     "max_events": EVENTS,
     "medium": MEDIUM,
 }
@@ -48,9 +52,10 @@ class Energy:
     absorbed_in : dict
         Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
     cut : dict
-        Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_events",
-        "roulette" (0 on average: what Russian roulette removed less what it added) and "medium" (a ray met a surface
-        from a material that is not there: a gap or an overlap in the geometry).
+        Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_scatters" (all
+        limits of scatter events), "max_events", "roulette" (0 on average: what Russian roulette removed less what it
+        added), "scatter_sampling" (0 on average: what surfaces scatter less what the scattered rays carry) and "medium"
+        (a ray met a surface from a material that is not there: a gap or an overlap in the geometry).
     """
 
     launched_W: float
@@ -134,8 +139,9 @@ def flux_report(runs: Sequence[Run]) -> FluxReport:
         variances = np.zeros(3)
         for run in runs:
             scale = np.array([1.0, run.unit, run.unit])
-            values += scale * run.surfaces[i].sum(axis=-1)
-            variances += (scale * batch_error(run.surfaces[i], run.started)) ** 2
+            sums = run.surfaces[i, : len(scale)]
+            values += scale * sums.sum(axis=-1)
+            variances += (scale * batch_error(sums, run.started)) ** 2
         se = np.sqrt(variances)
         rows.append(
             SurfaceFlux(

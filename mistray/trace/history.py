@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.trace.books import NODE_FLOATS, Recorder
 from mistray.trace.ledger import EVENT_BITS
-from mistray.trace.paths import INTERCEPTS
+from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
 from mistray.trace.precise import retrace
 
 if TYPE_CHECKING:
@@ -36,7 +36,7 @@ class Ray:
     opl_mm : (k + 1,) float64
         Optical path length from the start.
     codes : (k,) uint32
-        Events, surface << 2 | what.
+        Events, surface << EVENT_BITS | what.
     """
 
     start_ray: int
@@ -65,12 +65,14 @@ class RayHistory:
         """
         The ray history table: one row for each node of each ray.
 
-        Columns: ray, node, start_ray, intercept (Emitted, SpecTran, SpecRefl, TIR, Absorbed), object, surface,
-        wavelength_nm, x_mm, y_mm, z_mm, flux_W (arriving), opl_mm (from the start), dx, dy, dz (leaving).
+        Columns: ray, node, start_ray, intercept (Emitted, SpecTran, SpecRefl, TIR, RandTran, RandRefl, ImpTran,
+        ImpRefl, Absorbed), object, surface, wavelength_nm, x_mm, y_mm, z_mm, flux_W (arriving), opl_mm (from the
+        start), dx, dy, dz (leaving).
         """
         import pandas as pd
 
         table, beam = self._run.table, self._run.beam
+        ids, parts = table.event_ids, table.event_parts
         rows = []
         for number, ray in enumerate(self._rays):
             for node, (point, direction, flux, opl) in enumerate(
@@ -80,8 +82,8 @@ class RayHistory:
                     intercept, part, surface = "Emitted", beam.name, "-"
                 else:
                     code = int(ray.codes[node - 1])
-                    intercept = INTERCEPTS[code & ((1 << EVENT_BITS) - 1)]
-                    part, surface = table.parts[code >> EVENT_BITS], table.ids[code >> EVENT_BITS]
+                    intercept = INTERCEPTS[code & EVENT_MASK]
+                    part, surface = parts[code >> EVENT_BITS], ids[code >> EVENT_BITS]
                 rows.append(
                     (
                         number,
@@ -111,7 +113,7 @@ class RayHistory:
 
         rows = []
         for number, ray in enumerate(self._rays):
-            history = " ".join(INTERCEPTS[int(code) & ((1 << EVENT_BITS) - 1)] for code in ray.codes)
+            history = " ".join(INTERCEPTS[int(code) & EVENT_MASK] for code in ray.codes)
             rows.append(
                 (
                     number,

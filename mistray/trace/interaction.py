@@ -43,10 +43,14 @@ class Interaction:
     reflected, transmitted : mi.Vector3f
         Unit directions.
     R, T : mi.Float
-        Specular shares of the flux, for the polarisation of the branch; what is left is absorbed. Total internal
-        reflection has T = 0.
+        Shares of the flux that the coating reflects and transmits, for the polarisation of the branch, before scatter
+        takes its part; what is left is absorbed. Total internal reflection has T = 0.
     tir : mi.Bool
         Total internal reflection.
+    axis : mi.Vector3f
+        The normal on the side that the light goes to.
+    cos_i, cos_t : mi.Float
+        Cosines of the angles of incidence and refraction; the latter 0 in total reflection.
     word : mi.UInt32
         The surface's description (flags of `mistray.trace.surfaces`).
     medium_in, medium_out : mi.UInt32
@@ -67,6 +71,9 @@ class Interaction:
     R: mi.Float
     T: mi.Float
     tir: mi.Bool
+    axis: mi.Vector3f
+    cos_i: mi.Float
+    cos_t: mi.Float
     word: mi.UInt32
     medium_in: mi.UInt32
     medium_out: mi.UInt32
@@ -211,6 +218,9 @@ def interact(
         R=R,
         T=T,
         tir=tir,
+        axis=along_d,
+        cos_i=cos_i,
+        cos_t=cos_t,
         word=word,
         medium_in=dr.select(from_front, front, back),
         medium_out=dr.select(from_front, back, front),

@@ -17,8 +17,10 @@ import numpy as np
 
 from mistray.errors import MistrayError
 
-ABSORBED, TRANSMITTED, REFLECTED, TOTAL = 0, 1, 2, 3
-EVENT_BITS = 2
+# What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
+ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
+RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
+EVENT_BITS = 3
 BATCHES = 32
 # Sums of a slot and batch: rays, incident, absorbed, absorbed², absorbed · x, absorbed · y, absorbed · (x² + y²), and
 # in Stokes mode absorbed · (q, u, v)
@@ -33,13 +35,27 @@ def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
     return key ^ (key >> 29)
 
 
-def host_key(codes: np.ndarray) -> int:
-    """The key of an event list, computed on the host with Python integers."""
-    key = FIRST_KEY
-    for code in codes:
-        key = ((key ^ (int(code) + 1)) * MULTIPLIER) & 0xFFFFFFFFFFFFFFFF
-        key ^= key >> 29
-    return key
+def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """
+    The keys of event lists, computed on the host.
+
+    Parameters
+    ----------
+    events : (p, k) uint32
+        Lists, filled up at their ends.
+    lengths : (p,) int
+        Number of events of each.
+
+    Returns
+    -------
+    (p,) uint64
+        What `extend_key` makes of `FIRST_KEY` and the events one after the other.
+    """
+    keys = np.full(len(events), FIRST_KEY, dtype=np.uint64)
+    for k in range(events.shape[1]):
+        longer = (keys ^ (events[:, k].astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
+        keys = np.where(k < lengths, longer ^ (longer >> np.uint64(29)), keys)
+    return keys
 
 
 @dataclass
@@ -52,15 +68,18 @@ class DecodedPaths:
     keys : (p,) uint64
     slots : (p,) int
         Where each path lives in the table.
-    codes : list of (k,) uint32
-        Events, surface << 2 | what; the last is the absorption in the detector.
+    events : (p, k) uint32
+        Event lists, surface << EVENT_BITS | what, filled up with 0; the last is the absorption in the detector.
+    lengths : (p,) int
+        Number of events of each path.
     sums : (p, BATCHES, SUMS or STOKES_SUMS) float64
         In units of the flux of one start ray, see `SUMS`.
     """
 
     keys: np.ndarray
     slots: np.ndarray
-    codes: list[np.ndarray]
+    events: np.ndarray
+    lengths: np.ndarray
     sums: np.ndarray
 
 
@@ -166,13 +185,13 @@ class Ledger:
         """
         keys = np.array(self.keys)
         slots = np.flatnonzero(keys)
-        lengths = np.array(self.lengths)[slots]
+        lengths = np.array(self.lengths)[slots].astype(np.int64)
         events = np.array(self.events).reshape(self.capacity, self.max_events)[slots]
+        events = events[:, : int(lengths.max(initial=0))]
         sums = np.array(self.sums).reshape(self.capacity, BATCHES, self.terms)[slots]
-        codes = [row[:length] for row, length in zip(events, lengths, strict=True)]
-        wrong = sum(host_key(code) != int(key) for code, key in zip(codes, keys[slots], strict=True))
+        wrong = int(np.count_nonzero(host_keys(events, lengths) != keys[slots]))
         if wrong:
             raise MistrayError(
                 f"ledger: {wrong} of {len(slots)} event lists do not match their key; please report this"
             )
-        return DecodedPaths(keys[slots], slots, codes, sums)
+        return DecodedPaths(keys[slots], slots, events, lengths, sums)

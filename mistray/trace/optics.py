@@ -28,12 +28,15 @@ import numpy as np
 
 from mistray.coatings import METAL_K, Bare, Response, Stack
 from mistray.errors import MistrayError
+from mistray.materials import bulk_scatter
+from mistray.physics.henyey_greenstein import sampled_cosine
 from mistray.trace.upload import upload
 
 # Kinds of surfaces, the lowest bits of their words
 FRESNEL, IDEAL, TABLED = 0, 1, 2
 OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC, WALL = (1 << bit for bit in range(2, 8))
 FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0xFFF
+THIN = 1e-3  # optical depth below which a medium takes the same light everywhere
 NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
 FIRST_INTERVALS, LAST_INTERVALS = 256, 1 << 14
@@ -212,10 +215,12 @@ class Optics:
         Kinds that occur.
     media : list of str
         Names of the materials by their numbers; 0 is "unknown".
-    absorption : mi.Float
-        Absorption coefficient of each medium, 1/mm.
-    absorbs : bool
-        Whether a medium absorbs.
+    extinction : mi.Float
+        Coefficient of absorption and scatter of each medium, 1/mm.
+    albedo : mi.Float
+        Share of the scatter in it.
+    absorbs, scatters : bool
+        Whether a medium takes light from the beam, and whether one scatters it.
     error : float
         Largest interpolation error of the tables.
     """
@@ -233,8 +238,8 @@ class Optics:
         self.rows = 0
         self.kinds: set[int] = set()
         self.media = ["unknown"]
-        coefficients = [0.0]
-        numbers: dict[tuple[float, float], int] = {}
+        absorption, scattering, asymmetry = [0.0], [0.0], [0.0]
+        numbers: dict[tuple[float, ...], int] = {}
         self.error = 0.0
         rows: list[np.ndarray] = []
         self.tables: list[AngleTable | None] = []
@@ -276,11 +281,14 @@ class Optics:
                 sides, (bsdf.front, bsdf.back), (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT), strict=True
             ):
                 # By index, not by name: "air" and "vacuum", "1.5" and "1.50" are one medium
-                key = (round(n.real, 9), float(f"{n.imag:.9g}"))
+                cloud = bulk_scatter(spec)
+                key = (round(n.real, 9), float(f"{n.imag:.9g}"), cloud.per_mm, cloud.g)
                 if key not in numbers:
                     numbers[key] = len(self.media)
                     self.media.append(spec.strip())
-                    coefficients.append(4e6 * np.pi * n.imag / wavelength_nm)
+                    absorption.append(4e6 * np.pi * n.imag / wavelength_nm)
+                    scattering.append(cloud.per_mm)
+                    asymmetry.append(cloud.g)
                 words[i] |= numbers[key] << shift
         if len(self.media) > MEDIUM_MASK:
             raise MistrayError(f"the scene has {len(self.media) - 1} materials; at most {MEDIUM_MASK - 1} are possible")
@@ -294,9 +302,12 @@ class Optics:
         self.indices = upload(mi.Float, self.host_indices)
         self.places = upload(mi.UInt32, self.host_places)
         self.table = upload(mi.Float, np.concatenate(rows))
-        self.absorption = mi.Float(coefficients)
-        self.absorbs = any(coefficients)
-        dr.eval(self.words, self.indices, self.places, self.table, self.absorption)
+        extinction = np.array(absorption) + scattering
+        self.extinction = mi.Float(extinction)
+        self.albedo = mi.Float(np.array(scattering) / np.maximum(extinction, np.finfo(float).tiny))
+        self._asymmetry = mi.Float(asymmetry)
+        self.absorbs, self.scatters = bool(extinction.any()), any(scattering)
+        dr.eval(self.words, self.indices, self.places, self.table, self.extinction, self.albedo, self._asymmetry)
 
     def _sides(self, name: str, bsdf: Any, opaque: bool) -> tuple[complex, complex]:
         """Indices on both sides; those of a surface that is opaque whatever lies behind it do not matter."""
@@ -312,6 +323,52 @@ class Optics:
         if bsdf.ideal:
             return IDEAL
         return FRESNEL if isinstance(bsdf.coating, Bare) and not metal and not self.stokes else TABLED
+
+    def scatter_in_bulk(
+        self, medium: mi.UInt32, d: mi.Vector3f, length: mi.Float, rng: mi.PCG32, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Vector3f]:
+        """
+        Where on the segment that ends here its medium scattered, and whereto.
+
+        Parameters
+        ----------
+        medium : mi.UInt32
+        d : mi.Vector3f
+            Direction of the segment.
+        length : mi.Float
+            Of the segment, mm.
+        rng : mi.PCG32
+            Three numbers are drawn.
+        active : mi.Bool
+
+        Returns
+        -------
+        away : mi.Float
+            Distance from the end of the segment, mm; of density exp(extinction · distance).
+        direction : mi.Vector3f
+            After Henyey and Greenstein.
+        """
+        coefficient = dr.gather(mi.Float, self.extinction, medium, active)
+        g = dr.gather(mi.Float, self._asymmetry, medium, active)
+        u = [rng.next_float32() for _ in range(3)]
+        depth = coefficient * length
+        away = dr.select(
+            depth < THIN, u[0] * length, dr.log(dr.fma(u[0], dr.exp(depth) - 1, 1)) / dr.maximum(coefficient, 1e-30)
+        )
+        cosine = sampled_cosine(u[1], g)
+        sine = dr.sqrt(dr.maximum(dr.fma(-cosine, cosine, 1), 0))
+        across, beside = mi.coordinate_system(d)
+        sin_phi, cos_phi = dr.sincos(2 * dr.pi * u[2])
+        return dr.minimum(away, length), dr.normalize(cosine * d + sine * (cos_phi * across + sin_phi * beside))
+
+    def shares(self, surface: int, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """R and T of a surface in unpolarised light at cosines of incidence, (m,) each, exact."""
+        front, back = self.complex_indices[surface]
+        opaque = bool(self.host_words[surface] & OPAQUE)
+        if opaque and (front if from_front else back).imag > METAL_K:  # nothing comes out of a metal
+            return np.zeros_like(cosines), np.zeros_like(cosines)
+        answer = self.bsdfs[surface].coating.response(self.wavelength_nm, front, back, cosines, from_front)
+        return answer.R.mean(axis=1), 0 * cosines if opaque else answer.T.mean(axis=1)
 
     def _rows(self, part: np.ndarray) -> np.ndarray:
         """(nodes, row_floats) as the kernel reads them."""

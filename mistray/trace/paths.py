@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
+import math
 import re
-from collections.abc import Iterator, Sequence
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields
 from pathlib import Path
-from typing import TYPE_CHECKING, overload
+from typing import TYPE_CHECKING, NamedTuple, overload
 
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.ledger import ABSORBED, EVENT_BITS, REFLECTED, SUMS, TOTAL, TRANSMITTED
-from mistray.trace.optics import DETECTOR, MIRROR, OPAQUE, WALL
+from mistray.trace.energy import batch_error
+from mistray.trace.ledger import host_keys
+from mistray.trace.path_events import INTERCEPTS, LETTERS, describe_events, way, way_letters, way_text
+from mistray.trace.path_numbers import CHUNK, path_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -20,8 +23,7 @@ if TYPE_CHECKING:
     from mistray.trace.ledger import DecodedPaths
     from mistray.trace.tracer import Run
 
-INTERCEPTS = {ABSORBED: "Absorbed", TRANSMITTED: "SpecTran", REFLECTED: "SpecRefl", TOTAL: "TIR"}
-LETTERS = {ABSORBED: "A", TRANSMITTED: "T", REFLECTED: "R", TOTAL: "I"}
+ROWS_PRINTED = 20
 
 
 @dataclass(frozen=True)
@@ -38,21 +40,27 @@ class PathRow:
     wavelength_nm : float
     events : str
         Surfaces and what happened there, ``L1_front:T L1_rear:R … detector:A``; T transmitted, R reflected, I totally
-        internally reflected, A absorbed.
+        internally reflected, A absorbed; scattered at random: t in transmission, r in reflection; scattered towards a
+        target: i in transmission, j in reflection. Light that was scattered at random and light that was aimed goes the
+        same way and shares its flux by weights: only both together are what a detector sees, see
+        `PathTable.by_way`.
     path : str
         The letters alone.
     order : int
         Ghost reflections: at refracting surfaces and at the detector; mirrors and total internal reflection apart.
     kind : str
         "direct" (no reflection but at mirrors), "straight shot" (the same, past all optics or through an edge or bevel,
-        that is, a ``frustum``), "ghost", "structure" (reflections at opaque surfaces that are no mirror),
-        "structure+ghost", "TIR" (total internal reflections only).
+        that is, a ``frustum``), "ghost", "structure" (specular reflections at opaque surfaces that are no mirror),
+        "structure+ghost", "TIR" (total internal reflections only); of paths that scatter "single scatter", "multiple
+        scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter".
     ghost_1, ghost_2 : str
-        First and second surface that reflects, mirrors and total internal reflection apart, or "-".
+        First and second surface that reflects specularly, mirrors and total internal reflection apart, or "-".
     scatter_1 : str
-        First surface that scatters; "-", because surfaces do not scatter yet.
+        First surface that scatters, or "-".
+    scatters : int
+        Scatter events.
     structure_bounces, tir : int
-        Reflections at structure, total internal reflections.
+        Specular reflections at structure, total internal reflections.
     rays : int
         Hits of the detector.
     power_W : float
@@ -81,6 +89,7 @@ class PathRow:
     ghost_1: str
     ghost_2: str
     scatter_1: str
+    scatters: int
     structure_bounces: int
     tir: int
     rays: int
@@ -103,9 +112,21 @@ class PathRow:
 
     @property
     def event_list(self) -> list[tuple[str, str]]:
-        """(shape id, intercept type) of every event; the types are SpecTran, SpecRefl, TIR and Absorbed."""
+        """
+        (shape id, intercept type) of every event.
+
+        The types are SpecTran, SpecRefl, TIR, RandTran, RandRefl, ImpTran, ImpRefl and Absorbed.
+        """
         names = {LETTERS[code]: name for code, name in INTERCEPTS.items()}
         return [(name, names[letter]) for name, letter in (event.rsplit(":", 1) for event in self.events.split())]
+
+
+class Book(NamedTuple):
+    """The ledger of one run: its contents, the start rays of its batches (BATCHES,) and the flux of a start ray, W."""
+
+    paths: DecodedPaths
+    started: np.ndarray
+    unit: float
 
 
 class PathTable(Sequence[PathRow]):
@@ -113,31 +134,54 @@ class PathTable(Sequence[PathRow]):
     Paths to the detector, the strongest first.
 
     A sequence of `PathRow`; `to_pandas` and `to_csv` give the whole table.
+
+    Parameters
+    ----------
+    columns : mapping of str to (p,) array
+        The attributes of `PathRow`; ``path_id`` counts from 0.
+    books : sequence of Book
+        The ledgers of the runs.
+    run, place : (p,) int
+        For each path the number of its run and its place in that run's ledger.
     """
 
-    def __init__(self, rows: Sequence[PathRow], where: Sequence[tuple[int, int, int]]) -> None:
-        self._rows = list(rows)
-        # run, slot in its ledger, key
-        self._places = {row.path_id: place for row, place in zip(self._rows, where, strict=True)}
+    def __init__(
+        self, columns: Mapping[str, np.ndarray], books: Sequence[Book], run: np.ndarray, place: np.ndarray
+    ) -> None:
+        self._columns = {f.name: np.asarray(columns[f.name]) for f in fields(PathRow)}
+        self._books, self._run, self._place = list(books), run, place
 
     @overload
     def __getitem__(self, index: int) -> PathRow: ...
     @overload
     def __getitem__(self, index: slice) -> Sequence[PathRow]: ...
     def __getitem__(self, index: int | slice) -> PathRow | Sequence[PathRow]:
-        return self._rows[index]
+        if isinstance(index, slice):
+            return list(self._rows(index))
+        if not -len(self) <= index < len(self):
+            raise IndexError(f"row {index} of a table of {len(self)} paths")
+        (row,) = self._rows(slice(index, index + 1 or None))
+        return row
 
     def __len__(self) -> int:
-        return len(self._rows)
+        return len(self._columns["path_id"])
 
     def __iter__(self) -> Iterator[PathRow]:
-        return iter(self._rows)
+        return self._rows(slice(None))
+
+    def _rows(self, chosen: slice | np.ndarray) -> Iterator[PathRow]:
+        columns = [column[chosen].tolist() for column in self._columns.values()]
+        # One and the same NaN everywhere, so that a row is equal to itself when it is asked for again
+        columns = [[math.nan if value != value else value for value in column] for column in columns]
+        return (PathRow(*values) for values in zip(*columns, strict=True))
 
     def locate(self, path_id: int) -> tuple[int, int, int]:
         """Run, ledger slot and key of a path; raises `MistrayError` for an id that does not exist."""
-        if path_id in self._places:
-            return self._places[path_id]
-        raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
+        if not 0 <= path_id < len(self):
+            raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
+        run, place = int(self._run[path_id]), int(self._place[path_id])
+        paths = self._books[run].paths
+        return run, int(paths.slots[place]), int(paths.keys[place])
 
     def find(self, *surfaces: str) -> list[PathRow]:
         """
@@ -146,142 +190,131 @@ class PathTable(Sequence[PathRow]):
         Parameters
         ----------
         *surfaces : str
-            Shape ids, each with an optional ``:T``, ``:R``, ``:I`` or ``:A``; they must occur in this order, other
-            events may lie between. ``find("detector:R", "window_rear:R")`` are the detector-window ghosts.
+            Shape ids, each with an optional letter of what happened there, as in ``:T``; they must occur in this order,
+            other events may lie between. ``find("detector:R", "window_rear:R")`` are the detector-window ghosts.
         """
-        pattern = ".* ".join(re.escape(word) + ("(?= )" if ":" in word else ":[TRIA](?= )") for word in surfaces)
-        return [row for row in self if re.search(rf"(?:^| ){pattern}", row.events + " ")]
+        letters = "".join(LETTERS.values())
+        pattern = re.compile(
+            "(?:^| )"
+            + ".* ".join(re.escape(word) + ("(?= )" if ":" in word else f":[{letters}](?= )") for word in surfaces)
+        )
+        found = [bool(pattern.search(events + " ")) for events in self._columns["events"]]
+        return list(self._rows(np.array(found, dtype=bool)))
+
+    def power(self, path_ids: Sequence[int] | np.ndarray) -> tuple[float, float]:
+        """
+        Power of some paths together and its standard error, W.
+
+        The error of the sum over the paths of a run comes from the spread of its batches of start rays, so that what
+        paths have in common is in it.
+        """
+        ids = np.asarray(path_ids, dtype=np.int64)
+        variance = 0.0
+        for number, book in enumerate(self._books):
+            here = ids[self._run[ids] == number]
+            if len(here) == 1:
+                variance += float(self._columns["power_se_W"][here[0]]) ** 2
+            elif len(here):
+                by_batch = book.paths.sums[self._place[here], :, 2].sum(axis=0)
+                variance += float(book.unit * batch_error(by_batch, book.started)) ** 2
+        return float(self._columns["power_W"][ids].sum()), float(np.sqrt(variance))
+
+    def by_way(self) -> pd.DataFrame:
+        """
+        The table with one row for each way of the light, whether it was scattered at random or aimed.
+
+        Returns
+        -------
+        DataFrame
+            The columns of `to_pandas`, strongest first, with the letters t and r for all scattered light, and
+            ``path_ids``, the tuple of the `path_id` that a row stands for; its own ``path_id`` is the strongest of
+            them. The numbers of such a row come from the sums of its paths in the ledger.
+        """
+        table = self.to_pandas()
+        table["events"], table["path"] = way_text(table.events), way_letters(table.path)
+        head = np.arange(len(self))  # the strongest path of the same way
+        for number, book in enumerate(self._books):
+            ids = np.flatnonzero((self._run == number) & (self._columns["scatters"] > 0))
+            place = self._place[ids]
+            keys = host_keys(way(book.paths.events[place]), book.paths.lengths[place])
+            _, first, group, count = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+            head[ids] = ids[first][group]
+            members = np.argsort(group, kind="stable")
+            members = members[count[group[members]] > 1]
+            for name, values in _together(book, place[members], count[count > 1]).items():
+                table.loc[ids[first[count > 1]], name] = values
+        for name in ("percent", "percent_se"):
+            table[name] = 100 * table[name.replace("percent", "power") + "_W"] / self._columns["power_W"].sum()
+        order = np.argsort(head, kind="stable")
+        kept, starts = np.unique(head[order], return_index=True)
+        table = table.loc[kept]
+        table["path_ids"] = [tuple(ids.tolist()) for ids in np.split(order, starts[1:])] if len(kept) else []
+        return table.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)
 
     def to_pandas(self) -> pd.DataFrame:
         """The table as a DataFrame, one column for each attribute of `PathRow`."""
         import pandas as pd
 
-        return pd.DataFrame([asdict(row) for row in self], columns=[f.name for f in fields(PathRow)])
+        text = {name: column.tolist() for name, column in self._columns.items() if column.dtype == object}
+        return pd.DataFrame(self._columns | text)
 
     def to_csv(self, path: str | Path) -> None:
         """Write the table as CSV, numbers with nine digits."""
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
 
     def __str__(self) -> str:
-        lines = [f"{'id':>4} {'power W':>12} {'± se':>9} {'%':>9} {'rays':>9} {'rms mm':>10} {'kind':<16} reflects at"]
-        for row in self._rows[:20]:
+        lines = [
+            f"{'id':>4} {'power W':>12} {'± se':>9} {'% of all':>9} {'rays':>9} {'rms mm':>10} {'kind':<16} "
+            f"{'reflects at':<24} scatters at"
+        ]
+        for row in self[:ROWS_PRINTED]:
             lines.append(
                 f"{row.path_id:>4} {row.power_W:>12.5e} {row.power_se_W:>9.1e} {row.percent:>9.4g} {row.rays:>9} "
-                f"{row.rms_radius_mm:>10.4g} {row.kind:<16} {row.ghost_1} {row.ghost_2}"
+                f"{row.rms_radius_mm:>10.4g} {row.kind:<16} {f'{row.ghost_1} {row.ghost_2}':<24} {row.scatter_1}"
             )
-        more = len(self) - 20
-        return "\n".join(lines + ([f"… and {more} more"] if more > 0 else []))
+        more = self._columns["percent"][ROWS_PRINTED:]
+        if len(more):
+            lines.append(f"… and {len(more)} more, together {more.sum():.4g} % of all")
+        return "\n".join(lines)
 
 
 def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTable:
     """The table of all paths of all runs; paths without a hit are left out."""
-    entries = []
-    for number, (run, paths) in enumerate(zip(runs, decoded, strict=True)):
-        for k in range(len(paths.keys)):
-            if paths.sums[k, :, 0].sum() > 0:
-                entries.append((number, k, run.unit * paths.sums[k, :, 2].sum()))
-
-    def rank(entry: tuple[int, int, float]) -> tuple:
-        """By power; equal ones by source, wavelength and events, whatever the order of the shapes in the file."""
-        number, k, power = entry
-        codes = decoded[number].codes[k]
-        return -power, number, [(runs[number].table.ids[code >> EVENT_BITS], int(code)) for code in codes]
-
-    entries.sort(key=rank)
-    total = sum(entry[2] for entry in entries)
-    rows, where = [], []
-    for path_id, (number, k, _) in enumerate(entries):
-        run, paths = runs[number], decoded[number]
-        facts = describe_events(paths.codes[k], run.table.ids, run.table.optics.host_words)
-        numbers = _numbers(paths.sums[k], run.started, run.unit)
-        numbers["percent"] = float(100 * numbers["power_W"] / total)
-        numbers["percent_se"] = float(100 * numbers["power_se_W"] / total)
-        rows.append(
-            PathRow(path_id=path_id, source=run.beam.name, wavelength_nm=run.beam.wavelength_nm, **facts, **numbers)
+    books = [Book(paths, run.started, run.unit) for run, paths in zip(runs, decoded, strict=True)]
+    parts, places = [], []
+    for run, book in zip(runs, books, strict=True):
+        place = np.flatnonzero(book.paths.sums[:, :, 0].any(axis=1))
+        facts = describe_events(
+            book.paths.events[place], book.paths.lengths[place], run.table.event_ids, run.table.event_words
         )
-        where.append((number, int(paths.slots[k]), int(paths.keys[k])))
-    return PathTable(rows, where)
+        numbers = path_numbers(book.paths.sums[place], book.started, book.unit, facts["scatters"] > 0)
+        source = np.full(len(place), run.beam.name, dtype=object)
+        parts.append({"source": source, "wavelength_nm": np.full(len(place), run.beam.wavelength_nm)} | facts | numbers)
+        places.append(place)
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    number = np.repeat(np.arange(len(places)), [len(place) for place in places])
+    # By power; equal ones by source, wavelength and events, whatever the order of the shapes in the file
+    keys = list(zip((-columns["power_W"]).tolist(), number.tolist(), columns["events"], strict=True))
+    order = np.array(sorted(range(len(keys)), key=keys.__getitem__), dtype=np.int64)
+    columns = {name: column[order] for name, column in columns.items()}
+    columns["path_id"] = np.arange(len(order))
+    for name in ("percent", "percent_se"):
+        columns[name] = 100 * columns[name.replace("percent", "power") + "_W"] / columns["power_W"].sum()
+    return PathTable(columns, books, number[order], np.concatenate(places)[order])
 
 
-def describe_events(codes: np.ndarray, ids: Sequence[str], words: np.ndarray) -> dict:
-    """Text and classification of an event list, as the fields of `PathRow`."""
-    surfaces, kinds = codes >> EVENT_BITS, codes & ((1 << EVENT_BITS) - 1)
-    reflecting = [
-        (int(s), bool(words[s] & OPAQUE) and not words[s] & DETECTOR)
-        for s, kind in zip(surfaces, kinds, strict=True)
-        if kind == REFLECTED and not words[s] & MIRROR
+def _together(book: Book, places: np.ndarray, counts: np.ndarray) -> dict[str, np.ndarray]:
+    """Numbers of groups of paths, each as one path; the first `counts[0]` of the places in the ledger are the first."""
+    ends = np.cumsum(counts)
+    starts = ends - counts
+    sums = [
+        np.add.reduceat(
+            book.paths.sums[places[starts[k] : ends[min(k + CHUNK, len(counts)) - 1]]],
+            starts[k : k + CHUNK] - starts[k],
+            axis=0,
+        )
+        for k in range(0, len(counts), CHUNK)
     ]
-    structure = sum(is_structure for _, is_structure in reflecting)
-    order, tir = len(reflecting) - structure, int(np.sum(kinds == TOTAL))
-    if order and structure:
-        kind = "structure+ghost"
-    elif order or structure:
-        kind = "ghost" if order else "structure"
-    elif tir:
-        kind = "TIR"
-    else:
-        kind = "straight shot" if len(codes) == 1 or np.any(words[surfaces[:-1]] & WALL) else "direct"
-    names = [ids[s] for s, _ in reflecting] + ["-", "-"]
-    return {
-        "events": " ".join(f"{ids[s]}:{LETTERS[int(k)]}" for s, k in zip(surfaces, kinds, strict=True)),
-        "path": "".join(LETTERS[int(k)] for k in kinds),
-        "order": order,
-        "kind": kind,
-        "ghost_1": names[0],
-        "ghost_2": names[1],
-        "scatter_1": "-",
-        "structure_bounces": structure,
-        "tir": tir,
-    }
-
-
-def _numbers(sums: np.ndarray, started: np.ndarray, unit: float) -> dict:
-    """
-    Power, centroid and radius of a path from its sums by batch; `started` are the start rays of the batches.
-
-    The error of the power is that of a mean over the start rays, each of which takes the path at most once:
-    se² = Σa² - (Σa)²/N. Centroid and radius are ratios of sums; their errors come from leaving out one batch at a time
-    (jackknife).
-    """
-    total, rays = sums.sum(axis=0), started.sum()
-    count, incident, absorbed, squares = total[:4]
-    relative = np.sqrt(max(squares - absorbed**2 / rays, 0.0)) / absorbed
-
-    def shape(s: np.ndarray) -> np.ndarray:
-        """x, y, rms radius, rms irradiance, degree of polarisation of sums (…, SUMS)."""
-        a = s[..., 2]
-        with np.errstate(divide="ignore", invalid="ignore"):
-            x, y = s[..., 4] / a, s[..., 5] / a
-            variance = np.maximum(s[..., 6] / a - x * x - y * y, 0.0)
-            stokes = np.linalg.norm(s[..., SUMS:], axis=-1) / a if s.shape[-1] > SUMS else np.full(a.shape, np.nan)
-            return np.stack([x, y, np.sqrt(variance), a * unit / (np.pi * variance), stokes])
-
-    values = shape(total)
-    # Without the batch, and the flux scaled to that of all batches
-    without = total - sums
-    without[:, 2:] *= (rays / np.maximum(rays - started, 1))[:, None]
-    left_out = shape(without)
-    n = left_out.shape[1]
-    se = np.full(len(values), np.inf)
-    known = np.isfinite(left_out).all(axis=1)  # not where a batch holds all rays, or all but one
-    with np.errstate(invalid="ignore"):
-        spread = np.square(left_out - left_out.mean(axis=1, keepdims=True))
-    se[known] = np.sqrt((n - 1) / n * np.sum(spread, axis=1))[known]
-    numbers = {
-        "rays": int(count),
-        "power_W": unit * absorbed,
-        "power_se_W": unit * absorbed * relative,
-        "incident_W": unit * incident,
-        "incident_se_W": unit * incident * relative,
-        "x_mm": values[0],
-        "x_se_mm": se[0],
-        "y_mm": values[1],
-        "y_se_mm": se[1],
-        "rms_radius_mm": values[2],
-        "rms_radius_se_mm": se[2],
-        "rms_irradiance_W_mm2": values[3],
-        "rms_irradiance_se_W_mm2": se[3],
-        "polarization": values[4],
-        "polarization_se": se[4] if np.isfinite(values[4]) else np.nan,
-    }
-    return {key: value if isinstance(value, int) else float(value) for key, value in numbers.items()}
+    if not sums:
+        return {}
+    return path_numbers(np.concatenate(sums), book.started, book.unit, np.full(len(counts), True))

@@ -1,7 +1,8 @@
 """Recorded rays again in float64: the kernel says which surfaces, this says exactly where.
 
 The kernel's hits are float32 and good to a few 1e-7 of the system's size. Starting from the same start ray and
-following the recorded events, each hit is found again by Newton's method from the recorded one.
+following the recorded events, each hit is found again by Newton's method from the recorded one. No law gives the
+direction after a scatter event: there the ray goes from the exact hit towards the next recorded one.
 """
 
 from __future__ import annotations
@@ -9,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
-from mistray.trace.ledger import ABSORBED, EVENT_BITS, TRANSMITTED
+from mistray.trace.ledger import ABSORBED, AIMED_TRANSMITTED, EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.trace.optics import OPAQUE
+from mistray.trace.path_events import EVENT_MASK, FIRST_SCATTERED
 from mistray.trace.surfaces import SurfaceTable
 
 
@@ -26,7 +28,7 @@ def retrace(
     origin, direction : (3,) float64
         Start ray, mm.
     codes : (k,) uint32
-        Events, surface << 2 | what.
+        Events, surface << EVENT_BITS | what.
     hits : (k, 3) float64
         Recorded hits, mm.
 
@@ -44,8 +46,16 @@ def retrace(
     steps: list[float] = []
     indices: list[float] = []
     medium = 1.0
-    for code, hit in zip(codes, hits, strict=True):
-        surface, what = int(code) >> EVENT_BITS, int(code) & ((1 << EVENT_BITS) - 1)
+    for k, (code, hit) in enumerate(zip(codes, hits, strict=True)):
+        surface, what = int(code) >> EVENT_BITS, int(code) & EVENT_MASK
+        if surface >= table.count:  # within a medium: the recorded distance is all there is
+            steps.append(float(np.dot(hit - points[-1], d)))
+            indices.append(medium)
+            points.append(points[-1] + steps[-1] * d)
+            directions.append(d)
+            d = hits[k + 1] - points[-1]
+            d = d / np.linalg.norm(d)
+            continue
         p, normal = _hit(table, surface, points[-1], d, hit)
         side = np.dot(d, normal) > 0
         front, back = table.interfaces[surface].indices(table.wavelength_nm)
@@ -56,16 +66,19 @@ def retrace(
         steps.append(float(np.linalg.norm(p - points[-1])))
         points.append(p)
         directions.append(d)
+        medium = n_t if what in (TRANSMITTED, RANDOM_TRANSMITTED, AIMED_TRANSMITTED) else indices[-1]
+        if what == ABSORBED:
+            break
         along = normal if side else -normal
         cosine = float(np.dot(d, along))
-        if what == TRANSMITTED:
+        if what >= FIRST_SCATTERED:
+            d = hits[k + 1] - p
+        elif what == TRANSMITTED:
             eta = n_i / n_t
             d = eta * d + (np.sqrt(max(1 - eta * eta * (1 - cosine * cosine), 0.0)) - eta * cosine) * along
-            medium = n_t
         else:
-            medium = indices[-1]
-            d = np.zeros(3) if what == ABSORBED else d - 2 * cosine * along
-        d = d / np.linalg.norm(d) if what != ABSORBED else d
+            d = d - 2 * cosine * along
+        d = d / np.linalg.norm(d)
     directions.append(np.zeros(3))
     opl = np.concatenate([[0.0], np.cumsum(np.array(steps) * np.array(indices))])
     return np.array(points), np.array(directions), opl

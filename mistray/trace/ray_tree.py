@@ -1,10 +1,10 @@
 """The kernel: every lane walks the whole ray tree of its start ray, depth first.
 
 A lane holds one node at a time: a point on a surface, reached along a direction with a weight (its flux in units of
-the start ray's). At its first visit a node sends on its transmitted child and, if the reflected child is worth it,
-marks its depth as pending; when a branch ends the lane returns to the deepest pending node and sends on the reflected
-child. The nodes of the current path lie in local memory, indexed by depth, so the path is always at hand and nothing
-can overflow below `max_events`.
+the start ray's). A node has several children, in this order: the transmitted one, the reflected one, and the scattered
+ones. At each visit it sends on one of them and, if others are worth it, marks its depth as pending; when a branch ends
+the lane returns to the deepest pending node and sends on the next. The nodes of the current path lie in local memory,
+indexed by depth, so the path is always at hand and nothing can overflow below `max_events`.
 """
 
 from __future__ import annotations
@@ -18,15 +18,19 @@ import mitsuba as mi
 from mistray.trace.adjoint import Adjoint
 from mistray.trace.books import (
     ABSORBED_HERE,
+    AIMED,
     ESCAPED,
     EVENTS,
     FIRST_MISS,
     HITS,
     INCIDENT,
+    LANDED,
     MEDIUM,
     NODE_FLOATS,
     REFLECTIONS,
     ROULETTE,
+    SAMPLING,
+    SCATTERS,
     SEGMENTS,
     STARTED,
     THRESHOLD,
@@ -40,19 +44,27 @@ from mistray.trace.interaction import counts_as_reflection, interact
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import (
     ABSORBED,
+    AIMED_TRANSMITTED,
     EVENT_BITS,
     FIRST_KEY,
+    RANDOM_TRANSMITTED,
     REFLECTED,
     TOTAL,
     TRANSMITTED,
     Ledger,
     extend_key,
 )
-from mistray.trace.optics import DETECTOR, NO_LOSS
+from mistray.trace.next_hit import film_coordinates, next_hit
+from mistray.trace.optics import DETECTOR, NO_LOSS, OPAQUE
+from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
 
-GRAZING = 0.01  # smallest cosine that counts when a ray leaves a stock surface behind
+# Children of a node in the order in which they are sent on; scattered ones follow
+TRANSMIT, REFLECT, SCATTER = range(3)
+# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit
+COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT = 0xFF, 8, 16
+PLAN_WORDS, FLOOR_FLOATS = 4, 3  # of a node, where there is scatter
 
 
 @dataclass
@@ -90,6 +102,7 @@ class StartRays:
 
 def walk(
     table: SurfaceTable,
+    scattering: Scattering,
     intersector: Intersector,
     start: StartRays,
     settings: Settings,
@@ -127,6 +140,15 @@ def walk(
     absorbs = table.optics.absorbs
     threshold = dr.opaque(mi.Float, settings.flux_threshold)
     max_reflections = dr.opaque(mi.UInt32, settings.max_reflections)
+    bulk = table.optics.scatters
+    scatters = (scattering.any or bulk) and settings.max_scatters > 0
+    max_generations = dr.opaque(mi.UInt32, settings.max_generations)
+    scatter_limits = [
+        dr.opaque(mi.UInt32, limit)
+        for limit in (settings.max_scatters, settings.max_random_scatters, settings.max_optical_scatters)
+    ]
+    scatter_rays = dr.opaque(mi.UInt32, settings.scatter_rays)
+    scatter_threshold = dr.opaque(mi.Float, settings.scatter_threshold)
     keep_nodes = recorder is not None
     split, roulette = settings.splitting == "split", settings.below_threshold == "roulette"
 
@@ -144,10 +166,14 @@ def walk(
     keys = dr.alloc_local(mi.UInt64, max_events)
     normals = dr.alloc_local(mi.Float, max_events * 3 if has_stock else 1)
     polarizations = dr.alloc_local(mi.Float, max_events * 3 if settings.stokes else 1)
+    # Of a node with scatter: the next child, the scatter events before it, the surface it was aimed from, the medium;
+    # the threshold, and the length of the segment that led to it and what the medium scattered there
+    plans = dr.alloc_local(mi.UInt32, max_events * PLAN_WORDS if scatters else 1)
+    floors = dr.alloc_local(mi.Float, max_events * FLOOR_FLOATS if scatters else 1)
     events = adjoint.memory(max_events) if adjoint is not None else ()
 
     # First segment: from the source to the first surface
-    t, s, normal = _next_hit(table, intersector, o, d, full(NO_SURFACE), mi.Bool(True))
+    t, s, normal = next_hit(table, intersector, o, d, full(NO_SURFACE), mi.Bool(True))
     hit = s != NO_SURFACE
     add_reason(ESCAPED, 1.0, ~hit)
     add_reason(FIRST_MISS, 1.0, ~hit)
@@ -155,7 +181,7 @@ def walk(
 
     state = {
         "active": hit,  # the lane has a node to visit
-        "again": dr.full(mi.Bool, False, n),  # it is a second visit, for the reflected child
+        "child": full(TRANSMIT),  # number of the child that this visit is for; the first visit looks for one
         "p": dr.fma(t, d, o),  # the node
         "d": mi.Vector3f(d),  # direction in which it was reached
         "w": dr.full(mi.Float, 1, n),  # weight with which it was reached
@@ -169,15 +195,21 @@ def walk(
         "pending": dr.zeros(mi.UInt64, n),  # bit k: the reflected child of the node at depth k is still to come
         "segments": full(1),
         "total": dr.zeros(mi.Float64, n if adjoint is not None else 1),  # derivative × flux of the hits so far
+        "scatters": full(0),  # scatter events before it, see COUNT_MASK
+        "aimed_from": full(NO_SURFACE),  # surface that sent the ray to a target, unless it was reflected since
+        "threshold": dr.zeros(mi.Float, n) + threshold,  # weight below which its children are not worth it
+        "length": dr.zeros(mi.Float, n if bulk else 1),  # of the segment that led to it, mm
+        "clouded": dr.zeros(mi.Float, n if bulk else 1),  # flux that its medium scattered on the way
         "rng": rng,
-        "memory": (nodes, codes, words, keys, normals, polarizations, *events),
+        "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, *events),
     }
 
     def body(state: dict[str, Any]) -> dict[str, Any]:
-        active, again, d, w, s, depth = (state[k] for k in ("active", "again", "d", "w", "s", "depth"))
-        nodes, codes, words, keys, normals, polarizations, *events = state["memory"]
-        rng, total = state["rng"], state["total"]
-        first = active & ~again
+        active, d, w, s, depth = (state[k] for k in ("active", "d", "w", "s", "depth"))
+        nodes, codes, words, keys, normals, polarizations, plans, floors, *events = state["memory"]
+        rng, total, threshold = state["rng"], state["total"], state["threshold"]
+        first = active & (state["child"] == TRANSMIT)
+        again = active & ~first
         stokes = state["stokes"] if settings.stokes else None
         it = interact(table, state["p"], d, s, state["normal"] if has_stock else None, stokes, active)
         p = it.p
@@ -187,7 +219,11 @@ def walk(
         add_reason(MEDIUM, w, strayed)
         first &= ~strayed
         R, T = it.R, it.T
-        loss = 1 - R - T
+        given = None
+        if scattering.any:
+            given = scattering.give(s, it, first | again)
+            R, T = R * given.reflection.kept, T * given.transmission.kept
+        loss = 1 - R - T if given is None else 1 - R - T - given.scattered
         absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
         if tallies is not None:
             tallies.add_surface(s, HITS, batch, 1.0, first)
@@ -195,7 +231,7 @@ def walk(
             tallies.add_surface(s, ABSORBED_HERE, batch, absorbed, first & (absorbed > 0))
 
         detected = first & ((it.word & DETECTOR) != 0) & (absorbed > 0)
-        x, y = _film_coordinates(table, it)
+        x, y = film_coordinates(table, it)
         pixel = film.pixel(x, y)
         key = extend_key(state["key"], (s << EVENT_BITS) | ABSORBED)
 
@@ -216,8 +252,12 @@ def walk(
         if adjoint is not None:
             derivative = adjoint.derivative(pixel, slot, booked)
             total = dr.select(booked, total + mi.Float64(derivative) * mi.Float64(absorbed), total)
-            adjoint.detected(it, batch, derivative * w, booked)
+            adjoint.detected(it, given, batch, derivative * w, booked)
         if tallies is not None:
+            if scatters:
+                tallies.add_scattered(batch, absorbed, detected & (state["scatters"] != 0))
+                landed = detected & (state["aimed_from"] != NO_SURFACE)
+                tallies.add_surface(state["aimed_from"], LANDED, batch, 1.0, landed)
             on_film = detected
             if film.map_of_slot is not None:
                 number = dr.gather(mi.UInt32, film.map_of_slot, slot, booked)
@@ -228,45 +268,106 @@ def walk(
             dr.scatter_reduce(dr.ReduceOp.Add, tallies.film, flux * flux, 2 * pixel + 1, on_film)
 
         # ---- children
-        visit = first | (active & again)
+        visit = first | again
         counted = counts_as_reflection(it)
         reflections = state["reflections"]
         room = depth + 1 < max_events
-        may_reflect = ~counted | (reflections < max_reflections)
+        generations = reflections + (state["scatters"] & COUNT_MASK)
+        young = generations < max_generations
+        may_reflect = ~counted | ((reflections < max_reflections) & young)
         w_t, w_r = w * T, w * R
-        add_reason(EVENTS, w_t + w_r, first & ~room & (T + R > 0))
+        w_s = w * given.scattered if given is not None else mi.Float(0)
+        w_b = dr.select(visit, state["clouded"], 0) if bulk else mi.Float(0)
+        add_reason(EVENTS, w_t + w_r + w_s + w_b, first & ~room & (w_t + w_r + w_s + w_b > 0))
         add_reason(REFLECTIONS, w_r, first & room & ~may_reflect & (R > 0))
         w_t = dr.select(room, w_t, 0)
         w_r = dr.select(room & may_reflect, w_r, 0)
+        transmits = (it.word & OPAQUE) == 0
+        random_rays = aimed_rays = mi.UInt32(0)
+        may_scatter = may_cloud = mi.Bool(False)
+        if scatters:
+            done = [(state["scatters"] >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
+            may_scatter = room & young & (done[0] < scatter_limits[0])
+            at_random, at_optics = done[1] < scatter_limits[1], done[2] < scatter_limits[2]
+            may_cloud = may_scatter & at_random & at_optics
+            random_rays = dr.select(at_random, scatter_rays, 0)
+            aimed_rays = given.aimed_t + given.aimed_r if given is not None else mi.UInt32(0)
+            may_scatter &= (~transmits | at_optics) & (random_rays + aimed_rays > 0)
+        stopped = dr.select(may_scatter, 0, w_s) + dr.select(may_cloud, 0, w_b)
+        add_reason(SCATTERS, stopped, first & room & (stopped > 0))
+        w_s, w_b = dr.select(may_scatter, w_s, 0), dr.select(may_cloud, w_b, 0)
 
         if split:
             if not roulette:
-                cut_t, cut_r = w_t < threshold, w_r < threshold
-                cut = dr.select(cut_t, w_t, 0) + dr.select(cut_r, w_r, 0)
+                weights = [w_t, w_r, w_s, w_b]
+                cut = sum((dr.select(v < threshold, v, 0) for v in weights), mi.Float(0))
                 add_reason(THRESHOLD, cut, first & (cut > 0))
-                w_t, w_r = dr.select(cut_t, 0, w_t), dr.select(cut_r, 0, w_r)
-            reflect = again | (w_t == 0)
-            push = first & ~reflect & (w_r > 0)
-            child = dr.select(reflect, w_r, w_t)
+                w_t, w_r, w_s, w_b = (dr.select(v < threshold, 0, v) for v in weights)
+            scattered_rays = dr.select(w_s > 0, random_rays + aimed_rays, 0)
+            end = SCATTER + scattered_rays + dr.select(w_b > 0, mi.UInt32(1), 0)
+            after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
+            number = dr.select(first, dr.select(w_t > 0, mi.UInt32(TRANSMIT), after_t), state["child"])
+            later = dr.select(number == TRANSMIT, after_t, dr.maximum(number + 1, SCATTER))
+            push = visit & ((later == REFLECT) | (later < end))
+            child = dr.select(number == TRANSMIT, w_t, dr.select(number == REFLECT, w_r, 0))
+            scatter = visit & (number >= SCATTER) & (number < SCATTER + scattered_rays)
+            cloud = visit & (number >= SCATTER) & (number == SCATTER + scattered_rays) & (number < end)
+            child = dr.select(cloud, w_b, child)
         else:
-            both = w_t + w_r
-            reflect = rng.next_float32() * both >= w_t
+            both = w_t + w_r + w_s + w_b
+            chosen = rng.next_float32() * both
+            later = number = dr.select(
+                chosen < w_t, mi.UInt32(TRANSMIT), dr.select(chosen < w_t + w_r, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
+            )
             push = mi.Bool(False)
             child = both
             if not roulette:
                 add_reason(THRESHOLD, both, first & (both < threshold) & (both > 0))
                 child = dr.select(both < threshold, 0, both)
+            scatter = visit & (number == SCATTER) & (child > 0)
+            cloud = scatter & (chosen >= w_t + w_r + w_s) & (w_b > 0)
+            scatter &= ~cloud & (w_s > 0)
+            child = dr.select((number == SCATTER) & ~scatter & ~cloud, 0, child)
+        reflect = number == REFLECT
+        heading = dr.select(reflect, it.reflected, it.transmitted)
+        origin = p
+        aim, slope = mi.Bool(False), dr.rcp(dr.select(reflect, it.R, it.T))
+        if scatters and given is not None:
+            if split:
+                add_reason(SAMPLING, w_s, first & (w_s > 0))
+                ray = given.ray(number - SCATTER, random_rays, rng)
+            else:
+                add_reason(SAMPLING, child, scatter)
+                ray = given.one_ray(w_s / both, random_rays, rng)
+            heading, share, scatter_slope, rng = scattering.scatter(given, ray, it, d, heading, rng, scatter)
+            reflect = dr.select(scatter, ray.reflect, reflect)
+            aim = scatter & ray.aim
+            slope = dr.select(scatter, scatter_slope, slope)
+            child = dr.select(scatter, w * share, child)
+        # Behind an opaque surface is no medium: the light stays in the one that led to it
+        medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
+        if scatters and bulk:
+            away, along = table.optics.scatter_in_bulk(medium_in, d, state["length"], rng, cloud)
+            origin, heading = dr.select(cloud, p - away * d, p), dr.select(cloud, along, heading)
+            slope = dr.select(cloud, 0, slope)
         if roulette:
-            small = visit & (child > 0) & (child < threshold)
-            survives = rng.next_float32() * threshold < child
-            rolled = dr.select(small, dr.select(survives, threshold, 0), child)
-            add_reason(ROULETTE, child - rolled, small)
+            # A scattered ray lives with the flux of its hit, not with its own: aimed ones are weak by intent
+            stake = dr.select(scatter, w_s, child)
+            small = visit & (child > 0) & (stake < threshold)
+            survives = rng.next_float32() * threshold < stake
+            rolled = dr.select(small, dr.select(survives, child * (threshold / stake), 0), child)
+            add_reason(ROULETTE, child - rolled, small & ~scatter)
             child = rolled
+        if scatters:
+            add_reason(SAMPLING, -child, scatter & (child > 0))
+            if tallies is not None:
+                tallies.add_surface(s, AIMED, batch, 1.0, aim)
 
         go = visit & (child > 0)
         # ---- keep the node: for its second visit, and as part of the path
         kept = (push | go) if keep_nodes else push
-        for j, value in enumerate((p.x, p.y, p.z, d.x, d.y, d.z, w)):
+        # A ray that the medium scatters is the last of its node, whose point nobody needs any more
+        for j, value in enumerate((*origin, *d, w)):
             nodes.write(value, depth * NODE_FLOATS + j, kept)
         for memory, name, used in ((normals, "normal", has_stock), (polarizations, "stokes", settings.stokes)):
             if used:
@@ -274,28 +375,43 @@ def walk(
                     memory.write(state[name][j], depth * 3 + j, push)
         keys.write(state["key"], depth, push)
         words.write(s | (reflections << 16), depth, push)
+        if scatters:
+            for j, value in enumerate((later, state["scatters"], state["aimed_from"], state["medium"])):
+                plans.write(value, depth * PLAN_WORDS + j, push)
+            floors.write(threshold, depth * FLOOR_FLOATS, push)
+            if bulk:
+                floors.write(state["length"], depth * FLOOR_FLOATS + 1, push)
+                floors.write(state["clouded"], depth * FLOOR_FLOATS + 2, push)
         bit = mi.UInt64(1) << mi.UInt64(depth)
         pending = dr.select(push, state["pending"] | bit, state["pending"])
-        code = (s << EVENT_BITS) | dr.select(
-            reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED)
-        )
+        what = dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
+        if scatters:
+            technique = dr.select(aim, mi.UInt32(AIMED_TRANSMITTED), mi.UInt32(RANDOM_TRANSMITTED))
+            what = dr.select(scatter, technique + dr.select(reflect, mi.UInt32(1), 0), what)
+            what = dr.select(cloud, mi.UInt32(RANDOM_TRANSMITTED), what)
+        place = dr.select(cloud, table.count + medium_in, s) if bulk else s
+        code = (place << EVENT_BITS) | what
         codes.write(code, depth, go)
         if adjoint is not None:
-            adjoint.enter(tuple(events), depth, it, reflect, total, go)
+            adjoint.enter(tuple(events), depth, it, reflect, slope, total, go)
 
         # ---- the child's segment
-        heading = dr.select(reflect, it.reflected, it.transmitted)
-        # Behind an opaque surface is no medium: the light stays in the one that led to it
-        medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
-        medium = dr.select(reflect, medium_in, it.medium_out)
-        t, s2, normal2 = _next_hit(table, intersector, p, heading, s, go, normal=state["normal"] if has_stock else None)
+        medium = dr.select(reflect | cloud, medium_in, it.medium_out)
+        last = dr.select(cloud, NO_SURFACE, s) if bulk else s
+        left_behind = state["normal"] if has_stock else None
+        t, s2, normal2 = next_hit(table, intersector, origin, heading, last, go, normal=left_behind)
         hit = go & (s2 != NO_SURFACE)
         add_reason(ESCAPED, child, go & ~hit)
+        clouded = mi.Float(0)
         if absorbs:
-            coefficient = dr.gather(mi.Float, table.optics.absorption, medium, hit)
+            coefficient = dr.gather(mi.Float, table.optics.extinction, medium, hit)
             left = child * dr.exp(-coefficient * dr.select(hit, t, 0))
+            taken = child - left
+            if bulk:
+                clouded = taken * dr.gather(mi.Float, table.optics.albedo, medium, hit)
+                taken -= clouded
             if tallies is not None:
-                tallies.add_medium(medium, batch, child - left, hit & (coefficient > 0))
+                tallies.add_medium(medium, batch, taken, hit & (taken > 0))
             child = left
         segments = dr.select(go, state["segments"] + 1, state["segments"])
 
@@ -312,63 +428,53 @@ def walk(
         def again_or(memory: Any, vector: mi.Vector3f) -> mi.Vector3f:
             return dr.select(back, mi.Vector3f(*(memory.read(k * 3 + j, back) for j in range(3))), vector)
 
+        bounced = reflect & counted & ~scatter
+        following = {}
+        if scatters:
+            scattered = scatter | cloud
+            optical = transmits | cloud
+            count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
+            aimed_from = dr.select(bounced, NO_SURFACE, state["aimed_from"])
+            aimed_from = dr.select(scattered, dr.select(aim, s, NO_SURFACE), aimed_from)
+            lowest = dr.select(scattered, child * scatter_threshold, threshold)
+            base, floor = k * PLAN_WORDS, k * FLOOR_FLOATS
+            following = {
+                "child": dr.select(back, plans.read(base, back), TRANSMIT),
+                "scatters": dr.select(
+                    back, plans.read(base + 1, back), state["scatters"] + dr.select(scattered, count, 0)
+                ),
+                "aimed_from": dr.select(back, plans.read(base + 2, back), aimed_from),
+                "medium": dr.select(back, plans.read(base + 3, back), medium),
+                "threshold": dr.select(back, floors.read(floor, back), lowest),
+            }
+            if bulk:
+                following["length"] = dr.select(back, floors.read(floor + 1, back), t)
+                following["clouded"] = dr.select(back, floors.read(floor + 2, back), clouded)
         return {
+            **state,
             "active": hit | back,
-            "again": back,
-            "p": dr.select(back, bp, dr.fma(t, heading, p)),
+            "child": dr.select(back, mi.UInt32(REFLECT), TRANSMIT),
+            "p": dr.select(back, bp, dr.fma(t, heading, origin)),
             "d": dr.select(back, bd, heading),
             "w": dr.select(back, bw, child),
-            "stokes": again_or(polarizations, it.polarized.after(reflect, heading))
+            "stokes": again_or(polarizations, dr.select(scatter | cloud, 0, it.polarized.after(reflect, heading)))
             if it.polarized
             else state["stokes"],
             "s": dr.select(back, word & 0xFFFF, dr.select(hit, s2, 0)),
             "normal": again_or(normals, normal2) if has_stock else state["normal"],
             "medium": dr.select(back, 0, medium),
             "depth": dr.select(back, k, depth + 1),
-            "reflections": dr.select(back, word >> 16, dr.select(reflect & counted, reflections + 1, reflections)),
+            "reflections": dr.select(back, word >> 16, dr.select(bounced, reflections + 1, reflections)),
             "key": dr.select(back, bkey, extend_key(state["key"], code)),
             "pending": pending,
             "segments": segments,
             "total": total,
             "rng": rng,
-            "memory": (nodes, codes, words, keys, normals, polarizations, *events),
+            "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, *events),
+            **following,
         }
 
     (end,) = dr.while_loop(
         (state,), lambda state: state["active"], lambda state: (body(state),), mode="symbolic", label="ray tree"
     )
     add_reason(SEGMENTS, end["segments"], mi.Bool(True))
-
-
-def _next_hit(
-    table: SurfaceTable,
-    intersector: Intersector,
-    o: mi.Vector3f,
-    d: mi.Vector3f,
-    last: mi.UInt32,
-    active: mi.Bool,
-    normal: mi.Vector3f | None = None,
-) -> tuple[mi.Float, mi.UInt32, mi.Vector3f]:
-    """Nearest hit of analytic and stock surfaces: distance, surface, and the normal if it is stock."""
-    t, s = intersector.nearest(o, d, last, active)
-    if table.stock_scene is None:
-        return t, s, mi.Vector3f(0)
-    skip = mi.Float(0)
-    if normal is not None:  # leave a stock surface behind by a few roundings, along the ray so that it stays the same
-        slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)
-        skip = dr.select(last >= len(table.pieces), table.stock_epsilon / slant, 0)
-    ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o)), d)
-    ray.maxt = dr.select(dr.isfinite(t), t - skip, dr.largest(mi.Float))
-    hit = table.stock_scene.ray_intersect_preliminary(ray, coherent=False, active=active)
-    nearer = active & hit.is_valid() & (hit.t + skip < t)
-    si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, nearer)
-    number = dr.gather(mi.UInt32, table.stock_lookup, dr.reinterpret_array(mi.UInt32, si.shape), nearer)
-    return dr.select(nearer, si.t + skip, t), dr.select(nearer, number, s), mi.Vector3f(si.n)
-
-
-def _film_coordinates(table: SurfaceTable, it: Any) -> tuple[mi.Float, mi.Float]:
-    """Position on the detector in its own frame, mm."""
-    if table.detector < len(table.pieces):
-        return it.local.x, it.local.y
-    centre, right, up = table.detector_axes
-    return dr.dot(it.p - centre, right), dr.dot(it.p - centre, up)

@@ -5,14 +5,14 @@ from __future__ import annotations
 import importlib.metadata
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.books import FIRST_MISS, SEGMENTS
+from mistray.trace.books import AIMED, FIRST_MISS, LANDED, SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import RayHistory, read_rays
 from mistray.trace.ledger import BATCHES
@@ -24,6 +24,25 @@ if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.trace.optics import Optics
+
+
+@dataclass(frozen=True)
+class AimedSurface:
+    """
+    Aimed rays of a surface.
+
+    Attributes
+    ----------
+    id : str
+    aimed : float
+        Rays that it sent to targets.
+    landed : float
+        Those of them that reached the detector without a further reflection.
+    """
+
+    id: str
+    aimed: float
+    landed: float
 
 
 class Trace:
@@ -47,6 +66,14 @@ class Trace:
         x0, x1, y0, y1 of the irradiance map in the detector's frame, mm.
     coating_error : float
         Bound of the error of R and T by interpolation over the angle of incidence, of the worst coating.
+    scattered_rays_per_start : float
+        Hits of the detector by rays that have been scattered, per start ray.
+    largest_ray_share : float
+        Largest share that one of those hits has of their flux; NaN if there are none.
+    effective_scattered_rays : float
+        (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
+    aiming : list of AimedSurface
+        Surfaces that aimed rays at targets.
     segments : int
         Ray segments that were traced.
     seconds : float
@@ -63,6 +90,14 @@ class Trace:
         self.surfaces = flux_report(runs)
         self.energy = energy_ledger(runs, self.surfaces)
         self.coating_error = max(run.table.optics.error for run in runs)
+        hits, flux, squares = (
+            sum(run.unit**power * float(run.reasons[reason].sum()) for run in runs)
+            for power, reason in enumerate((SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES))
+        )
+        self.scattered_rays_per_start = hits / sum(run.rays for run in runs)
+        self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
+        self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
+        self.aiming = _aimed_surfaces(runs)
         self.segments = round(sum(float(run.reasons[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)
 
@@ -259,6 +294,13 @@ class Trace:
         return f"Trace({count}, {self.segments:.3g} segments, {detected})"
 
 
+def _aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
+    """Aimed rays of the surfaces of some runs together, in the scene's order."""
+    table = runs[0].table
+    sums = sum(run.surfaces[:, [AIMED, LANDED]].sum(axis=-1) for run in runs)
+    return [AimedSurface(table.ids[i], *map(float, sums[i])) for i in table.listed if sums[i, 0] > 0]
+
+
 def trace(
     scene: mi.Scene,
     rays: float | None = None,
@@ -267,8 +309,16 @@ def trace(
     wavelength_nm: float | Sequence[float] | None = None,
     weights: Sequence[float] | None = None,
     max_reflections: int | None = None,
+    max_scatters: int | None = None,
+    max_optical_scatters: int | None = None,
+    max_random_scatters: int | None = None,
+    max_generations: int | None = None,
     max_events: int | None = None,
+    scatter_rays: int | None = None,
+    aimed_rays: int | None = None,
+    aim: str | None = None,
     flux_threshold: float | None = None,
+    scatter_threshold: float | None = None,
     splitting: str | None = None,
     below_threshold: str | None = None,
     seed: int | None = None,
@@ -295,8 +345,12 @@ def trace(
         Vacuum wavelengths, nm.
     weights : sequence of float
         Shares of the flux, one for each wavelength; normalised, equal by default.
-    max_reflections, max_events, flux_threshold, splitting, below_threshold, seed, polarization
-        See `mistray.trace.Settings`.
+    max_reflections, max_scatters, max_optical_scatters, max_random_scatters, max_generations, max_events
+        Limits of a path, see `mistray.trace.Settings`.
+    scatter_rays, aimed_rays, aim
+        Scattered rays at every hit and where they are aimed at, see there.
+    flux_threshold, scatter_threshold, splitting, below_threshold, seed, polarization
+        See there.
     detector : str
         Id of the detector, if the scene has several.
     ledger : bool
@@ -320,8 +374,16 @@ def trace(
         scene,
         rays=rays,
         max_reflections=max_reflections,
+        max_scatters=max_scatters,
+        max_optical_scatters=max_optical_scatters,
+        max_random_scatters=max_random_scatters,
+        max_generations=max_generations,
         max_events=max_events,
+        scatter_rays=scatter_rays,
+        aimed_rays=aimed_rays,
+        aim=aim,
         flux_threshold=flux_threshold,
+        scatter_threshold=scatter_threshold,
         splitting=splitting,
         below_threshold=below_threshold,
         seed=seed,

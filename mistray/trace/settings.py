@@ -9,6 +9,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 
+NO_LIMIT = 2**15 - 1  # of reflections or scatters: more than a path can have
+MOST_RAYS_PER_HIT = 255
 MAX_EVENTS = 64  # the pending children of a path are the bits of one 64-bit word
 
 
@@ -23,10 +25,27 @@ class Settings:
         Start rays of all sources together.
     max_reflections : int
         Most reflections along a path; total internal ones and those at surfaces declared ``mirror`` are free.
+    max_scatters : int
+        Most scatter events along a path; 0: surfaces only reflect and refract, what scatters is lost.
+    max_optical_scatters : int
+        Most of them at surfaces that transmit.
+    max_random_scatters : int
+        Most of them that are not aimed at a target.
+    max_generations : int
+        Most reflections and scatter events together.
     max_events : int
         Most surfaces along a path, the detector included; 1 … 64.
+    scatter_rays : int
+        Rays that are scattered at random from the BSDF at every hit.
+    aimed_rays : int
+        Rays that are scattered towards the automatic targets at every hit, for reflection and transmission each.
+    aim : {"auto", "targets", "none"}
+        Aim scattered rays at the targets of the scene and, where a surface has none, at automatic ones; only at targets
+        of the scene; or not at all. The result is the same but for its error.
+    scatter_threshold : float
+        Smallest flux of a branch after a scatter event, relative to what the scattered ray started with.
     flux_threshold : float
-        Smallest flux of a branch, relative to its start ray.
+        Smallest flux of a branch that has not been scattered, relative to its start ray.
     splitting : {"split", "one"}
         Follow both children at an interface, or one of them at random (one in, one out).
     below_threshold : {"cut", "roulette"}
@@ -39,8 +58,16 @@ class Settings:
 
     rays: int = 1_000_000
     max_reflections: int = 2
+    max_scatters: int = 1
+    max_optical_scatters: int = NO_LIMIT
+    max_random_scatters: int = NO_LIMIT
+    max_generations: int = NO_LIMIT
     max_events: int = MAX_EVENTS
+    scatter_rays: int = 1
+    aimed_rays: int = 1
+    aim: str = "auto"
     flux_threshold: float = 1e-8
+    scatter_threshold: float = 1e-4
     splitting: str = "split"
     below_threshold: str = "cut"
     seed: int = 0
@@ -50,7 +77,8 @@ class Settings:
         def fail(key: str, what: str) -> None:
             raise MistrayError(f"{key} is {getattr(self, key)!r}; {what}")
 
-        whole = ("rays", "max_reflections", "max_events", "seed")
+        limits = ("max_reflections", "max_scatters", "max_optical_scatters", "max_random_scatters", "max_generations")
+        whole = ("rays", *limits, "max_events", "scatter_rays", "aimed_rays", "seed")
         for key in whole:
             value = getattr(self, key)
             if isinstance(value, bool) or not np.isfinite(value) or value != int(value):
@@ -58,12 +86,20 @@ class Settings:
             object.__setattr__(self, key, int(value))
         if not 1 <= self.rays < 2**32:
             fail("rays", "give 1 to 4.29e9 start rays; use several seeds for more")
-        if not 0 <= self.max_reflections < 2**15:
-            fail("max_reflections", "it must not be negative")
+        for key in limits:
+            if not 0 <= getattr(self, key) <= NO_LIMIT:
+                fail(key, f"it must lie between 0 and {NO_LIMIT}")
+        for key, least in (("scatter_rays", 1), ("aimed_rays", 0)):
+            if not least <= getattr(self, key) <= MOST_RAYS_PER_HIT:
+                fail(key, f"it must lie between {least} and {MOST_RAYS_PER_HIT}")
         if not 1 <= self.max_events <= MAX_EVENTS:
             fail("max_events", f"it must lie between 1 and {MAX_EVENTS}")
         if not 0 <= self.flux_threshold < 1:
             fail("flux_threshold", "it is relative to a start ray and must lie between 0 and 1")
+        if not 0 <= self.scatter_threshold < 1:
+            fail("scatter_threshold", "it is relative to a scattered ray and must lie between 0 and 1")
+        if self.aim not in ("auto", "targets", "none"):
+            fail("aim", "use 'auto', 'targets' or 'none'")
         if self.splitting not in ("split", "one"):
             fail("splitting", "use 'split' or 'one'")
         if self.below_threshold not in ("cut", "roulette"):

@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.ledger import BATCHES
+from mistray.trace.surfaces import solid_shapes
 
 
 @dataclass(frozen=True)
@@ -140,12 +141,15 @@ def beams(
     if field_deg is not None and not -90 < field_deg < 90:
         raise MistrayError(f"field_deg is {field_deg:g}; it must lie between -90 and 90 degrees")
     given = None if wavelength_nm is None and weights is None else _spectrum(wavelength_nm, weights)
+    bounds = mi.ScalarBoundingBox3f()
+    for shape in solid_shapes(scene):
+        bounds.expand(shape.bbox())
     result = []
     for number, emitter in enumerate(emitters, start=1):
         name = emitter.name or f"source_{number}"
         wavelengths, shares = given or (emitter.wavelengths_nm, emitter.weights)
         pivot, direction, u, v = emitter.frame(field_deg, azimuth_deg)
-        distance = emitter.start_distance(scene.bbox(), direction, pivot)
+        distance = emitter.start_distance(bounds, direction, pivot)
         for wavelength, share in zip(wavelengths, shares, strict=True):
             power = emitter.power(field_deg) * share
             result.append(Beam(emitter, name, float(wavelength), power, pivot, direction, u, v, distance))

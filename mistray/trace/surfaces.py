@@ -94,7 +94,7 @@ class SurfaceTable:
     Parameters
     ----------
     scene : mi.Scene
-        Every shape must carry an ``interface``.
+        Every shape must carry an ``interface``; those that carry a ``target`` are left out.
     wavelength_nm : float
         Vacuum wavelength, nm.
     detector : str, optional
@@ -112,8 +112,9 @@ class SurfaceTable:
         self, scene: mi.Scene, wavelength_nm: float, detector: str | None = None, stokes: bool = False
     ) -> None:
         # In the order of their ids: a ray that meets two surfaces within the rounding must not see the scene's order
-        named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(scene.shapes(), start=1)}
-        if len(named) < len(scene.shapes()):
+        solid = solid_shapes(scene)
+        named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(solid, start=1)}
+        if len(named) < len(solid):
             raise MistrayError("two shapes of the scene have the same id; give every shape an id of its own")
         shapes = sorted(named.items())
         analytic = [(name, shape) for name, shape in shapes if hasattr(shape, "outer_radius")]
@@ -137,6 +138,21 @@ class SurfaceTable:
         other.wavelength_nm = wavelength_nm
         other.optics = Optics(self.ids, self.interfaces, self._flags(), wavelength_nm, self.optics.stokes)
         return other
+
+    @property
+    def event_ids(self) -> list[str]:
+        """Names of the places of events: the surfaces, then the media in brackets."""
+        return [*self.ids, *(f"({medium})".replace(" ", "_") for medium in self.optics.media)]
+
+    @property
+    def event_parts(self) -> list[str]:
+        """Parts of the places of events."""
+        return [*self.parts, *self.optics.media]
+
+    @property
+    def event_words(self) -> np.ndarray:
+        """Words of the places of events; those of media are 0."""
+        return np.concatenate([self.optics.host_words, np.zeros(len(self.optics.media), dtype=np.uint32)])
 
     def _find_detector(self, wanted: str | None) -> int:
         sensors = [i for i, shape in enumerate(self.shapes) if shape.is_sensor()]
@@ -251,6 +267,11 @@ class SurfaceTable:
         axes = (matrix[:3, 3], matrix[:3, 0] / half[0], matrix[:3, 1] / half[1])
         self.detector_axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in axis)) for axis in axes]
         return width, height, (-half[0], half[0], -half[1], half[1])
+
+
+def solid_shapes(scene: mi.Scene) -> list[Any]:
+    """The shapes that light meets: all but those that only say where scattered rays are aimed at."""
+    return [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
 
 
 def _interface(shape: Any) -> Any:

@@ -13,10 +13,13 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import CHANNELS, Adjoint
-from mistray.trace.books import REASONS, STARTED, Film, Recorder, Tallies
+from mistray.trace.aiming import aims
+from mistray.trace.books import REASONS, STARTED, SURFACE_SUMS, Film, Recorder, Tallies
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES, DecodedPaths, Ledger
 from mistray.trace.ray_tree import StartRays, walk
+from mistray.trace.scatter_tables import ScatterTables
+from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sources import Beam, beams
 from mistray.trace.surfaces import SurfaceTable
@@ -42,8 +45,10 @@ class Run:
         Start rays.
     unit : float
         Flux of a start ray, W.
-    surfaces : (s, 3, BATCHES) float64
-        Hits, incident and absorbed flux of every surface, in `unit`.
+    surfaces : (s, SURFACE_SUMS, BATCHES) float64
+        Hits, incident and absorbed flux of every surface, in `unit`; rays that it aims, and those that land.
+    largest : float
+        Largest flux of a scattered ray at the detector, in `unit`.
     media : (m, BATCHES) float64
         Flux that each medium absorbs, in `unit`.
     reasons : (REASONS, BATCHES) float64
@@ -57,12 +62,14 @@ class Run:
 
     beam: Beam
     table: SurfaceTable
+    scattering: Scattering
     intersector: Intersector
     settings: Settings
     rays: int
     seed: int
     unit: float
     surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    largest: float = 0.0
     media: np.ndarray = field(default_factory=lambda: np.zeros(0))
     reasons: np.ndarray = field(default_factory=lambda: np.zeros(0))
     film: np.ndarray = field(default_factory=lambda: np.zeros(0))
@@ -135,7 +142,7 @@ class Run:
                 return
 
     def _walk(self, start: StartRays, film: Film, *books: Any, **more: Any) -> None:
-        walk(self.table, self.intersector, start, self.settings, film, *books, **more)
+        walk(self.table, self.scattering, self.intersector, start, self.settings, film, *books, **more)
         dr.eval()
         dr.sync_thread()
 
@@ -158,7 +165,8 @@ class Run:
                 )
             capacity = min(8 * capacity, LAST_CAPACITY)
         self.seconds = time.perf_counter() - started
-        self.surfaces = np.array(tallies.surfaces).reshape(self.table.count, 3, BATCHES)
+        self.surfaces = np.array(tallies.surfaces).reshape(self.table.count, SURFACE_SUMS, BATCHES)
+        self.largest = float(np.array(tallies.largest).view(np.float32)[0])
         self.media = np.array(tallies.media).reshape(-1, BATCHES)
         self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
         self.film = np.moveaxis(np.array(tallies.film).reshape(film.height, film.width, 2), 2, 0)
@@ -269,13 +277,15 @@ def prepare(
     total = sum(beam.power for beam in sources)
     first = SurfaceTable(scene, sources[0].wavelength_nm, detector, settings.stokes)
     intersector = Intersector(first)
-    tables = {first.wavelength_nm: first}
+    targets = aims(first, scene, settings)
+    tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first.ids, first.optics, targets)))}
     runs = []
     for number, beam in enumerate(sources):
         if beam.wavelength_nm not in tables:
-            tables[beam.wavelength_nm] = first.at(beam.wavelength_nm)
+            other = first.at(beam.wavelength_nm)
+            tables[beam.wavelength_nm] = other, Scattering(ScatterTables(other.ids, other.optics, targets))
         count = beam.count(max(1, round(settings.rays * beam.power / total)))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
-        table = tables[beam.wavelength_nm]
-        runs.append(Run(beam, table, intersector, settings, count, stream, beam.power / count))
+        table, scattering = tables[beam.wavelength_nm]
+        runs.append(Run(beam, table, scattering, intersector, settings, count, stream, beam.power / count))
     return runs

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import reduce
+from operator import or_
 from typing import Any
 
 import drjit as dr
@@ -13,6 +15,8 @@ from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, refractive_index, resolved
 from mistray.physics.fresnel import reflectance
+from mistray.plugins.bsdfs.lobe_sum import LobeSum
+from mistray.scatter import Scatter
 from mistray.trace.optics import REFLECTION_BACK, REFLECTION_FRONT, TRANSMISSION, angle_table, total_variable
 
 STOCK_WAVELENGTH_NM = 550.0
@@ -85,6 +89,8 @@ class Interface(mi.BSDF):
         self._own: Coating = Bare()
         self._held: tuple[np.ndarray, ...] = ()
         self._stock: tuple[Coating, dict[str, Any]] | None = None
+        self._lobes: tuple[dict[str, Any], LobeSum] | None = None
+        self.scatterers: tuple[Any, ...] = ()
         # Only objects are looked at: what is never asked for is reported as unknown
         objects = [props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object]
         nested = [item for item in objects if isinstance(item, mi.BSDF)]
@@ -96,16 +102,27 @@ class Interface(mi.BSDF):
             mi.BSDFFlags.DeltaReflection | side,
             mi.BSDFFlags.DeltaTransmission | mi.BSDFFlags.NonSymmetric | side,
         ]
-        self.m_flags = self.m_components[0] | self.m_components[1]
+        if self.scatterers:
+            self.m_components += [
+                mi.BSDFFlags.GlossyReflection | mi.BSDFFlags.NonSymmetric | side,
+                mi.BSDFFlags.GlossyTransmission | mi.BSDFFlags.NonSymmetric | side,
+            ]
+        self.m_flags = reduce(or_, self.m_components)
 
     # -- the coating ---------------------------------------------------------------------------------------------
 
     def _nested_film(self, props: mi.Properties, nested: list[Any]) -> Any:
-        """The nested thinfilm."""
+        """The nested thinfilm, None if there is none; scatter plugins go to `scatterers`."""
+        self.scatterers = tuple(item for item in nested if hasattr(item, "scatterers") and item.scatterers == (item,))
+        for item in self.scatterers:
+            item.nest(self)
+        nested = [item for item in nested if item not in self.scatterers]
+        if not nested:
+            return None
         film = nested[0]
         if len(nested) > 1 or getattr(film, "kind", "") != "thinfilm":
             what = f"{len(nested)} BSDFs" if len(nested) > 1 else f"{str(film).partition('[')[0]}"
-            raise MistrayError(f"{self.title}: {what} nested; nest one 'thinfilm', its coating")
+            raise MistrayError(f"{self.title}: {what} nested; nest one 'thinfilm', its coating, and models of scatter")
         given = [key for key in ("R", "T", "table") if key in props]
         if given:
             raise MistrayError(f"{self.title}: give {given[0]} or a nested thinfilm, not both")
@@ -177,6 +194,18 @@ class Interface(mi.BSDF):
     def ideal(self) -> bool:
         """Whether R and T are constants."""
         return self._owner._own_ideal
+
+    def _named_scatterers(self) -> dict[str, Any]:
+        """The nested scatter plugins by the names that `mi.traverse` gives them: "abg", a second one "abg_2"."""
+        kinds = [item.kind for item in self.scatterers]
+        counts = [kinds[:k].count(kind) for k, kind in enumerate(kinds)]
+        names = [f"{kind}_{count + 1}" if count else kind for kind, count in zip(kinds, counts, strict=True)]
+        return dict(zip(names, self.scatterers, strict=True))
+
+    @property
+    def scatter(self) -> tuple[Scatter, ...]:
+        """The models of scatter with the current values of their parameters, in the order given; () if none."""
+        return tuple(item.model for item in self.scatterers)
 
     @property
     def R(self) -> mi.Float:
@@ -264,6 +293,42 @@ class Interface(mi.BSDF):
             t = 1 - r
         return r, t, -dr.mulsign(cos_t, cos_wi), eta
 
+    def _lobe_sum(self) -> LobeSum:
+        """What scatters at `wavelength_nm`, for stock integrators."""
+        models, stock = self.scatter, self._stock_table()
+        if self._lobes is None or self._lobes[0] is not stock or self._lobes[1].models != list(models):
+            n_front, n_back = (n.real for n in stock["n"])
+            lobes = LobeSum(self.scatterers, self.wavelength_nm, n_front, n_back, stock["opaque"])
+            self._lobes = stock, lobes
+        return self._lobes[1]
+
+    def _beams(
+        self, ctx: mi.BSDFContext, cos_wi: mi.Float, r: mi.Float, t: mi.Float, cos_t: mi.Float, active: mi.Mask
+    ) -> tuple[mi.Float, mi.Float]:
+        """What scatter leaves of the reflected and the transmitted beam, where a context asks for them."""
+        if self.scatterers:
+            lobes, from_back = self._lobe_sum(), cos_wi > 0
+            cos_i = dr.abs(cos_wi)
+            r = r * (1 - lobes.loss("reflection", cos_i, from_back, active))
+            # In the mode "radiance" light that is transmitted comes from the other side
+            side = ~from_back if ctx.mode == mi.TransportMode.Radiance else from_back
+            t = t * (1 - lobes.loss("transmission", dr.minimum(cos_i, dr.abs(cos_t)), side, active))
+        return (
+            r if ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0) else mi.Float(0),
+            t if ctx.is_enabled(mi.BSDFFlags.DeltaTransmission, 1) else mi.Float(0),
+        )
+
+    def _choices(
+        self, ctx: mi.BSDFContext, wi: mi.Vector3f, shares: tuple[mi.Float, mi.Float], beams: tuple[mi.Float, mi.Float]
+    ) -> tuple[list[tuple[Any, mi.Float]], mi.Float]:
+        """Probabilities of the lobes, and by what the shares of the specular beams are multiplied to be theirs."""
+        lobes = self._lobe_sum().weights(ctx, wi, shares) if self.scatterers else []
+        total = dr.detach(beams[0] + beams[1])
+        for _, weight in lobes:
+            total += weight
+        scale = dr.select(total > 0, dr.rcp(dr.select(total > 0, total, 1)), 0)
+        return [(slot, weight * scale) for slot, weight in lobes], scale
+
     def sample(
         self,
         ctx: mi.BSDFContext,
@@ -273,15 +338,17 @@ class Interface(mi.BSDF):
         active: mi.Mask = True,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         r, t, cos_t, eta = self._specular(si.wi.z, active)
-        reflects = ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
-        transmits = ctx.is_enabled(mi.BSDFFlags.DeltaTransmission, 1)
-        r, t = (r if reflects else mi.Float(0)), (t if transmits else mi.Float(0))
-        total = r + t
-        active = active & (total > 0)
-        probability = dr.select(total > 0, r / total, 0)
-        reflected = active & (sample1 <= probability)
+        beams = self._beams(ctx, si.wi.z, r, t, cos_t, active)
+        lobes, scale = self._choices(ctx, si.wi, (r, t), beams)
+        active = active & (scale > 0)
+        # The lobes come first; what they leave of sample1 chooses between the beams
+        choice, rest = None, sample1
+        if lobes:
+            choice, rest = self._lobe_sum().choose(ctx, si.wi, lobes, sample1, sample2, active)
+        probability = dr.detach(beams[0]) * scale
+        reflected = active & (rest <= probability) & (probability > 0)
         bs = dr.zeros(mi.BSDFSample3f)
-        bs.pdf = dr.select(active, dr.select(reflected, probability, 1 - probability), 0)
+        bs.pdf = dr.select(active, dr.select(reflected, probability, dr.detach(beams[1]) * scale), 0)
         bs.sampled_component = dr.select(reflected, mi.UInt32(0), mi.UInt32(1))
         bs.sampled_type = dr.select(
             reflected, mi.UInt32(+mi.BSDFFlags.DeltaReflection), mi.UInt32(+mi.BSDFFlags.DeltaTransmission)
@@ -289,30 +356,66 @@ class Interface(mi.BSDF):
         bs.wo = dr.select(
             reflected, mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z), mi.Vector3f(-eta * si.wi.x, -eta * si.wi.y, cos_t)
         )
-        bs.eta = dr.select(reflected, 1, 1 / eta)
         # Radiance, unlike flux, scales with the square of the index
-        scale = dr.square(eta) if ctx.mode == mi.TransportMode.Radiance else mi.Float(1)
-        weight = dr.select(reflected, total, total * scale)
+        index = dr.square(eta) if ctx.mode == mi.TransportMode.Radiance else mi.Float(1)
+        weight = dr.select(reflected, beams[0], beams[1] * index) / dr.select(bs.pdf > 0, bs.pdf, 1)
+        weight = dr.select(active & (bs.pdf > 0), weight, 0)
+        if choice is not None:
+            value, pdf = self._scattered(ctx, si.wi, choice.wo, lobes, choice.valid)
+            use = choice.valid & (pdf > 0)
+            bs.wo = dr.select(choice.chosen, choice.wo, bs.wo)
+            bs.pdf = dr.select(choice.chosen, dr.select(use, pdf, 0), bs.pdf)
+            bs.sampled_component = dr.select(choice.chosen, choice.component, bs.sampled_component)
+            glossy = dr.select(
+                choice.component == 2, +mi.BSDFFlags.GlossyReflection, mi.UInt32(+mi.BSDFFlags.GlossyTransmission)
+            )
+            bs.sampled_type = dr.select(choice.chosen, glossy, bs.sampled_type)
+            weight = dr.select(choice.chosen, dr.select(use, value / dr.select(use, pdf, 1), 0), weight)
+        bs.eta = dr.select(bs.wo.z * si.wi.z > 0, 1, 1 / eta)
         return bs, mi.Spectrum(weight) & active
+
+    def _scattered(
+        self,
+        ctx: mi.BSDFContext,
+        wi: mi.Vector3f,
+        wo: mi.Vector3f,
+        lobes: list[tuple[Any, mi.Float]],
+        active: mi.Mask,
+    ) -> tuple[mi.Float, mi.Float]:
+        """BSDF times cosine of wo, and the density of wo, by the probabilities of the lobes."""
+        light = wo if ctx.mode == mi.TransportMode.Radiance else wi
+        shares = self._specular(light.z, active)[:2]
+        lobe_sum = self._lobe_sum()
+        return lobe_sum.value(ctx, wi, wo, shares, active), lobe_sum.density(ctx, wi, wo, lobes, active)
 
     def eval(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
     ) -> mi.Spectrum:
-        return mi.Spectrum(0)
+        if not self.scatterers:
+            return mi.Spectrum(0)
+        light = wo if ctx.mode == mi.TransportMode.Radiance else si.wi
+        shares = self._specular(light.z, active)[:2]
+        return mi.Spectrum(self._lobe_sum().value(ctx, si.wi, wo, shares, mi.Mask(active)))
 
     def pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
     ) -> mi.Float:
-        return mi.Float(0)
+        if not self.scatterers:
+            return mi.Float(0)
+        r, t, cos_t, _ = self._specular(si.wi.z, active)
+        lobes, _ = self._choices(ctx, si.wi, (r, t), self._beams(ctx, si.wi.z, r, t, cos_t, active))
+        return self._lobe_sum().density(ctx, si.wi, wo, lobes, mi.Mask(active))
 
     def eval_pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
     ) -> tuple[mi.Spectrum, mi.Float]:
-        return mi.Spectrum(0), mi.Float(0)
+        return self.eval(ctx, si, wo, active), self.pdf(ctx, si, wo, active)
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         if self._nested is not None:
             callback.put("coating", self._nested, mi.ParamFlags.Differentiable)
+        for name, item in self._named_scatterers().items():
+            callback.put(name, item, mi.ParamFlags.Differentiable)
         for name, value in self._parameters().items():
             callback.put(name, value, mi.ParamFlags.Differentiable)
 
@@ -328,7 +431,8 @@ class Interface(mi.BSDF):
 
     def to_string(self) -> str:
         mirror = ", mirror" if self.mirror else ""
-        return f"{type(self).__name__}[{self.front} | {self.back}, {self._owner._summary()}{mirror}]"
+        scatter = "".join(f", {item}" for item in self.scatterers)
+        return f"{type(self).__name__}[{self.front} | {self.back}, {self._owner._summary()}{mirror}{scatter}]"
 
     def _summary(self) -> str:
         """The coating in a few words."""

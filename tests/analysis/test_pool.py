@@ -17,7 +17,7 @@ DISCS = {450.0: (1.0, -0.05, 0.08), 550.0: (3.0, 0.0, 0.1), 650.0: (2.0, 0.12, 0
 
 def lines(rays=500):
     return [
-        FakePath(EVENTS, "direct", share, rays, x, 0.02, radius, wavelength=wavelength)
+        FakePath(EVENTS, share, rays, x, 0.02, radius, wavelength=wavelength)
         for wavelength, (share, x, radius) in DISCS.items()
     ]
 
@@ -29,7 +29,7 @@ def trace():
 
 @pytest.fixture
 def rows(trace):
-    return trace.paths.to_pandas()
+    return trace.paths.by_way()
 
 
 def test_pooled_numbers_are_those_of_all_rays_together(trace, rows):
@@ -115,27 +115,26 @@ def test_polarisation_is_the_mean_with_the_powers_as_weights(rows):
 
 def test_a_path_is_one_row_for_all_its_wavelengths():
     ghost = f"{LENS} detector:R L1_rear:R detector:A"
-    paths = [*lines(), FakePath(ghost, "ghost", 0.5, 100, wavelength=550.0)]
-    rows = FakeTrace(paths, shares=dict.fromkeys(DISCS, 1 / 3)).paths.to_pandas()
+    paths = [*lines(), FakePath(ghost, 0.5, 100, wavelength=550.0)]
+    rows = FakeTrace(paths, shares=dict.fromkeys(DISCS, 1 / 3)).paths.by_way()
     table = by_path(rows)
     assert list(table.events) == [EVENTS, ghost]
     assert list(table.path_ids) == [(0, 1, 2), (3,)]
     assert list(table.path_id) == [0, 3]
     assert table.power_W.iloc[0] == pytest.approx(6.0)
     assert table.percent.sum() == pytest.approx(100)
-    assert dict(table.dtypes.drop("path_ids")) == dict(rows.dtypes)
+    assert dict(table.dtypes) == dict(rows.dtypes)
 
 
 def test_the_order_is_by_the_power_of_all_wavelengths():
     """A path of three weak lines is stronger than another of one strong line."""
-    strong = FakePath(f"{LENS} detector:R L1_rear:R detector:A", "ghost", 3.5, 100, wavelength=550.0)
-    table = by_path(FakeTrace([*lines(), strong], shares=dict.fromkeys(DISCS, 1 / 3)).paths.to_pandas())
+    strong = FakePath(f"{LENS} detector:R L1_rear:R detector:A", 3.5, 100, wavelength=550.0)
+    table = by_path(FakeTrace([*lines(), strong], shares=dict.fromkeys(DISCS, 1 / 3)).paths.by_way())
     assert list(table.kind) == ["direct", "ghost"]
     assert list(table.path_id) == [1, 0]
 
 
 def test_one_wavelength_keeps_its_table(rows):
     one = rows[rows.wavelength_nm == 550.0].reset_index(drop=True)
-    pd.testing.assert_frame_equal(by_path(one).drop(columns="path_ids"), one)
-    assert list(by_path(one).path_ids) == [(0,)]
+    pd.testing.assert_frame_equal(by_path(one), one)
     assert len(by_path(one.iloc[:0])) == 0

@@ -13,5 +13,6 @@ nonsequential  split tracer: ledger of every path, energy budget, leaks between 
 closed_forms   plates, paraxial ghosts, ghost counts
 small_scenes   XML texts of plates and other small scenes
 colour         the CIE observer at a few wavelengths, sRGB by its definition, coatings in air
+derivatives    central differences of fourth order
 statistics     z-tests that say by how much they fail
 """

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.physics.paraxial import ParaxialSystem
+from mistray.physics.paraxial import ParaxialSystem, image_seen
 
 DATA = Path(__file__).parents[1] / "data"
 N = 1.5168
@@ -88,3 +88,41 @@ def test_afocal_and_bad_input(singlet):
         singlet.ghosts(10.0, 1.0, [0.04])
     with pytest.raises(MistrayError, match="focus"):
         singlet.chief_ray(1.0, 5.0 + singlet.bfl)
+
+
+AUDIT = table("table15_audit.csv")
+
+
+def column(name):
+    return np.array([float(row[name]) for row in AUDIT])
+
+
+def test_images_that_scattered_light_should_go_to():
+    """ISL and ISH from the rays of a published table, whose own values belong to the wrong surfaces."""
+    length, height = image_seen(*(column(name) for name in ("y", "u_after", "ybar", "ubar_after")))
+    np.testing.assert_allclose(length, column("ISL_correct=-y_k/u'_k"), rtol=1e-3)
+    np.testing.assert_allclose(height, column("ISH_correct"), rtol=1e-3)
+    # The table has for each surface the slope after the next one: the mistake must not come back
+    assert np.nanmax(np.abs(column("ISL_seed")[2:-1] / length[2:-1] - 1)) > 0.4
+
+
+def test_image_seen_from_a_lens(singlet):
+    length, height = singlet.images_seen(field_deg=1.0, stop_z=0.0)
+    assert length[-1] == pytest.approx(singlet.bfl, rel=1e-13)
+    assert height[-1] == pytest.approx(singlet.efl * math.tan(math.radians(1)), rel=1e-12)
+    # From the front surface the light has only that surface behind it: focus at n R/(n - 1)
+    assert length[0] == pytest.approx(100 * N / (N - 1), rel=1e-13)
+
+
+def test_image_seen_behind_a_plate_is_at_infinity():
+    plate = ParaxialSystem([0.0, 0.0], [0.0, 5.0], [1.0, N, 1.0])
+    length, height = plate.images_seen(field_deg=1.0, stop_z=0.0)
+    assert np.all(np.isinf(length))
+    assert np.all(np.isinf(height))
+
+
+def test_virtual_image_has_a_negative_length():
+    diverging = ParaxialSystem([-1 / 50, 1 / 50], [0.0, 2.0], [1.0, N, 1.0])
+    length, height = diverging.images_seen(field_deg=1.0, stop_z=0.0)
+    assert np.all(length < 0)
+    assert np.all(height > 0)

@@ -7,8 +7,11 @@ from dataclasses import dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
+from report.fake_ledger import GLASS, SENSOR, STRUCTURE, decoded, encode, fake_run, hit_sums
 
-from mistray.trace import Energy, FluxReport, PathRow, PathTable, SurfaceFlux
+from mistray.trace import Energy, FluxReport, SurfaceFlux
+from mistray.trace.ledger import BATCHES, SUMS
+from mistray.trace.paths import path_table
 
 PARTS = {
     "window_front": "window",
@@ -18,10 +21,12 @@ PARTS = {
     "stop_wall": "stop",
     "detector": "detector",
 }
+SURFACES = {name: GLASS for name in PARTS} | {"stop_wall": STRUCTURE, "detector": SENSOR}
 LENS = "window_front:T window_rear:T L1_front:T L1_rear:T"
 DETECTOR_ABSORBS = 0.8
 EXTENT = (-2.0, 2.0, -1.5, 1.5)
 SHAPE = (60, 80)
+START_RAYS = 32_000
 SETTINGS = {
     "rays": 1000,
     "azimuth_deg": 0.0,
@@ -43,58 +48,25 @@ class FakePath:
     """One path: a uniform disc of `radius` about (x, y) that holds `power` over `rays` rays."""
 
     events: str
-    kind: str
     power: float
     rays: int
     x: float = 0.0
     y: float = 0.0
     radius: float = 0.1
-    ghost_1: str = "-"
-    ghost_2: str = "-"
     wavelength: float = 550.0
     points: np.ndarray = field(default_factory=lambda: np.empty((0, 2)))
+    batch: np.ndarray = field(default_factory=lambda: np.empty(0))
 
-    def scatter(self, rng: np.random.Generator) -> None:
+    def spread(self, rng: np.random.Generator) -> None:
         r = self.radius * np.sqrt(rng.random(self.rays))
         phi = 2 * np.pi * rng.random(self.rays)
         self.points = np.column_stack([self.x + r * np.cos(phi), self.y + r * np.sin(phi)])
+        self.batch = rng.integers(0, BATCHES, self.rays)
 
-    def row(self, path_id: int, total: float) -> PathRow:
-        rms = float(np.sqrt(np.mean(np.sum((self.points - self.points.mean(0)) ** 2, axis=1))))
-        irradiance = self.power / (np.pi * rms**2)
-        relative = 1 / np.sqrt(self.rays)
-        structure = self.events.count("stop_wall:R")
-        return PathRow(
-            path_id=path_id,
-            source="source",
-            wavelength_nm=self.wavelength,
-            events=self.events,
-            path="".join(event[-1] for event in self.events.split()),
-            order=self.events.count(":R") - structure,
-            kind=self.kind,
-            ghost_1=self.ghost_1,
-            ghost_2=self.ghost_2,
-            scatter_1="-",
-            structure_bounces=structure,
-            tir=0,
-            rays=self.rays,
-            power_W=self.power,
-            power_se_W=self.power * relative,
-            incident_W=self.power / DETECTOR_ABSORBS,
-            incident_se_W=self.power / DETECTOR_ABSORBS * relative,
-            percent=100 * self.power / total,
-            percent_se=100 * self.power / total * relative,
-            x_mm=self.points[:, 0].mean(),
-            x_se_mm=rms * relative,
-            y_mm=self.points[:, 1].mean(),
-            y_se_mm=rms * relative,
-            rms_radius_mm=rms,
-            rms_radius_se_mm=rms * relative / 2,
-            rms_irradiance_W_mm2=irradiance,
-            rms_irradiance_se_W_mm2=irradiance * 2 * relative,
-            polarization=math.nan,
-            polarization_se=math.nan,
-        )
+    def sums(self) -> np.ndarray:
+        """What the ledger holds, in W."""
+        power = np.full(self.rays, self.power / self.rays)
+        return hit_sums(self.batch, power, *self.points.T, incident=power / DETECTOR_ABSORBS)
 
 
 class FakeTrace:
@@ -104,19 +76,40 @@ class FakeTrace:
         rng = np.random.default_rng(1)
         self.fakes = sorted(paths, key=lambda path: -path.power)
         for path in self.fakes:
-            path.scatter(rng)
+            path.spread(rng)
         detected = sum(path.power for path in self.fakes)
-        self.paths = PathTable([path.row(k, detected) for k, path in enumerate(self.fakes)], [(0, 0, 0)] * len(paths))
+        self.paths = self._path_table()
         self.extent = EXTENT
         self.coating_error = 0.0
         self.shares = shares or {550.0: 1.0}
         self.wavelengths_nm = sorted(self.shares)
         self.settings = SETTINGS | {"field_deg": field_deg, "wavelength_nm": self.wavelengths_nm}
         self.irradiance, self.irradiance_se = self.irradiance_of(range(len(paths)))
+        self.aiming, self.largest_ray_share = [], math.nan
+        self.scattered_rays_per_start, self.effective_scattered_rays = 0.0, 0.0
         self.energy = self._energy(detected, 1.0, cut_events)
         self.surfaces = self._surfaces(1.0)
         self.segments = 12345
         self.seconds = 0.25
+
+    def _path_table(self):
+        """By the real thing: paths without light stand in for those of the other wavelengths."""
+        events, lengths = encode([path.events for path in self.fakes], list(SURFACES))
+        runs = []
+        for line in sorted({path.wavelength for path in self.fakes} or {550.0}):
+            sums = [path.sums() * (path.wavelength == line) for path in self.fakes]
+            runs.append(
+                fake_run(
+                    SURFACES,
+                    decoded(events, lengths, np.reshape(sums, (-1, BATCHES, SUMS))),
+                    rays=START_RAYS,
+                    wavelength_nm=line,
+                )
+            )
+        table = path_table(runs, [run.paths for run in runs])
+        order = {(row.wavelength_nm, row.events): row.path_id for row in table}
+        self.fakes.sort(key=lambda path: order[path.wavelength, path.events])
+        return table
 
     def _energy(self, detected, share, cut_events):
         launched = 5.0 * share
@@ -187,13 +180,13 @@ def paths_at(field_deg: float) -> list[FakePath]:
     window = f"{LENS} detector:R window_rear:R L1_front:T L1_rear:T detector:A"
     lens = f"{LENS} detector:R L1_rear:R detector:A"
     paths = [
-        FakePath(window, "ghost", 2e-4, 400, 0.0, -y, 0.5, "detector", "window_rear"),
-        FakePath(lens, "ghost", 1e-4, 400, 0.0, y, 0.05, "detector", "L1_rear"),
-        FakePath(f"stop_wall:R {LENS} detector:A", "structure", 3e-6, 100, 0.5, y, 0.3, "stop_wall"),
-        FakePath(f"{LENS} stop_wall:R detector:A", "structure", 1e-9, 3, -1.0, 1.0, 1e-5, "stop_wall"),
+        FakePath(window, 2e-4, 400, 0.0, -y, 0.5),
+        FakePath(lens, 1e-4, 400, 0.0, y, 0.05),
+        FakePath(f"stop_wall:R {LENS} detector:A", 3e-6, 100, 0.5, y, 0.3),
+        FakePath(f"{LENS} stop_wall:R detector:A", 1e-9, 3, -1.0, 1.0, 1e-5),
     ]
     if abs(field_deg) < 18:
-        paths.append(FakePath(f"{LENS} detector:A", "direct", 3.0, 1000, 0.0, y, 0.02))
+        paths.append(FakePath(f"{LENS} detector:A", 3.0, 1000, 0.0, y, 0.02))
     return paths
 
 
@@ -210,7 +203,7 @@ def trace_in_colours(field_deg: float) -> FakeTrace:
     paths = []
     for wavelength, share in SHARES.items():
         for path in paths_at(field_deg):
-            if not (path.ghost_2 == "window_rear" and wavelength == 450.0):
+            if not ("window_rear:R" in path.events and wavelength == 450.0):
                 step = 1e-3 * (wavelength - 550.0)  # lateral colour
                 rays = max(round(path.rays * share), 2)
                 paths.append(replace(path, power=path.power * share, rays=rays, x=path.x + step, wavelength=wavelength))

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from oracles import colour as oracle
 from report.fake_scene import lens_scene
-from report.fake_trace import EXTENT, SHAPE, SHARES, FakePath, FakeTrace, trace_at
+from report.fake_trace import EXTENT, LENS, SHAPE, SHARES, FakePath, FakeTrace, trace_at
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.spectral import SpectralMaps
@@ -34,6 +34,8 @@ class SmoothTrace(FakeTrace):
         return image, np.zeros(SHAPE)
 
 
+IMAGE = f"{LENS} detector:A"
+FULL_GHOST, RED_GHOST = (f"{LENS} detector:R {surface}:R detector:A" for surface in ("L1_rear", "L1_front"))
 GREY, YELLOW, DIRECT = (-1.0, 0.0), (1.0, 0.0), (0.0, 1.0)
 
 
@@ -48,10 +50,10 @@ def trace(field_deg, level):
     """Direct image, a ghost with the spectrum of the source, and one that lacks 450 nm; radii 0.1, 0.5 and 0.4 mm."""
     paths = []
     for wavelength, share in SHARES.items():
-        paths.append(FakePath("a:T", "direct", 3.0 * share, 10, *DIRECT, 0.1, wavelength=wavelength))
-        paths.append(FakePath("a:R", "ghost", 1e-4 * level * share, 10, *GREY, 0.5, wavelength=wavelength))
+        paths.append(FakePath(IMAGE, 3.0 * share, 10, *DIRECT, 0.1, wavelength=wavelength))
+        paths.append(FakePath(FULL_GHOST, 1e-4 * level * share, 10, *GREY, 0.5, wavelength=wavelength))
         if wavelength > 500:
-            paths.append(FakePath("b:R", "ghost", 5e-5 * level * share, 10, *YELLOW, 0.4, wavelength=wavelength))
+            paths.append(FakePath(RED_GHOST, 5e-5 * level * share, 10, *YELLOW, 0.4, wavelength=wavelength))
     return SmoothTrace(paths, field_deg, shares=SHARES)
 
 
@@ -233,7 +235,7 @@ def test_exposure_over_the_direct_image_leaves_the_ghosts_dark(report):
 
 
 def test_a_lens_without_ghosts_has_nothing_to_expose_for():
-    light = [FakePath("a:T", "direct", 1.0, 10, *DIRECT, 0.1, wavelength=wavelength) for wavelength in SHARES]
+    light = [FakePath(IMAGE, 1.0, 10, *DIRECT, 0.1, wavelength=wavelength) for wavelength in SHARES]
     t = SmoothTrace(light, shares=SHARES)
     pictures = ColourPictures(GhostReport(lens_scene(), {0.0: t}, t, {}), Look(block=1))
     assert (pictures.all_light[0.0].rgb == 0).all()

@@ -184,7 +184,7 @@ def test_layout_draws_the_direct_image_and_the_worst_ghosts(drawable):
 
 def test_layout_says_which_path_is_too_rare(report, monkeypatch):
     def trace(scene, field_deg, rays):
-        return FakeTrace([path for path in trace_at(field_deg).fakes if path.ghost_2 == "L1_rear"])
+        return FakeTrace([path for path in trace_at(field_deg).fakes if "L1_rear:R" in path.events])
 
     report = GhostReport(report.scene, report, report.nominal_trace, {})
     monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)

@@ -11,7 +11,9 @@ from report.fake_trace import SHARES, trace_at, trace_in_colours
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.report.tables import csv_tables, main_table, text_table, warnings, with_error, write_csv
+from mistray.report.csv_tables import csv_tables, write_csv
+from mistray.report.tables import main_table, warnings
+from mistray.report.text import text_table, with_error
 
 
 @pytest.fixture(scope="module")

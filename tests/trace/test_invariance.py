@@ -15,7 +15,7 @@ from oracles.small_scenes import plates_text
 
 import mistray
 from mistray.trace import tracer
-from mistray.trace.ledger import FIRST_KEY, Ledger, extend_key, host_key
+from mistray.trace.ledger import FIRST_KEY, MULTIPLIER, Ledger, extend_key, host_keys
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
 IDS = [path.parent.name for path in SCENES]
@@ -24,6 +24,15 @@ IDS = [path.parent.name for path in SCENES]
 def rows(t: Any) -> list[tuple]:
     """Everything of the table that does not depend on the order in which threads add."""
     return [(row.path_id, row.events, row.kind, row.order, row.ghost_1, row.ghost_2, row.rays) for row in t.paths]
+
+
+def key_of(codes: np.ndarray) -> int:
+    """The key of an event list with Python's integers."""
+    key = FIRST_KEY
+    for code in codes:
+        key = ((key ^ (int(code) + 1)) * MULTIPLIER) % 2**64
+        key ^= key >> 29
+    return key
 
 
 def assert_same(a: Any, b: Any) -> None:
@@ -192,9 +201,9 @@ class TestLedger:
         t = mistray.trace(mistray.load("double_gauss"), rays=3000)
         (run,) = t._runs
         assert len(run.paths.keys) == len(t.paths) > 20
-        for key, codes in zip(run.paths.keys, run.paths.codes, strict=True):
-            assert host_key(codes) == int(key)
-        assert len({codes.tobytes() for codes in run.paths.codes}) == len(t.paths)
+        lists = [row[:length] for row, length in zip(run.paths.events, run.paths.lengths, strict=True)]
+        assert [key_of(row) for row in lists] == [int(key) for key in run.paths.keys]
+        assert len({row.tobytes() for row in lists}) == len(t.paths)
 
     def test_garbage_is_found(self) -> None:
         (run,) = mistray.trace(mistray.load("cooke_triplet"), rays=500)._runs
@@ -212,7 +221,13 @@ class TestLedger:
         key = dr.full(mi.UInt64, FIRST_KEY, 200)
         for k in range(12):
             key = extend_key(key, mi.UInt32(np.ascontiguousarray(lists[:, k])))
-        assert [host_key(row) for row in lists] == [int(k) for k in np.array(key)]
+        assert list(host_keys(lists, np.full(200, 12))) == [int(k) for k in np.array(key)]
+
+    def test_lists_of_any_length_are_hashed_at_once(self) -> None:
+        rng = np.random.default_rng(2)
+        lists, lengths = rng.integers(0, 2**18, (50, 9), dtype=np.uint32), rng.integers(1, 10, 50)
+        expected = [key_of(row[:length]) for row, length in zip(lists, lengths, strict=True)]
+        assert list(host_keys(lists, lengths)) == expected
 
     def test_keys_do_not_collide(self) -> None:
         """300 000 paths of four events on 20 surfaces."""

@@ -1,0 +1,108 @@
+"""Whether scattered light was sampled well: how many rays reach the detector, and how many of those aimed at it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from mistray.trace import Trace
+
+LEAST_LANDED = 0.1  # share of the aimed rays of a surface that should reach the detector
+LEAST_HITS, MOST_HITS = 0.1, 10.0  # hits of the detector by scattered rays, per start ray; about 1 is right
+LARGEST_SHARE = 0.05  # of the scattered light, by one ray
+FEWEST_AIMED = 100  # aimed rays of a surface below which the share that lands says little
+NAMES_SHOWN = 5
+
+
+@dataclass(frozen=True)
+class AimedRow:
+    """
+    Aimed rays of one surface.
+
+    Attributes
+    ----------
+    surface : str
+    aimed : int
+        Rays sent to targets.
+    share_landed : float
+        Share of them that reached the detector without a further reflection.
+    low : bool
+        The share is below `LEAST_LANDED`, and enough rays were aimed to say so.
+    """
+
+    surface: str
+    aimed: int
+    share_landed: float
+    low: bool
+
+
+@dataclass(frozen=True)
+class SamplingCheck:
+    """
+    How well the scattered light of a trace was sampled.
+
+    Attributes
+    ----------
+    rows : tuple of AimedRow
+        Surfaces that aimed rays, in the order of the trace.
+    hits_per_start : float
+        Hits of the detector by scattered rays, per start ray.
+    largest_share : float
+        Largest share of the scattered light that came with one ray; NaN without such light.
+    effective_hits : float
+        Hits of equal flux that would be as good as those there were.
+    warnings : tuple of str
+        What to change, one line each; empty if nothing.
+    """
+
+    rows: tuple[AimedRow, ...]
+    hits_per_start: float
+    largest_share: float
+    effective_hits: float
+    warnings: tuple[str, ...]
+
+
+def sampling_check(trace: Trace) -> SamplingCheck:
+    """
+    Judge how the scattered light of a trace was sampled.
+
+    Parameters
+    ----------
+    trace : Trace
+        Result of `mistray.trace`. Where nothing scatters there are no rows and no warnings.
+    """
+    rows = tuple(
+        AimedRow(
+            entry.id,
+            round(entry.aimed),
+            entry.landed / entry.aimed,
+            entry.aimed >= FEWEST_AIMED and entry.landed < LEAST_LANDED * entry.aimed,
+        )
+        for entry in trace.aiming
+    )
+    hits, largest = trace.scattered_rays_per_start, trace.largest_ray_share
+    warnings = []
+    low = sorted((row for row in rows if row.low), key=lambda row: row.share_landed)
+    if low:
+        named = ", ".join(f"{row.surface} {100 * row.share_landed:.2g} %" for row in low[:NAMES_SHOWN])
+        more = f" and {len(low) - NAMES_SHOWN} more" if len(low) > NAMES_SHOWN else ""
+        warnings.append(
+            f"less than {100 * LEAST_LANDED:g} % of the aimed rays reach the detector from {named}{more}; "
+            "give these surfaces a smaller target, or several"
+        )
+    if rows or hits > 0:
+        if hits < LEAST_HITS:
+            warnings.append(
+                f"{hits:.2g} scattered rays reach the detector per start ray, less than {LEAST_HITS:g}; "
+                "raise aimed_rays, or give the surfaces that scatter a target"
+            )
+        if hits > MOST_HITS:
+            warnings.append(
+                f"{hits:.3g} scattered rays reach the detector per start ray, more than {MOST_HITS:g}; more start rays "
+                "with fewer scattered ones tell more: lower aimed_rays or scatter_rays, or raise scatter_threshold"
+            )
+    if largest > LARGEST_SHARE:
+        warnings.append(
+            f"one ray brings {100 * largest:.2g} % of the scattered light, more than {100 * LARGEST_SHARE:g} %; "
+            "raise rays, or aim where it was scattered"
+        )
+    return SamplingCheck(rows, hits, largest, trace.effective_scattered_rays, tuple(warnings))

@@ -1,0 +1,210 @@
+"""`mistray bsdf`."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mistray.cli import bsdf_models
+from mistray.cli.arguments import RAW, finite, positive
+from mistray.errors import MistrayError
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
+
+    from mistray.scatter import Scatter
+    from mistray.scatter.scan import Light, Scan
+
+DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
+EVENTS = ("reflection", "transmission")
+PICTURES = (".png", ".svg", ".pdf")
+
+
+def add(commands: Any) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "bsdf",
+        help="BSDF and total scatter of a scatter model",
+        description="Evaluate a scatter model: its BSDF against |β - β0| and against the angle of scatter, and the\n"
+        "light that it scatters (TIS) at several angles of incidence. Pictures, curves and tables.",
+        epilog="examples:\n"
+        "  mistray bsdf abg --A 0.0025 --B 0.001 --g 1.8 --plot abg.png\n"
+        "  mistray bsdf abg --rms-nm 5 --correlation-um 100 --wavelength-nm 500 --R 0.95\n"
+        "  mistray bsdf harvey_shack --rms-nm 4 --event transmission --back 1.5333 --plot polished.png\n"
+        "  mistray bsdf particulate --level 300 --event transmission --plot dust.png\n"
+        "  mistray bsdf paint --preset flat_black\n"
+        "  mistray bsdf measured.bsdf --table copy.csv",
+        formatter_class=RAW,
+    )
+    parser.add_argument("model", metavar="MODEL", help=f"{', '.join(bsdf_models.KINDS)}, or a file .bsdf or .csv")
+    parser.add_argument("--angles-deg", type=finite, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
+                        help="angles of incidence (0 15 30 45 60 75)")  # fmt: skip
+    parser.add_argument("--event", choices=EVENTS, help="what is drawn and written (what the model scatters first)")
+    parser.add_argument("--wavelength-nm", type=positive, default=550.0, metavar="NM", help="wavelength (550)")
+    parser.add_argument("--front", default="air", metavar="MATERIAL", help="material in front (air)")
+    parser.add_argument("--back", default="N-BK7", metavar="MATERIAL", help="material behind (N-BK7)")
+    parser.add_argument("--from-back", action="store_true", help="light comes from behind")
+    parser.add_argument("--R", type=finite, default=1.0, metavar="SHARE",
+                        help="what the coating reflects (1: BSDF of the reflected beam)")  # fmt: skip
+    parser.add_argument("--T", type=finite, default=1.0, metavar="SHARE",
+                        help="what it transmits (1: BSDF of the transmitted beam)")  # fmt: skip
+    parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .svg or .pdf")
+    parser.add_argument("--plot-particles", type=Path, metavar="FILE",
+                        help="particulate: write a picture of the sizes and of the covered area")  # fmt: skip
+    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the curves in the plane of incidence")
+    parser.add_argument("--table", type=Path, metavar="FILE",
+                        help="write a table over the hemisphere, for scenes: .bsdf (Zemax) or .csv")  # fmt: skip
+    bsdf_models.declare(parser)
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from mistray.scatter.scan import scan
+
+    for path in (options.plot, options.plot_particles):
+        if path is not None and path.suffix.lower() not in PICTURES:
+            raise MistrayError(f"picture '{path}': its name must end in .png, .svg or .pdf")
+    if options.table is not None and options.table.suffix.lower() not in (".bsdf", ".csv"):
+        raise MistrayError(f"table '{options.table}': its name must end in .bsdf (Zemax) or .csv")
+    if options.plot_particles is not None and options.model != "particulate":
+        raise MistrayError(f"{options.model} has no particles; leave --plot-particles out")
+    model, light = bsdf_models.model_of(options.model, options), _light(options)
+    lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
+    events = [event for event in EVENTS if any(lobe.event == event for lobe in lobes)]
+    if not events:
+        raise MistrayError(f"{options.model} scatters nothing from this side; raise its amount or turn --from-back")
+    event = options.event or events[0]
+    curves = scan(model, options.angles_deg, event, light)
+    title = _title(options, model)
+    if options.plot is not None:
+        from mistray.report.bsdf_plots import bsdf_figure
+
+        _save(bsdf_figure(curves, title, _knee(model, event, light)), options.plot)
+    if options.plot_particles is not None:
+        _save(_particles(model), options.plot_particles)
+    if options.csv is not None:
+        _write_curves(curves, options.csv, options.command_line)
+    if options.table is not None:
+        _write_table(model, options, event, light)
+    print(f"{title}: {options.front} | {options.back}, {light.wavelength_nm:g} nm")
+    blocks = [*_notes(model), *_sheet(options), _totals(model, options.angles_deg, events, light)]
+    print("\n\n".join(blocks))
+    written = [str(path) for path in (options.plot, options.plot_particles, options.csv, options.table) if path]
+    if written:
+        print(f"\nwrote {', '.join(written)}")
+    return 0
+
+
+def _light(options: argparse.Namespace) -> Light:
+    from mistray.materials import refractive_index
+    from mistray.scatter.scan import Light
+
+    for name, share in (("R", options.R), ("T", options.T)):
+        if not 0 <= share <= 1:
+            raise MistrayError(f"--{name} {share:g}: a share of the light; give 0 … 1")
+    sides = [refractive_index(material, options.wavelength_nm) for material in (options.front, options.back)]
+    n_in, n_out = sides[::-1] if options.from_back else sides
+    return Light(options.wavelength_nm, n_in, n_out, not options.from_back, options.R, options.T)
+
+
+def _title(options: argparse.Namespace, model: Scatter) -> str:
+    """The model and the numbers it was given."""
+    given = {key: getattr(options, key) for key in bsdf_models.OPTIONS if getattr(options, key) is not None}
+    parts = [f"{key} = {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in given.items()]
+    name = Path(options.model).name if options.model not in bsdf_models.KINDS else options.model
+    return ", ".join([f"{name} {parts[0]}" if parts else name, *parts[1:]])
+
+
+def _knee(model: Scatter, event: str, light: Light) -> float | None:
+    """|β - β0| at which the BSDF of a polished surface bends."""
+    from mistray.scatter.abg import ABg
+    from mistray.scatter.harvey_shack import HarveyShack
+
+    if isinstance(model, ABg) and model.g > 0 and model.reference_nm is None:
+        return float(model.B ** (1 / model.g))
+    if isinstance(model, HarveyShack):
+        return model.parameters(light.wavelength_nm, event, light.n_in, light.n_out)[1]
+    return None
+
+
+def _notes(model: Scatter) -> list[str]:
+    """What is unusual about the parameters."""
+    advice = getattr(model, "advice", lambda: None)()
+    return [f"note: {advice}"] if advice else []
+
+
+def _sheet(options: argparse.Namespace) -> list[str]:
+    """The steps from a roughness to A, B and g."""
+    sheet = bsdf_models.roughness_sheet(options)
+    if sheet is None:
+        return []
+    rows = (
+        ("As", sheet.psd_amplitude_um4, "µm⁴"),
+        ("Bs", sheet.psd_length_um, "µm"),
+        ("C", sheet.psd_slope, ""),
+        ("D", sheet.bsdf_per_psd, "µm⁻⁴"),
+        ("BSDF(0)", sheet.bsdf_0, "1/sr"),
+        ("Bennett and Porteus TIS", sheet.tis, ""),
+        ("correction", sheet.correction, ""),
+        ("shortest wavelength", sheet.shortest_wavelength_um * 1e3, "nm"),
+        ("A", sheet.a, "1/sr"),
+        ("B", sheet.b, ""),
+        ("g", sheet.g, ""),
+    )
+    return ["\n".join(f"{name:<24} {value:.9g} {unit}".rstrip() for name, value, unit in rows)]
+
+
+def _totals(model: Scatter, angles_deg: list[float], events: list[str], light: Light) -> str:
+    """Table of what is scattered, and what the specular beams lose."""
+    from mistray.report.text import ABSENT, text_table
+    from mistray.scatter.scan import scan
+
+    heads, columns = [("incidence", "deg")], [[f"{angle:g}" for angle in angles_deg]]
+    for event in events:
+        heads += [(event, "TIS %"), ("", "loss %"), ("", "peak 1/sr")]
+        cells = []
+        for angle in angles_deg:
+            if event == "transmission" and light.is_totally_reflected(angle):
+                cells.append([ABSENT] * 3)
+                continue
+            (one,) = scan(model, [angle], event, light)
+            peak = one.values[one.distance.argmin()]
+            cells.append([f"{100 * one.scattered:.4g}", f"{100 * one.loss:.4g}", f"{peak:.4g}"])
+        columns += list(map(list, zip(*cells, strict=True)))
+    text = text_table(heads, list(zip(*columns, strict=True)))
+    return f"{text}\nTIS: share of the incident light; loss: share of the specular beam that it loses"
+
+
+def _particles(model: Any) -> Figure:
+    from mistray.report.bsdf_plots import particles_figure
+
+    return particles_figure(model.cleanliness, model.slope)
+
+
+def _write_curves(scans: list[Scan], path: Path, command: str) -> None:
+    from mistray.replace_file import replace_file
+
+    lines = [f"# {command}", "theta_i_deg,theta_s_deg,distance,bsdf"]
+    for one in scans:
+        for angle, r, value in zip(one.theta_s_deg, one.distance, one.values, strict=True):
+            lines.append(f"{one.incidence_deg:.9g},{angle:.9g},{r:.9g},{value:.9g}")
+    replace_file(path, "\n".join(lines) + "\n", "curves")
+
+
+def _write_table(model: Scatter, options: argparse.Namespace, event: str, light: Light) -> None:
+    from mistray.scatter.bsdf_csv import write_bsdf_csv
+    from mistray.scatter.scan import table
+    from mistray.scatter.zemax_bsdf import write_zemax_bsdf
+
+    zemax = options.table.suffix.lower() == ".bsdf"
+    samples = table(model, options.angles_deg, "specular" if zemax else "normal", event, light)
+    (write_zemax_bsdf if zemax else write_bsdf_csv)(samples, options.table, options.command_line)
+
+
+def _save(figure: Any, path: Path) -> None:
+    try:
+        figure.savefig(path, bbox_inches="tight", pad_inches=0.1)
+    except OSError as error:
+        raise MistrayError(f"picture '{path}': {error.strerror}; check the folder and its permissions") from None

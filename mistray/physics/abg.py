@@ -1,0 +1,258 @@
+"""The ABg scatter model: BSDF = A/(B + r^g), r = |β - β0|.
+
+r is the distance of the direction cosines of the scattered ray from those of the specular ray, tangential to the
+surface, 0 ≤ r < 2. BSDF and A are in 1/sr (A in fact in 1/sr times r^g). Source: J. E. Harvey, *Understanding Surface
+Scatter*, SPIE Press 2019; the manuals of OpticStudio, TracePro and FRED define it alike. The parameters hold at one
+wavelength.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.physics import k_correlation
+from mistray.physics._arrays import arithmetic
+
+# r^g is taken at no smaller r, for 0 to the power of 0 is NaN in Dr.Jit. It is a normal number in float32.
+_SMALLEST_R = 1e-30
+
+
+def bsdf(r: Any, a: Any, b: Any, g: Any) -> Any:
+    """
+    A/(B + r^g).
+
+    Parameters
+    ----------
+    r : float or array
+        |β - β0|, ≥ 0.
+    a : float or array
+        A, 1/sr, ≥ 0.
+    b : float or array
+        B, > 0, or ≥ 0 with ``g = 0``.
+    g : float or array
+        Slope, ≥ 0. 0 is a Lambertian surface of reflectance π A/(1 + B).
+
+    Returns
+    -------
+    float or array
+        1/sr. Differentiable in all arguments in Dr.Jit.
+    """
+    return a / (b + arithmetic(r, a, b, g).maximum(r, _SMALLEST_R) ** g)
+
+
+def tis(a: float, b: float, g: float) -> float:
+    """
+    Share of light scattered at normal incidence, the integral of BSDF cos θ over the half space.
+
+    ``π A/B · 2F1(1, 2/g; 1 + 2/g; -1/B)``; at g = 2 it is ``π A ln(1 + 1/B)``, at B = 0 ``2π A/(2 - g)``, at g = 0
+    ``π A/(1 + B)``. It is less at oblique incidence, where the lobe is cut by the horizon.
+
+    Parameters
+    ----------
+    a, b, g : float
+        As in `bsdf`; B = 0 is allowed for g < 2.
+
+    Returns
+    -------
+    float
+        Dimensionless; relative error below 1e-7.
+
+    Raises
+    ------
+    MistrayError
+        If B = 0 and g ≥ 2: the integral diverges.
+    """
+    from scipy.special import hyp2f1
+
+    if g == 0:
+        return math.pi * a / (1 + b)
+    if b == 0:
+        if g >= 2:
+            raise MistrayError(f"ABg: B is 0 with g {g:g}, which scatters without limit; give B > 0")
+        return 2 * math.pi * a / (2 - g)
+    power = 2 / g
+    if abs(power - round(power)) < 1e-9:  # the transformations of 2F1 lose digits next to an integer
+        power = float(round(power))
+    if power == 1:
+        return math.pi * a * math.log1p(1 / b)
+    return float(math.pi * a / b * hyp2f1(1.0, power, 1 + power, -1 / b))
+
+
+def at_wavelength(
+    a: Any, b: Any, g: Any, ratio: Any, step_ratio: Any = 1.0, specular_ratio: Any = 1.0
+) -> tuple[Any, Any]:
+    """
+    A and B at another wavelength, for a smooth surface.
+
+    The surface keeps its roughness, so BSDF₂(r) = BSDF₁(r/k)/k⁴ with k = λ₂/λ₁; g stays.
+
+    Parameters
+    ----------
+    a, b, g : float or array
+        At λ₁.
+    ratio : float or array
+        k = λ₂/λ₁, > 0.
+    step_ratio : float or array
+        Δn₂/Δn₁.
+    specular_ratio : float or array
+        R₂/R₁ or T₂/T₁, for a BSDF that is not relative to the specular beam.
+
+    Returns
+    -------
+    a, b : float or array
+        ``A k^(g-4) (Δn₂/Δn₁)² R₂/R₁`` and ``B k^g``.
+    """
+    return a * ratio ** (g - 4) * step_ratio * step_ratio * specular_ratio, b * ratio**g
+
+
+@dataclass(frozen=True)
+class AbgFromRms:
+    """
+    ABg parameters of a polished surface and what they were computed from.
+
+    Attributes
+    ----------
+    a, b, g : float
+        ABg parameters.
+    psd_amplitude_um4 : float
+        As of the roughness spectrum ``As/(1 + (Bs f)²)^((C+1)/2)``, µm⁴.
+    psd_length_um : float
+        Bs, µm.
+    psd_slope : float
+        C.
+    bsdf_per_psd : float
+        D = 4π² Δn² R/λ⁴, µm⁻⁴.
+    bsdf_0 : float
+        D As, 1/sr, the BSDF in the specular direction before normalisation.
+    tis : float
+        ``R (1 - exp(-(2π Δn σ/λ)²))``, of Bennett and Porteus.
+    correction : float
+        What normalises: `a` is this times `a_unnormalised`.
+    a_unnormalised : float
+        ``D As/(1 + (Bs/λ)²)^((C+1)/2)``, the tail of the spectrum, taken at r = 1.
+    shortest_wavelength_um : float
+        σ/0.02, below which the surface is not smooth.
+    """
+
+    a: float
+    b: float
+    g: float
+    psd_amplitude_um4: float
+    psd_length_um: float
+    psd_slope: float
+    bsdf_per_psd: float
+    bsdf_0: float
+    tis: float
+    correction: float
+    a_unnormalised: float
+    shortest_wavelength_um: float
+
+
+def abg_from_rms(
+    rms_um: float,
+    correlation_length_um: float,
+    wavelength_um: float,
+    index_step: float,
+    reflectance: float = 1.0,
+    raw_integral: float | None = None,
+) -> AbgFromRms:
+    """
+    ABg parameters from the roughness of a surface with an exponential autocovariance.
+
+    The roughness spectrum is that of ``σ² exp(-ρ/l)``, so C = 2 and g = 3. The knee of A/(B + r^g) is placed where that
+    of the spectrum is, ``B = (λ/Bs)³``, and A is scaled so that the surface scatters what Bennett and Porteus say. This
+    is the sheet "ABg from RMS" of TracePro, which normalises by the integral over the spectrum, on a grid that it does
+    not disclose; A/(B + r^g) itself has 17 % more than that. Default here: the integral of A/(B + r^g), so that the
+    result scatters exactly `AbgFromRms.tis` at normal incidence.
+
+    Parameters
+    ----------
+    rms_um : float
+        σ, µm, > 0.
+    correlation_length_um : float
+        l, µm, > 0.
+    wavelength_um : float
+        λ in vacuum, µm, > 0.
+    index_step : float
+        Δn: 2 for a mirror in air, n - 1 for transmission from air into glass.
+    reflectance : float
+        R (or T), in (0, 1].
+    raw_integral : float, optional
+        Share of light that the BSDF before normalisation scatters, if it is to be another number than the exact one:
+        the sheet's 0.015552516 for σ = 5 nm, l = 100 µm, λ = 0.5 µm, Δn = 2, R = 0.95 gives the sheet's A.
+
+    Returns
+    -------
+    AbgFromRms
+
+    Raises
+    ------
+    MistrayError
+        If a length is not positive, R is not in (0, 1], Δn is 0 or the surface is not smooth (σ > 0.02 λ).
+    """
+    lengths = (("rms", rms_um), ("correlation length", correlation_length_um), ("wavelength", wavelength_um))
+    for name, value in lengths:
+        if not (value > 0 and math.isfinite(value)):
+            raise MistrayError(f"ABg from rms: {name} is {value:g} um; give a length above 0")
+    if not 0 < reflectance <= 1 or not (index_step != 0 and math.isfinite(index_step)):
+        raise MistrayError(
+            f"ABg from rms: reflectance {reflectance:g}, index step {index_step:g}; give 0 < R ≤ 1 and a step not 0"
+        )
+    if raw_integral is not None and not raw_integral > 0:
+        raise MistrayError(f"ABg from rms: raw integral is {raw_integral:g}; give a share of light above 0")
+    shortest = rms_um / 0.02
+    if wavelength_um < shortest:
+        raise MistrayError(
+            f"ABg from rms: rms {rms_um:g} um is not smooth at {wavelength_um:g} um; give at least {shortest:g} um"
+        )
+    length = 2 * math.pi * correlation_length_um
+    amplitude = float(k_correlation.amplitude_um4(rms_um, length, 3.0))
+    factor = 4 * math.pi**2 * index_step**2 * reflectance / wavelength_um**4
+    tail = factor * float(k_correlation.psd_um4(1 / wavelength_um, amplitude, length, 3.0))
+    b = (wavelength_um / length) ** 3
+    scattered = reflectance * -math.expm1(-((2 * math.pi * index_step * rms_um / wavelength_um) ** 2))
+    correction = scattered / (tis(tail, b, 3.0) if raw_integral is None else raw_integral)
+    return AbgFromRms(
+        a=correction * tail,
+        b=b,
+        g=3.0,
+        psd_amplitude_um4=amplitude,
+        psd_length_um=length,
+        psd_slope=2.0,
+        bsdf_per_psd=factor,
+        bsdf_0=factor * amplitude,
+        tis=scattered,
+        correction=correction,
+        a_unnormalised=tail,
+        shortest_wavelength_um=shortest,
+    )
+
+
+def advice(a: float, b: float, g: float) -> str | None:
+    """
+    What is unusual about the parameters.
+
+    Surfaces of optics have g of 1.5 … 3.5 and B of 1e-10 … 1e-6, paints B of 0.1 … 1 and g of 2 … 6; g = 0 is
+    Lambertian. Parameters fitted to a polished mirror may have a larger B, so this is advice and no error.
+
+    Parameters
+    ----------
+    a, b, g : float
+        As in `bsdf`.
+
+    Returns
+    -------
+    str or None
+        One line, or nothing to say.
+    """
+    optic = 1.5 <= g <= 3.5 and 1e-10 <= b <= 1e-6
+    paint = 2 <= g <= 6 and 0.1 <= b <= 1
+    if a == 0 or g == 0 or optic or paint:
+        return None
+    return (
+        f"B {b:g} and g {g:g} are outside of what is usual: B 1e-10 … 1e-6 with g 1.5 … 3.5 for optics, "
+        "B 0.1 … 1 with g 2 … 6 for paints, g 0 for a Lambertian surface"
+    )

@@ -1,0 +1,47 @@
+"""The phase function of Henyey and Greenstein, for scatter in the bulk of a material.
+
+Source: L. G. Henyey, J. L. Greenstein, "Diffuse radiation in the Galaxy", Astrophys. J. 93, 70 (1941).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from mistray.physics._arrays import arithmetic
+
+ISOTROPIC = 1e-3  # asymmetry below which the direction is uniform
+
+
+def phase_function(cosine: Any, g: Any) -> Any:
+    """
+    Share of the scattered light per solid angle, 1/sr.
+
+    Parameters
+    ----------
+    cosine : float or array
+        Of the scattering angle.
+    g : float or array
+        Asymmetry, the mean cosine, -1 < g < 1.
+    """
+    ops = arithmetic(cosine, g)
+    denominator = 1 + g * g - 2 * g * cosine
+    return (1 - g * g) / (4 * math.pi * denominator * ops.sqrt(denominator))
+
+
+def sampled_cosine(u: Any, g: Any) -> Any:
+    """
+    Cosine of the scattering angle with the density of `phase_function`.
+
+    Parameters
+    ----------
+    u : float or array
+        Uniform in 0 … 1.
+    g : float or array
+        Asymmetry, -1 < g < 1.
+    """
+    ops = arithmetic(u, g)
+    uniform = abs(g) < ISOTROPIC
+    safe = ops.select(uniform, 1 + 0 * g, g)
+    ratio = (1 - safe * safe) / (1 - safe + 2 * safe * u)
+    return ops.select(uniform, 2 * u - 1, (1 + safe * safe - ratio * ratio) / (2 * safe))

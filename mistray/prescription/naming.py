@@ -1,0 +1,81 @@
+"""What shapes of a prescription have by their names: coatings and scatter models that they share, and rules."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any
+
+from mistray.errors import MistrayError
+from mistray.prescription.scatter import Scatter
+
+if TYPE_CHECKING:
+    from mistray.prescription.model import Prescription
+
+
+def shared_items(prescription: Prescription, what: str, items: Callable[[Any], Iterable[Any]]) -> dict[str, Any]:
+    """
+    The named items of all shapes, by name.
+
+    Parameters
+    ----------
+    prescription : Prescription
+    what : str
+        What they are called in messages.
+    items : callable
+        Shape → its items, which have a ``name`` or None.
+
+    Raises
+    ------
+    MistrayError
+        If two items of one name differ, or a shape has that name.
+    """
+    shared: dict[str, Any] = {}
+    names = {shape.name for shape in prescription.shapes()}
+    for shape in prescription.shapes():
+        for item in items(shape):
+            if item.name is None:
+                continue
+            if shared.setdefault(item.name, item) != item:
+                raise MistrayError(
+                    f"prescription '{prescription.name}': two different {what}s are called '{item.name}', that of "
+                    f"'{shape.name}' is one; give each its own name"
+                )
+            if item.name in names:
+                raise MistrayError(
+                    f"prescription '{prescription.name}': a shape and a {what} are called '{item.name}'; rename one"
+                )
+    return shared
+
+
+def scattering(prescription: Prescription, rules: Mapping[str, Sequence[Scatter]]) -> Prescription:
+    """A copy with scatter added to shapes by name; see `Prescription.with_scatter`."""
+    names = [shape.name for shape in prescription.shapes()]
+    for pattern in rules:
+        if not any(fnmatchcase(name, pattern) for name in names):
+            raise MistrayError(
+                f"prescription '{prescription.name}': no shape is called '{pattern}'; correct the pattern"
+            )
+
+    def added(name: str) -> tuple[Scatter, ...]:
+        return tuple(model for pattern, models in rules.items() if fnmatchcase(name, pattern) for model in models)
+
+    def with_more(shape: Any) -> Any:
+        return replace(shape, scatter=shape.scatter + added(shape.name))
+
+    stop = prescription.stop
+    if stop is not None:
+        faces = {added(face.name) for face in stop.faces()}
+        if len(faces) > 1:
+            raise MistrayError(
+                f"prescription '{prescription.name}': a pattern matches some faces of stop '{stop.part}'; match all"
+            )
+        stop = replace(stop, scatter=stop.scatter + faces.pop())
+    return replace(
+        prescription,
+        surfaces=tuple(with_more(shape) for shape in prescription.surfaces),
+        structures=tuple(with_more(shape) for shape in prescription.structures),
+        stop=stop,
+        detector=prescription.detector and with_more(prescription.detector),
+    )

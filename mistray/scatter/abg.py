@@ -1,0 +1,72 @@
+"""The ABg model of a surface, as in TracePro, OpticStudio and FRED."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mistray.errors import MistrayError
+from mistray.physics import abg
+from mistray.scatter.lobe import Lobe, Placement
+from mistray.scatter.numbers import need_not_negative, need_positive
+
+SMALLEST_B = 1e-12
+
+
+@dataclass(frozen=True)
+class ABg(Placement):
+    """
+    BSDF = A/(B + |β - β0|^g), the same in reflection and transmission and from both sides.
+
+    β is taken in the medium of the scattered light. Equations and sources: `mistray.physics.abg`.
+
+    Attributes
+    ----------
+    A : float
+        1/sr, ≥ 0; 0 scatters nothing.
+    B : float
+        > 1e-12; with g = 0, ≥ 0. The specular BSDF is A/B.
+    g : float
+        Slope, ≥ 0; 0 is a Lambertian surface of reflectance π A/(1 + B).
+    reference_nm : float, optional
+        Vacuum wavelength at which A and B hold. At others the same smooth surface has A k^(g-4) and B k^g, with
+        k = λ/reference_nm. Without it the model is the same at all wavelengths, as in TracePro, OpticStudio and FRED.
+
+    Raises
+    ------
+    MistrayError
+        If a number is out of range.
+    """
+
+    A: float
+    B: float
+    g: float
+    reference_nm: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        need_not_negative(self.title, "A", self.A)
+        need_not_negative(self.title, "g", self.g)
+        if not math.isfinite(self.B) or self.B < 0 or (self.g > 0 and self.B <= SMALLEST_B):
+            raise MistrayError(f"{self.title}: B is {self.B:g}; give B > {SMALLEST_B:g}, or B ≥ 0 with g = 0")
+        if self.reference_nm is not None:
+            need_positive(self.title, "reference_nm", self.reference_nm, " nm")
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        if self.A == 0:
+            return ()
+        a, b = self.A, self.B
+        if self.reference_nm is not None:
+            a, b = abg.at_wavelength(a, b, self.g, wavelength_nm / self.reference_nm)
+        # Without a slope there is no peak to sample: a Lambertian is flat over all directions
+        centre = "normal" if self.g == 0 else "specular"
+        return tuple(
+            Lobe(event, lambda r: abg.bsdf(r, a, b, self.g), centre=centre, shares=self.shares)
+            for event in self.events(from_front)
+        )
+
+    def advice(self) -> str | None:
+        """What is unusual about A, B and g, in one line, or nothing."""
+        text = abg.advice(self.A, self.B, self.g)
+        return None if text is None else f"{self.title}: {text}"

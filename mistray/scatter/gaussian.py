@@ -1,0 +1,58 @@
+"""A Gaussian lobe about the specular direction."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mistray.errors import MistrayError
+from mistray.physics import gaussian
+from mistray.scatter.lobe import Lobe, Placement
+from mistray.scatter.numbers import need_positive
+
+
+@dataclass(frozen=True)
+class Gaussian(Placement):
+    """
+    BSDF = f0 exp(-(|β - β0|/w)²), the same in reflection and transmission and from both sides.
+
+    β is taken in the medium of the scattered light. Equation and source: `mistray.physics.gaussian`.
+
+    Attributes
+    ----------
+    total : float
+        Share of light scattered at normal incidence, 0 … 1.
+    width : float
+        w, > 0: the |β - β0| where the BSDF has fallen to 1/e.
+
+    Raises
+    ------
+    MistrayError
+        If a number is out of range.
+    """
+
+    total: float
+    width: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not (math.isfinite(self.total) and 0 <= self.total <= 1):
+            raise MistrayError(f"{self.title}: total is {self.total:g}; give a share of light, 0 … 1")
+        need_positive(self.title, "width", self.width)
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        if self.total == 0:
+            return ()
+        return tuple(
+            Lobe(event, lambda r: gaussian.bsdf(r, self.total, self.width), shares=self.shares)
+            for event in self.events(from_front)
+        )
+
+    def advice(self) -> str | None:
+        """What is unusual about the width, in one line, or nothing."""
+        if self.width <= 1:
+            return None
+        return (
+            f"{self.title}: width {self.width:g} is more than the half space holds; a Lambertian surface is ABg of g 0"
+        )

@@ -1,0 +1,137 @@
+"""The Harvey-Shack model of a polished surface, by its three parameters or by its roughness."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from mistray.errors import MistrayError
+from mistray.physics import harvey_shack
+from mistray.scatter.lobe import Lobe, Placement
+from mistray.scatter.numbers import need_not_negative, need_positive
+
+
+def index_step(event: str, n_in: float, n_out: float) -> float:
+    """
+    Path difference per height of a rough surface at normal incidence, Δn ≥ 0.
+
+    2 n_in in reflection, |n_in - n_out| in transmission; n_in is the index on the side of incidence.
+    """
+    return 2 * n_in if event == "reflection" else abs(n_in - n_out)
+
+
+def need_smooth(title: str, event: str, rms_um: float, wavelength_um: float, step: float, remedy: str) -> None:
+    """
+    Refuse a surface that is not smooth, 2π Δn σ ≪ λ.
+
+    Raises
+    ------
+    MistrayError
+        If 2π Δn σ/λ is above `mistray.physics.harvey_shack.MAX_PHASE`.
+    """
+    phase = harvey_shack.phase_rms(rms_um, wavelength_um, step)
+    if phase > harvey_shack.MAX_PHASE:
+        raise MistrayError(
+            f"{title}: rms roughness {rms_um * 1e3:g} nm is not smooth in {event} at {wavelength_um * 1e3:g} nm "
+            f"(2π Δn σ/λ is {phase:.3g}, limit {harvey_shack.MAX_PHASE:.3g}); {remedy}"
+        )
+
+
+@dataclass(frozen=True)
+class HarveyShack(Placement):
+    """
+    BSDF = b0 (1 + (|β - β0|/l)²)^(s/2).
+
+    Either `b0` is given, the same in reflection and transmission and from both sides, as in FRED; or `rms_nm`, and b0
+    follows for each event and side from its own Δn: total scatter at normal incidence (2π Δn σ/λ)², with Δn = 2 n_in in
+    reflection and |n_in - n_out| in transmission. β and l are direction cosines in the medium of the scattered light in
+    both cases. Equations and sources: `mistray.physics.harvey_shack`.
+
+    Attributes
+    ----------
+    b0 : float, optional
+        BSDF in the specular direction, 1/sr, ≥ 0.
+    l : float
+        Place of the knee, > 0. 0.01 is common for polished plastic.
+    s : float
+        Slope beyond the knee, < 0. -1.5 is common for polished plastic.
+    reference_nm : float, optional
+        Vacuum wavelength at which b0 (or the b0 of `rms_nm`) and l hold. At others the same smooth surface has b0/k⁴
+        and k l, with k = λ/reference_nm. Without it b0 is the same at all wavelengths; with `rms_nm`, it is computed at
+        each wavelength with the same l.
+    rms_nm : float, optional
+        Roughness σ, nm, ≥ 0, at spatial frequencies up to 1/λ.
+
+    Raises
+    ------
+    MistrayError
+        If a number is out of range, or not exactly one of `b0` and `rms_nm` is given. `lobes` raises it for a surface
+        that is not smooth at a wavelength.
+    """
+
+    b0: float | None = None
+    l: float = 0.01  # noqa: E741
+    s: float = -1.5
+    reference_nm: float | None = None
+    rms_nm: float | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        need_positive(self.title, "l", self.l)
+        if not (math.isfinite(self.s) and self.s < 0):
+            raise MistrayError(f"{self.title}: s is {self.s:g}; give s < 0, so that the BSDF falls with angle")
+        if (self.b0 is None) == (self.rms_nm is None):
+            given = "neither" if self.b0 is None else "both"
+            raise MistrayError(f"{self.title}: {given} of b0 and rms_nm given; give one of them")
+        if self.b0 is not None:
+            need_not_negative(self.title, "b0", self.b0)
+        if self.rms_nm is not None:
+            need_not_negative(self.title, "rms_nm", self.rms_nm, " nm")
+        if self.reference_nm is not None:
+            need_positive(self.title, "reference_nm", self.reference_nm, " nm")
+
+    def parameters(self, wavelength_nm: float, event: str, n_in: float, n_out: float) -> tuple[float, float]:
+        """
+        b0 and l of one event.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+            Vacuum wavelength, nm.
+        event : {"reflection", "transmission"}
+        n_in, n_out : float
+            Indices on the side of incidence and on the other.
+
+        Raises
+        ------
+        MistrayError
+            If the surface is not smooth.
+        """
+        reference_nm = self.reference_nm or wavelength_nm
+        if self.rms_nm is None:
+            b0 = float(self.b0 or 0)
+        else:
+            step, rms_um = index_step(event, n_in, n_out), self.rms_nm * 1e-3
+            remedy = "give b0 of a measurement, or a k_correlation of theory 'ghs_full'"
+            need_smooth(self.title, event, rms_um, min(wavelength_nm, reference_nm) * 1e-3, step, remedy)
+            share = harvey_shack.tis_from_rms(rms_um, reference_nm * 1e-3, step)
+            b0 = float(harvey_shack.b0_from_tis(share, self.l, self.s))
+        return harvey_shack.at_wavelength(b0, self.l, wavelength_nm / reference_nm)
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        return tuple(
+            lobe for event in self.events(from_front) for lobe in self._lobe(event, wavelength_nm, n_in, n_out)
+        )
+
+    def _lobe(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        b0, knee = self.parameters(wavelength_nm, event, n_in, n_out)
+        if b0 == 0:
+            return ()
+        return (Lobe(event, lambda r: harvey_shack.bsdf(r, b0, knee, self.s), shares=self.shares),)
+
+    def advice(self) -> str | None:
+        """What is unusual about l and s, in one line, or nothing: FRED's l 1e-4 … 1e-2, slopes of -3.5 … -0.5."""
+        if 1e-4 <= self.l <= 1e-2 and -3.5 <= self.s <= -0.5:
+            return None
+        return f"{self.title}: l {self.l:g} and s {self.s:g} are outside of what is usual: l 1e-4 … 1e-2, s -3.5 … -0.5"

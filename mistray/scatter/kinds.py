@@ -1,0 +1,28 @@
+"""The scatter models by the names that their plugins have in a scene."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from types import MappingProxyType
+
+from mistray.scatter.abg import ABg
+from mistray.scatter.gaussian import Gaussian
+from mistray.scatter.harvey_shack import HarveyShack
+from mistray.scatter.k_correlation import KCorrelation
+from mistray.scatter.lobe import Placement
+from mistray.scatter.paint import Paint
+from mistray.scatter.particulate import Particulate
+from mistray.scatter.tabulated import Tabulated
+
+KINDS: Mapping[str, type[Placement]] = MappingProxyType(
+    {
+        "abg": ABg,
+        "gaussian_lobe": Gaussian,
+        "harvey_shack": HarveyShack,
+        "k_correlation": KCorrelation,
+        "paint": Paint,
+        "particulate": Particulate,
+        "tabulated": Tabulated,
+    }
+)
+"""Plugin → model. The plugin's properties are the model's fields; `Tabulated` is read from the property ``file``."""

@@ -1,0 +1,212 @@
+"""What a scatter model is made of: lobes, additive parts of a BSDF with one peak each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import KW_ONLY, dataclass
+from typing import Protocol
+
+import numpy as np
+
+from mistray.errors import MistrayError
+
+EVENTS = ("reflection", "transmission")
+MEASURES = ("cosines", "angle")
+CENTRES = ("specular", "normal", "retro")
+FACTORS = ("none", "ghs", "rayleigh_rice")
+
+
+@dataclass(frozen=True, eq=False)
+class RatioTable:
+    """
+    A smooth function that multiplies a lobe's profile, for models that do not depend on |β - β0| alone.
+
+    Attributes
+    ----------
+    values : (a, b, c) float64
+        At uniform nodes of three variables; the first is the cosine of the specular direction with the normal, 0 … 1.
+        Trilinear interpolation.
+    axes : {"radial", "cosines"}
+        The other two: log r, `r_min` … 2 (the first node also holds below), and ψ, 0 … π, the angle of β - β_c against
+        β0, 0 away from the normal and π towards it; or the cosine of the scattered direction with the normal, 0 … 1,
+        and its azimuth φ from the specular direction, 0 … π.
+    r_min : float
+        The smallest r of the nodes; without meaning for "cosines".
+    """
+
+    values: np.ndarray
+    r_min: float = 1e-3
+    axes: str = "radial"
+
+    def __post_init__(self) -> None:
+        if self.values.ndim != 3 or min(self.values.shape) < 2 or not 0 < self.r_min < 2:
+            raise MistrayError(
+                f"ratio table of shape {self.values.shape}, r_min {self.r_min:g}; give ≥ 2 nodes each way"
+            )
+        if not np.all(np.isfinite(self.values)) or np.any(self.values < 0):
+            raise MistrayError("ratio table with NaN or negative values; a BSDF is finite and not negative")
+        if self.axes not in ("radial", "cosines"):
+            raise MistrayError(f"ratio table: axes is '{self.axes}'; use 'radial' or 'cosines'")
+
+    def at(self, cos_specular: np.ndarray, second: np.ndarray, angle: np.ndarray) -> np.ndarray:
+        """The function at broadcastable arrays of its three variables: r and ψ, or cos θs and φ, with the first."""
+        a, b, c = self.values.shape
+        if self.axes == "radial":
+            second = np.log(np.maximum(second, self.r_min) / self.r_min) / np.log(2 / self.r_min)
+        places = np.broadcast_arrays(
+            np.clip(cos_specular, 0, 1) * (a - 1),
+            np.clip(second, 0, 1) * (b - 1),
+            np.clip(angle / np.pi, 0, 1) * (c - 1),
+        )
+        low = [np.minimum(place.astype(int), n - 2) for place, n in zip(places, (a, b, c), strict=True)]
+        total = np.zeros(places[0].shape)
+        for corner in range(8):
+            weight, index = np.ones(places[0].shape), []
+            for axis in range(3):
+                step, fraction = corner >> axis & 1, places[axis] - low[axis]
+                weight = weight * (fraction if step else 1 - fraction)
+                index.append(low[axis] + step)
+            total += weight * self.values[tuple(index)]
+        return total
+
+
+@dataclass(frozen=True, eq=False)
+class Lobe:
+    """
+    One part of a BSDF.
+
+    With X = R or T of the coating at the angle of incidence, c = c0 + c1 X + c2 X² and the distance r of the scattered
+    direction from the lobe's centre, the scattered flux per unit of incident flux is
+
+    - in the measure "cosines": c · factor · ratio · profile(r) per projected solid angle, r = |β - β_c|; this is the
+      BSDF;
+    - in the measure "angle": c · oblique · profile(r) per solid angle, where r = 2 sin(α/2) for the angle α between the
+      scattered direction and the centre, and oblique = min(1/cos θi, `oblique_limit`); the BSDF is this over cos θs.
+
+    β is the tangential part of a unit vector in its own medium.
+
+    Attributes
+    ----------
+    event : {"reflection", "transmission"}
+    profile : callable
+        (m,) r in 0 … 2 → (m,) values ≥ 0, 1/sr.
+    measure : {"cosines", "angle"}
+    centre : {"specular", "normal", "retro"}
+        The reflected or refracted direction, the normal, or the way back.
+    shares : tuple of float
+        c0, c1, c2.
+    factor : {"none", "ghs", "rayleigh_rice"}
+        1, ((cos θi + cos θs)/2)² of the generalised Harvey-Shack theory, or cos θi cos θs.
+    ratio : RatioTable, optional
+    optical_depth : float, optional
+        Share of X that the specular beam loses at normal incidence, where it is more than what the lobe scatters; times
+        `oblique` at other angles.
+    oblique_limit : float
+        Bound of 1/cos θi, so that no more is lost than there is.
+    """
+
+    event: str
+    profile: Callable[[np.ndarray], np.ndarray]
+    measure: str = "cosines"
+    centre: str = "specular"
+    shares: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    factor: str = "none"
+    ratio: RatioTable | None = None
+    optical_depth: float | None = None
+    oblique_limit: float = np.inf
+
+    def __post_init__(self) -> None:
+        known = (("event", EVENTS), ("measure", MEASURES), ("centre", CENTRES), ("factor", FACTORS))
+        for key, names in known:
+            if getattr(self, key) not in names:
+                raise MistrayError(f"lobe: {key} is '{getattr(self, key)}'; use {' or '.join(map(repr, names))}")
+        if self.measure == "angle" and (self.factor != "none" or self.ratio is not None or self.centre == "normal"):
+            raise MistrayError("lobe: measure 'angle' goes with no factor, no ratio and a specular or retro centre")
+
+    @property
+    def r_max(self) -> float:
+        """Largest distance from the centre that occurs."""
+        return 1.0 if self.centre == "normal" else 2.0
+
+    def oblique(self, cos_i: np.ndarray) -> np.ndarray:
+        """1/cos θi, bounded, for the measure "angle"; else 1."""
+        if self.measure == "cosines":
+            return np.ones_like(cos_i)
+        with np.errstate(divide="ignore"):
+            return np.minimum(1 / cos_i, self.oblique_limit)
+
+
+class Scatter(Protocol):
+    """What the kernel and the plugins ask of a scatter model."""
+
+    @property
+    def name(self) -> str:
+        """For messages."""
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        """
+        The lobes for light of one side.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+            Vacuum wavelength, nm.
+        n_in, n_out : float
+            Real indices on the side of incidence and on the other side.
+        from_front : bool
+            Whether the light comes from the front.
+        """
+
+
+@dataclass(frozen=True)
+class Placement:
+    """
+    Options that all scatter models have.
+
+    Attributes
+    ----------
+    event : {"both", "reflection", "transmission"}
+        What scatters.
+    side : {"both", "front", "back"}
+        Side from which light must come to be scattered.
+    relative_to : {"specular", "incident"}
+        A BSDF relative to the specular beam is multiplied by R or T of the coating and takes its light from there; one
+        relative to the incident light is absolute and takes its light from what the surface absorbs.
+    name : str
+        For messages.
+    """
+
+    _: KW_ONLY
+    event: str = "both"
+    side: str = "both"
+    relative_to: str = "specular"
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        known = (
+            ("event", ("both", *EVENTS)),
+            ("side", ("both", "front", "back")),
+            ("relative_to", ("specular", "incident")),
+        )
+        for key, names in known:
+            if getattr(self, key) not in names:
+                raise MistrayError(
+                    f"{self.title}: {key} is '{getattr(self, key)}'; use {', '.join(names[:-1])} or {names[-1]}"
+                )
+
+    @property
+    def title(self) -> str:
+        """For messages."""
+        kind = type(self).__name__
+        return f"{kind} '{self.name}'" if self.name else kind
+
+    @property
+    def shares(self) -> tuple[float, float, float]:
+        """c0, c1, c2 of a lobe of this model."""
+        return (0.0, 1.0, 0.0) if self.relative_to == "specular" else (1.0, 0.0, 0.0)
+
+    def events(self, from_front: bool) -> tuple[str, ...]:
+        """What scatters for light of one side: "reflection", "transmission", both or nothing."""
+        if self.side not in ("both", "front" if from_front else "back"):
+            return ()
+        return EVENTS if self.event == "both" else (self.event,)

@@ -1,0 +1,142 @@
+"""Paints and other diffuse surfaces: a Lambertian part and a glossy lobe."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Mapping
+from dataclasses import KW_ONLY, dataclass
+from functools import lru_cache
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics import harvey_shack
+from mistray.physics.paint import gain
+from mistray.scatter.lobe import Lobe, Placement, RatioTable
+from mistray.scatter.total import lobe_total
+
+# Reflectances of presets, all Lambertian; nothing is here for which no number is published.
+PRESETS: Mapping[str, float] = MappingProxyType(
+    {
+        "flat_black": 0.045,  # barrel of a phone camera, at normal incidence; study of that camera with FRED
+        "black_lambertian": 0.04,  # FRED's default models
+        "white_lambertian": 0.96,
+        "good_black_paint": 0.03,  # TracePro webinar on stray light: "several are in the 3 percent range"
+        "black_anodise": 0.35,  # the same: "black anodized aluminum can be 35 % reflective"
+    }
+)
+CHECKED_COSINES = np.linspace(0.0, 1.0, 33)
+COS_NODES = 257
+ROUNDING = 1e-9
+
+
+@dataclass(frozen=True)
+class Paint(Placement):
+    """
+    A Lambertian surface with an optional glossy lobe, f = ρ/π + b0 [1 + (r/l)²]^(s/2) sqrt(F(θi) F(θs))/F(0).
+
+    ρ is the reflectance, r = |β - β0|, F the unpolarised Fresnel reflectance of the binder's index n; without n the
+    last factor is 1. Both parts are reciprocal. The sum is held against 1 at every angle of incidence, because the
+    glossy part of a paint with n grows up to 1/F(0) times towards grazing.
+
+    Attributes
+    ----------
+    reflectance : float
+        ρ of the Lambertian part, 0 … 1.
+    b0 : float
+        Peak of the glossy lobe at normal incidence, 1/sr; 0: none.
+    l, s : float
+        Its shoulder (direction cosine, > 0) and exponent (< 0).
+    n : float, optional
+        Index of the binder, > 1; about 1.5 for most paints.
+    event, side, name
+        As in `Placement`; a paint only reflects unless `event` says more.
+    relative_to : {"incident", "specular"}
+        The BSDF of a paint is absolute: its light is taken from what the surface absorbs.
+
+    Raises
+    ------
+    MistrayError
+        If a parameter is out of range, or more than all light is scattered at some angle.
+    """
+
+    reflectance: float = 0.0
+    b0: float = 0.0
+    l: float = 0.1  # noqa: E741 (its name in the literature)
+    s: float = -2.0
+    n: float | None = None
+    _: KW_ONLY
+    event: str = "reflection"
+    relative_to: str = "incident"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        rules = (
+            ("reflectance", self.reflectance, 0 <= self.reflectance <= 1, "give a number from 0 to 1"),
+            ("b0", self.b0, 0 <= self.b0 < math.inf, "give a number of 0 or more, 1/sr"),
+            ("l", self.l, 0 < self.l < math.inf, "it must be greater than 0"),
+            ("s", self.s, -math.inf < self.s < 0, "it must be negative, or the lobe does not fall"),
+            ("n", self.n, self.n is None or 1 < self.n < math.inf, "it must be greater than 1, or left out"),
+        )
+        for key, value, good, remedy in rules:
+            if not good:
+                raise MistrayError(f"{self.title}: {key} = {value:g}; {remedy}")
+        if self.reflectance == 0 and self.b0 == 0:
+            raise MistrayError(f"{self.title}: reflectance and b0 are 0, nothing is scattered; leave the model out")
+        total = np.sum([lobe_total(lobe, CHECKED_COSINES, 1.0, 1.0) for lobe in self._lobes("reflection")], axis=0)
+        worst = int(np.argmax(total))
+        if total[worst] > 1 + ROUNDING:
+            angle = math.degrees(math.acos(CHECKED_COSINES[worst]))
+            raise MistrayError(
+                f"{self.title}: scatters {total[worst]:.4g} of the light at {angle:.3g}°; lower reflectance or b0"
+            )
+
+    @classmethod
+    def preset(cls, name: str, **options: Any) -> Paint:
+        """
+        A paint of `PRESETS`, all of them Lambertian.
+
+        Parameters
+        ----------
+        name : str
+        **options
+            `event`, `side`, `relative_to`.
+
+        Raises
+        ------
+        MistrayError
+            If there is none of this name.
+        """
+        if name not in PRESETS:
+            close = difflib.get_close_matches(name, PRESETS, n=1)
+            hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(PRESETS)}"
+            raise MistrayError(f"paint preset '{name}' is unknown; {hint}")
+        return cls(PRESETS[name], name=name, **options)
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        """The lobes for light of one side, see `Scatter`; a paint is the same at all wavelengths."""
+        return tuple(lobe for event in self.events(from_front) for lobe in self._lobes(event))
+
+    def _lobes(self, event: str) -> tuple[Lobe, ...]:
+        lobes = []
+        if self.reflectance > 0:
+            level = self.reflectance / math.pi
+            lobes.append(Lobe(event, lambda r: np.full_like(r, level), centre="normal", shares=self.shares))
+        if self.b0 > 0:
+            lobes.append(
+                Lobe(event, self._gloss, shares=self.shares, ratio=None if self.n is None else _growth(self.n))
+            )
+        return tuple(lobes)
+
+    def _gloss(self, r: np.ndarray) -> np.ndarray:
+        return np.asarray(harvey_shack.bsdf(r, self.b0, self.l, self.s))
+
+
+@lru_cache(maxsize=8)
+def _growth(n: float) -> RatioTable:
+    """The factor `gain` over the cosines; it is the same at all azimuths."""
+    cosines = np.linspace(0, 1, COS_NODES)
+    return RatioTable(np.repeat(gain(cosines[:, None], cosines, n)[..., None], 2, axis=2), axes="cosines")

@@ -1,0 +1,118 @@
+"""A lobe's profile as a table: a piecewise power law, so that it can be evaluated and sampled exactly.
+
+Nodes lie uniformly in log r, 64 to the octave over 27 octaves; between two nodes log f is linear in log r. For the
+profiles in use the table departs from the profile by less than 1e-4. Sampling picks a ring between two nodes by the
+alias method (A. J. Walker, ACM Trans. Math. Softw. 3, 253 (1977)) and inverts the power law within it: the density is
+that of the table to the rounding, whatever the profile.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.errors import MistrayError
+
+R_MAX = 2.0  # the largest distance of two unit vectors
+PER_OCTAVE, OCTAVES = 64, 27
+RINGS = PER_OCTAVE * OCTAVES  # and the disc within the first node
+FLOOR = 1e-30  # of the largest value: what is less is as good as nothing, and its logarithm is finite
+ALMOST_LOG = 1e-3  # exponents of r nearer to -2 than this are integrated as if they were -2
+
+
+@dataclass(frozen=True, eq=False)
+class RadialTable:
+    """
+    A profile f(r), 0 ≤ r ≤ 2.
+
+    Attributes
+    ----------
+    log2_values : (RINGS + 1,) float64
+        log2 f at the nodes 2^(k/64 - 26).
+    total : float
+        Integral of 2π r f(r) of the table.
+    probability : (RINGS + 1,) float64
+        Of keeping a cell of the alias table; cell 0 is the disc within the first node, cell k + 1 the ring from node k.
+    alias : (RINGS + 1,) int
+        The other choice.
+    """
+
+    log2_values: np.ndarray
+    total: float
+    probability: np.ndarray
+    alias: np.ndarray
+
+    @classmethod
+    def of(cls, profile: Callable[[np.ndarray], np.ndarray], r_max: float = R_MAX) -> RadialTable:
+        """
+        Tabulate a profile, which ends at `r_max`.
+
+        Raises
+        ------
+        MistrayError
+            If it is negative, NaN, infinite, or 0 everywhere.
+        """
+        nodes = node_radii()
+        values = np.where(nodes <= r_max, np.asarray(profile(nodes), dtype=np.float64), 0.0)
+        largest = float(np.max(values)) if np.all(np.isfinite(values)) else np.nan
+        if not np.isfinite(largest) or np.any(values < 0) or largest == 0:
+            raise MistrayError(
+                f"scatter profile: its values run from {np.min(values):g} to {largest:g}; give a BSDF > 0"
+            )
+        logs = np.log2(np.maximum(values, FLOOR * largest))
+        flux = np.concatenate([[np.pi * nodes[0] ** 2 * 2.0 ** logs[0]], ring_flux(nodes[:-1], logs)])
+        return cls(logs, float(flux.sum()), *_alias_table(flux / flux.sum()))
+
+    def value(self, r: np.ndarray) -> np.ndarray:
+        """The table's f at radii r, (m,); constant below the first node."""
+        with np.errstate(divide="ignore"):
+            place = np.clip((np.log2(r / R_MAX) + OCTAVES) * PER_OCTAVE, 0, RINGS)
+        return np.asarray(2.0 ** np.interp(place, np.arange(RINGS + 1), self.log2_values))
+
+    def within(self, r: np.ndarray) -> np.ndarray:
+        """Integral of 2π r f over the disc of radius r, (m,)."""
+        nodes = node_radii()
+        before = np.concatenate([[0.0], np.cumsum(ring_flux(nodes[:-1], self.log2_values))])
+        before += np.pi * nodes[0] ** 2 * 2.0 ** self.log2_values[0]
+        r = np.clip(r, 0, R_MAX)
+        place = np.clip((np.log2(np.maximum(r, nodes[0]) / R_MAX) + OCTAVES) * PER_OCTAVE, 0, RINGS)
+        ring = np.minimum(place.astype(int), RINGS - 1)
+        slope = (self.log2_values[ring + 1] - self.log2_values[ring]) * PER_OCTAVE
+        part = _power_law(nodes[ring], self.log2_values[ring], slope, (place - ring) / PER_OCTAVE)
+        return np.where(r < nodes[0], np.pi * r**2 * 2.0 ** self.log2_values[0], before[ring] + part)
+
+
+def node_radii() -> np.ndarray:
+    """Radii of the nodes, (RINGS + 1,)."""
+    return np.asarray(R_MAX * 2.0 ** (np.arange(RINGS + 1) / PER_OCTAVE - OCTAVES))
+
+
+def ring_flux(inner: np.ndarray, logs: np.ndarray) -> np.ndarray:
+    """Integrals of 2π r f over the rings between nodes, (RINGS,)."""
+    return _power_law(inner, logs[:-1], np.diff(logs) * PER_OCTAVE, np.full(len(inner), 1 / PER_OCTAVE))
+
+
+def _power_law(r: np.ndarray, log2_f: np.ndarray, slope: np.ndarray, octaves: np.ndarray) -> np.ndarray:
+    """Integral of 2π r f from r to r · 2^octaves of a power law with this value at r and this exponent."""
+    exponent = slope + 2
+    flat = np.abs(exponent) < ALMOST_LOG
+    safe = np.where(flat, 1.0, exponent)
+    growth = np.where(flat, np.log(2) * octaves, np.expm1(np.log(2) * safe * octaves) / safe)
+    return np.asarray(2 * np.pi * 2.0**log2_f * r**2 * growth)
+
+
+def _alias_table(shares: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Walker's alias table of a discrete distribution."""
+    count = len(shares)
+    scaled = shares * count
+    probability, alias = np.ones(count), np.arange(count)
+    small, large = list(np.flatnonzero(scaled < 1)), list(np.flatnonzero(scaled >= 1))
+    while small and large:
+        low, high = small.pop(), large[-1]
+        probability[low], alias[low] = scaled[low], high
+        scaled[high] -= 1 - scaled[low]
+        if scaled[high] < 1:
+            small.append(large.pop())
+    return probability, alias

@@ -1,0 +1,260 @@
+"""A measured BSDF: values on a grid of directions, for several directions of incidence."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.errors import MistrayError
+
+FRAMES = ("specular", "normal")
+ANGLE_ROUNDING_DEG = 1e-6
+SYMMETRY_TOLERANCE = 1e-3  # of the largest value, between the two sides of the plane of incidence
+FINE_POLAR, FINE_AZIMUTH = 720, 180  # nodes of the integral over the hemisphere
+BEYOND = ("error", "hold", "zero")
+# A direction below this cosine has no density of its own: there f cos θs, which instruments measure, is 0/0 for f
+HORIZON = 1e-6
+
+
+@dataclass(frozen=True, eq=False)
+class Samples:
+    """
+    BSDF, or BSDF times cos θs, of an isotropic surface over the directions of incidence and of scatter.
+
+    Directions have a polar angle and an azimuth. In the frame "normal" the polar angle is θs and azimuth 0 is that of
+    the specular direction. In the frame "specular" the polar angle is counted from the specular direction, and azimuth
+    0 points from there towards the normal.
+
+    Attributes
+    ----------
+    name : str
+        File or other name, for messages.
+    frame : {"specular", "normal"}
+    specular_deg : (a,) float64
+        Angles of the specular direction, reflected or refracted, with the normal; ascending, 0 … 90.
+    azimuth_deg : (b,) float64
+        Ascending, 0 … 180: the surface is mirror symmetric about the plane of incidence.
+    polar_deg : (c,) float64
+        Ascending from 0.
+    values : (a, b, c) float64
+        1/sr.
+    event : {"reflection", "transmission"}, optional
+        What was measured, if the file says it.
+
+    Raises
+    ------
+    MistrayError
+        If a grid does not ascend, an azimuth is missing, or a value is NaN, negative or infinite.
+    """
+
+    name: str
+    frame: str
+    specular_deg: np.ndarray
+    azimuth_deg: np.ndarray
+    polar_deg: np.ndarray
+    values: np.ndarray
+    event: str | None = None
+
+    def __post_init__(self) -> None:
+        if self.frame not in FRAMES:
+            raise MistrayError(f"{self.title}: frame '{self.frame}'; use {' or '.join(map(repr, FRAMES))}")
+        grids = (
+            ("incidence", self.specular_deg, 90.0),
+            ("azimuth", self.azimuth_deg, 180.0),
+            ("polar", self.polar_deg, 180.0),
+        )
+        for key, angles, most in grids:
+            if np.any(np.diff(angles) <= 0):
+                raise MistrayError(f"{self.title}: the {key} angles do not ascend; sort them, each once")
+            if angles[0] < 0 or angles[-1] > most + ANGLE_ROUNDING_DEG:
+                raise MistrayError(
+                    f"{self.title}: {key} angles from {angles[0]:g} to {angles[-1]:g}°; they lie in 0 … {most:g}°"
+                )
+        if self.specular_deg[-1] > 90 - ANGLE_ROUNDING_DEG:
+            raise MistrayError(f"{self.title}: light at 90° does not meet the surface; leave this angle out")
+        if self.values.shape != (len(self.specular_deg), len(self.azimuth_deg), len(self.polar_deg)):
+            raise MistrayError(
+                f"{self.title}: {self.values.size} values for {len(self.specular_deg)} × {len(self.azimuth_deg)} × "
+                f"{len(self.polar_deg)} angles; give one for each combination"
+            )
+        bad = ~(np.isfinite(self.values) & (self.values >= 0))
+        if np.any(bad):
+            i, j, k = (int(index[0]) for index in np.nonzero(bad))
+            raise MistrayError(
+                f"{self.title}: {self.values[i, j, k]:g} at incidence {self.specular_deg[i]:g}°, azimuth "
+                f"{self.azimuth_deg[j]:g}°, polar angle {self.polar_deg[k]:g}°; a BSDF is finite and not negative"
+            )
+        if self.azimuth_deg[0] > ANGLE_ROUNDING_DEG or self.azimuth_deg[-1] < 180 - ANGLE_ROUNDING_DEG:
+            raise MistrayError(
+                f"{self.title}: azimuths from {self.azimuth_deg[0]:g} to {self.azimuth_deg[-1]:g}° do not cover the "
+                "hemisphere; give 0 … 180°, or 0 … 360°"
+            )
+        if self.polar_deg[0] > ANGLE_ROUNDING_DEG:
+            raise MistrayError(
+                f"{self.title}: the polar angles begin at {self.polar_deg[0]:g}°; give the value at 0° that holds to "
+                "the first of them"
+            )
+
+    @property
+    def title(self) -> str:
+        """For messages."""
+        return f"BSDF table '{self.name}'"
+
+    @property
+    def last_needed_deg(self) -> float:
+        """Polar angle to which the grid must go to cover the hemisphere at every angle of incidence."""
+        return 90.0 if self.frame == "normal" else 90.0 + float(self.specular_deg[-1])
+
+    def check_cover(self) -> None:
+        """
+        Raise an error if directions of the hemisphere lie beyond the last polar angle.
+
+        Raises
+        ------
+        MistrayError
+            Names the angle that is reached and the one that is needed.
+        """
+        if self.polar_deg[-1] < self.last_needed_deg - ANGLE_ROUNDING_DEG:
+            raise MistrayError(
+                f"{self.title}: its polar angles end at {self.polar_deg[-1]:g}°, but at incidence "
+                f"{self.specular_deg[-1]:g}° the hemisphere reaches to {self.last_needed_deg:g}°; complete the table, "
+                "or set beyond to 'hold' (the last value) or 'zero'"
+            )
+
+    def directions(self) -> np.ndarray:
+        """Unit vectors of the grid, (a, b, c, 3): x along the specular side of the plane of incidence, z the normal."""
+        return self.directions_at(
+            self.specular_deg[:, None, None], self.azimuth_deg[:, None], self.polar_deg[None, None, :]
+        )
+
+    def directions_at(self, specular_deg: np.ndarray, azimuth_deg: np.ndarray, polar_deg: np.ndarray) -> np.ndarray:
+        """Unit vectors (…, 3) of directions in the table's frame, for broadcastable angles."""
+        phi, alpha, theta = (np.radians(angle) for angle in (azimuth_deg, polar_deg, specular_deg))
+        y = np.sin(alpha) * np.sin(phi)
+        along, towards = np.cos(alpha), np.sin(alpha) * np.cos(phi)
+        if self.frame == "normal":
+            parts = np.broadcast_arrays(towards, y, along, theta)[:3]
+        else:
+            x = along * np.sin(theta) - towards * np.cos(theta)
+            parts = np.broadcast_arrays(x, y, along * np.cos(theta) + towards * np.sin(theta))
+        return np.stack(parts, axis=-1)
+
+    def angles_of(self, specular_deg: float, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Polar angles and azimuths in degrees of unit vectors (…, 3), for one angle of incidence."""
+        x, y, z = np.moveaxis(directions, -1, 0)
+        if self.frame == "specular":
+            sin, cos = np.sin(np.radians(specular_deg)), np.cos(np.radians(specular_deg))
+            x, z = z * sin - x * cos, x * sin + z * cos
+        return np.degrees(np.arctan2(np.hypot(x, y), z)), np.degrees(np.arctan2(np.abs(y), x))
+
+    def above(self, cosine_corrected: bool) -> np.ndarray:
+        """Which nodes are above the horizon and so have a BSDF, (a, b, c) bool; on it those that are not corrected."""
+        return np.asarray(self.directions()[..., 2] > (HORIZON if cosine_corrected else -HORIZON))
+
+    def bsdf(self, cosine_corrected: bool) -> np.ndarray:
+        """
+        BSDF on the grid; without meaning below the horizon.
+
+        Parameters
+        ----------
+        cosine_corrected : bool
+            The values are BSDF times cos θs.
+
+        Returns
+        -------
+        (a, b, c) float64
+            1/sr.
+        """
+        if not cosine_corrected:
+            return self.values
+        return np.asarray(self.values / np.maximum(self.directions()[..., 2], HORIZON))
+
+    def held(self, grid: np.ndarray, above: np.ndarray) -> np.ndarray:
+        """A function on the grid with the last value above the horizon below it, (a, b, c)."""
+        last = np.maximum.accumulate(np.where(above, np.arange(len(self.polar_deg)), 0), axis=-1)
+        return np.take_along_axis(grid, last, axis=-1)
+
+    def at(self, grid: np.ndarray, index: int, directions: np.ndarray, beyond: str = "hold") -> np.ndarray:
+        """
+        Interpolate a function on the grid, bilinearly in polar angle and azimuth.
+
+        Parameters
+        ----------
+        grid : (a, b, c) float64
+            The function.
+        index : int
+            Which of the directions of incidence.
+        directions : (…, 3) float64
+            Unit vectors.
+        beyond : {"hold", "zero", "error"}
+            Past the last polar angle: the last value, or 0; "error" does not occur after `check_cover`.
+        """
+        polar, azimuth = self.angles_of(float(self.specular_deg[index]), directions)
+        j, v = _cell(self.azimuth_deg, azimuth)
+        k, u = _cell(self.polar_deg, polar)
+        plane = grid[index]
+        values = (1 - v) * ((1 - u) * plane[j, k] + u * plane[j, k + 1])
+        values += v * ((1 - u) * plane[j + 1, k] + u * plane[j + 1, k + 1])
+        if beyond == "zero":
+            values = np.where(polar > self.polar_deg[-1] + ANGLE_ROUNDING_DEG, 0.0, values)
+        return np.asarray(values)
+
+    def totals(self, cosine_corrected: bool = False, beyond: str = "hold") -> np.ndarray:
+        """Total integrated scatter ∫ f cos θs dΩ over the hemisphere at each angle of incidence, (a,)."""
+        polar = (np.arange(FINE_POLAR) + 0.5) * (180 / FINE_POLAR)
+        if self.frame == "normal":
+            polar = polar / 2
+        azimuth = (np.arange(FINE_AZIMUTH) + 0.5) * (180 / FINE_AZIMUTH)
+        solid_angle = np.radians(polar[1] - polar[0]) * np.radians(azimuth[1] - azimuth[0]) * np.sin(np.radians(polar))
+        grid = self.held(self.bsdf(cosine_corrected), self.above(cosine_corrected))
+        found = []
+        for index, specular in enumerate(self.specular_deg):
+            directions = self.directions_at(specular, azimuth[:, None], polar)
+            values = self.at(grid, index, directions, beyond) * np.maximum(0.0, directions[..., 2])
+            found.append(2 * float(np.sum(values * solid_angle)))
+        return np.array(found)
+
+
+def half_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Reduce data over 0 … 360° to 0 … 180°.
+
+    Parameters
+    ----------
+    title : str
+        For messages.
+    azimuth_deg : (b,) float64
+        Ascending from 0.
+    values : (a, b, c) float64
+
+    Raises
+    ------
+    MistrayError
+        If the two sides of the plane of incidence differ by more than 0.1 % of the largest value, which is
+        anisotropic scatter.
+    """
+    if azimuth_deg[-1] <= 180 + ANGLE_ROUNDING_DEG:
+        return azimuth_deg, values
+    first = azimuth_deg <= 180 + ANGLE_ROUNDING_DEG
+    half = azimuth_deg[first]
+    over, side = 360 - azimuth_deg[::-1], values[:, ::-1]
+    for j, angle in enumerate(half):
+        near = np.abs(over - angle) < ANGLE_ROUNDING_DEG
+        if not np.any(near):
+            if angle > ANGLE_ROUNDING_DEG or azimuth_deg[0] > ANGLE_ROUNDING_DEG:
+                raise MistrayError(f"{title}: azimuth {angle:g}° has no mirror image {360 - angle:g}°; give both")
+            continue
+        difference = float(np.max(np.abs(side[:, near][:, 0] - values[:, j])))
+        if difference > SYMMETRY_TOLERANCE * float(np.max(values)):
+            raise MistrayError(
+                f"{title}: azimuths {angle:g} and {360 - angle:g}° differ by {difference:.3g} 1/sr; anisotropic "
+                "scatter is not modelled, give the mean of both sides of the plane of incidence"
+            )
+    return half, values[:, first]
+
+
+def _cell(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Index of the node below and fraction of the way to the next, held at the ends."""
+    low = np.clip(np.searchsorted(nodes, x, side="right") - 1, 0, len(nodes) - 2)
+    return low, np.clip((x - nodes[low]) / (nodes[low + 1] - nodes[low]), 0, 1)

@@ -1,0 +1,200 @@
+"""Scatter in the plane of incidence at several angles, with the totals: what plots and tables show."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.scatter.evaluate import bsdf
+from mistray.scatter.lobe import Scatter
+from mistray.scatter.samples import Samples
+from mistray.scatter.total import totals
+
+SMALLEST_R, LARGEST_ANGLE_DEG = 1e-7, 89.9
+NODES_R, NODES_ANGLE = 600, 720
+RADIALS, FIRST_RADIAL_DEG, AZIMUTHS = 72, 0.01, 19  # of a table about the specular direction
+NORMAL_STEP_DEG, PEAK_NODES = 2.0, 16  # of a table about the normal
+
+
+@dataclass(frozen=True)
+class Light:
+    """
+    Light that meets a scattering surface.
+
+    Attributes
+    ----------
+    wavelength_nm : float
+        In vacuum.
+    n_in, n_out : float
+        Indices on the side of incidence and on the other.
+    from_front : bool
+    R, T : float
+        Shares that the coating reflects and transmits, at all angles.
+    """
+
+    wavelength_nm: float = 550.0
+    n_in: float = 1.0
+    n_out: float = 1.5
+    from_front: bool = True
+    R: float = 1.0
+    T: float = 1.0
+
+    def share(self, event: str) -> float:
+        """R or T."""
+        return self.R if event == "reflection" else self.T
+
+    def is_totally_reflected(self, angle_deg: float) -> bool:
+        """Whether nothing is transmitted at this angle of incidence."""
+        return bool(np.sin(np.radians(angle_deg)) * self.n_in >= self.n_out)
+
+    def sin_specular(self, event: str, angle_deg: float) -> float:
+        """
+        Sine of the specular direction with the normal.
+
+        Raises
+        ------
+        MistrayError
+            If the angle is not in 0 … 90°, or the light is totally reflected and transmission is asked for.
+        """
+        if not 0 <= angle_deg < 90:
+            raise MistrayError(f"angle of incidence {angle_deg:g}°; give angles from 0 to below 90°")
+        sine = np.sin(np.radians(angle_deg))
+        if event == "reflection":
+            return float(sine)
+        if self.is_totally_reflected(angle_deg):
+            raise MistrayError(
+                f"angle of incidence {angle_deg:g}°: light from n = {self.n_in:.4g} to {self.n_out:.4g} is totally "
+                "reflected, nothing is transmitted; give smaller angles"
+            )
+        return float(sine * self.n_in / self.n_out)
+
+
+@dataclass(frozen=True, eq=False)
+class Scan:
+    """
+    BSDF in the plane of incidence at one angle of incidence.
+
+    Attributes
+    ----------
+    event : {"reflection", "transmission"}
+    incidence_deg, specular_deg : float
+        Angles with the normal of the incident and of the specular light, each in its own medium.
+    theta_s_deg : (m,) float64
+        Scattered direction, ascending; positive on the side of the specular direction.
+    distance : (m,) float64
+        |β - β0| of it.
+    values : (m,) float64
+        1/sr.
+    scattered : float
+        Total over the hemisphere, share of the incident flux.
+    loss : float
+        Share of its own flux that the specular beam loses.
+    """
+
+    event: str
+    incidence_deg: float
+    specular_deg: float
+    theta_s_deg: np.ndarray
+    distance: np.ndarray
+    values: np.ndarray
+    scattered: float
+    loss: float
+
+
+def scan(
+    model: Scatter, angles_deg: Sequence[float], event: str = "reflection", light: Light | None = None
+) -> list[Scan]:
+    """
+    Evaluate a model in the plane of incidence.
+
+    Parameters
+    ----------
+    model : Scatter
+    angles_deg : sequence of float
+        Of incidence, in the medium that the light comes from.
+    event : {"reflection", "transmission"}
+    light : Light, optional
+
+    Raises
+    ------
+    MistrayError
+        If the model has no such scatter, or an angle is out of range.
+    """
+    light = light or Light()
+    lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
+    if not any(lobe.event == event for lobe in lobes):
+        raise MistrayError(f"the model scatters nothing in {event}; choose the other event")
+    sines = [light.sin_specular(event, angle) for angle in angles_deg]
+    cosines = np.cos(np.radians(np.asarray(angles_deg, dtype=np.float64)))
+    sums = totals(lobes, cosines, light.n_in, light.n_out)
+    scattered = sums.scattered(event, np.full(len(cosines), light.share(event)))
+    found = []
+    for k, (angle, sine) in enumerate(zip(angles_deg, sines, strict=True)):
+        beta = _in_plane(sine)
+        directions = np.stack([beta, np.zeros_like(beta), np.sqrt(1 - beta**2)], axis=-1)
+        values = bsdf(lobes, event, float(cosines[k]), directions, light.n_in, light.n_out, light.share(event))
+        found.append(
+            Scan(
+                event,
+                float(angle),
+                float(np.degrees(np.arcsin(sine))),
+                np.degrees(np.arcsin(beta)),
+                np.abs(beta - sine),
+                values,
+                float(scattered[k]),
+                float(sums.loss[event][k]),
+            )
+        )
+    return found
+
+
+def table(
+    model: Scatter, angles_deg: Sequence[float], frame: str, event: str = "reflection", light: Light | None = None
+) -> Samples:
+    """
+    Sample a model over the hemisphere, for a file.
+
+    Parameters
+    ----------
+    model, angles_deg, event, light
+        As in `scan`.
+    frame : {"specular", "normal"}
+        What the angles of the table are counted from, see `Samples`.
+
+    Raises
+    ------
+    MistrayError
+        As `scan`.
+    """
+    light = light or Light()
+    lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
+    angles = np.unique(np.asarray(angles_deg, dtype=np.float64))
+    specular = np.degrees(np.arcsin([light.sin_specular(event, angle) for angle in angles]))
+    azimuth = np.linspace(0, 180, AZIMUTHS)
+    if frame == "specular":
+        polar = np.concatenate([[0.0], np.geomspace(FIRST_RADIAL_DEG, 90 + specular[-1], RADIALS)])
+    else:
+        steps = np.geomspace(FIRST_RADIAL_DEG, NORMAL_STEP_DEG, PEAK_NODES)
+        near = (specular[:, None] + np.concatenate([-steps, [0.0], steps])).ravel()
+        polar = np.concatenate([np.arange(0, 90 + NORMAL_STEP_DEG / 2, NORMAL_STEP_DEG), near])
+        polar = np.unique(polar[(polar >= 0) & (polar <= 90)].round(9))
+    empty = Samples("model", frame, specular, azimuth, polar, np.zeros((len(angles), AZIMUTHS, len(polar))), event)
+    directions = empty.directions()
+    values = np.zeros(empty.values.shape)
+    for k, cosine in enumerate(np.cos(np.radians(angles))):
+        above = directions[k] * np.array([1.0, 1.0, 0.0]) + np.maximum(directions[k], 0.0) * np.array([0.0, 0.0, 1.0])
+        found = bsdf(lobes, event, float(cosine), above, light.n_in, light.n_out, light.share(event))
+        values[k] = np.where(directions[k][..., 2] >= -1e-12, found, 0.0)
+    return Samples("model", frame, specular, azimuth, polar, values, event)
+
+
+def _in_plane(sine: float) -> np.ndarray:
+    """Direction cosines in the plane of incidence, dense about the specular one."""
+    r = np.geomspace(SMALLEST_R, 2, NODES_R)
+    even = np.sin(np.radians(np.linspace(-LARGEST_ANGLE_DEG, LARGEST_ANGLE_DEG, NODES_ANGLE)))
+    beta = np.unique(np.concatenate([sine - r, [sine], sine + r, even]))
+    limit = np.sin(np.radians(LARGEST_ANGLE_DEG))
+    return beta[(beta >= -limit) & (beta <= limit)]

@@ -1,0 +1,221 @@
+"""How much a surface scatters: totals of lobes over the hemisphere, and the budget R + T + A + scatter = 1."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.scatter.lobe import Lobe, Scatter
+from mistray.scatter.radial import OCTAVES, R_MAX, RadialTable
+
+ROUNDING = 1e-6  # what the shares of a surface may exceed 1 by
+CUT_NODES, ARC_NODES, NODES_PER_OCTAVE = 96, 32, 4
+
+
+def specular_cosine(event: str, cos_i: np.ndarray, n_in: float, n_out: float) -> np.ndarray:
+    """Cosine of the reflected or refracted direction with the normal; 0 where light is totally reflected."""
+    if event == "reflection":
+        return cos_i
+    return np.sqrt(np.maximum(0.0, 1 - (n_in / n_out) ** 2 * (1 - cos_i * cos_i)))
+
+
+def lobe_total(
+    lobe: Lobe, cos_i: np.ndarray, n_in: float, n_out: float, table: RadialTable | None = None
+) -> np.ndarray:
+    """
+    Flux of a lobe over the hemisphere per unit of incident flux and of its coefficient c.
+
+    Parameters
+    ----------
+    lobe : Lobe
+    cos_i : (m,) float64
+        Cosines of incidence.
+    n_in, n_out : float
+        Indices on the side of incidence and on the other.
+    table : RadialTable, optional
+        Of the lobe's profile, if there is one already.
+
+    Returns
+    -------
+    (m,) float64
+        Its total integrated scatter; 0 for transmission where the light is totally reflected, unless the lobe is
+        centred at the normal.
+    """
+    table = table or RadialTable.of(lobe.profile, lobe.r_max)
+    cos_i = np.asarray(cos_i, dtype=np.float64)
+    cosine = np.ones_like(cos_i) if lobe.centre == "normal" else specular_cosine(lobe.event, cos_i, n_in, n_out)
+    if lobe.measure == "angle":
+        values = _by_angle(table, cosine) * lobe.oblique(cos_i)
+    elif lobe.factor == "none" and lobe.ratio is None:
+        values = _by_cosines(table, cosine)
+    else:
+        specular = specular_cosine(lobe.event, cos_i, n_in, n_out)
+        values = np.array([_with_factor(lobe, table, *row) for row in zip(cos_i, cosine, specular, strict=True)])
+    if lobe.event == "transmission" and lobe.centre != "normal":
+        values = np.where(n_in * np.sqrt(np.maximum(0, 1 - cos_i**2)) >= n_out, 0.0, values)
+    return values
+
+
+def _smooth_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
+    """Nodes and weights on 0 … 1 that also take square-root singularities at both ends."""
+    x, w = np.polynomial.legendre.leggauss(count)
+    t = 0.5 * (x + 1)
+    return t * t * (3 - 2 * t), 0.5 * w * 6 * t * (1 - t)
+
+
+def _ring_nodes(low: np.ndarray, high: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Radii and weights (m, CUT_NODES) of an integral over dr from low to high, uniform in log r."""
+    t, w = _smooth_nodes(CUT_NODES)
+    span = np.log(high / low)[:, None]
+    r = low[:, None] * np.exp(span * t)
+    return r, w * span * r
+
+
+def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
+    """Integral over the unit disc of a profile about a point at the distance sin θ from its centre."""
+    b = np.sqrt(np.maximum(0.0, 1 - cosine * cosine))
+    # 1 - b without cancellation at grazing incidence
+    low = np.maximum(cosine * cosine / (1 + b), 1e-12)
+    high = np.minimum(1 + b, R_MAX)
+    r, weight = _ring_nodes(low, np.maximum(high, low))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        arc = 2 * np.arccos(np.clip((r * r + (b * b - 1)[:, None]) / (2 * b[:, None] * r), -1, 1))
+    arc = np.where(b[:, None] > 0, arc, 0.0)
+    return np.asarray(table.within(np.minimum(low, R_MAX)) + np.sum(weight * r * arc * table.value(r), axis=1))
+
+
+def _by_angle(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
+    """Integral over the hemisphere of a profile over the chord to a direction at θ from the normal."""
+    theta = np.arccos(np.clip(cosine, -1, 1))
+    low = np.maximum(2 * np.sin((np.pi / 2 - theta) / 2), 1e-12)
+    high = 2 * np.sin((np.pi / 2 + theta) / 2)
+    r, weight = _ring_nodes(low, np.maximum(high, low))
+    alpha = 2 * np.arcsin(np.minimum(r / 2, 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        arc = 2 * np.arccos(np.clip(-1 / (np.tan(alpha) * np.tan(theta)[:, None]), -1, 1))
+    arc = np.where(theta[:, None] > 0, arc, 0.0)
+    return np.asarray(table.within(low) + np.sum(weight * r * arc * table.value(r), axis=1))
+
+
+def _with_factor(lobe: Lobe, table: RadialTable, cos_i: float, cosine: float, cos_specular: float) -> float:
+    """The same as `_by_cosines` with a factor or a ratio, at one angle of incidence."""
+    b = float(np.sqrt(max(0.0, 1 - cosine * cosine)))
+    edge = max(cosine * cosine / (1 + b), 1e-12)
+    # Whole circles by octaves, the last one with nodes that take the square root at the horizon; then cut circles
+    first = R_MAX * 2.0**-OCTAVES
+    panels = max(2, int(np.ceil(np.log2(max(edge / 2, 2 * first) / first))))
+    span = np.log(max(edge / 2, 2 * first) / first) / panels
+    x, w = np.polynomial.legendre.leggauss(NODES_PER_OCTAVE)
+    inner = first * np.exp(span * (np.arange(panels)[:, None] + 0.5 * (1 + x)).ravel())
+    outer = [(edge / 2, edge), (edge, max(min(1 + b, R_MAX), edge))]
+    rings = [_ring_nodes(np.array([low]), np.array([high])) for low, high in outer]
+    r = np.concatenate([inner, *(ring[0][0] for ring in rings)])
+    weight = np.concatenate([np.tile(0.5 * w * span, panels) * inner, *(ring[1][0] for ring in rings)])
+    # Half the arc of directions above the horizon: ψ from `start` to π, twice for the other side of the plane
+    with np.errstate(divide="ignore", invalid="ignore"):
+        half = np.arccos(np.clip((r * r + b * b - 1) / (2 * b * r), -1, 1)) if b > 0 else np.where(r < 1, np.pi, 0.0)
+    start = np.pi - half
+    t, wt = _smooth_nodes(ARC_NODES)
+    psi = start[:, None] + half[:, None] * t
+    beta2 = b * b + r[:, None] ** 2 + 2 * b * r[:, None] * np.cos(psi)
+    cos_s = np.sqrt(np.maximum(0.0, 1 - beta2))
+    values = factor_values(lobe, cos_i, cos_s)
+    if lobe.ratio is not None:
+        if lobe.ratio.axes == "radial":
+            values = values * lobe.ratio.at(np.asarray(cos_specular), r[:, None], psi)
+        else:
+            azimuth = np.arctan2(r[:, None] * np.sin(psi), b + r[:, None] * np.cos(psi))
+            values = values * lobe.ratio.at(np.asarray(cos_specular), cos_s, azimuth)
+    over_arc = 2 * half * np.sum(wt * values, axis=1)
+    return float(np.sum(weight * r * table.value(r) * over_arc))
+
+
+def factor_values(lobe: Lobe, cos_i: np.ndarray | float, cos_s: np.ndarray) -> np.ndarray:
+    """The lobe's factor for cosines of incidence and of scatter."""
+    if lobe.factor == "ghs":
+        return 0.25 * (cos_i + cos_s) ** 2
+    return cos_i * cos_s if lobe.factor == "rayleigh_rice" else np.ones_like(cos_s)
+
+
+@dataclass(frozen=True)
+class Totals:
+    """
+    What the scatter models of a surface do together to light of one side, by event, at (m,) angles of incidence.
+
+    Attributes
+    ----------
+    loss : dict
+        Event → share that the specular beam loses.
+    terms : dict
+        Event → (3, m): the scattered share of the incident flux is terms[0] + terms[1] X + terms[2] X².
+    """
+
+    loss: dict[str, np.ndarray]
+    terms: dict[str, np.ndarray]
+
+    def scattered(self, event: str, x: np.ndarray) -> np.ndarray:
+        """Scattered share where the coating's R or T is x."""
+        c0, c1, c2 = self.terms[event]
+        return np.asarray(c0 + c1 * x + c2 * x * x)
+
+
+def totals(lobes: Sequence[Lobe], cos_i: np.ndarray, n_in: float, n_out: float) -> Totals:
+    """Sum the totals of lobes at cosines of incidence, (m,)."""
+    cos_i = np.asarray(cos_i, dtype=np.float64)
+    loss = {event: np.zeros(len(cos_i)) for event in ("reflection", "transmission")}
+    terms = {event: np.zeros((3, len(cos_i))) for event in ("reflection", "transmission")}
+    for lobe in lobes:
+        total = lobe_total(lobe, cos_i, n_in, n_out)
+        terms[lobe.event] += np.array(lobe.shares)[:, None] * total
+        lost = lobe.shares[1] * total if lobe.optical_depth is None else lobe.optical_depth * lobe.oblique(cos_i)
+        loss[lobe.event] += lost
+    return Totals(loss, terms)
+
+
+def check_budget(
+    title: str, sums: Totals, cos_i: np.ndarray, reflectance: np.ndarray, transmittance: np.ndarray
+) -> np.ndarray:
+    """
+    What a scattering surface absorbs, 1 - specular - scattered, (m,).
+
+    Parameters
+    ----------
+    title : str
+        Of the surface and the side of incidence, for messages.
+    sums : Totals
+    cos_i, reflectance, transmittance : (m,) float64
+        Angles, and R and T of the coating before scatter.
+
+    Raises
+    ------
+    MistrayError
+        If the specular beam would lose more than it has, or the shares add up to more than 1; names surface and angle.
+    """
+    angle = np.degrees(np.arccos(np.clip(cos_i, 0, 1)))
+    for event, x in (("reflection", reflectance), ("transmission", transmittance)):
+        lost = np.where(x > 0, sums.loss[event], 0.0)
+        worst = int(np.argmax(lost))
+        if lost[worst] > 1 + ROUNDING:
+            raise MistrayError(
+                f"{title}: at {angle[worst]:.3g}° scatter takes {lost[worst]:.4g} of the specular {event}, which is "
+                "more than there is; make it weaker"
+            )
+    scattered = sums.scattered("reflection", reflectance) + sums.scattered("transmission", transmittance)
+    specular = reflectance * (1 - sums.loss["reflection"]) + transmittance * (1 - sums.loss["transmission"])
+    worst = int(np.argmax(scattered + specular))
+    if scattered[worst] + specular[worst] > 1 + ROUNDING:
+        raise MistrayError(
+            f"{title}: at {angle[worst]:.3g}° specular {specular[worst]:.4g} + scattered {scattered[worst]:.4g} is "
+            "more than 1; lower R, T or the scatter"
+        )
+    return np.asarray(1 - specular - scattered)
+
+
+def model_lobes(
+    models: Sequence[Scatter], wavelength_nm: float, n_in: float, n_out: float, from_front: bool
+) -> tuple[Lobe, ...]:
+    """The lobes of all models of a surface for light of one side."""
+    return tuple(lobe for model in models for lobe in model.lobes(wavelength_nm, n_in, n_out, from_front))

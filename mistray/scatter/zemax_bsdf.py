@@ -1,0 +1,164 @@
+"""The tabular BSDF format of Zemax OpticStudio.
+
+Source: R. Rykowski, "Zemax Tabular BSDF data file format" (knowledge base of Zemax, first "BSDF Data Interchange file
+format", 2008). Angles are relative to the specular direction: ScatterRadial counts from there, ScatterAzimuth 0 points
+from there to the normal. AngleOfIncidence is the angle of the specular direction. Before the block of each angle of
+incidence stands a line with the TIS, in which older files were free; it is not used.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.replace_file import replace_file
+from mistray.scatter.bsdf_csv import numbers, read_lines
+from mistray.scatter.samples import Samples, half_circle
+
+GRIDS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
+EVENTS = {"brdf": "reflection", "btdf": "transmission"}
+TYPES = {event: name.upper() for name, event in EVENTS.items()}
+
+
+@dataclass
+class _Lines:
+    """The lines that are neither empty nor comments, one after the other."""
+
+    path: str | Path
+    lines: Iterator[tuple[int, list[str]]]
+    number: int = 0
+
+    @property
+    def where(self) -> str:
+        return f"BSDF file '{self.path}', line {self.number}"
+
+    def next(self, expected: str) -> list[str]:
+        try:
+            self.number, words = next(self.lines)
+        except StopIteration:
+            raise MistrayError(f"BSDF file '{self.path}': it ends before {expected}; the file is incomplete") from None
+        return words
+
+    def choice(self, key: str, known: tuple[str, ...]) -> str:
+        """Value of the line `key value`, in lower case."""
+        words = self.next(key)
+        if words[0].lower() != key.lower() or len(words) != 2:
+            raise MistrayError(f"{self.where}: '{' '.join(words)}'; expected {key} {'|'.join(known)}")
+        if words[1].lower() not in (name.lower() for name in known):
+            raise MistrayError(f"{self.where}: {key} is {words[1]}; use {' or '.join(known)}")
+        return words[1].lower()
+
+    def values(self, count: int, expected: str) -> list[float]:
+        """So many numbers, on one line or on several."""
+        found: list[float] = []
+        while len(found) < count:
+            words = self.next(expected)
+            found += numbers(words, len(words), self.where)
+        if len(found) > count:
+            raise MistrayError(f"{self.where}: {len(found)} values of {expected} where {count} are needed")
+        return found
+
+
+def read_zemax_bsdf(path: str | Path) -> Samples:
+    """
+    Read a file of an isotropic surface at one wavelength or in grey.
+
+    Raises
+    ------
+    MistrayError
+        If the file is missing or malformed, with the number of the line; holds several sample rotations, colours or
+        anisotropic scatter; or what `Samples` finds wrong.
+    """
+    rows = ((n, line.split()) for n, line in read_lines(path) if line.strip() and not line.lstrip().startswith("#"))
+    lines = _Lines(path, rows)
+    lines.choice("Source", ("Measured",))
+    if lines.choice("Symmetry", ("PlaneSymmetrical", "Asymmetrical", "Asymmetrical4D")) == "asymmetrical4d":
+        raise MistrayError(f"{lines.where}: Asymmetrical4D is anisotropic scatter, which is not modelled")
+    if lines.choice("SpectralContent", ("Monochrome", "XYZ")) == "xyz":
+        raise MistrayError(f"{lines.where}: XYZ are colours, not wavelengths; give a file with Monochrome")
+    event = EVENTS[lines.choice("ScatterType", ("BRDF", "BTDF"))]
+    grids: dict[str, np.ndarray] = {}
+    for key in GRIDS:
+        words = lines.next(key)
+        if words[0].lower() != key.lower() or len(words) != 2 or not words[1].isdigit() or int(words[1]) < 1:
+            raise MistrayError(f"{lines.where}: '{' '.join(words)}'; expected {key} and how many angles there are")
+        if key == "SampleRotation" and int(words[1]) > 1:
+            raise MistrayError(f"{lines.where}: {words[1]} sample rotations; anisotropic scatter is not modelled")
+        grids[key] = np.array(lines.values(int(words[1]), f"the angles of {key}"))
+    for word in ("Monochrome", "DataBegin"):
+        words = lines.next(word)
+        if [word.lower()] != [part.lower() for part in words]:
+            raise MistrayError(f"{lines.where}: '{' '.join(words)}'; expected {word}")
+    specular, azimuth, radial = (grids[key] for key in GRIDS[1:])
+    values = [_block(lines, len(azimuth), len(radial), angle) for angle in specular]
+    words = lines.next("DataEnd")
+    if words[0].lower() != "dataend":
+        raise MistrayError(f"{lines.where}: '{' '.join(words[:5])}'; expected DataEnd, there are more data than angles")
+    half, kept = half_circle(f"BSDF file '{path}'", azimuth, np.array(values))
+    return Samples(str(path), "specular", specular, half, radial, kept, event)
+
+
+def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarray:
+    """The values at one angle of incidence, (azimuths, radials)."""
+    found: list[float] = []
+    while len(found) < azimuths * radials:
+        words = lines.next(f"the data at {angle:g}°")
+        if words[0].lower() == "tis":
+            if found:
+                raise MistrayError(
+                    f"{lines.where}: TIS after {len(found)} of {azimuths * radials} values at {angle:g}°; the block "
+                    "before it is incomplete"
+                )
+            numbers(words[1:], 1, lines.where)
+            continue
+        if words[0].lower() == "dataend":
+            raise MistrayError(
+                f"{lines.where}: DataEnd after {len(found)} of {azimuths * radials} values at {angle:g}°; the file is "
+                "incomplete"
+            )
+        row = numbers(words, len(words), lines.where)
+        if min(row) < 0:
+            raise MistrayError(f"{lines.where}: {min(row):g}; a BSDF is not negative")
+        found += row
+    if len(found) > azimuths * radials:
+        raise MistrayError(f"{lines.where}: {len(found)} values at {angle:g}°, {azimuths * radials} are needed")
+    return np.array(found).reshape(azimuths, radials)
+
+
+def write_zemax_bsdf(samples: Samples, path: str | Path, comment: str = "") -> None:
+    """
+    Write a table in the frame "specular".
+
+    Parameters
+    ----------
+    samples : Samples
+        With its event.
+    path : str or Path
+    comment : str
+        Lines for the head of the file.
+
+    Raises
+    ------
+    MistrayError
+        If the table is in the other frame or does not say its event, or the file cannot be written.
+    """
+    if samples.frame != "specular" or samples.event is None:
+        raise MistrayError(
+            f"{samples.title}: a Zemax file counts angles from the specular direction and is BRDF or BTDF; give a "
+            "table in the frame 'specular' with an event"
+        )
+    grids = (np.zeros(1), samples.specular_deg, samples.azimuth_deg, samples.polar_deg)
+    lines = [f"# {line}" for line in comment.splitlines()]
+    lines += ["Source Measured", "Symmetry PlaneSymmetrical", "SpectralContent Monochrome"]
+    lines.append(f"ScatterType {TYPES[samples.event]}")
+    for key, grid in zip(GRIDS, grids, strict=True):
+        lines += [f"{key} {len(grid)}", "\t".join(f"{angle:.10g}" for angle in grid)]
+    lines += ["", "Monochrome", "DataBegin"]
+    for total, block in zip(samples.totals(), samples.values, strict=True):
+        lines.append(f"TIS {total:.6g}")
+        lines += ["\t".join(f"{value:.6e}" for value in row) for row in block]
+    replace_file(path, "\n".join([*lines, "DataEnd"]) + "\n", "BSDF file")

@@ -1,0 +1,152 @@
+"""Where scattered light should be sent so that it reaches the detector: the targets of all surfaces that scatter.
+
+- Light that leaves a surface of the design path towards the detector is aimed at the image of the detector.
+- Light that leaves any other surface is aimed at what can be seen from there: at the detector, and at each lens and
+  mirror of the design path from the side on which the design has its light. It goes to the image of the detector by
+  that lens or mirror where rays from the surface reach the detector that way, else to its aperture.
+- What a surface of the design path scatters backwards is not aimed.
+- A surface that a shape with a ``target`` names has those targets and no others.
+
+Rays that are not aimed are the rest: whatever the targets are, the result is the same but for its error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.trace.design_path import DesignPath, find_design_path
+from mistray.trace.detector_images import DetectorImages
+from mistray.trace.host_points import outline, surface_points
+from mistray.trace.host_rays import first_hit
+from mistray.trace.scene_targets import scene_targets
+from mistray.trace.settings import Settings
+from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.targets import AimSet, Target
+
+PATH_POINTS, SEEN_POINTS = 4096, 1024  # points of a surface from which rays to the image are tried
+PROBES = 16  # rays from a surface that look whether a lens or the detector can be seen
+SEEN = 0.04  # share of them that must see it
+LANDED = 0.02  # share of the rays to an image that must land on the detector
+MOST_TARGETS = 4
+
+Side = tuple[int, bool]
+"""Number of a surface, and whether the light leaves it to the back."""
+
+
+def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Side, AimSet]:
+    """
+    The targets of all surfaces that scatter.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    scene : mi.Scene
+    settings : Settings
+        `aim` and `aimed_rays`.
+
+    Returns
+    -------
+    dict
+        (surface, whether the light leaves to the back) → AimSet. Without an entry nothing is aimed.
+    """
+    scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
+    if settings.aim == "none" or not scatterers:
+        return {}
+    found = scene_targets(table, scene)
+    given = {surface for surface, _ in found}
+    rest = [surface for surface in scatterers if surface not in given]
+    if settings.aim == "targets" or not settings.aimed_rays or not rest:
+        return found
+    for side, targets in automatic_targets(table, find_design_path(table, scene), rest).items():
+        shared = tuple(target.with_share(1 / len(targets)) for target in targets)
+        found[side] = AimSet(shared, settings.aimed_rays)
+    return found
+
+
+def automatic_targets(
+    table: SurfaceTable, path: DesignPath | None, surfaces: Sequence[int]
+) -> dict[Side, list[Target]]:
+    """
+    Targets of surfaces, on the sides that have some.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    path : DesignPath, optional
+        Without it only the detector itself is a target.
+    surfaces : sequence of int
+    """
+    images = DetectorImages(path) if path else None
+    on_path = {step.surface for step in path.steps} if path else {table.detector}
+    found: dict[Side, list[Target]] = {}
+    rng = np.random.default_rng(0)
+    for surface in surfaces:
+        if images and surface in on_path:
+            points, normals = surface_points(table, surface, PATH_POINTS, rng)
+            for number, step in enumerate(images.path.steps[:-1], start=1):
+                if step.surface == surface:
+                    outward = normals if step.to_back else -normals
+                    target = images.fitted(number, points, outward, rng).target
+                    found.setdefault((surface, step.to_back), []).append(target)
+    others = [surface for surface in surfaces if surface not in on_path]
+    return found | _seen_targets(table, images, others, rng)
+
+
+def _seen_targets(
+    table: SurfaceTable, images: DetectorImages | None, surfaces: Sequence[int], rng: np.random.Generator
+) -> dict[Side, list[Target]]:
+    """The detector, lenses and mirrors that can be seen from either side of surfaces, as targets."""
+    candidates = [step.surface for step in images.path.steps] if images else [table.detector]
+    outlines = [outline(table.shapes[candidate]) for candidate in candidates]
+    sampled = {surface: surface_points(table, surface, SEEN_POINTS, rng) for surface in surfaces}
+    sides = [(surface, to_back) for surface in surfaces for to_back in (False, True)]
+    views = [(side, number) for side in sides for number in range(len(candidates))]
+    if not views:
+        return {}
+    seen = _seen(table, images, [(side, outlines[number], number) for side, number in views], sampled, rng)
+    found: dict[Side, list[tuple[float, Target]]] = {}
+    for (side, number), share in zip(views, seen, strict=True):
+        if share < SEEN:
+            continue
+        target, direct = outlines[number], candidates[number] == table.detector
+        if images and not direct:
+            points, normals = sampled[side[0]]
+            image = images.fitted(number, points, normals if side[1] else -normals, rng)
+            target = image.target if image.landed > LANDED else target
+        found.setdefault(side, []).append((share + direct, target))
+    return {
+        side: [target for _, target in sorted(entries, key=lambda entry: -entry[0])[:MOST_TARGETS]]
+        for side, entries in found.items()
+    }
+
+
+def _seen(
+    table: SurfaceTable,
+    images: DetectorImages | None,
+    views: Sequence[tuple[Side, Target, int]],
+    sampled: dict[int, tuple[np.ndarray, np.ndarray]],
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Share of the rays from a side of a surface to an outline that arrive, on the side of the design light."""
+    origins = np.concatenate([sampled[surface][0][:PROBES] for (surface, _), _, _ in views])
+    outward = np.concatenate([sampled[s][1][:PROBES] * (1 if back else -1) for (s, back), _, _ in views])
+    ends = np.concatenate([target.points(rng.random((PROBES, 2))) for _, target, _ in views])
+    surface = np.repeat([surface for (surface, _), _, _ in views], PROBES)
+    d = (ends - origins) / np.linalg.norm(ends - origins, axis=1, keepdims=True)
+    goes = np.einsum("ij,ij->i", d, outward) > 0
+    if images:
+        steps = [images.path.steps[number] for _, _, number in views]
+        wanted = np.repeat([step.surface for step in steps], PROBES)
+        from_front = np.repeat([step.from_front for step in steps], PROBES)
+        goes &= np.einsum("ij,ij->i", d, np.repeat([step.before for step in steps], PROBES, axis=0)) > 0
+    else:
+        wanted = np.full(len(d), table.detector)
+    goes = np.flatnonzero(goes)
+    hit, _, normal = first_hit(table, origins[goes], d[goes], surface[goes])
+    arrives = hit == wanted[goes]
+    if images:
+        arrives &= (np.einsum("ij,ij->i", d[goes], normal) > 0) == from_front[goes]
+    return np.bincount(goes[arrives] // PROBES, minlength=len(views)) / PROBES

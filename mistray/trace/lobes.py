@@ -1,0 +1,69 @@
+"""The radial tables of scatter lobes on the device: evaluated and sampled by the kernel and by the plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.scatter.radial import ALMOST_LOG, OCTAVES, PER_OCTAVE, RINGS, RadialTable
+from mistray.trace.upload import upload
+
+STRIDE = RINGS + 2  # floats of a table: values at the nodes, and one more so that every cell has a next node
+CELLS = RINGS + 1
+LOG2_FIRST = 1.0 - OCTAVES  # of the radius of the first node
+
+
+class RadialSampler:
+    """
+    Some radial tables in device memory.
+
+    Parameters
+    ----------
+    tables : sequence of RadialTable
+        Addressed by their numbers.
+
+    Attributes
+    ----------
+    total : mi.Float
+        (tables,): integral of 2π r f(r) of each.
+    """
+
+    def __init__(self, tables: Sequence[RadialTable]) -> None:
+        logs = [np.append(table.log2_values, table.log2_values[-1]) for table in tables]
+        cells = [np.column_stack([table.probability, table.alias]) for table in tables]
+        self._logs = upload(mi.Float, np.concatenate(logs))
+        self._cells = upload(mi.Float, np.concatenate(cells))
+        self.total = mi.Float([table.total for table in tables])
+        dr.eval(self._logs, self._cells, self.total)
+
+    def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
+        """Value f of a table at the squared radius r2."""
+        place = dr.clip((0.5 * dr.log2(r2) - LOG2_FIRST) * PER_OCTAVE, 0, RINGS)
+        node = mi.UInt32(place)
+        low, high = self._pair(table, node, active)
+        return dr.exp2(dr.lerp(low, high, place - mi.Float(node)))
+
+    def sample(self, table: mi.UInt32, u1: mi.Float, u2: mi.Float, active: mi.Bool) -> mi.Float:
+        """A radius with the density 2π r f(r) / total, from two uniform random numbers."""
+        place = u1 * CELLS
+        cell = dr.minimum(mi.UInt32(place), CELLS - 1)
+        entry = dr.gather(mi.Vector2f, self._cells, table * CELLS + cell, active)
+        cell = dr.select(place - mi.Float(cell) < entry.x, cell, mi.UInt32(entry.y))
+        ring = dr.maximum(cell, 1) - 1
+        low, high = self._pair(table, ring, active)
+        exponent = (high - low) * PER_OCTAVE + 2
+        growth = dr.exp2(exponent * (1 / PER_OCTAVE)) - 1
+        octaves = dr.select(
+            dr.abs(exponent) < ALMOST_LOG, u2 * (1 / PER_OCTAVE), dr.log2(dr.fma(u2, growth, 1)) / exponent
+        )
+        # Within the first node f is constant, so that r² is uniform
+        octaves = dr.select(cell == 0, 0.5 * dr.log2(dr.maximum(u2, 1e-12)), octaves)
+        return dr.exp2(LOG2_FIRST + mi.Float(ring) * (1 / PER_OCTAVE) + octaves)
+
+    def _pair(self, table: mi.UInt32, node: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
+        """log2 f at a node and at the next."""
+        at = table * STRIDE + node
+        return dr.gather(mi.Float, self._logs, at, active), dr.gather(mi.Float, self._logs, at + 1, active)

@@ -1,0 +1,189 @@
+"""Scatter of all surfaces, packed for the kernel: lobes, targets, and totals over the angle of incidence.
+
+Light of one side of a surface that leaves by one event (transmission or reflection) is one *case*, number
+4 s + 2 side + event. Each case has a list of lobes, a list of targets, and a table over the angle of incidence of what
+the specular beam loses and of what is scattered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.scatter.lobe import Lobe, Scatter
+from mistray.scatter.radial import RadialTable
+from mistray.scatter.total import Totals, check_budget, lobe_total, model_lobes, specular_cosine
+from mistray.trace.device_targets import DeviceTargets
+from mistray.trace.lobes import RadialSampler
+from mistray.trace.optics import OPAQUE, Optics
+from mistray.trace.targets import AimSet
+from mistray.trace.upload import upload
+
+TRANSMISSION_CASE, REFLECTION_CASE = 0, 1
+EVENT_NAMES = ("transmission", "reflection")
+CASES = 4  # of a surface
+ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
+# Flags of a lobe
+BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, RATIO, BY_COSINES = (1 << bit for bit in range(7))
+
+
+@dataclass(frozen=True)
+class Side:
+    """What the models of a surface make of light of one side: lobes with their tables, and totals by angle."""
+
+    lobes: tuple[Lobe, ...]
+    tables: tuple[RadialTable, ...]
+    rows: dict[str, np.ndarray]  # event → (ANGLES + 1, 4): loss, and three terms of what is scattered
+
+
+@lru_cache(maxsize=1024)
+def side_of(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
+    """Lobes and totals; uniform nodes in cos θi for reflection, in the cosine in the rarer medium for transmission."""
+    lobes = model_lobes(models, wavelength_nm, n_in, n_out, from_front)
+    tables = tuple(RadialTable.of(lobe.profile, lobe.r_max) for lobe in lobes)
+    x = np.linspace(0.0, 1.0, ANGLES + 1)
+    denser = np.sqrt(1 - (1 - x * x) * min(n_out / n_in, 1.0) ** 2)  # cos θi where cos θt is x
+    rows = {}
+    for event in EVENT_NAMES:
+        cos_i = x if event == "reflection" else denser
+        row = np.zeros((ANGLES + 1, 4))
+        for lobe, table in zip(lobes, tables, strict=True):
+            if lobe.event == event:
+                total = lobe_total(lobe, cos_i, n_in, n_out, table)
+                row[:, 1:] += total[:, None] * np.array(lobe.shares)
+                depth = lobe.optical_depth
+                row[:, 0] += lobe.shares[1] * total if depth is None else depth * lobe.oblique(cos_i)
+        rows[event] = row
+    return Side(lobes, tables, rows)
+
+
+class ScatterTables:
+    """
+    Scatter of all surfaces at one wavelength.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        Names of the surfaces, for messages.
+    optics : Optics
+        Their coatings and materials at a wavelength.
+    aims : mapping
+        (surface, leaves to the back) → targets.
+
+    Attributes
+    ----------
+    any : bool
+        Whether a surface scatters.
+    """
+
+    def __init__(
+        self,
+        ids: Sequence[str],
+        optics: Optics,
+        aims: Mapping[tuple[int, bool], AimSet],
+    ) -> None:
+        bsdfs, indices, wavelength_nm = optics.bsdfs, optics.host_indices[:, :2], optics.wavelength_nm
+        self.any = any(bsdf.scatter for bsdf in bsdfs)
+        if not self.any:
+            return
+        count = len(bsdfs)
+        plan = np.zeros((count * CASES, 8), dtype=np.uint32)
+        total_rows: list[np.ndarray] = [np.zeros((2, 4))]  # for cases without scatter
+        lobe_rows: list[np.ndarray] = []
+        lobe_words: list[list[int]] = []
+        ratios: list[np.ndarray] = []
+        aim_sets: list[AimSet] = []
+        targets = 0
+        radial: dict[int, int] = {}
+        self._tables: list[RadialTable] = []
+        self.flags = 0
+        self.most_lobes = 0
+        node = 2
+        for s, bsdf in enumerate(bsdfs):
+            if not bsdf.scatter:
+                continue
+            for side, from_front in enumerate((True, False)):
+                n_in, n_out = indices[s] if from_front else indices[s, ::-1]
+                found = side_of(tuple(bsdf.scatter), wavelength_nm, float(n_in), float(n_out), from_front)
+                if not found.lobes:
+                    continue
+                _check_side(
+                    f"surface '{ids[s]}', light from the {'front' if from_front else 'back'}",
+                    found,
+                    n_in,
+                    n_out,
+                    partial(optics.shares, s, from_front),
+                )
+                for case, event in enumerate(EVENT_NAMES):
+                    if event == "transmission" and optics.host_words[s] & OPAQUE:
+                        continue
+                    members = [k for k, lobe in enumerate(found.lobes) if lobe.event == event]
+                    if not members:
+                        continue
+                    row = plan[s * CASES + 2 * side + case]
+                    row[:3] = node, len(lobe_words), len(members)
+                    total_rows.append(found.rows[event])
+                    node += ANGLES + 1
+                    for k in members:
+                        lobe, table = found.lobes[k], found.tables[k]
+                        if id(table) not in radial:
+                            radial[id(table)] = len(self._tables)
+                            self._tables.append(table)
+                        flags, place, shape = _flags(lobe, ratios)
+                        self.flags |= flags
+                        lobe_words.append([flags, radial[id(table)], place, shape])
+                        r_min = lobe.ratio.r_min if lobe.ratio is not None else 1.0
+                        limit = min(lobe.oblique_limit, 1e30)
+                        lobe_rows.append(np.array([*lobe.shares, table.total, limit, np.log2(r_min), 0, 0]))
+                    self.most_lobes = max(self.most_lobes, len(members))
+                    aim = aims.get((s, from_front == (event == "transmission")))
+                    if aim is not None:
+                        row[4:7] = targets, len(aim.targets), aim.rays
+                        aim_sets.append(aim)
+                        targets += len(aim.targets)
+        self.aimed = bool(aim_sets)
+        self.plan = upload(mi.UInt32, plan)
+        self.totals = upload(mi.Float, np.concatenate(total_rows))
+        self.lobes = upload(mi.Float, np.array(lobe_rows if lobe_rows else [np.zeros(8)]))
+        self.words = upload(mi.UInt32, np.array(lobe_words if lobe_words else [[0] * 4], dtype=np.uint32))
+        self.ratios = upload(mi.Float, np.concatenate(ratios) if ratios else np.zeros(1))
+        self.targets = DeviceTargets(aim_sets)
+        self.radial = RadialSampler(self._tables)
+        dr.eval(self.plan, self.totals, self.lobes, self.words, self.ratios)
+
+
+def _flags(lobe: Lobe, ratios: list[np.ndarray]) -> tuple[int, int, int]:
+    """Flags of a lobe, and place and shape of its ratio table, which is appended to the others."""
+    flags = BY_ANGLE if lobe.measure == "angle" else 0
+    flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
+    flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE}[lobe.factor]
+    if lobe.ratio is None:
+        return flags, 0, 0
+    a, b, c = lobe.ratio.values.shape
+    if max(a, b, c) > 0x3FF:
+        raise MistrayError(f"ratio table of {a} × {b} × {c} nodes; at most 1023 each way are possible")
+    place = sum(map(len, ratios))
+    ratios.append(lobe.ratio.values.ravel())
+    flags |= RATIO | (BY_COSINES if lobe.ratio.axes == "cosines" else 0)
+    return flags, place, a | b << 10 | c << 20
+
+
+def _check_side(
+    title: str, side: Side, n_in: float, n_out: float, response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+) -> None:
+    """Raise if a surface gives away more light than it gets."""
+    cos_i = np.linspace(0.0, 1.0, ANGLES + 1)
+    rarer = np.minimum(cos_i, specular_cosine("transmission", cos_i, n_in, n_out))
+    reflectance, transmittance = response(cos_i)
+    rows = {
+        event: np.array([np.interp(x, cos_i, column) for column in side.rows[event].T])
+        for event, x in (("reflection", cos_i), ("transmission", rarer))
+    }
+    sums = Totals({event: row[0] for event, row in rows.items()}, {event: row[1:] for event, row in rows.items()})
+    check_budget(title, sums, cos_i, reflectance, transmittance)

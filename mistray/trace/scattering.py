@@ -1,0 +1,409 @@
+"""How the kernel scatters a ray.
+
+A scattered ray is drawn either at random, a lobe by its flux and a direction by its profile, or towards a target, by
+its share and uniformly over its area. All rays of a hit together are weighted with the balance heuristic of E. Veach
+(Robust Monte Carlo methods for light transport simulation, 1997, section 9.2): a direction that several techniques
+could have given counts f/Σ n_i p_i, so that the sum is unbiased whatever the targets are.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.trace.scatter_tables import (
+    ANGLES,
+    BY_ANGLE,
+    BY_COSINES,
+    CASES,
+    GHS,
+    NORMAL,
+    RATIO,
+    RAYLEIGH_RICE,
+    REFLECTION_CASE,
+    RETRO,
+    TRANSMISSION_CASE,
+    ScatterTables,
+)
+
+if TYPE_CHECKING:
+    from mistray.trace.interaction import Interaction
+
+
+@dataclass
+class Shares:
+    """
+    What scatter takes and gives at a node, for one event.
+
+    Attributes
+    ----------
+    kept : mi.Float
+        Share of the coating's R or T that stays in the specular beam.
+    scattered : mi.Float
+        Scattered share of the incident flux.
+    slope : mi.Float
+        Derivative of `scattered` by R or T.
+    """
+
+    kept: mi.Float
+    scattered: mi.Float
+    slope: mi.Float
+
+
+@dataclass
+class Given:
+    """
+    What scatter makes of the light of a node.
+
+    Attributes
+    ----------
+    transmission, reflection : Shares
+    scattered : mi.Float
+        Both together.
+    case_t, case_r : mi.UInt32
+        Their cases.
+    aimed_t, aimed_r : mi.UInt32
+        Aimed rays of either.
+    """
+
+    transmission: Shares
+    reflection: Shares
+    scattered: mi.Float
+    case_t: mi.UInt32
+    case_r: mi.UInt32
+    aimed_t: mi.UInt32
+    aimed_r: mi.UInt32
+
+    def ray(self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
+        """The scattered ray of this number: first those at random, then the aimed ones of either event."""
+        aim = number >= random_rays
+        at_random = rng.next_float32() * self.scattered >= self.transmission.scattered
+        reflect = dr.select(aim, number >= random_rays + self.aimed_t, at_random)
+        event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
+        aimed = mi.Float(dr.select(reflect, self.aimed_r, self.aimed_t))
+        return ScatteredRay(reflect, aim, mi.Float(random_rays) * event_share, aimed)
+
+    def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
+        """One ray for all, where the node scatters with this probability; it is aimed half of the time if it can be."""
+        reflect = rng.next_float32() * self.scattered >= self.transmission.scattered
+        event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
+        aimed = dr.select(reflect, self.aimed_r, self.aimed_t) > 0
+        aiming = dr.select(aimed, dr.select(random_rays > 0, mi.Float(0.5), 1), 0)
+        aim = rng.next_float32() < aiming
+        probability = probability * event_share
+        return ScatteredRay(reflect, aim, probability * (1 - aiming), probability * aiming)
+
+
+@dataclass
+class ScatteredRay:
+    """
+    Which of the scattered rays of a node is to be drawn.
+
+    Attributes
+    ----------
+    reflect : mi.Bool
+        On the side of incidence.
+    aim : mi.Bool
+        Towards a target.
+    random_rays, aimed_rays : mi.Float
+        How many rays of either technique the node sends in this event on average.
+    """
+
+    reflect: mi.Bool
+    aim: mi.Bool
+    random_rays: mi.Float
+    aimed_rays: mi.Float
+
+
+class Scattering:
+    """
+    Scatter of all surfaces at one wavelength.
+
+    Parameters
+    ----------
+    tables : ScatterTables
+
+    Attributes
+    ----------
+    any : bool
+        Whether a surface scatters.
+    """
+
+    def __init__(self, tables: ScatterTables) -> None:
+        self._tables = tables
+        self.any = tables.any
+
+    def give(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> Given:
+        """What the surfaces s scatter of the light that meets them."""
+        first = CASES * s + dr.select(it.from_front, mi.UInt32(0), 2)
+        case_t, case_r = first + TRANSMISSION_CASE, first + REFLECTION_CASE
+        transmission = self._shares(case_t, dr.minimum(it.cos_i, it.cos_t), it.T, active)
+        reflection = self._shares(case_r, it.cos_i, it.R, active)
+        aimed_t, aimed_r = (
+            dr.select(shares.scattered > 0, dr.gather(mi.UInt32, self._tables.plan, 8 * case + 6, active), 0)
+            if self._tables.aimed
+            else mi.UInt32(0)
+            for shares, case in ((transmission, case_t), (reflection, case_r))
+        )
+        scattered = transmission.scattered + reflection.scattered
+        return Given(transmission, reflection, scattered, case_t, case_r, aimed_t, aimed_r)
+
+    def _shares(self, case: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool) -> Shares:
+        """Totals of a case at the cosine of its table, where the coating's R or T is x."""
+        first = dr.gather(mi.UInt32, self._tables.plan, 8 * case, active)
+        here = active & (first != 0)
+        place = dr.select(here, cosine * ANGLES, 0)
+        node = dr.minimum(mi.UInt32(place), ANGLES - 1)
+        low, high = (dr.gather(mi.Vector4f, self._tables.totals, first + node + k, here) for k in range(2))
+        row = dr.lerp(low, high, place - mi.Float(node))
+        scattered = dr.fma(x, dr.fma(x, row.w, row.z), row.y)
+        return Shares(
+            1 - dr.select(here, dr.minimum(row.x, 1), 0),
+            dr.select(here, scattered, 0),
+            dr.select(here, dr.fma(2 * x, row.w, row.z), 0),
+        )
+
+    def scatter(
+        self,
+        given: Given,
+        ray: ScatteredRay,
+        it: Interaction,
+        d: mi.Vector3f,
+        otherwise: mi.Vector3f,
+        rng: mi.PCG32,
+        active: mi.Bool,
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32]:
+        """
+        Draw a scattered ray.
+
+        Parameters
+        ----------
+        given : Given
+        ray : ScatteredRay
+        it : Interaction
+        d : mi.Vector3f
+            Direction of arrival.
+        otherwise : mi.Vector3f
+            Direction where not active.
+        rng : mi.PCG32
+        active : mi.Bool
+
+        Returns
+        -------
+        direction : mi.Vector3f
+        weight : mi.Float
+            Flux of the ray per unit of incident flux; 0 if its direction goes into the surface.
+        slope : mi.Float
+            d ln(weight) / d(R or T).
+        rng : mi.PCG32
+        """
+        case = dr.select(ray.reflect, given.case_r, given.case_t)
+        x = dr.select(ray.reflect, it.R, it.T)
+        outward = dr.select(ray.reflect, -it.axis, it.axis)
+        specular = dr.select(ray.reflect, it.reflected, it.transmitted)
+
+        def draw(*arguments: Any) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32]:
+            return self._draw(*arguments)
+
+        def leave(*arguments: Any) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32]:
+            rng, otherwise = arguments[-1], arguments[6]
+            return mi.Vector3f(otherwise), mi.Float(0), mi.Float(0), rng
+
+        arguments = (case, x, it.cos_i, outward, specular, d, otherwise, it.p, ray.aim, ray.random_rays, ray.aimed_rays)
+        result: tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32] = dr.if_stmt(
+            (*arguments, rng), active, draw, leave, mode="symbolic", label="scatter"
+        )
+        return result
+
+    def _draw(
+        self,
+        case: mi.UInt32,
+        x: mi.Float,
+        cos_i: mi.Float,
+        outward: mi.Vector3f,
+        specular: mi.Vector3f,
+        d: mi.Vector3f,
+        otherwise: mi.Vector3f,
+        p: mi.Vector3f,
+        aim: mi.Bool,
+        random_rays: mi.Float,
+        aimed_rays: mi.Float,
+        rng: mi.PCG32,
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32]:
+        """The body of `scatter`."""
+        rng = mi.PCG32(rng)
+        u = [rng.next_float32() for _ in range(4)]
+        plan, aims = (dr.gather(mi.Vector4u, self._tables.plan, 2 * case + k) for k in range(2))
+        lobes = self._read_lobes(plan, x, cos_i)
+        total = sum((lobe["flux"] for lobe in lobes), mi.Float(0))
+        direction = self._random(lobes, total, u, outward, specular, d)
+        own = mi.UInt32(0)
+        if self._tables.aimed:
+            aimed, own = self._tables.targets.sample(aims, u, p, aim)
+            direction = dr.select(aim, aimed, direction)
+        cos_s = dr.dot(direction, outward)
+        flux, slope, density = self._evaluate(lobes, total, direction, cos_s, outward, specular, d, cos_i)
+        techniques = random_rays * density
+        if self._tables.aimed:
+            techniques += aimed_rays * self._tables.targets.density(aims, p, direction, aim, own, aimed_rays > 0)
+        weight = flux / techniques
+        good = (cos_s > 0) & (flux > 0) & dr.isfinite(weight)
+        return (
+            dr.select(good, direction, otherwise),
+            dr.select(good, weight, 0),
+            dr.select(good, slope / flux, 0),
+            rng,
+        )
+
+    def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
+        """The lobes of a case and the flux of each over all directions."""
+        lobes = []
+        for j in range(self._tables.most_lobes):
+            here = plan.z > j
+            row = plan.y + j
+            shares, more = (dr.gather(mi.Vector4f, self._tables.lobes, 2 * row + k, here) for k in range(2))
+            words = dr.gather(mi.Vector4u, self._tables.words, row, here)
+            coefficient = dr.fma(x, dr.fma(x, shares.z, shares.y), shares.x)
+            if self._tables.flags & BY_ANGLE:
+                oblique = dr.minimum(dr.rcp(cos_i), more.x)
+                coefficient = dr.select((words.x & BY_ANGLE) != 0, oblique, 1) * coefficient
+            flux = dr.select(here, coefficient * shares.w, 0)
+            slope = dr.fma(2 * x, shares.z, shares.y) / dr.fma(x, dr.fma(x, shares.z, shares.y), shares.x)
+            lobes.append(
+                {
+                    "here": here,
+                    "words": words,
+                    "coefficient": coefficient,
+                    "flux": flux,
+                    "total": dr.select(here, shares.w, 1),
+                    "slope": dr.select(dr.isfinite(slope), slope, 0),
+                    "log2_r_min": more.y,
+                }
+            )
+        return lobes
+
+    def _centre(self, words: mi.Vector4u, outward: mi.Vector3f, specular: mi.Vector3f, d: mi.Vector3f) -> mi.Vector3f:
+        """Unit vector at the centre of a lobe."""
+        centre = specular
+        if self._tables.flags & RETRO:
+            centre = dr.select((words.x & RETRO) != 0, -d, centre)
+        if self._tables.flags & NORMAL:
+            centre = dr.select((words.x & NORMAL) != 0, outward, centre)
+        return centre
+
+    def _random(
+        self,
+        lobes: list[dict[str, Any]],
+        total: mi.Float,
+        u: list[mi.Float],
+        outward: mi.Vector3f,
+        specular: mi.Vector3f,
+        d: mi.Vector3f,
+    ) -> mi.Vector3f:
+        """A direction at random: a lobe by its flux, then its profile."""
+        chosen = lobes[0]["words"]
+        wanted, so_far = u[0] * total, lobes[0]["flux"]
+        before, share = mi.Float(0), so_far
+        for lobe in lobes[1:]:
+            later = lobe["here"] & (wanted >= so_far) & (lobe["flux"] > 0)
+            chosen = dr.select(later, lobe["words"], chosen)
+            before, share = dr.select(later, so_far, before), dr.select(later, lobe["flux"], share)
+            so_far = so_far + lobe["flux"]  # not +=, which would change the first lobe's flux
+        # What the choice leaves of the random number is uniform again
+        first = dr.clip((wanted - before) / share, 0, 0.99999994)
+        r = self._tables.radial.sample(chosen.y, first, u[1], mi.Bool(True))
+        centre = self._centre(chosen, outward, specular, d)
+        sine, cosine = dr.sincos(2 * dr.pi * u[2])
+        by_angle = (chosen.x & BY_ANGLE) != 0 if self._tables.flags & BY_ANGLE else mi.Bool(False)
+        axis = dr.select(by_angle, centre, outward) if self._tables.flags & BY_ANGLE else outward
+        across, along = mi.coordinate_system(axis)
+        aside = cosine * across + sine * along
+        tangential = centre - dr.dot(centre, outward) * outward + r * aside
+        left = 1 - dr.squared_norm(tangential)
+        direction = dr.fma(dr.sqrt(dr.maximum(left, 0)), outward, tangential)
+        direction = dr.select(left > 0, direction, -outward)
+        if self._tables.flags & BY_ANGLE:
+            chord = dr.fma(-0.5 * r, r, 1) * centre + r * dr.sqrt(dr.maximum(dr.fma(-0.25 * r, r, 1), 0)) * aside
+            direction = dr.select(by_angle, chord, direction)
+        return dr.normalize(direction)
+
+    def _evaluate(
+        self,
+        lobes: list[dict[str, Any]],
+        total: mi.Float,
+        direction: mi.Vector3f,
+        cos_s: mi.Float,
+        outward: mi.Vector3f,
+        specular: mi.Vector3f,
+        d: mi.Vector3f,
+        cos_i: mi.Float,
+    ) -> tuple[mi.Float, mi.Float, mi.Float]:
+        """Flux per solid angle and incident flux, its derivative by R or T, and the density of the random rays."""
+        flux, slope, density = mi.Float(0), mi.Float(0), mi.Float(0)
+        for lobe in lobes:
+            words = lobe["words"]
+            here = lobe["here"]
+            apart = direction - self._centre(words, outward, specular, d)
+            across = apart - dr.dot(apart, outward) * outward
+            r2, per_angle = dr.squared_norm(across), cos_s
+            if self._tables.flags & BY_ANGLE:
+                by_angle = (words.x & BY_ANGLE) != 0
+                r2 = dr.select(by_angle, dr.squared_norm(apart), r2)
+                per_angle = dr.select(by_angle, 1, cos_s)
+            value = dr.select(here, self._tables.radial.value(words.y, r2, here) * per_angle, 0)
+            density += lobe["flux"] / lobe["total"] * value
+            value *= lobe["coefficient"]
+            if self._tables.flags & GHS:
+                value *= dr.select((words.x & GHS) != 0, 0.25 * dr.square(cos_i + cos_s), 1)
+            if self._tables.flags & RAYLEIGH_RICE:
+                value *= dr.select((words.x & RAYLEIGH_RICE) != 0, cos_i * cos_s, 1)
+            if self._tables.flags & RATIO:
+                cos_specular = dr.dot(specular, outward)
+                ratio = self._ratio(lobe, words, cos_specular, cos_s, r2, across, direction, specular, outward, here)
+                value *= dr.select((words.x & RATIO) != 0, ratio, 1)
+            flux += value
+            slope += value * lobe["slope"]
+        return flux, slope, dr.select(total > 0, density / total, 0)
+
+    def _ratio(
+        self,
+        lobe: dict[str, Any],
+        words: mi.Vector4u,
+        cos_specular: mi.Float,
+        cos_s: mi.Float,
+        r2: mi.Float,
+        across: mi.Vector3f,
+        direction: mi.Vector3f,
+        specular: mi.Vector3f,
+        outward: mi.Vector3f,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """The ratio table of a lobe, trilinear."""
+        sizes = [(words.w >> (10 * k)) & 0x3FF for k in range(3)]
+        tangent = specular - cos_specular * outward
+        second = dr.clip(1 - (1 - 0.5 * dr.log2(dr.maximum(r2, 1e-30))) / (1 - lobe["log2_r_min"]), 0, 1)
+        if self._tables.flags & BY_COSINES:
+            by_cosines = (words.x & BY_COSINES) != 0
+            across = dr.select(by_cosines, direction - cos_s * outward, across)
+            second = dr.select(by_cosines, dr.clip(cos_s, 0, 1), second)
+        lengths = dr.squared_norm(across) * dr.squared_norm(tangent)
+        angle = dr.acos(dr.clip(dr.dot(across, tangent) * dr.rsqrt(dr.maximum(lengths, 1e-30)), -1, 1))
+        active = active & ((words.x & RATIO) != 0)
+        low, fraction = [], []
+        for place, size in zip((dr.clip(cos_specular, 0, 1), second, angle / dr.pi), sizes, strict=True):
+            place = place * mi.Float(dr.maximum(size, 2) - 1)
+            node = dr.minimum(mi.UInt32(place), dr.maximum(size, 2) - 2)
+            low.append(node)
+            fraction.append(place - mi.Float(node))
+        result = mi.Float(0)
+        for corner in range(8):
+            weight, index = mi.Float(1), mi.UInt32(0)
+            for axis in range(3):
+                step = corner >> axis & 1
+                weight *= fraction[axis] if step else 1 - fraction[axis]
+                index = index * sizes[axis] + low[axis] + step
+            result += weight * dr.gather(mi.Float, self._tables.ratios, words.z + index, active)
+        return result

@@ -1,0 +1,73 @@
+"""Plugin `abg`: the ABg model of scatter."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from mistray.physics import abg
+from mistray.plugins.bsdfs.lobe_sum import Pair
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter import Lobe
+from mistray.scatter.abg import ABg as Model
+
+
+class ABg(Scatterer):
+    r"""
+    ABg scatter (:monosp:`abg`): BSDF = A/(B + r^g), with r = \|β - β0\|.
+
+    Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
+    with constant R and T.
+
+    ============== ======= ============ ======== ==============================================================
+    parameter      unit    range        default  meaning
+    ============== ======= ============ ======== ==============================================================
+    A              1/sr    ≥ 0                   amplitude (differentiable)
+    B                      > 1e-12               (r of the knee)^g; 0 is possible with g = 0 (differentiable)
+    g                      ≥ 0                   slope; 0: Lambertian, reflectance π A/(1 + B) (differentiable)
+    reference_nm   nm      > 0          none     wavelength at which A and B hold; at others the scatter of a
+                                                 smooth surface is scaled. None: the same at all wavelengths
+    event          string               both     what scatters: ``reflection``, ``transmission`` or ``both``
+    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
+    relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
+                                                 light (``incident``), then taken from what is absorbed
+    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable)
+    T              1       0 … 1        0        by itself only: transmittance (differentiable)
+    front, back    string               air      by itself only: materials, see ``interface``
+    mirror         bool                 false    by itself only; see ``interface``
+    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
+    ============== ======= ============ ======== ==============================================================
+
+    It is the same for light from both sides and in reflection and transmission; reciprocal in reflection where R is
+    constant. Source: see `mistray.physics.abg`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <string name="back" value="N-BK7"/>
+            <bsdf type="abg">
+                <float name="A" value="2e-5"/><float name="B" value="1e-6"/><float name="g" value="2"/>
+            </bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "abg", "A": 0.0025, "B": 0.001, "g": 1.8, "R": 0.95}
+    """
+
+    kind = "abg"
+
+    def _read(self, props: mi.Properties) -> None:
+        self._take(props, "A", "B", "g")
+        self._reference_nm = self._optional(props, "reference_nm")
+
+    def _model_of(self, **values: float) -> Model:
+        return Model(**values, reference_nm=self._reference_nm, name=self.name, **self._placement)
+
+    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
+        a, b, g = self.values["A"], self.values["B"], self.values["g"]
+        if self._reference_nm is not None:
+            a, b = abg.at_wavelength(a, b, g, mi.Float(wavelength_nm / self._reference_nm))
+        return abg.bsdf(r, a, b, g)
+
+
+mi.register_bsdf("abg", lambda props: ABg(props))

@@ -1,0 +1,63 @@
+"""Plugin `gaussian_lobe`: a Gaussian lobe of scatter."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from mistray.physics import gaussian
+from mistray.plugins.bsdfs.lobe_sum import Pair
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter import Lobe
+from mistray.scatter.gaussian import Gaussian as Model
+
+
+class GaussianLobe(Scatterer):
+    r"""
+    Gaussian scatter (:monosp:`gaussian_lobe`): BSDF = f0 exp(-(r/w)²), with r = \|β - β0\|.
+
+    Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
+    with constant R and T.
+
+    ============== ======= ============ ======== ==============================================================
+    parameter      unit    range        default  meaning
+    ============== ======= ============ ======== ==============================================================
+    total          1       0 … 1                 share of R and T scattered at normal incidence (differentiable)
+    width                  > 0                   w: the r where the BSDF has fallen to 1/e (differentiable)
+    event          string               both what scatters: ``reflection``, ``transmission`` or ``both``
+    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
+    relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
+                                                 light (``incident``), then taken from what is absorbed
+    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable)
+    T              1       0 … 1        0        by itself only: transmittance (differentiable)
+    front, back    string               air      by itself only: materials, see ``interface``
+    mirror         bool                 false    by itself only; see ``interface``
+    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
+    ============== ======= ============ ======== ==============================================================
+
+    Reciprocal in reflection where R is constant. Source: see `mistray.physics.gaussian`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <float name="R" value="0.9"/>
+            <bsdf type="gaussian_lobe"><float name="total" value="0.2"/><float name="width" value="0.05"/></bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "gaussian_lobe", "total": 0.2, "width": 0.05, "R": 0.9}
+    """
+
+    kind = "gaussian_lobe"
+
+    def _read(self, props: mi.Properties) -> None:
+        self._take(props, "total", "width")
+
+    def _model_of(self, **values: float) -> Model:
+        return Model(**values, name=self.name, **self._placement)
+
+    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
+        return gaussian.bsdf(r, self.values["total"], self.values["width"])
+
+
+mi.register_bsdf("gaussian_lobe", lambda props: GaussianLobe(props))

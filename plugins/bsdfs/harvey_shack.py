@@ -1,0 +1,85 @@
+"""Plugin `harvey_shack`: scatter of polished surfaces."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.physics import harvey_shack
+from mistray.plugins.bsdfs.lobe_sum import Pair
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter import Lobe
+from mistray.scatter.harvey_shack import HarveyShack as Model
+
+
+class HarveyShack(Scatterer):
+    r"""
+    Harvey-Shack scatter (:monosp:`harvey_shack`): BSDF = b0 [1 + (r/l)²]^(s/2), with r = \|β - β0\|.
+
+    Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
+    with constant R and T. Exactly one of ``b0`` and ``rms_nm`` says how much is scattered. With ``rms_nm`` b0 follows
+    from the indices on both sides, with Δn = 2 n in reflection and the difference of the indices in transmission, and
+    a surface that is not smooth is refused.
+
+    ============== ======= ============ ======== ==============================================================
+    parameter      unit    range        default  meaning
+    ============== ======= ============ ======== ==============================================================
+    b0             1/sr    ≥ 0          none     BSDF at r = 0 (differentiable)
+    rms_nm         nm      ≥ 0          none     RMS roughness instead of b0 (differentiable)
+    l                      > 0          0.01     r of the knee (differentiable)
+    s                      < 0          -1.5     slope beyond the knee (differentiable)
+    reference_nm   nm      > 0          none     wavelength at which b0 and l hold; at others the scatter of a
+                                                 smooth surface is scaled. None: l is the same at all wavelengths,
+                                                 and so is b0 where it is given
+    event          string               both     what scatters: ``reflection``, ``transmission`` or ``both``
+    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
+    relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
+                                                 light (``incident``), then taken from what is absorbed
+    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable)
+    T              1       0 … 1        0        by itself only: transmittance (differentiable)
+    front, back    string               air      by itself only: materials, see ``interface``
+    mirror         bool                 false    by itself only; see ``interface``
+    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
+    ============== ======= ============ ======== ==============================================================
+
+    Reciprocal in reflection where R is constant. Source: see `mistray.physics.harvey_shack`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <string name="back" value="nd=1.544 Vd=56.1"/>
+            <bsdf type="harvey_shack"><float name="rms_nm" value="4"/></bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "harvey_shack", "b0": 0.1099, "l": 0.01, "s": -1.5, "R": 0.95}
+    """
+
+    kind = "harvey_shack"
+
+    def _read(self, props: mi.Properties) -> None:
+        given = [key for key in ("b0", "rms_nm") if key in props]
+        if len(given) != 1:
+            raise MistrayError(f"{self.title}: {' and '.join(given) or 'neither'} given; give one of b0 and rms_nm")
+        self._take(props, given[0], l=0.01, s=-1.5)
+        self._reference_nm = self._optional(props, "reference_nm")
+
+    def _model_of(self, **values: float) -> Model:
+        return Model(**values, reference_nm=self._reference_nm, name=self.name, **self._placement)
+
+    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
+        knee, s = self.values["l"], self.values["s"]
+        reference_nm = self._reference_nm or wavelength_nm
+        if "b0" in self.values:
+            b0 = self.values["b0"]
+        else:
+            step = 2 * pair.n_in if lobe.event == "reflection" else dr.abs(pair.n_in - pair.n_out)
+            share = harvey_shack.tis_from_rms(self.values["rms_nm"] * 1e-3, reference_nm * 1e-3, step)
+            b0 = harvey_shack.b0_from_tis(share, knee, s)
+        b0, knee = harvey_shack.at_wavelength(b0, knee, wavelength_nm / reference_nm)
+        return harvey_shack.bsdf(r, b0, knee, s)
+
+
+mi.register_bsdf("harvey_shack", lambda props: HarveyShack(props))

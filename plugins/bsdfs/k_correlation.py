@@ -1,0 +1,109 @@
+"""Plugin `k_correlation`: scatter of a surface of given roughness spectrum."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.physics import generalized_harvey_shack as ghs
+from mistray.physics import k_correlation, rayleigh_rice
+from mistray.plugins.bsdfs.lobe_sum import Pair
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter import Lobe
+from mistray.scatter.k_correlation import KCorrelation as Model
+
+
+class KCorrelation(Scatterer):
+    r"""
+    Scatter of a roughness spectrum (:monosp:`k_correlation`): PSD = A'/[1 + (B f)²]^(S/2).
+
+    Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
+    with constant R and T. What the surface scatters follows from the indices on its sides by the generalised
+    Harvey-Shack or by the Rayleigh-Rice theory; a surface that is too rough for the theory is refused.
+
+    ============== ======= ============ ======== ==============================================================
+    parameter      unit    range        default  meaning
+    ============== ======= ============ ======== ==============================================================
+    rms_nm         nm      ≥ 0                   roughness σ: over all frequencies, or over 0 … 1/λ if
+                                                 ``band_limited`` (differentiable)
+    B_um           um      > 0                   1/B is the frequency of the knee (differentiable)
+    slope                  > 2; > 0              S; > 0 if ``band_limited`` (differentiable)
+    band_limited   bool                 false    what ``rms_nm`` means
+    theory         string               ghs      ``ghs`` (smooth surfaces), ``ghs_full`` (rougher ones, S = 3),
+                                                 ``rayleigh_rice`` (reflection), ``rayleigh_rice_vector``
+    reference_nm   nm      > 0          none     wavelength of the band of ``rms_nm``; none: that of the light
+    substrate      string               back     n+ik of the substrate for ``rayleigh_rice_vector``: ``0.96+6.69i``
+    event          string               both what scatters: ``reflection``, ``transmission`` or ``both``
+    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
+    relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
+                                                 light (``incident``), then taken from what is absorbed
+    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable)
+    T              1       0 … 1        0        by itself only: transmittance (differentiable)
+    front, back    string               air      by itself only: materials, see ``interface``
+    mirror         bool                 false    by itself only; see ``interface``
+    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
+    ============== ======= ============ ======== ==============================================================
+
+    With the theory ``ghs_full`` the gradient takes the growth of the lobe with angle as constant. Reciprocal in
+    reflection where R is constant and the theory is not ``rayleigh_rice_vector``. Source: see
+    `mistray.physics.k_correlation`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <string name="back" value="N-BK7"/>
+            <bsdf type="k_correlation">
+                <float name="rms_nm" value="2"/><float name="B_um" value="100"/><float name="slope" value="2.5"/>
+            </bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "k_correlation", "rms_nm": 2.0, "B_um": 100.0, "slope": 2.5, "R": 0.95}
+    """
+
+    kind = "k_correlation"
+
+    def _read(self, props: mi.Properties) -> None:
+        self._take(props, "rms_nm", "B_um", "slope")
+        self._band_limited, self._theory = bool(props.get("band_limited", False)), str(props.get("theory", "ghs"))
+        self._reference_nm = self._optional(props, "reference_nm")
+        self._substrate = self._complex(str(props.get("substrate"))) if "substrate" in props else None
+
+    def _complex(self, text: str) -> complex:
+        try:
+            return complex(text.replace(" ", "").replace("i", "j"))
+        except ValueError:
+            raise MistrayError(f"{self.title}: substrate is '{text}'; write n+ik as 0.96+6.69i") from None
+
+    def _model_of(self, **values: float) -> Model:
+        return Model(
+            **values,
+            band_limited=self._band_limited,
+            theory=self._theory,
+            reference_nm=self._reference_nm,
+            substrate=self._substrate,
+            name=self.name,
+            **self._placement,
+        )
+
+    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
+        if self._theory == "ghs_full":
+            return None
+        rms_um, length_um, slope = self.values["rms_nm"] * 1e-3, self.values["B_um"], self.values["slope"]
+        wavelength_um, reflected = wavelength_nm * 1e-3, lobe.event == "reflection"
+        if self._band_limited:
+            band_um = (self._reference_nm or wavelength_nm) * 1e-3
+            amplitude = k_correlation.band_amplitude_um4(rms_um, length_um, slope, band_um)
+        else:
+            amplitude = k_correlation.amplitude_um4(rms_um, length_um, slope)
+        n = pair.n_in if reflected else pair.n_out
+        psd = k_correlation.psd_um4(n * r / wavelength_um, amplitude, length_um, slope)
+        if self._theory.startswith("rayleigh_rice"):
+            return rayleigh_rice.brdf(1.0, 1.0, 1.0, psd, wavelength_um / pair.n_in)
+        step = 2 * pair.n_in if reflected else dr.abs(pair.n_in - pair.n_out)
+        return ghs.smooth(step, psd, wavelength_um, n)
+
+
+mi.register_bsdf("k_correlation", lambda props: KCorrelation(props))

@@ -1,0 +1,533 @@
+"""The lobes of one surface for stock integrators: value, density and choice of directions in both transport modes.
+
+Light comes from the direction i (towards its origin) and is scattered into s. In the mode "importance" i is Mitsuba's
+wi and s its wo; in the mode "radiance", where paths start at the eye, it is the other way round. That the same function
+serves both makes them adjoint: what `path` renders is what light does, also for models that are not reciprocal.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.scatter import Lobe
+from mistray.scatter.lobe import EVENTS
+from mistray.scatter.radial import RadialTable
+from mistray.trace.lobes import RadialSampler
+from mistray.trace.scatter_tables import ANGLES, Side, side_of
+from mistray.trace.upload import upload
+
+STEP = 1e-3  # relative, of a parameter, for central differences
+SMALLEST_SHARE = 0.1  # of R and T, when directions are chosen before the light's angle is known
+ONE_LESS = 1 - 2.0**-24  # the largest float32 below 1
+
+
+@dataclass(frozen=True)
+class Pair:
+    """Light from i that is scattered into s, local frame, with the indices on the sides of i and of the other one."""
+
+    i: mi.Vector3f
+    s: mi.Vector3f
+    n_in: mi.Float
+    n_out: mi.Float
+
+    @property
+    def eta(self) -> mi.Float:
+        """n_in/n_out."""
+        return self.n_in / self.n_out
+
+    @property
+    def from_back(self) -> mi.Bool:
+        """Whether the light comes from the back."""
+        return self.i.z > 0
+
+    @property
+    def reflected(self) -> mi.Bool:
+        """Whether both directions lie on one side."""
+        return self.i.z * self.s.z > 0
+
+    @property
+    def cos_i(self) -> mi.Float:
+        """Cosine of incidence."""
+        return dr.abs(self.i.z)
+
+    @property
+    def cos_s(self) -> mi.Float:
+        """Cosine of scatter."""
+        return dr.abs(self.s.z)
+
+    def refracted(self) -> mi.Vector3f:
+        """The refracted direction; z is 0 where there is none."""
+        x, y = -self.eta * self.i.x, -self.eta * self.i.y
+        return mi.Vector3f(x, y, -dr.mulsign(_cosine(x, y), self.i.z))
+
+    def centre(self, lobe: Lobe) -> mi.Vector3f:
+        """The direction in the middle of a lobe."""
+        if lobe.centre == "normal":
+            return mi.Vector3f(0, 0, 1)
+        if lobe.centre == "retro":
+            return self.i
+        return mi.Vector3f(-self.i.x, -self.i.y, self.i.z) if lobe.event == "reflection" else self.refracted()
+
+    def r2(self, lobe: Lobe) -> mi.Float:
+        """Squared distance of s from the centre of a lobe."""
+        d = self.s - self.centre(lobe)
+        return dr.squared_norm(d if lobe.measure == "angle" else d.xy)
+
+
+@dataclass(frozen=True)
+class Slot:
+    """
+    A lobe of a model for light from either side, or for one side only.
+
+    Attributes
+    ----------
+    plugin : Scatterer
+    lobes : tuple of Lobe or None
+        For light from the front and from the back; alike but for profile, shares and depth.
+    numbers : tuple of int
+        Their places among the lobes of the model.
+    tables : tuple of int
+        Numbers of their tables.
+    totals : tuple of float
+        Of the tables; 0 where there is no lobe.
+    """
+
+    plugin: Any
+    lobes: tuple[Lobe | None, Lobe | None]
+    numbers: tuple[int, int]
+    tables: tuple[int, int]
+    totals: tuple[float, float]
+
+    @property
+    def lobe(self) -> Lobe:
+        """The lobe of either side."""
+        found = self.lobes[0] or self.lobes[1]
+        assert found is not None
+        return found
+
+    @property
+    def number(self) -> int:
+        """Its place among the lobes of the model."""
+        return self.numbers[0] if self.lobes[0] is not None else self.numbers[1]
+
+    def of_side(self, from_back: mi.Bool, of: Callable[[Lobe], float]) -> mi.Float:
+        """A number of the lobe for the side the light comes from; 0 where there is none."""
+        front, back = (0.0 if lobe is None else of(lobe) for lobe in self.lobes)
+        return mi.Float(front) if front == back else dr.select(from_back, mi.Float(back), mi.Float(front))
+
+    def table(self, from_back: mi.Bool) -> mi.UInt32:
+        """Number of the table for the side the light comes from."""
+        front, back = self.tables
+        return mi.UInt32(front) if front == back else dr.select(from_back, mi.UInt32(back), mi.UInt32(front))
+
+    def total(self, from_back: mi.Bool) -> mi.Float:
+        """Total of the table for the side the light comes from."""
+        front, back = self.totals
+        return mi.Float(front) if front == back else dr.select(from_back, mi.Float(back), mi.Float(front))
+
+    def coefficient(self, x: mi.Float, from_back: mi.Bool) -> mi.Float:
+        """c0 + c1 X + c2 X²."""
+        c0, c1, c2 = (self.of_side(from_back, lambda lobe, k=k: lobe.shares[k]) for k in range(3))
+        return c0 + x * (c1 + x * c2)
+
+    def oblique(self, cos_i: mi.Float, from_back: mi.Bool) -> mi.Float:
+        """As `Lobe.oblique`."""
+        if self.lobe.measure == "cosines":
+            return mi.Float(1)
+        limit = self.of_side(from_back, lambda lobe: min(lobe.oblique_limit, 1e30))
+        return dr.minimum(dr.rcp(dr.maximum(cos_i, 1e-30)), limit)
+
+
+@dataclass
+class Choice:
+    """A direction, its component of `interface`, whether a lobe was chosen, and whether its direction is possible."""
+
+    wo: mi.Vector3f
+    component: mi.UInt32
+    chosen: mi.Bool
+    valid: mi.Bool
+
+
+class LobeSum:
+    """
+    All lobes of a surface at one wavelength.
+
+    Parameters
+    ----------
+    plugins : sequence of Scatterer
+    wavelength_nm : float
+    n_front, n_back : float
+        Indices on both sides.
+    opaque : bool
+        Nothing is transmitted.
+    """
+
+    def __init__(
+        self, plugins: Sequence[Any], wavelength_nm: float, n_front: float, n_back: float, opaque: bool
+    ) -> None:
+        self.plugins, self.wavelength_nm, self.opaque = tuple(plugins), wavelength_nm, opaque
+        self.n = n_front, n_back
+        self.models = [plugin.model for plugin in plugins]
+        tables: list[RadialTable] = []
+        self.slots = self._pair_sides(tables)
+        self.sampler = RadialSampler(tables) if tables else None
+        self._losses = upload(mi.Float, sum(map(self._loss_table, self.models)).ravel())
+        self._ratios = {
+            id(lobe.ratio): upload(mi.Float, lobe.ratio.values.ravel())
+            for slot in self.slots
+            for lobe in slot.lobes
+            if lobe is not None and lobe.ratio is not None
+        }
+
+    def _side(self, model: Any, from_front: bool) -> Side:
+        """Lobes of a model for light of one side, their tables, and what they take."""
+        return side_of((model,), self.wavelength_nm, *(self.n if from_front else self.n[::-1]), from_front)
+
+    def _pair_sides(self, tables: list[RadialTable]) -> list[Slot]:
+        """The lobes of both sides, paired where they are alike, and their tables."""
+        found: dict[tuple[Any, ...], list[tuple[Lobe | None, int, int]]] = {}
+        for k, model in enumerate(self.models):
+            for side, from_front in enumerate((True, False)):
+                there = self._side(model, from_front)
+                for number, lobe in enumerate(there.lobes):
+                    if self.opaque and lobe.event == "transmission":
+                        continue
+                    key = (k, number, lobe.event, lobe.measure, lobe.centre, lobe.factor, lobe.ratio is None)
+                    entry = found.setdefault(key, [(None, 0, 0), (None, 0, 0)])
+                    entry[side] = lobe, number, len(tables)
+                    tables.append(there.tables[number])
+        slots = []
+        for key, both in found.items():
+            (front, a, i), (back, b, j) = both
+            sums = tuple(0.0 if lobe is None else tables[t].total for lobe, _, t in both)
+            slots.append(Slot(self.plugins[key[0]], (front, back), (a, b), (i, j), (sums[0], sums[1])))
+        return slots
+
+    # -- the specular beams --------------------------------------------------------------------------------------
+
+    def _loss_table(self, model: Any) -> np.ndarray:
+        """Share that the specular beams lose: (event, side of incidence, nodes of the cosine of `loss`)."""
+        rows = [[self._side(model, from_front).rows[event][:, 0] for from_front in (True, False)] for event in EVENTS]
+        return np.array(rows)
+
+    def loss(self, event: str, cosine: mi.Float, from_back: mi.Bool, active: mi.Bool) -> mi.Float:
+        """
+        Share that the reflected or refracted beam loses, differentiable by the parameters of the models.
+
+        Parameters
+        ----------
+        event : {"reflection", "transmission"}
+        cosine : mi.Float
+            Of the angle of incidence; for transmission, of the angle in the rarer material.
+        from_back : mi.Bool
+            Whether the light comes from the back.
+        active : mi.Bool
+        """
+        place = dr.clip(cosine, 0, 1) * ANGLES
+        node = dr.minimum(mi.UInt32(place), ANGLES - 1)
+        first = (2 * EVENTS.index(event) + dr.select(from_back, mi.UInt32(1), mi.UInt32(0))) * (ANGLES + 1)
+
+        def at(table: mi.Float) -> mi.Float:
+            low, high = (dr.gather(mi.Float, table, first + node + step, active) for step in range(2))
+            return dr.lerp(low, high, place - mi.Float(node))
+
+        value = at(self._losses)
+        for plugin in self.plugins:
+            for name, parameter in plugin.values.items():
+                if dr.grad_enabled(parameter):
+                    low, high, step = models_around(plugin, name)
+                    slope = (self._loss_table(high) - self._loss_table(low)) / step
+                    value += at(upload(mi.Float, slope.ravel())) * (parameter - dr.detach(parameter))
+        return value
+
+    # -- the lobes -----------------------------------------------------------------------------------------------
+
+    def _pair(self, mode: Any, wi: mi.Vector3f, wo: mi.Vector3f) -> Pair:
+        light, seen = (wo, wi) if mode == mi.TransportMode.Radiance else (wi, wo)
+        n_front, n_back = (mi.Float(n) for n in self.n)
+        from_back = light.z > 0
+        return Pair(light, seen, dr.select(from_back, n_back, n_front), dr.select(from_back, n_front, n_back))
+
+    def value(
+        self, ctx: mi.BSDFContext, wi: mi.Vector3f, wo: mi.Vector3f, shares: tuple[mi.Float, mi.Float], active: mi.Bool
+    ) -> mi.Float:
+        """
+        BSDF times the cosine of wo, without the specular beams.
+
+        Parameters
+        ----------
+        ctx : mi.BSDFContext
+        wi, wo : mi.Vector3f
+            Local frame.
+        shares : tuple of mi.Float
+            R and T of the coating where the light comes in: at wo in the mode "radiance", at wi in the other.
+        active : mi.Bool
+        """
+        pair = self._pair(ctx.mode, wi, wo)
+        radiance = ctx.mode == mi.TransportMode.Radiance
+        cos_o = pair.cos_i if radiance else pair.cos_s
+        over_cos_s = cos_o / pair.cos_s if radiance else mi.Float(1)  # flux per solid angle is the BSDF times cos θs
+        result = mi.Float(0)
+        for slot, (lit, x) in self._enabled(ctx, pair, shares):
+            lobe = slot.lobe
+            lit &= active
+            if lobe.event == "transmission" and lobe.centre != "normal":
+                lit &= pair.refracted().z != 0
+            f = self._profile(slot, pair, lit) * slot.coefficient(x, pair.from_back)
+            if lobe.measure == "angle":
+                f *= slot.oblique(pair.cos_i, pair.from_back) * over_cos_s
+            else:
+                f *= cos_o * _factor(lobe, pair) * self._ratio(slot, pair, lit)
+            result += dr.select(lit, f, 0)
+        return result
+
+    def _enabled(
+        self, ctx: mi.BSDFContext, pair: Pair, shares: tuple[mi.Float, mi.Float]
+    ) -> list[tuple[Slot, tuple[mi.Bool, mi.Float]]]:
+        """The lobes that a context asks for, where they reach s, with their R or T."""
+        where = {"reflection": (pair.reflected, shares[0]), "transmission": (pair.i.z * pair.s.z < 0, shares[1])}
+        return [(slot, where[slot.lobe.event]) for slot in self.slots if enabled(ctx, slot.lobe.event)]
+
+    def _profile(self, slot: Slot, pair: Pair, active: mi.Bool) -> mi.Float:
+        """f(r) in closed form where there is one, else from the table; differentiable."""
+        r2 = pair.r2(slot.lobe)
+        known = slot.plugin.profile(slot.lobe, dr.sqrt(r2), pair, self.wavelength_nm)
+        if known is not None:
+            return known
+        value = self._density(slot, r2, pair.from_back, active)
+        for name, parameter in slot.plugin.values.items():
+            if dr.grad_enabled(parameter):
+                slope = self._table_slope(slot, name, r2, pair.from_back, active)
+                value += slope * (parameter - dr.detach(parameter))
+        return value
+
+    def _table_slope(self, slot: Slot, name: str, r2: mi.Float, from_back: mi.Bool, active: mi.Bool) -> mi.Float:
+        """Derivative of f(r) of a table by a parameter of the model."""
+        *models, step = models_around(slot.plugin, name)
+        tables = []
+        for model in models:
+            for number, lobe, from_front in zip(slot.numbers, slot.lobes, (True, False), strict=True):
+                there = self._side(model, from_front)
+                tables.append(there.tables[number if lobe is not None else slot.number])
+        sampler, side = RadialSampler(tables), dr.select(from_back, mi.UInt32(1), mi.UInt32(0))
+        low, high = (sampler.value(side + first, r2, active) for first in (0, 2))
+        return (high - low) / step
+
+    def _density(self, slot: Slot, r2: mi.Float, from_back: mi.Bool, active: mi.Bool) -> mi.Float:
+        """f(r) of the table."""
+        assert self.sampler is not None
+        return self.sampler.value(slot.table(from_back), r2, active)
+
+    def _ratio(self, slot: Slot, pair: Pair, active: mi.Bool) -> mi.Float:
+        """The lobe's ratio in closed form where there is one, else from its table, trilinear."""
+        both = [None if lobe is None else lobe.ratio for lobe in slot.lobes]
+        if both[0] is None and both[1] is None:
+            return mi.Float(1)
+        known = slot.plugin.ratio(slot.lobe, pair)
+        if known is not None:
+            return known
+        values = [None if ratio is None else self._trilinear(ratio, slot.lobe, pair, active) for ratio in both]
+        front, back = (mi.Float(0) if value is None else value for value in values)
+        return dr.select(pair.from_back, back, front)
+
+    def _trilinear(self, ratio: Any, lobe: Lobe, pair: Pair, active: mi.Bool) -> mi.Float:
+        a, b, c = ratio.values.shape
+        table = self._ratios[id(ratio)]
+        specular = pair.centre(Lobe(lobe.event, lobe.profile))
+        if ratio.axes == "radial":
+            side = (pair.s - pair.centre(lobe)).xy
+            second = dr.log(dr.maximum(dr.norm(side), ratio.r_min) / ratio.r_min) / float(np.log(2 / ratio.r_min))
+        else:
+            side, second = pair.s.xy, pair.cos_s
+        long = dr.norm(specular.xy) * dr.norm(side)
+        cosine = dr.select(long > 0, dr.dot(side, specular.xy) / dr.select(long > 0, long, 1), 1)
+        places = (
+            dr.clip(dr.abs(specular.z), 0, 1) * (a - 1),
+            dr.clip(second, 0, 1) * (b - 1),
+            dr.safe_acos(cosine) * ((c - 1) / np.pi),
+        )
+        low = [dr.minimum(mi.UInt32(place), n - 2) for place, n in zip(places, (a, b, c), strict=True)]
+        fraction = [place - mi.Float(node) for place, node in zip(places, low, strict=True)]
+        total = mi.Float(0)
+        for corner in range(8):
+            steps = [corner >> axis & 1 for axis in range(3)]
+            weight = mi.Float(1)
+            for step, t in zip(steps, fraction, strict=True):
+                weight = weight * (t if step else 1 - t)
+            node = [n + step for n, step in zip(low, steps, strict=True)]
+            total += weight * dr.gather(mi.Float, table, (node[0] * b + node[1]) * c + node[2], active)
+        return total
+
+    # -- choosing directions -------------------------------------------------------------------------------------
+
+    def weights(
+        self, ctx: mi.BSDFContext, wi: mi.Vector3f, shares: tuple[mi.Float, mi.Float]
+    ) -> list[tuple[Slot, mi.Float]]:
+        """
+        The lobes that a context asks for and about how much they scatter.
+
+        Parameters
+        ----------
+        shares : tuple of mi.Float
+            R and T of the coating at wi.
+        """
+        radiance = ctx.mode == mi.TransportMode.Radiance
+        cos_i = dr.abs(wi.z)
+        found = []
+        for slot in self.slots:
+            event = slot.lobe.event
+            if not enabled(ctx, event):
+                continue
+            from_back = wi.z < 0 if radiance and event == "transmission" else wi.z > 0
+            x = shares[EVENTS.index(event)]
+            if radiance:
+                x = dr.maximum(x, SMALLEST_SHARE)
+            amount = slot.coefficient(x, from_back) * slot.total(from_back) * slot.oblique(cos_i, from_back)
+            found.append((slot, dr.detach(amount)))
+        return found
+
+    def density(
+        self,
+        ctx: mi.BSDFContext,
+        wi: mi.Vector3f,
+        wo: mi.Vector3f,
+        weights: Sequence[tuple[Slot, mi.Float]],
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Sum of the lobes' densities of wo, per solid angle, each times its weight."""
+        pair = self._pair(ctx.mode, wi, wo)
+        radiance = ctx.mode == mi.TransportMode.Radiance
+        cos_o = pair.cos_i if radiance else pair.cos_s
+        result = mi.Float(0)
+        for slot, weight in weights:
+            lobe = slot.lobe
+            through = lobe.event == "transmission"
+            lit = active & (pair.i.z * pair.s.z < 0 if through else pair.reflected) & (weight > 0)
+            if radiance and lobe.centre == "normal":
+                pdf = cos_o / np.pi
+            else:
+                pdf = self._density(slot, pair.r2(lobe), pair.from_back, lit)
+                pdf /= dr.maximum(slot.total(pair.from_back), 1e-37)
+                if lobe.measure == "cosines":
+                    pdf *= cos_o
+                if through and lobe.centre == "specular":
+                    cos_c = dr.abs(pair.refracted().z)
+                    lit &= cos_c > 0
+                    if radiance:  # the table is about directions on the other side
+                        pdf *= dr.square(pair.eta)
+                        if lobe.measure == "angle":
+                            pdf *= cos_o / dr.select(cos_c > 0, cos_c, 1)
+            result += dr.select(lit, weight * pdf, 0)
+        return dr.detach(result)
+
+    def choose(
+        self,
+        ctx: mi.BSDFContext,
+        wi: mi.Vector3f,
+        probabilities: Sequence[tuple[Slot, mi.Float]],
+        u: mi.Float,
+        v: mi.Point2f,
+        active: mi.Bool,
+    ) -> tuple[Choice, mi.Float]:
+        """
+        Choose a lobe and a direction in it.
+
+        Parameters
+        ----------
+        probabilities : sequence of (Slot, mi.Float)
+            Of each lobe; their sum may be less than 1.
+        u, v : mi.Float, mi.Point2f
+            Uniform random numbers.
+
+        Returns
+        -------
+        choice : Choice
+        rest : mi.Float
+            u less the sum of the probabilities, where no lobe is chosen.
+        """
+        assert self.sampler is not None
+        radiance = ctx.mode == mi.TransportMode.Radiance
+        picks = []
+        chosen, table, inner = mi.Bool(False), mi.UInt32(0), mi.Float(0)
+        for slot, p in probabilities:
+            mine = active & ~chosen & (u < p)
+            through = radiance and slot.lobe.event == "transmission"
+            table = dr.select(mine, slot.table(wi.z < 0 if through else wi.z > 0), table)
+            inner = dr.select(mine, u / dr.select(mine, p, 1), inner)
+            chosen |= mine
+            u = dr.select(chosen, u, u - p)
+            picks.append((slot, mine))
+        r = self.sampler.sample(table, v.x, dr.minimum(inner, ONE_LESS), chosen)
+        sin_phi, cos_phi = dr.sincos(2 * np.pi * v.y)
+        choice = Choice(mi.Vector3f(0, 0, 1), mi.UInt32(0), chosen, mi.Bool(False))
+        for slot, mine in picks:
+            radius = dr.sqrt(v.x) if radiance and slot.lobe.centre == "normal" else r
+            wo, valid = self._direction(radiance, wi, slot.lobe, radius, sin_phi, cos_phi)
+            choice.wo = dr.select(mine, wo, choice.wo)
+            choice.valid |= mine & valid
+            choice.component = dr.select(mine, 2 + EVENTS.index(slot.lobe.event), choice.component)
+        return choice, u
+
+    def _direction(
+        self, radiance: bool, wi: mi.Vector3f, lobe: Lobe, r: mi.Float, sin_phi: mi.Float, cos_phi: mi.Float
+    ) -> tuple[mi.Vector3f, mi.Bool]:
+        """The direction wo at a radius and an azimuth of a lobe, and whether it is one that light can have."""
+        through = lobe.event == "transmission"
+        here, other = (dr.select(wi.z > 0, mi.Float(b), mi.Float(a)) for a, b in (self.n, self.n[::-1]))
+        pair = Pair(wi, wi, here, other)  # light along wi; only its specular direction is asked for
+        if lobe.measure == "angle":
+            centre = wi if radiance and through else pair.centre(lobe)
+            sin_a, cos_a = r * dr.safe_sqrt(1 - 0.25 * r * r), 1 - 0.5 * r * r
+            wo = mi.Frame3f(centre).to_world(mi.Vector3f(sin_a * cos_phi, sin_a * sin_phi, cos_a))
+            if through and radiance:  # light comes from where it is refracted into this direction
+                origin = Pair(wo, wo, here, other).refracted()
+                return origin, (wo.z * wi.z > 0) & (origin.z != 0)
+            return wo, (wo.z * wi.z < 0) & (centre.z != 0) if through else wo.z * wi.z > 0
+        if radiance and through and lobe.centre == "specular":
+            r = r * (here / other)  # the radius is one on the other side
+        centre = pair.centre(lobe)
+        x, y = dr.fma(r, cos_phi, centre.x), dr.fma(r, sin_phi, centre.y)
+        cosine = _cosine(x, y)
+        return mi.Vector3f(x, y, dr.mulsign(cosine, -wi.z if through else wi.z)), cosine > 0
+
+
+def enabled(ctx: mi.BSDFContext, event: str) -> bool:
+    """Whether a context asks for the scatter of an event; the components are those of `interface`."""
+    if event == "reflection":
+        return bool(ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 2))
+    return bool(ctx.is_enabled(mi.BSDFFlags.GlossyTransmission, 3))
+
+
+def models_around(plugin: Any, name: str) -> tuple[Any, Any, float]:
+    """Models of a plugin with one parameter lower and higher, and the difference; one-sided at the end of its range."""
+    values = {key: float(dr.detach(value)[0]) for key, value in plugin.values.items()}
+    step = STEP * abs(values[name]) or STEP
+    ends = []
+    for sign in (-1, 1):
+        at = values[name] + sign * step
+        try:
+            ends.append((plugin._model_of(**{**values, name: at}), at))
+        except MistrayError:
+            ends.append((plugin.model, values[name]))
+    (low, a), (high, b) = ends
+    if a == b:
+        raise MistrayError(f"{plugin.title}: no derivative by {name} at {values[name]:g}, which has no neighbours")
+    return low, high, b - a
+
+
+def _cosine(x: mi.Float, y: mi.Float) -> mi.Float:
+    """Z of a unit vector; 0 if there is none."""
+    return dr.safe_sqrt(1 - dr.fma(x, x, y * y))
+
+
+def _factor(lobe: Lobe, pair: Pair) -> mi.Float:
+    if lobe.factor == "ghs":
+        return 0.25 * dr.square(pair.cos_i + pair.cos_s)
+    return pair.cos_i * pair.cos_s if lobe.factor == "rayleigh_rice" else mi.Float(1)

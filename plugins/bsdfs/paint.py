@@ -1,0 +1,85 @@
+"""Plugin `paint`: a diffuse surface with an optional glossy lobe."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.physics import harvey_shack
+from mistray.physics.paint import gain
+from mistray.plugins.bsdfs.lobe_sum import Pair
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter import Lobe
+from mistray.scatter.paint import Paint as Model
+
+
+class Paint(Scatterer):
+    r"""
+    Paint (:monosp:`paint`): BSDF = ρ/π + b0 [1 + (r/l)²]^(s/2) · sqrt(F(θi) F(θs))/F(0), with r = \|β - β0\|.
+
+    F is the Fresnel reflectance of the binder's index n; without n the last factor is 1. The BSDF is absolute and its
+    light is taken from what the surface absorbs: nested in an ``interface``, give that an R that is the specular
+    reflectance beside the scatter, ``R`` = 0 for a matt paint. By itself it has R = T = 0.
+
+    ============== ======= ============ ======== ==============================================================
+    parameter      unit    range        default  meaning
+    ============== ======= ============ ======== ==============================================================
+    reflectance    1       0 … 1        0        ρ of the Lambertian part (differentiable)
+    preset         string               none     a paint of `mistray.scatter.paint.PRESETS` instead of reflectance:
+                                                 ``flat_black``, ``black_lambertian``, ``white_lambertian``,
+                                                 ``good_black_paint``, ``black_anodise``
+    b0             1/sr    ≥ 0          0        peak of the glossy lobe at normal incidence (differentiable)
+    l                      > 0          0.1      r of the lobe's knee (differentiable)
+    s                      < 0          -2       slope beyond the knee (differentiable)
+    n                      > 1          none     index of the binder, about 1.5 (differentiable)
+    event          string               see left ``reflection``; also ``transmission`` or ``both``
+    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
+    relative_to    string               incident BSDF by unit of R and T (``specular``) or by unit of incident
+                                                 light (``incident``), then taken from what is absorbed
+    R              1       0 … 1        0        by itself only: reflectance of the surface (differentiable)
+    T              1       0 … 1        0        by itself only: transmittance (differentiable)
+    front, back    string               air      by itself only: materials, see ``interface``
+    mirror         bool                 false    by itself only; see ``interface``
+    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
+    ============== ======= ============ ======== ==============================================================
+
+    Reciprocal, also at grazing incidence. Source: see `mistray.scatter.paint`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <float name="R" value="0"/>
+            <bsdf type="paint"><float name="reflectance" value="0.04"/></bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "paint", "reflectance": 0.03, "b0": 0.5, "l": 0.2, "s": -3.0, "n": 1.5}
+    """
+
+    kind = "paint"
+
+    def _read(self, props: mi.Properties) -> None:
+        preset = Model.preset(str(props.get("preset"))) if "preset" in props else None
+        if preset is not None and "reflectance" in props:
+            raise MistrayError(f"{self.title}: preset and reflectance given; give one of them")
+        self._take(props, reflectance=0.0 if preset is None else preset.reflectance, b0=0.0, l=0.1, s=-2.0)
+        if "n" in props:
+            self._take(props, "n")
+
+    def _model_of(self, **values: float) -> Model:
+        return replace(Model(**values, name=self.name), **self._placement)
+
+    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
+        if lobe.centre == "normal":
+            return self.values["reflectance"] / dr.pi
+        return harvey_shack.bsdf(r, self.values["b0"], self.values["l"], self.values["s"])
+
+    def ratio(self, lobe: Lobe, pair: Pair) -> mi.Float:
+        return gain(pair.cos_i, pair.cos_s, self.values["n"])
+
+
+mi.register_bsdf("paint", lambda props: Paint(props))

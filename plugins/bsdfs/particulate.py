@@ -1,0 +1,75 @@
+"""Plugin `particulate`: scatter by particles on a surface."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.physics.contamination import CLEANED_SLOPE
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter.particulate import DUST
+from mistray.scatter.particulate import Particulate as Model
+
+
+class Particulate(Scatterer):
+    r"""
+    Contamination (:monosp:`particulate`): Mie scatter by particles whose sizes follow IEST-STD-CC1246.
+
+    Nested in an ``interface`` it scatters a share of what that transmits, once, and of what it reflects, twice; the
+    specular beams lose the extinction. By itself it is an interface with constant R and T. Exactly one of ``level`` and
+    ``coverage_percent`` says how many particles there are.
+
+    ================ ======= ============ ======== ============================================================
+    parameter        unit    range        default  meaning
+    ================ ======= ============ ======== ============================================================
+    level                    ≥ 1          none     cleanliness level, such as 400 (differentiable)
+    coverage_percent %       > 0          none     area that the spheres cover, instead of level (differentiable)
+    slope                    > 0          0.926    of the size distribution; 0.383 for fallout (differentiable)
+    particle         string               dust     ``dust``, or a material: ``1.53+0.002i``, a CSV file, …; see
+                                                   docs/materials.md
+    min_um           um      ≥ 1          1        smallest diameter
+    max_um           um      ≤ level      level    largest diameter
+    immersion                > 0          1        index of the medium around the particles; they lie on the side
+                                                   of the surface whose index is nearer to it
+    event            string               both     what scatters: ``reflection``, ``transmission`` or ``both``
+    side             string               both     side from which light is scattered: ``front``, ``back``, ``both``
+    R                1       0 … 1        1        by itself only: reflectance of the surface (differentiable)
+    T                1       0 … 1        0        by itself only: transmittance (differentiable)
+    front, back      string               air      by itself only: materials, see ``interface``
+    mirror           bool                 false    by itself only; see ``interface``
+    wavelength_nm    nm      > 0          550      by itself only; see ``interface``
+    ================ ======= ============ ======== ============================================================
+
+    Not reciprocal: it scatters by 1/cos of the angle of incidence up to a limit. Source: see
+    `mistray.physics.contamination`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <string name="back" value="N-BK7"/>
+            <bsdf type="particulate"><float name="level" value="400"/></bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "particulate", "coverage_percent": 0.1, "R": 0.95, "T": 0.0}
+    """
+
+    kind = "particulate"
+
+    def _read(self, props: mi.Properties) -> None:
+        given = [key for key in ("level", "coverage_percent") if key in props]
+        if len(given) != 1:
+            raise MistrayError(
+                f"{self.title}: {' and '.join(given) or 'neither'} given; give one of level and coverage_percent"
+            )
+        self._take(props, given[0], slope=CLEANED_SLOPE)
+        particle = str(props.get("particle", DUST))
+        self._particle = particle if particle == DUST else self._resolved(particle)
+        self._sizes = {key: float(props.get(key)) for key in ("min_um", "max_um", "immersion") if key in props}
+
+    def _model_of(self, **values: float) -> Model:
+        return Model(**values, **self._sizes, particle=self._particle, name=self.name, **self._placement)
+
+
+mi.register_bsdf("particulate", lambda props: Particulate(props))

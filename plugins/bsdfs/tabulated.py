@@ -1,0 +1,72 @@
+"""Plugin `tabulated`: measured scatter."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.plugins.bsdfs.interface import _resolve
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter.tabulated import Tabulated as Model
+
+
+class Tabulated(Scatterer):
+    r"""
+    Measured scatter (:monosp:`tabulated`): a BSDF interpolated in a file.
+
+    The BSDF is absolute and its light is taken from what the surface absorbs, unless ``relative_to`` says otherwise.
+    Nested in an ``interface``, the R and T of that are the specular shares beside the scatter. By itself it has
+    R = T = 0.
+
+    ============== ======= ============ ======== ==============================================================
+    parameter      unit    range        default  meaning
+    ============== ======= ============ ======== ==============================================================
+    file           file                          Zemax tabular BSDF (``.bsdf``) or CSV of angles (``.csv``), see
+                                                 docs/scatter.md
+    cosine_corrected bool               false    the values are BSDF · cos θs
+    beyond         string               error    past the last angle of the table: ``error``, ``hold`` the last
+                                                 value, or ``zero``
+    event          string               both what scatters: ``reflection``, ``transmission`` or ``both``
+    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
+    relative_to    string               incident BSDF by unit of R and T (``specular``) or by unit of incident
+                                                 light (``incident``), then taken from what is absorbed
+    R              1       0 … 1        0        by itself only: reflectance of the surface (differentiable)
+    T              1       0 … 1        0        by itself only: transmittance (differentiable)
+    front, back    string               air      by itself only: materials, see ``interface``
+    mirror         bool                 false    by itself only; see ``interface``
+    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
+    ============== ======= ============ ======== ==============================================================
+
+    It has no parameters to differentiate. Source: see `mistray.scatter.tabulated`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <float name="R" value="0"/>
+            <bsdf type="tabulated"><string name="file" value="black.bsdf"/></bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "tabulated", "file": "black.bsdf"}
+    """
+
+    kind = "tabulated"
+
+    def _read(self, props: mi.Properties) -> None:
+        if "file" not in props:
+            raise MistrayError(f"{self.title}: file is missing; name a .bsdf or .csv file")
+        options = {"beyond": str(props.get("beyond", "error"))}
+        self._read_model = Model.read(
+            _resolve(str(props.get("file"))),
+            cosine_corrected=bool(props.get("cosine_corrected", False)),
+            name=self.name,
+            **options,
+            **self._placement,
+        )
+
+    def _model_of(self, **values: float) -> Model:
+        return self._read_model
+
+
+mi.register_bsdf("tabulated", lambda props: Tabulated(props))

@@ -1,0 +1,1 @@
+"""Phone camera whose surfaces scatter: prescription and scene.xml."""

@@ -1,0 +1,121 @@
+"""χ² tests of sampled directions in charts that fit narrow lobes: azimuth and logarithm of the distance from a centre."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.stats import chi2
+
+FEWEST = 20  # expected events of a cell; cells with fewer are pooled
+AZIMUTHS, DISTANCES = 12, 48
+INNER = 24  # points of a cell each way, for the integral of the density
+
+
+@dataclass(frozen=True)
+class Chart:
+    """
+    Directions by azimuth φ about a centre and u = ln r.
+
+    Attributes
+    ----------
+    centre : (3,) float64
+        A unit vector, or any vector whose x and y count for ``flat``.
+    side : float
+        Sign of z of all directions.
+    flat : bool
+        r is the distance of the tangential parts, else of the unit vectors.
+    r_min : float
+        Directions that are nearer are left to no cell.
+    r_max : float
+        Largest r.
+    """
+
+    centre: np.ndarray
+    side: float
+    flat: bool
+    r_min: float
+    r_max: float = 2.0
+
+    def _frame(self) -> np.ndarray:
+        c = self.centre / np.linalg.norm(self.centre)
+        across = np.array([0.0, 1.0, 0.0]) if abs(c[1]) < 0.9 else np.array([1.0, 0.0, 0.0])
+        x = np.cross(across, c)
+        x /= np.linalg.norm(x)
+        return np.array([x, np.cross(c, x), c])
+
+    def directions(self, phi: np.ndarray, u: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Unit vectors (…, 3), and by what a density per solid angle is multiplied to be one per φ and u; 0 if none."""
+        r = np.exp(u)
+        if self.flat:
+            xy = self.centre[:2] + r[..., None] * np.stack([np.cos(phi), np.sin(phi)], axis=-1)
+            z = np.sqrt(np.maximum(0.0, 1 - np.sum(xy**2, axis=-1)))
+            jacobian = np.where(z > 0, r * r / np.where(z > 0, z, 1), 0)
+            return np.concatenate([xy, self.side * z[..., None]], axis=-1), jacobian
+        sine, cosine = r * np.sqrt(np.maximum(0.0, 1 - r * r / 4)), 1 - r * r / 2
+        local = np.stack([sine * np.cos(phi), sine * np.sin(phi), cosine], axis=-1)
+        made = local @ self._frame()
+        return made, np.where(made[..., 2] * self.side > 0, r * r, 0)
+
+    def place(self, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """φ in 0 … 2π and u of unit vectors (n, 3)."""
+        if self.flat:
+            d = directions[:, :2] - self.centre[:2]
+        else:
+            d = directions - self.centre / np.linalg.norm(self.centre)
+        x, y = (d[:, 0], d[:, 1]) if self.flat else (directions @ self._frame()[:2].T).T
+        with np.errstate(divide="ignore"):
+            return np.arctan2(y, x) % (2 * np.pi), np.log(np.linalg.norm(d, axis=1))
+
+
+def p_value(
+    directions: np.ndarray, drawn: int, density: Callable[[np.ndarray], np.ndarray], charts: Sequence[Chart]
+) -> float:
+    """
+    Probability that directions deviate from a density as much as they do, or more.
+
+    Parameters
+    ----------
+    directions : (n, 3) float64
+        Of those samples that have one.
+    drawn : int
+        All samples; the others are counted as one cell.
+    density : callable
+        (m, 3) unit vectors → (m,) density per solid angle.
+    charts : sequence of Chart
+        A direction belongs to the one whose centre is nearest.
+    """
+    seen, expected = [], []
+    nearest = _nearest(directions, charts)
+    for number, chart in enumerate(charts):
+        edges_phi = np.linspace(0, 2 * np.pi, AZIMUTHS + 1)
+        edges_u = np.linspace(np.log(chart.r_min), np.log(chart.r_max), DISTANCES + 1)
+        phi, u = chart.place(directions[nearest == number])
+        seen.append(np.histogram2d(phi, u, [edges_phi, edges_u])[0].ravel())
+        offsets = (np.arange(INNER) + 0.5) / INNER
+        points_phi = (edges_phi[:-1, None] + offsets * np.diff(edges_phi)[:, None]).ravel()
+        points_u = (edges_u[:-1, None] + offsets * np.diff(edges_u)[:, None]).ravel()
+        grid = np.meshgrid(points_phi, points_u, indexing="ij")
+        points, jacobian = chart.directions(*grid)
+        flat = points.reshape(-1, 3)
+        mine = (jacobian.ravel() > 0) & (_nearest(flat, charts) == number)
+        values = np.zeros(len(flat))
+        values[mine] = density(flat[mine]) * jacobian.ravel()[mine]
+        cells = values.reshape(AZIMUTHS, INNER, DISTANCES, INNER).mean(axis=(1, 3))
+        expected.append((cells * np.diff(edges_phi)[0] * np.diff(edges_u)[0] * drawn).ravel())
+    counts, means = np.concatenate(seen), np.concatenate(expected)
+    rest = max(drawn - means.sum(), 0.0)
+    counts, means = np.append(counts, drawn - counts.sum()), np.append(means, rest)
+    few = means < FEWEST
+    counts = np.append(counts[~few], counts[few].sum())
+    means = np.append(means[~few], means[few].sum())
+    if means[-1] < FEWEST:
+        counts, means = counts[:-1], means[:-1]
+    assert len(means) > 10, "too few cells for a test"
+    return float(chi2.sf(np.sum((counts - means) ** 2 / means), len(means) - 1))
+
+
+def _nearest(directions: np.ndarray, charts: Sequence[Chart]) -> np.ndarray:
+    centres = np.array([chart.centre / np.linalg.norm(chart.centre) for chart in charts])
+    return np.argmax(directions @ centres.T, axis=1)

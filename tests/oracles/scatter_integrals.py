@@ -1,0 +1,184 @@
+"""Scattered flux by quadrature and in closed form, float64: view factors, diffuse tubes and spheres, plates, cones.
+
+BSDFs are functions of r = |beta - beta0| in 1/sr; angles in radians unless a name ends in ``_deg``; lengths in mm.
+Directions are written by direction cosines (alpha, beta) along the surface; the specular azimuth is 0.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+
+from .geometry import Array
+
+Profile = Callable[[Array], Array]
+
+
+def abg(a: float, b: float, g: float) -> Profile:
+    """A / (B + r^g); for g = 0 the Lambertian A / (B + 1)."""
+    return lambda r: a / (b + np.asarray(r, dtype=float) ** g)
+
+
+def harvey_shack(b0: float, length: float, slope: float) -> Profile:
+    """b0 (1 + (r/l)^2)^(s/2)."""
+    return lambda r: b0 * (1 + (np.asarray(r, dtype=float) / length) ** 2) ** (slope / 2)
+
+
+def lambertian(rho: float) -> Profile:
+    """rho / pi."""
+    return lambda r: np.full(np.shape(r), rho / np.pi)
+
+
+def gauss_legendre(edges: Array, nodes: int) -> tuple[Array, Array]:
+    """Nodes and weights of a composite rule over the panels between edges (k + 1,), flat."""
+    x, w = np.polynomial.legendre.leggauss(nodes)
+    low, half = edges[:-1, None], 0.5 * np.diff(edges)[:, None]
+    return (low + half * (x + 1)).ravel(), (half * w).ravel()
+
+
+def total_scatter(profile: Profile, sine: float) -> float:
+    """TIS at a specular direction with the given sine: integral of f over the unit disc about beta0.
+
+    Polar coordinates about beta0: a circle of radius r lies in the unit disc over the angle
+    2 pi - 2 acos((1 - s^2 - r^2)/(2 s r)).
+    """
+    inside = 1 - sine
+    edges = np.concatenate([[0.0], inside * np.logspace(-10, 0, 81)]) if inside > 0 else np.zeros(1)
+    total = 0.0
+    if inside > 0:
+        r, w = gauss_legendre(edges, 16)
+        total += float(np.sum(w * 2 * np.pi * r * profile(r)))
+    if sine > 0:
+        # r = 1 - s cos t: the arc ends with square roots at both ends, which t removes
+        t, w = gauss_legendre(np.pi * np.concatenate([[0.0], np.logspace(-8, 0, 65)]), 16)
+        r, dr = 1 - sine * np.cos(t), sine * np.sin(t)
+        if inside < 1e-12:
+            r = np.maximum(r, 1e-300)
+        arc = 2 * np.pi - 2 * np.arccos(np.clip((1 - sine**2 - r**2) / (2 * sine * r), -1, 1))
+        total += float(np.sum(w * dr * r * profile(r) * arc))
+    return total
+
+
+def cone_flux(profile: Profile, incidence_deg: float, axis_deg: float, azimuth_deg: float, half_deg: float) -> float:
+    """Share of the incident flux scattered into a cone: integral of f cos(theta) over it.
+
+    The cone's axis has the polar angle and the azimuth given; the specular direction has azimuth 0.
+    """
+    theta, phi, half = np.radians([axis_deg, azimuth_deg, half_deg])
+    axis = np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+    first = np.array([np.cos(theta) * np.cos(phi), np.cos(theta) * np.sin(phi), -np.sin(theta)])
+    second = np.cross(axis, first)
+    a, wa = gauss_legendre(half * np.concatenate([[0.0], np.logspace(-7, 0, 43)]), 12)
+    b, wb = np.arange(256) * (2 * np.pi / 256), 2 * np.pi / 256
+    d = np.cos(a)[:, None, None] * axis + np.sin(a)[:, None, None] * (
+        np.cos(b)[:, None] * first + np.sin(b)[:, None] * second
+    )
+    r = np.hypot(d[..., 0] - np.sin(np.radians(incidence_deg)), d[..., 1])
+    value = profile(r) * np.maximum(d[..., 2], 0.0)
+    return float(np.sum(wa * np.sin(a) * np.sum(value, axis=1)) * wb)
+
+
+def rectangle_flux(
+    profile: Profile, incident: Array, centre: Array, right: Array, up: Array, spot: Array | None = None
+) -> float:
+    """Share of the flux at ``spot`` (the origin) of the plane z = 0 that a plate scatters in transmission onto a
+    rectangle with half sides ``right`` and ``up`` about ``centre``; the light arrives along ``incident``.
+    """
+    x, w = np.polynomial.legendre.leggauss(12)
+    place = (0.0 if spot is None else spot) * np.ones(3)
+    points = centre + x[:, None, None] * right + x[None, :, None] * up - place
+    across = 4 * np.cross(right, up)  # area and normal; the weights of the rule sum to 4
+    distance = np.linalg.norm(points, axis=-1)
+    d = points / distance[..., None]
+    beta0 = incident[:2] / np.linalg.norm(incident)
+    r = np.hypot(d[..., 0] - beta0[0], d[..., 1] - beta0[1])
+    projected = np.abs(d @ across) / distance**2
+    return float(np.sum(np.outer(w, w) / 4 * profile(r) * np.abs(d[..., 2]) * projected))
+
+
+def converging_irradiance(profile: Profile, plate_z: float, theta_deg: float, focal: float, radius: float) -> float:
+    """Irradiance on axis in the focus of an ideal thin lens per unit of irradiance normal to the light at its pupil,
+    from a scattering plate at ``plate_z`` behind the lens; slopes change by -h/f, the plate transmits with its BTDF.
+    """
+    tangent = np.tan(np.radians(theta_deg))
+    h, wh = gauss_legendre(np.linspace(0.0, radius, 9), 12)
+    phi, wphi = np.arange(256) * (2 * np.pi / 256), 2 * np.pi / 256
+    x, y = h[:, None] * np.cos(phi), h[:, None] * np.sin(phi)
+    u = np.stack([tangent - x / focal, -y / focal], axis=-1)  # slopes behind the lens
+    at = np.stack([x, y], axis=-1) + plate_z * u
+    gap = focal - plate_z
+    out = -at / gap
+    length_in, length_out = (np.sqrt(1 + np.sum(np.square(v), axis=-1)) for v in (u, out))
+    r = np.linalg.norm(u / length_in[..., None] - out / length_out[..., None], axis=-1)
+    cosine = 1 / length_out
+    value = profile(r) * cosine * cosine / (gap * length_out) ** 2
+    flux = np.cos(np.radians(theta_deg))  # through a unit area of the pupil
+    return float(flux * np.sum(wh * h * np.sum(value, axis=1)) * wphi)
+
+
+def disc_to_disc(r1: float, r2: float, distance: float) -> float:
+    """View factor from a disc to a coaxial one."""
+    a, b = r1 / distance, r2 / distance
+    x = 1 + (1 + b * b) / (a * a)
+    return float(0.5 * (x - np.sqrt(x * x - 4 * (b / a) ** 2)))
+
+
+def element_to_disc(radius: float, distance: float, offset: float) -> float:
+    """View factor from a small plane element, parallel to a disc and ``offset`` off its axis, to the disc."""
+    if offset == 0:
+        return radius**2 / (radius**2 + distance**2)
+    h, r = distance / offset, radius / offset
+    z = 1 + h * h + r * r
+    return float(0.5 * (1 - (1 + h * h - r * r) / np.sqrt(z * z - 4 * r * r)))
+
+
+def tube_orders(length: float, rho: float, orders: int, nodes: int = 600) -> Array:
+    """Transmission of a tube of radius 1 with a Lambertian wall, by number of wall reflections 0 … orders.
+
+    The entrance is a Lambertian disc; the view factors between rings and discs are those of Sparrow and Cess.
+    """
+    x, w = gauss_legendre(np.linspace(0.0, length / 2, nodes // 10 + 1), 10)  # in units of the diameter
+
+    def to_disc(s: Array) -> Array:
+        return (s * s + 0.5) / np.sqrt(s * s + 1) - s
+
+    gap = np.abs(x[:, None] - x)
+    kernel = (1 - gap * (2 * gap**2 + 3) / (2 * (gap**2 + 1) ** 1.5)) * w
+    # the rule is poor where the kernel has its kink; all that leaves a ring arrives at the wall or at an end
+    np.fill_diagonal(kernel, np.diag(kernel) + 1 - to_disc(x) - to_disc(length / 2 - x) - kernel.sum(axis=1))
+    out = [disc_to_disc(1.0, 1.0, length)]
+    wall = 4 * to_disc(x)  # flux on the wall per unit of x and per unit of flux of the entrance
+    for _ in range(orders):
+        wall = rho * wall
+        out.append(float(np.sum(w * wall * to_disc(length / 2 - x))))
+        wall = kernel @ wall
+    return np.array(out)
+
+
+def sphere_orders(rho: float, port: float, orders: int) -> Array:
+    """Flux out of the ports (area fraction ``port``) of an integrating sphere by number of wall reflections 1 … orders.
+
+    All light hits the wall first; the sum to infinity is rho f / (1 - rho (1 - f)).
+    """
+    return rho * port * (rho * (1 - port)) ** np.arange(orders)
+
+
+def two_scatters(
+    first: Profile, second: Profile, distance: float, radius: float, target: Array, target_normal: Array
+) -> float:
+    """Irradiance at ``target`` from a thin beam along +z, 1 W, that a plate at the origin scatters (first), and then a
+    disc of ``radius`` at z = distance (second), both in transmission; what is scattered once is left out.
+    """
+    h, wh = gauss_legendre(radius * np.concatenate([[0.0], np.logspace(-6, 0, 37)]), 12)
+    phi, wphi = np.arange(512) * (2 * np.pi / 512), 2 * np.pi / 512
+    points = np.stack([h[:, None] * np.cos(phi), h[:, None] * np.sin(phi), np.full((len(h), 512), distance)], axis=-1)
+    s1 = np.linalg.norm(points, axis=-1)
+    d1 = points / s1[..., None]
+    rest = target - points
+    s2 = np.linalg.norm(rest, axis=-1)
+    d2 = rest / s2[..., None]
+    on_disc = first(np.hypot(d1[..., 0], d1[..., 1])) * d1[..., 2] * d1[..., 2] / s1**2
+    r = np.hypot(d2[..., 0] - d1[..., 0], d2[..., 1] - d1[..., 1])
+    onward = second(r) * d2[..., 2] * np.abs(d2 @ target_normal) / s2**2
+    return float(np.sum(wh * h * np.sum(on_disc * onward, axis=1)) * wphi)

@@ -1,0 +1,159 @@
+"""XML texts of surfaces that scatter, of targets, and of small scenes with them."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+
+from .small_scenes import TAGS, interface_xml
+
+Vector = Sequence[float]
+
+
+def bsdf_xml(kind: str, **values: float | str) -> str:
+    """A bsdf with its parameters."""
+    items = "".join(f'<{TAGS[type(v)]} name="{k}" value="{v!s}"/>' for k, v in values.items())
+    return f'<bsdf type="{kind}">{items}</bsdf>'
+
+
+def scattering_xml(models: Sequence[str], front: str = "air", back: str = "air", **more: float | str) -> str:
+    """An ``interface`` with models of scatter nested in it."""
+    text = interface_xml(front, back, **more)
+    return text.removesuffix("</bsdf>") + "".join(models) + "</bsdf>"
+
+
+def diffuser_xml(share: float = 1.0) -> str:
+    """A thin sheet that scatters a share of the light from the front as a Lambertian and passes the rest."""
+    return scattering_xml(
+        [bsdf_xml("paint", reflectance=share, side="front", event="transmission", relative_to="specular")], R=0.0, T=1.0
+    )
+
+
+def wall_xml(rho: float) -> str:
+    """An opaque Lambertian wall."""
+    return scattering_xml([bsdf_xml("paint", reflectance=rho)], R=0.0)
+
+
+def placed_xml(
+    kind: str,
+    shape_id: str,
+    bsdf: str | None = None,
+    *,
+    at: Vector = (0.0, 0.0, 0.0),
+    facing: Vector = (0.0, 0.0, 1.0),
+    scale: Vector | None = None,
+    pixels: int = 0,
+    **numbers: float,
+) -> str:
+    """A shape at a point in mm with its local z along ``facing``; with ``pixels`` it is the detector."""
+    floats = "".join(f'<float name="{key}" value="{value!r}"/>' for key, value in numbers.items())
+    target = ", ".join(repr(float(a) + float(b)) for a, b in zip(at, facing, strict=True))
+    up = "1, 0, 0" if abs(facing[1]) > 0.9 * sum(c * c for c in facing) ** 0.5 else "0, 1, 0"
+    size = "" if scale is None else '<scale value="{}"/>'.format(", ".join(repr(float(s)) for s in scale))
+    origin = ", ".join(repr(float(c)) for c in at)
+    place = f'<transform name="to_world">{size}<lookat origin="{origin}" target="{target}" up="{up}"/></transform>'
+    film = f'<film type="hdrfilm"><integer name="width" value="{pixels}"/><integer name="height" value="{pixels}"/>'
+    meter = f'<sensor type="irradiancemeter">{film}<rfilter type="box"/></film></sensor>' if pixels else ""
+    surface = interface_xml(R=0.0) if bsdf is None else bsdf
+    return f'<shape type="{kind}" id="{shape_id}">{floats}{place}{surface}{meter}</shape>'
+
+
+def target_xml(shape_id: str, surfaces: str, kind: str = "disk", **place: object) -> str:
+    """A target that the surfaces aim at, of the stock kind "disk" or "rectangle"; see `placed_xml`."""
+    return placed_xml(kind, shape_id, bsdf_xml("target", surfaces=surfaces), **place)  # type: ignore[arg-type]
+
+
+def beam_xml(
+    radius: float,
+    *,
+    power: float | None = None,
+    at: Vector = (0.0, 0.0, 0.0),
+    along: Vector = (0.0, 0.0, 1.0),
+    **numbers: float,
+) -> str:
+    """A collimated source whose axis passes through ``at``; of 1 W/mm^2 or of ``power`` in W."""
+    values = dict(numbers)
+    if power is not None:
+        values["irradiance"] = power / (3.141592653589793 * radius**2)
+    floats = "".join(f'<float name="{key}" value="{value!r}"/>' for key, value in (("radius", radius), *values.items()))
+    target = ", ".join(repr(float(a) + float(b)) for a, b in zip(at, along, strict=True))
+    origin = ", ".join(repr(float(c)) for c in at)
+    place = f'<transform name="to_world"><lookat origin="{origin}" target="{target}" up="0, 1, 0"/></transform>'
+    return f'<emitter type="collimated">{floats}{place}</emitter>'
+
+
+def scatter_scene(*parts: str) -> str:
+    """A scene of sources and shapes."""
+    return f'<scene version="3.0.0"><integrator type="straylight"/>{"".join(parts)}</scene>'
+
+
+def with_scatter(text: str, models: dict[str, Sequence[str]]) -> str:
+    """A scene's XML with models of scatter added to the interfaces of some shapes, by shape id; "*" is any other."""
+    root = ElementTree.fromstring(text)
+    for shape in root.iter("shape"):
+        own = shape.find("bsdf")
+        if own is not None and own.attrib["type"] == "interface":
+            for model in models.get(shape.attrib["id"], models.get("*", ())):
+                own.append(ElementTree.fromstring(model))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def tube_text(length: float, rho: float) -> str:
+    """A tube of radius 1 with a diffuse wall; a diffuser is its entrance, with pi W in front, a black detector its end.
+
+    What comes back through the entrance leaves the scene.
+    """
+    return scatter_scene(
+        beam_xml(1.0),
+        placed_xml("asphere", "entrance", diffuser_xml(), semi_diameter=1.0),
+        placed_xml("frustum", "wall", wall_xml(rho), r0=1.0, z0=0.0, r1=1.0, z1=length),
+        placed_xml("asphere", "detector", at=(0.0, 0.0, length), pixels=16, semi_diameter=1.0),
+    )
+
+
+def sphere_text(rho: float, port: float) -> str:
+    """A diffuse sphere of radius 10 with a black disc, the detector, before a cap of the area fraction ``port``.
+
+    The light, pi W, starts inside and hits the wall first.
+    """
+    cosine = 1 - 2 * port
+    disc = {"semi_diameter": 10 * (1 - cosine**2) ** 0.5}
+    return scatter_scene(
+        beam_xml(1.0, along=(0.0, 0.0, -1.0), distance=0.5),
+        placed_xml("sphere", "wall", wall_xml(rho), radius=10.0),
+        placed_xml("asphere", "detector", at=(0.0, 0.0, 10 * cosine), pixels=16, **disc),
+    )
+
+
+def discs_text(r1: float, r2: float, distance: float, offset: float = 0.0, half_size: float = 0.0) -> str:
+    """A diffuser of radius r1, 1 W/mm^2, and behind it a disc of radius r2 or a square off the axis, the detector."""
+    shape = {"half_width": half_size, "half_height": half_size} if half_size else {"semi_diameter": r2}
+    return scatter_scene(
+        beam_xml(r1),
+        placed_xml("asphere", "source", diffuser_xml(), semi_diameter=r1),
+        placed_xml("asphere", "detector", at=(offset, 0.0, distance), pixels=16, **shape),
+    )
+
+
+def lenses_text(*models: str) -> str:
+    """Two coated lenses in a black tube with models of scatter on all their surfaces, and a wide detector."""
+    coated = {"R": 0.1, "T": 0.85}
+    faces = [("a_front", 0.0, 30.0, "air", "1.6"), ("a_rear", 4.0, -40.0, "1.6", "air")]
+    faces += [("b_front", 8.0, -50.0, "air", "1.7"), ("b_rear", 10.0, 60.0, "1.7", "air")]
+    shapes = [
+        placed_xml(
+            "asphere",
+            name,
+            scattering_xml(models, front, back, **coated),
+            at=(0.0, 0.0, z),
+            radius=radius,
+            semi_diameter=6.0,
+        )
+        for name, z, radius, front, back in faces
+    ]
+    return scatter_scene(
+        beam_xml(4.0, field_deg=4.0),
+        *shapes,
+        placed_xml("frustum", "tube", r0=6.5, z0=-3.0, r1=6.5, z1=30.0),
+        placed_xml("asphere", "detector", at=(0.0, 0.0, 30.0), pixels=16, half_width=4.0, half_height=4.0),
+    )

@@ -1,0 +1,188 @@
+"""The ABg model against float64 test vectors (closed forms and quadrature), TracePro's sheet, and quadrature here."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pandas as pd
+import pytest
+from oracles import scatter_integrals
+
+import mistray  # noqa: F401  (settles libLLVM and the variant)
+from mistray.errors import MistrayError
+from mistray.physics import abg
+from mistray.physics.disc import disc_total
+
+DATA = Path(__file__).parents[1] / "data"
+VECTORS, QUADRATURE = 1e-6, 1e-4  # relative, as required
+
+# σ 50 Å, correlation length 100 µm, λ 0.5 µm, Δn 2, R 0.95: the sheet "ABg from RMS"
+SHEET = {"rms_um": 0.005, "correlation_length_um": 100.0, "wavelength_um": 0.5, "index_step": 2.0, "reflectance": 0.95}
+SHEET_INTEGRAL = 0.015552516
+
+
+def vectors(name: str) -> pd.DataFrame:
+    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
+
+
+def test_values() -> None:
+    table = vectors("abg_values.csv")
+    found = abg.bsdf(table["abs_beta_minus_beta0"].to_numpy(), *(table[key].to_numpy() for key in "ABg"))
+    np.testing.assert_allclose(found, table["BSDF_per_sr"], rtol=VECTORS)
+
+
+def test_directions() -> None:
+    """|β - β0| from angles, for the A, B and g that both sources plot."""
+    table = vectors("abg_directions.csv")
+    theta_i, theta_s, phi = (np.radians(table[key]) for key in ("theta_i", "theta_s", "phi_s_from_specular"))
+    r = np.hypot(np.sin(theta_s) * np.cos(phi) - np.sin(theta_i), np.sin(theta_s) * np.sin(phi))
+    np.testing.assert_allclose(r, table["abs_dbeta"], rtol=VECTORS, atol=1e-12)
+    np.testing.assert_allclose(abg.bsdf(r.to_numpy(), 0.0025, 0.001, 1.8), table["BSDF"], rtol=VECTORS)
+
+
+def test_tis_vectors() -> None:
+    table = vectors("abg_tis.csv")
+    for row in table.itertuples():
+        sine = math.sin(math.radians(row.theta_i_deg))
+        total = disc_total(lambda r, row=row: abg.bsdf(r, row.A, row.B, row.g), sine)
+        assert total == pytest.approx(row.TIS_numeric, rel=VECTORS), row
+        if sine == 0:
+            assert abg.tis(row.A, row.B, row.g) == pytest.approx(row.TIS_closed_normal, rel=VECTORS), row
+    assert len(table) > 60
+
+
+def test_tis_by_quadrature() -> None:
+    """Random parameters over all that is allowed, at random angles; closed form at normal incidence."""
+    rng = np.random.default_rng(1)
+    for _ in range(60):
+        b, g, sine = 10 ** rng.uniform(-12, 0.5), rng.uniform(0.1, 6), rng.uniform(0, 1)
+        profile = scatter_integrals.abg(1.0, b, g)
+        assert abg.tis(1.0, b, g) == pytest.approx(scatter_integrals.total_scatter(profile, 0.0), rel=QUADRATURE), (
+            b,
+            g,
+        )
+        expected = scatter_integrals.total_scatter(profile, sine)
+        assert disc_total(lambda r, b=b, g=g: abg.bsdf(r, 1.0, b, g), sine) == pytest.approx(expected, rel=QUADRATURE)
+
+
+@pytest.mark.parametrize("b", [2e-12, 1e-6, 1e-2, 3.0])
+@pytest.mark.parametrize("g", [2 / 3, 1.0, 2.0])
+@pytest.mark.parametrize("step", [0.0, 1e-12, -1e-10, 1e-8, 1e-6, -1e-4])
+def test_tis_where_the_hypergeometric_function_degenerates(b: float, g: float, step: float) -> None:
+    g = g * (1 + step)
+    expected = scatter_integrals.total_scatter(scatter_integrals.abg(1.0, b, g), 0.0)
+    assert abg.tis(1.0, b, g) == pytest.approx(expected, rel=VECTORS)
+
+
+def test_tis_limits() -> None:
+    assert abg.tis(0.3, 0.5, 0.0) == pytest.approx(math.pi * 0.3 / 1.5, rel=1e-15)  # Lambertian
+    assert abg.tis(0.3, 0.0, 1.5) == pytest.approx(2 * math.pi * 0.3 / 0.5, rel=1e-15)
+    assert abg.tis(0.3, 1e-14, 0.5) == pytest.approx(abg.tis(0.3, 0.0, 0.5), rel=VECTORS)
+    for sine in (0.0, 0.6, 1.0):
+        assert disc_total(lambda r: abg.bsdf(r, 0.05 / math.pi, 0.0, 0.0), sine) == pytest.approx(0.05, rel=1e-12)
+    with pytest.raises(MistrayError, match="give B > 0"):
+        abg.tis(1.0, 0.0, 2.0)
+
+
+def test_wavelength_scaling() -> None:
+    for row in vectors("abg_wavelength_scaling.csv").itertuples():
+        a, b = abg.at_wavelength(row.A1, row.B1, row.g1, row.lam2_um / row.lam1_um)
+        assert a == pytest.approx(row.A2, rel=VECTORS)
+        assert b == pytest.approx(row.B2, rel=VECTORS)
+        assert abg.tis(a, b, row.g2) == pytest.approx(row.TIS2, rel=VECTORS)
+    a, b = abg.at_wavelength(1.0, 1e-6, 2.0, 1.0, step_ratio=3.0, specular_ratio=0.5)
+    assert (a, b) == (pytest.approx(4.5), pytest.approx(1e-6))
+
+
+def sheet() -> dict[str, float]:
+    return dict(vectors("tracepro_sheet.csv").set_index("quantity")["computed"])
+
+
+def test_sheet_abg_from_rms() -> None:
+    """Every cell of TracePro's sheet, with the sheet's own integral."""
+    expected, found = sheet(), abg.abg_from_rms(**SHEET, raw_integral=SHEET_INTEGRAL)
+    cells = {
+        "As_um4": found.psd_amplitude_um4,
+        "Bs_um": found.psd_length_um,
+        "C": found.psd_slope,
+        "D_um-4": found.bsdf_per_psd,
+        "BSDF0=D*As": found.bsdf_0,
+        "BP_TIS=R(1-exp(-(2 pi dn sigma/lam)^2))": found.tis,
+        "B=(lam/Bs)^g": found.b,
+        "g": found.g,
+        "correction=BP/raw": found.correction,
+        "min wave = sigma/0.02": found.shortest_wavelength_um,
+    }
+    for name, value in cells.items():
+        assert value == pytest.approx(expected[name], rel=VECTORS), name
+    assert f"{found.a:.5E}" == "1.81832E-06"  # as the sheet prints it
+    total = abg.tis(found.a, found.b, found.g)
+    assert total == pytest.approx(
+        expected["TIS of the sheet's own final ABg (A,B,g)"], rel=1e-5
+    )  # A has 6 digits there
+    assert total > 1.16 * found.tis
+
+
+def test_abg_from_rms_scatters_what_it_says() -> None:
+    expected, found = sheet(), abg.abg_from_rms(**SHEET)
+    assert found.a == pytest.approx(expected["A for exact ABg TIS = BP"], rel=VECTORS)
+    rng = np.random.default_rng(2)
+    for _ in range(20):
+        wavelength = rng.uniform(0.3, 2)
+        result = abg.abg_from_rms(
+            rng.uniform(1e-4, 0.02) * wavelength, 10 ** rng.uniform(0, 3), wavelength, rng.uniform(0.3, 2), 0.9
+        )
+        profile = scatter_integrals.abg(result.a, result.b, result.g)
+        assert scatter_integrals.total_scatter(profile, 0.0) == pytest.approx(result.tis, rel=QUADRATURE)
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        ({"rms_um": 0.0}, "rms is 0 um"),
+        ({"rms_um": math.nan}, "rms is nan um"),
+        ({"correlation_length_um": -1.0}, "correlation length is -1 um"),
+        ({"wavelength_um": 0.0}, "wavelength is 0 um"),
+        ({"wavelength_um": 0.2}, "is not smooth at 0.2 um; give at least 0.25 um"),
+        ({"index_step": 0.0}, "index step 0"),
+        ({"reflectance": 1.2}, "reflectance 1.2"),
+        ({"raw_integral": 0.0}, "raw integral is 0"),
+    ],
+)
+def test_abg_from_rms_refuses(change: dict[str, float], message: str) -> None:
+    with pytest.raises(MistrayError, match=message):
+        abg.abg_from_rms(**{**SHEET, **change})
+
+
+def test_advice() -> None:
+    for a, b, g in [(1, 1e-8, 2.5), (1, 0.5, 4), (1, 7, 0), (0, 7, 9)]:
+        assert abg.advice(a, b, g) is None
+    for a, b, g in [(1, 1e-3, 1.8), (1, 1e-8, 4), (1, 1e-8, 1), (1, 0.5, 1.5)]:
+        assert f"B {b:g} and g {g:g}" in str(abg.advice(a, b, g))
+
+
+@pytest.mark.parametrize("g", [0.0, 0.5, 1.8, 3.0])
+def test_drjit(g: float) -> None:
+    """Values to the rounding of float32, and gradients in A, B and g, also at the peak."""
+    r = np.array([0.0, 1e-6, 1e-3, 0.1, 1.0, 1.99])
+    expected = abg.bsdf(r, 0.0025, 1e-3, g)
+    np.testing.assert_allclose(abg.bsdf(mi.Float(r), 0.0025, mi.Float(1e-3), mi.Float(g)), expected, rtol=3e-6)
+    float64 = dr.llvm.ad.Float64
+    point, step = np.array([0.0025, 1e-3, g]), 1e-6
+    for k in range(3):
+        parameters: list[Any] = [float64(value) for value in point]
+        dr.enable_grad(parameters[k])
+        values = abg.bsdf(float64(r), *parameters)
+        dr.forward(parameters[k])
+        gradient = np.array(dr.grad(values))
+        up, down = point.copy(), point.copy()
+        h = step * max(point[k], 1e-3)
+        up[k], down[k] = up[k] + h, down[k] - h
+        difference = (abg.bsdf(r[1:], *up) - abg.bsdf(r[1:], *down)) / (2 * h)
+        np.testing.assert_allclose(gradient[1:], difference, rtol=1e-5, atol=1e-8)
+        assert np.all(np.isfinite(gradient))

@@ -1,0 +1,65 @@
+"""Ledgers without a kernel: event lists and hits that a test writes down, in the form in which a run decodes them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from types import SimpleNamespace
+
+import numpy as np
+
+from mistray.trace.ledger import BATCHES, EVENT_BITS, SUMS, DecodedPaths, host_keys
+from mistray.trace.optics import DETECTOR, MIRROR, OPAQUE, WALL
+from mistray.trace.path_events import LETTERS
+
+GLASS, STRUCTURE, EDGE = 0, OPAQUE, WALL
+SENSOR, REFLECTOR = OPAQUE | DETECTOR, OPAQUE | MIRROR
+CODES = {letter: code for code, letter in LETTERS.items()}
+
+
+def encode(lists: Sequence[str], ids: Sequence[str]) -> tuple[np.ndarray, np.ndarray]:
+    """(p, k) uint32 events and (p,) lengths from texts such as "L1_front:T detector:A"."""
+    numbers = {name: number for number, name in enumerate(ids)}
+    rows = [
+        [numbers[name] << EVENT_BITS | CODES[letter] for name, letter in (word.rsplit(":", 1) for word in text.split())]
+        for text in lists
+    ]
+    lengths = np.array([len(row) for row in rows], dtype=np.int64)
+    events = np.zeros((len(rows), int(lengths.max(initial=0))), dtype=np.uint32)
+    for event, row in zip(events, rows, strict=True):
+        event[: len(row)] = row
+    return events, lengths
+
+
+def hit_sums(
+    batch: np.ndarray, absorbed: np.ndarray, x: np.ndarray, y: np.ndarray, incident: np.ndarray | None = None
+) -> np.ndarray:
+    """(BATCHES, SUMS) of one path from its hits."""
+    a = absorbed
+    terms = [np.ones(len(a)), a if incident is None else incident, a, a * a, a * x, a * y, a * (x * x + y * y)]
+    sums = np.zeros((BATCHES, SUMS))
+    np.add.at(sums, batch, np.transpose(terms))
+    return sums
+
+
+def decoded(events: np.ndarray, lengths: np.ndarray, sums: np.ndarray) -> DecodedPaths:
+    """What `Ledger.decode` gives."""
+    return DecodedPaths(host_keys(events, lengths), np.arange(len(events)), events, lengths, sums)
+
+
+def fake_run(
+    surfaces: Mapping[str, int],
+    paths: DecodedPaths,
+    unit: float = 1.0,
+    rays: int = 32_000,
+    name: str = "source",
+    wavelength_nm: float = 550.0,
+) -> SimpleNamespace:
+    """The attributes of a run that the path table reads; `surfaces` are the bits of the surfaces by their names."""
+    words = np.array(list(surfaces.values()), dtype=np.uint32)
+    return SimpleNamespace(
+        beam=SimpleNamespace(name=name, wavelength_nm=wavelength_nm),
+        table=SimpleNamespace(event_ids=list(surfaces), event_words=words),
+        started=np.full(BATCHES, rays / BATCHES),
+        unit=unit,
+        paths=paths,
+    )

@@ -1,0 +1,153 @@
+"""Lobes evaluated at directions, scans in the plane of incidence, and tables of models."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.scatter import Lobe, RatioTable
+from mistray.scatter.abg import ABg
+from mistray.scatter.evaluate import bsdf
+from mistray.scatter.harvey_shack import HarveyShack
+from mistray.scatter.paint import Paint
+from mistray.scatter.scan import Light, scan, table
+from mistray.scatter.tabulated import Tabulated
+
+
+def unit(theta_deg: float, phi_deg: float) -> np.ndarray:
+    theta, phi = np.radians([theta_deg, phi_deg])
+    return np.array([np.sin(theta) * np.cos(phi), np.sin(theta) * np.sin(phi), np.cos(theta)])
+
+
+def one(lobe: Lobe, event: str, angle_deg: float, direction: np.ndarray, share: float = 1.0) -> float:
+    return float(bsdf([lobe], event, np.cos(np.radians(angle_deg)), direction[None], 1.0, 1.5, share)[0])
+
+
+class TestLobes:
+    """Each part of a lobe by its definition, at one pair of directions: 40° of incidence, 20° and 70° of azimuth."""
+
+    there = unit(20, 70)
+
+    def profile(self, r: np.ndarray) -> np.ndarray:
+        return 1 / (0.1 + r)
+
+    def distance(self, centre: float) -> float:
+        return float(np.hypot(self.there[0] - centre, self.there[1]))
+
+    def test_centres(self) -> None:
+        for name, centre in (("specular", np.sin(np.radians(40))), ("normal", 0), ("retro", -np.sin(np.radians(40)))):
+            value = one(Lobe("reflection", self.profile, centre=name), "reflection", 40, self.there)
+            assert value == pytest.approx(1 / (0.1 + self.distance(centre)), rel=1e-12)
+
+    def test_refracted_centre(self) -> None:
+        value = one(Lobe("transmission", self.profile), "transmission", 40, self.there)
+        assert value == pytest.approx(1 / (0.1 + self.distance(np.sin(np.radians(40)) / 1.5)), rel=1e-12)
+
+    def test_shares(self) -> None:
+        lobe = Lobe("reflection", self.profile, shares=(0.1, 2.0, 3.0))
+        plain = one(Lobe("reflection", self.profile), "reflection", 40, self.there)
+        value = one(lobe, "reflection", 40, self.there, 0.5)
+        assert value == pytest.approx((0.1 + 1.0 + 0.75) * plain, rel=1e-12)
+
+    def test_other_event(self) -> None:
+        assert one(Lobe("reflection", self.profile), "transmission", 40, self.there) == 0
+
+    @pytest.mark.parametrize(
+        ("factor", "expected"),
+        [
+            ("ghs", 0.25 * (np.cos(np.radians(40)) + np.cos(np.radians(20))) ** 2),
+            ("rayleigh_rice", np.cos(np.radians(40)) * np.cos(np.radians(20))),
+        ],
+    )
+    def test_factors(self, factor: str, expected: float) -> None:
+        plain = one(Lobe("reflection", self.profile), "reflection", 40, self.there)
+        value = one(Lobe("reflection", self.profile, factor=factor), "reflection", 40, self.there)
+        assert value == pytest.approx(expected * plain, rel=1e-12)
+
+    def test_ratio(self) -> None:
+        """A table that is linear in each of its variables is exact: cos θ0 + log(r/r_min)/log(2/r_min) + ψ/π."""
+        c, r, psi = np.meshgrid(np.linspace(0, 1, 3), np.linspace(0, 1, 5), np.linspace(0, 1, 4), indexing="ij")
+        lobe = Lobe("reflection", self.profile, ratio=RatioTable(c + r + psi, 0.01))
+        x, y = self.there[0] - np.sin(np.radians(40)), self.there[1]
+        expected = np.cos(np.radians(40)) + np.log(np.hypot(x, y) / 0.01) / np.log(200) + np.arctan2(y, x) / np.pi
+        plain = one(Lobe("reflection", self.profile), "reflection", 40, self.there)
+        assert one(lobe, "reflection", 40, self.there) == pytest.approx(expected * plain, rel=1e-12)
+
+    def test_ratio_of_cosines(self) -> None:
+        c, z, phi = np.meshgrid(np.linspace(0, 1, 3), np.linspace(0, 1, 5), np.linspace(0, 1, 4), indexing="ij")
+        lobe = Lobe("reflection", self.profile, ratio=RatioTable(c + z + phi, axes="cosines"))
+        expected = np.cos(np.radians(40)) + np.cos(np.radians(20)) + 70 / 180
+        plain = one(Lobe("reflection", self.profile), "reflection", 40, self.there)
+        assert one(lobe, "reflection", 40, self.there) == pytest.approx(expected * plain, rel=1e-12)
+
+    @pytest.mark.parametrize(("centre", "sign"), [("specular", 1), ("retro", -1)])
+    def test_angle(self, centre: str, sign: int) -> None:
+        lobe = Lobe("reflection", self.profile, measure="angle", centre=centre, oblique_limit=1.2)
+        alpha = np.arccos(self.there @ unit(sign * 40, 0))
+        for angle, oblique in ((40, 1.2), (20, 1 / np.cos(np.radians(20)))):
+            alpha = np.arccos(self.there @ unit(sign * angle, 0))
+            expected = oblique / (0.1 + 2 * np.sin(alpha / 2)) / np.cos(np.radians(20))
+            assert one(lobe, "reflection", angle, self.there) == pytest.approx(expected, rel=1e-9)
+
+    def test_total_reflection(self) -> None:
+        direction, cosine = self.there[None], float(np.cos(np.radians(50)))
+        for centre, expected in (("specular", 0.0), ("normal", 1 / (0.1 + self.distance(0)))):
+            lobe = Lobe("transmission", self.profile, centre=centre)
+            assert bsdf([lobe], "transmission", cosine, direction, 1.5, 1.0, 1.0)[0] == pytest.approx(expected)
+
+
+class TestScan:
+    def test_abg(self) -> None:
+        scans = scan(ABg(0.0025, 0.001, 1.8), [0, 30, 75])
+        for one_scan in scans:
+            beta = np.sin(np.radians(one_scan.theta_s_deg))
+            np.testing.assert_allclose(
+                one_scan.distance, np.abs(beta - np.sin(np.radians(one_scan.incidence_deg))), atol=1e-12
+            )
+            np.testing.assert_allclose(one_scan.values, 0.0025 / (0.001 + one_scan.distance**1.8), rtol=1e-12)
+            assert np.all(np.diff(one_scan.theta_s_deg) > 0)
+            assert one_scan.distance.min() == 0
+        # Of the float64 test vectors of the model
+        assert [s.scattered for s in scans] == pytest.approx([0.0413437, 0.0393575, 0.0263319], rel=1e-4)
+
+    def test_shares(self) -> None:
+        polished = scan(ABg(0.0025, 0.001, 1.8), [0.0], light=Light(R=0.1))[0]
+        assert polished.scattered == pytest.approx(0.1 * polished.loss, rel=1e-12)
+        paint = scan(Paint(0.2), [0.0], light=Light(R=0.1))[0]
+        assert paint.scattered == pytest.approx(0.2, rel=1e-4)
+        assert paint.loss == 0
+
+    def test_transmission_has_its_own_angle_and_step(self) -> None:
+        (found,) = scan(HarveyShack(rms_nm=4), [30.0], "transmission", Light(n_out=1.5333))
+        assert np.sin(np.radians(found.specular_deg)) * 1.5333 == pytest.approx(0.5, rel=1e-12)
+        assert found.theta_s_deg[found.values.argmax()] == pytest.approx(found.specular_deg, abs=1e-6)
+        (normal,) = scan(HarveyShack(rms_nm=4), [0.0], "transmission", Light(n_out=1.5333))
+        assert normal.scattered == pytest.approx((2 * np.pi * 0.5333 * 4 / 550) ** 2, rel=1e-4)
+
+    def test_refused(self) -> None:
+        model = ABg(0.0025, 0.001, 1.8)
+        with pytest.raises(MistrayError, match="angle of incidence 90°; give angles from 0 to below 90°"):
+            scan(model, [90.0])
+        with pytest.raises(MistrayError, match="is totally reflected, nothing is transmitted; give smaller angles"):
+            scan(model, [60.0], "transmission", Light(n_in=1.5, n_out=1.0))
+        with pytest.raises(MistrayError, match="scatters nothing in transmission"):
+            scan(Paint(0.2), [0.0], "transmission")
+
+
+class TestTable:
+    @pytest.mark.parametrize("frame", ["specular", "normal"])
+    def test_holds_the_model(self, frame: str) -> None:
+        samples = table(ABg(0.0025, 0.001, 1.8), [0, 40], frame)
+        d = samples.directions()
+        sine = np.sin(np.radians(samples.specular_deg))[:, None, None]
+        expected = 0.0025 / (0.001 + np.hypot(d[..., 0] - sine, d[..., 1]) ** 1.8)
+        above = d[..., 2] > 1e-9
+        np.testing.assert_allclose(samples.values[above], expected[above], rtol=1e-9)
+        assert np.all(samples.values[d[..., 2] < -1e-9] == 0)
+        Tabulated(samples)
+
+    def test_refracted(self) -> None:
+        samples = table(ABg(0.0025, 0.001, 1.8), [0, 40], "specular", "transmission", Light(n_out=1.5))
+        assert samples.event == "transmission"
+        assert np.sin(np.radians(samples.specular_deg[1])) * 1.5 == pytest.approx(np.sin(np.radians(40)), rel=1e-12)

@@ -1,0 +1,74 @@
+"""Rays that scatter, in the tables of rays: positions are found again in float64 on both sides of the scatter event."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.small_scenes import scene_text, shape_xml
+
+import mistray
+
+INDEX = 1.5
+SCATTER = (
+    '<bsdf type="abg"><float name="A" value="1e-3"/><float name="B" value="1e-3"/><float name="g" value="2"/></bsdf>'
+)
+
+
+@pytest.fixture(scope="module")
+def plate(load_scene):
+    """A plate 5 mm thick; its front scatters. The detector, 15 mm behind it, is black."""
+    glass = f'<bsdf type="interface"><string name="{{}}" value="air"/><string name="{{}}" value="{INDEX}"/>{{}}</bsdf>'
+    return load_scene(
+        scene_text(
+            shape_xml("asphere", "front", 0.0, glass.format("front", "back", SCATTER), semi_diameter=30.0),
+            shape_xml("asphere", "rear", 5.0, glass.format("back", "front", ""), semi_diameter=30.0),
+            shape_xml("asphere", "detector", 20.0, sensor=True, half_width=6.0, half_height=6.0),
+        )
+    )
+
+
+@pytest.fixture(scope="module")
+def trace(plate):
+    return mistray.trace(plate, rays=20_000, max_reflections=0)
+
+
+@pytest.mark.parametrize(("path", "intercept"), [("tTA", "RandTran"), ("iTA", "ImpTran")])
+def test_refraction_holds_after_a_scatter_event(trace, path: str, intercept: str) -> None:
+    """Behind the plate the tangential part of the unit vector is n times that within it: Snell's law, to 1e-12."""
+    row = next(row for row in trace.paths if row.path == path)
+    assert (row.kind, row.scatter_1, row.scatters) == ("single scatter", "front", 1)
+    table = trace.history(row.path_id, 50).to_pandas()
+    assert list(table.intercept[:4]) == ["Emitted", intercept, "SpecTran", "Absorbed"]
+    points = table[["x_mm", "y_mm", "z_mm"]].to_numpy().reshape(-1, 4, 3)
+    directions = table[["dx", "dy", "dz"]].to_numpy().reshape(-1, 4, 3)
+    opl = table.opl_mm.to_numpy().reshape(-1, 4)
+    np.testing.assert_allclose(points[:, 1:, 2], np.broadcast_to([0.0, 5.0, 20.0], (len(points), 3)), atol=1e-12)
+    np.testing.assert_allclose(directions[:, 2, :2], INDEX * directions[:, 1, :2], atol=1e-12)
+    np.testing.assert_allclose(np.linalg.norm(directions[:, :3], axis=2), 1.0, rtol=1e-12)
+    steps = np.diff(points, axis=1)
+    lengths = np.linalg.norm(steps, axis=2)
+    np.testing.assert_allclose(directions[:, :3] * lengths[:, :, None], steps, atol=1e-11)
+    np.testing.assert_allclose(np.diff(opl, axis=1), lengths * [1.0, INDEX, 1.0], rtol=1e-12)
+    turned = np.linalg.norm(directions[:, 1, :2], axis=1)
+    assert np.count_nonzero(turned > 1e-6) > 0.9 * len(turned)
+
+
+def test_the_incident_ray_table_names_scatter(trace) -> None:
+    table = trace.incident(200)
+    assert {"RandTran", "ImpTran"} <= {text.split()[0] for text in table.history}
+    assert set(table.type) == {"SpecTran"}
+
+
+def test_the_table_holds_random_and_aimed_light(trace) -> None:
+    """Both together are one row of `by_way`; the errors of all paths together are those of the energy ledger."""
+    assert [row.path for row in trace.paths] == [
+        "TTA",
+        *sorted(("tTA", "iTA"), key=[r.path for r in trace.paths].index),
+    ]
+    rows = trace.paths.by_way()
+    assert list(rows.path) == ["TTA", "tTA"]
+    scattered = [row for row in trace.paths if row.scatters]
+    assert rows.power_W[1] == pytest.approx(sum(row.power_W for row in scattered), rel=1e-9)
+    power, se = trace.paths.power(range(len(trace.paths)))
+    assert power == pytest.approx(trace.energy.detected_W, rel=1e-9)
+    assert se == pytest.approx(trace.energy.detected_se_W, rel=1e-6)
