@@ -5,6 +5,7 @@ import json
 import re
 import subprocess
 import sys
+from dataclasses import fields
 from pathlib import Path
 
 import pytest
@@ -16,6 +17,7 @@ import mistray.scenes
 from mistray import cli
 from mistray.cli import program
 from mistray.errors import MistrayError
+from mistray.trace import Settings
 
 
 def run(capsys, *arguments):
@@ -110,13 +112,22 @@ def test_ghosts_passes_every_option_on(capsys, fake):
         "azimuth_deg": 30.0,
         "rays": 1000,
         "max_reflections": 4,
+        "max_scatters": 3,
+        "max_optical_scatters": 2,
+        "max_random_scatters": 1,
+        "max_generations": 5,
         "max_events": 20,
+        "scatter_rays": 2,
+        "aimed_rays": 7,
+        "aim": "targets",
         "flux_threshold": 1e-6,
+        "scatter_threshold": 1e-3,
         "splitting": "one",
         "below_threshold": "roulette",
         "seed": 5,
         "polarization": "stokes",
     }
+    assert {setting.name for setting in fields(Settings)} == set(options) - {"azimuth_deg"}
     arguments = [text for key, value in options.items() for text in ("--" + key.replace("_", "-"), str(value))]
     several = ("--wavelength-nm", "450", "550", "650", "--weights", "1", "2", "1")
     code, _, _ = run(capsys, "ghosts", "lens.xml", *arguments, *several)

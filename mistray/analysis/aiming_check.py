@@ -87,7 +87,7 @@ def sampling_check(trace: Trace) -> SamplingCheck:
         more = f" and {len(low) - NAMES_SHOWN} more" if len(low) > NAMES_SHOWN else ""
         warnings.append(
             f"less than {100 * LEAST_LANDED:g} % of the aimed rays reach the detector from {named}{more}; "
-            "give these surfaces a smaller target, or several"
+            "give them a smaller target, or several (from structure that sees no more than a lens it cannot be higher)"
         )
     if rows or hits > 0:
         if hits < LEAST_HITS:

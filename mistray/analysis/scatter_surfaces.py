@@ -37,15 +37,6 @@ def scatter_surfaces(trace: Trace, table: pd.DataFrame) -> pd.DataFrame:
     rows = []
     for surface, paths in table[table.scatters > 0].groupby("scatter_1", sort=False):
         power, se = trace.paths.power(np.concatenate([np.array(ids) for ids in paths.path_ids]))
-        rows.append(
-            (
-                surface,
-                parts.get(str(surface), str(surface)),
-                len(paths),
-                int(paths.rays.sum()),
-                power,
-                se,
-                100 * power / stray,
-            )
-        )
+        part = parts.get(str(surface), str(surface))
+        rows.append((surface, part, len(paths), int(paths.rays.sum()), power, se, 100 * power / stray))
     return pd.DataFrame(rows, columns=COLUMNS).sort_values("power_W", ascending=False, ignore_index=True)

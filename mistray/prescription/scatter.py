@@ -10,15 +10,11 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.prescription.coating import check_name
-from mistray.scatter.abg import ABg
-from mistray.scatter.gaussian import Gaussian
-from mistray.scatter.harvey_shack import HarveyShack
 from mistray.scatter.k_correlation import KCorrelation
+from mistray.scatter.kinds import KINDS
 from mistray.scatter.paint import Paint
-from mistray.scatter.particulate import Particulate
 
 Value = bool | int | float | str
-TABLE = "tabulated"
 
 
 def _paint(preset: str | None = None, **properties: Any) -> Paint:
@@ -35,15 +31,7 @@ def _table(file: str, cosine_corrected: bool = False, beyond: str = "error", **p
 
 
 MODELS: Mapping[str, Callable[..., Any]] = MappingProxyType(
-    {
-        "abg": ABg,
-        "gaussian_lobe": Gaussian,
-        "harvey_shack": HarveyShack,
-        "k_correlation": _k_correlation,
-        "paint": _paint,
-        "particulate": Particulate,
-        TABLE: _table,
-    }
+    {**KINDS, "k_correlation": _k_correlation, "paint": _paint, "tabulated": _table}
 )
 """Plugin → what makes the model from its properties."""
 

@@ -145,7 +145,8 @@ def _head(report: GhostReport, title: str, settings: dict[str, Any], summaries: 
     shares = [f"{100 * report.weight(wavelength):.3g}" for wavelength in report.wavelengths_nm]
     if len(shares) > 1:
         lines += f" with {', '.join(shares)} % of the flux" if len(set(shares)) > 1 else " in equal shares"
-    scatters = f" and {settings['max_scatters']} scatter events" if report.scatters else ""
+    most = settings["max_scatters"]
+    scatters = f" and {most} scatter event{'' if most == 1 else 's'}" if report.scatters else ""
     traced = (
         f"Fields {fields}° at azimuth {setting_text(settings['azimuth_deg'])}°, {lines}, "
         f"{thousands(settings['rays'])} start rays at each field, up to {settings['max_reflections']} reflections"

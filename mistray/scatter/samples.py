@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -95,6 +97,17 @@ class Samples:
                 f"{self.title}: the polar angles begin at {self.polar_deg[0]:g}°; give the value at 0° that holds to "
                 "the first of them"
             )
+
+    @cached_property
+    def _content(self) -> tuple[Any, ...]:
+        arrays = (self.specular_deg, self.azimuth_deg, self.polar_deg, self.values)
+        return (self.name, self.frame, self.event, *(array.tobytes() for array in arrays))
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, Samples) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
 
     @property
     def title(self) -> str:

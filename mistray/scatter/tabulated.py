@@ -24,7 +24,7 @@ SMALLEST_R = 1e-6
 ROUNDING = 1e-3  # of the total: tables are printed with four digits
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
 class Tabulated(Placement):
     """
     A BSDF interpolated in a table, the same at all wavelengths.

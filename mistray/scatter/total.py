@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from mistray.scatter.radial import OCTAVES, R_MAX, RadialTable
 
 ROUNDING = 1e-6  # what the shares of a surface may exceed 1 by
 CUT_NODES, ARC_NODES, NODES_PER_OCTAVE = 96, 32, 4
+_GAUSS = np.polynomial.legendre.leggauss(NODES_PER_OCTAVE)
 
 
 def specular_cosine(event: str, cos_i: np.ndarray, n_in: float, n_out: float) -> np.ndarray:
@@ -59,6 +61,7 @@ def lobe_total(
     return values
 
 
+@lru_cache(maxsize=8)
 def _smooth_nodes(count: int) -> tuple[np.ndarray, np.ndarray]:
     """Nodes and weights on 0 … 1 that also take square-root singularities at both ends."""
     x, w = np.polynomial.legendre.leggauss(count)
@@ -108,7 +111,7 @@ def _with_factor(lobe: Lobe, table: RadialTable, cos_i: float, cosine: float, co
     first = R_MAX * 2.0**-OCTAVES
     panels = max(2, int(np.ceil(np.log2(max(edge / 2, 2 * first) / first))))
     span = np.log(max(edge / 2, 2 * first) / first) / panels
-    x, w = np.polynomial.legendre.leggauss(NODES_PER_OCTAVE)
+    x, w = _GAUSS
     inner = first * np.exp(span * (np.arange(panels)[:, None] + 0.5 * (1 + x)).ravel())
     outer = [(edge / 2, edge), (edge, max(min(1 + b, R_MAX), edge))]
     rings = [_ring_nodes(np.array([low]), np.array([high])) for low, high in outer]

@@ -13,6 +13,7 @@ Rays that are not aimed are the rest: whatever the targets are, the result is th
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import mitsuba as mi
 import numpy as np
@@ -27,8 +28,8 @@ from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.targets import AimSet, Target
 
 PATH_POINTS, SEEN_POINTS = 4096, 1024  # points of a surface from which rays to the image are tried
-PROBES = 16  # rays from a surface that look whether a lens or the detector can be seen
-SEEN = 0.04  # share of them that must see it
+PROBES, DETECTOR_PROBES = 16, 256  # rays from a surface that look whether a lens, or the detector, can be seen
+SEEN, DETECTOR_SEEN = 0.04, 0.005  # share of them that must see it
 LANDED = 0.02  # share of the rays to an image that must land on the detector
 MOST_TARGETS = 4
 
@@ -95,28 +96,41 @@ def automatic_targets(
     return found | _seen_targets(table, images, others, rng)
 
 
+@dataclass(frozen=True)
+class _View:
+    """What may be seen from one side of a surface: step `number` of the path, with so many rays."""
+
+    side: Side
+    number: int
+    rays: int
+
+
 def _seen_targets(
     table: SurfaceTable, images: DetectorImages | None, surfaces: Sequence[int], rng: np.random.Generator
 ) -> dict[Side, list[Target]]:
     """The detector, lenses and mirrors that can be seen from either side of surfaces, as targets."""
+    if not surfaces:
+        return {}
     candidates = [step.surface for step in images.path.steps] if images else [table.detector]
     outlines = [outline(table.shapes[candidate]) for candidate in candidates]
     sampled = {surface: surface_points(table, surface, SEEN_POINTS, rng) for surface in surfaces}
-    sides = [(surface, to_back) for surface in surfaces for to_back in (False, True)]
-    views = [(side, number) for side in sides for number in range(len(candidates))]
-    if not views:
-        return {}
-    seen = _seen(table, images, [(side, outlines[number], number) for side, number in views], sampled, rng)
+    views = [
+        _View((surface, to_back), number, DETECTOR_PROBES if candidate == table.detector else PROBES)
+        for surface in surfaces
+        for to_back in (False, True)
+        for number, candidate in enumerate(candidates)
+    ]
+    seen = _seen(table, images, views, outlines, sampled, rng)
     found: dict[Side, list[tuple[float, Target]]] = {}
-    for (side, number), share in zip(views, seen, strict=True):
-        if share < SEEN:
+    for view, share in zip(views, seen, strict=True):
+        target, direct = outlines[view.number], candidates[view.number] == table.detector
+        if share < (DETECTOR_SEEN if direct else SEEN):
             continue
-        target, direct = outlines[number], candidates[number] == table.detector
         if images and not direct:
-            points, normals = sampled[side[0]]
-            image = images.fitted(number, points, normals if side[1] else -normals, rng)
+            points, normals = sampled[view.side[0]]
+            image = images.fitted(view.number, points, normals if view.side[1] else -normals, rng)
             target = image.target if image.landed > LANDED else target
-        found.setdefault(side, []).append((share + direct, target))
+        found.setdefault(view.side, []).append((share + direct, target))
     return {
         side: [target for _, target in sorted(entries, key=lambda entry: -entry[0])[:MOST_TARGETS]]
         for side, entries in found.items()
@@ -126,27 +140,29 @@ def _seen_targets(
 def _seen(
     table: SurfaceTable,
     images: DetectorImages | None,
-    views: Sequence[tuple[Side, Target, int]],
+    views: Sequence[_View],
+    outlines: Sequence[Target],
     sampled: dict[int, tuple[np.ndarray, np.ndarray]],
     rng: np.random.Generator,
 ) -> np.ndarray:
-    """Share of the rays from a side of a surface to an outline that arrive, on the side of the design light."""
-    origins = np.concatenate([sampled[surface][0][:PROBES] for (surface, _), _, _ in views])
-    outward = np.concatenate([sampled[s][1][:PROBES] * (1 if back else -1) for (s, back), _, _ in views])
-    ends = np.concatenate([target.points(rng.random((PROBES, 2))) for _, target, _ in views])
-    surface = np.repeat([surface for (surface, _), _, _ in views], PROBES)
+    """Share of the rays of each view that arrive, on the side of the design light."""
+    rays = [view.rays for view in views]
+    origins = np.concatenate([sampled[view.side[0]][0][: view.rays] for view in views])
+    outward = np.concatenate([sampled[view.side[0]][1][: view.rays] * (1 if view.side[1] else -1) for view in views])
+    ends = np.concatenate([outlines[view.number].points(rng.random((view.rays, 2))) for view in views])
     d = (ends - origins) / np.linalg.norm(ends - origins, axis=1, keepdims=True)
+    which = np.repeat(np.arange(len(views)), rays)
+    surface = np.array([view.side[0] for view in views])[which]
+    wanted = np.full(len(d), table.detector)
     goes = np.einsum("ij,ij->i", d, outward) > 0
     if images:
-        steps = [images.path.steps[number] for _, _, number in views]
-        wanted = np.repeat([step.surface for step in steps], PROBES)
-        from_front = np.repeat([step.from_front for step in steps], PROBES)
-        goes &= np.einsum("ij,ij->i", d, np.repeat([step.before for step in steps], PROBES, axis=0)) > 0
-    else:
-        wanted = np.full(len(d), table.detector)
-    goes = np.flatnonzero(goes)
-    hit, _, normal = first_hit(table, origins[goes], d[goes], surface[goes])
-    arrives = hit == wanted[goes]
+        steps = [images.path.steps[view.number] for view in views]
+        wanted = np.array([step.surface for step in steps])[which]
+        from_front = np.array([step.from_front for step in steps])[which]
+        goes &= np.einsum("ij,ij->i", d, np.array([step.before for step in steps])[which]) > 0
+    some = np.flatnonzero(goes)
+    hit, _, normal = first_hit(table, origins[some], d[some], surface[some])
+    arrives = hit == wanted[some]
     if images:
-        arrives &= (np.einsum("ij,ij->i", d[goes], normal) > 0) == from_front[goes]
-    return np.bincount(goes[arrives] // PROBES, minlength=len(views)) / PROBES
+        arrives &= (np.einsum("ij,ij->i", d[some], normal) > 0) == from_front[some]
+    return np.bincount(which[some[arrives]], minlength=len(views)) / rays

@@ -25,9 +25,12 @@ from mistray.trace.targets import Target
 
 FAR = 1e4  # distance of a target at infinity, in units of the system's size
 DIFFERENCE = 1e-5  # steps of the derivatives along a path, in units of the system's size and as slopes
-SEARCH = 3.0  # real rays are sought within the paraxial image, so many times enlarged
-COVERED = 0.999  # share of the light to the detector that a target must hold
-ENOUGH = 50  # rays to the detector that it takes to shape a target in another plane
+SEARCH = 3.0  # real rays are sought within the paraxial image, so many times enlarged, and everywhere
+MARGIN = 1.25  # then within the target that these need, so many times enlarged
+# Share of the light to the detector that a target may leave out; and in units of the share of diffuse light that goes
+# to the detector: the more of it does, the better rays find it that are not aimed
+LEFT_OUT, LEFT_TO_CHANCE = 1e-3, 0.05
+ENOUGH, PLENTY = 50, 400  # rays to the detector that it takes to shape a target in another plane, and any well
 PLANES = np.linspace(-2, 2, 21)  # vergences of other planes, in units of that of the image
 BETTER = 2.0  # so many times more rays must land by a target in another plane than by one in the image's
 
@@ -86,7 +89,7 @@ class DetectorImages:
         # Columns: half axes of the detector on the image plane
         u, v = (frame @ np.linalg.inv(P)).T
         centre = start + distance * axis - frame @ np.linalg.solve(P, hit)
-        return Target(self.detector.shape, centre, u, v, hole=self.detector.hole, reverse=distance < 0)
+        return Target(self.detector.shape, centre, u, v, hole=self.detector.hole, reverse=bool(distance < 0))
 
     def _derivatives(self, number: int, frame: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         """P, Q and the hit of the base ray, in half axes of the detector: per mm and per unit of slope."""
@@ -104,9 +107,9 @@ class DetectorImages:
         """
         Target for light that enters the space before a step of the path at given points.
 
-        It is the paraxial image of the detector, enlarged until it holds `COVERED` of the light that reaches the
-        detector from there by the path. Where the image lies so near that most rays aimed at it miss the detector,
-        another plane is taken, if `BETTER` times more land by it.
+        It is the paraxial image of the detector, enlarged until it holds nearly all of the light that reaches the
+        detector from there by the path: all but `LEFT_OUT`, or what is easily found at random. Where the image lies so
+        near that most rays aimed at it miss the detector, another plane is taken, if `BETTER` times more land by it.
 
         Parameters
         ----------
@@ -117,12 +120,18 @@ class DetectorImages:
         rng : np.random.Generator
         """
         image = self.paraxial[number]
-        rays = self._landing_rays(number, points, normals, rng)
-        if not len(rays.o):
-            return Fitted(image, 0.0)
         start, axis = self._base(number)
         distance, far = float((image.centre - start) @ axis), FAR * self.size
-        at_image = _held(image, rays, start, axis, distance, least=1.0)
+        size = SEARCH
+        for _ in range(2):  # the second time nearer to what is needed, so that more rays land
+            wide = replace(image, u=size * image.u, v=size * image.v, hole=0.0)
+            rays = self._landing_rays(number, wide, points, normals, rng)
+            if not len(rays.o):
+                return Fitted(image, 0.0)
+            at_image = _held(image, rays, start, axis, distance, least=1.0)
+            if len(rays.o) > PLENTY:
+                break
+            size = MARGIN * max(_ratio(at_image.target.u, image.u), _ratio(at_image.target.v, image.v))
         if len(rays.o) < ENOUGH or at_image.landed > 1 / BETTER:
             return at_image
         vergences = 1 / distance + max(abs(1 / distance), 1 / self.size) * PLANES
@@ -130,12 +139,12 @@ class DetectorImages:
         best = max((_held(image, rays, start, axis, other) for other in others), key=lambda fitted: fitted.landed)
         return best if best.landed > BETTER * at_image.landed else at_image
 
-    def _landing_rays(self, number: int, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> _Rays:
-        """The rays that reach the detector, of those sent half to the enlarged image, half as from a Lambertian."""
-        image = self.paraxial[number]
-        wide = replace(image, u=SEARCH * image.u, v=SEARCH * image.v, hole=0.0)
+    def _landing_rays(
+        self, number: int, wide: Target, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator
+    ) -> _Rays:
+        """The rays that reach the detector, of those sent half to a target, half as from a Lambertian."""
         to_image = np.arange(len(points)) % 2 == 0
-        aimed = (wide.points(rng.random((len(points), 2))) - points) * (-1 if image.reverse else 1)
+        aimed = (wide.points(rng.random((len(points), 2))) - points) * (-1 if wide.reverse else 1)
         d = np.where(to_image[:, None], aimed, normals + _sphere(rng, len(points)))
         d /= np.linalg.norm(d, axis=1, keepdims=True)
         cosine = np.einsum("ij,ij->i", d, normals)
@@ -159,6 +168,11 @@ class _Rays:
     projected: np.ndarray
     tried: int
 
+    @property
+    def covered(self) -> float:
+        """Share of the projected solid angle that a target must hold."""
+        return 1 - max(LEFT_OUT, LEFT_TO_CHANCE * float(self.projected.sum()) / (np.pi * self.tried))
+
 
 def _held(
     image: Target, rays: _Rays, start: np.ndarray, axis: np.ndarray, distance: float, least: float = 0.0
@@ -168,18 +182,25 @@ def _held(
     t = ((centre - rays.o) @ axis) / (rays.d @ axis)
     coordinates = np.linalg.pinv(np.stack([image.u, image.v], axis=1)) @ (rays.o + t[:, None] * rays.d - centre).T
     if image.shape == "ellipse":
-        size = np.full(2, _quantile(np.hypot(*coordinates), rays.projected))
+        size = np.full(2, _quantile(np.hypot(*coordinates), rays.projected, rays.covered))
     else:
-        size = np.array([_quantile(np.abs(x), rays.projected) for x in coordinates])
-    size = np.maximum(size, max(least, 1e-9))
-    target = replace(image, centre=centre, u=size[0] * image.u, v=size[1] * image.v, hole=0.0, reverse=distance < 0)
+        size = np.array([_quantile(np.abs(x), rays.projected, 0.5 + 0.5 * rays.covered) for x in coordinates])
+    # Rays at the edge of what lands are the rarer the fewer there are
+    size = np.where(size > least, size * (1 + 1 / np.sqrt(len(rays.o))), max(least, 1e-9))
+    target = replace(
+        image, centre=centre, u=size[0] * image.u, v=size[1] * image.v, hole=0.0, reverse=bool(distance < 0)
+    )
     relative = coordinates / size[:, None]
     within = np.hypot(*relative) if image.shape == "ellipse" else np.max(np.abs(relative), axis=0)
     held = (within <= 1) & ((t < 0) == target.reverse)
-    if rays.projected[held].sum() < (2 * COVERED - 1) * rays.projected.sum():
+    if rays.projected[held].sum() < (2 * rays.covered - 1) * rays.projected.sum():
         return Fitted(target, 0.0)
     density = t**2 / (target.area * np.abs(rays.d @ target.normal))
     return Fitted(target, float(np.sum((density * rays.solid_angle)[held]) / rays.tried))
+
+
+def _ratio(a: np.ndarray, b: np.ndarray) -> float:
+    return float(np.linalg.norm(a) / np.linalg.norm(b))
 
 
 def _sphere(rng: np.random.Generator, count: int) -> np.ndarray:
@@ -188,8 +209,8 @@ def _sphere(rng: np.random.Generator, count: int) -> np.ndarray:
     return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
 
 
-def _quantile(values: np.ndarray, weights: np.ndarray) -> float:
-    """The value below which `COVERED` of the weight lies."""
+def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:
+    """The value below which a share of the weight lies."""
     order = np.argsort(values)
     summed = np.cumsum(weights[order])
-    return float(values[order][np.searchsorted(summed, COVERED * summed[-1])])
+    return float(values[order][np.searchsorted(summed, share * summed[-1])])

@@ -35,7 +35,8 @@ def surface_points(
     if surface >= len(table.pieces):
         sample = mi.Point2f(u.astype(np.float32), v.astype(np.float32))
         found = table.shapes[surface].sample_position(0.0, sample)
-        return np.array(found.p, dtype=np.float64).T.copy(), np.array(found.n, dtype=np.float64).T.copy()
+        p, n = (np.broadcast_to(np.array(v, dtype=np.float64).T, (count, 3)).copy() for v in (found.p, found.n))
+        return p, n
     piece = table.pieces[surface]
     if piece.kind == "cone":
         r0, slope = np.sqrt(-piece.quadric[3]), piece.slope

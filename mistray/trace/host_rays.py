@@ -10,7 +10,8 @@ from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.optics import IDEAL, MIRROR, OPAQUE
 from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, SurfaceTable
 
-NEWTON_STEPS = 6
+NEWTON_STEPS = 8
+SETTLED = 1e-10  # last step of Newton's method, relative, below which it has found a hit
 
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -65,7 +66,10 @@ def _onto_polynomial(
         along = slope * (p[:, :, 0] * d[:, None, 0] + p[:, :, 1] * d[:, None, 1]) - d[:, None, 2]
         step = (sag(r2, c, k, coefficients) - p[:, :, 2]) / along
         t = t - step
-    return np.where(np.abs(step) < 1e-6 * (1 + np.abs(t)), t, np.nan)
+        settled = np.abs(step) < SETTLED * (1 + np.abs(t))
+        if np.all(settled | np.isnan(step)):
+            break
+    return np.where(settled, t, np.nan)
 
 
 def inside(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
@@ -153,7 +157,8 @@ def _stock_hit(
     found = np.array(si.is_valid())
     number = dr.gather(mi.UInt32, table.stock_lookup, dr.reinterpret_array(mi.UInt32, si.shape), si.is_valid())
     t = np.where(found, np.array(si.t, dtype=np.float64) + table.stock_epsilon, np.inf)
-    return t, np.where(found, np.array(number, dtype=np.int64), NO_SURFACE), np.array(si.n, dtype=np.float64).T.copy()
+    normal = np.broadcast_to(np.array(si.n, dtype=np.float64).T, o.shape).copy()
+    return t, np.where(found, np.array(number, dtype=np.int64), NO_SURFACE), normal
 
 
 def onward(

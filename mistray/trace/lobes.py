@@ -13,6 +13,7 @@ from mistray.trace.upload import upload
 
 STRIDE = RINGS + 2  # floats of a table: values at the nodes, and one more so that every cell has a next node
 CELLS = RINGS + 1
+LAST_BIT = 2.0**-24  # of a random number: a cell of no share is not kept even if the number is 0
 LOG2_FIRST = 1.0 - OCTAVES  # of the radius of the first node
 
 
@@ -46,21 +47,27 @@ class RadialSampler:
         low, high = self._pair(table, node, active)
         return dr.exp2(dr.lerp(low, high, place - mi.Float(node)))
 
-    def sample(self, table: mi.UInt32, u1: mi.Float, u2: mi.Float, active: mi.Bool) -> mi.Float:
-        """A radius with the density 2π r f(r) / total, from two uniform random numbers."""
-        place = u1 * CELLS
+    def sample(self, table: mi.UInt32, u: mi.Float, v: mi.Float, active: mi.Bool) -> mi.Float:
+        """
+        A radius with the density 2π r f(r) / total, from two uniform random numbers.
+
+        The first gives the cell and the place in it, the second decides between the cell and its alias. One number for
+        both would not do: the places in a cell that a float32 can have are few, and many cells have a small share.
+        """
+        place = u * CELLS
         cell = dr.minimum(mi.UInt32(place), CELLS - 1)
+        inner = place - mi.Float(cell)
         entry = dr.gather(mi.Vector2f, self._cells, table * CELLS + cell, active)
-        cell = dr.select(place - mi.Float(cell) < entry.x, cell, mi.UInt32(entry.y))
+        cell = dr.select(v + LAST_BIT < entry.x, cell, mi.UInt32(entry.y))
         ring = dr.maximum(cell, 1) - 1
         low, high = self._pair(table, ring, active)
         exponent = (high - low) * PER_OCTAVE + 2
         growth = dr.exp2(exponent * (1 / PER_OCTAVE)) - 1
         octaves = dr.select(
-            dr.abs(exponent) < ALMOST_LOG, u2 * (1 / PER_OCTAVE), dr.log2(dr.fma(u2, growth, 1)) / exponent
+            dr.abs(exponent) < ALMOST_LOG, inner * (1 / PER_OCTAVE), dr.log2(dr.fma(inner, growth, 1)) / exponent
         )
         # Within the first node f is constant, so that r² is uniform
-        octaves = dr.select(cell == 0, 0.5 * dr.log2(dr.maximum(u2, 1e-12)), octaves)
+        octaves = dr.select(cell == 0, 0.5 * dr.log2(dr.maximum(inner, 1e-12)), octaves)
         return dr.exp2(LOG2_FIRST + mi.Float(ring) * (1 / PER_OCTAVE) + octaves)
 
     def _pair(self, table: mi.UInt32, node: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.Float]:

@@ -64,7 +64,7 @@ from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
 TRANSMIT, REFLECT, SCATTER = range(3)
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT = 0xFF, 8, 16
-PLAN_WORDS, FLOOR_FLOATS = 4, 3  # of a node, where there is scatter
+PLAN_WORDS, FLOOR_FLOATS = 4, 4  # of a node, where there is scatter
 
 
 @dataclass
@@ -167,7 +167,8 @@ def walk(
     normals = dr.alloc_local(mi.Float, max_events * 3 if has_stock else 1)
     polarizations = dr.alloc_local(mi.Float, max_events * 3 if settings.stokes else 1)
     # Of a node with scatter: the next child, the scatter events before it, the surface it was aimed from, the medium;
-    # the threshold, and the length of the segment that led to it and what the medium scattered there
+    # the weight at birth, the factor of its scattered rays, the length of the segment that led to it and what was
+    # scattered there
     plans = dr.alloc_local(mi.UInt32, max_events * PLAN_WORDS if scatters else 1)
     floors = dr.alloc_local(mi.Float, max_events * FLOOR_FLOATS if scatters else 1)
     events = adjoint.memory(max_events) if adjoint is not None else ()
@@ -197,7 +198,8 @@ def walk(
         "total": dr.zeros(mi.Float64, n if adjoint is not None else 1),  # derivative × flux of the hits so far
         "scatters": full(0),  # scatter events before it, see COUNT_MASK
         "aimed_from": full(NO_SURFACE),  # surface that sent the ray to a target, unless it was reflected since
-        "threshold": dr.zeros(mi.Float, n) + threshold,  # weight below which its children are not worth it
+        "birth": dr.full(mi.Float, 1, n),  # weight with which the ray started, at the source or scattered last
+        "boost": dr.full(mi.Float, 1, n),  # what its scattered rays are multiplied with; 0 if it sends none
         "length": dr.zeros(mi.Float, n if bulk else 1),  # of the segment that led to it, mm
         "clouded": dr.zeros(mi.Float, n if bulk else 1),  # flux that its medium scattered on the way
         "rng": rng,
@@ -207,7 +209,7 @@ def walk(
     def body(state: dict[str, Any]) -> dict[str, Any]:
         active, d, w, s, depth = (state[k] for k in ("active", "d", "w", "s", "depth"))
         nodes, codes, words, keys, normals, polarizations, plans, floors, *events = state["memory"]
-        rng, total, threshold = state["rng"], state["total"], state["threshold"]
+        rng, total = state["rng"], state["total"]
         first = active & (state["child"] == TRANSMIT)
         again = active & ~first
         stokes = state["stokes"] if settings.stokes else None
@@ -297,14 +299,25 @@ def walk(
         add_reason(SCATTERS, stopped, first & room & (stopped > 0))
         w_s, w_b = dr.select(may_scatter, w_s, 0), dr.select(may_cloud, w_b, 0)
 
+        # A ray that has not been scattered keeps to the flux threshold; one that has plays roulette below its own
+        fresh = (state["scatters"] & COUNT_MASK) == 0 if scatters else mi.Bool(True)
+        own = state["birth"] * scatter_threshold
+        limit = dr.select(fresh, threshold, own)
+        boost = state["boost"]
+        if scatters and split:
+            # A weak node scatters with a probability in proportion to the light that reaches it
+            weak = dr.select(rng.next_float32() * own < w, own / w, 0)
+            boost = dr.select(first, dr.select(w < own, weak, 1), boost)
+            add_reason(SAMPLING, w_s + w_b, first & (w_s + w_b > 0))
+        sends = boost > 0
         if split:
             if not roulette:
-                weights = [w_t, w_r, w_s, w_b]
-                cut = sum((dr.select(v < threshold, v, 0) for v in weights), mi.Float(0))
+                cut_t, cut_r = fresh & (w_t < threshold), fresh & (w_r < threshold)
+                cut = dr.select(cut_t, w_t, 0) + dr.select(cut_r, w_r, 0)
                 add_reason(THRESHOLD, cut, first & (cut > 0))
-                w_t, w_r, w_s, w_b = (dr.select(v < threshold, 0, v) for v in weights)
-            scattered_rays = dr.select(w_s > 0, random_rays + aimed_rays, 0)
-            end = SCATTER + scattered_rays + dr.select(w_b > 0, mi.UInt32(1), 0)
+                w_t, w_r = dr.select(cut_t, 0, w_t), dr.select(cut_r, 0, w_r)
+            scattered_rays = dr.select(sends & (w_s > 0), random_rays + aimed_rays, 0)
+            end = SCATTER + scattered_rays + dr.select(sends & (w_b > 0), mi.UInt32(1), 0)
             after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
             number = dr.select(first, dr.select(w_t > 0, mi.UInt32(TRANSMIT), after_t), state["child"])
             later = dr.select(number == TRANSMIT, after_t, dr.maximum(number + 1, SCATTER))
@@ -312,7 +325,7 @@ def walk(
             child = dr.select(number == TRANSMIT, w_t, dr.select(number == REFLECT, w_r, 0))
             scatter = visit & (number >= SCATTER) & (number < SCATTER + scattered_rays)
             cloud = visit & (number >= SCATTER) & (number == SCATTER + scattered_rays) & (number < end)
-            child = dr.select(cloud, w_b, child)
+            child = dr.select(cloud, w_b * boost, child)
         else:
             both = w_t + w_r + w_s + w_b
             chosen = rng.next_float32() * both
@@ -322,8 +335,9 @@ def walk(
             push = mi.Bool(False)
             child = both
             if not roulette:
-                add_reason(THRESHOLD, both, first & (both < threshold) & (both > 0))
-                child = dr.select(both < threshold, 0, both)
+                cut = fresh & (both < threshold)
+                add_reason(THRESHOLD, both, first & cut & (both > 0))
+                child = dr.select(cut, 0, both)
             scatter = visit & (number == SCATTER) & (child > 0)
             cloud = scatter & (chosen >= w_t + w_r + w_s) & (w_b > 0)
             scatter &= ~cloud & (w_s > 0)
@@ -334,7 +348,6 @@ def walk(
         aim, slope = mi.Bool(False), dr.rcp(dr.select(reflect, it.R, it.T))
         if scatters and given is not None:
             if split:
-                add_reason(SAMPLING, w_s, first & (w_s > 0))
                 ray = given.ray(number - SCATTER, random_rays, rng)
             else:
                 add_reason(SAMPLING, child, scatter)
@@ -343,23 +356,23 @@ def walk(
             reflect = dr.select(scatter, ray.reflect, reflect)
             aim = scatter & ray.aim
             slope = dr.select(scatter, scatter_slope, slope)
-            child = dr.select(scatter, w * share, child)
+            child = dr.select(scatter, w * share * boost, child)
         # Behind an opaque surface is no medium: the light stays in the one that led to it
         medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
         if scatters and bulk:
             away, along = table.optics.scatter_in_bulk(medium_in, d, state["length"], rng, cloud)
             origin, heading = dr.select(cloud, p - away * d, p), dr.select(cloud, along, heading)
             slope = dr.select(cloud, 0, slope)
-        if roulette:
-            # A scattered ray lives with the flux of its hit, not with its own: aimed ones are weak by intent
-            stake = dr.select(scatter, w_s, child)
-            small = visit & (child > 0) & (stake < threshold)
-            survives = rng.next_float32() * threshold < stake
-            rolled = dr.select(small, dr.select(survives, child * (threshold / stake), 0), child)
-            add_reason(ROULETTE, child - rolled, small & ~scatter)
+        if roulette or scatters:
+            small = visit & (child > 0) & (child < limit) & ~scatter & ~cloud
+            if not roulette:
+                small &= ~fresh
+            survives = rng.next_float32() * limit < child
+            rolled = dr.select(small, dr.select(survives, limit, 0), child)
+            add_reason(ROULETTE, child - rolled, small)
             child = rolled
         if scatters:
-            add_reason(SAMPLING, -child, scatter & (child > 0))
+            add_reason(SAMPLING, -child, (scatter | (cloud & split)) & (child > 0))
             if tallies is not None:
                 tallies.add_surface(s, AIMED, batch, 1.0, aim)
 
@@ -378,10 +391,11 @@ def walk(
         if scatters:
             for j, value in enumerate((later, state["scatters"], state["aimed_from"], state["medium"])):
                 plans.write(value, depth * PLAN_WORDS + j, push)
-            floors.write(threshold, depth * FLOOR_FLOATS, push)
+            floors.write(state["birth"], depth * FLOOR_FLOATS, push)
+            floors.write(boost, depth * FLOOR_FLOATS + 1, push)
             if bulk:
-                floors.write(state["length"], depth * FLOOR_FLOATS + 1, push)
-                floors.write(state["clouded"], depth * FLOOR_FLOATS + 2, push)
+                floors.write(state["length"], depth * FLOOR_FLOATS + 2, push)
+                floors.write(state["clouded"], depth * FLOOR_FLOATS + 3, push)
         bit = mi.UInt64(1) << mi.UInt64(depth)
         pending = dr.select(push, state["pending"] | bit, state["pending"])
         what = dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
@@ -436,7 +450,7 @@ def walk(
             count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
             aimed_from = dr.select(bounced, NO_SURFACE, state["aimed_from"])
             aimed_from = dr.select(scattered, dr.select(aim, s, NO_SURFACE), aimed_from)
-            lowest = dr.select(scattered, child * scatter_threshold, threshold)
+            birth = dr.select(scattered, child, state["birth"])
             base, floor = k * PLAN_WORDS, k * FLOOR_FLOATS
             following = {
                 "child": dr.select(back, plans.read(base, back), TRANSMIT),
@@ -445,11 +459,12 @@ def walk(
                 ),
                 "aimed_from": dr.select(back, plans.read(base + 2, back), aimed_from),
                 "medium": dr.select(back, plans.read(base + 3, back), medium),
-                "threshold": dr.select(back, floors.read(floor, back), lowest),
+                "boost": dr.select(back, floors.read(floor + 1, back), 1),
+                "birth": dr.select(back, floors.read(floor, back), birth),
             }
             if bulk:
-                following["length"] = dr.select(back, floors.read(floor + 1, back), t)
-                following["clouded"] = dr.select(back, floors.read(floor + 2, back), clouded)
+                following["length"] = dr.select(back, floors.read(floor + 2, back), t)
+                following["clouded"] = dr.select(back, floors.read(floor + 3, back), clouded)
         return {
             **state,
             "active": hit | back,

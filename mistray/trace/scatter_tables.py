@@ -113,7 +113,7 @@ class ScatterTables:
                 found = side_of(tuple(bsdf.scatter), wavelength_nm, float(n_in), float(n_out), from_front)
                 if not found.lobes:
                     continue
-                _check_side(
+                check_side(
                     f"surface '{ids[s]}', light from the {'front' if from_front else 'back'}",
                     found,
                     n_in,
@@ -174,7 +174,7 @@ def _flags(lobe: Lobe, ratios: list[np.ndarray]) -> tuple[int, int, int]:
     return flags, place, a | b << 10 | c << 20
 
 
-def _check_side(
+def check_side(
     title: str, side: Side, n_in: float, n_out: float, response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
 ) -> None:
     """Raise if a surface gives away more light than it gets."""

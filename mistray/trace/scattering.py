@@ -304,17 +304,12 @@ class Scattering:
         d: mi.Vector3f,
     ) -> mi.Vector3f:
         """A direction at random: a lobe by its flux, then its profile."""
-        chosen = lobes[0]["words"]
-        wanted, so_far = u[0] * total, lobes[0]["flux"]
-        before, share = mi.Float(0), so_far
+        chosen, wanted, so_far = lobes[0]["words"], u[0] * total, lobes[0]["flux"]
         for lobe in lobes[1:]:
             later = lobe["here"] & (wanted >= so_far) & (lobe["flux"] > 0)
             chosen = dr.select(later, lobe["words"], chosen)
-            before, share = dr.select(later, so_far, before), dr.select(later, lobe["flux"], share)
             so_far = so_far + lobe["flux"]  # not +=, which would change the first lobe's flux
-        # What the choice leaves of the random number is uniform again
-        first = dr.clip((wanted - before) / share, 0, 0.99999994)
-        r = self._tables.radial.sample(chosen.y, first, u[1], mi.Bool(True))
+        r = self._tables.radial.sample(chosen.y, u[1], u[3], mi.Bool(True))
         centre = self._centre(chosen, outward, specular, d)
         sine, cosine = dr.sincos(2 * dr.pi * u[2])
         by_angle = (chosen.x & BY_ANGLE) != 0 if self._tables.flags & BY_ANGLE else mi.Bool(False)

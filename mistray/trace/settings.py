@@ -43,9 +43,9 @@ class Settings:
         Aim scattered rays at the targets of the scene and, where a surface has none, at automatic ones; only at targets
         of the scene; or not at all. The result is the same but for its error.
     scatter_threshold : float
-        Smallest flux of a branch after a scatter event, relative to what the scattered ray started with.
-    flux_threshold : float
-        Smallest flux of a branch that has not been scattered, relative to its start ray.
+        Below this share of the flux with which a ray started, at the source or where it was scattered last, its hits
+        scatter with a probability in proportion to the flux, and after a scatter event its weak branches are followed
+        with one; the rays that are left carry more. It does not change the result but for its error; 0 follows all.
     splitting : {"split", "one"}
         Follow both children at an interface, or one of them at random (one in, one out).
     below_threshold : {"cut", "roulette"}
@@ -67,7 +67,7 @@ class Settings:
     aimed_rays: int = 1
     aim: str = "auto"
     flux_threshold: float = 1e-8
-    scatter_threshold: float = 1e-4
+    scatter_threshold: float = 0.1
     splitting: str = "split"
     below_threshold: str = "cut"
     seed: int = 0
@@ -97,7 +97,7 @@ class Settings:
         if not 0 <= self.flux_threshold < 1:
             fail("flux_threshold", "it is relative to a start ray and must lie between 0 and 1")
         if not 0 <= self.scatter_threshold < 1:
-            fail("scatter_threshold", "it is relative to a scattered ray and must lie between 0 and 1")
+            fail("scatter_threshold", "it is relative to the start of a ray and must lie between 0 and 1")
         if self.aim not in ("auto", "targets", "none"):
             fail("aim", "use 'auto', 'targets' or 'none'")
         if self.splitting not in ("split", "one"):
@@ -118,11 +118,6 @@ class Settings:
             raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of a trace")
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
-
-    @property
-    def random(self) -> bool:
-        """Whether the walk itself draws random numbers."""
-        return self.below_threshold == "roulette" or self.splitting == "one"
 
     @property
     def stokes(self) -> bool:

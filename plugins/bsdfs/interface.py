@@ -297,26 +297,34 @@ class Interface(mi.BSDF):
         """What scatters at `wavelength_nm`, for stock integrators."""
         models, stock = self.scatter, self._stock_table()
         if self._lobes is None or self._lobes[0] is not stock or self._lobes[1].models != list(models):
-            n_front, n_back = (n.real for n in stock["n"])
-            lobes = LobeSum(self.scatterers, self.wavelength_nm, n_front, n_back, stock["opaque"])
+            n = tuple(n.real for n in stock["n"])
+            lobes = LobeSum(self.scatterers, self.wavelength_nm, n, stock["opaque"], self._stock_shares, self.title)
             self._lobes = stock, lobes
         return self._lobes[1]
+
+    def _stock_shares(self, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """R and T for stock integrators at cosines of incidence, (m,) each."""
+        stock = self._stock_table()
+        if stock["opaque"] and stock["n"][0 if from_front else 1].imag > METAL_K:  # nothing comes out of a metal
+            return np.zeros_like(cosines), np.zeros_like(cosines)
+        answer = self.coating.response(self.wavelength_nm, *stock["n"], cosines, from_front)
+        return answer.R.mean(axis=1), 0 * cosines if stock["opaque"] else answer.T.mean(axis=1)
 
     def _beams(
         self, ctx: mi.BSDFContext, cos_wi: mi.Float, r: mi.Float, t: mi.Float, cos_t: mi.Float, active: mi.Mask
     ) -> tuple[mi.Float, mi.Float]:
         """What scatter leaves of the reflected and the transmitted beam, where a context asks for them."""
-        if self.scatterers:
+        reflects = ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
+        transmits = ctx.is_enabled(mi.BSDFFlags.DeltaTransmission, 1)
+        r, t = (r if reflects else mi.Float(0)), (t if transmits else mi.Float(0))
+        if self.scatterers and (reflects or transmits):
             lobes, from_back = self._lobe_sum(), cos_wi > 0
             cos_i = dr.abs(cos_wi)
             r = r * (1 - lobes.loss("reflection", cos_i, from_back, active))
             # In the mode "radiance" light that is transmitted comes from the other side
             side = ~from_back if ctx.mode == mi.TransportMode.Radiance else from_back
             t = t * (1 - lobes.loss("transmission", dr.minimum(cos_i, dr.abs(cos_t)), side, active))
-        return (
-            r if ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0) else mi.Float(0),
-            t if ctx.is_enabled(mi.BSDFFlags.DeltaTransmission, 1) else mi.Float(0),
-        )
+        return r, t
 
     def _choices(
         self, ctx: mi.BSDFContext, wi: mi.Vector3f, shares: tuple[mi.Float, mi.Float], beams: tuple[mi.Float, mi.Float]

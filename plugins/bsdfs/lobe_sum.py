@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cached_property, partial
 from typing import Any
 
 import drjit as dr
@@ -20,7 +21,7 @@ from mistray.scatter import Lobe
 from mistray.scatter.lobe import EVENTS
 from mistray.scatter.radial import RadialTable
 from mistray.trace.lobes import RadialSampler
-from mistray.trace.scatter_tables import ANGLES, Side, side_of
+from mistray.trace.scatter_tables import ANGLES, Side, check_side, side_of
 from mistray.trace.upload import upload
 
 STEP = 1e-3  # relative, of a parameter, for central differences
@@ -163,22 +164,32 @@ class LobeSum:
     ----------
     plugins : sequence of Scatterer
     wavelength_nm : float
-    n_front, n_back : float
-        Indices on both sides.
+    n : tuple of float
+        Indices in front and behind.
     opaque : bool
         Nothing is transmitted.
+    response : callable
+        (from_front, (m,) cosines of incidence) → R and T of the coating, (m,) each.
+    title : str
+        Of the surface, for messages.
     """
 
     def __init__(
-        self, plugins: Sequence[Any], wavelength_nm: float, n_front: float, n_back: float, opaque: bool
+        self,
+        plugins: Sequence[Any],
+        wavelength_nm: float,
+        n: tuple[float, float],
+        opaque: bool,
+        response: Callable[[bool, np.ndarray], tuple[np.ndarray, np.ndarray]],
+        title: str,
     ) -> None:
+        self.title, self._response = title, response
         self.plugins, self.wavelength_nm, self.opaque = tuple(plugins), wavelength_nm, opaque
-        self.n = n_front, n_back
+        self.n = n
         self.models = [plugin.model for plugin in plugins]
         tables: list[RadialTable] = []
         self.slots = self._pair_sides(tables)
         self.sampler = RadialSampler(tables) if tables else None
-        self._losses = upload(mi.Float, sum(map(self._loss_table, self.models)).ravel())
         self._ratios = {
             id(lobe.ratio): upload(mi.Float, lobe.ratio.values.ravel())
             for slot in self.slots
@@ -186,23 +197,31 @@ class LobeSum:
             if lobe is not None and lobe.ratio is not None
         }
 
+    def _arguments(self, from_front: bool) -> tuple[float, float, float, bool]:
+        """Of `Scatter.lobes`."""
+        return (self.wavelength_nm, *(self.n if from_front else self.n[::-1]), from_front)
+
+    def _lobes(self, model: Any, from_front: bool) -> tuple[Lobe, ...]:
+        """Lobes of a model for light of one side."""
+        found: tuple[Lobe, ...] = model.lobes(*self._arguments(from_front))
+        return found
+
     def _side(self, model: Any, from_front: bool) -> Side:
-        """Lobes of a model for light of one side, their tables, and what they take."""
-        return side_of((model,), self.wavelength_nm, *(self.n if from_front else self.n[::-1]), from_front)
+        """The same with what they take from the specular beams, which takes time to compute."""
+        return side_of((model,), *self._arguments(from_front))
 
     def _pair_sides(self, tables: list[RadialTable]) -> list[Slot]:
         """The lobes of both sides, paired where they are alike, and their tables."""
         found: dict[tuple[Any, ...], list[tuple[Lobe | None, int, int]]] = {}
         for k, model in enumerate(self.models):
             for side, from_front in enumerate((True, False)):
-                there = self._side(model, from_front)
-                for number, lobe in enumerate(there.lobes):
+                for number, lobe in enumerate(self._lobes(model, from_front)):
                     if self.opaque and lobe.event == "transmission":
                         continue
                     key = (k, number, lobe.event, lobe.measure, lobe.centre, lobe.factor, lobe.ratio is None)
                     entry = found.setdefault(key, [(None, 0, 0), (None, 0, 0)])
                     entry[side] = lobe, number, len(tables)
-                    tables.append(there.tables[number])
+                    tables.append(RadialTable.of(lobe.profile, lobe.r_max))
         slots = []
         for key, both in found.items():
             (front, a, i), (back, b, j) = both
@@ -211,6 +230,19 @@ class LobeSum:
         return slots
 
     # -- the specular beams --------------------------------------------------------------------------------------
+
+    @cached_property
+    def _losses(self) -> mi.Float:
+        """What all models together take from the specular beams, after a check of the surface's budget."""
+        for from_front in (True, False):
+            sides = [self._side(model, from_front) for model in self.models]
+            rows = {event: sum(side.rows[event] for side in sides) for event in EVENTS}
+            if self.opaque:
+                rows["transmission"] = 0 * rows["transmission"]
+            where = f"{self.title}, light from the {'front' if from_front else 'back'}"
+            n_in, n_out = self.n if from_front else self.n[::-1]
+            check_side(where, Side((), (), rows), n_in, n_out, partial(self._response, from_front))
+        return upload(mi.Float, sum(map(self._loss_table, self.models)).ravel())
 
     def _loss_table(self, model: Any) -> np.ndarray:
         """Share that the specular beams lose: (event, side of incidence, nodes of the cosine of `loss`)."""
@@ -274,6 +306,10 @@ class LobeSum:
         radiance = ctx.mode == mi.TransportMode.Radiance
         cos_o = pair.cos_i if radiance else pair.cos_s
         over_cos_s = cos_o / pair.cos_s if radiance else mi.Float(1)  # flux per solid angle is the BSDF times cos θs
+        for plugin in self.plugins:
+            silent = not any(slot.plugin is plugin for slot in self.slots)
+            if silent and any(map(dr.grad_enabled, plugin.values.values())):
+                raise MistrayError(f"{plugin.title}: it scatters nothing here, so it has no derivative; start above 0")
         result = mi.Float(0)
         for slot, (lit, x) in self._enabled(ctx, pair, shares):
             lobe = slot.lobe
@@ -314,8 +350,8 @@ class LobeSum:
         tables = []
         for model in models:
             for number, lobe, from_front in zip(slot.numbers, slot.lobes, (True, False), strict=True):
-                there = self._side(model, from_front)
-                tables.append(there.tables[number if lobe is not None else slot.number])
+                there = self._lobes(model, from_front)[number] if lobe is not None else slot.lobe
+                tables.append(RadialTable.of(there.profile, there.r_max))
         sampler, side = RadialSampler(tables), dr.select(from_back, mi.UInt32(1), mi.UInt32(0))
         low, high = (sampler.value(side + first, r2, active) for first in (0, 2))
         return (high - low) / step

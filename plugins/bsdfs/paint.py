@@ -79,7 +79,7 @@ class Paint(Scatterer):
         return harvey_shack.bsdf(r, self.values["b0"], self.values["l"], self.values["s"])
 
     def ratio(self, lobe: Lobe, pair: Pair) -> mi.Float:
-        return gain(pair.cos_i, pair.cos_s, self.values["n"])
+        return gain(dr.abs(pair.centre(lobe).z), pair.cos_s, self.values["n"])
 
 
 mi.register_bsdf("paint", lambda props: Paint(props))

@@ -187,6 +187,12 @@ def test_progress_counts_fields(traced):
     assert seen == [(0.5, 2), (1.0, 2), (1.5, 2), (2.0, 2)]
 
 
+def test_unknown_arguments_are_an_error(traced):
+    with pytest.raises(MistrayError, match="unknown argument max_bounces of ghosts; see mistray"):
+        ghosts("scene", fields_deg=[0.0], max_bounces=3)
+    assert traced == []
+
+
 def test_no_field_is_an_error(traced):
     with pytest.raises(MistrayError, match="fields_deg is empty; give at least one field angle in degrees"):
         ghosts("scene", fields_deg=[])

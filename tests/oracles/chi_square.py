@@ -1,4 +1,4 @@
-"""χ² tests of sampled directions in charts that fit narrow lobes: azimuth and logarithm of the distance from a centre."""
+"""χ² tests of sampled directions in charts for narrow lobes: azimuth and logarithm of the distance from a centre."""
 
 from __future__ import annotations
 
@@ -62,9 +62,10 @@ class Chart:
         """φ in 0 … 2π and u of unit vectors (n, 3)."""
         if self.flat:
             d = directions[:, :2] - self.centre[:2]
+            x, y = d.T
         else:
             d = directions - self.centre / np.linalg.norm(self.centre)
-        x, y = (d[:, 0], d[:, 1]) if self.flat else (directions @ self._frame()[:2].T).T
+            x, y = (directions @ self._frame()[:2].T).T
         with np.errstate(divide="ignore"):
             return np.arctan2(y, x) % (2 * np.pi), np.log(np.linalg.norm(d, axis=1))
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import xml.etree.ElementTree as ElementTree
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
+from .scene_xml import SceneModel
 from .small_scenes import TAGS, interface_xml
 
 Vector = Sequence[float]
@@ -87,15 +88,38 @@ def scatter_scene(*parts: str) -> str:
     return f'<scene version="3.0.0"><integrator type="straylight"/>{"".join(parts)}</scene>'
 
 
-def with_scatter(text: str, models: dict[str, Sequence[str]]) -> str:
-    """A scene's XML with models of scatter added to the interfaces of some shapes, by shape id; "*" is any other."""
+def without_scatter(text: str) -> str:
+    """A scene's XML less the models of scatter in its interfaces, nested or by reference."""
+    root = ElementTree.fromstring(text)
+    kinds = {node.attrib["id"]: node.attrib["type"] for node in root.iter("bsdf") if "id" in node.attrib}
+    for interface in list(root.iter("bsdf")):
+        for part in list(interface):
+            kind = part.attrib["type"] if part.tag == "bsdf" else kinds.get(part.attrib.get("id", ""))
+            if part.tag in ("bsdf", "ref") and kind is not None and kind != "thinfilm":
+                interface.remove(part)
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def with_scatter(text: str, models: Mapping[str, Sequence[str]]) -> str:
+    """A scene's XML with models of scatter added to the interfaces of some shapes, by shape id."""
     root = ElementTree.fromstring(text)
     for shape in root.iter("shape"):
+        added = models.get(shape.attrib["id"], ())
         own = shape.find("bsdf")
-        if own is not None and own.attrib["type"] == "interface":
-            for model in models.get(shape.attrib["id"], models.get("*", ())):
-                own.append(ElementTree.fromstring(model))
+        if added and (own is None or own.attrib["type"] != "interface"):
+            raise ValueError(f"{shape.attrib['id']} has no interface of its own")
+        for model in added:
+            own.append(ElementTree.fromstring(model))
     return ElementTree.tostring(root, encoding="unicode")
+
+
+def rough_and_painted(text: str, model: SceneModel, optics: Sequence[str], structure: Sequence[str]) -> str:
+    """A shipped scene with these models on its optical surfaces (what transmits, and mirrors) and on all others."""
+    models = {}
+    for shape in model.shapes:
+        optical = shape.interface.mirror or not shape.interface.opaque
+        models[shape.shape_id] = optics if optical else structure
+    return with_scatter(without_scatter(text), models)
 
 
 def tube_text(length: float, rho: float) -> str:

@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracles.chi_square import Chart, p_value
+from oracles.statistics import assert_z
 from scatter_surfaces import (
     BACK,
     EVENTS,
@@ -26,14 +27,13 @@ from scatter_surfaces import (
     vectors,
     write_table,
 )
-from oracles.statistics import assert_z
 
 from mistray.scatter.total import totals
 
 SAMPLES = 200_000
 # About 70 tests of one sampler: each has this false-alarm probability, all together 1e-3
 FALSE_ALARM = 1e-3 / 70
-R_MIN = {"abg_narrow": 3e-6, "harvey_shack": 1e-4, "particulate": 1e-4}
+R_MIN = {"abg_narrow": 3e-6}
 CASES = [
     (name, event, angle, True, IMPORTANCE)
     for name, model in MODELS.items()
@@ -59,7 +59,7 @@ def specular(wi: np.ndarray, event: str) -> np.ndarray:
 
 
 def charts(name: str, wi: np.ndarray, event: str) -> list[Chart]:
-    centre, flat, r_min = specular(wi, event), name != "particulate", R_MIN.get(name, 1e-3)
+    centre, flat, r_min = specular(wi, event), name != "particulate", R_MIN.get(name, 1e-4)
     made = [Chart(centre, np.sign(centre[2]), flat, r_min)]
     if not flat and event == "reflection" and np.linalg.norm(centre - wi) > 1e-3:
         made.append(Chart(wi, np.sign(wi[2]), flat, r_min))
@@ -145,7 +145,7 @@ def test_weight_value_and_density_agree(name: str, mode: Any) -> None:
         kind = np.array(sample.sampled_component)
         assert set(kind) <= {0, 1, 2, 3}
         scattered = (kind >= 2) & (weight > 0)
-        assert scattered.any()
+        assert scattered.any() or name == "particulate", "they lie in front: nothing is scattered inside of the glass"
         si = interaction(wi, count)
         value, pdf = bsdf.eval_pdf(ctx, si, sample.wo)
         np.testing.assert_array_equal(np.array(pdf), np.array(bsdf.pdf(ctx, si, sample.wo)))
@@ -200,7 +200,7 @@ def test_every_component_scatters_its_share(name: str) -> None:
 def test_masks_choose_components() -> None:
     bsdf, wi = surface(MODELS["abg"]), direction(30.0, True)
     everything = mi.BSDFContext(IMPORTANCE)
-    wo = vectors(np.array([specular(wi, "reflection"), specular(wi, "transmission")]) + [[0.01, 0, 0], [0.01, 0, 0]])
+    wo = vectors(np.array([specular(wi, event) for event in EVENTS]) + np.array([0.01, 0, 0]))
     si = interaction(wi, 2)
     for event in EVENTS:
         ctx = context(IMPORTANCE, event)

@@ -9,7 +9,7 @@ import pytest
 from oracles import nonsequential, scene_xml
 
 from mistray.errors import MistrayError
-from mistray.prescription import Coating, Structure, from_json
+from mistray.prescription import Coating, Scatter, Structure, from_json
 from mistray.prescription.scene_file import xml_text
 
 FILE = Path(__file__).parents[2] / "scenes" / "phone_camera" / "prescription.json"
@@ -195,3 +195,20 @@ def test_coatings_of_layers(tmp_path):
     assert by_part["window"] == by_part["filter"] == Coating(**shared)
     with pytest.raises(MistrayError, match="preset 'bbar' is unknown"):
         from_json(broken(tmp_path, lambda data: data["coatings"].update({"lenses": {"preset": "bbar"}})))
+
+
+def test_scatter(tmp_path):
+    """A list of models, each with the faces that have it."""
+    polish = {"kind": "harvey_shack", "rms_nm": 4.0, "name": "polish", "shapes": ["L*_front", "window_rear"]}
+    dirt = {"kind": "particulate", "level": 300.0, "shapes": ["window_*", "barrel_?_cone"]}
+    camera = from_json(broken(tmp_path, lambda data: data.update(scatter=[polish, dirt])))
+    scatter = {shape.name: shape.scatter for shape in camera.shapes() if shape.scatter}
+    particles = Scatter("particulate", {"level": 300.0})
+    assert scatter["L3_front"] == (Scatter("harvey_shack", {"rms_nm": 4.0}, name="polish"),)
+    assert scatter["window_rear"] == (*scatter["L3_front"], particles)
+    assert scatter["barrel_4_cone"] == (particles,)
+    assert "L3_rear" not in scatter
+    with pytest.raises(MistrayError, match="no shape is called 'L9_\\*'; correct the pattern"):
+        from_json(broken(tmp_path, lambda data: data.update(scatter=[polish | {"shapes": ["L9_*"]}])))
+    with pytest.raises(MistrayError, match="key 'shapes' is missing"):
+        from_json(broken(tmp_path, lambda data: data.update(scatter=[{"kind": "abg", "A": 1.0, "B": 1.0, "g": 1.0}])))

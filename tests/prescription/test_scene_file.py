@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Structure, Surface
+from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Structure, Surface
 from mistray.prescription.scene_file import scene_dict, xml_text
 
 READ = {"float": float, "integer": int, "string": str, "boolean": lambda text: text == "true"}
@@ -64,9 +64,23 @@ def everything():
             Surface("shared_2", z=4.5, semi_diameter=1.0, front="1.5", coating=Coating(preset="v_coat", name="ar")),
             Surface("zemax", z=4.8, semi_diameter=1.0, coating=Coating(table="COATING.DAT:AR")),
             Surface("split", z=5.0, semi_diameter=1.0, coating=Coating(R=0.1, T=0.8, name="split_coating")),
+            Surface(
+                "scattering",
+                z=5.3,
+                semi_diameter=1.0,
+                coating=Coating(preset="bbar3"),
+                scatter=(
+                    Scatter("abg", {"A": 1e-5, "B": 1 / 3e5, "g": 2.0, "event": "reflection"}),
+                    Scatter("k_correlation", {"rms_nm": 1.0, "B_um": 10.0, "slope": 1.8, "band_limited": True}),
+                    Scatter("harvey_shack", {"rms_nm": 4.0}, name="polish"),
+                    Scatter("particulate", {"level": 300.0}, name="dirt"),
+                ),
+            ),
         ),
         structures=(Structure("edge", 1.0, 2.0, 1.0, 3.0, front="1.7", y=0.5, tilt_deg=(90.0, 0.0, 0.0), space=0),),
-        stop=Stop(0.5, -0.2, -0.1, 1.5, 1.6, coating=Coating(R=0.07)),
+        stop=Stop(
+            0.5, -0.2, -0.1, 1.5, 1.6, coating=Coating(R=0.07), scatter=(Scatter("paint", {"preset": "flat_black"}),)
+        ),
         detector=Detector(z=5.7, half_width=2.0, half_height=1.5, coating=Coating(R=0.2), pixels=(40, 30)),
         source=Source(
             y=0.1,
@@ -99,7 +113,8 @@ def from_xml(element):
                 matrix = transform(step) @ matrix
             result[child.get("name")] = matrix
         else:
-            result[child.tag] = from_xml(child)
+            number = sum(key == child.tag or key.startswith(f"{child.tag}_") for key in result) + 1
+            result[child.tag if number == 1 else f"{child.tag}_{number}"] = from_xml(child)
     return result
 
 
@@ -157,6 +172,14 @@ def test_dictionary_and_xml_hold_the_same(everything):
         assert written[name]["bsdf"]["ref"] == {"type": "ref", "id": "ar"}
     assert written["zemax"]["bsdf"]["bsdf"] == {"type": "thinfilm", "table": "COATING.DAT:AR"}
     assert written["source"]["wavelength_nm"] == "486.1, 587.6"
+    scattering = written["scattering"]["bsdf"]
+    assert list(scattering) == ["type", "bsdf", "bsdf_2", "bsdf_3", "ref", "ref_2"]
+    assert scattering["bsdf_2"] == {"type": "abg", "A": 1e-5, "B": 1 / 3e5, "g": 2.0, "event": "reflection"}
+    assert scattering["bsdf_3"]["band_limited"] is True
+    assert scattering["ref_2"] == {"type": "ref", "id": "dirt"}
+    assert written["polish"] == {"type": "harvey_shack", "rms_nm": 4.0}
+    assert written["dirt"] == {"type": "particulate", "level": 300.0}
+    assert written["stop_wall"]["bsdf"]["bsdf"] == {"type": "paint", "preset": "flat_black"}
     assert [key for key in written if key.startswith("stop")] == ["stop_front", "stop_wall", "stop_rear"]
 
 

@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from types import SimpleNamespace
 
 import numpy as np
 from report.fake_ledger import GLASS, SENSOR, STRUCTURE, decoded, encode, fake_run, hit_sums
 
-from mistray.trace import Energy, FluxReport, SurfaceFlux
+from mistray.trace import Energy, FluxReport, Settings, SurfaceFlux
 from mistray.trace.ledger import BATCHES, SUMS
 from mistray.trace.paths import path_table
+from mistray.trace.result import AimedSurface
 
 PARTS = {
     "window_front": "window",
@@ -21,23 +22,15 @@ PARTS = {
     "stop_wall": "stop",
     "detector": "detector",
 }
-SURFACES = {name: GLASS for name in PARTS} | {"stop_wall": STRUCTURE, "detector": SENSOR}
+SURFACES = {name: GLASS for name in PARTS} | {"stop_wall": STRUCTURE, "detector": SENSOR, "(glass)": GLASS}
 LENS = "window_front:T window_rear:T L1_front:T L1_rear:T"
 DETECTOR_ABSORBS = 0.8
 EXTENT = (-2.0, 2.0, -1.5, 1.5)
 SHAPE = (60, 80)
 START_RAYS = 32_000
-SETTINGS = {
-    "rays": 1000,
+SETTINGS = asdict(Settings(rays=1000, max_events=32)) | {
     "azimuth_deg": 0.0,
     "wavelength_nm": [550.0],
-    "max_reflections": 2,
-    "max_events": 32,
-    "flux_threshold": 1e-8,
-    "splitting": "split",
-    "below_threshold": "cut",
-    "seed": 0,
-    "polarization": "unpolarized",
     "variant": "llvm_ad_rgb",
     "versions": {"mistray": "0.1.0", "mitsuba": "3.9.1"},
 }
@@ -193,6 +186,27 @@ def paths_at(field_deg: float) -> list[FakePath]:
 def trace_at(field_deg: float, cut_events: float = 0.0) -> FakeTrace:
     """The paths of `paths_at` at 550 nm."""
     return FakeTrace(paths_at(field_deg), field_deg, cut_events)
+
+
+def scatter_paths_at(field_deg: float) -> list[FakePath]:
+    """Those of `paths_at`, and scattered light: by the window at random and aimed, by the stop, and by a ghost."""
+    rear = "L1_front:T L1_rear:T detector:A"
+    return [
+        *paths_at(field_deg),
+        FakePath(f"window_front:T window_rear:t {rear}", 3e-5, 50, 0.0, 0.0, 0.4),
+        FakePath(f"window_front:T window_rear:i {rear}", 5e-5, 300, 0.0, 0.0, 0.6),
+        FakePath(f"stop_wall:j {LENS} detector:A", 2e-5, 200, 0.3, 0.0, 0.5),
+        FakePath("window_front:t window_rear:T L1_front:T L1_rear:i detector:A", 1e-6, 40, 0.0, 0.0, 0.5),
+        FakePath(f"{LENS} detector:R window_rear:j {rear}", 4e-6, 60, 0.0, 0.0, 0.5),
+    ]
+
+
+def scatter_trace_at(field_deg: float) -> FakeTrace:
+    """The paths of `scatter_paths_at`; few of the rays aimed from the stop reach the detector."""
+    t = FakeTrace(scatter_paths_at(field_deg), field_deg)
+    t.aiming = [AimedSurface("window_rear", 1000.0, 800.0), AimedSurface("stop_wall", 1000.0, 50.0)]
+    t.scattered_rays_per_start, t.effective_scattered_rays, t.largest_ray_share = 0.65, 400.0, 0.01
+    return t
 
 
 SHARES = {450.0: 0.25, 550.0: 0.5, 650.0: 0.25}

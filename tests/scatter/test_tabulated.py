@@ -186,6 +186,15 @@ class TestPlacement:
         assert Tabulated(full).lobes(550, 1, 1.5, True)[0].shares == (1.0, 0.0, 0.0)
         assert Tabulated(full, relative_to="specular").lobes(550, 1, 1.5, True)[0].shares == (0.0, 1.0, 0.0)
 
+    def test_equal_by_content(self) -> None:
+        """Models are keys of caches: two tables with the same options are two models."""
+        level, other = (samples("normal", lambda d, v=v: np.full(d.shape[:-1], v)) for v in (0.1, 0.2))
+        again = samples("normal", lambda d: np.full(d.shape[:-1], 0.1))
+        assert Tabulated(level) != Tabulated(other)
+        assert Tabulated(level) == Tabulated(again)
+        assert hash(Tabulated(level)) == hash(Tabulated(again))
+        assert Tabulated(level, cosine_corrected=False) != Tabulated(level, side="back")
+
     def test_read_by_ending(self, tmp_path: Path) -> None:
         with pytest.raises(MistrayError, match=r"'a.txt': its name must end in .bsdf \(Zemax\) or .csv"):
             Tabulated.read("a.txt")
