@@ -68,14 +68,19 @@ def sampling_numbers(check: SamplingCheck) -> list[str]:
 
 
 def aiming_text(checks: Mapping[float, SamplingCheck]) -> str:
-    """Share of the aimed rays of each surface that reach the detector, one column for each field."""
+    """Share of the aimed rays of the surfaces that aim most of them that reach the detector, one column a field."""
     landed = {field: {row.surface: row for row in check.rows} for field, check in checks.items()}
-    names = dict.fromkeys(name for rows in landed.values() for name in rows)
+    aimed: dict[str, int] = {}
+    for row in (row for check in checks.values() for row in check.rows):
+        aimed[row.surface] = aimed.get(row.surface, 0) + row.aimed
+    names = sorted(aimed, key=lambda name: -aimed[name])
     columns = [("surface", ""), *((f"{field:g}", "deg") for field in landed)]
     lines = []
-    for name in names:
+    for name in names[:SURFACES_SHOWN]:
         cells = [rows.get(name) for rows in landed.values()]
         lines.append([name, *(_share(row) if row else ABSENT for row in cells)])
+    if len(names) > SURFACES_SHOWN:
+        lines.append([f"… and {len(names) - SURFACES_SHOWN} more", *("" for _ in landed)])
     return text_table(columns, lines, left=(0,))
 
 

@@ -12,6 +12,7 @@ Rays that are not aimed are the rest: whatever the targets are, the result is th
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -35,6 +36,9 @@ MOST_TARGETS = 4
 
 Side = tuple[int, bool]
 """Number of a surface, and whether the light leaves it to the back."""
+
+MOST_KNOWN = 32  # scenes whose automatic targets are kept: a scene is traced at many fields
+_known: dict[str, dict[Side, list[Target]]] = {}
 
 
 def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Side, AimSet]:
@@ -61,10 +65,31 @@ def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Side,
     rest = [surface for surface in scatterers if surface not in given]
     if settings.aim == "targets" or not settings.aimed_rays or not rest:
         return found
-    for side, targets in automatic_targets(table, find_design_path(table, scene), rest).items():
+    key = _signature(table, scene, rest)
+    if key not in _known:
+        while len(_known) >= MOST_KNOWN:
+            _known.pop(next(iter(_known)))
+        _known[key] = automatic_targets(table, find_design_path(table, scene), rest)
+    for side, targets in _known[key].items():
         shared = tuple(target.with_share(1 / len(targets)) for target in targets)
         found[side] = AimSet(shared, settings.aimed_rays)
     return found
+
+
+def _signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> str:
+    """What automatic targets depend on, near enough: old targets would cost accuracy, not correctness."""
+    facts = [
+        *((shape.id(), str(shape.bbox()), str(getattr(shape, "values", ""))) for shape in table.shapes),
+        *(getattr(shape, "coefficients", "") for shape in table.shapes),
+        *(str(emitter) for emitter in scene.emitters()),
+        table.vertices.tobytes(),
+        table.rotations.tobytes(),
+        table.optics.host_indices.tobytes(),
+        table.optics.host_words.tobytes(),
+        table.film(),
+        tuple(surfaces),
+    ]
+    return hashlib.sha256(repr(facts).encode()).hexdigest()
 
 
 def automatic_targets(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import mitsuba as mi
 
 from mistray.physics import abg
-from mistray.plugins.bsdfs.lobe_sum import Pair
+from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
 from mistray.scatter.abg import ABg as Model
@@ -30,7 +30,8 @@ class ABg(Scatterer):
     side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
     relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
                                                  light (``incident``), then taken from what is absorbed
-    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable)
+    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable); the
+                                                 default is 0 with T or with ``relative_to`` ``incident``
     T              1       0 … 1        0        by itself only: transmittance (differentiable)
     front, back    string               air      by itself only: materials, see ``interface``
     mirror         bool                 false    by itself only; see ``interface``

@@ -51,15 +51,23 @@ class Interface(mi.BSDF):
     table             file            none     CSV over wavelength and angle, see docs/coatings.md; the angle
                                                is the one in the rarer material, for light from either side
     (nested) thinfilm bsdf            none     the coating, instead of R, T and table
+    (nested) scatter  bsdf            none     models of scatter, any number: ``abg``, ``harvey_shack``,
+                                               ``k_correlation``, ``gaussian_lobe``, ``particulate``, ``paint``,
+                                               ``tabulated``; see docs/scatter.md
     mirror            bool            false    the design path reflects here: such a reflection is not counted
                                                as a ghost bounce
     wavelength_nm     nm      > 0     550      wavelength for *stock* integrators only; the ray tree uses the
                                                wavelength of its source
     ================= ======= ======= ======== ===========================================================
 
+    Models of scatter add up. What they scatter relative to R and T is taken from the specular beams, what is
+    absolute from A; a surface that would give away more light than it gets is refused.
+
     Source: Fresnel's equations, see `mistray.physics.thinfilm`. Under a stock integrator the plugin is a
-    delta BSDF for unpolarised light; R and T of a coating then come from the same table over the angle that
-    the ray tree uses, at ``wavelength_nm``. A material without k is taken for transparent there.
+    delta BSDF for unpolarised light, plus the lobes of its scatter; R and T of a coating then come from the
+    same table over the angle that the ray tree uses, at ``wavelength_nm``. A material without k is taken for
+    transparent there. The components are the reflected and the transmitted beam, then reflected and
+    transmitted scatter. In the mode "radiance" light is scattered from wo to wi.
 
     .. code-block:: xml
 

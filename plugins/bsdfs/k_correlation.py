@@ -8,7 +8,7 @@ import mitsuba as mi
 from mistray.errors import MistrayError
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import k_correlation, rayleigh_rice
-from mistray.plugins.bsdfs.lobe_sum import Pair
+from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
 from mistray.scatter.k_correlation import KCorrelation as Model
@@ -38,15 +38,15 @@ class KCorrelation(Scatterer):
     side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
     relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
                                                  light (``incident``), then taken from what is absorbed
-    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable)
+    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable); the
+                                                 default is 0 with T or with ``relative_to`` ``incident``
     T              1       0 … 1        0        by itself only: transmittance (differentiable)
     front, back    string               air      by itself only: materials, see ``interface``
     mirror         bool                 false    by itself only; see ``interface``
     wavelength_nm  nm      > 0          550      by itself only; see ``interface``
     ============== ======= ============ ======== ==============================================================
 
-    With the theory ``ghs_full`` the gradient takes the growth of the lobe with angle as constant. Reciprocal in
-    reflection where R is constant and the theory is not ``rayleigh_rice_vector``. Source: see
+    Reciprocal in reflection where R is constant and the theory is not ``rayleigh_rice_vector``. Source: see
     `mistray.physics.k_correlation`.
 
     .. code-block:: xml
@@ -88,9 +88,30 @@ class KCorrelation(Scatterer):
             **self._placement,
         )
 
-    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
+    def _step(self, lobe: Lobe, pair: Pair) -> mi.Float:
+        """Path difference per height of the surface at normal incidence."""
+        return 2 * pair.n_in if lobe.event == "reflection" else dr.abs(pair.n_in - pair.n_out)
+
+    def _path(self, lobe: Lobe, pair: Pair) -> mi.Float:
+        """The same for the two directions."""
+        if lobe.event == "reflection":
+            return ghs.path_in_reflection(pair.cos_i, pair.cos_s, pair.n_in)
+        return ghs.path_in_transmission(pair.cos_i, pair.cos_s, pair.n_in, pair.n_out)
+
+    def _full(self, path: mi.Float, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
+        """BSDF of the theory "ghs_full" for a path difference."""
+        n = pair.n_in if lobe.event == "reflection" else pair.n_out
+        wavelength_um, rms_um = wavelength_nm * 1e-3, self.values["rms_nm"] * 1e-3
+        # More than all paths that occur: the number of terms must be known beforehand
+        longest = 2 * max(*self.indices(wavelength_nm), 1.0)
+        most = ghs.phase_variance(longest, self.model.rms_nm * 1e-3, wavelength_um)
+        length = self.values["B_um"] / (2 * dr.pi)
+        return ghs.exponential(path, n * r / wavelength_um, rms_um, length, wavelength_um, n, max_variance=most)
+
+    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
+        step = self._step(lobe, pair)
         if self._theory == "ghs_full":
-            return None
+            return self._full(step, lobe, r, pair, wavelength_nm)
         rms_um, length_um, slope = self.values["rms_nm"] * 1e-3, self.values["B_um"], self.values["slope"]
         wavelength_um, reflected = wavelength_nm * 1e-3, lobe.event == "reflection"
         if self._band_limited:
@@ -100,10 +121,18 @@ class KCorrelation(Scatterer):
             amplitude = k_correlation.amplitude_um4(rms_um, length_um, slope)
         n = pair.n_in if reflected else pair.n_out
         psd = k_correlation.psd_um4(n * r / wavelength_um, amplitude, length_um, slope)
-        if self._theory.startswith("rayleigh_rice"):
+        if reflected and self._theory.startswith("rayleigh_rice"):
             return rayleigh_rice.brdf(1.0, 1.0, 1.0, psd, wavelength_um / pair.n_in)
-        step = 2 * pair.n_in if reflected else dr.abs(pair.n_in - pair.n_out)
         return ghs.smooth(step, psd, wavelength_um, n)
+
+    def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
+        step, path = self._step(lobe, pair), self._path(lobe, pair)
+        if self._theory == "ghs_full":
+            whole = self._full(step, lobe, r, pair, wavelength_nm)
+            return self._full(path, lobe, r, pair, wavelength_nm) / whole
+        if self._theory == "ghs":
+            return dr.square(path / step)
+        return None
 
 
 mi.register_bsdf("k_correlation", lambda props: KCorrelation(props))

@@ -10,7 +10,7 @@ import mitsuba as mi
 from mistray.errors import MistrayError
 from mistray.physics import harvey_shack
 from mistray.physics.paint import gain
-from mistray.plugins.bsdfs.lobe_sum import Pair
+from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
 from mistray.scatter.paint import Paint as Model
@@ -24,27 +24,27 @@ class Paint(Scatterer):
     light is taken from what the surface absorbs: nested in an ``interface``, give that an R that is the specular
     reflectance beside the scatter, ``R`` = 0 for a matt paint. By itself it has R = T = 0.
 
-    ============== ======= ============ ======== ==============================================================
+    ================ ======= ============ ========== ============================================================
     parameter      unit    range        default  meaning
-    ============== ======= ============ ======== ==============================================================
+    ================ ======= ============ ========== ============================================================
     reflectance    1       0 … 1        0        ρ of the Lambertian part (differentiable)
     preset         string               none     a paint of `mistray.scatter.paint.PRESETS` instead of reflectance:
-                                                 ``flat_black``, ``black_lambertian``, ``white_lambertian``,
-                                                 ``good_black_paint``, ``black_anodise``
+                                                     ``flat_black``, ``black_lambertian``, ``white_lambertian``,
+                                                     ``good_black_paint``, ``black_anodise``
     b0             1/sr    ≥ 0          0        peak of the glossy lobe at normal incidence (differentiable)
     l                      > 0          0.1      r of the lobe's knee (differentiable)
     s                      < 0          -2       slope beyond the knee (differentiable)
     n                      > 1          none     index of the binder, about 1.5 (differentiable)
-    event          string               see left ``reflection``; also ``transmission`` or ``both``
+    event          string               reflection what scatters: ``reflection``, ``transmission`` or ``both``
     side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
     relative_to    string               incident BSDF by unit of R and T (``specular``) or by unit of incident
-                                                 light (``incident``), then taken from what is absorbed
+                                                     light (``incident``), then taken from what is absorbed
     R              1       0 … 1        0        by itself only: reflectance of the surface (differentiable)
     T              1       0 … 1        0        by itself only: transmittance (differentiable)
     front, back    string               air      by itself only: materials, see ``interface``
     mirror         bool                 false    by itself only; see ``interface``
     wavelength_nm  nm      > 0          550      by itself only; see ``interface``
-    ============== ======= ============ ======== ==============================================================
+    ================ ======= ============ ========== ============================================================
 
     Reciprocal, also at grazing incidence. Source: see `mistray.scatter.paint`.
 
@@ -78,7 +78,7 @@ class Paint(Scatterer):
             return self.values["reflectance"] / dr.pi
         return harvey_shack.bsdf(r, self.values["b0"], self.values["l"], self.values["s"])
 
-    def ratio(self, lobe: Lobe, pair: Pair) -> mi.Float:
+    def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         return gain(dr.abs(pair.centre(lobe).z), pair.cos_s, self.values["n"])
 
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.interface import SIDES, Interface
-from mistray.plugins.bsdfs.lobe_sum import Pair
+from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.scatter import Lobe, Scatter
 
 PLACEMENT = ("event", "side", "relative_to")
@@ -84,7 +84,7 @@ class Scatterer(Interface):
         """
         return None
 
-    def ratio(self, lobe: Lobe, pair: Pair) -> mi.Float | None:
+    def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
         """The ratio of a lobe that has one, as `profile`; None if it has only its table."""
         return None
 

@@ -9,7 +9,8 @@ import numpy as np
 from scipy.stats import chi2
 
 FEWEST = 20  # expected events of a cell; cells with fewer are pooled
-AZIMUTHS, DISTANCES = 12, 48
+AZIMUTHS, PER_OCTAVE = 12, 3
+R_MAX = 2.0  # the horizon at normal incidence, r = 1, is then an edge of cells
 INNER = 24  # points of a cell each way, for the integral of the density
 
 
@@ -26,17 +27,15 @@ class Chart:
         Sign of z of all directions.
     flat : bool
         r is the distance of the tangential parts, else of the unit vectors.
-    r_min : float
-        Directions that are nearer are left to no cell.
-    r_max : float
-        Largest r.
+    octaves : int
+        Of the distances that cells cover, down from `R_MAX`; directions that are nearer are in one cell with the
+        samples that have no direction.
     """
 
     centre: np.ndarray
     side: float
     flat: bool
-    r_min: float
-    r_max: float = 2.0
+    octaves: int
 
     def _frame(self) -> np.ndarray:
         c = self.centre / np.linalg.norm(self.centre)
@@ -91,7 +90,8 @@ def p_value(
     nearest = _nearest(directions, charts)
     for number, chart in enumerate(charts):
         edges_phi = np.linspace(0, 2 * np.pi, AZIMUTHS + 1)
-        edges_u = np.linspace(np.log(chart.r_min), np.log(chart.r_max), DISTANCES + 1)
+        distances = PER_OCTAVE * chart.octaves
+        edges_u = np.log(R_MAX) + np.log(2) * np.linspace(-chart.octaves, 0, distances + 1)
         phi, u = chart.place(directions[nearest == number])
         seen.append(np.histogram2d(phi, u, [edges_phi, edges_u])[0].ravel())
         offsets = (np.arange(INNER) + 0.5) / INNER
@@ -103,7 +103,7 @@ def p_value(
         mine = (jacobian.ravel() > 0) & (_nearest(flat, charts) == number)
         values = np.zeros(len(flat))
         values[mine] = density(flat[mine]) * jacobian.ravel()[mine]
-        cells = values.reshape(AZIMUTHS, INNER, DISTANCES, INNER).mean(axis=(1, 3))
+        cells = values.reshape(AZIMUTHS, INNER, distances, INNER).mean(axis=(1, 3))
         expected.append((cells * np.diff(edges_phi)[0] * np.diff(edges_u)[0] * drawn).ravel())
     counts, means = np.concatenate(seen), np.concatenate(expected)
     rest = max(drawn - means.sum(), 0.0)

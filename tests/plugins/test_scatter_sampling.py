@@ -33,7 +33,7 @@ from mistray.scatter.total import totals
 SAMPLES = 200_000
 # About 70 tests of one sampler: each has this false-alarm probability, all together 1e-3
 FALSE_ALARM = 1e-3 / 70
-R_MIN = {"abg_narrow": 3e-6}
+OCTAVES = {"abg_narrow": 19}  # of r below 2 that are tested, else 14
 CASES = [
     (name, event, angle, True, IMPORTANCE)
     for name, model in MODELS.items()
@@ -59,10 +59,12 @@ def specular(wi: np.ndarray, event: str) -> np.ndarray:
 
 
 def charts(name: str, wi: np.ndarray, event: str) -> list[Chart]:
-    centre, flat, r_min = specular(wi, event), name != "particulate", R_MIN.get(name, 1e-4)
-    made = [Chart(centre, np.sign(centre[2]), flat, r_min)]
+    centre, flat, octaves = specular(wi, event), name != "particulate", OCTAVES.get(name, 14)
+    if name == "abg_lambertian":  # it has no peak, and the horizon is an edge of cells about the normal
+        centre = np.array([0.0, 0.0, np.sign(centre[2])])
+    made = [Chart(centre, np.sign(centre[2]), flat, octaves)]
     if not flat and event == "reflection" and np.linalg.norm(centre - wi) > 1e-3:
-        made.append(Chart(wi, np.sign(wi[2]), flat, r_min))
+        made.append(Chart(wi, np.sign(wi[2]), flat, octaves))
     return made
 
 

@@ -34,7 +34,8 @@ CASES = [(0.0, True), (30.0, True), (80.0, True), (30.0, False)]
 ACCURACY = {"paint": 2e-2, "particulate": 1e-3, "k_correlation": 2e-3}
 # Directions that may deviate by more: Mie's ripple far behind, and the rim of what refraction can reach, are finer than
 # the table
-EXCEPTIONS = {"particulate": 0.03}
+EXCEPTIONS = {"particulate": 0.05}
+OTHER = {"type": "k_correlation", "rms_nm": 5.0, "B_um": 20.0, "slope": 3.0}
 NOT_RECIPROCAL = {"particulate"}
 
 
@@ -89,12 +90,15 @@ def test_eval_of_a_table(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("theory", ["ghs_full", "rayleigh_rice_vector"])
 def test_eval_of_other_theories(theory: str) -> None:
-    rough = {"type": "k_correlation", "rms_nm": 5.0, "B_um": 20.0, "slope": 3.0, "theory": theory}
-    bsdf = surface({**rough, "event": "reflection"})
-    for angle, front in CASES:
-        wi = direction(angle, front)
-        wo = hemisphere(400, np.sign(wi[2]), 5)
-        np.testing.assert_allclose(value(bsdf, wi, wo), host(bsdf, wi, wo, "reflection"), rtol=2e-3)
+    """Closed forms against the tables of ratios of the float64 lobes, which are good to the distance of their nodes."""
+    bsdf = surface(OTHER | {"theory": theory})
+    for angle in (0.0, 30.0, 60.0):
+        wi = direction(angle, True)
+        for event, side in (("reflection", 1), ("transmission", -1)):
+            wo = hemisphere(400, side * np.sign(wi[2]), 5)
+            expected = host(bsdf, wi, wo, event)
+            floor = 1e-3 * np.max(expected)
+            np.testing.assert_allclose(value(bsdf, wi, wo), expected, rtol=2e-2, atol=floor)
 
 
 @pytest.mark.parametrize("name", MODELS)
@@ -172,17 +176,18 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     values = bsdf.eval(context(IMPORTANCE), interaction(wi, len(wo)), vectors(wo))[0]
     dr.forward(parameter)
     got = np.array(dr.grad(values), dtype=float)
-    low, high = (moved(name, key, 1 + sign * step) for sign in (-1, 1))
-    expected = np.concatenate(
-        [
-            (host(high, wi, wo[part], event) - host(low, wi, wo[part], event)) / (2 * step * at)
-            for event, part in (("reflection", slice(0, 30)), ("transmission", slice(30, None)))
-        ]
-    )
-    # Central differences are good to (step²) of the scale; ratio tables to the distance of their nodes
+    if name in ("k_correlation", "paint"):  # the lobes in float64 have tables of ratios where the plugin has equations
+        step = 4e-3
+        low, high = (value(moved(name, key, 1 + sign * step), wi, wo) for sign in (-1, 1))
+    else:
+        low, high = (
+            np.concatenate([host(at_end, wi, wo[:30], "reflection"), host(at_end, wi, wo[30:], "transmission")])
+            for at_end in (moved(name, key, 1 + sign * step) for sign in (-1, 1))
+        )
+    expected = (high - low) / (2 * step * at)
+    # Central differences are good to step² of the scale, in float32 to its rounding over the step
     scale = np.abs(np.array(dr.detach(values), dtype=float)) / at
-    accuracy = max(2e-3, ACCURACY.get(name, 0))
-    assert np.all(np.abs(got - expected) <= accuracy * np.maximum(scale, np.abs(expected)) + 1e-12)
+    assert np.all(np.abs(got - expected) <= 2e-3 * np.maximum(scale, np.abs(expected)) + 1e-12)
     assert np.max(np.abs(expected) / np.maximum(scale, 1e-12)) > 1e-2, "a case that shows nothing"
 
 
@@ -206,6 +211,23 @@ def test_derivative_of_the_specular_beams(name: str, key: str) -> None:
     low, high = (np.array(beams(moved(name, key, 1 + sign * step)), dtype=float) for sign in (-1, 1))
     np.testing.assert_allclose(got, (high - low) / (2 * step * at), rtol=1e-2)
     assert np.all(got < 0)
+
+
+@pytest.mark.parametrize("key", ["rms_nm", "B_um"])
+def test_derivative_of_a_rough_surface(key: str) -> None:
+    """The theory "ghs_full" changes its shape with the roughness, also over the angles."""
+    rough = OTHER | {"theory": "ghs_full", "rms_nm": 20.0}
+    bsdf = surface(rough)
+    parameter = mi.traverse(bsdf)[f"k_correlation.{key}"]
+    wi, wo = direction(50.0, True), hemisphere(30, -1.0, 8)
+    dr.enable_grad(parameter)
+    values = bsdf.eval(context(IMPORTANCE), interaction(wi, len(wo)), vectors(wo))[0]
+    dr.forward(parameter)
+    low, high = (value(surface(rough | {key: rough[key] * factor}), wi, wo) for factor in (0.99, 1.01))
+    expected = (high - low) / (0.02 * rough[key])
+    scale = np.abs(np.array(dr.detach(values), dtype=float)) / rough[key]
+    assert np.all(np.abs(np.array(dr.grad(values)) - expected) <= 1e-2 * scale)
+    assert np.max(np.abs(expected) / scale) > 0.1, "a case that shows nothing"
 
 
 def test_no_derivative_where_nothing_scatters() -> None:

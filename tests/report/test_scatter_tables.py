@@ -17,6 +17,7 @@ from mistray.report.csv_tables import csv_tables, write_csv
 from mistray.report.html import html_text
 from mistray.report.path_sort import parse_path_sort, path_sort_text
 from mistray.report.plots import KIND_COLOURS, KIND_MARKERS
+from mistray.report.scatter_tables import scatter_text
 from mistray.report.tables import main_table, warnings
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
@@ -205,3 +206,12 @@ def test_a_medium_that_scatters_is_its_own_part():
     report = GhostReport(lens_scene(), {0.0: t}, trace_at(0.0), {})
     assert list(report.scatter_surfaces(0.0).part) == ["(glass)"]
     assert "(glass)" in path_sort_text(t)
+
+
+def test_long_lists_are_cut_and_say_so(report, monkeypatch):
+    monkeypatch.setattr("mistray.report.scatter_tables.SURFACES_SHOWN", 1)
+    text = scatter_text(report)
+    rest = report.scatter_surfaces(0.0).iloc[1:]
+    (line,) = re.findall(r"^ +0  … and 2 more .*$", text, re.MULTILINE)
+    assert line.split()[-1] == f"{rest.percent_of_stray.sum():.4g}"
+    assert text.splitlines()[-2:] == ["… and 1 more", "!: below 0.1"]

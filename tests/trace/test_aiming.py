@@ -251,8 +251,8 @@ def test_stock_shapes(load_scene):
         scatter_scene(
             beam_xml(1.0),
             placed_xml("asphere", "sheet", scattering_xml([DIFFUSE], R=0.0, T=0.9), semi_diameter=5.0),
-            placed_xml("disk", "slanted", wall_xml(0.1), at=(9.0, 0.0, 0.0), facing=(-1.0, 0.0, 1.0), scale=(2, 2, 1)),
-            placed_xml("disk", "upright", wall_xml(0.1), at=(-9.0, 0.0, 0.0), facing=(1.0, 0.0, 0.0), scale=(2, 2, 1)),
+            placed_xml("disk", "slanted", wall_xml(0.1), at=(9.0, 0.0, 3.0), facing=(-1.0, 0.0, 1.0), scale=(2, 2, 1)),
+            placed_xml("disk", "upright", wall_xml(0.1), at=(-9.0, 0.0, 3.0), facing=(1.0, 0.0, 0.0), scale=(2, 2, 1)),
             placed_xml("rectangle", "detector", at=(0.0, 0.0, 20.0), pixels=8, scale=(3.0, 2.0, 1.0)),
         )
     )
