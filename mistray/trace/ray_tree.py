@@ -302,7 +302,7 @@ def walk(
         # A ray that has not been scattered keeps to the flux threshold; one that has plays roulette below its own
         fresh = (state["scatters"] & COUNT_MASK) == 0 if scatters else mi.Bool(True)
         own = state["birth"] * scatter_threshold
-        limit = dr.select(fresh, threshold, own)
+        limit = dr.select(fresh, threshold if roulette else 0, own)
         boost = state["boost"]
         if scatters and split:
             # A weak node scatters with a probability in proportion to the light that reaches it
@@ -316,6 +316,15 @@ def walk(
                 cut = dr.select(cut_t, w_t, 0) + dr.select(cut_r, w_r, 0)
                 add_reason(THRESHOLD, cut, first & (cut > 0))
                 w_t, w_r = dr.select(cut_t, 0, w_t), dr.select(cut_r, 0, w_r)
+            if roulette or scatters:
+                # A later visit is for a child that has survived
+                left_t, left_r = (
+                    dr.select((v > 0) & (v < limit), dr.select(rng.next_float32() * limit < v, limit, 0), v)
+                    for v in (w_t, w_r)
+                )
+                left_r = dr.select(again & (w_r > 0), dr.maximum(w_r, limit), left_r)
+                add_reason(ROULETTE, w_t + w_r - left_t - left_r, first & (dr.minimum(w_t, w_r) < limit))
+                w_t, w_r = left_t, left_r
             scattered_rays = dr.select(sends & (w_s > 0), random_rays + aimed_rays, 0)
             end = SCATTER + scattered_rays + dr.select(sends & (w_b > 0), mi.UInt32(1), 0)
             after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
@@ -330,14 +339,20 @@ def walk(
             both = w_t + w_r + w_s + w_b
             chosen = rng.next_float32() * both
             later = number = dr.select(
-                chosen < w_t, mi.UInt32(TRANSMIT), dr.select(chosen < w_t + w_r, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
+                chosen < w_t,
+                mi.UInt32(TRANSMIT),
+                dr.select((chosen < w_t + w_r) | (w_s + w_b == 0), mi.UInt32(REFLECT), mi.UInt32(SCATTER)),
             )
             push = mi.Bool(False)
             child = both
+            if roulette or scatters:
+                small = (both > 0) & (both < limit)
+                child = dr.select(small, dr.select(rng.next_float32() * limit < both, limit, 0), both)
+                add_reason(ROULETTE, both - child, visit & small)
             if not roulette:
                 cut = fresh & (both < threshold)
                 add_reason(THRESHOLD, both, first & cut & (both > 0))
-                child = dr.select(cut, 0, both)
+                child = dr.select(cut, 0, child)
             scatter = visit & (number == SCATTER) & (child > 0)
             cloud = scatter & (chosen >= w_t + w_r + w_s) & (w_b > 0)
             scatter &= ~cloud & (w_s > 0)
@@ -348,29 +363,21 @@ def walk(
         aim, slope = mi.Bool(False), dr.rcp(dr.select(reflect, it.R, it.T))
         if scatters and given is not None:
             if split:
-                ray = given.ray(number - SCATTER, random_rays, rng)
+                ray, factor = given.ray(number - SCATTER, random_rays, rng), boost
             else:
                 add_reason(SAMPLING, child, scatter)
-                ray = given.one_ray(w_s / both, random_rays, rng)
+                ray, factor = given.one_ray(w_s / both, random_rays, rng), child / both
             heading, share, scatter_slope, rng = scattering.scatter(given, ray, it, d, heading, rng, scatter)
             reflect = dr.select(scatter, ray.reflect, reflect)
             aim = scatter & ray.aim
             slope = dr.select(scatter, scatter_slope, slope)
-            child = dr.select(scatter, w * share * boost, child)
+            child = dr.select(scatter, w * share * factor, child)
         # Behind an opaque surface is no medium: the light stays in the one that led to it
         medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
         if scatters and bulk:
             away, along = table.optics.scatter_in_bulk(medium_in, d, state["length"], rng, cloud)
             origin, heading = dr.select(cloud, p - away * d, p), dr.select(cloud, along, heading)
             slope = dr.select(cloud, 0, slope)
-        if roulette or scatters:
-            small = visit & (child > 0) & (child < limit) & ~scatter & ~cloud
-            if not roulette:
-                small &= ~fresh
-            survives = rng.next_float32() * limit < child
-            rolled = dr.select(small, dr.select(survives, limit, 0), child)
-            add_reason(ROULETTE, child - rolled, small)
-            child = rolled
         if scatters:
             add_reason(SAMPLING, -child, (scatter | (cloud & split)) & (child > 0))
             if tallies is not None:
@@ -465,6 +472,8 @@ def walk(
             if bulk:
                 following["length"] = dr.select(back, floors.read(floor + 2, back), t)
                 following["clouded"] = dr.select(back, floors.read(floor + 3, back), clouded)
+        elif bulk:  # nothing is followed: a first visit books what the medium scatters
+            following = {"clouded": clouded}
         return {
             **state,
             "active": hit | back,

@@ -15,7 +15,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError
 from mistray.scatter.lobe import Lobe, Scatter
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import Totals, check_budget, lobe_total, model_lobes, specular_cosine
@@ -29,8 +28,9 @@ TRANSMISSION_CASE, REFLECTION_CASE = 0, 1
 EVENT_NAMES = ("transmission", "reflection")
 CASES = 4  # of a surface
 ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
-# Flags of a lobe
+# Flags of a lobe; the number of its radial table stands above them
 BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, RATIO, BY_COSINES = (1 << bit for bit in range(7))
+TABLE_SHIFT = 7
 
 
 @dataclass(frozen=True)
@@ -40,6 +40,14 @@ class Side:
     lobes: tuple[Lobe, ...]
     tables: tuple[RadialTable, ...]
     rows: dict[str, np.ndarray]  # event → (ANGLES + 1, 4): loss, and three terms of what is scattered
+
+    def without_transmission(self) -> Side:
+        """The same of an opaque surface."""
+        kept = [
+            (lobe, table) for lobe, table in zip(self.lobes, self.tables, strict=True) if lobe.event == "reflection"
+        ]
+        lobes, tables = tuple(lobe for lobe, _ in kept), tuple(table for _, table in kept)
+        return Side(lobes, tables, {**self.rows, "transmission": np.zeros((ANGLES + 1, 4))})
 
 
 @lru_cache(maxsize=1024)
@@ -93,10 +101,12 @@ class ScatterTables:
         if not self.any:
             return
         count = len(bsdfs)
-        plan = np.zeros((count * CASES, 8), dtype=np.uint32)
+        # By side: first row of the totals of transmission and reflection, aimed rays of either; by case: first lobe,
+        # lobes, first target, targets
+        sides = np.zeros((count * 2, 4), dtype=np.uint32)
+        cases = np.zeros((count * CASES, 4), dtype=np.uint32)
         total_rows: list[np.ndarray] = [np.zeros((2, 4))]  # for cases without scatter
         lobe_rows: list[np.ndarray] = []
-        lobe_words: list[list[int]] = []
         ratios: list[np.ndarray] = []
         aim_sets: list[AimSet] = []
         targets = 0
@@ -111,6 +121,8 @@ class ScatterTables:
             for side, from_front in enumerate((True, False)):
                 n_in, n_out = indices[s] if from_front else indices[s, ::-1]
                 found = side_of(tuple(bsdf.scatter), wavelength_nm, float(n_in), float(n_out), from_front)
+                if optics.host_words[s] & OPAQUE:
+                    found = found.without_transmission()
                 if not found.lobes:
                     continue
                 check_side(
@@ -121,13 +133,12 @@ class ScatterTables:
                     partial(optics.shares, s, from_front),
                 )
                 for case, event in enumerate(EVENT_NAMES):
-                    if event == "transmission" and optics.host_words[s] & OPAQUE:
-                        continue
                     members = [k for k, lobe in enumerate(found.lobes) if lobe.event == event]
                     if not members:
                         continue
-                    row = plan[s * CASES + 2 * side + case]
-                    row[:3] = node, len(lobe_words), len(members)
+                    sides[2 * s + side, case] = node
+                    row = cases[s * CASES + 2 * side + case]
+                    row[:2] = len(lobe_rows), len(members)
                     total_rows.append(found.rows[event])
                     node += ANGLES + 1
                     for k in members:
@@ -135,43 +146,39 @@ class ScatterTables:
                         if id(table) not in radial:
                             radial[id(table)] = len(self._tables)
                             self._tables.append(table)
-                        flags, place, shape = _flags(lobe, ratios)
+                        flags, place = _flags(lobe, ratios)
                         self.flags |= flags
-                        lobe_words.append([flags, radial[id(table)], place, shape])
                         r_min = lobe.ratio.r_min if lobe.ratio is not None else 1.0
-                        limit = min(lobe.oblique_limit, 1e30)
-                        lobe_rows.append(np.array([*lobe.shares, table.total, limit, np.log2(r_min), 0, 0]))
+                        numbers = [*lobe.shares, table.total, min(lobe.oblique_limit, 1e30), np.log2(r_min)]
+                        words = np.array([flags | radial[id(table)] << TABLE_SHIFT, place], dtype=np.uint32)
+                        lobe_rows.append(np.concatenate([np.array(numbers, dtype=np.float32).view(np.uint32), words]))
                     self.most_lobes = max(self.most_lobes, len(members))
                     aim = aims.get((s, from_front == (event == "transmission")))
                     if aim is not None:
-                        row[4:7] = targets, len(aim.targets), aim.rays
+                        row[2:] = targets, len(aim.targets)
+                        sides[2 * s + side, 2 + case] = aim.rays
                         aim_sets.append(aim)
                         targets += len(aim.targets)
         self.aimed = bool(aim_sets)
-        self.plan = upload(mi.UInt32, plan)
+        self.sides, self.cases = upload(mi.UInt32, sides), upload(mi.UInt32, cases)
         self.totals = upload(mi.Float, np.concatenate(total_rows))
-        self.lobes = upload(mi.Float, np.array(lobe_rows if lobe_rows else [np.zeros(8)]))
-        self.words = upload(mi.UInt32, np.array(lobe_words if lobe_words else [[0] * 4], dtype=np.uint32))
+        self.lobes = upload(mi.UInt32, np.array(lobe_rows if lobe_rows else [np.zeros(8, dtype=np.uint32)]))
         self.ratios = upload(mi.Float, np.concatenate(ratios) if ratios else np.zeros(1))
         self.targets = DeviceTargets(aim_sets)
         self.radial = RadialSampler(self._tables)
-        dr.eval(self.plan, self.totals, self.lobes, self.words, self.ratios)
+        dr.eval(self.sides, self.cases, self.totals, self.lobes, self.ratios)
 
 
-def _flags(lobe: Lobe, ratios: list[np.ndarray]) -> tuple[int, int, int]:
-    """Flags of a lobe, and place and shape of its ratio table, which is appended to the others."""
+def _flags(lobe: Lobe, ratios: list[np.ndarray]) -> tuple[int, int]:
+    """Flags of a lobe, and the place of its ratio table, which is appended to the others behind its three sizes."""
     flags = BY_ANGLE if lobe.measure == "angle" else 0
     flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
     flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE}[lobe.factor]
     if lobe.ratio is None:
-        return flags, 0, 0
-    a, b, c = lobe.ratio.values.shape
-    if max(a, b, c) > 0x3FF:
-        raise MistrayError(f"ratio table of {a} × {b} × {c} nodes; at most 1023 each way are possible")
+        return flags, 0
     place = sum(map(len, ratios))
-    ratios.append(lobe.ratio.values.ravel())
-    flags |= RATIO | (BY_COSINES if lobe.ratio.axes == "cosines" else 0)
-    return flags, place, a | b << 10 | c << 20
+    ratios += [np.array(lobe.ratio.values.shape, dtype=np.float64), lobe.ratio.values.ravel()]
+    return flags | RATIO | (BY_COSINES if lobe.ratio.axes == "cosines" else 0), place
 
 
 def check_side(

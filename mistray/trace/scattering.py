@@ -18,13 +18,13 @@ from mistray.trace.scatter_tables import (
     ANGLES,
     BY_ANGLE,
     BY_COSINES,
-    CASES,
     GHS,
     NORMAL,
     RATIO,
     RAYLEIGH_RICE,
     REFLECTION_CASE,
     RETRO,
+    TABLE_SHIFT,
     TRANSMISSION_CASE,
     ScatterTables,
 )
@@ -138,22 +138,18 @@ class Scattering:
 
     def give(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> Given:
         """What the surfaces s scatter of the light that meets them."""
-        first = CASES * s + dr.select(it.from_front, mi.UInt32(0), 2)
-        case_t, case_r = first + TRANSMISSION_CASE, first + REFLECTION_CASE
-        transmission = self._shares(case_t, dr.minimum(it.cos_i, it.cos_t), it.T, active)
-        reflection = self._shares(case_r, it.cos_i, it.R, active)
-        aimed_t, aimed_r = (
-            dr.select(shares.scattered > 0, dr.gather(mi.UInt32, self._tables.plan, 8 * case + 6, active), 0)
-            if self._tables.aimed
-            else mi.UInt32(0)
-            for shares, case in ((transmission, case_t), (reflection, case_r))
-        )
+        side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
+        plan = dr.gather(mi.Vector4u, self._tables.sides, side, active)
+        transmission = self._shares(plan.x, dr.minimum(it.cos_i, it.cos_t), it.T, active)
+        reflection = self._shares(plan.y, it.cos_i, it.R, active)
+        case_t, case_r = 2 * side + TRANSMISSION_CASE, 2 * side + REFLECTION_CASE
+        aimed_t = dr.select(transmission.scattered > 0, plan.z, 0)
+        aimed_r = dr.select(reflection.scattered > 0, plan.w, 0)
         scattered = transmission.scattered + reflection.scattered
         return Given(transmission, reflection, scattered, case_t, case_r, aimed_t, aimed_r)
 
-    def _shares(self, case: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool) -> Shares:
-        """Totals of a case at the cosine of its table, where the coating's R or T is x."""
-        first = dr.gather(mi.UInt32, self._tables.plan, 8 * case, active)
+    def _shares(self, first: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool) -> Shares:
+        """Totals of a case, whose table starts at a row, at a cosine; the coating's R or T is x."""
         here = active & (first != 0)
         place = dr.select(here, cosine * ANGLES, 0)
         node = dr.minimum(mi.UInt32(place), ANGLES - 1)
@@ -236,19 +232,19 @@ class Scattering:
         """The body of `scatter`."""
         rng = mi.PCG32(rng)
         u = [rng.next_float32() for _ in range(4)]
-        plan, aims = (dr.gather(mi.Vector4u, self._tables.plan, 2 * case + k) for k in range(2))
+        plan = dr.gather(mi.Vector4u, self._tables.cases, case)
         lobes = self._read_lobes(plan, x, cos_i)
         total = sum((lobe["flux"] for lobe in lobes), mi.Float(0))
         direction = self._random(lobes, total, u, outward, specular, d)
         own = mi.UInt32(0)
         if self._tables.aimed:
-            aimed, own = self._tables.targets.sample(aims, u, p, aim)
+            aimed, own = self._tables.targets.sample(plan.zw, u, p, aim)
             direction = dr.select(aim, aimed, direction)
         cos_s = dr.dot(direction, outward)
         flux, slope, density = self._evaluate(lobes, total, direction, cos_s, outward, specular, d, cos_i)
         techniques = random_rays * density
         if self._tables.aimed:
-            techniques += aimed_rays * self._tables.targets.density(aims, p, direction, aim, own, aimed_rays > 0)
+            techniques += aimed_rays * self._tables.targets.density(plan.zw, p, direction, aim, own, aimed_rays > 0)
         weight = flux / techniques
         good = (cos_s > 0) & (flux > 0) & dr.isfinite(weight)
         return (
@@ -262,13 +258,15 @@ class Scattering:
         """The lobes of a case and the flux of each over all directions."""
         lobes = []
         for j in range(self._tables.most_lobes):
-            here = plan.z > j
-            row = plan.y + j
-            shares, more = (dr.gather(mi.Vector4f, self._tables.lobes, 2 * row + k, here) for k in range(2))
-            words = dr.gather(mi.Vector4u, self._tables.words, row, here)
+            here = plan.y > j
+            row = plan.x + j
+            numbers, more = (dr.gather(mi.Vector4u, self._tables.lobes, 2 * row + k, here) for k in range(2))
+            shares = mi.Vector4f(*(dr.reinterpret_array(mi.Float, v) for v in numbers))
+            limit, log2_r_min = (dr.reinterpret_array(mi.Float, v) for v in more.xy)
+            words = more.zw
             coefficient = dr.fma(x, dr.fma(x, shares.z, shares.y), shares.x)
             if self._tables.flags & BY_ANGLE:
-                oblique = dr.minimum(dr.rcp(cos_i), more.x)
+                oblique = dr.minimum(dr.rcp(cos_i), limit)
                 coefficient = dr.select((words.x & BY_ANGLE) != 0, oblique, 1) * coefficient
             flux = dr.select(here, coefficient * shares.w, 0)
             slope = dr.fma(2 * x, shares.z, shares.y) / dr.fma(x, dr.fma(x, shares.z, shares.y), shares.x)
@@ -280,12 +278,12 @@ class Scattering:
                     "flux": flux,
                     "total": dr.select(here, shares.w, 1),
                     "slope": dr.select(dr.isfinite(slope), slope, 0),
-                    "log2_r_min": more.y,
+                    "log2_r_min": log2_r_min,
                 }
             )
         return lobes
 
-    def _centre(self, words: mi.Vector4u, outward: mi.Vector3f, specular: mi.Vector3f, d: mi.Vector3f) -> mi.Vector3f:
+    def _centre(self, words: mi.Vector2u, outward: mi.Vector3f, specular: mi.Vector3f, d: mi.Vector3f) -> mi.Vector3f:
         """Unit vector at the centre of a lobe."""
         centre = specular
         if self._tables.flags & RETRO:
@@ -309,7 +307,7 @@ class Scattering:
             later = lobe["here"] & (wanted >= so_far) & (lobe["flux"] > 0)
             chosen = dr.select(later, lobe["words"], chosen)
             so_far = so_far + lobe["flux"]  # not +=, which would change the first lobe's flux
-        r = self._tables.radial.sample(chosen.y, u[1], u[3], mi.Bool(True))
+        r = self._tables.radial.sample(chosen.x >> TABLE_SHIFT, u[1], u[3], mi.Bool(True))
         centre = self._centre(chosen, outward, specular, d)
         sine, cosine = dr.sincos(2 * dr.pi * u[2])
         by_angle = (chosen.x & BY_ANGLE) != 0 if self._tables.flags & BY_ANGLE else mi.Bool(False)
@@ -348,7 +346,7 @@ class Scattering:
                 by_angle = (words.x & BY_ANGLE) != 0
                 r2 = dr.select(by_angle, dr.squared_norm(apart), r2)
                 per_angle = dr.select(by_angle, 1, cos_s)
-            value = dr.select(here, self._tables.radial.value(words.y, r2, here) * per_angle, 0)
+            value = dr.select(here, self._tables.radial.value(words.x >> TABLE_SHIFT, r2, here) * per_angle, 0)
             density += lobe["flux"] / lobe["total"] * value
             value *= lobe["coefficient"]
             if self._tables.flags & GHS:
@@ -366,7 +364,7 @@ class Scattering:
     def _ratio(
         self,
         lobe: dict[str, Any],
-        words: mi.Vector4u,
+        words: mi.Vector2u,
         cos_specular: mi.Float,
         cos_s: mi.Float,
         r2: mi.Float,
@@ -377,7 +375,8 @@ class Scattering:
         active: mi.Bool,
     ) -> mi.Float:
         """The ratio table of a lobe, trilinear."""
-        sizes = [(words.w >> (10 * k)) & 0x3FF for k in range(3)]
+        active = active & ((words.x & RATIO) != 0)
+        sizes = [mi.UInt32(dr.gather(mi.Float, self._tables.ratios, words.y + k, active)) for k in range(3)]
         tangent = specular - cos_specular * outward
         second = dr.clip(1 - (1 - 0.5 * dr.log2(dr.maximum(r2, 1e-30))) / (1 - lobe["log2_r_min"]), 0, 1)
         if self._tables.flags & BY_COSINES:
@@ -386,7 +385,6 @@ class Scattering:
             second = dr.select(by_cosines, dr.clip(cos_s, 0, 1), second)
         lengths = dr.squared_norm(across) * dr.squared_norm(tangent)
         angle = dr.acos(dr.clip(dr.dot(across, tangent) * dr.rsqrt(dr.maximum(lengths, 1e-30)), -1, 1))
-        active = active & ((words.x & RATIO) != 0)
         low, fraction = [], []
         for place, size in zip((dr.clip(cos_specular, 0, 1), second, angle / dr.pi), sizes, strict=True):
             place = place * mi.Float(dr.maximum(size, 2) - 1)
@@ -400,5 +398,5 @@ class Scattering:
                 step = corner >> axis & 1
                 weight *= fraction[axis] if step else 1 - fraction[axis]
                 index = index * sizes[axis] + low[axis] + step
-            result += weight * dr.gather(mi.Float, self._tables.ratios, words.z + index, active)
+            result += weight * dr.gather(mi.Float, self._tables.ratios, words.y + 3 + index, active)
         return result

@@ -18,25 +18,31 @@ class ABg(Scatterer):
     Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
     with constant R and T.
 
-    ============== ======= ============ ======== ==============================================================
-    parameter      unit    range        default  meaning
-    ============== ======= ============ ======== ==============================================================
-    A              1/sr    ≥ 0                   amplitude (differentiable)
-    B                      > 1e-12               (r of the knee)^g; 0 is possible with g = 0 (differentiable)
-    g                      ≥ 0                   slope; 0: Lambertian, reflectance π A/(1 + B) (differentiable)
-    reference_nm   nm      > 0          none     wavelength at which A and B hold; at others the scatter of a
-                                                 smooth surface is scaled. None: the same at all wavelengths
-    event          string               both     what scatters: ``reflection``, ``transmission`` or ``both``
-    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
-    relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
-                                                 light (``incident``), then taken from what is absorbed
-    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable); the
-                                                 default is 0 with T or with ``relative_to`` ``incident``
-    T              1       0 … 1        0        by itself only: transmittance (differentiable)
-    front, back    string               air      by itself only: materials, see ``interface``
-    mirror         bool                 false    by itself only; see ``interface``
-    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
-    ============== ======= ============ ======== ==============================================================
+    ================= ======= ============ ========== ==========================================================
+    parameter         unit    range        default    meaning
+    ================= ======= ============ ========== ==========================================================
+    A                 1/sr    ≥ 0                     amplitude (differentiable)
+    B                         > 1e-12                 (r of the knee)^g; 0 is possible with g = 0
+                                                      (differentiable)
+    g                         ≥ 0                     slope; 0: Lambertian, reflectance π A/(1 + B)
+                                                      (differentiable)
+    reference_nm      nm      > 0          none       wavelength at which A and B hold; at others the scatter of
+                                                      a smooth surface is scaled. None: the same at all
+                                                      wavelengths
+    event             string               both       what scatters: ``reflection``, ``transmission`` or
+                                                      ``both``
+    side              string               both       side from which light is scattered: ``front``, ``back``,
+                                                      ``both``
+    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
+                                                      incident light (``incident``), then taken from what is
+                                                      absorbed
+    R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
+                                                      with T or with ``relative_to`` ``incident``
+    T                 1       0 … 1        0          by itself only: transmittance (differentiable)
+    front, back       string               air        by itself only: materials, see ``interface``
+    mirror            bool                 false      by itself only; see ``interface``
+    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    ================= ======= ============ ========== ==========================================================
 
     It is the same for light from both sides and in reflection and transmission; reciprocal in reflection where R is
     constant. Source: see `mistray.physics.abg`.

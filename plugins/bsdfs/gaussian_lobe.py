@@ -18,22 +18,26 @@ class GaussianLobe(Scatterer):
     Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
     with constant R and T.
 
-    ============== ======= ============ ======== ==============================================================
-    parameter      unit    range        default  meaning
-    ============== ======= ============ ======== ==============================================================
-    total          1       0 … 1                 share of R and T scattered at normal incidence (differentiable)
-    width                  > 0                   w: the r where the BSDF has fallen to 1/e (differentiable)
-    event          string               both what scatters: ``reflection``, ``transmission`` or ``both``
-    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
-    relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
-                                                 light (``incident``), then taken from what is absorbed
-    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable); the
-                                                 default is 0 with T or with ``relative_to`` ``incident``
-    T              1       0 … 1        0        by itself only: transmittance (differentiable)
-    front, back    string               air      by itself only: materials, see ``interface``
-    mirror         bool                 false    by itself only; see ``interface``
-    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
-    ============== ======= ============ ======== ==============================================================
+    ================= ======= ============ ========== ==========================================================
+    parameter         unit    range        default    meaning
+    ================= ======= ============ ========== ==========================================================
+    total             1       0 … 1                   share of R and T scattered at normal incidence
+                                                      (differentiable)
+    width                     > 0                     w: the r where the BSDF has fallen to 1/e (differentiable)
+    event             string               both       what scatters: ``reflection``, ``transmission`` or
+                                                      ``both``
+    side              string               both       side from which light is scattered: ``front``, ``back``,
+                                                      ``both``
+    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
+                                                      incident light (``incident``), then taken from what is
+                                                      absorbed
+    R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
+                                                      with T or with ``relative_to`` ``incident``
+    T                 1       0 … 1        0          by itself only: transmittance (differentiable)
+    front, back       string               air        by itself only: materials, see ``interface``
+    mirror            bool                 false      by itself only; see ``interface``
+    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    ================= ======= ============ ========== ==========================================================
 
     Reciprocal in reflection where R is constant. Source: see `mistray.physics.gaussian`.
 

@@ -22,27 +22,30 @@ class HarveyShack(Scatterer):
     from the indices on both sides, with Δn = 2 n in reflection and the difference of the indices in transmission, and
     a surface that is not smooth is refused.
 
-    ============== ======= ============ ======== ==============================================================
-    parameter      unit    range        default  meaning
-    ============== ======= ============ ======== ==============================================================
-    b0             1/sr    ≥ 0          none     BSDF at r = 0 (differentiable)
-    rms_nm         nm      ≥ 0          none     RMS roughness instead of b0 (differentiable)
-    l                      > 0          0.01     r of the knee (differentiable)
-    s                      < 0          -1.5     slope beyond the knee (differentiable)
-    reference_nm   nm      > 0          none     wavelength at which b0 and l hold; at others the scatter of a
-                                                 smooth surface is scaled. None: l is the same at all wavelengths,
-                                                 and so is b0 where it is given
-    event          string               both     what scatters: ``reflection``, ``transmission`` or ``both``
-    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
-    relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
-                                                 light (``incident``), then taken from what is absorbed
-    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable); the
-                                                 default is 0 with T or with ``relative_to`` ``incident``
-    T              1       0 … 1        0        by itself only: transmittance (differentiable)
-    front, back    string               air      by itself only: materials, see ``interface``
-    mirror         bool                 false    by itself only; see ``interface``
-    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
-    ============== ======= ============ ======== ==============================================================
+    ================= ======= ============ ========== ==========================================================
+    parameter         unit    range        default    meaning
+    ================= ======= ============ ========== ==========================================================
+    b0                1/sr    ≥ 0          none       BSDF at r = 0 (differentiable)
+    rms_nm            nm      ≥ 0          none       RMS roughness instead of b0 (differentiable)
+    l                         > 0          0.01       r of the knee (differentiable)
+    s                         < 0          -1.5       slope beyond the knee (differentiable)
+    reference_nm      nm      > 0          none       wavelength at which b0 and l hold; at others the scatter
+                                                      of a smooth surface is scaled. None: l is the same at all
+                                                      wavelengths, and so is b0 where it is given
+    event             string               both       what scatters: ``reflection``, ``transmission`` or
+                                                      ``both``
+    side              string               both       side from which light is scattered: ``front``, ``back``,
+                                                      ``both``
+    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
+                                                      incident light (``incident``), then taken from what is
+                                                      absorbed
+    R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
+                                                      with T or with ``relative_to`` ``incident``
+    T                 1       0 … 1        0          by itself only: transmittance (differentiable)
+    front, back       string               air        by itself only: materials, see ``interface``
+    mirror            bool                 false      by itself only; see ``interface``
+    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    ================= ======= ============ ========== ==========================================================
 
     Reciprocal in reflection where R is constant. Source: see `mistray.physics.harvey_shack`.
 

@@ -22,29 +22,34 @@ class KCorrelation(Scatterer):
     with constant R and T. What the surface scatters follows from the indices on its sides by the generalised
     Harvey-Shack or by the Rayleigh-Rice theory; a surface that is too rough for the theory is refused.
 
-    ============== ======= ============ ======== ==============================================================
-    parameter      unit    range        default  meaning
-    ============== ======= ============ ======== ==============================================================
-    rms_nm         nm      ≥ 0                   roughness σ: over all frequencies, or over 0 … 1/λ if
-                                                 ``band_limited`` (differentiable)
-    B_um           um      > 0                   1/B is the frequency of the knee (differentiable)
-    slope                  > 2; > 0              S; > 0 if ``band_limited`` (differentiable)
-    band_limited   bool                 false    what ``rms_nm`` means
-    theory         string               ghs      ``ghs`` (smooth surfaces), ``ghs_full`` (rougher ones, S = 3),
-                                                 ``rayleigh_rice`` (reflection), ``rayleigh_rice_vector``
-    reference_nm   nm      > 0          none     wavelength of the band of ``rms_nm``; none: that of the light
-    substrate      string               back     n+ik of the substrate for ``rayleigh_rice_vector``: ``0.96+6.69i``
-    event          string               both what scatters: ``reflection``, ``transmission`` or ``both``
-    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
-    relative_to    string               specular BSDF by unit of R and T (``specular``) or by unit of incident
-                                                 light (``incident``), then taken from what is absorbed
-    R              1       0 … 1        1        by itself only: reflectance of the surface (differentiable); the
-                                                 default is 0 with T or with ``relative_to`` ``incident``
-    T              1       0 … 1        0        by itself only: transmittance (differentiable)
-    front, back    string               air      by itself only: materials, see ``interface``
-    mirror         bool                 false    by itself only; see ``interface``
-    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
-    ============== ======= ============ ======== ==============================================================
+    ================= ======= ============ ========== ==========================================================
+    parameter         unit    range        default    meaning
+    ================= ======= ============ ========== ==========================================================
+    rms_nm            nm      ≥ 0                     roughness σ: over all frequencies, or over 0 … 1/λ if
+                                                      ``band_limited`` (differentiable)
+    B_um              um      > 0                     1/B is the frequency of the knee (differentiable)
+    slope                     > 2; > 0                S; > 0 if ``band_limited`` (differentiable)
+    band_limited      bool                 false      what ``rms_nm`` means
+    theory            string               ghs        ``ghs`` (smooth surfaces), ``ghs_full`` (rougher ones, S =
+                                                      3), ``rayleigh_rice``, ``rayleigh_rice_vector``
+    reference_nm      nm      > 0          none       wavelength of the band of ``rms_nm``; none: that of the
+                                                      light
+    substrate         string               back       n+ik of the substrate for ``rayleigh_rice_vector``:
+                                                      ``0.96+6.69i``
+    event             string               both       what scatters: ``reflection``, ``transmission`` or
+                                                      ``both``
+    side              string               both       side from which light is scattered: ``front``, ``back``,
+                                                      ``both``
+    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
+                                                      incident light (``incident``), then taken from what is
+                                                      absorbed
+    R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
+                                                      with T or with ``relative_to`` ``incident``
+    T                 1       0 … 1        0          by itself only: transmittance (differentiable)
+    front, back       string               air        by itself only: materials, see ``interface``
+    mirror            bool                 false      by itself only; see ``interface``
+    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    ================= ======= ============ ========== ==========================================================
 
     Reciprocal in reflection where R is constant and the theory is not ``rayleigh_rice_vector``. Source: see
     `mistray.physics.k_correlation`.

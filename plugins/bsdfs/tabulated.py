@@ -18,24 +18,28 @@ class Tabulated(Scatterer):
     Nested in an ``interface``, the R and T of that are the specular shares beside the scatter. By itself it has
     R = T = 0.
 
-    ================ ======= ============ ========== ============================================================
-    parameter      unit    range        default  meaning
-    ================ ======= ============ ========== ============================================================
-    file           file                          Zemax tabular BSDF (``.bsdf``) or CSV of angles (``.csv``), see
-                                                     docs/scatter.md
-    cosine_corrected bool               false    the values are BSDF · cos θs
-    beyond         string               error    past the last angle of the table: ``error``, ``hold`` the last
-                                                     value, or ``zero``
-    event          string               both what scatters: ``reflection``, ``transmission`` or ``both``
-    side           string               both     side from which light is scattered: ``front``, ``back``, ``both``
-    relative_to    string               incident BSDF by unit of R and T (``specular``) or by unit of incident
-                                                     light (``incident``), then taken from what is absorbed
-    R              1       0 … 1        0        by itself only: reflectance of the surface (differentiable)
-    T              1       0 … 1        0        by itself only: transmittance (differentiable)
-    front, back    string               air      by itself only: materials, see ``interface``
-    mirror         bool                 false    by itself only; see ``interface``
-    wavelength_nm  nm      > 0          550      by itself only; see ``interface``
-    ================ ======= ============ ========== ============================================================
+    ================= ======= ============ ========== ==========================================================
+    parameter         unit    range        default    meaning
+    ================= ======= ============ ========== ==========================================================
+    file              file                            Zemax tabular BSDF (``.bsdf``) or CSV of angles
+                                                      (``.csv``), see docs/scatter.md
+    cosine_corrected  bool                 false      the values are BSDF · cos θs
+    beyond            string               error      past the last angle of the table: ``error``, ``hold`` the
+                                                      last value, or ``zero``
+    event             string               both       what scatters: ``reflection``, ``transmission`` or
+                                                      ``both``
+    side              string               both       side from which light is scattered: ``front``, ``back``,
+                                                      ``both``
+    relative_to       string               incident   BSDF by unit of R and T (``specular``) or by unit of
+                                                      incident light (``incident``), then taken from what is
+                                                      absorbed
+    R                 1       0 … 1        0          by itself only: reflectance beside the scatter
+                                                      (differentiable)
+    T                 1       0 … 1        0          by itself only: transmittance (differentiable)
+    front, back       string               air        by itself only: materials, see ``interface``
+    mirror            bool                 false      by itself only; see ``interface``
+    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    ================= ======= ============ ========== ==========================================================
 
     It has no parameters to differentiate. Source: see `mistray.scatter.tabulated`.
 

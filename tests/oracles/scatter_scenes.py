@@ -159,8 +159,8 @@ def discs_text(r1: float, r2: float, distance: float, offset: float = 0.0, half_
     )
 
 
-def lenses_text(*models: str) -> str:
-    """Two coated lenses in a black tube with models of scatter on all their surfaces, and a wide detector."""
+def lenses_text(*models: str, wall: str | None = None) -> str:
+    """Two coated lenses with models of scatter on all their surfaces in a tube (black by default), a wide detector."""
     coated = {"R": 0.1, "T": 0.85}
     faces = [("a_front", 0.0, 30.0, "air", "1.6"), ("a_rear", 4.0, -40.0, "1.6", "air")]
     faces += [("b_front", 8.0, -50.0, "air", "1.7"), ("b_rear", 10.0, 60.0, "1.7", "air")]
@@ -178,6 +178,6 @@ def lenses_text(*models: str) -> str:
     return scatter_scene(
         beam_xml(4.0, field_deg=4.0),
         *shapes,
-        placed_xml("frustum", "tube", r0=6.5, z0=-3.0, r1=6.5, z1=30.0),
+        placed_xml("frustum", "tube", wall, r0=6.5, z0=-3.0, r1=6.5, z1=30.0),
         placed_xml("asphere", "detector", at=(0.0, 0.0, 30.0), pixels=16, half_width=4.0, half_height=4.0),
     )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import dataclasses
+import gc
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +17,7 @@ from scatter_surfaces import IMPORTANCE, MODELS, context, direction, interaction
 import mistray
 from mistray import MistrayError
 from mistray.scatter.kinds import KINDS
+from mistray.scene.messages import parameters
 
 T = mi.ScalarTransform4f
 SHAPE = {"type": "asphere", "semi_diameter": 5.0}
@@ -60,6 +63,13 @@ class TestScene:
             assert plugin.kind == kind
             assert type(plugin.model) is model
             assert plugin.scatter == (plugin.model,)
+
+    @pytest.mark.parametrize("kind", KINDS)
+    def test_the_manual_names_every_property(self, kind: str) -> None:
+        fields = {field.name for field in dataclasses.fields(KINDS[kind])} - {"name", "samples"}
+        if kind == "particulate":
+            fields -= {"relative_to"}  # a share of the specular beam by nature
+        assert fields <= set(parameters(kind))
 
     def test_an_interface_without_scatter(self) -> None:
         bsdf = mi.load_dict({"type": "interface", "back": "1.5"})
@@ -172,9 +182,19 @@ class TestScene:
 
     def test_an_impossible_sum(self) -> None:
         """R + T + scatter > 1 is refused when light is to be scattered, by surface and angle."""
-        bsdf = mi.load_dict({"type": "interface", "id": "wall", "R": 0.5, "p": {"type": "paint", "reflectance": 0.6}})
-        with pytest.raises(MistrayError, match=r"interface 'wall', light from the front: at .*° .*more than 1"):
+
+        def scatter_light() -> None:
+            bsdf = mi.load_dict(
+                {"type": "interface", "id": "wall", "R": 0.5, "p": {"type": "paint", "reflectance": 0.6}}
+            )
             bsdf.sample(mi.BSDFContext(), interaction(direction(0.0, True), 1), mi.Float(0.5), mi.Point2f(0.5))
+
+        with pytest.raises(
+            MistrayError, match=r"interface 'wall', light from the front: at .*° .*more than 1"
+        ) as caught:
+            scatter_light()
+        del caught
+        gc.collect()  # Dr.Jit traces every BSDF that is alive, also for other scenes
 
     def test_nothing_is_transmitted_by_an_opaque_surface(self) -> None:
         bsdf = mi.load_dict({"type": "interface", "R": 0.9, "model": MODELS["abg"]})

@@ -43,6 +43,8 @@ TRANSMITTED = {
     "abg": bsdf_xml("abg", A=2e-5, B=1e-6, g=2.0, event="transmission"),
     "har": bsdf_xml("harvey_shack", b0=0.1099, l=0.01, s=-1.5, event="transmission"),
 }
+# Share of the rays aimed at a small detector that miss its rim by the rounding of their directions, and the other way
+RIM = 5e-5
 EVERYTHING = {"scatter_threshold": 0.0, "flux_threshold": 0.0}
 
 
@@ -188,8 +190,7 @@ def plate_text(
 
 def scattered(t: mistray.Trace) -> tuple[float, float]:
     """Flux of the paths with a scatter event, and its standard error, W."""
-    rows = [row for row in t.paths if row.scatter_1 != "-"]
-    return sum(row.power_W for row in rows), float(np.hypot.reduce([row.power_se_W for row in rows]))
+    return t.paths.power([row.path_id for row in t.paths if row.scatter_1 != "-"])
 
 
 class TestPlates:
@@ -200,7 +201,7 @@ class TestPlates:
         t = mistray.trace(load_scene(plate_text("", angle_deg, reflect=True)), rays=100_000, aim="targets")
         expected = analytic(f"Lambertian plate rho=.05 d=100 th={angle_deg} ", "E_det per W [1/mm2]")
         power, se = scattered(t)
-        check("irradiance", power / 0.16, se / 0.16, expected, 2e-3)
+        check("irradiance", power / 0.16, se / 0.16, expected, 2e-3, RIM)
 
     @pytest.mark.parametrize("angle_deg", [5, 30, 60])
     def test_abg(self, load_scene: Load, angle_deg: int) -> None:
@@ -208,7 +209,7 @@ class TestPlates:
         t = mistray.trace(load_scene(plate_text(model, angle_deg)), rays=100_000, aim="targets")
         expected = analytic(f"ABg plate normal inc d=100 th={angle_deg} ", "E_det per W [1/mm2]")
         power, se = scattered(t)
-        check("irradiance", power / 0.16, se / 0.16, expected, 2e-3)
+        check("irradiance", power / 0.16, se / 0.16, expected, 2e-3, RIM)
         assert power / sum(row.power_W for row in t.paths) == 1  # nothing but scatter gets there
 
     @pytest.mark.parametrize("incidence_deg", [0.0, 30.0, 60.0, 85.0])
@@ -248,15 +249,14 @@ def cone_text(bsdf: str, incidence_deg: float, axis_deg: float, azimuth_deg: flo
 def test_flux_into_a_cone(load_scene: Load, row: dict[str, str]) -> None:
     """The importance sampled flux of TracePro: a target that fills the cone gives the integral of f cos over it.
 
-    To 1e-4 where the BSDF is smooth over the cone; the two cones about the specular direction hold the whole peak. At
-    the rim of the smallest cone, 0.1 mm 100 mm away, float32 loses 1e-5 of the rays.
+    To 1e-4 where the BSDF is smooth over the cone; the two cones about the specular direction hold the whole peak.
     """
     numbers = [float(row[key]) for key in ("theta_i", "cone_axis_theta", "cone_axis_phi", "cone_half_deg")]
     rays = 8_000_000 if numbers[-1] == 10 else 2_000_000
     t = mistray.trace(load_scene(cone_text(row["bsdf"], *numbers)), rays=rays, aim="targets")
     peaked = row["bsdf"] != "lamb" and numbers[0] == numbers[1] == numbers[2] == 0
     power, se = scattered(t)
-    check("cone", power, se, float(row["Phi_imp/Phi_inc"]), 1e-3 if peaked else 1e-4, 3e-5)
+    check("cone", power, se, float(row["Phi_imp/Phi_inc"]), 1e-3 if peaked else 1e-4, RIM)
     (surface,) = t.aiming
     assert surface.aimed == rays
     assert surface.landed >= 0.9999 * surface.aimed
@@ -333,8 +333,7 @@ def test_two_scatters(load_scene: Load, aim: str) -> None:
         np.array([half, 0.0, 0.0]),
         np.array([0.0, half, 0.0]),
     ) * (1 - integrals.total_scatter(integrals.abg(0.05, 0.1, 2.0), 0.0))
-    both = [row for row in t.paths if row.scatter_1 == "one" and row.path[1] != "T"]
+    both = [row for row in t.paths if row.path in ("ttA", "tiA", "itA", "iiA")]
     single = [row for row in t.paths if row.scatter_1 == "two"]
     for rows, exact, relative in ((both, expected * 4 * half**2, 0.02), (single, once, 3e-3)):
-        se = float(np.hypot.reduce([row.power_se_W for row in rows]))
-        check("scatter", sum(row.power_W for row in rows), se, exact, relative)
+        check("scatter", *t.paths.power([row.path_id for row in rows]), exact, relative)

@@ -1,0 +1,129 @@
+"""Scattered rays in the tree: the sampling is unbiased, modes and limits agree, and what a limit cuts is booked."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.small_scenes import scene_text, shape_xml
+from oracles.statistics import z_limit, z_score
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.scatter.radial import RadialTable
+from mistray.trace.lobes import RadialSampler
+
+ROUGH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
+SHARP = bsdf_xml("harvey_shack", b0=0.5, l=0.01, s=-1.5)
+
+
+def window_text(*models: str) -> str:
+    """A window, scattering on both faces, before a detector that does not see all of it."""
+    return scene_text(
+        shape_xml("asphere", "front", 0.0, scattering_xml(models, "air", "1.5"), semi_diameter=50.0),
+        shape_xml("asphere", "rear", 5.0, scattering_xml(models, "1.5", "air"), semi_diameter=50.0),
+        shape_xml("asphere", "detector", 60.0, sensor=True, half_width=10.0, half_height=10.0),
+    )
+
+
+def scattered(trace: mistray.Trace) -> tuple[float, float]:
+    """Flux of all paths that scatter, and its standard error, W."""
+    return trace.paths.power([row.path_id for row in trace.paths if row.scatters])
+
+
+@pytest.mark.parametrize("models", [(ROUGH,), (ROUGH, SHARP)], ids=["one lobe", "two lobes"])
+@pytest.mark.parametrize("aim", ["auto", "none"])
+def test_rays_carry_what_the_surfaces_scatter(load_scene, models: tuple[str, ...], aim: str) -> None:
+    """The difference is 0 on average; 16 seeds give its error. False alarm 1e-3 for the four cases."""
+    scene = load_scene(window_text(*models))
+    cuts = []
+    for seed in range(16):
+        energy = mistray.trace(scene, rays=20_000, seed=seed, aim=aim, ledger=False).energy
+        cuts.append(energy.cut["scatter_sampling"] / energy.launched_W)
+        assert abs(energy.closure) < 1e-5
+    mean, se = np.mean(cuts), np.std(cuts, ddof=1) / 4
+    assert se < 2e-4  # of a few percent that are scattered
+    assert abs(mean) < z_limit(4) * 1.5 * se  # Student's t with 15 degrees of freedom has wider tails
+
+
+MODES = {
+    "all branches": {"scatter_threshold": 0.0},
+    "weak branches by roulette": {},
+    "roulette for unscattered branches as well": {"below_threshold": "roulette", "flux_threshold": 1e-2},
+    "one in, one out": {"splitting": "one", "rays": 400_000},
+    "more random rays": {"scatter_rays": 3},
+    "more aimed rays": {"aimed_rays": 3},
+    "not aimed": {"aim": "none", "rays": 200_000},
+}
+
+
+@pytest.fixture(scope="module")
+def reference(load_scene) -> tuple[object, tuple[float, float]]:
+    scene = load_scene(window_text(ROUGH, SHARP))
+    return scene, scattered(mistray.trace(scene, rays=200_000, seed=100, max_scatters=2, scatter_threshold=0.0))
+
+
+@pytest.mark.parametrize("mode", MODES)
+def test_modes_agree(reference, mode: str) -> None:
+    """Flux of scattered light, whatever the way of sampling; false alarm 1e-3 for all modes."""
+    scene, (expected, expected_se) = reference
+    value, se = scattered(mistray.trace(scene, **({"rays": 50_000, "max_scatters": 2} | MODES[mode])))
+    assert se < 0.03 * value
+    assert abs(z_score(value, expected, np.hypot(se, expected_se))) < z_limit(len(MODES))
+
+
+LIMITS = {
+    "max_scatters": lambda row: row.scatters,
+    "max_random_scatters": lambda row: row.path.count("t") + row.path.count("r"),
+    "max_optical_scatters": lambda row: row.scatters,  # nothing here is opaque but the detector
+    "max_generations": lambda row: row.scatters + row.order,
+}
+
+
+@pytest.mark.parametrize("limit", LIMITS)
+@pytest.mark.parametrize("most", [0, 1, 2])
+def test_limits(load_scene, limit: str, most: int) -> None:
+    scene = load_scene(window_text(ROUGH))
+    more = {"max_scatters": 3} if limit != "max_scatters" else {}
+    trace = mistray.trace(scene, rays=5_000, max_reflections=2, **{limit: most}, **more)
+    counts = [LIMITS[limit](row) for row in trace.paths]
+    assert max(counts) == most
+    assert abs(trace.energy.closure) < 1e-5
+    assert trace.energy.cut["max_scatters"] > 0
+
+
+def test_without_scatter_surfaces_lose_what_they_would_scatter(load_scene) -> None:
+    """Totals of the model at normal incidence, twice, exactly; both faces scatter what is reflected as well."""
+    scene = load_scene(window_text(ROUGH))
+    energy = mistray.trace(scene, rays=1000, max_scatters=0, max_reflections=0).energy
+    total = 0.0413436938882  # float64 test vector of A = 0.0025, B = 0.001, g = 1.8
+    total *= 2e-3 / 2.5e-3
+    R = 0.04
+    direct = (1 - R) ** 2 * (1 - total) ** 2
+    assert energy.detected_W / energy.launched_W == pytest.approx(direct, rel=1e-4)
+    lost = total + (1 - R) * (1 - total) * total
+    assert energy.cut["max_scatters"] / energy.launched_W == pytest.approx(lost, rel=1e-3)
+
+
+def test_narrow_lobes_have_no_false_centre() -> None:
+    """Share of samples within a thousandth and a hundredth of the knee; false alarm 1e-3 for both."""
+    import mitsuba as mi
+
+    b = 1e-9
+    table = RadialTable.of(lambda r: 1 / (b + r**2))
+    sampler = RadialSampler([table])
+    count = 1 << 24
+    rng = mi.PCG32(size=count, initstate=5)
+    r = np.array(sampler.sample(mi.UInt32(0), rng.next_float32(), rng.next_float32(), mi.Bool(True)), dtype=np.float64)
+    for fraction in (0.05, 0.3):
+        edge = fraction * np.sqrt(b)
+        share = float(table.within(np.array([edge]))[0]) / table.total
+        measured = float(np.mean(r < edge))
+        assert abs(z_score(measured, share, np.sqrt(share / count))) < z_limit(2), fraction
+
+
+def test_an_impossible_sum_names_surface_and_angle(load_scene) -> None:
+    """Absolute scatter on top of a coating that leaves no room for it."""
+    white = bsdf_xml("paint", reflectance=0.96)
+    with pytest.raises(MistrayError, match=r"surface 'front'.* at \d+° specular 1 \+ scattered 0\.96 is more"):
+        mistray.trace(load_scene(window_text(white)), rays=100)

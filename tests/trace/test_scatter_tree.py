@@ -1,0 +1,155 @@
+"""The ray tree of a scattering lens against a slow Monte Carlo in float64, path by path, and its energy."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles import beams, scatter, scatter_integrals, scene_xml
+from oracles.scatter_scenes import (
+    beam_xml,
+    bsdf_xml,
+    lenses_text,
+    placed_xml,
+    rough_and_painted,
+    scatter_scene,
+    scattering_xml,
+    wall_xml,
+)
+from oracles.small_scenes import write
+from oracles.statistics import assert_z
+
+import mistray
+
+SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
+WIDE = bsdf_xml("abg", A=0.02, B=0.05, g=2.0)
+ROUGH = bsdf_xml("harvey_shack", b0=0.5, l=0.02, s=-1.5)
+PAINT = bsdf_xml("paint", reflectance=0.05)
+LIMITS = {
+    "single": {"max_scatters": 1, "max_reflections": 1},
+    "double": {"max_scatters": 2, "max_reflections": 0},
+}
+MODES: dict[str, dict[str, Any]] = {
+    "unaimed": {"aim": "none", "rays": 200_000},
+    "aimed": {"aim": "auto", "rays": 60_000},
+    "many rays a hit": {"aim": "auto", "rays": 20_000, "scatter_rays": 3, "aimed_rays": 2},
+    "no roulette": {"aim": "auto", "rays": 10_000, "scatter_threshold": 0.0},
+    "one in, one out": {"splitting": "one", "rays": 1_000_000},
+}
+
+
+def without_technique(events: str) -> str:
+    """The letters of aimed events (i, j) written as those of random ones (t, r)."""
+    return events.replace(":i", ":t").replace(":j", ":r")
+
+
+class TestAgainstMonteCarlo:
+    """Strongest paths at a joint false alarm of 1e-3, totals within 4.5 standard errors of 32 batches (1e-4 each)."""
+
+    TEXT = lenses_text(WIDE, wall=wall_xml(0.3))
+
+    @pytest.fixture(scope="class", params=LIMITS)
+    @staticmethod
+    def oracle(request: pytest.FixtureRequest) -> tuple[str, scatter.Books]:
+        text = TestAgainstMonteCarlo.TEXT
+        model = scene_xml.parse_scene(text)
+        distance = beams.start_distance(model, model.emitters[0])
+        beam = beams.collimated(model.emitters[0], 8_000, distance)
+        models = scatter.scatter_models(text)
+        limits = LIMITS[request.param]
+        books = scatter.trace(model, models, beam.origin, beam.direction, beam.power, 550.0, **limits)
+        return request.param, books
+
+    @pytest.mark.slow
+    @pytest.mark.parametrize("mode", MODES)
+    def test_paths_and_books(self, load_scene, oracle: tuple[str, scatter.Books], mode: str) -> None:
+        name, books = oracle
+        t = mistray.trace(load_scene(self.TEXT), seed=3, **LIMITS[name], **{"flux_threshold": 0.0, **MODES[mode]})
+        rows: dict[str, list[int]] = {}
+        for row in t.paths:
+            rows.setdefault(without_technique(row.events), []).append(row.path_id)
+        # a rare path may have no ray of the oracle's
+        rare, _ = t.paths.power([number for path in set(rows) - set(books.paths) for number in rows[path]])
+        assert rare < 1e-3 * t.energy.launched_W
+        strong = sorted(books.paths, key=lambda path: -books.power(path)[0])[:14]
+        assert sum(":t" in path or ":r" in path for path in strong) >= 8
+        measured, expected = np.array([[t.paths.power(rows[path]), books.power(path)] for path in strong]).swapaxes(
+            0, 1
+        )
+        se = np.hypot(measured[:, 1], expected[:, 1])
+        assert_z(f"{mode}, paths", measured[:, 0], expected[:, 0], se, names=strong, floor=1e-6 * books.launched_W)
+        e = t.energy
+        totals = [((e.detected_W, e.detected_se_W), books.detected)]
+        totals += [
+            (e.absorbed[shape], scatter.mean_and_se(flux)) for shape, flux in books.absorbed.items() if flux.any()
+        ]
+        totals.append(((e.escaped_W, e.escaped_se_W), scatter.mean_and_se(books.escaped)))
+        measured, expected = np.array(totals).swapaxes(0, 1)
+        se = np.hypot(measured[:, 1], expected[:, 1])
+        assert_z(f"{mode}, books", measured[:, 0], expected[:, 0], se, k=4.5)
+        assert abs(e.closure) < 1e-6
+
+
+@pytest.mark.parametrize("kind", ["specular peak", "far tail"])
+def test_random_rays_where_few_go(load_scene, kind: str) -> None:
+    """Unaimed rays into 0.3 % of the width of a lobe, and to 60° from a narrow one: directions with a share of 1e-5 to
+    1e-3 of the scattered light. A sampler that picks each of its cells with a rounded probability is off by a factor
+    there. False alarm 6e-5.
+    """
+    if kind == "specular peak":
+        model, profile = bsdf_xml("abg", A=0.02, B=0.1, g=2.0), scatter_integrals.abg(0.02, 0.1, 2.0)
+        axis_deg, half_deg = 0.0, 0.25
+    else:
+        model, profile = bsdf_xml("abg", A=1e-5, B=1e-9, g=3.0), scatter_integrals.abg(1e-5, 1e-9, 3.0)
+        axis_deg, half_deg = 60.0, 25.0
+    axis, half = np.radians([axis_deg, half_deg])
+    towards = np.array([np.sin(axis), 0.0, np.cos(axis)])
+    text = scatter_scene(
+        beam_xml(1e-3, power=1.0, distance=5.0),
+        placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0),
+        placed_xml(
+            "asphere", "detector", at=100 * towards, facing=towards, pixels=4, semi_diameter=float(100 * np.tan(half))
+        ),
+    )
+    t = mistray.trace(load_scene(text), rays=8_000_000, aim="none", max_scatters=1)
+    rows = [row for row in t.paths if row.scatter_1 == "plate"]
+    expected = scatter_integrals.cone_flux(profile, 0.0, axis_deg, 0.0, half_deg)
+    (row,) = rows
+    assert row.rays > 100
+    assert_z(kind, row.power_W, expected, row.power_se_W, k=4.0)
+    assert row.power_se_W < 0.1 * expected
+
+
+def test_a_gaussian_has_no_halo(load_scene) -> None:
+    """Ten widths and more from the peak is nothing: no ray of 8 million gets to a detector there."""
+    model = bsdf_xml("gaussian_lobe", total=0.5, width=0.01, event="transmission")
+    text = scatter_scene(
+        beam_xml(1e-3, power=1.0, distance=5.0),
+        placed_xml("asphere", "plate", scattering_xml([model], R=0.0, T=1.0), semi_diameter=1.0),
+        placed_xml("asphere", "detector", at=(0.0, 0.0, 1.0), pixels=4, inner_semi_diameter=0.1, semi_diameter=5.0),
+    )
+    t = mistray.trace(load_scene(text), rays=8_000_000, aim="none", max_scatters=1)
+    assert len(t.paths) == 0
+    assert t.energy.escaped_W == pytest.approx(1.0, rel=1e-3)
+
+
+@pytest.mark.parametrize("splitting", ["split", "one"])
+@pytest.mark.parametrize("path", SCENES, ids=[path.parent.name for path in SCENES])
+def test_energy_closes(path: Path, splitting: str, tmp_path: Path) -> None:
+    """1e-5 in every scene with scatter on every surface, in the field and outside of it; nothing is negative."""
+    text = path.read_text(encoding="utf-8")
+    scene_file = write(tmp_path, rough_and_painted(text, scene_xml.parse_scene(text, path), [ROUGH], [PAINT]))
+    scene = mistray.load(scene_file)
+    for field_deg in (0.0, 9.0, 40.0):
+        for aim in ("none", "auto"):
+            t = mistray.trace(
+                scene, rays=500, field_deg=field_deg, splitting=splitting, aim=aim, max_scatters=2, max_reflections=1
+            )
+            e = t.energy
+            assert abs(e.closure) < 1e-5, f"{field_deg} deg, aim {aim}: {e}"
+            parts = [e.detected_W, e.escaped_W, *(watt for watt, _ in (*e.absorbed.values(), *e.absorbed_in.values()))]
+            assert min(parts) >= 0
+            assert e.cut["medium"] == 0
+            assert sum(row.power_W for row in t.paths) == pytest.approx(e.detected_W, rel=1e-9)
