@@ -19,6 +19,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 from rows import Row, alternate
+from scatter import scatter_samples, scattering_camera
 from thinfilm import thin_films
 
 import mistray
@@ -246,6 +247,8 @@ def main() -> None:
         gradient_cost("cooke_triplet", 1 << 16, 2.5),
         gradient_cost("phone_camera", 1 << 12, 2.5),
         *thin_films(),
+        *scattering_camera(1 << 13),
+        *scatter_samples(),
     ]
     table = ["| compared | mistray | other | ratio | bar |", "|---|---|---|---|---|", *map(str, rows)]
     text = "\n".join(

@@ -20,6 +20,7 @@ REASONS = 14
 # Columns of the tally of a surface; the last two count its aimed rays and those that reach the detector undeflected
 HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
 SURFACE_SUMS = 5
+HIT_SUMS = 3  # the first of them, which every hit adds to
 NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
 
 
@@ -31,6 +32,7 @@ class Tallies:
     """
 
     def __init__(self, surfaces: int, media: int, pixels: int, maps: int = 0) -> None:
+        self.count = surfaces
         self.surfaces = dr.zeros(mi.Float64, surfaces * SURFACE_SUMS * BATCHES)
         self.media = dr.zeros(mi.Float64, media * BATCHES)
         self.reasons = dr.zeros(mi.Float64, REASONS * BATCHES)
@@ -46,6 +48,39 @@ class Tallies:
         """Book one of the sums of a surface."""
         index = (s * SURFACE_SUMS + what) * BATCHES + batch
         dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), index, active)
+
+    def hit_memory(self) -> Any:
+        """Sums of a lane's hits by surface, in local memory: sums that lanes share cost a fifth of the time."""
+        return dr.alloc_local(mi.Float64, self.count * HIT_SUMS, mi.Float64(0))
+
+    @staticmethod
+    def add_hit(memory: Any, s: mi.UInt32, incident: mi.Float, absorbed: mi.Float, active: mi.Bool) -> None:
+        """Book a hit of a surface in a lane's own sums."""
+        for what, value in (
+            (HITS, mi.Float64(1)),
+            (INCIDENT, mi.Float64(incident)),
+            (ABSORBED_HERE, mi.Float64(absorbed)),
+        ):
+            place = s * HIT_SUMS + what
+            memory.write(memory.read(place, active) + value, place, active)
+
+    def collect_hits(self, memory: Any, batch: mi.UInt32) -> None:
+        """Add the sums of all lanes to those of the surfaces."""
+
+        def step(s: mi.UInt32, memory: Any) -> tuple[mi.UInt32, Any]:
+            for what in range(HIT_SUMS):
+                value = memory.read(s * HIT_SUMS + what)
+                self.add_surface(s, what, batch, value, value != 0)
+            return s + 1, memory
+
+        count = dr.opaque(mi.UInt32, self.count)
+        dr.while_loop(
+            (dr.zeros(mi.UInt32, dr.width(batch)), memory),
+            lambda s, memory: s < count,
+            step,
+            mode="symbolic",
+            label="collect hits",
+        )
 
     def add_scattered(self, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
         """Book a hit of the detector by a ray that has been scattered."""

@@ -17,13 +17,10 @@ import mitsuba as mi
 
 from mistray.trace.adjoint import Adjoint
 from mistray.trace.books import (
-    ABSORBED_HERE,
     AIMED,
     ESCAPED,
     EVENTS,
     FIRST_MISS,
-    HITS,
-    INCIDENT,
     LANDED,
     MEDIUM,
     NODE_FLOATS,
@@ -56,7 +53,7 @@ from mistray.trace.ledger import (
 )
 from mistray.trace.next_hit import film_coordinates, next_hit
 from mistray.trace.optics import DETECTOR, NO_LOSS, OPAQUE
-from mistray.trace.scattering import Scattering
+from mistray.trace.scattering import ScatteredRay, Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
 
@@ -65,6 +62,7 @@ TRANSMIT, REFLECT, SCATTER = range(3)
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT = 0xFF, 8, 16
 PLAN_WORDS, FLOOR_FLOATS = 4, 4  # of a node, where there is scatter
+HITS_OF_LANE = 8  # place of the sums by surface among the local arrays
 
 
 @dataclass
@@ -171,6 +169,7 @@ def walk(
     # scattered there
     plans = dr.alloc_local(mi.UInt32, max_events * PLAN_WORDS if scatters else 1)
     floors = dr.alloc_local(mi.Float, max_events * FLOOR_FLOATS if scatters else 1)
+    hits = tallies.hit_memory() if tallies is not None else dr.alloc_local(mi.Float, 1)
     events = adjoint.memory(max_events) if adjoint is not None else ()
 
     # First segment: from the source to the first surface
@@ -203,12 +202,12 @@ def walk(
         "length": dr.zeros(mi.Float, n if bulk else 1),  # of the segment that led to it, mm
         "clouded": dr.zeros(mi.Float, n if bulk else 1),  # flux that its medium scattered on the way
         "rng": rng,
-        "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, *events),
+        "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits, *events),
     }
 
     def body(state: dict[str, Any]) -> dict[str, Any]:
         active, d, w, s, depth = (state[k] for k in ("active", "d", "w", "s", "depth"))
-        nodes, codes, words, keys, normals, polarizations, plans, floors, *events = state["memory"]
+        nodes, codes, words, keys, normals, polarizations, plans, floors, hits, *events = state["memory"]
         rng, total = state["rng"], state["total"]
         first = active & (state["child"] == TRANSMIT)
         again = active & ~first
@@ -228,9 +227,7 @@ def walk(
         loss = 1 - R - T if given is None else 1 - R - T - given.scattered
         absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
         if tallies is not None:
-            tallies.add_surface(s, HITS, batch, 1.0, first)
-            tallies.add_surface(s, INCIDENT, batch, w, first)
-            tallies.add_surface(s, ABSORBED_HERE, batch, absorbed, first & (absorbed > 0))
+            tallies.add_hit(hits, s, w, absorbed, first)
 
         detected = first & ((it.word & DETECTOR) != 0) & (absorbed > 0)
         x, y = film_coordinates(table, it)
@@ -304,9 +301,10 @@ def walk(
         own = state["birth"] * scatter_threshold
         limit = dr.select(fresh, threshold if roulette else 0, own)
         boost = state["boost"]
+        lot = rng.next_float32() if roulette or scatters else mi.Float(0)  # one for all children: none knows of another
         if scatters and split:
             # A weak node scatters with a probability in proportion to the light that reaches it
-            weak = dr.select(rng.next_float32() * own < w, own / w, 0)
+            weak = dr.select(lot * own < w, own / w, 0)
             boost = dr.select(first, dr.select(w < own, weak, 1), boost)
             add_reason(SAMPLING, w_s + w_b, first & (w_s + w_b > 0))
         sends = boost > 0
@@ -319,8 +317,7 @@ def walk(
             if roulette or scatters:
                 # A later visit is for a child that has survived
                 left_t, left_r = (
-                    dr.select((v > 0) & (v < limit), dr.select(rng.next_float32() * limit < v, limit, 0), v)
-                    for v in (w_t, w_r)
+                    dr.select((v > 0) & (v < limit), dr.select(lot * limit < v, limit, 0), v) for v in (w_t, w_r)
                 )
                 left_r = dr.select(again & (w_r > 0), dr.maximum(w_r, limit), left_r)
                 add_reason(ROULETTE, w_t + w_r - left_t - left_r, first & (dr.minimum(w_t, w_r) < limit))
@@ -347,7 +344,7 @@ def walk(
             child = both
             if roulette or scatters:
                 small = (both > 0) & (both < limit)
-                child = dr.select(small, dr.select(rng.next_float32() * limit < both, limit, 0), both)
+                child = dr.select(small, dr.select(lot * limit < both, limit, 0), both)
                 add_reason(ROULETTE, both - child, visit & small)
             if not roulette:
                 cut = fresh & (both < threshold)
@@ -363,13 +360,21 @@ def walk(
         aim, slope = mi.Bool(False), dr.rcp(dr.select(reflect, it.R, it.T))
         if scatters and given is not None:
             if split:
-                ray, factor = given.ray(number - SCATTER, random_rays, rng), boost
+                factor = boost
+
+                def choose(rng: mi.PCG32) -> ScatteredRay:
+                    return given.ray(number - SCATTER, random_rays, rng)
             else:
+                factor = child / both
                 add_reason(SAMPLING, child, scatter)
-                ray, factor = given.one_ray(w_s / both, random_rays, rng), child / both
-            heading, share, scatter_slope, rng = scattering.scatter(given, ray, it, d, heading, rng, scatter)
-            reflect = dr.select(scatter, ray.reflect, reflect)
-            aim = scatter & ray.aim
+
+                def choose(rng: mi.PCG32) -> ScatteredRay:
+                    return given.one_ray(w_s / both, random_rays, rng)
+
+            heading, share, scatter_slope, back_side, aim, rng = scattering.scatter(
+                given, choose, it, d, heading, rng, scatter
+            )
+            reflect = dr.select(scatter, back_side, reflect)
             slope = dr.select(scatter, scatter_slope, slope)
             child = dr.select(scatter, w * share * factor, child)
         # Behind an opaque surface is no medium: the light stays in the one that led to it
@@ -494,7 +499,7 @@ def walk(
             "segments": segments,
             "total": total,
             "rng": rng,
-            "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, *events),
+            "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits, *events),
             **following,
         }
 
@@ -502,3 +507,5 @@ def walk(
         (state,), lambda state: state["active"], lambda state: (body(state),), mode="symbolic", label="ray tree"
     )
     add_reason(SEGMENTS, end["segments"], mi.Bool(True))
+    if tallies is not None:
+        tallies.collect_hits(end["memory"][HITS_OF_LANE], batch)

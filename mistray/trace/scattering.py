@@ -8,6 +8,7 @@ could have given counts f/Σ n_i p_i, so that the sum is unbiased whatever the t
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
@@ -165,20 +166,21 @@ class Scattering:
     def scatter(
         self,
         given: Given,
-        ray: ScatteredRay,
+        choose: Callable[[mi.PCG32], ScatteredRay],
         it: Interaction,
         d: mi.Vector3f,
         otherwise: mi.Vector3f,
         rng: mi.PCG32,
         active: mi.Bool,
-    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32]:
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.Bool, mi.Bool, mi.PCG32]:
         """
         Draw a scattered ray.
 
         Parameters
         ----------
         given : Given
-        ray : ScatteredRay
+        choose : callable
+            Says which of the node's rays it is.
         it : Interaction
         d : mi.Vector3f
             Direction of arrival.
@@ -194,65 +196,51 @@ class Scattering:
             Flux of the ray per unit of incident flux; 0 if its direction goes into the surface.
         slope : mi.Float
             d ln(weight) / d(R or T).
+        reflect, aim : mi.Bool
+            Whether it stays on the side of incidence, and whether it goes to a target.
         rng : mi.PCG32
         """
-        case = dr.select(ray.reflect, given.case_r, given.case_t)
-        x = dr.select(ray.reflect, it.R, it.T)
-        outward = dr.select(ray.reflect, -it.axis, it.axis)
-        specular = dr.select(ray.reflect, it.reflected, it.transmitted)
 
-        def draw(*arguments: Any) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32]:
-            return self._draw(*arguments)
+        def draw(rng: mi.PCG32, otherwise: mi.Vector3f) -> tuple[Any, ...]:
+            rng = mi.PCG32(rng)
+            ray = choose(rng)
+            return *self._draw(given, ray, it, d, otherwise, rng), ray.reflect, ray.aim, rng
 
-        def leave(*arguments: Any) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32]:
-            rng, otherwise = arguments[-1], arguments[6]
-            return mi.Vector3f(otherwise), mi.Float(0), mi.Float(0), rng
+        def leave(rng: mi.PCG32, otherwise: mi.Vector3f) -> tuple[Any, ...]:
+            return mi.Vector3f(otherwise), mi.Float(0), mi.Float(0), mi.Bool(False), mi.Bool(False), rng
 
-        arguments = (case, x, it.cos_i, outward, specular, d, otherwise, it.p, ray.aim, ray.random_rays, ray.aimed_rays)
-        result: tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32] = dr.if_stmt(
-            (*arguments, rng), active, draw, leave, mode="symbolic", label="scatter"
+        # Few lanes scatter at a time: packets of lanes without one skip all this
+        result: tuple[mi.Vector3f, mi.Float, mi.Float, mi.Bool, mi.Bool, mi.PCG32] = dr.if_stmt(
+            (rng, otherwise), active, draw, leave, mode="symbolic", label="scatter"
         )
         return result
 
     def _draw(
-        self,
-        case: mi.UInt32,
-        x: mi.Float,
-        cos_i: mi.Float,
-        outward: mi.Vector3f,
-        specular: mi.Vector3f,
-        d: mi.Vector3f,
-        otherwise: mi.Vector3f,
-        p: mi.Vector3f,
-        aim: mi.Bool,
-        random_rays: mi.Float,
-        aimed_rays: mi.Float,
-        rng: mi.PCG32,
-    ) -> tuple[mi.Vector3f, mi.Float, mi.Float, mi.PCG32]:
-        """The body of `scatter`."""
-        rng = mi.PCG32(rng)
+        self, given: Given, ray: ScatteredRay, it: Interaction, d: mi.Vector3f, otherwise: mi.Vector3f, rng: mi.PCG32
+    ) -> tuple[mi.Vector3f, mi.Float, mi.Float]:
+        """Direction, weight and slope of `scatter`."""
+        case = dr.select(ray.reflect, given.case_r, given.case_t)
+        x = dr.select(ray.reflect, it.R, it.T)
+        outward = dr.select(ray.reflect, -it.axis, it.axis)
+        specular = dr.select(ray.reflect, it.reflected, it.transmitted)
         u = [rng.next_float32() for _ in range(4)]
         plan = dr.gather(mi.Vector4u, self._tables.cases, case)
-        lobes = self._read_lobes(plan, x, cos_i)
+        lobes = self._read_lobes(plan, x, it.cos_i)
         total = sum((lobe["flux"] for lobe in lobes), mi.Float(0))
         direction = self._random(lobes, total, u, outward, specular, d)
         own = mi.UInt32(0)
         if self._tables.aimed:
-            aimed, own = self._tables.targets.sample(plan.zw, u, p, aim)
-            direction = dr.select(aim, aimed, direction)
+            aimed, own = self._tables.targets.sample(plan.zw, u, it.p, ray.aim)
+            direction = dr.select(ray.aim, aimed, direction)
         cos_s = dr.dot(direction, outward)
-        flux, slope, density = self._evaluate(lobes, total, direction, cos_s, outward, specular, d, cos_i)
-        techniques = random_rays * density
+        flux, slope, density = self._evaluate(lobes, total, direction, cos_s, outward, specular, d, it.cos_i)
+        techniques = ray.random_rays * density
         if self._tables.aimed:
-            techniques += aimed_rays * self._tables.targets.density(plan.zw, p, direction, aim, own, aimed_rays > 0)
+            there = ray.aimed_rays > 0
+            techniques += ray.aimed_rays * self._tables.targets.density(plan.zw, it.p, direction, ray.aim, own, there)
         weight = flux / techniques
         good = (cos_s > 0) & (flux > 0) & dr.isfinite(weight)
-        return (
-            dr.select(good, direction, otherwise),
-            dr.select(good, weight, 0),
-            dr.select(good, slope / flux, 0),
-            rng,
-        )
+        return dr.select(good, direction, otherwise), dr.select(good, weight, 0), dr.select(good, slope / flux, 0)
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
         """The lobes of a case and the flux of each over all directions."""

@@ -25,7 +25,7 @@ from mistray.trace.sources import Beam, beams
 from mistray.trace.surfaces import SurfaceTable
 
 PASS_LANES = 1 << 20
-FIRST_CAPACITY = 1 << 12
+FIRST_CAPACITY, FIRST_CAPACITY_OF_SCATTER = 1 << 12, 1 << 15  # slots: paths multiply where surfaces scatter
 RECORD_CAPACITY = 1 << 12
 LAST_CAPACITY = 1 << 20
 
@@ -150,7 +150,7 @@ class Run:
         """Trace everything and read the sums back; a ledger that fills up is made larger and the trace starts again."""
         started = time.perf_counter()
         film = self.make_film()
-        capacity = FIRST_CAPACITY
+        capacity = FIRST_CAPACITY_OF_SCATTER if self.scattering.any and self.settings.max_scatters else FIRST_CAPACITY
         while True:
             tallies = self.make_tallies(film)
             self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None

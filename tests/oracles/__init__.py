@@ -13,6 +13,9 @@ nonsequential  split tracer: ledger of every path, energy budget, leaks between 
 closed_forms   plates, paraxial ghosts, ghost counts
 small_scenes   XML texts of plates and other small scenes
 colour         the CIE observer at a few wavelengths, sRGB by its definition, coatings in air
+scatter_integrals  scattered flux by quadrature: view factors, tubes, spheres, cones, plates, double scatter
+scatter_scenes XML texts of surfaces that scatter, of targets, and of scenes with them
+scatter        slow Monte Carlo tracer for surfaces that scatter
 derivatives    central differences of fourth order
 statistics     z-tests that say by how much they fail
 """

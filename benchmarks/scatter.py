@@ -1,0 +1,99 @@
+"""Scatter: segments per second of the scattering phone camera, and samples per second of every scatter plugin.
+
+A sample is a call of the plugin's own `sample` for one ray: a direction, its density and its weight, at incidences from
+0° to 85°. ``python benchmarks/scatter.py`` prints the rows alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from rows import Row, alternate
+
+import mistray
+from mistray.trace.books import SEGMENTS
+from mistray.trace.settings import Settings
+from mistray.trace.tracer import prepare
+
+SEGMENTS_BAR = 1e7
+SAMPLES_BAR = 5e7
+SAMPLES = 1 << 22
+MODELS: dict[str, dict[str, object]] = {
+    "abg, B = 1e-3": {"type": "abg", "A": 2.5e-3, "B": 1e-3, "g": 1.8},
+    "abg, B = 1e-9": {"type": "abg", "A": 1e-9, "B": 1e-9, "g": 2.0},
+    "harvey_shack": {"type": "harvey_shack", "rms_nm": 4.0, "l": 0.01, "s": -1.5},
+    "k_correlation": {"type": "k_correlation", "rms_nm": 4.0, "B_um": 100.0, "slope": 2.5},
+    "gaussian_lobe": {"type": "gaussian_lobe", "total": 0.01, "width": 0.01},
+    "particulate": {"type": "particulate", "level": 400.0},
+    "paint": {"type": "paint", "reflectance": 0.05, "b0": 0.2, "l": 0.1, "s": -2.0},
+    "paint with n": {"type": "paint", "reflectance": 0.05, "b0": 0.2, "l": 0.1, "s": -2.0, "n": 1.5},
+}
+
+
+def per_second(rate: float) -> str:
+    return f"{rate / 1e6:.1f} M/s"
+
+
+def scattering_camera(rays: int) -> list[Row]:
+    """The ray tree of the phone camera with polish, dust and paint, aimed by itself; and without the path table."""
+    scene = mistray.load("phone_camera_scatter")
+    (run,) = prepare(scene, Settings(rays=rays))
+    with_table, without = alternate(lambda: run.execute(True, None), lambda: run.execute(False, None))
+    segments = float(run.reasons[SEGMENTS].sum())
+    rates = {"on": segments / with_table, "off": segments / without}
+    return [
+        Row(
+            f"`phone_camera_scatter`, path table {state}, against the bar (segments/s)",
+            per_second(rate),
+            per_second(SEGMENTS_BAR),
+            rate / SEGMENTS_BAR,
+            1.0 if state == "on" else None,
+        )
+        for state, rate in rates.items()
+    ]
+
+
+def sampler(properties: dict[str, object]) -> Callable[[], None]:
+    """Draw `SAMPLES` directions from a plugin."""
+    bsdf = mi.load_dict(properties)
+    rng = np.random.default_rng(0)
+    theta = rng.uniform(0, np.radians(85), SAMPLES)
+    si = dr.zeros(mi.SurfaceInteraction3f, SAMPLES)
+    si.wi = mi.Vector3f(np.sin(theta), 0, -np.cos(theta))
+    first, second = mi.Float(rng.random(SAMPLES)), mi.Point2f(rng.random((2, SAMPLES)))
+    context = mi.BSDFContext()
+    dr.eval(si, first, second)
+
+    def action() -> None:
+        found, weight = bsdf.sample(context, si, first, second)
+        dr.eval(found.wo, found.pdf, weight)
+        dr.sync_thread()
+
+    return action
+
+
+def scatter_samples() -> list[Row]:
+    """Every model against the bar; two models share a line of time so that each is measured in turn with another."""
+    mistray.ensure_variant()
+    rows, names = [], list(MODELS)
+    for k in range(0, len(names), 2):
+        pair = names[k : k + 2]
+        for name, seconds in zip(pair, alternate(*(sampler(MODELS[name]) for name in pair)), strict=True):
+            rate = SAMPLES / seconds
+            rows.append(
+                Row(
+                    f"scatter sampling, {name}, against the bar (samples/s)",
+                    per_second(rate),
+                    per_second(SAMPLES_BAR),
+                    rate / SAMPLES_BAR,
+                    1.0,
+                )
+            )
+    return rows
+
+
+if __name__ == "__main__":
+    print(*scattering_camera(1 << 13), *scatter_samples(), sep="\n")
