@@ -247,7 +247,7 @@ def main() -> None:
         gradient_cost("cooke_triplet", 1 << 16, 2.5),
         gradient_cost("phone_camera", 1 << 12, 2.5),
         *thin_films(),
-        *scattering_camera(1 << 13),
+        *scattering_camera(1 << 15),
         *scatter_samples(),
     ]
     table = ["| compared | mistray | other | ratio | bar |", "|---|---|---|---|---|", *map(str, rows)]

@@ -96,4 +96,4 @@ def scatter_samples() -> list[Row]:
 
 
 if __name__ == "__main__":
-    print(*scattering_camera(1 << 13), *scatter_samples(), sep="\n")
+    print(*scattering_camera(1 << 15), *scatter_samples(), sep="\n")

@@ -289,7 +289,10 @@ def walk(
             may_scatter = room & young & (done[0] < scatter_limits[0])
             at_random, at_optics = done[1] < scatter_limits[1], done[2] < scatter_limits[2]
             may_cloud = may_scatter & at_random & at_optics
-            random_rays = dr.select(at_random, scatter_rays, 0)
+            wanted_rays = scatter_rays
+            if given is not None:
+                wanted_rays = dr.select(given.random_rays > 0, given.random_rays, scatter_rays)
+            random_rays = dr.select(at_random, wanted_rays, 0)
             aimed_rays = given.aimed_t + given.aimed_r if given is not None else mi.UInt32(0)
             may_scatter &= (~transmits | at_optics) & (random_rays + aimed_rays > 0)
         stopped = dr.select(may_scatter, 0, w_s) + dr.select(may_cloud, 0, w_b)

@@ -31,6 +31,7 @@ ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
 # Flags of a lobe; the number of its radial table stands above them
 BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, RATIO, BY_COSINES = (1 << bit for bit in range(7))
 TABLE_SHIFT = 7
+RANDOM_RAYS_SHIFT = 16
 
 
 @dataclass(frozen=True)
@@ -101,8 +102,8 @@ class ScatterTables:
         if not self.any:
             return
         count = len(bsdfs)
-        # By side: first row of the totals of transmission and reflection, aimed rays of either; by case: first lobe,
-        # lobes, first target, targets
+        # By side: first row of the totals of transmission and reflection, aimed rays of either, the first of them with
+        # the random rays above; by case: first lobe, lobes, first target, targets
         sides = np.zeros((count * 2, 4), dtype=np.uint32)
         cases = np.zeros((count * CASES, 4), dtype=np.uint32)
         total_rows: list[np.ndarray] = [np.zeros((2, 4))]  # for cases without scatter
@@ -132,6 +133,7 @@ class ScatterTables:
                     n_out,
                     partial(optics.shares, s, from_front),
                 )
+                sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT
                 for case, event in enumerate(EVENT_NAMES):
                     members = [k for k, lobe in enumerate(found.lobes) if lobe.event == event]
                     if not members:
@@ -156,7 +158,7 @@ class ScatterTables:
                     aim = aims.get((s, from_front == (event == "transmission")))
                     if aim is not None:
                         row[2:] = targets, len(aim.targets)
-                        sides[2 * s + side, 2 + case] = aim.rays
+                        sides[2 * s + side, 2 + case] += aim.rays
                         aim_sets.append(aim)
                         targets += len(aim.targets)
         self.aimed = bool(aim_sets)

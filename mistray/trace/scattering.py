@@ -21,6 +21,7 @@ from mistray.trace.scatter_tables import (
     BY_COSINES,
     GHS,
     NORMAL,
+    RANDOM_RAYS_SHIFT,
     RATIO,
     RAYLEIGH_RICE,
     REFLECTION_CASE,
@@ -68,6 +69,8 @@ class Given:
         Their cases.
     aimed_t, aimed_r : mi.UInt32
         Aimed rays of either.
+    random_rays : mi.UInt32
+        Random rays that the surface asks for; 0 for those of the settings.
     """
 
     transmission: Shares
@@ -77,6 +80,7 @@ class Given:
     case_r: mi.UInt32
     aimed_t: mi.UInt32
     aimed_r: mi.UInt32
+    random_rays: mi.UInt32
 
     def ray(self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
         """The scattered ray of this number: first those at random, then the aimed ones of either event."""
@@ -144,10 +148,10 @@ class Scattering:
         transmission = self._shares(plan.x, dr.minimum(it.cos_i, it.cos_t), it.T, active)
         reflection = self._shares(plan.y, it.cos_i, it.R, active)
         case_t, case_r = 2 * side + TRANSMISSION_CASE, 2 * side + REFLECTION_CASE
-        aimed_t = dr.select(transmission.scattered > 0, plan.z, 0)
+        aimed_t = dr.select(transmission.scattered > 0, plan.z & ((1 << RANDOM_RAYS_SHIFT) - 1), 0)
         aimed_r = dr.select(reflection.scattered > 0, plan.w, 0)
         scattered = transmission.scattered + reflection.scattered
-        return Given(transmission, reflection, scattered, case_t, case_r, aimed_t, aimed_r)
+        return Given(transmission, reflection, scattered, case_t, case_r, aimed_t, aimed_r, plan.z >> RANDOM_RAYS_SHIFT)
 
     def _shares(self, first: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool) -> Shares:
         """Totals of a case, whose table starts at a row, at a cosine; the coating's R or T is x."""

@@ -18,10 +18,11 @@ from mistray.physics.fresnel import reflectance
 from mistray.plugins.bsdfs.lobe_sum import LobeSum
 from mistray.scatter import Scatter
 from mistray.trace.optics import REFLECTION_BACK, REFLECTION_FRONT, TRANSMISSION, angle_table, total_variable
+from mistray.trace.settings import MOST_RAYS_PER_HIT
 
 STOCK_WAVELENGTH_NM = 550.0
 UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
-SIDES = ("front", "back", "mirror", "wavelength_nm")  # what an interface has beside its coating
+SIDES = ("front", "back", "mirror", "scatter_rays", "wavelength_nm")  # what an interface has beside its coating
 
 
 class Interface(mi.BSDF):
@@ -56,6 +57,8 @@ class Interface(mi.BSDF):
                                                ``tabulated``; see docs/scatter.md
     mirror            bool            false    the design path reflects here: such a reflection is not counted
                                                as a ghost bounce
+    scatter_rays      1       0 … 255 0        random scattered rays at every hit of the ray tree; 0: the setting of
+                                               the trace
     wavelength_nm     nm      > 0     550      wavelength for *stock* integrators only; the ray tree uses the
                                                wavelength of its source
     ================= ======= ======= ======== ===========================================================
@@ -91,6 +94,12 @@ class Interface(mi.BSDF):
         self.wavelength_nm = float(props.get("wavelength_nm", STOCK_WAVELENGTH_NM))
         self.front, self.back = (self._resolved(str(props.get(side, "air"))) for side in ("front", "back"))
         self.mirror = bool(props.get("mirror", False))
+        self.scatter_rays = int(props.get("scatter_rays", 0))
+        if not 0 <= self.scatter_rays <= MOST_RAYS_PER_HIT:
+            raise MistrayError(
+                f"{self.title}: scatter_rays is {self.scatter_rays}; give 1 to {MOST_RAYS_PER_HIT}, or 0 for the "
+                "setting of the trace"
+            )
         self.indices(self.wavelength_nm)  # an unknown material is an error of the scene, now
         self._own_ideal = False
         self._R, self._T = mi.Float(0), mi.Float(0)

@@ -13,6 +13,7 @@ from mistray.errors import MistrayError
 from mistray.scatter.radial import RadialTable
 from mistray.trace.lobes import RadialSampler
 
+REAR = '<string name="front" value="1.5"/>'  # of the rear face
 ROUGH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
 SHARP = bsdf_xml("harvey_shack", b0=0.5, l=0.01, s=-1.5)
 
@@ -127,3 +128,27 @@ def test_an_impossible_sum_names_surface_and_angle(load_scene) -> None:
     white = bsdf_xml("paint", reflectance=0.96)
     with pytest.raises(MistrayError, match=r"surface 'front'.* at \d+° specular 1 \+ scattered 0\.96 is more"):
         mistray.trace(load_scene(window_text(white)), rays=100)
+
+
+def test_a_surface_can_ask_for_more_random_rays(load_scene) -> None:
+    """Same flux, more hits of the detector, from that surface only; false alarm 1e-3."""
+    plain = window_text(ROUGH)
+    more = plain.replace(
+        '<string name="front" value="1.5"/>',
+        '<integer name="scatter_rays" value="8"/><string name="front" value="1.5"/>',
+    )
+    assert more != plain
+    traces = [mistray.trace(load_scene(text), rays=40_000, aim="none", seed=k) for k, text in enumerate((plain, more))]
+    hits = [{name: sum(r.rays for r in t.paths if r.scatter_1 == name) for name in ("front", "rear")} for t in traces]
+    assert hits[1]["rear"] == pytest.approx(8 * hits[0]["rear"], rel=0.1)
+    assert hits[1]["front"] == pytest.approx(hits[0]["front"], rel=0.1)
+    (a, a_se), (b, b_se) = map(scattered, traces)
+    assert abs(z_score(a, b, np.hypot(a_se, b_se))) < z_limit()
+
+
+def test_too_many_random_rays(load_scene) -> None:
+    text = window_text(ROUGH).replace(
+        '<string name="front" value="1.5"/>', '<integer name="scatter_rays" value="300"/>'
+    )
+    with pytest.raises(MistrayError, match="scatter_rays is 300; give 1 to 255"):
+        load_scene(text)
