@@ -165,13 +165,15 @@ class Totals:
         return np.asarray(c0 + c1 * x + c2 * x * x)
 
 
-def totals(lobes: Sequence[Lobe], cos_i: np.ndarray, n_in: float, n_out: float) -> Totals:
-    """Sum the totals of lobes at cosines of incidence, (m,)."""
+def totals(
+    lobes: Sequence[Lobe], cos_i: np.ndarray, n_in: float, n_out: float, tables: Sequence[RadialTable] | None = None
+) -> Totals:
+    """Sum the totals of lobes at cosines of incidence, (m,); `tables` are those of their profiles, if there are any."""
     cos_i = np.asarray(cos_i, dtype=np.float64)
     loss = {event: np.zeros(len(cos_i)) for event in ("reflection", "transmission")}
     terms = {event: np.zeros((3, len(cos_i))) for event in ("reflection", "transmission")}
-    for lobe in lobes:
-        total = lobe_total(lobe, cos_i, n_in, n_out)
+    for k, lobe in enumerate(lobes):
+        total = lobe_total(lobe, cos_i, n_in, n_out, tables[k] if tables else None)
         terms[lobe.event] += np.array(lobe.shares)[:, None] * total
         lost = lobe.shares[1] * total if lobe.optical_depth is None else lobe.optical_depth * lobe.oblique(cos_i)
         loss[lobe.event] += lost

@@ -17,7 +17,7 @@ import numpy as np
 
 from mistray.scatter.lobe import Lobe, Scatter
 from mistray.scatter.radial import RadialTable
-from mistray.scatter.total import Totals, check_budget, lobe_total, model_lobes, specular_cosine
+from mistray.scatter.total import Totals, check_budget, model_lobes, specular_cosine, totals
 from mistray.trace.device_targets import DeviceTargets
 from mistray.trace.lobes import RadialSampler
 from mistray.trace.optics import OPAQUE, Optics
@@ -61,14 +61,9 @@ def side_of(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_ou
     rows = {}
     for event in EVENT_NAMES:
         cos_i = x if event == "reflection" else denser
-        row = np.zeros((ANGLES + 1, 4))
-        for lobe, table in zip(lobes, tables, strict=True):
-            if lobe.event == event:
-                total = lobe_total(lobe, cos_i, n_in, n_out, table)
-                row[:, 1:] += total[:, None] * np.array(lobe.shares)
-                depth = lobe.optical_depth
-                row[:, 0] += lobe.shares[1] * total if depth is None else depth * lobe.oblique(cos_i)
-        rows[event] = row
+        here = [k for k, lobe in enumerate(lobes) if lobe.event == event]
+        sums = totals([lobes[k] for k in here], cos_i, n_in, n_out, [tables[k] for k in here])
+        rows[event] = np.column_stack([sums.loss[event], *sums.terms[event]])
     return Side(lobes, tables, rows)
 
 
