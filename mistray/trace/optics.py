@@ -35,7 +35,8 @@ from mistray.trace.upload import upload
 # Kinds of surfaces, the lowest bits of their words
 FRESNEL, IDEAL, TABLED = 0, 1, 2
 OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC, WALL = (1 << bit for bit in range(2, 8))
-FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0xFFF
+FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0x7FF
+ONE_CHILD = 1 << 19  # of all children at random one is followed
 THIN = 1e-3  # optical depth below which a medium takes the same light everywhere
 NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
@@ -219,6 +220,8 @@ class Optics:
         Coefficient of absorption and scatter of each medium, 1/mm.
     albedo : mi.Float
         Share of the scatter in it.
+    one_child : bool
+        Whether a surface has one child instead of all.
     absorbs, scatters : bool
         Whether a medium takes light from the beam, and whether one scatters it.
     error : float
@@ -252,6 +255,7 @@ class Optics:
             kind = self._kind(bsdf, metal)
             self.kinds.add(kind)
             words[i] |= kind | (OPAQUE if opaque else 0) | (MIRROR if bsdf.mirror else 0)
+            words[i] |= ONE_CHILD if bsdf.one_child else 0
             # An opaque surface sends nothing on: no refraction, so one index will do
             self.host_indices[i, :2] = (1.0, 1.0) if opaque else (sides[0].real, sides[1].real)
             self.complex_indices.append(sides)
@@ -298,6 +302,7 @@ class Optics:
                 f"detector '{ids[detector]}' absorbs nothing (R + T = 1); give its interface R (and T = 0)"
             )
         self.host_words = words
+        self.one_child = bool(np.any(words & ONE_CHILD))
         self.words = mi.UInt32(words)
         self.indices = upload(mi.Float, self.host_indices)
         self.places = upload(mi.UInt32, self.host_places)

@@ -52,7 +52,7 @@ from mistray.trace.ledger import (
     extend_key,
 )
 from mistray.trace.next_hit import film_coordinates, next_hit
-from mistray.trace.optics import DETECTOR, NO_LOSS, OPAQUE
+from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
 from mistray.trace.scattering import ScatteredRay, Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
@@ -309,8 +309,19 @@ def walk(
             # A weak node scatters with a probability in proportion to the light that reaches it
             weak = dr.select(lot * own < w, own / w, 0)
             boost = dr.select(first, dr.select(w < own, weak, 1), boost)
+        if split and table.optics.one_child:
+            # Of transmission, reflection and scatter one takes the flux of all. A negative boost: the surface does not
+            # scatter, what its medium has scattered is sent on all the same
+            w_all = w_t + w_r + w_s
+            chosen = rng.next_float32() * w_all
+            only = first & ((it.word & ONE_CHILD) != 0)
+            to_t, to_r = chosen < w_t, (chosen >= w_t) & ((chosen < w_t + w_r) | (w_s == 0))
+            boost = dr.select(only, dr.select(to_t | to_r, -boost, boost * w_all / w_s), boost)
+            w_t = dr.select(only, dr.select(to_t, w_all, 0), w_t)
+            w_r = dr.select(only, dr.select(to_r, w_all, 0), w_r)
+            w_s = dr.select(only, dr.select(to_t | to_r, 0, w_all), w_s)
+        if scatters and split:
             add_reason(SAMPLING, w_s + w_b, first & (w_s + w_b > 0))
-        sends = boost > 0
         if split:
             if not roulette:
                 cut_t, cut_r = fresh & (w_t < threshold), fresh & (w_r < threshold)
@@ -325,8 +336,8 @@ def walk(
                 left_r = dr.select(again & (w_r > 0), dr.maximum(w_r, limit), left_r)
                 add_reason(ROULETTE, w_t + w_r - left_t - left_r, first & (dr.minimum(w_t, w_r) < limit))
                 w_t, w_r = left_t, left_r
-            scattered_rays = dr.select(sends & (w_s > 0), random_rays + aimed_rays, 0)
-            end = SCATTER + scattered_rays + dr.select(sends & (w_b > 0), mi.UInt32(1), 0)
+            scattered_rays = dr.select((boost > 0) & (w_s > 0), random_rays + aimed_rays, 0)
+            end = SCATTER + scattered_rays + dr.select((boost != 0) & (w_b > 0), mi.UInt32(1), 0)
             after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
             number = dr.select(first, dr.select(w_t > 0, mi.UInt32(TRANSMIT), after_t), state["child"])
             later = dr.select(number == TRANSMIT, after_t, dr.maximum(number + 1, SCATTER))
@@ -334,7 +345,7 @@ def walk(
             child = dr.select(number == TRANSMIT, w_t, dr.select(number == REFLECT, w_r, 0))
             scatter = visit & (number >= SCATTER) & (number < SCATTER + scattered_rays)
             cloud = visit & (number >= SCATTER) & (number == SCATTER + scattered_rays) & (number < end)
-            child = dr.select(cloud, w_b * boost, child)
+            child = dr.select(cloud, w_b * dr.abs(boost), child)
         else:
             both = w_t + w_r + w_s + w_b
             chosen = rng.next_float32() * both

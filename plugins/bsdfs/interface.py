@@ -22,7 +22,14 @@ from mistray.trace.settings import MOST_RAYS_PER_HIT
 
 STOCK_WAVELENGTH_NM = 550.0
 UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
-SIDES = ("front", "back", "mirror", "scatter_rays", "wavelength_nm")  # what an interface has beside its coating
+SIDES = (
+    "front",
+    "back",
+    "mirror",
+    "splitting",
+    "scatter_rays",
+    "wavelength_nm",
+)  # what an interface has beside its coating
 
 
 class Interface(mi.BSDF):
@@ -57,6 +64,8 @@ class Interface(mi.BSDF):
                                                ``tabulated``; see docs/scatter.md
     mirror            bool            false    the design path reflects here: such a reflection is not counted
                                                as a ghost bounce
+    splitting         string  split,  split    follow all children of a ray here, or one of them at random
+                              one              (one in, one out; unbiased), whatever the trace does elsewhere
     scatter_rays      1       0 … 255 0        random scattered rays at every hit of the ray tree; 0: the setting of
                                                the trace
     wavelength_nm     nm      > 0     550      wavelength for *stock* integrators only; the ray tree uses the
@@ -94,6 +103,10 @@ class Interface(mi.BSDF):
         self.wavelength_nm = float(props.get("wavelength_nm", STOCK_WAVELENGTH_NM))
         self.front, self.back = (self._resolved(str(props.get(side, "air"))) for side in ("front", "back"))
         self.mirror = bool(props.get("mirror", False))
+        splitting = str(props.get("splitting", "split"))
+        if splitting not in ("split", "one"):
+            raise MistrayError(f"{self.title}: splitting is '{splitting}'; use 'split' or 'one'")
+        self.one_child = splitting == "one"
         self.scatter_rays = int(props.get("scatter_rays", 0))
         if not 0 <= self.scatter_rays <= MOST_RAYS_PER_HIT:
             raise MistrayError(

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
-from oracles.small_scenes import scene_text, shape_xml
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import z_limit, z_score
 
 import mistray
@@ -152,3 +152,38 @@ def test_too_many_random_rays(load_scene) -> None:
     )
     with pytest.raises(MistrayError, match="scatter_rays is 300; give 1 to 255"):
         load_scene(text)
+
+
+@pytest.mark.parametrize("faces", [("front",), ("front", "rear")], ids=["one face", "both faces"])
+def test_one_in_one_out_at_some_surfaces(reference, load_scene, faces: tuple[str, ...]) -> None:
+    """Same flux of scattered and of all light with fewer segments; false alarm 1e-3 for all four comparisons."""
+    scene, (expected, expected_se) = reference
+    settings = {"rays": 200_000, "max_scatters": 2}
+    split = mistray.trace(scene, **settings)
+    text = window_text(ROUGH, SHARP)
+    for face, place in (("front", '<string name="front" value="air"/>'), ("rear", REAR)):
+        if face in faces:
+            assert place in text
+            text = text.replace(place, f'<string name="splitting" value="one"/>{place}', 1)
+    one = mistray.trace(load_scene(text), seed=7, **settings)
+    assert one.segments < split.segments
+    assert abs(one.energy.closure) < 1e-5
+    value, se = scattered(one)
+    assert abs(z_score(value, expected, np.hypot(se, expected_se))) < z_limit(4)
+    both = np.hypot(one.energy.detected_se_W, split.energy.detected_se_W)
+    assert abs(z_score(one.energy.detected_W, split.energy.detected_W, both)) < z_limit(4)
+
+
+def test_a_surface_of_fixed_shares_is_unbiased_one_in_one_out(load_scene) -> None:
+    """R = 0.2, T = 0.8 and no scatter: every ray has one segment behind the face, 80 % of them go on, ± 3.3 SE."""
+    shares = {"R": 0.2, "T": 0.8, "splitting": "one"}
+    scene = load_scene(
+        scene_text(
+            shape_xml("asphere", "front", 0.0, interface_xml("air", "air", **shares), semi_diameter=50.0),
+            shape_xml("asphere", "detector", 60.0, sensor=True, half_width=10.0, half_height=10.0),
+        )
+    )
+    trace = mistray.trace(scene, rays=100_000)
+    assert trace.segments == 200_000
+    share = trace.energy.detected_W / trace.energy.launched_W
+    assert abs(z_score(share, 0.8, np.sqrt(0.16 / 100_000))) < z_limit()
