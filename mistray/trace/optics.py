@@ -166,6 +166,21 @@ def angle_table(
     return AngleTable(first, second, first_error, second_error)
 
 
+def unpolarized_shares(
+    coating: Any,
+    wavelength_nm: float,
+    sides: tuple[complex, complex],
+    opaque: bool,
+    from_front: bool,
+    cosines: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """R and T of a coating between two materials at cosines of incidence, (m,) each: the means of s and p."""
+    if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing comes out of a metal
+        return np.zeros_like(cosines), np.zeros_like(cosines)
+    answer = coating.response(wavelength_nm, *sides, cosines, from_front)
+    return answer.R.mean(axis=1), 0 * cosines if opaque else answer.T.mean(axis=1)
+
+
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
     """Values at so many uniform nodes that linear interpolation is good enough, and the bound of its error."""
     intervals = FIRST_INTERVALS
@@ -368,12 +383,9 @@ class Optics:
 
     def shares(self, surface: int, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """R and T of a surface in unpolarised light at cosines of incidence, (m,) each, exact."""
-        front, back = self.complex_indices[surface]
         opaque = bool(self.host_words[surface] & OPAQUE)
-        if opaque and (front if from_front else back).imag > METAL_K:  # nothing comes out of a metal
-            return np.zeros_like(cosines), np.zeros_like(cosines)
-        answer = self.bsdfs[surface].coating.response(self.wavelength_nm, front, back, cosines, from_front)
-        return answer.R.mean(axis=1), 0 * cosines if opaque else answer.T.mean(axis=1)
+        coating, sides = self.bsdfs[surface].coating, self.complex_indices[surface]
+        return unpolarized_shares(coating, self.wavelength_nm, sides, opaque, from_front, cosines)
 
     def _rows(self, part: np.ndarray) -> np.ndarray:
         """(nodes, row_floats) as the kernel reads them."""

@@ -17,7 +17,14 @@ from mistray.materials import complex_index, refractive_index, resolved
 from mistray.physics.fresnel import reflectance
 from mistray.plugins.bsdfs.lobe_sum import LobeSum
 from mistray.scatter import Scatter
-from mistray.trace.optics import REFLECTION_BACK, REFLECTION_FRONT, TRANSMISSION, angle_table, total_variable
+from mistray.trace.optics import (
+    REFLECTION_BACK,
+    REFLECTION_FRONT,
+    TRANSMISSION,
+    angle_table,
+    total_variable,
+    unpolarized_shares,
+)
 from mistray.trace.settings import MOST_RAYS_PER_HIT
 
 STOCK_WAVELENGTH_NM = 550.0
@@ -335,10 +342,7 @@ class Interface(mi.BSDF):
     def _stock_shares(self, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """R and T for stock integrators at cosines of incidence, (m,) each."""
         stock = self._stock_table()
-        if stock["opaque"] and stock["n"][0 if from_front else 1].imag > METAL_K:  # nothing comes out of a metal
-            return np.zeros_like(cosines), np.zeros_like(cosines)
-        answer = self.coating.response(self.wavelength_nm, *stock["n"], cosines, from_front)
-        return answer.R.mean(axis=1), 0 * cosines if stock["opaque"] else answer.T.mean(axis=1)
+        return unpolarized_shares(self.coating, self.wavelength_nm, stock["n"], stock["opaque"], from_front, cosines)
 
     def _beams(
         self, ctx: mi.BSDFContext, cos_wi: mi.Float, r: mi.Float, t: mi.Float, cos_t: mi.Float, active: mi.Mask

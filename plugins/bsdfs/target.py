@@ -6,6 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.errors import MistrayError
+from mistray.trace.settings import MOST_RAYS_PER_HIT
 
 
 class TargetMark(mi.BSDF):
@@ -64,8 +65,8 @@ class TargetMark(mi.BSDF):
         self.reverse = bool(props.get("reverse", False))
         if not self.surfaces:
             raise MistrayError(f"{title}: surfaces is empty; name those that aim here, '*' for all")
-        if not 1 <= self.rays <= 255 or self.rays != int(self.rays):
-            raise MistrayError(f"{title}: rays is {self.rays:g}; give a whole number from 1 to 255")
+        if not 1 <= self.rays <= MOST_RAYS_PER_HIT or self.rays != int(self.rays):
+            raise MistrayError(f"{title}: rays is {self.rays:g}; give a whole number from 1 to {MOST_RAYS_PER_HIT}")
         self.rays = int(self.rays)
         if not 0 < self.scale < float("inf"):
             raise MistrayError(f"{title}: scale is {self.scale:g}; it must be positive and finite")
