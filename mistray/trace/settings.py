@@ -87,8 +87,10 @@ class Settings:
         if not 1 <= self.rays < 2**32:
             fail("rays", "give 1 to 4.29e9 start rays; use several seeds for more")
         for key in limits:
-            if not 0 <= getattr(self, key) <= NO_LIMIT:
-                fail(key, f"it must lie between 0 and {NO_LIMIT}")
+            if getattr(self, key) < 0:
+                fail(key, "it must not be negative")
+            if getattr(self, key) > NO_LIMIT:
+                fail(key, f"{NO_LIMIT} is as good as no limit; give that")
         for key, least in (("scatter_rays", 1), ("aimed_rays", 0)):
             if not least <= getattr(self, key) <= MOST_RAYS_PER_HIT:
                 fail(key, f"it must lie between {least} and {MOST_RAYS_PER_HIT}")
