@@ -7,6 +7,8 @@ A sample is a call of the plugin's own `sample` for one ray: a direction, its de
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 import drjit as dr
 import mitsuba as mi
@@ -14,6 +16,9 @@ import numpy as np
 from rows import Row, alternate
 
 import mistray
+from mistray.scatter.abg import ABg
+from mistray.scatter.scan import table
+from mistray.scatter.zemax_bsdf import write_zemax_bsdf
 from mistray.trace.books import SEGMENTS
 from mistray.trace.settings import Settings
 from mistray.trace.tracer import prepare
@@ -78,10 +83,16 @@ def sampler(properties: dict[str, object]) -> Callable[[], None]:
 def scatter_samples() -> list[Row]:
     """Every model against the bar; two models share a line of time so that each is measured in turn with another."""
     mistray.ensure_variant()
-    rows, names = [], list(MODELS)
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "measured.bsdf"
+        write_zemax_bsdf(table(ABg(2.5e-3, 1e-3, 1.8), [0, 15, 30, 45, 60, 75], "specular"), path)
+        samplers = {name: sampler(properties) for name, properties in MODELS.items()}
+        samplers["tabulated"] = sampler({"type": "tabulated", "file": str(path)})
+    rows, names = [], list(samplers)
     for k in range(0, len(names), 2):
-        pair = names[k : k + 2]
-        for name, seconds in zip(pair, alternate(*(sampler(MODELS[name]) for name in pair)), strict=True):
+        pair = names[k], names[(k + 1) % len(names)]  # the last of an odd number has the first beside it again
+        times = alternate(*(samplers[name] for name in pair))
+        for name, seconds in zip(names[k : k + 2], times, strict=False):
             rate = SAMPLES / seconds
             rows.append(
                 Row(
