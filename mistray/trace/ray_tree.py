@@ -198,7 +198,7 @@ def walk(
         "scatters": full(0),  # scatter events before it, see COUNT_MASK
         "aimed_from": full(NO_SURFACE),  # surface that sent the ray to a target, unless it was reflected since
         "birth": dr.full(mi.Float, 1, n),  # weight with which the ray started, at the source or scattered last
-        "boost": dr.full(mi.Float, 1, n),  # what its scattered rays are multiplied with; 0 if it sends none
+        "boost": dr.full(mi.Float, 1, n),  # factor of its scattered rays; 0: none, negative: see ONE_CHILD
         "length": dr.zeros(mi.Float, n if bulk else 1),  # of the segment that led to it, mm
         "clouded": dr.zeros(mi.Float, n if bulk else 1),  # flux that its medium scattered on the way
         "rng": rng,
