@@ -10,7 +10,7 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.prescription.coating import check_name
-from mistray.scatter.k_correlation import KCorrelation
+from mistray.scatter.k_correlation import KCorrelation, substrate_index
 from mistray.scatter.kinds import KINDS
 from mistray.scatter.paint import Paint
 
@@ -22,7 +22,7 @@ def _paint(preset: str | None = None, **properties: Any) -> Paint:
 
 
 def _k_correlation(substrate: str | None = None, **properties: Any) -> KCorrelation:
-    index = None if substrate is None else complex(substrate.replace("i", "j"))
+    index = None if substrate is None else substrate_index(substrate, "scatter 'k_correlation'")
     return KCorrelation(**properties, substrate=index)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.physics import harvey_shack
@@ -11,9 +12,9 @@ from mistray.scatter.lobe import Lobe, Placement
 from mistray.scatter.numbers import need_not_negative, need_positive
 
 
-def index_step(event: str, n_in: float, n_out: float) -> float:
+def index_step(event: str, n_in: Any, n_out: Any) -> Any:
     """
-    Path difference per height of a rough surface at normal incidence, Δn ≥ 0.
+    Path difference per height of a rough surface at normal incidence, Δn ≥ 0, for numbers or arrays.
 
     2 n_in in reflection, |n_in - n_out| in transmission; n_in is the index on the side of incidence.
     """

@@ -27,6 +27,14 @@ REFLECTED = (65, 65, 33)
 RADIAL, R_MIN = (49, 121, 49), 1e-3
 
 
+def substrate_index(text: str, title: str) -> complex:
+    """N + ik of a substrate from its text, ``0.96+6.69i``; the error message starts with `title`."""
+    try:
+        return complex(text.replace(" ", "").replace("i", "j"))
+    except ValueError:
+        raise MistrayError(f"{title}: substrate is '{text}'; write n+ik as 0.96+6.69i") from None
+
+
 @dataclass(frozen=True, eq=False)
 class Directions:
     """

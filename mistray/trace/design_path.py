@@ -9,7 +9,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.trace.host_points import outline
-from mistray.trace.host_rays import crossings, first_hit, inside, normals, onward
+from mistray.trace.host_rays import crossings, first_hit, inside, normals, onward, specular
 from mistray.trace.sources import Beam, beams
 from mistray.trace.surfaces import SurfaceTable
 
@@ -122,15 +122,10 @@ class DesignPath:
 
     def leave(self, step: Step, d: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """Directions after a step; NaN beyond the critical angle."""
-        along = np.where((np.einsum("ij,ij->i", d, normal) > 0)[:, None], normal, -normal)
-        cosine = np.einsum("ij,ij->i", d, along)
-        if step.reflects:
-            return np.asarray(d - 2 * cosine[:, None] * along)
         n_front, n_back = self.table.optics.host_indices[step.surface, :2]
         eta = n_front / n_back if step.from_front else n_back / n_front
-        with np.errstate(invalid="ignore"):
-            root = np.sqrt(1 - eta**2 * (1 - cosine**2))
-        return np.asarray(eta * d + (root - eta * cosine)[:, None] * along)
+        reflected, transmitted, total = specular(d, normal, eta)
+        return reflected if step.reflects else np.where(total[:, None], np.nan, transmitted)
 
 
 def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:

@@ -46,12 +46,12 @@ def surface_points(
         z = (r - r0) / slope if slope else low + u * (high - low)
     elif piece.outer:
         r = np.sqrt(piece.inner**2 + u * (piece.outer**2 - piece.inner**2))
-        z = np.asarray(sag(r * r, *_conic(piece.quadric), piece.coefficients)) + np.zeros(count)
+        z = np.asarray(sag(r * r, *piece.conic, piece.coefficients)) + np.zeros(count)
     if piece.kind == "cone" or piece.outer:
         x, y = r * np.cos(2 * np.pi * v), r * np.sin(2 * np.pi * v)
     else:
         x, y = piece.half_size[0] * (2 * u - 1), piece.half_size[1] * (2 * v - 1)
-        z = np.asarray(sag(x * x + y * y, *_conic(piece.quadric), piece.coefficients)) + np.zeros(count)
+        z = np.asarray(sag(x * x + y * y, *piece.conic, piece.coefficients)) + np.zeros(count)
     p = table.vertices[surface] + np.stack([x, y, z], axis=1) @ table.rotations[surface].T
     return p, normals(table, surface, p)
 
@@ -83,9 +83,3 @@ def outline(shape: Any) -> Target:
     low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
     u, v = 0.5 * np.linalg.norm(high - low) * across(np.eye(3)[np.argmin(high - low)]).T
     return Target("ellipse", 0.5 * (low + high), u, v)
-
-
-def _conic(quadric: np.ndarray) -> tuple[float, float]:
-    """Curvature and conic constant."""
-    a, b = quadric[:2]
-    return float(a), float(b / a - 1) if a else 0.0

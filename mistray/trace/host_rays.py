@@ -8,7 +8,7 @@ import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.optics import IDEAL, MIRROR, OPAQUE
-from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, SurfaceTable
+from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, Piece, SurfaceTable
 
 NEWTON_STEPS = 8
 SETTLED = 1e-10  # last step of Newton's method, relative, below which it has found a hit
@@ -48,17 +48,15 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
         if piece.coefficients:
             flat = -o[:, 2] / d[:, 2]
             t[:, 0] = np.where(np.isfinite(t[:, 0]), t[:, 0], flat)
-            t = _onto_polynomial(piece.quadric, piece.coefficients, o, d, t)
+            t = _onto_polynomial(piece, o, d, t)
         elif piece.kind == "conic":  # a quadric has a second sheet
             t = np.where(1 - b * (o[:, 2:] + t * d[:, 2:]) > 0, t, np.nan)
     return np.where(np.isfinite(t), t, np.nan)
 
 
-def _onto_polynomial(
-    quadric: np.ndarray, coefficients: tuple[float, ...], o: np.ndarray, d: np.ndarray, t: np.ndarray
-) -> np.ndarray:
+def _onto_polynomial(piece: Piece, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Newton's method from crossings of the conic to crossings of the asphere; NaN where it does not settle."""
-    c, k = quadric[0], quadric[1] / quadric[0] - 1 if quadric[0] else 0.0
+    (c, k), coefficients = piece.conic, piece.coefficients
     for _ in range(NEWTON_STEPS):
         p = o[:, None, :] + t[:, :, None] * d[:, None, :]
         r2 = p[:, :, 0] ** 2 + p[:, :, 1] ** 2
@@ -92,8 +90,7 @@ def normals(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
     a, b, e, _ = piece.quadric
     gradient = np.stack([a * q[:, 0], a * q[:, 1], b * q[:, 2] + 0.5 * e], axis=1)
     if piece.coefficients:
-        c, k = a, b / a - 1 if a else 0.0
-        slope = sag_derivative(q[:, 0] ** 2 + q[:, 1] ** 2, c, k, piece.coefficients)
+        slope = sag_derivative(q[:, 0] ** 2 + q[:, 1] ** 2, *piece.conic, piece.coefficients)
         gradient = np.stack([2 * slope * q[:, 0], 2 * slope * q[:, 1], -np.ones(len(q))], axis=1)
     normal = piece.sign * gradient @ table.rotations[surface].T
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
@@ -161,6 +158,32 @@ def _stock_hit(
     return t, np.where(found, np.array(number, dtype=np.int64), NO_SURFACE), normal
 
 
+def specular(d: np.ndarray, normal: np.ndarray, eta: np.ndarray | float) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Reflection and refraction.
+
+    Parameters
+    ----------
+    d, normal : (n, 3) float64
+        Directions of incidence, and unit normals to either side.
+    eta : (n,) or float
+        Index on the side of incidence over that on the other.
+
+    Returns
+    -------
+    reflected, transmitted : (n, 3) float64
+        Directions; beyond the critical angle `transmitted` grazes the surface.
+    total : (n,) bool
+        Whether the light is beyond the critical angle.
+    """
+    along = np.where((np.einsum("ij,ij->i", d, normal) > 0)[:, None], normal, -normal)
+    cosine = np.einsum("ij,ij->i", d, along)
+    eta = np.broadcast_to(eta, cosine.shape)
+    square = 1 - eta**2 * (1 - cosine**2)
+    through = eta[:, None] * d + (np.sqrt(np.maximum(square, 0)) - eta * cosine)[:, None] * along
+    return d - 2 * cosine[:, None] * along, through, square < 0
+
+
 def onward(
     table: SurfaceTable, surface: np.ndarray, d: np.ndarray, normal: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
@@ -184,15 +207,10 @@ def onward(
     opaque = (words & OPAQUE) != 0
     # An opaque surface that reflects most of the light is a mirror whether it says so or not
     reflects = ((words & MIRROR) != 0) | (opaque & ((words & 3) == IDEAL) & (optics[:, 2] > 0.5))
-    cosine = np.einsum("ij,ij->i", d, normal)
-    from_front = cosine > 0
+    from_front = np.einsum("ij,ij->i", d, normal) > 0
     eta = np.where(from_front, optics[:, 0] / optics[:, 1], optics[:, 1] / optics[:, 0])
-    along = np.where(from_front[:, None], normal, -normal)
-    cosine = np.abs(cosine)
-    square = 1 - eta**2 * (1 - cosine**2)
-    reflects = reflects | ((square < 0) & ~opaque)
-    through = eta[:, None] * d + (np.sqrt(np.maximum(square, 0)) - eta * cosine)[:, None] * along
-    back = d - 2 * cosine[:, None] * along
+    back, through, total = specular(d, normal, eta)
+    reflects = reflects | (total & ~opaque)
     after = np.where(reflects[:, None], back, through)
     after[opaque & ~reflects] = np.nan
     return after / np.linalg.norm(after, axis=1, keepdims=True), reflects

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -74,3 +75,38 @@ class RadialSampler:
         """log2 f at a node and at the next."""
         at = table * STRIDE + node
         return dr.gather(mi.Float, self._logs, at, active), dr.gather(mi.Float, self._logs, at + 1, active)
+
+
+def trilinear(
+    values: mi.Float, first: Any, sizes: Sequence[Any], places: Sequence[mi.Float], active: mi.Bool
+) -> mi.Float:
+    """
+    Interpolate in a table of three axes.
+
+    Parameters
+    ----------
+    values : mi.Float
+        Tables, one after the other, the last axis running fastest.
+    first : mi.UInt32 or int
+        Where the table begins.
+    sizes : sequence of mi.UInt32 or int
+        Nodes of each axis, at least 2.
+    places : sequence of mi.Float
+        Along each axis, 0 … 1.
+    active : mi.Bool
+    """
+    low, fraction = [], []
+    for place, size in zip(places, sizes, strict=True):
+        place = place * mi.Float(size - 1)
+        node = dr.minimum(mi.UInt32(place), size - 2)
+        low.append(node)
+        fraction.append(place - mi.Float(node))
+    result = mi.Float(0)
+    for corner in range(8):
+        weight, index = mi.Float(1), mi.UInt32(0)
+        for axis in range(3):
+            step = corner >> axis & 1
+            weight = weight * (fraction[axis] if step else 1 - fraction[axis])
+            index = index * sizes[axis] + low[axis] + step
+        result += weight * dr.gather(mi.Float, values, first + index, active)
+    return result

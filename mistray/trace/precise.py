@@ -10,6 +10,7 @@ from __future__ import annotations
 import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
+from mistray.trace.host_rays import specular
 from mistray.trace.ledger import ABSORBED, AIMED_TRANSMITTED, EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.trace.optics import OPAQUE
 from mistray.trace.path_events import EVENT_MASK, FIRST_SCATTERED
@@ -69,15 +70,11 @@ def retrace(
         medium = n_t if what in (TRANSMITTED, RANDOM_TRANSMITTED, AIMED_TRANSMITTED) else indices[-1]
         if what == ABSORBED:
             break
-        along = normal if side else -normal
-        cosine = float(np.dot(d, along))
         if what >= FIRST_SCATTERED:
             d = hits[k + 1] - p
-        elif what == TRANSMITTED:
-            eta = n_i / n_t
-            d = eta * d + (np.sqrt(max(1 - eta * eta * (1 - cosine * cosine), 0.0)) - eta * cosine) * along
         else:
-            d = d - 2 * cosine * along
+            reflected, transmitted, _ = specular(d[None], normal[None], n_i / n_t)
+            (d,) = transmitted if what == TRANSMITTED else reflected
         d = d / np.linalg.norm(d)
     directions.append(np.zeros(3))
     opl = np.concatenate([[0.0], np.cumsum(np.array(steps) * np.array(indices))])
@@ -98,9 +95,8 @@ def _hit(
         q = o + t * dl
         r2 = q[0] ** 2 + q[1] ** 2
         if piece.coefficients:
-            c, k = piece.quadric[0], piece.quadric[1] / piece.quadric[0] - 1 if piece.quadric[0] else 0.0
-            value = 2 * (sag(r2, c, k, piece.coefficients) - q[2])
-            slope = sag_derivative(r2, c, k, piece.coefficients)
+            value = 2 * (sag(r2, *piece.conic, piece.coefficients) - q[2])
+            slope = sag_derivative(r2, *piece.conic, piece.coefficients)
             gradient = np.array([2 * slope * q[0], 2 * slope * q[1], -1.0])
         else:
             a, b, e, g = piece.quadric

@@ -192,7 +192,7 @@ def walk(
         "depth": full(0),  # events before it
         "reflections": full(0),  # counted reflections before it
         "key": dr.full(mi.UInt64, FIRST_KEY, n),  # of the events before it
-        "pending": dr.zeros(mi.UInt64, n),  # bit k: the reflected child of the node at depth k is still to come
+        "pending": dr.zeros(mi.UInt64, n),  # bit k: a child of the node at depth k is still to come
         "segments": full(1),
         "total": dr.zeros(mi.Float64, n if adjoint is not None else 1),  # derivative × flux of the hits so far
         "scatters": full(0),  # scatter events before it, see COUNT_MASK
@@ -227,7 +227,7 @@ def walk(
         loss = 1 - R - T if given is None else 1 - R - T - given.scattered
         absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
         if tallies is not None:
-            tallies.add_hit(hits, s, w, absorbed, first)
+            tallies.add_hit(hits, s, w, dr.maximum(absorbed, 0), first)
 
         detected = first & ((it.word & DETECTOR) != 0) & (absorbed > 0)
         x, y = film_coordinates(table, it)

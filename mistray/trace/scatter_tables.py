@@ -24,8 +24,7 @@ from mistray.trace.optics import OPAQUE, Optics
 from mistray.trace.targets import AimSet
 from mistray.trace.upload import upload
 
-TRANSMISSION_CASE, REFLECTION_CASE = 0, 1
-EVENT_NAMES = ("transmission", "reflection")
+EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
 CASES = 4  # of a surface
 ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
 # Flags of a lobe; the number of its radial table stands above them

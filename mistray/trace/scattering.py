@@ -15,6 +15,7 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import mitsuba as mi
 
+from mistray.trace.lobes import trilinear
 from mistray.trace.scatter_tables import (
     ANGLES,
     BY_ANGLE,
@@ -24,10 +25,8 @@ from mistray.trace.scatter_tables import (
     RANDOM_RAYS_SHIFT,
     RATIO,
     RAYLEIGH_RICE,
-    REFLECTION_CASE,
     RETRO,
     TABLE_SHIFT,
-    TRANSMISSION_CASE,
     ScatterTables,
 )
 
@@ -65,8 +64,8 @@ class Given:
     transmission, reflection : Shares
     scattered : mi.Float
         Both together.
-    case_t, case_r : mi.UInt32
-        Their cases.
+    first_case : mi.UInt32
+        That of transmission; reflection is the next.
     aimed_t, aimed_r : mi.UInt32
         Aimed rays of either.
     random_rays : mi.UInt32
@@ -76,8 +75,7 @@ class Given:
     transmission: Shares
     reflection: Shares
     scattered: mi.Float
-    case_t: mi.UInt32
-    case_r: mi.UInt32
+    first_case: mi.UInt32
     aimed_t: mi.UInt32
     aimed_r: mi.UInt32
     random_rays: mi.UInt32
@@ -147,11 +145,10 @@ class Scattering:
         plan = dr.gather(mi.Vector4u, self._tables.sides, side, active)
         transmission = self._shares(plan.x, dr.minimum(it.cos_i, it.cos_t), it.T, active)
         reflection = self._shares(plan.y, it.cos_i, it.R, active)
-        case_t, case_r = 2 * side + TRANSMISSION_CASE, 2 * side + REFLECTION_CASE
         aimed_t = dr.select(transmission.scattered > 0, plan.z & ((1 << RANDOM_RAYS_SHIFT) - 1), 0)
         aimed_r = dr.select(reflection.scattered > 0, plan.w, 0)
         scattered = transmission.scattered + reflection.scattered
-        return Given(transmission, reflection, scattered, case_t, case_r, aimed_t, aimed_r, plan.z >> RANDOM_RAYS_SHIFT)
+        return Given(transmission, reflection, scattered, 2 * side, aimed_t, aimed_r, plan.z >> RANDOM_RAYS_SHIFT)
 
     def _shares(self, first: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool) -> Shares:
         """Totals of a case, whose table starts at a row, at a cosine; the coating's R or T is x."""
@@ -223,7 +220,7 @@ class Scattering:
         self, given: Given, ray: ScatteredRay, it: Interaction, d: mi.Vector3f, otherwise: mi.Vector3f, rng: mi.PCG32
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float]:
         """Direction, weight and slope of `scatter`."""
-        case = dr.select(ray.reflect, given.case_r, given.case_t)
+        case = given.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
         x = dr.select(ray.reflect, it.R, it.T)
         outward = dr.select(ray.reflect, -it.axis, it.axis)
         specular = dr.select(ray.reflect, it.reflected, it.transmitted)
@@ -368,7 +365,9 @@ class Scattering:
     ) -> mi.Float:
         """The ratio table of a lobe, trilinear."""
         active = active & ((words.x & RATIO) != 0)
-        sizes = [mi.UInt32(dr.gather(mi.Float, self._tables.ratios, words.y + k, active)) for k in range(3)]
+        sizes = [
+            dr.maximum(mi.UInt32(dr.gather(mi.Float, self._tables.ratios, words.y + k, active)), 2) for k in range(3)
+        ]
         tangent = specular - cos_specular * outward
         second = dr.clip(1 - (1 - 0.5 * dr.log2(dr.maximum(r2, 1e-30))) / (1 - lobe["log2_r_min"]), 0, 1)
         if self._tables.flags & BY_COSINES:
@@ -377,18 +376,5 @@ class Scattering:
             second = dr.select(by_cosines, dr.clip(cos_s, 0, 1), second)
         lengths = dr.squared_norm(across) * dr.squared_norm(tangent)
         angle = dr.acos(dr.clip(dr.dot(across, tangent) * dr.rsqrt(dr.maximum(lengths, 1e-30)), -1, 1))
-        low, fraction = [], []
-        for place, size in zip((dr.clip(cos_specular, 0, 1), second, angle / dr.pi), sizes, strict=True):
-            place = place * mi.Float(dr.maximum(size, 2) - 1)
-            node = dr.minimum(mi.UInt32(place), dr.maximum(size, 2) - 2)
-            low.append(node)
-            fraction.append(place - mi.Float(node))
-        result = mi.Float(0)
-        for corner in range(8):
-            weight, index = mi.Float(1), mi.UInt32(0)
-            for axis in range(3):
-                step = corner >> axis & 1
-                weight *= fraction[axis] if step else 1 - fraction[axis]
-                index = index * sizes[axis] + low[axis] + step
-            result += weight * dr.gather(mi.Float, self._tables.ratios, words.y + 3 + index, active)
-        return result
+        places = (dr.clip(cos_specular, 0, 1), second, angle / dr.pi)
+        return trilinear(self._tables.ratios, words.y + 3, sizes, places, active)

@@ -86,6 +86,12 @@ class Piece:
     wall: bool
     departure: float = 0.0
 
+    @property
+    def conic(self) -> tuple[float, float]:
+        """Curvature (1/mm) and conic constant of an asphere; zeros of a plane."""
+        a, b = (float(v) for v in self.quadric[:2])
+        return a, b / a - 1 if a else 0.0
+
 
 class SurfaceTable:
     """
@@ -201,8 +207,7 @@ class SurfaceTable:
         for p in self.pieces:
             quadric[p.index], vertex[p.index, 3] = p.quadric, p.sign
             if p.coefficients:
-                curvature, conic = p.quadric[0], p.quadric[1] / p.quadric[0] - 1 if p.quadric[0] else 0.0
-                polynomial[p.index, : 2 + len(p.coefficients)] = [curvature, conic, *p.coefficients]
+                polynomial[p.index, : 2 + len(p.coefficients)] = [*p.conic, *p.coefficients]
                 polynomial[p.index, 11:] = [p.inner**2, *p.z_range, p.outer or -1.0, p.slope]
         half_size = np.zeros((self.count, 2))
         for p in self.pieces:

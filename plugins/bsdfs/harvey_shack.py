@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import drjit as dr
 import mitsuba as mi
 
 from mistray.errors import MistrayError
@@ -11,6 +10,7 @@ from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
 from mistray.scatter.harvey_shack import HarveyShack as Model
+from mistray.scatter.harvey_shack import index_step
 
 
 class HarveyShack(Scatterer):
@@ -79,7 +79,7 @@ class HarveyShack(Scatterer):
         if "b0" in self.values:
             b0 = self.values["b0"]
         else:
-            step = 2 * pair.n_in if lobe.event == "reflection" else dr.abs(pair.n_in - pair.n_out)
+            step = index_step(lobe.event, pair.n_in, pair.n_out)
             share = harvey_shack.tis_from_rms(self.values["rms_nm"] * 1e-3, reference_nm * 1e-3, step)
             b0 = harvey_shack.b0_from_tis(share, knee, s)
         b0, knee = harvey_shack.at_wavelength(b0, knee, wavelength_nm / reference_nm)

@@ -5,13 +5,14 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from mistray.errors import MistrayError
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import k_correlation, rayleigh_rice
 from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
+from mistray.scatter.harvey_shack import index_step
 from mistray.scatter.k_correlation import KCorrelation as Model
+from mistray.scatter.k_correlation import substrate_index
 
 
 class KCorrelation(Scatterer):
@@ -74,13 +75,7 @@ class KCorrelation(Scatterer):
         self._take(props, "rms_nm", "B_um", "slope")
         self._band_limited, self._theory = bool(props.get("band_limited", False)), str(props.get("theory", "ghs"))
         self._reference_nm = self._optional(props, "reference_nm")
-        self._substrate = self._complex(str(props.get("substrate"))) if "substrate" in props else None
-
-    def _complex(self, text: str) -> complex:
-        try:
-            return complex(text.replace(" ", "").replace("i", "j"))
-        except ValueError:
-            raise MistrayError(f"{self.title}: substrate is '{text}'; write n+ik as 0.96+6.69i") from None
+        self._substrate = substrate_index(str(props.get("substrate")), self.title) if "substrate" in props else None
 
     def _model_of(self, **values: float) -> Model:
         return Model(
@@ -93,12 +88,8 @@ class KCorrelation(Scatterer):
             **self._placement,
         )
 
-    def _step(self, lobe: Lobe, pair: Pair) -> mi.Float:
-        """Path difference per height of the surface at normal incidence."""
-        return 2 * pair.n_in if lobe.event == "reflection" else dr.abs(pair.n_in - pair.n_out)
-
     def _path(self, lobe: Lobe, pair: Pair) -> mi.Float:
-        """The same for the two directions."""
+        """Path difference per height of the surface for the two directions."""
         if lobe.event == "reflection":
             return ghs.path_in_reflection(pair.cos_i, pair.cos_s, pair.n_in)
         return ghs.path_in_transmission(pair.cos_i, pair.cos_s, pair.n_in, pair.n_out)
@@ -114,7 +105,7 @@ class KCorrelation(Scatterer):
         return ghs.exponential(path, n * r / wavelength_um, rms_um, length, wavelength_um, n, max_variance=most)
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
-        step = self._step(lobe, pair)
+        step = index_step(lobe.event, pair.n_in, pair.n_out)
         if self._theory == "ghs_full":
             return self._full(step, lobe, r, pair, wavelength_nm)
         rms_um, length_um, slope = self.values["rms_nm"] * 1e-3, self.values["B_um"], self.values["slope"]
@@ -131,7 +122,7 @@ class KCorrelation(Scatterer):
         return ghs.smooth(step, psd, wavelength_um, n)
 
     def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
-        step, path = self._step(lobe, pair), self._path(lobe, pair)
+        step, path = index_step(lobe.event, pair.n_in, pair.n_out), self._path(lobe, pair)
         if self._theory == "ghs_full":
             whole = self._full(step, lobe, r, pair, wavelength_nm)
             return self._full(path, lobe, r, pair, wavelength_nm) / whole

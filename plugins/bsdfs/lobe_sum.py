@@ -21,7 +21,7 @@ from mistray.plugins.bsdfs.lobe_pair import Pair, Slot, cosine, factor
 from mistray.scatter import Lobe
 from mistray.scatter.lobe import EVENTS
 from mistray.scatter.radial import RadialTable
-from mistray.trace.lobes import RadialSampler
+from mistray.trace.lobes import RadialSampler, trilinear
 from mistray.trace.scatter_tables import ANGLES, Side, check_side, side_of
 from mistray.trace.upload import upload
 
@@ -92,7 +92,8 @@ class LobeSum:
 
     def _side(self, model: Any, from_front: bool) -> Side:
         """The same with what they take from the specular beams, which takes time to compute."""
-        return side_of((model,), *self._arguments(from_front))
+        side = side_of((model,), *self._arguments(from_front))
+        return side.without_transmission() if self.opaque else side
 
     def _pair_sides(self, tables: list[RadialTable]) -> list[Slot]:
         """The lobes of both sides, paired where they are alike, and their tables."""
@@ -121,8 +122,6 @@ class LobeSum:
         for from_front in (True, False):
             sides = [self._side(model, from_front) for model in self.models]
             rows = {event: sum(side.rows[event] for side in sides) for event in EVENTS}
-            if self.opaque:
-                rows["transmission"] = 0 * rows["transmission"]
             where = f"{self.title}, light from the {'front' if from_front else 'back'}"
             n_in, n_out = self.n if from_front else self.n[::-1]
             check_side(where, Side((), (), rows), n_in, n_out, partial(self._response, from_front))
@@ -258,8 +257,6 @@ class LobeSum:
         return dr.select(pair.from_back, back, front)
 
     def _trilinear(self, ratio: Any, lobe: Lobe, pair: Pair, active: mi.Bool) -> mi.Float:
-        a, b, c = ratio.values.shape
-        table = self._ratios[id(ratio)]
         specular = pair.centre(Lobe(lobe.event, lobe.profile))
         if ratio.axes == "radial":
             side = (pair.s - pair.centre(lobe)).xy
@@ -268,22 +265,8 @@ class LobeSum:
             side, second = pair.s.xy, pair.cos_s
         long = dr.norm(specular.xy) * dr.norm(side)
         cosine = dr.select(long > 0, dr.dot(side, specular.xy) / dr.select(long > 0, long, 1), 1)
-        places = (
-            dr.clip(dr.abs(specular.z), 0, 1) * (a - 1),
-            dr.clip(second, 0, 1) * (b - 1),
-            dr.safe_acos(cosine) * ((c - 1) / np.pi),
-        )
-        low = [dr.minimum(mi.UInt32(place), n - 2) for place, n in zip(places, (a, b, c), strict=True)]
-        fraction = [place - mi.Float(node) for place, node in zip(places, low, strict=True)]
-        total = mi.Float(0)
-        for corner in range(8):
-            steps = [corner >> axis & 1 for axis in range(3)]
-            weight = mi.Float(1)
-            for step, t in zip(steps, fraction, strict=True):
-                weight = weight * (t if step else 1 - t)
-            node = [n + step for n, step in zip(low, steps, strict=True)]
-            total += weight * dr.gather(mi.Float, table, (node[0] * b + node[1]) * c + node[2], active)
-        return total
+        places = dr.clip(dr.abs(specular.z), 0, 1), dr.clip(second, 0, 1), dr.safe_acos(cosine) / np.pi
+        return trilinear(self._ratios[id(ratio)], 0, ratio.values.shape, places, active)
 
     # -- choosing directions -------------------------------------------------------------------------------------
 
