@@ -42,6 +42,10 @@ def lens() -> Prescription:
         (("abg", {"A": 1.0, "B": 0.0, "g": 2.0}), "ABg: B is 0"),
         (("abg", {"A": [1.0], "B": 1.0, "g": 2.0}), r"scatter 'abg': A = \[1.0\]; give a number, a text or a boolean"),
         (("paint", {"preset": "flat_blak"}), "did you mean 'flat_black'?"),
+        (
+            ("k_correlation", {"rms_nm": 2.0, "B_um": 100.0, "slope": 3.0, "substrate": "silver"}),
+            "scatter 'k_correlation': substrate is 'silver'; write n\\+ik as 0.96\\+6.69i",
+        ),
         (("tabulated",), "scatter 'tabulated': missing 1 required positional argument: 'file'"),
     ],
 )
