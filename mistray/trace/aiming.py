@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import mitsuba as mi
 import numpy as np
 
-from mistray.trace.design_path import DesignPath, find_design_path
+from mistray.trace.design_path import OPENING, DesignPath, find_design_path
 from mistray.trace.detector_images import DetectorImages
 from mistray.trace.host_points import outline, surface_points
 from mistray.trace.host_rays import first_hit
@@ -65,7 +65,7 @@ def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Side,
     rest = [surface for surface in scatterers if surface not in given]
     if settings.aim == "targets" or not settings.aimed_rays or not rest:
         return found
-    key = _signature(table, scene, rest)
+    key = signature(table, scene, rest)
     if key not in _known:
         while len(_known) >= MOST_KNOWN:
             _known.pop(next(iter(_known)))
@@ -76,7 +76,7 @@ def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Side,
     return found
 
 
-def _signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> str:
+def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> str:
     """What automatic targets depend on, near enough: old targets would cost accuracy, not correctness."""
     facts = [
         *((shape.id(), str(shape.bbox()), str(getattr(shape, "values", ""))) for shape in table.shapes),
@@ -102,7 +102,7 @@ def automatic_targets(
     ----------
     table : SurfaceTable
     path : DesignPath, optional
-        Without it only the detector itself is a target.
+        To the detector, or against the light to the opening. Without it only the detector itself is a target.
     surfaces : sequence of int
     """
     images = DetectorImages(path) if path else None
@@ -137,10 +137,12 @@ def _seen_targets(
     if not surfaces:
         return {}
     candidates = [step.surface for step in images.path.steps] if images else [table.detector]
-    outlines = [outline(table.shapes[candidate]) for candidate in candidates]
+    end = candidates[-1]
+    outlines = [outline(table.shapes[candidate]) for candidate in candidates[:-1]]
+    outlines.append(images.path.end if images else outline(table.shapes[end]))
     sampled = {surface: surface_points(table, surface, SEEN_POINTS, rng) for surface in surfaces}
     views = [
-        _View((surface, to_back), number, DETECTOR_PROBES if candidate == table.detector else PROBES)
+        _View((surface, to_back), number, DETECTOR_PROBES if candidate == end else PROBES)
         for surface in surfaces
         for to_back in (False, True)
         for number, candidate in enumerate(candidates)
@@ -148,13 +150,17 @@ def _seen_targets(
     seen = _seen(table, images, views, outlines, sampled, rng)
     found: dict[Side, list[tuple[float, Target]]] = {}
     for view, share in zip(views, seen, strict=True):
-        target, direct = outlines[view.number], candidates[view.number] == table.detector
+        target, direct = outlines[view.number], candidates[view.number] == end
         if share < (DETECTOR_SEEN if direct else SEEN):
             continue
         if images and not direct:
             points, normals = sampled[view.side[0]]
             image = images.fitted(view.number, points, normals if view.side[1] else -normals, rng)
-            target = image.target if image.landed > LANDED else target
+            if image.landed > LANDED:
+                found.setdefault(view.side, []).append((share, image.target))
+                if end != OPENING:
+                    continue
+                # Against the light, what is seen by that lens beside the opening counts as well
         found.setdefault(view.side, []).append((share + direct, target))
     return {
         side: [target for _, target in sorted(entries, key=lambda entry: -entry[0])[:MOST_TARGETS]]
@@ -189,5 +195,5 @@ def _seen(
     hit, _, normal = first_hit(table, origins[some], d[some], surface[some])
     arrives = hit == wanted[some]
     if images:
-        arrives &= (np.einsum("ij,ij->i", d[some], normal) > 0) == from_front[some]
+        arrives &= (hit == OPENING) | ((np.einsum("ij,ij->i", d[some], normal) > 0) == from_front[some])
     return np.bincount(which[some[arrives]], minlength=len(views)) / rays

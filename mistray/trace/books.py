@@ -16,7 +16,8 @@ ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS,
 # Scatter that a limit cuts, what was to be scattered less what the scattered rays carry, and the number, flux and
 # squared flux of the hits of the detector by scattered rays
 SCATTERS, SAMPLING, SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES = range(9, 14)
-REASONS = 14
+CONTROL = 14  # what `ray_control` keeps back
+REASONS = 15
 # Columns of the tally of a surface; the last two count its aimed rays and those that reach the detector undeflected
 HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
 SURFACE_SUMS = 5
@@ -106,6 +107,8 @@ class Film:
     width, height : int
     x0, y0, per_mm_x, per_mm_y : mi.Float
         Corner (mm) and pixels per mm, opaque.
+    incident : bool
+        Sum the flux that meets the detector instead of what it absorbs.
     map_of_slot : mi.UInt32 or None
         For maps of single paths: number of the map + 1 for each ledger slot, 0 for none.
     """
@@ -116,6 +119,7 @@ class Film:
     y0: mi.Float
     per_mm_x: mi.Float
     per_mm_y: mi.Float
+    incident: bool = False
     map_of_slot: mi.UInt32 | None = None
 
     def pixel(self, x: mi.Float, y: mi.Float) -> mi.UInt32:

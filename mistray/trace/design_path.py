@@ -1,4 +1,4 @@
-"""The way of the light that a system is made for: from the source over lenses and mirrors to the detector."""
+"""The way of the light that a system is made for: from the source over lenses and mirrors to the detector, and back."""
 
 from __future__ import annotations
 
@@ -12,9 +12,11 @@ from mistray.trace.host_points import outline
 from mistray.trace.host_rays import crossings, first_hit, inside, normals, onward, specular
 from mistray.trace.sources import Beam, beams
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.targets import Target
 
 PROBES = 256  # rays of a beam that look for the design path
 MOST_STEPS = 64
+OPENING = -1  # in place of the number of a surface: where a path against the light leaves the system
 
 
 @dataclass(frozen=True)
@@ -25,13 +27,14 @@ class Step:
     Attributes
     ----------
     surface : int
+        Or `OPENING`.
     reflects : bool
     point : (3,) float64
         Where the base ray meets it, mm; bounds of surfaces do not matter for the base ray.
     normal : (3,) float64
         There, from front to back.
     before, after : (3,) float64
-        Directions of the base ray; `after` is zero at the detector.
+        Directions of the base ray; `after` is zero at the end of a path.
     """
 
     surface: int
@@ -54,22 +57,37 @@ class Step:
 
 class DesignPath:
     """
-    The surfaces that most of the light of a beam meets on its way to the detector.
+    The surfaces that most of the light of a beam meets on its way to the detector, or the same against the light.
 
     Parameters
     ----------
     table : SurfaceTable
     steps : tuple of Step
-        The last one is the detector.
+        The last one is the detector, or the opening.
+    end : Target
+        Outline of the detector or of the opening.
     """
 
-    def __init__(self, table: SurfaceTable, steps: tuple[Step, ...]) -> None:
+    def __init__(self, table: SurfaceTable, steps: tuple[Step, ...], end: Target) -> None:
         self.table = table
         self.steps = steps
+        self.end = end
+
+    def reversed(self, opening: Target) -> DesignPath:
+        """The path against the light, from the detector to an opening before its first surface."""
+        steps = [
+            Step(step.surface, step.reflects, step.point, step.normal, -step.after, -step.before)
+            for step in self.steps[-2::-1]
+        ]
+        first = self.steps[0]
+        normal = opening.normal if opening.normal @ first.before < 0 else -opening.normal
+        t = ((opening.centre - first.point) @ normal) / (-first.before @ normal)
+        out = Step(OPENING, False, first.point - t * first.before, normal, -first.before, np.zeros(3))
+        return DesignPath(self.table, (*steps, out), opening)
 
     def follow(self, o: np.ndarray, d: np.ndarray, first: int, bounded: bool = False) -> np.ndarray:
         """
-        Send rays along the path to the detector.
+        Send rays along the path to its end.
 
         Parameters
         ----------
@@ -83,7 +101,7 @@ class DesignPath:
         Returns
         -------
         (n, 3) float64
-            Hits on the detector's surface, mm; NaN where a ray ends.
+            Hits on the detector's surface or in the plane of the opening, mm; NaN where a ray ends.
         """
         hits = np.full(o.shape, np.nan)
         alive = np.arange(len(o))
@@ -104,13 +122,15 @@ class DesignPath:
 
     def _inside(self, step: Step, p: np.ndarray) -> np.ndarray:
         """Whether points lie within the bounds of the surface of a step."""
+        if step.surface == OPENING:
+            return self.end.holds(p)
         if step.surface < len(self.table.pieces):
             return inside(self.table, step.surface, p)
         return outline(self.table.shapes[step.surface]).holds(p)
 
     def meet(self, step: Step, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Where lines meet the surface of a step, next to the step's point, and the normals there."""
-        if step.surface >= len(self.table.pieces):  # a stock shape: its tangent plane
+        if step.surface == OPENING or step.surface >= len(self.table.pieces):  # a stock shape: its tangent plane
             with np.errstate(all="ignore"):
                 t = ((step.point - o) @ step.normal) / (d @ step.normal)
             return o + t[:, None] * d, np.tile(step.normal, (len(o), 1))
@@ -139,8 +159,10 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
     Returns
     -------
     DesignPath or None
-        None where no probe reaches the detector.
+        None where no probe reaches the detector, or there is no source.
     """
+    if not any(hasattr(emitter, "start_distance") for emitter in scene.emitters()):
+        return None
     for field in (0.0, None):
         for beam in beams(scene, field_deg=field):
             probed = _probe(table, beam)
@@ -182,7 +204,7 @@ def _probe(table: SurfaceTable, beam: Beam) -> list[Step] | None:
 
 def _with_base_ray(table: SurfaceTable, beam: Beam, probed: list[Step]) -> DesignPath | None:
     """The path with the steps of the ray in the middle of the beam; None if that ray misses a surface altogether."""
-    path = DesignPath(table, tuple(probed))
+    path = DesignPath(table, tuple(probed), outline(table.shapes[table.detector]))
     o, d = beam.pivot[None] - beam.distance * beam.direction, beam.direction[None]
     steps = []
     for step in probed:
@@ -192,4 +214,4 @@ def _with_base_ray(table: SurfaceTable, beam: Beam, probed: list[Step]) -> Desig
             return None
         steps.append(Step(step.surface, step.reflects, o[0], normal[0], d[0], after[0]))
         d = after
-    return DesignPath(table, tuple(steps))
+    return DesignPath(table, tuple(steps), path.end)

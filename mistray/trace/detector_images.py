@@ -10,6 +10,8 @@ with 2 × 2 matrices P and Q (for a coaxial system P = A and Q = B of the ABCD m
 imaged onto the detector where Q = L P, that is L = B/A, and a detector of half size h has an image of half size h/|A|:
 ISL and ISH of stray-light work (see `mistray.physics.paraxial.image_seen`).
 
+Against the light it is the images of the opening of the system instead, see `DesignPath.reversed`.
+
 A paraxial image knows neither aberrations nor the apertures on the way. Real rays show how large the target must be.
 """
 
@@ -20,9 +22,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mistray.trace.design_path import DesignPath
-from mistray.trace.host_points import across, outline
+from mistray.trace.host_points import across, sphere_points
 from mistray.trace.targets import Target
 
+NEAR = 1e-6  # least distance of a target, in units of the system's size
 FAR = 1e4  # distance of a target at infinity, in units of the system's size
 DIFFERENCE = 1e-5  # steps of the derivatives along a path, in units of the system's size and as slopes
 SEARCH = 3.0  # real rays are sought within the paraxial image, so many times enlarged, and everywhere
@@ -68,7 +71,7 @@ class DetectorImages:
 
     def __init__(self, path: DesignPath) -> None:
         self.path = path
-        self.detector = outline(path.table.shapes[path.table.detector])
+        self.detector = path.end
         points = np.array([step.point for step in path.steps])
         half = np.linalg.norm(self.detector.u) + np.linalg.norm(self.detector.v)
         self.size = float(np.linalg.norm(np.ptp(points, axis=0)) + half)
@@ -122,6 +125,9 @@ class DetectorImages:
         image = self.paraxial[number]
         start, axis = self._base(number)
         distance, far = float((image.centre - start) @ axis), FAR * self.size
+        if abs(distance) < NEAR * self.size:  # an image on the surface itself has no direction
+            distance = NEAR * self.size
+            image = replace(image, centre=start + distance * axis, reverse=False)
         size = SEARCH
         for _ in range(2):  # the second time nearer to what is needed, so that more rays land
             wide = replace(image, u=size * image.u, v=size * image.v, hole=0.0)
@@ -145,7 +151,7 @@ class DetectorImages:
         """The rays that reach the detector, of those sent half to a target, half as from a Lambertian."""
         to_image = np.arange(len(points)) % 2 == 0
         aimed = (wide.points(rng.random((len(points), 2))) - points) * (-1 if wide.reverse else 1)
-        d = np.where(to_image[:, None], aimed, normals + _sphere(rng, len(points)))
+        d = np.where(to_image[:, None], aimed, normals + sphere_points(rng, len(points)))
         d /= np.linalg.norm(d, axis=1, keepdims=True)
         cosine = np.einsum("ij,ij->i", d, normals)
         landed = np.flatnonzero(cosine > 0)
@@ -201,12 +207,6 @@ def _held(
 
 def _ratio(a: np.ndarray, b: np.ndarray) -> float:
     return float(np.linalg.norm(a) / np.linalg.norm(b))
-
-
-def _sphere(rng: np.random.Generator, count: int) -> np.ndarray:
-    """(count, 3) float64: points of the unit sphere."""
-    points = rng.normal(size=(count, 3))
-    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
 
 
 def _quantile(values: np.ndarray, weights: np.ndarray, share: float) -> float:

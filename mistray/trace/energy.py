@@ -10,6 +10,7 @@ import numpy as np
 
 from mistray.trace.books import (
     ABSORBED_HERE,
+    CONTROL,
     ESCAPED,
     EVENTS,
     HITS,
@@ -34,6 +35,7 @@ CUTS = {
     "scatter_sampling": SAMPLING,
     "max_events": EVENTS,
     "medium": MEDIUM,
+    "ray_control": CONTROL,
 }
 
 
@@ -53,9 +55,9 @@ class Energy:
         Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
     cut : dict
         Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_scatters" (all
-        limits of scatter events), "max_events", "roulette" (0 on average: what Russian roulette removed less what it
-        added), "scatter_sampling" (0 on average: what surfaces scatter less what the scattered rays carry) and "medium"
-        (a ray met a surface from a material that is not there: a gap or an overlap in the geometry).
+        limits of scatter events), "max_events", "ray_control", "roulette" (0 on average: what Russian roulette removed
+        less what it added), "scatter_sampling" (0 on average: what surfaces scatter less what the scattered rays carry)
+        and "medium" (a ray met a surface from a material that is not there: a gap or an overlap in the geometry).
     """
 
     launched_W: float

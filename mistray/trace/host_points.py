@@ -7,10 +7,12 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.physics.sag import sag
+from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.host_rays import normals
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.targets import Target
+
+AREA_NODES = 128  # of the quadrature over a curved detector
 
 
 def across(axis: np.ndarray) -> np.ndarray:
@@ -18,6 +20,12 @@ def across(axis: np.ndarray) -> np.ndarray:
     first = np.cross(axis, np.eye(3)[np.argmin(np.abs(axis))])
     first /= np.linalg.norm(first)
     return np.stack([first, np.cross(axis, first)], axis=1)
+
+
+def sphere_points(rng: np.random.Generator, count: int) -> np.ndarray:
+    """(count, 3) float64: uniform points of the unit sphere."""
+    points = rng.normal(size=(count, 3))
+    return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
 
 
 def surface_points(
@@ -83,3 +91,25 @@ def outline(shape: Any) -> Target:
     low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
     u, v = 0.5 * np.linalg.norm(high - low) * across(np.eye(3)[np.argmin(high - low)]).T
     return Target("ellipse", 0.5 * (low + high), u, v)
+
+
+def detector_area(table: SurfaceTable) -> float:
+    """Area of the detector, mm²; of a curved one that of its surface."""
+    shape: Any = table.shapes[table.detector]
+    if table.detector >= len(table.pieces):
+        return outline(shape).area
+    piece = table.pieces[table.detector]
+    nodes, weights = np.polynomial.legendre.leggauss(AREA_NODES)
+
+    def stretch(r2: np.ndarray) -> np.ndarray:
+        """Area of the surface over that of its projection."""
+        slope = sag_derivative(r2, *piece.conic, piece.coefficients)
+        return np.sqrt(1 + 4 * r2 * np.square(slope))
+
+    if piece.outer:
+        half = 0.5 * (piece.outer - piece.inner)
+        r = piece.inner + half * (nodes + 1)
+        return float(half * np.sum(weights * 2 * np.pi * r * stretch(r * r)))
+    a, b = piece.half_size
+    x, y = a * nodes, b * nodes[:, None]
+    return float(a * b * np.sum(weights * weights[:, None] * stretch(x * x + y * y)))

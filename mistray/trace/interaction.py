@@ -22,6 +22,7 @@ from mistray.trace.optics import (
     REFLECTION_FRONT,
     TABLED,
     TRANSMISSION,
+    WALL,
     total_variable,
 )
 from mistray.trace.polarization import Mueller, from_plane, plane_of_incidence, to_plane
@@ -51,6 +52,8 @@ class Interaction:
         The normal on the side that the light goes to.
     cos_i, cos_t : mi.Float
         Cosines of the angles of incidence and refraction; the latter 0 in total reflection.
+    eta : mi.Float
+        Index on the side of incidence over the one on the other side.
     word : mi.UInt32
         The surface's description (flags of `mistray.trace.surfaces`).
     medium_in, medium_out : mi.UInt32
@@ -74,6 +77,7 @@ class Interaction:
     axis: mi.Vector3f
     cos_i: mi.Float
     cos_t: mi.Float
+    eta: mi.Float
     word: mi.UInt32
     medium_in: mi.UInt32
     medium_out: mi.UInt32
@@ -221,6 +225,7 @@ def interact(
         axis=along_d,
         cos_i=cos_i,
         cos_t=cos_t,
+        eta=eta,
         word=word,
         medium_in=dr.select(from_front, front, back),
         medium_out=dr.select(from_front, back, front),
@@ -229,6 +234,21 @@ def interact(
         place=place,
         polarized=polarized,
     )
+
+
+def shares_at(
+    table: SurfaceTable, s: mi.UInt32, word: mi.UInt32, from_front: mi.Bool, cos_i: mi.Float, active: mi.Bool
+) -> tuple[mi.Float, mi.Float, mi.Float]:
+    """R, T and the cosine of refraction of the surfaces s for unpolarised light of another angle of incidence."""
+    optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
+    n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
+    eta, kind, opaque = n_i / n_t, word & 3, (word & OPAQUE) != 0
+    sin2_t = eta * eta * (1 - cos_i * cos_i)
+    tir = (sin2_t >= 1) & ~opaque
+    cos_t = dr.sqrt(dr.maximum(0, 1 - sin2_t))
+    place = _place(table, s, kind, tir, cos_i, cos_t, sin2_t, eta, active)
+    R, T = _unpolarized(table, kind, optics, place, cos_i, cos_t, n_i, n_t, from_front, active)
+    return dr.select(tir, R + T, R), dr.select(tir | opaque, 0, T), cos_t
 
 
 def _place(
@@ -312,3 +332,8 @@ def _mueller(
 def counts_as_reflection(interaction: Interaction) -> mi.Bool:
     """Whether a reflection here uses up one of `max_reflections`: total and design reflections do not."""
     return ~interaction.tir & ((interaction.word & MIRROR) == 0)
+
+
+def is_aside(interaction: Interaction, reflect: mi.Bool) -> mi.Bool:
+    """Whether a specular event is none of a direct image: at a surface of the mechanics, or total reflection."""
+    return ((interaction.word & WALL) != 0) | (reflect & interaction.tir)

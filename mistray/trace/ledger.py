@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -27,6 +28,7 @@ BATCHES = 32
 SUMS, STOKES_SUMS = 7, 10
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD
+MOST_PROBES = 256  # slots of the table that are tried for a path
 
 
 def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
@@ -83,6 +85,68 @@ class DecodedPaths:
     sums: np.ndarray
 
 
+def claim(
+    keys: Any, key: Any, start: mi.UInt32, mask: mi.UInt32, most_probes: int, active: mi.Bool
+) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
+    """
+    Find a key in an open-addressing table in device memory, or claim a free slot for it by compare-and-swap.
+
+    Parameters
+    ----------
+    keys : mi.UInt64 or mi.UInt32
+        The table, a power of two of slots; 0 is a free one.
+    key : same type
+        Not 0.
+    start : mi.UInt32
+        Slot that is tried first.
+    mask : mi.UInt32
+        Number of slots less 1.
+    most_probes : int
+        Slots that are tried.
+    active : mi.Bool
+
+    Returns
+    -------
+    slot : mi.UInt32
+    found, new : mi.Bool
+        Whether the key has this slot, and whether it was claimed just now.
+    """
+
+    def probe(slot, going, found, new, tries):  # type: ignore[no-untyped-def]
+        old, swapped = dr.scatter_cas(keys, type(key)(0), key, slot, going)
+        here = going & (swapped | (old == key))
+        found |= here
+        new |= going & swapped
+        going = going & ~here & (tries + 1 < most_probes)
+        return dr.select(going, (slot + 1) & mask, slot), going, found, new, tries + 1
+
+    slot, _, found, new, _ = dr.while_loop(
+        (start, mi.Bool(active), mi.Bool(False), mi.Bool(False), mi.UInt32(0)),
+        lambda *v: v[1],
+        probe,
+        labels=("slot", "going", "found", "new", "tries"),
+        mode="symbolic",
+    )
+    return slot, active & found, active & new
+
+
+def write_list(
+    memory: mi.UInt32,
+    first: mi.UInt32,
+    length: mi.UInt32,
+    read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
+    active: mi.Bool,
+) -> None:
+    """Store an event list from an index on; `read(k, mask)` gives event k."""
+
+    def step(k):  # type: ignore[no-untyped-def]
+        going = active & (k < length)
+        dr.scatter(memory, read(k, going), first + k, going)
+        return (k + 1,)
+
+    dr.while_loop((dr.zeros(mi.UInt32, dr.width(first)),), lambda k: active & (k < length), step, mode="symbolic")
+
+
 class Ledger:
     """
     Table of paths in device memory.
@@ -115,25 +179,10 @@ class Ledger:
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
         """Slot of a key, whether it was found or claimed, and whether it was claimed just now."""
-
-        def probe(slot, going, found, new, tries):  # type: ignore[no-untyped-def]
-            old, swapped = dr.scatter_cas(self.keys, mi.UInt64(0), key, slot, going)
-            here = going & (swapped | (old == key))
-            found |= here
-            new |= going & swapped
-            going = going & ~here & (tries < 255)
-            return dr.select(going, (slot + 1) & self.mask, slot), going, found, new, tries + 1
-
         start = mi.UInt32(key >> 32) & self.mask
-        slot, _, found, new, _ = dr.while_loop(
-            (start, mi.Bool(active), mi.Bool(False), mi.Bool(False), mi.UInt32(0)),
-            lambda *v: v[1],
-            probe,
-            labels=("slot", "going", "found", "new", "tries"),
-            mode="symbolic",
-        )
+        slot, found, new = claim(self.keys, key, start, self.mask, MOST_PROBES, active)
         dr.scatter_reduce(dr.ReduceOp.Add, self.lost, mi.UInt32(1), mi.UInt32(0), active & ~found)
-        return slot, active & found, active & new
+        return slot, found, new
 
     def record(
         self,
@@ -160,13 +209,7 @@ class Ledger:
     ) -> None:
         """Store the event list of a path that has just been claimed; `read(k, mask)` gives event k."""
         dr.scatter(self.lengths, length, slot, active)
-
-        def step(k):  # type: ignore[no-untyped-def]
-            going = active & (k < length)
-            dr.scatter(self.events, read(k, going), slot * self.max_events + k, going)
-            return (k + 1,)
-
-        dr.while_loop((dr.zeros(mi.UInt32, dr.width(slot)),), lambda k: active & (k < length), step, mode="symbolic")
+        write_list(self.events, slot * self.max_events, length, read, active)
 
     @property
     def full(self) -> bool:

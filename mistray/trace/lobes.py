@@ -41,6 +41,11 @@ class RadialSampler:
         self.total = mi.Float([table.total for table in tables])
         dr.eval(self._logs, self._cells, self.total)
 
+    @property
+    def arrays(self) -> list[mi.Float]:
+        """All that is stored."""
+        return [self._logs, self._cells]
+
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
         """Value f of a table at the squared radius r2."""
         place = dr.clip((0.5 * dr.log2(r2) - LOG2_FIRST) * PER_OCTAVE, 0, RINGS)

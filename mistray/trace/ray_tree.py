@@ -18,6 +18,7 @@ import mitsuba as mi
 from mistray.trace.adjoint import Adjoint
 from mistray.trace.books import (
     AIMED,
+    CONTROL,
     ESCAPED,
     EVENTS,
     FIRST_MISS,
@@ -37,7 +38,7 @@ from mistray.trace.books import (
     read_node,
     record_branch,
 )
-from mistray.trace.interaction import counts_as_reflection, interact
+from mistray.trace.interaction import counts_as_reflection, interact, is_aside
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import (
     ABSORBED,
@@ -54,14 +55,18 @@ from mistray.trace.ledger import (
 from mistray.trace.next_hit import film_coordinates, next_hit
 from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
 from mistray.trace.scattering import ScatteredRay, Scattering
-from mistray.trace.settings import Settings
+from mistray.trace.settings import NO_LIMIT, Settings
+from mistray.trace.sky import Sky
 from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
 
 # Children of a node in the order in which they are sent on; scattered ones follow
 TRANSMIT, REFLECT, SCATTER = range(3)
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit
+ASIDE = 1 << 31  # bit of the word of a pending node; the surface and its reflections are below
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT = 0xFF, 8, 16
 PLAN_WORDS, FLOOR_FLOATS = 4, 4  # of a node, where there is scatter
+WORTH_OF_WALLS = 1e-3  # against the light: the share of `scatter_threshold` that holds at opaque surfaces
+CHANCE_OF_OPTICS = 0.1  # and with which a hit of a surface that transmits scatters there
 HITS_OF_LANE = 8  # place of the sums by surface among the local arrays
 
 
@@ -80,6 +85,16 @@ class StartRays:
         One generator a lane.
     o, d : mi.Vector3f
         Origins (mm) and unit directions.
+    w : mi.Float
+        Weights; 1 from a source.
+    left : mi.UInt32, optional
+        Surface that the rays start on.
+    normal : mi.Vector3f, optional
+        Its normal at the origins.
+    pixel : mi.UInt32, optional
+        Pixel of the detector that they start from.
+    medium : mi.UInt32, optional
+        Number of the material that they start in; 0 is not known.
     """
 
     lane: mi.UInt32
@@ -87,15 +102,21 @@ class StartRays:
     rng: mi.PCG32
     o: mi.Vector3f
     d: mi.Vector3f
+    w: mi.Float
+    left: mi.UInt32 | None = None
+    normal: mi.Vector3f | None = None
+    pixel: mi.UInt32 | None = None
+    medium: mi.UInt32 | None = None
 
     def take(self, index: mi.UInt32) -> StartRays:
-        """Some of the rays."""
+        """Some of the rays of a source."""
         rng = mi.PCG32()
         rng.state, rng.inc = (dr.gather(mi.UInt64, v, index) for v in (self.rng.state, self.rng.inc))
         lane, batch = (dr.gather(mi.UInt32, v, index) for v in (self.lane, self.batch))
         o, d = (dr.gather(mi.Vector3f, v, index) for v in (self.o, self.d))
-        dr.eval(lane, batch, rng, o, d)
-        return StartRays(lane, batch, rng, o, d)
+        w = dr.gather(mi.Float, self.w, index)
+        dr.eval(lane, batch, rng, o, d, w)
+        return StartRays(lane, batch, rng, o, d, w)
 
 
 def walk(
@@ -110,14 +131,17 @@ def walk(
     recorder: Recorder | None = None,
     box: mi.Vector4f | None = None,
     adjoint: Adjoint | None = None,
+    sky: Sky | None = None,
 ) -> None:
     """
     Trace the trees of a set of start rays; results are added to the tallies, the film, the ledger and the recorder.
 
+    Rays either follow the light from a source to the detector, or go against it from the detector to the sky.
+
     Parameters
     ----------
     start : StartRays
-        One lane each, all of weight 1.
+        One lane each.
     film : Film
         Pixels of the detector.
     tallies : Tallies, optional
@@ -130,6 +154,9 @@ def walk(
         Only detector hits with x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) enter the ledger.
     adjoint : Adjoint, optional
         Gathers derivatives; nothing else is written then.
+    sky : Sky, optional
+        Takes the rays that leave the scene, which go against the light then; the detector is a surface like others,
+        and what a surface absorbs of a ray is what it emits towards the detector. `scattering` must be for such rays.
     """
     o, d, batch, lane, rng = start.o, start.d, start.batch, start.lane, mi.PCG32(start.rng)
     n = dr.width(o)
@@ -154,6 +181,20 @@ def walk(
         if tallies is not None:
             tallies.add_reason(reason, batch, value, active)
 
+    def attenuate(flux: mi.Float, medium: mi.UInt32, length: mi.Float, hit: mi.Bool) -> tuple[mi.Float, mi.Float]:
+        """What is left at the end of segments, and what their media scatter; what they absorb is booked."""
+        if not absorbs:
+            return flux, mi.Float(0)
+        coefficient = dr.gather(mi.Float, table.optics.extinction, medium, hit)
+        left = flux * dr.exp(-coefficient * dr.select(hit, length, 0))
+        taken, clouded = flux - left, mi.Float(0)
+        if bulk:
+            clouded = taken * dr.gather(mi.Float, table.optics.albedo, medium, hit)
+            taken = taken - clouded
+        if tallies is not None:
+            tallies.add_medium(medium, batch, taken, hit & (taken > 0))
+        return left, clouded
+
     # A Local array takes an index of traced size 1 as uniform over the lanes: every index must start at full width
     def full(value: int = 0) -> mi.UInt32:
         return dr.full(mi.UInt32, value, n)
@@ -173,34 +214,45 @@ def walk(
     events = adjoint.memory(max_events) if adjoint is not None else ()
 
     # First segment: from the source to the first surface
-    t, s, normal = next_hit(table, intersector, o, d, full(NO_SURFACE), mi.Bool(True))
+    left_behind = full(NO_SURFACE) if start.left is None else start.left
+    t, s, normal = next_hit(table, intersector, o, d, left_behind, start.w > 0, normal=start.normal)
     hit = s != NO_SURFACE
-    add_reason(ESCAPED, 1.0, ~hit)
-    add_reason(FIRST_MISS, 1.0, ~hit)
+    missed = ~hit & (start.w > 0)
+    add_reason(ESCAPED, start.w, missed)
+    add_reason(FIRST_MISS, 1.0, missed)
     add_reason(STARTED, 1.0, mi.Bool(True))
+    if sky is not None:
+        first_key = dr.full(mi.UInt64, FIRST_KEY, n)
+        nowhere = mi.Bool(False)
+        sky.record(d, start.w, full(), full(), nowhere, batch, start.pixel, first_key, full(), lambda k, _: k, missed)
+    start_medium = full() if start.medium is None else start.medium
+    start_w, start_clouded = attenuate(start.w, start_medium, t, hit)
 
     state = {
         "active": hit,  # the lane has a node to visit
         "child": full(TRANSMIT),  # number of the child that this visit is for; the first visit looks for one
         "p": dr.fma(t, d, o),  # the node
         "d": mi.Vector3f(d),  # direction in which it was reached
-        "w": dr.full(mi.Float, 1, n),  # weight with which it was reached
+        "w": mi.Float(start_w),  # weight with which it was reached
         "stokes": dr.zeros(mi.Vector3f, n if settings.stokes else 1),  # polarisation with which it was reached
         "s": dr.select(hit, s, 0),  # its surface
         "normal": normal,  # there, if the surface is stock
-        "medium": full(0),  # material of the segment that led to it; 0 is not known
+        "medium": mi.UInt32(start_medium),  # material of the segment that led to it; 0 is not known
         "depth": full(0),  # events before it
         "reflections": full(0),  # counted reflections before it
         "key": dr.full(mi.UInt64, FIRST_KEY, n),  # of the events before it
+        "aside": dr.full(mi.Bool, False, n),  # an event before it is none of a direct image, see `is_aside`
         "pending": dr.zeros(mi.UInt64, n),  # bit k: a child of the node at depth k is still to come
         "segments": full(1),
         "total": dr.zeros(mi.Float64, n if adjoint is not None else 1),  # derivative × flux of the hits so far
         "scatters": full(0),  # scatter events before it, see COUNT_MASK
         "aimed_from": full(NO_SURFACE),  # surface that sent the ray to a target, unless it was reflected since
-        "birth": dr.full(mi.Float, 1, n),  # weight with which the ray started, at the source or scattered last
+        "birth": mi.Float(start.w),  # weight with which the ray started, at the source or scattered last
         "boost": dr.full(mi.Float, 1, n),  # factor of its scattered rays; 0: none, negative: see ONE_CHILD
-        "length": dr.zeros(mi.Float, n if bulk else 1),  # of the segment that led to it, mm
-        "clouded": dr.zeros(mi.Float, n if bulk else 1),  # flux that its medium scattered on the way
+        "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # of the segment that led to it, mm
+        "clouded": mi.Float(start_clouded)
+        if bulk
+        else dr.zeros(mi.Float, 1),  # flux that its medium scattered on the way
         "rng": rng,
         "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits, *events),
     }
@@ -224,12 +276,14 @@ def walk(
         if scattering.any:
             given = scattering.give(s, it, first | again)
             R, T = R * given.reflection.kept, T * given.transmission.kept
-        loss = 1 - R - T if given is None else 1 - R - T - given.scattered
+        loss = 1 - R - T if given is None else given.absorbed
         absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
         if tallies is not None:
             tallies.add_hit(hits, s, w, dr.maximum(absorbed, 0), first)
 
-        detected = first & ((it.word & DETECTOR) != 0) & (absorbed > 0)
+        detected = first & ((it.word & DETECTOR) != 0) if sky is None else mi.Bool(False)
+        if not film.incident:
+            detected &= absorbed > 0
         x, y = film_coordinates(table, it)
         pixel = film.pixel(x, y)
         key = extend_key(state["key"], (s << EVENT_BITS) | ABSORBED)
@@ -262,7 +316,7 @@ def walk(
                 number = dr.gather(mi.UInt32, film.map_of_slot, slot, booked)
                 on_film = booked & (number > 0)
                 pixel += (number - 1) * (film.width * film.height)
-            flux = mi.Float64(absorbed)
+            flux = mi.Float64(w if film.incident else absorbed)
             dr.scatter_reduce(dr.ReduceOp.Add, tallies.film, flux, 2 * pixel, on_film)
             dr.scatter_reduce(dr.ReduceOp.Add, tallies.film, flux * flux, 2 * pixel + 1, on_film)
 
@@ -281,6 +335,14 @@ def walk(
         add_reason(REFLECTIONS, w_r, first & room & ~may_reflect & (R > 0))
         w_t = dr.select(room, w_t, 0)
         w_r = dr.select(room & may_reflect, w_r, 0)
+        if settings.ray_control != "allow_all":
+            goes_through = settings.ray_control == "transmit_specular"
+            kept_t = w_t if goes_through else mi.Float(0)
+            kept_r = dr.select(~counted, w_r, 0) if goes_through else w_r
+            if settings.ray_control == "halt_all":
+                kept_r = mi.Float(0)
+            add_reason(CONTROL, w_t - kept_t + w_r - kept_r + w_s + w_b, first & room)
+            w_t, w_r, w_s, w_b = kept_t, kept_r, mi.Float(0), mi.Float(0)
         transmits = (it.word & OPAQUE) == 0
         random_rays = aimed_rays = mi.UInt32(0)
         may_scatter = may_cloud = mi.Bool(False)
@@ -299,16 +361,23 @@ def walk(
         add_reason(SCATTERS, stopped, first & room & (stopped > 0))
         w_s, w_b = dr.select(may_scatter, w_s, 0), dr.select(may_cloud, w_b, 0)
 
-        # A ray that has not been scattered keeps to the flux threshold; one that has plays roulette below its own
+        # With the light a ray that has not been scattered keeps to the flux threshold; else weak ones play roulette
         fresh = (state["scatters"] & COUNT_MASK) == 0 if scatters else mi.Bool(True)
         own = state["birth"] * scatter_threshold
-        limit = dr.select(fresh, threshold if roulette else 0, own)
+        limit = own if sky is not None else dr.select(fresh, threshold if roulette else 0, own)
         boost = state["boost"]
-        lot = rng.next_float32() if roulette or scatters else mi.Float(0)  # one for all children: none knows of another
+        lot = (
+            rng.next_float32() if roulette or scatters or sky is not None else mi.Float(0)
+        )  # one for all children: none knows of another
         if scatters and split:
             # A weak node scatters with a probability in proportion to the light that reaches it
-            weak = dr.select(lot * own < w, own / w, 0)
-            boost = dr.select(first, dr.select(w < own, weak, 1), boost)
+            worth = own
+            if sky is not None:  # what little a wall gets against the light is all there is in the dark
+                worth = dr.select(transmits, own, own * WORTH_OF_WALLS)
+            chance = dr.minimum(w / worth, 1)
+            if sky is not None:
+                chance = chance * dr.select(transmits, CHANCE_OF_OPTICS, 1)
+            boost = dr.select(first, dr.select(lot < chance, dr.rcp(chance), 0), boost)
         if split and table.optics.one_child:
             # Of transmission, reflection and scatter one takes the flux of all. A negative boost: the surface does not
             # scatter, what its medium has scattered is sent on all the same
@@ -328,7 +397,7 @@ def walk(
                 cut = dr.select(cut_t, w_t, 0) + dr.select(cut_r, w_r, 0)
                 add_reason(THRESHOLD, cut, first & (cut > 0))
                 w_t, w_r = dr.select(cut_t, 0, w_t), dr.select(cut_r, 0, w_r)
-            if roulette or scatters:
+            if roulette or scatters or sky is not None:
                 # A later visit is for a child that has survived
                 left_t, left_r = (
                     dr.select((v > 0) & (v < limit), dr.select(lot * limit < v, limit, 0), v) for v in (w_t, w_r)
@@ -356,7 +425,7 @@ def walk(
             )
             push = mi.Bool(False)
             child = both
-            if roulette or scatters:
+            if roulette or scatters or sky is not None:
                 small = (both > 0) & (both < limit)
                 child = dr.select(small, dr.select(lot * limit < both, limit, 0), both)
                 add_reason(ROULETTE, both - child, visit & small)
@@ -386,7 +455,7 @@ def walk(
                     return given.one_ray(w_s / both, random_rays, rng)
 
             heading, share, scatter_slope, back_side, aim, rng = scattering.scatter(
-                given, choose, it, d, heading, rng, scatter
+                table, s, given, choose, it, d, heading, rng, scatter
             )
             reflect = dr.select(scatter, back_side, reflect)
             slope = dr.select(scatter, scatter_slope, slope)
@@ -413,7 +482,7 @@ def walk(
                 for j in range(3):
                     memory.write(state[name][j], depth * 3 + j, push)
         keys.write(state["key"], depth, push)
-        words.write(s | (reflections << 16), depth, push)
+        words.write(s | (reflections << 16) | dr.select(state["aside"], mi.UInt32(ASIDE), 0), depth, push)
         if scatters:
             for j, value in enumerate((later, state["scatters"], state["aimed_from"], state["medium"])):
                 plans.write(value, depth * PLAN_WORDS + j, push)
@@ -427,6 +496,8 @@ def walk(
         what = dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
         if scatters:
             technique = dr.select(aim, mi.UInt32(AIMED_TRANSMITTED), mi.UInt32(RANDOM_TRANSMITTED))
+            if sky is not None:  # nobody asks how a direction against the light was found
+                technique = mi.UInt32(RANDOM_TRANSMITTED)
             what = dr.select(scatter, technique + dr.select(reflect, mi.UInt32(1), 0), what)
             what = dr.select(cloud, mi.UInt32(RANDOM_TRANSMITTED), what)
         place = dr.select(cloud, table.count + medium_in, s) if bulk else s
@@ -442,17 +513,18 @@ def walk(
         t, s2, normal2 = next_hit(table, intersector, origin, heading, last, go, normal=left_behind)
         hit = go & (s2 != NO_SURFACE)
         add_reason(ESCAPED, child, go & ~hit)
-        clouded = mi.Float(0)
-        if absorbs:
-            coefficient = dr.gather(mi.Float, table.optics.extinction, medium, hit)
-            left = child * dr.exp(-coefficient * dr.select(hit, t, 0))
-            taken = child - left
-            if bulk:
-                clouded = taken * dr.gather(mi.Float, table.optics.albedo, medium, hit)
-                taken -= clouded
-            if tallies is not None:
-                tallies.add_medium(medium, batch, taken, hit & (taken > 0))
-            child = left
+        bounced = reflect & counted & ~scatter
+        if sky is not None:
+            after = state["scatters"] & COUNT_MASK
+            if scatters:
+                after = after + dr.select(scatter | cloud, mi.UInt32(1), 0)
+            bounces = reflections + dr.select(bounced, mi.UInt32(1), 0)
+            aside = state["aside"] | is_aside(it, reflect)
+            path_key, leaving = extend_key(state["key"], code), go & ~hit
+            sky.record(
+                heading, child, bounces, after, aside, batch, start.pixel, path_key, depth + 1, codes.read, leaving
+            )
+        child, clouded = attenuate(child, medium, t, hit)
         segments = dr.select(go, state["segments"] + 1, state["segments"])
 
         # ---- or back to the deepest pending node
@@ -468,7 +540,6 @@ def walk(
         def again_or(memory: Any, vector: mi.Vector3f) -> mi.Vector3f:
             return dr.select(back, mi.Vector3f(*(memory.read(k * 3 + j, back) for j in range(3))), vector)
 
-        bounced = reflect & counted & ~scatter
         following = {}
         if scatters:
             scattered = scatter | cloud
@@ -507,7 +578,8 @@ def walk(
             "normal": again_or(normals, normal2) if has_stock else state["normal"],
             "medium": dr.select(back, 0, medium),
             "depth": dr.select(back, k, depth + 1),
-            "reflections": dr.select(back, word >> 16, dr.select(bounced, reflections + 1, reflections)),
+            "reflections": dr.select(back, (word >> 16) & NO_LIMIT, dr.select(bounced, reflections + 1, reflections)),
+            "aside": dr.select(back, (word & ASIDE) != 0, state["aside"] | is_aside(it, reflect)),
             "key": dr.select(back, bkey, extend_key(state["key"], code)),
             "pending": pending,
             "segments": segments,

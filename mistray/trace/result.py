@@ -18,6 +18,7 @@ from mistray.trace.history import RayHistory, read_rays
 from mistray.trace.ledger import BATCHES
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.settings import Settings
+from mistray.trace.sources import Beam
 from mistray.trace.tracer import Run, prepare
 
 if TYPE_CHECKING:
@@ -403,12 +404,15 @@ def trace(
         done += run.rays
         if run.reasons[FIRST_MISS].sum() == run.rays:
             beam = run.beam
+            assert isinstance(beam, Beam)
             raise MistrayError(
                 f"source '{beam.name}': no ray of the beam along "
                 f"({', '.join(f'{c:.4g}' for c in beam.direction)}) hits a surface; "
                 "check field_deg, the source's position and its size"
             )
-    emitter = runs[0].beam.emitter
+    first = runs[0].beam
+    assert isinstance(first, Beam)
+    emitter = first.emitter
     wavelengths = sorted({run.beam.wavelength_nm for run in runs})
     power = sum(run.beam.power for run in runs)
     return Trace(

@@ -28,8 +28,8 @@ EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
 CASES = 4  # of a surface
 ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
 # Flags of a lobe; the number of its radial table stands above them
-BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, RATIO, BY_COSINES = (1 << bit for bit in range(7))
-TABLE_SHIFT = 7
+BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, RATIO, BY_COSINES, EDGE = (1 << bit for bit in range(8))
+TABLE_SHIFT = 8
 RANDOM_RAYS_SHIFT = 16
 
 
@@ -78,6 +78,9 @@ class ScatterTables:
         Their coatings and materials at a wavelength.
     aims : mapping
         (surface, leaves to the back) → targets.
+    backward : bool
+        For rays that go against the light. A case is then that of the light which the ray goes against: a ray from the
+        front that is transmitted meets light from the back that is.
 
     Attributes
     ----------
@@ -90,9 +93,11 @@ class ScatterTables:
         ids: Sequence[str],
         optics: Optics,
         aims: Mapping[tuple[int, bool], AimSet],
+        backward: bool = False,
     ) -> None:
-        bsdfs, indices, wavelength_nm = optics.bsdfs, optics.host_indices[:, :2], optics.wavelength_nm
+        bsdfs = optics.bsdfs
         self.any = any(bsdf.scatter for bsdf in bsdfs)
+        self.backward = backward
         if not self.any:
             return
         count = len(bsdfs)
@@ -100,6 +105,7 @@ class ScatterTables:
         # the random rays above; by case: first lobe, lobes, first target, targets
         sides = np.zeros((count * 2, 4), dtype=np.uint32)
         cases = np.zeros((count * CASES, 4), dtype=np.uint32)
+        transmission_rows = np.zeros(count * 2, dtype=np.uint32)  # by side, that of its own light
         total_rows: list[np.ndarray] = [np.zeros((2, 4))]  # for cases without scatter
         lobe_rows: list[np.ndarray] = []
         ratios: list[np.ndarray] = []
@@ -113,32 +119,23 @@ class ScatterTables:
         for s, bsdf in enumerate(bsdfs):
             if not bsdf.scatter:
                 continue
+            found = self._sides_of(ids, optics, s)
             for side, from_front in enumerate((True, False)):
-                n_in, n_out = indices[s] if from_front else indices[s, ::-1]
-                found = side_of(tuple(bsdf.scatter), wavelength_nm, float(n_in), float(n_out), from_front)
-                if optics.host_words[s] & OPAQUE:
-                    found = found.without_transmission()
-                if not found.lobes:
-                    continue
-                check_side(
-                    f"surface '{ids[s]}', light from the {'front' if from_front else 'back'}",
-                    found,
-                    n_in,
-                    n_out,
-                    partial(optics.shares, s, from_front),
-                )
                 sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT
                 for case, event in enumerate(EVENT_NAMES):
-                    members = [k for k, lobe in enumerate(found.lobes) if lobe.event == event]
+                    light = found[1 - side if backward and event == "transmission" else side]
+                    members = [k for k, lobe in enumerate(light.lobes) if lobe.event == event]
                     if not members:
                         continue
                     sides[2 * s + side, case] = node
                     row = cases[s * CASES + 2 * side + case]
                     row[:2] = len(lobe_rows), len(members)
-                    total_rows.append(found.rows[event])
+                    total_rows.append(light.rows[event])
+                    if event == "transmission":
+                        transmission_rows[2 * s + (1 - side if backward else side)] = node
                     node += ANGLES + 1
                     for k in members:
-                        lobe, table = found.lobes[k], found.tables[k]
+                        lobe, table = light.lobes[k], light.tables[k]
                         if id(table) not in radial:
                             radial[id(table)] = len(self._tables)
                             self._tables.append(table)
@@ -157,19 +154,36 @@ class ScatterTables:
                         targets += len(aim.targets)
         self.aimed = bool(aim_sets)
         self.sides, self.cases = upload(mi.UInt32, sides), upload(mi.UInt32, cases)
+        self.transmission_rows = mi.UInt32(transmission_rows)
         self.totals = upload(mi.Float, np.concatenate(total_rows))
         self.lobes = upload(mi.UInt32, np.array(lobe_rows if lobe_rows else [np.zeros(8, dtype=np.uint32)]))
         self.ratios = upload(mi.Float, np.concatenate(ratios) if ratios else np.zeros(1))
         self.targets = DeviceTargets(aim_sets)
         self.radial = RadialSampler(self._tables)
-        dr.eval(self.sides, self.cases, self.totals, self.lobes, self.ratios)
+        dr.eval(self.sides, self.cases, self.transmission_rows, self.totals, self.lobes, self.ratios)
+
+    @staticmethod
+    def _sides_of(ids: Sequence[str], optics: Optics, s: int) -> list[Side]:
+        """What a surface makes of light from the front and from the back, checked."""
+        found = []
+        for from_front in (True, False):
+            n_in, n_out = optics.host_indices[s, :2] if from_front else optics.host_indices[s, 1::-1]
+            models = tuple(optics.bsdfs[s].scatter)
+            side = side_of(models, optics.wavelength_nm, float(n_in), float(n_out), from_front)
+            if optics.host_words[s] & OPAQUE:
+                side = side.without_transmission()
+            if side.lobes:
+                title = f"surface '{ids[s]}', light from the {'front' if from_front else 'back'}"
+                check_side(title, side, n_in, n_out, partial(optics.shares, s, from_front))
+            found.append(side)
+        return found
 
 
 def _flags(lobe: Lobe, ratios: list[np.ndarray]) -> tuple[int, int]:
     """Flags of a lobe, and the place of its ratio table, which is appended to the others behind its three sizes."""
     flags = BY_ANGLE if lobe.measure == "angle" else 0
     flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
-    flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE}[lobe.factor]
+    flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE}[lobe.factor]
     if lobe.ratio is None:
         return flags, 0
     place = sum(map(len, ratios))

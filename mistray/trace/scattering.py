@@ -4,6 +4,11 @@ A scattered ray is drawn either at random, a lobe by its flux and a direction by
 its share and uniformly over its area. All rays of a hit together are weighted with the balance heuristic of E. Veach
 (Robust Monte Carlo methods for light transport simulation, 1997, section 9.2): a direction that several techniques
 could have given counts f/Σ n_i p_i, so that the sum is unbiased whatever the targets are.
+
+Rays that go against the light (see `mistray.trace.backward`) are drawn alike, about the reflected or refracted
+direction of the ray, and weighted with the BSDF of the light that they go against: surfaces need not be reciprocal. In
+transmission lobes are as wide in optical direction cosines n sin θ as they are for the light, as those of a reciprocal
+surface are (E. Veach, 1997, section 5.2).
 """
 
 from __future__ import annotations
@@ -15,11 +20,15 @@ from typing import TYPE_CHECKING, Any
 import drjit as dr
 import mitsuba as mi
 
+from mistray.physics.diffraction import obliquity
+from mistray.scatter.radial import R_MAX
+from mistray.trace.interaction import Interaction, shares_at
 from mistray.trace.lobes import trilinear
 from mistray.trace.scatter_tables import (
     ANGLES,
     BY_ANGLE,
     BY_COSINES,
+    EDGE,
     GHS,
     NORMAL,
     RANDOM_RAYS_SHIFT,
@@ -31,7 +40,9 @@ from mistray.trace.scatter_tables import (
 )
 
 if TYPE_CHECKING:
-    from mistray.trace.interaction import Interaction
+    from mistray.trace.surfaces import SurfaceTable
+
+ANYWHERE = 0.1  # share of the rays of a lobe by angle that go against refraction anywhere
 
 
 @dataclass
@@ -64,6 +75,8 @@ class Given:
     transmission, reflection : Shares
     scattered : mi.Float
         Both together.
+    absorbed : mi.Float
+        Share of the light that neither event takes; of light along the ray, also where the ray goes against the light.
     first_case : mi.UInt32
         That of transmission; reflection is the next.
     aimed_t, aimed_r : mi.UInt32
@@ -75,6 +88,7 @@ class Given:
     transmission: Shares
     reflection: Shares
     scattered: mi.Float
+    absorbed: mi.Float
     first_case: mi.UInt32
     aimed_t: mi.UInt32
     aimed_r: mi.UInt32
@@ -139,16 +153,33 @@ class Scattering:
         self._tables = tables
         self.any = tables.any
 
+    @property
+    def arrays(self) -> list[Any]:
+        """What the kernel reads of the models of the surfaces; targets, which change no result, are not among it."""
+        tables = self._tables
+        return [tables.totals, tables.lobes, tables.ratios, *tables.radial.arrays] if tables.any else []
+
     def give(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> Given:
         """What the surfaces s scatter of the light that meets them."""
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
         plan = dr.gather(mi.Vector4u, self._tables.sides, side, active)
-        transmission = self._shares(plan.x, dr.minimum(it.cos_i, it.cos_t), it.T, active)
+        rarer = dr.minimum(it.cos_i, it.cos_t)
+        transmission = self._shares(plan.x, rarer, self._transmittance(it), active)
         reflection = self._shares(plan.y, it.cos_i, it.R, active)
+        along = transmission
+        if self._tables.backward:
+            row = dr.gather(mi.UInt32, self._tables.transmission_rows, side, active)
+            along = self._shares(row, rarer, it.T, active)
+        absorbed = 1 - it.R * reflection.kept - it.T * along.kept - reflection.scattered - along.scattered
         aimed_t = dr.select(transmission.scattered > 0, plan.z & ((1 << RANDOM_RAYS_SHIFT) - 1), 0)
         aimed_r = dr.select(reflection.scattered > 0, plan.w, 0)
         scattered = transmission.scattered + reflection.scattered
-        return Given(transmission, reflection, scattered, 2 * side, aimed_t, aimed_r, plan.z >> RANDOM_RAYS_SHIFT)
+        random_rays = plan.z >> RANDOM_RAYS_SHIFT
+        return Given(transmission, reflection, scattered, absorbed, 2 * side, aimed_t, aimed_r, random_rays)
+
+    def _transmittance(self, it: Interaction) -> mi.Float:
+        """T; against the light not 0 in total reflection, since light can be scattered into such directions."""
+        return dr.select(it.tir, 1, it.T) if self._tables.backward else it.T
 
     def _shares(self, first: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool) -> Shares:
         """Totals of a case, whose table starts at a row, at a cosine; the coating's R or T is x."""
@@ -166,6 +197,8 @@ class Scattering:
 
     def scatter(
         self,
+        table: SurfaceTable,
+        s: mi.UInt32,
         given: Given,
         choose: Callable[[mi.PCG32], ScatteredRay],
         it: Interaction,
@@ -179,6 +212,9 @@ class Scattering:
 
         Parameters
         ----------
+        table : SurfaceTable
+        s : mi.UInt32
+            Numbers of the surfaces.
         given : Given
         choose : callable
             Says which of the node's rays it is.
@@ -205,7 +241,7 @@ class Scattering:
         def draw(rng: mi.PCG32, otherwise: mi.Vector3f) -> tuple[Any, ...]:
             rng = mi.PCG32(rng)
             ray = choose(rng)
-            return *self._draw(given, ray, it, d, otherwise, rng), ray.reflect, ray.aim, rng
+            return *self._draw(table, s, given, ray, it, d, otherwise, rng), ray.reflect, ray.aim, rng
 
         def leave(rng: mi.PCG32, otherwise: mi.Vector3f) -> tuple[Any, ...]:
             return mi.Vector3f(otherwise), mi.Float(0), mi.Float(0), mi.Bool(False), mi.Bool(False), rng
@@ -217,24 +253,35 @@ class Scattering:
         return result
 
     def _draw(
-        self, given: Given, ray: ScatteredRay, it: Interaction, d: mi.Vector3f, otherwise: mi.Vector3f, rng: mi.PCG32
+        self,
+        table: SurfaceTable,
+        s: mi.UInt32,
+        given: Given,
+        ray: ScatteredRay,
+        it: Interaction,
+        d: mi.Vector3f,
+        otherwise: mi.Vector3f,
+        rng: mi.PCG32,
     ) -> tuple[mi.Vector3f, mi.Float, mi.Float]:
         """Direction, weight and slope of `scatter`."""
         case = given.first_case + dr.select(ray.reflect, mi.UInt32(1), 0)
-        x = dr.select(ray.reflect, it.R, it.T)
+        x = dr.select(ray.reflect, it.R, self._transmittance(it))
+        scale = dr.select(ray.reflect, 1, it.eta) if self._tables.backward else mi.Float(1)
         outward = dr.select(ray.reflect, -it.axis, it.axis)
         specular = dr.select(ray.reflect, it.reflected, it.transmitted)
         u = [rng.next_float32() for _ in range(4)]
         plan = dr.gather(mi.Vector4u, self._tables.cases, case)
         lobes = self._read_lobes(plan, x, it.cos_i)
         total = sum((lobe["flux"] for lobe in lobes), mi.Float(0))
-        direction = self._random(lobes, total, u, outward, specular, d)
+        direction = self._random(lobes, total, u, outward, specular, d, scale)
         own = mi.UInt32(0)
         if self._tables.aimed:
             aimed, own = self._tables.targets.sample(plan.zw, u, it.p, ray.aim)
             direction = dr.select(ray.aim, aimed, direction)
         cos_s = dr.dot(direction, outward)
-        flux, slope, density = self._evaluate(lobes, total, direction, cos_s, outward, specular, d, it.cos_i)
+        flux, slope, density = self._evaluate(lobes, total, direction, cos_s, outward, specular, d, it.cos_i, scale)
+        if self._tables.backward:
+            flux = self._against(table, s, plan, ray.reflect, it, d, direction, cos_s)
         techniques = ray.random_rays * density
         if self._tables.aimed:
             there = ray.aimed_rays > 0
@@ -242,6 +289,39 @@ class Scattering:
         weight = flux / techniques
         good = (cos_s > 0) & (flux > 0) & dr.isfinite(weight)
         return dr.select(good, direction, otherwise), dr.select(good, weight, 0), dr.select(good, slope / flux, 0)
+
+    def _against(
+        self,
+        table: SurfaceTable,
+        s: mi.UInt32,
+        plan: mi.Vector4u,
+        reflect: mi.Bool,
+        it: Interaction,
+        d: mi.Vector3f,
+        direction: mi.Vector3f,
+        cos_s: mi.Float,
+    ) -> mi.Float:
+        """
+        What light that comes against `direction` sends against d, as flux per solid angle of `direction`.
+
+        With the étendue dG = n² cos θ dω dA of either direction the flux per étendue is the same whether one follows
+        the light or goes against it; the change from dG to dω gives the factor n_i² cos θ_i/(n_o² cos θ_o).
+        """
+        from_front = it.from_front ^ ~reflect
+        R, T, cos_t = shares_at(table, s, it.word, from_front, cos_s, mi.Bool(True))
+        incident, outward = -direction, -it.axis
+        eta = dr.rcp(it.eta)
+        mirrored = incident - 2 * dr.dot(incident, outward) * outward
+        refracted = eta * incident + (cos_t - eta * cos_s) * outward
+        specular = dr.normalize(dr.select(reflect, mirrored, refracted))
+        lobes = self._read_lobes(plan, dr.select(reflect, R, T), cos_s)
+        # Of light in total reflection only lobes about the normal pass on to the other side
+        passes = reflect | (cos_t > 0)
+        for lobe in lobes:
+            lobe["here"] = lobe["here"] & (passes | ((lobe["words"].x & NORMAL) != 0))
+        one = mi.Float(1)
+        flux, _, _ = self._evaluate(lobes, one, -d, it.cos_i, outward, specular, incident, cos_s, one)
+        return flux * cos_s / it.cos_i * dr.select(reflect, 1, dr.square(eta))
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
         """The lobes of a case and the flux of each over all directions."""
@@ -289,17 +369,30 @@ class Scattering:
         outward: mi.Vector3f,
         specular: mi.Vector3f,
         d: mi.Vector3f,
+        scale: mi.Float,
     ) -> mi.Vector3f:
-        """A direction at random: a lobe by its flux, then its profile."""
+        """A direction at random: a lobe by its flux, then its profile, `scale` times as wide."""
         chosen, wanted, so_far = lobes[0]["words"], u[0] * total, lobes[0]["flux"]
         for lobe in lobes[1:]:
             later = lobe["here"] & (wanted >= so_far) & (lobe["flux"] > 0)
             chosen = dr.select(later, lobe["words"], chosen)
             so_far = so_far + lobe["flux"]  # not +=, which would change the first lobe's flux
-        r = self._tables.radial.sample(chosen.x >> TABLE_SHIFT, u[1], u[3], mi.Bool(True))
+        r = self._tables.radial.sample(chosen.x >> TABLE_SHIFT, u[1], u[3], mi.Bool(True)) * scale
+        if self._tables.backward and self._tables.flags & NORMAL:
+            # Light of all directions goes to a lobe about the normal
+            r = dr.select((chosen.x & NORMAL) != 0, dr.sqrt(u[1]), r)
         centre = self._centre(chosen, outward, specular, d)
-        sine, cosine = dr.sincos(2 * dr.pi * u[2])
+        turn = u[2]
         by_angle = (chosen.x & BY_ANGLE) != 0 if self._tables.flags & BY_ANGLE else mi.Bool(False)
+        if self._tables.backward and self._tables.flags & BY_ANGLE:
+            # There are directions that a lobe by angle does not reach against refraction: a few rays go anywhere
+            refracts = by_angle & (scale != 1)
+            anywhere = refracts & (turn < ANYWHERE)
+            turn = dr.select(refracts, (turn - ANYWHERE) / (1 - ANYWHERE), turn)
+            turn = dr.select(anywhere, u[2] / ANYWHERE, turn)
+            r, centre = dr.select(anywhere, dr.sqrt(u[1]), r), dr.select(anywhere, outward, centre)
+            by_angle &= ~anywhere
+        sine, cosine = dr.sincos(2 * dr.pi * turn)
         axis = dr.select(by_angle, centre, outward) if self._tables.flags & BY_ANGLE else outward
         across, along = mi.coordinate_system(axis)
         aside = cosine * across + sine * along
@@ -309,7 +402,7 @@ class Scattering:
         direction = dr.select(left > 0, direction, -outward)
         if self._tables.flags & BY_ANGLE:
             chord = dr.fma(-0.5 * r, r, 1) * centre + r * dr.sqrt(dr.maximum(dr.fma(-0.25 * r, r, 1), 0)) * aside
-            direction = dr.select(by_angle, chord, direction)
+            direction = dr.select(by_angle, dr.select(r <= R_MAX, chord, -outward), direction)
         return dr.normalize(direction)
 
     def _evaluate(
@@ -322,6 +415,7 @@ class Scattering:
         specular: mi.Vector3f,
         d: mi.Vector3f,
         cos_i: mi.Float,
+        scale: mi.Float,
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
         """Flux per solid angle and incident flux, its derivative by R or T, and the density of the random rays."""
         flux, slope, density = mi.Float(0), mi.Float(0), mi.Float(0)
@@ -335,13 +429,27 @@ class Scattering:
                 by_angle = (words.x & BY_ANGLE) != 0
                 r2 = dr.select(by_angle, dr.squared_norm(apart), r2)
                 per_angle = dr.select(by_angle, 1, cos_s)
-            value = dr.select(here, self._tables.radial.value(words.x >> TABLE_SHIFT, r2, here) * per_angle, 0)
-            density += lobe["flux"] / lobe["total"] * value
+            profile = self._tables.radial.value(words.x >> TABLE_SHIFT, r2, here)
+            value = dr.select(here, profile * per_angle, 0)
+            drawn = value / lobe["total"]
+            if self._tables.backward:
+                wide = r2 / dr.square(scale)
+                drawn = self._tables.radial.value(words.x >> TABLE_SHIFT, wide, here) * per_angle
+                drawn = dr.select(here & (wide <= R_MAX**2), drawn / (lobe["total"] * dr.square(scale)), 0)
+                if self._tables.flags & BY_ANGLE:
+                    mixed = dr.lerp(drawn, cos_s / dr.pi, ANYWHERE)
+                    drawn = dr.select(here & by_angle & (scale != 1), mixed, drawn)
+                if self._tables.flags & NORMAL:
+                    drawn = dr.select(here & ((words.x & NORMAL) != 0), cos_s / dr.pi, drawn)
+            density += lobe["flux"] * drawn
             value *= lobe["coefficient"]
             if self._tables.flags & GHS:
                 value *= dr.select((words.x & GHS) != 0, 0.25 * dr.square(cos_i + cos_s), 1)
             if self._tables.flags & RAYLEIGH_RICE:
                 value *= dr.select((words.x & RAYLEIGH_RICE) != 0, cos_i * cos_s, 1)
+            if self._tables.flags & EDGE:
+                grown = obliquity(dr.dot(specular, outward), cos_s, r2)
+                value *= dr.select((words.x & EDGE) != 0, grown, 1)
             if self._tables.flags & RATIO:
                 cos_specular = dr.dot(specular, outward)
                 ratio = self._ratio(lobe, words, cos_specular, cos_s, r2, across, direction, specular, outward, here)

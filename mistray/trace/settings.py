@@ -11,6 +11,7 @@ from mistray.errors import MistrayError
 
 NO_LIMIT = 2**15 - 1  # of reflections or scatters: more than a path can have
 MOST_RAYS_PER_HIT = 255
+RAY_CONTROLS = ("allow_all", "transmit_specular", "reflect_specular", "halt_all")
 MAX_EVENTS = 64  # the pending children of a path are the bits of one 64-bit word
 
 
@@ -52,6 +53,9 @@ class Settings:
         Below the threshold end the branch and book its flux, or play Russian roulette, which is unbiased.
     seed : int
         Of the random numbers, 0 … 2³²-1.
+    ray_control : {"allow_all", "transmit_specular", "reflect_specular", "halt_all"}
+        What surfaces send on: everything; only transmitted light (mirrors reflect, and so does total reflection); only
+        specularly reflected light; nothing, so that a ray ends at the first surface.
     polarization : {"unpolarized", "stokes"}
         Average R and T over both polarisations at every hit, or carry the Stokes vector of every branch along.
     """
@@ -71,6 +75,7 @@ class Settings:
     splitting: str = "split"
     below_threshold: str = "cut"
     seed: int = 0
+    ray_control: str = "allow_all"
     polarization: str = "unpolarized"
 
     def __post_init__(self) -> None:
@@ -108,6 +113,8 @@ class Settings:
             fail("below_threshold", "use 'cut' or 'roulette'")
         if not 0 <= self.seed < 2**32:
             fail("seed", "it must lie between 0 and 4294967295")
+        if self.ray_control not in RAY_CONTROLS:
+            fail("ray_control", f"use {', '.join(map(repr, RAY_CONTROLS[:-1]))} or {RAY_CONTROLS[-1]!r}")
         if self.polarization not in ("unpolarized", "stokes"):
             fail("polarization", "use 'unpolarized' or 'stokes'")
 

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Protocol
 
 import drjit as dr
 import mitsuba as mi
@@ -11,7 +12,35 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.ledger import BATCHES
+from mistray.trace.space_filling import curve_points
 from mistray.trace.surfaces import solid_shapes
+
+WAVELENGTH_NM = 550.0  # where a scene has no source
+
+
+class Source(Protocol):
+    """What a run asks of its source: start rays, of one wavelength, with a total flux."""
+
+    @property
+    def name(self) -> str:
+        """Id, for tables."""
+
+    @property
+    def wavelength_nm(self) -> float:
+        """Vacuum wavelength, nm."""
+
+    @property
+    def power(self) -> float:
+        """Flux, W."""
+
+    @property
+    def pattern(self) -> str:
+        """Positions of the rays: "random" or "grid"."""
+
+    def start(
+        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray
+    ) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """Origins and directions of the start rays of one pass, see `Beam.start`."""
 
 
 @dataclass(frozen=True)
@@ -43,9 +72,14 @@ class Beam:
     v: np.ndarray
     distance: float
 
+    @property
+    def pattern(self) -> str:
+        """Positions of the rays: "random" or "grid"."""
+        return str(self.emitter.pattern)
+
     def count(self, rays: int) -> int:
         """Rays that a request for `rays` starts: a grid has a square number."""
-        return int(np.sqrt(rays)) ** 2 if self.emitter.pattern == "grid" else rays
+        return int(np.sqrt(rays)) ** 2 if self.pattern == "grid" else rays
 
     def start(
         self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray
@@ -66,11 +100,11 @@ class Beam:
         closing : (BATCHES,) float
             Independent exponential variables.
         """
-        if self.emitter.pattern == "grid":
+        if self.pattern == "grid":
             side = int(np.sqrt(rays))
             sample = mi.Point2f((mi.Float(lane % side) + 0.5) / side, (mi.Float(lane // side) + 0.5) / side)
         else:
-            sample = _sorted_points(batch, rng, closing)
+            sample = sorted_points(batch, rng, closing)
         x, y = self.emitter.positions(sample)
         names = ("pivot", "direction", "u", "v")
         opaque = {key: [dr.opaque(mi.Float, float(c)) for c in getattr(self, key)] for key in names}
@@ -82,7 +116,7 @@ class Beam:
         return origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction
 
 
-def _sorted_points(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.Point2f:
+def sorted_points(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.Point2f:
     """
     Independent uniform points of the unit square, those of each batch in the order of a space-filling curve.
 
@@ -96,16 +130,7 @@ def _sorted_points(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.P
     totals = np.concatenate([[0.0], np.array(sums)])[first]
     start, length = mi.Float64(totals[:-1]), mi.Float64(np.diff(totals) + closing)
     u = (sums - dr.gather(mi.Float64, start, batch)) / dr.gather(mi.Float64, length, batch)
-    cell = mi.UInt32(dr.minimum(u, 1 - 2.0**-33) * 2.0**32)
-
-    def even_bits(v: mi.UInt32) -> mi.UInt32:
-        v &= 0x55555555
-        for shift, mask in ((1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)):
-            v = (v | (v >> shift)) & mask
-        return v
-
-    column, row = even_bits(mi.UInt32(cell)), even_bits(cell >> 1)
-    return mi.Point2f(mi.Float(column) + rng.next_float32(), mi.Float(row) + rng.next_float32()) * 2.0**-16
+    return mi.Point2f(*curve_points(u, 2, rng))
 
 
 def beams(
@@ -140,7 +165,7 @@ def beams(
             raise MistrayError(f"{key} is {value}; give a finite angle in degrees")
     if field_deg is not None and not -90 < field_deg < 90:
         raise MistrayError(f"field_deg is {field_deg:g}; it must lie between -90 and 90 degrees")
-    given = None if wavelength_nm is None and weights is None else _spectrum(wavelength_nm, weights)
+    given = None if wavelength_nm is None and weights is None else spectrum(wavelength_nm, weights)
     bounds = mi.ScalarBoundingBox3f()
     for shape in solid_shapes(scene):
         bounds.expand(shape.bbox())
@@ -156,7 +181,19 @@ def beams(
     return result
 
 
-def _spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
+def spectrum_of(
+    scene: mi.Scene, wavelength_nm: float | Sequence[float] | None, weights: Sequence[float] | None
+) -> tuple[np.ndarray, np.ndarray]:
+    """Wavelengths (nm) and their shares: what is given, else those of the scene's first source, else 550 nm."""
+    if wavelength_nm is None and weights is None:
+        for emitter in scene.emitters():
+            if hasattr(emitter, "wavelengths_nm"):
+                return emitter.wavelengths_nm, emitter.weights
+        return np.array([WAVELENGTH_NM]), np.ones(1)
+    return spectrum(wavelength_nm, weights)
+
+
+def spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
     """Wavelengths and normalised weights of a call."""
     if wavelength_nm is None:
         raise MistrayError("weights are given without wavelength_nm; give one wavelength for each weight")

@@ -21,7 +21,7 @@ from mistray.trace.ray_tree import StartRays, walk
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
-from mistray.trace.sources import Beam, beams
+from mistray.trace.sources import Beam, Source, beams
 from mistray.trace.surfaces import SurfaceTable
 
 PASS_LANES = 1 << 20
@@ -39,7 +39,7 @@ class Run:
 
     Attributes
     ----------
-    beam : Beam
+    beam : Source
     table : SurfaceTable
     rays : int
         Start rays.
@@ -60,7 +60,7 @@ class Run:
         Time in the kernel, compilation included.
     """
 
-    beam: Beam
+    beam: Source
     table: SurfaceTable
     scattering: Scattering
     intersector: Intersector
@@ -98,15 +98,14 @@ class Run:
         # Streams of PCG32 with neighbouring numbers are correlated: seed and ray number are scrambled first
         state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, self.seed), lane)
         rng = mi.PCG32(size=lanes, initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
-        if self.beam.emitter.pattern == "grid":  # random batches: rows of the grid are no sample of it
-            batch = sequence % BATCHES
-        else:
-            batch = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
+        # Random batches of a grid: its rows are no sample of it
+        blocks = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
+        batch = sequence % BATCHES if self.beam.pattern == "grid" else blocks
         dr.eval(lane, batch, rng)
         closing = np.random.default_rng((self.seed, number)).exponential(size=BATCHES)
         o, d = self.beam.start(lane, batch, self.rays, rng, closing)
         dr.eval(o, d, rng)
-        return StartRays(lane, batch, rng, o, d)
+        return StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes))
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Origins (mm) and directions of start rays by their numbers, (n, 3) float64 each."""
@@ -151,6 +150,8 @@ class Run:
         started = time.perf_counter()
         film = self.make_film()
         capacity = FIRST_CAPACITY_OF_SCATTER if self.scattering.any and self.settings.max_scatters else FIRST_CAPACITY
+        if self.ledger is not None:  # executed before: the table had to grow so far
+            capacity = self.ledger.capacity
         while True:
             tallies = self.make_tallies(film)
             self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
@@ -273,7 +274,11 @@ def prepare(
     detector: str | None = None,
 ) -> list[Run]:
     """Build one `Run` for each source and wavelength; the rays are shared in proportion to their flux."""
-    sources = beams(scene, field_deg, azimuth_deg, wavelength_nm, weights)
+    return runs_of(scene, settings, beams(scene, field_deg, azimuth_deg, wavelength_nm, weights), detector)
+
+
+def runs_of(scene: mi.Scene, settings: Settings, sources: Sequence[Beam], detector: str | None = None) -> list[Run]:
+    """Build one `Run` for each beam; the rays are shared in proportion to their flux."""
     total = sum(beam.power for beam in sources)
     first = SurfaceTable(scene, sources[0].wavelength_nm, detector, settings.stokes)
     intersector = Intersector(first)

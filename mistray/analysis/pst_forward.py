@@ -1,0 +1,235 @@
+"""Point source transmittance by forward runs: one plane wave for each cell of directions."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, replace
+from functools import partial
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analysis.pst_forward_cells import FIRST_RAYS, Cell, ForwardCells
+from mistray.analysis.pst_result import Pst, notes
+from mistray.analysis.pst_state import PstProgress
+from mistray.errors import MistrayError
+from mistray.trace.directions import DirectionGrid
+from mistray.trace.plane_wave import Entrance
+from mistray.trace.settings import Settings
+from mistray.trace.sources import spectrum_of
+
+Progress = Callable[[PstProgress], None]
+
+
+def forward_pst(
+    scene: mi.Scene,
+    grid: DirectionGrid,
+    *,
+    wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
+    detector: str | None = None,
+    rays: int | None = None,
+    relative_error: float | None = None,
+    error_up_to_deg: float | None = None,
+    paths: bool = True,
+    map_pixels: int = 0,
+    entrance: Entrance | None = None,
+    progress: Progress | None = None,
+    settings: Settings | None = None,
+) -> Pst:
+    """
+    Point source transmittance from one forward run for each cell of directions.
+
+    A run lights the whole scene with a plane wave of 1 W/mm² from directions that are uniform within the cell. Errors
+    of cells are independent.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        From `mistray.load`; its sources give the wavelengths alone.
+    grid : DirectionGrid
+    wavelength_nm : float or sequence of float, optional
+        Default: those of the scene's first source with their weights, 550 nm without one.
+    weights : sequence of float, optional
+        Shares of the flux, one for each wavelength; normalised, equal by default.
+    detector : str, optional
+        Id of the detector, if the scene has several.
+    rays : int, optional
+        Start rays of a cell; with `relative_error` the most of them. Default: those of `settings`.
+    relative_error : float, optional
+        Double the rays of a cell until the standard error of all light together over its value is at most this; a cell
+        that no light is found in gets `DARK_RAYS` at most.
+        error_up_to_deg : float, optional
+        Cells of larger field angles end with the first `FIRST_RAYS` rays. Default: 90.
+    paths : bool
+        List the paths of each cell.
+    map_pixels : int
+        Longer side of the maps of the detector; 0: no maps.
+    entrance : Entrance, optional
+        Trace the light through this disc only.
+    progress : callable, optional
+        Called after each pass of a cell.
+    settings : Settings, optional
+        Default: those of the scene.
+
+    Returns
+    -------
+    Pst
+        In the convention "normal". ``facts`` hold detector, detector_area_mm2, wavelength_nm, weights, rays (of all
+        cells together), seconds, segments, settings, seed, relative_error, error_up_to_deg, entrance, rays_of_cell and
+        beam_area_mm2 (n, m); ``unseen``: cells (angle, azimuth) that no light was found in, whose PST of 0 is an upper
+        limit only by the number of their rays; ``unfinished``: those whose error is larger than what was asked for;
+        ``notes``: the same in words, and what else a reader should know.
+
+    Raises
+    ------
+    MistrayError
+        If an argument is out of range, the scene has no detector, or what `mistray.trace` raises.
+    """
+    if not isinstance(scene, mi.Scene):
+        raise MistrayError(f"forward_pst() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    settings = Settings.of(scene) if settings is None else settings
+    settings = settings if rays is None else replace(settings, rays=rays)
+    limited = _angles_that_count(grid, relative_error, error_up_to_deg)
+    if isinstance(map_pixels, bool) or map_pixels != int(map_pixels) or map_pixels < 0:
+        raise MistrayError(f"map_pixels is {map_pixels}; give the pixels across a map, or 0 for no maps")
+    wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
+    wavelengths, shares = wavelengths[shares > 0], shares[shares > 0]
+    cells = ForwardCells(scene, grid, settings, wavelengths, shares, detector, entrance, map_pixels)
+    started = time.perf_counter()
+    cells = ForwardCells(scene, grid, settings, wavelengths, shares, detector, entrance, map_pixels)
+    n, m = grid.shape
+    most = [settings.rays if counts or relative_error is None else min(FIRST_RAYS, settings.rays) for counts in limited]
+    report = _Report(m * sum(most), relative_error, progress)
+    found = {}
+    for i, j in np.ndindex(n, m):
+        wanted = relative_error if limited[i] else None
+        found[i, j] = cells.cell(i, j, most[i], wanted, paths, partial(report.after_pass, most[i], wanted))
+        report.close_cell(most[i], found[i, j], bool(limited[i]))
+    return _result(cells, found, limited, relative_error, time.perf_counter() - started)
+
+
+def _angles_that_count(grid: DirectionGrid, relative_error: float | None, error_up_to_deg: float | None) -> np.ndarray:
+    """(n,) bool: the field angles whose error is to fall below `relative_error`."""
+    if relative_error is None:
+        if error_up_to_deg is not None:
+            raise MistrayError(
+                "error_up_to_deg is given without relative_error; give the relative error that is wanted"
+            )
+        return np.zeros(grid.shape[0], dtype=bool)
+    if not 0 < relative_error < 1:
+        raise MistrayError(f"relative_error is {relative_error:g}; it must lie between 0 and 1, 0.02 for 2 %")
+    last = 90.0 if error_up_to_deg is None else float(error_up_to_deg)
+    counts = grid.angles_deg <= last
+    if not counts.any():
+        raise MistrayError(
+            f"error_up_to_deg is {last:g}; no angle is that small, the smallest is {grid.angles_deg[0]:g} deg"
+        )
+    return counts
+
+
+class _Report:
+    """
+    Tells how far the cells are.
+
+    Parameters
+    ----------
+    planned : int
+        Rays of all cells at most.
+    wanted : float or None
+        Relative error.
+    progress : callable or None
+    """
+
+    def __init__(self, planned: int, wanted: float | None, progress: Progress | None) -> None:
+        self._planned, self._wanted, self._progress = planned, wanted, progress
+        self._started = time.perf_counter()
+        self._rays = 0  # of the cells that are done
+        self._spared = 0  # rays that they did not need
+        self._worst = 0.0
+
+    def after_pass(self, most: int, wanted: float | None, rays: int, error: float) -> None:
+        """A cell has `rays` of its `most` rays and this error."""
+        if self._progress is None:
+            return
+        seconds = time.perf_counter() - self._started
+        done = self._rays + rays
+        share = rays / most
+        if wanted is not None and np.isfinite(error):
+            share = max(share, min(1.0, (wanted / error) ** 2))
+        # What is left will spare its share of rays as this cell and those before it did
+        needed = (self._rays + min(rays / share, most)) / (self._rays + self._spared + most) * self._planned
+        worst = self._worst if wanted is None else max(self._worst, error)
+        left = seconds * max(needed - done, 0.0) / done
+        self._progress(PstProgress(done, self._planned, worst, self._wanted, seconds, left))
+
+    def close_cell(self, most: int, cell: Cell, counts: bool) -> None:
+        """A cell is done."""
+        self._rays += cell.rays
+        self._spared += most - cell.rays
+        if counts and np.isfinite(cell.error):
+            self._worst = max(self._worst, cell.error)
+
+
+def _result(
+    cells: ForwardCells,
+    found: dict[tuple[int, int], Cell],
+    limited: np.ndarray,
+    relative_error: float | None,
+    seconds: float,
+) -> Pst:
+    """The cells together."""
+    import pandas as pd
+
+    grid = cells.grid
+    n, m = grid.shape
+
+    def stack(name: str) -> np.ndarray:
+        """(n, m, …): an attribute of the cells."""
+        return np.array([[getattr(found[i, j], name) for j in range(m)] for i in range(n)])
+
+    def named(chosen: np.ndarray) -> list[list[float]]:
+        return [[float(grid.angles_deg[i]), float(grid.azimuths_deg[j])] for i, j in np.argwhere(chosen)]
+
+    errors = stack("error")
+    tables = [rows.assign(cell=i, azimuth_cell=j) for (i, j), cell in found.items() if (rows := cell.rows) is not None]
+    late = limited[:, None] & (errors > (relative_error or np.inf))
+    settings, entrance = cells.settings, cells.entrance
+    largest = stack("largest_share")
+    result = Pst(
+        grid=grid,
+        by_batch=np.moveaxis(stack("by_batch"), 2, 0),
+        weight=stack("weight"),
+        method="forward",
+        facts={
+            "detector": cells.table.ids[cells.table.detector],
+            "detector_area_mm2": cells.area,
+            "wavelength_nm": cells.wavelengths_nm.tolist(),
+            "weights": cells.shares.tolist(),
+            "rays": int(stack("rays").sum()),
+            "rays_of_cell": stack("rays").tolist(),
+            "beam_area_mm2": stack("beam_area").tolist(),
+            "seed": settings.seed,
+            "seconds": seconds,
+            "segments": int(stack("segments").sum()),
+            "settings": asdict(settings),
+            "relative_error": relative_error,
+            "entrance": None if entrance is None else {"centre": list(entrance.centre), "radius": entrance.radius},
+            "unseen": named(np.isinf(errors)),
+            "unfinished": named(late),
+        },
+        largest_share=largest,
+        path_rows=pd.concat(tables, ignore_index=True) if tables else None,
+        maps=np.moveaxis(stack("map"), 2, 0) if cells.has_maps else None,
+        extent_mm=cells.extent,
+    )
+    lines = notes(result, largest)
+    if late[np.isfinite(errors)].any():
+        worst = float(errors[late & np.isfinite(errors)].max())
+        lines.append(
+            f"errors of up to {100 * worst:.2g} % are left where {100 * (relative_error or 0):.2g} % was asked for; "
+            "take more rays"
+        )
+    result.facts["notes"] = lines
+    return result

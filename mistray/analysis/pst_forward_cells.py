@@ -1,0 +1,365 @@
+"""Forward runs of the cells of a point source transmittance: a plane wave each, as many rays as it takes."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.analysis.pst_result import CLASSES
+from mistray.trace.aiming import aims
+from mistray.trace.books import SCATTERED_FLUX, SEGMENTS, Film
+from mistray.trace.design_path import find_design_path
+from mistray.trace.directions import DirectionGrid
+from mistray.trace.energy import batch_error
+from mistray.trace.host_points import detector_area
+from mistray.trace.intersect import Intersector
+from mistray.trace.ledger import BATCHES, host_keys
+from mistray.trace.path_events import DIRECT, describe_events, way
+from mistray.trace.plane_wave import Entrance, PlaneWaves
+from mistray.trace.scatter_tables import ScatterTables
+from mistray.trace.scattering import Scattering
+from mistray.trace.settings import Settings
+from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.tracer import Run
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+FIRST_RAYS = 1 << 15  # of a cell whose error is asked for
+DARK_RAYS = 1 << 22  # after which a cell that no light was found in is given up
+
+
+@dataclass
+class CellRun(Run):
+    """
+    A run whose film is of the light that meets the detector.
+
+    Attributes
+    ----------
+    map_size : tuple of int
+        Columns and rows of pixels.
+    """
+
+    map_size: tuple[int, int] = (1, 1)
+
+    def make_film(self) -> Film:
+        """The pixel grid of the map."""
+        x0, x1, y0, y1 = self.table.film()[2]
+        columns, rows = self.map_size
+        corner_x, corner_y, per_mm_x, per_mm_y = (
+            dr.opaque(mi.Float, v) for v in (x0, y0, columns / (x1 - x0), rows / (y1 - y0))
+        )
+        return Film(columns, rows, corner_x, corner_y, per_mm_x, per_mm_y, incident=True)
+
+
+class Ways:
+    """
+    The ways of light that have been met so far: paths, scattered light being aimed or not.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        Names of the places of events.
+    words : (s,) uint32
+        Their bits, see `mistray.trace.path_events.describe_events`.
+    has_optics : bool
+        Whether the scene images by lenses or mirrors; if not, light that meets nothing is the direct image.
+
+    Attributes
+    ----------
+    classes : (w,) int
+        Number of each way's class within `CLASSES`.
+    """
+
+    def __init__(self, ids: Sequence[str], words: np.ndarray, has_optics: bool) -> None:
+        self._ids, self._words, self._has_optics = ids, words, has_optics
+        self._numbers: dict[int, int] = {}
+        self._facts: list[dict[str, np.ndarray]] = []
+        self.classes = np.zeros(0, dtype=np.int64)
+
+    def __len__(self) -> int:
+        return len(self._numbers)
+
+    def number(self, events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+        """(p,) numbers of the ways of event lists, see `DecodedPaths`."""
+        ways = way(events)
+        keys, first, place = np.unique(host_keys(ways, lengths), return_index=True, return_inverse=True)
+        new = [k for k, key in enumerate(keys.tolist()) if key not in self._numbers]
+        if new:
+            facts = describe_events(ways[first[new]], lengths[first[new]], self._ids, self._words)
+            if not self._has_optics:
+                facts["kind"][lengths[first[new]] == 1] = DIRECT
+            self._numbers |= {int(keys[k]): len(self._numbers) + n for n, k in enumerate(new)}
+            self._facts.append(facts)
+            self.classes = np.concatenate([self.classes, _classes(facts)])
+        return np.array([self._numbers[key] for key in keys.tolist()], dtype=np.int64)[place]
+
+    def table(self, chosen: np.ndarray) -> pd.DataFrame:
+        """The columns of `describe_events` of some ways."""
+        import pandas as pd
+
+        whole = {name: np.concatenate([facts[name] for facts in self._facts]) for name in self._facts[0]}
+        return pd.DataFrame({name: column[chosen] for name, column in whole.items()})
+
+
+def _classes(facts: dict[str, np.ndarray]) -> np.ndarray:
+    """(w,) numbers within `CLASSES` of ways, from the columns of `describe_events`."""
+    scatters, reflections = facts["scatters"], facts["order"] + facts["structure_bounces"]
+    names = np.select(
+        [scatters > 1, scatters == 1, reflections > 0, facts["kind"] == DIRECT],
+        ["multiple_scatter", "single_scatter", "ghost", "direct"],
+        "straight_shot",
+    )
+    return np.array([CLASSES.index(name) for name in names], dtype=np.int64)
+
+
+@dataclass
+class Sums:
+    """
+    What the runs of one wavelength in one cell have found so far, in units of the flux of a start ray.
+
+    Attributes
+    ----------
+    ways : (w, BATCHES) float64
+        Flux of each way that meets the detector.
+    hits : (w,) float64
+        Number of hits of each.
+    started : (BATCHES,) float64
+        Start rays.
+    film : (2, h, w) float64
+        Sums of flux and of its square in each pixel.
+    largest, scattered : float
+        Largest flux of a scattered ray at the detector and the flux of all of them, of what it absorbs.
+    segments : float
+    """
+
+    ways: np.ndarray = field(default_factory=lambda: np.zeros((0, BATCHES)))
+    hits: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    started: np.ndarray = field(default_factory=lambda: np.zeros(BATCHES))
+    film: np.ndarray = field(default_factory=lambda: np.zeros((2, 1, 1)))
+    largest: float = 0.0
+    scattered: float = 0.0
+    segments: float = 0.0
+
+    def add(self, run: Run, ways: Ways) -> None:
+        """Add what a run has found."""
+        assert run.paths is not None
+        number = ways.number(run.paths.events, run.paths.lengths)
+        self.widen(len(ways))
+        np.add.at(self.ways, number, run.paths.sums[:, :, 1])
+        np.add.at(self.hits, number, run.paths.sums[:, :, 0].sum(axis=1))
+        self.started = self.started + run.started
+        self.film = self.film + run.film
+        self.largest = max(self.largest, run.largest)
+        self.scattered += float(run.reasons[SCATTERED_FLUX].sum())
+        self.segments += float(run.reasons[SEGMENTS].sum())
+
+    def widen(self, count: int) -> None:
+        """Make room for as many ways."""
+        more = count - len(self.hits)
+        self.ways = np.concatenate([self.ways, np.zeros((more, BATCHES))])
+        self.hits = np.concatenate([self.hits, np.zeros(more)])
+
+
+@dataclass(frozen=True)
+class Cell:
+    """
+    PST_normal of one cell of directions.
+
+    Attributes
+    ----------
+    parts : (c, BATCHES) float64
+        What each batch of start rays adds to each class of light.
+    weight : (BATCHES,) float64
+        Share of the start rays of each batch.
+    largest_share : float
+        See `Pst`; NaN without scattered light.
+    rays, segments : int
+    beam_area : float
+        Cross-section of the beam, mm².
+    rows : DataFrame, optional
+        Ways of the light: the columns of `Pst.path_rows` but for those of the cell.
+    map : (2, h, w) float64, optional
+        PST_normal of each pixel and its standard error.
+    """
+
+    parts: np.ndarray
+    weight: np.ndarray
+    largest_share: float
+    rays: int
+    segments: int
+    beam_area: float
+    rows: pd.DataFrame | None = None
+    map: np.ndarray | None = None
+
+    @property
+    def error(self) -> float:
+        """Relative standard error of all light together; infinite where there is none."""
+        total = self.parts.sum(axis=0)
+        value = float(total.sum())
+        return float(batch_error(total, self.weight)) / value if value > 0 else np.inf
+
+    @property
+    def by_batch(self) -> np.ndarray:
+        """(c, BATCHES): each class from each batch alone."""
+        return np.divide(self.parts, self.weight, out=np.zeros_like(self.parts), where=self.weight > 0)
+
+
+class ForwardCells:
+    """
+    Forward runs of the cells of a grid; the kernel is compiled once, every other cell costs its rays.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    grid : DirectionGrid
+    settings : Settings
+        But for the number of rays.
+    wavelengths_nm, shares : (k,) float64
+        Wavelengths and their shares of the flux.
+    detector : str, optional
+    entrance : Entrance, optional
+    map_pixels : int
+        Longer side of the maps; 0: none.
+    """
+
+    def __init__(
+        self,
+        scene: mi.Scene,
+        grid: DirectionGrid,
+        settings: Settings,
+        wavelengths_nm: np.ndarray,
+        shares: np.ndarray,
+        detector: str | None = None,
+        entrance: Entrance | None = None,
+        map_pixels: int = 0,
+    ) -> None:
+        self.settings, self.grid, self.entrance = settings, grid, entrance
+        self.wavelengths_nm, self.shares = wavelengths_nm, shares
+        self.table = SurfaceTable(scene, float(wavelengths_nm[0]), detector, settings.stokes)
+        self.area = detector_area(self.table)
+        width, height, self.extent = self.table.film()
+        pixels = max(map_pixels, 1) / max(width, height)
+        self._map_size = max(1, round(pixels * width)), max(1, round(pixels * height))
+        self.has_maps = map_pixels > 0
+        self._waves = PlaneWaves(self.table, grid, entrance)
+        intersector, targets = Intersector(self.table), aims(self.table, scene, settings)
+        self._runs = []
+        for wavelength, share in zip(wavelengths_nm.tolist(), shares.tolist(), strict=True):
+            table = self.table if wavelength == self.table.wavelength_nm else self.table.at(wavelength)
+            scattering = Scattering(ScatterTables(table.ids, table.optics, targets))
+            wave = self._waves.at(0, 0, wavelength, share)
+            self._runs.append(
+                CellRun(wave, table, scattering, intersector, settings, 0, 0, 0.0, map_size=self._map_size)
+            )
+        path = find_design_path(self.table, scene)
+        has_optics = path is not None and len(path.steps) > 1
+        self._ways = Ways(self.table.event_ids, self.table.event_words, has_optics)
+
+    def cell(
+        self,
+        i: int,
+        j: int,
+        rays: int,
+        wanted_error: float | None = None,
+        paths: bool = True,
+        progress: Callable[[int, float], None] | None = None,
+    ) -> Cell:
+        """
+        Trace cell (i, j).
+
+        Parameters
+        ----------
+        i, j : int
+            Numbers of its field angle and azimuth.
+        rays : int
+            Start rays at most.
+        wanted_error : float, optional
+            Relative standard error of all light at which it is enough; each pass doubles the rays. None: one pass of
+            all rays.
+        paths : bool
+            List the ways of the light.
+        progress : callable, optional
+            Called after each pass with the rays so far and the relative error.
+        """
+        sums = [Sums() for _ in self._runs]
+        passes = done = 0
+        todo = rays if wanted_error is None else min(FIRST_RAYS, rays)
+        while True:
+            for k, run in enumerate(self._runs):
+                self._trace(run, sums[k], (i, j, passes, k), todo)
+            passes, done = passes + 1, done + todo
+            found = self._cell(sums)
+            if progress:
+                progress(done, found.error)
+            enough = wanted_error is not None and found.error <= wanted_error
+            if enough or done >= (rays if np.isfinite(found.error) else min(rays, DARK_RAYS)):
+                return self._with_details(found, sums, paths)
+            todo = min(done, rays - done)
+
+    def _trace(self, run: CellRun, sums: Sums, stream: tuple[int, int, int, int], rays: int) -> None:
+        i, j, _, k = stream
+        run.beam = self._waves.at(i, j, run.table.wavelength_nm, float(self.shares[k]))
+        run.rays = max(1, round(rays * self.shares[k]))
+        run.seed = int(np.random.SeedSequence((self.settings.seed, *stream)).generate_state(1)[0])
+        run.unit = run.beam.power / run.rays
+        run.execute(True, None)
+        sums.add(run, self._ways)
+
+    def _scales(self, sums: Sequence[Sums]) -> list[float]:
+        """PST_normal of a start ray that lands with all its flux, by wavelength."""
+        return [run.beam.power / (self.area * part.started.sum()) for run, part in zip(self._runs, sums, strict=True)]
+
+    def _parts(self, sums: Sequence[Sums]) -> np.ndarray:
+        """(w, BATCHES): what each batch adds to the PST_normal of each way."""
+        for part in sums:
+            part.widen(len(self._ways))
+        return np.asarray(sum(scale * part.ways for scale, part in zip(self._scales(sums), sums, strict=True)))
+
+    def _cell(self, sums: Sequence[Sums]) -> Cell:
+        """What the sums of the wavelengths say, without details."""
+        parts = np.zeros((len(CLASSES), BATCHES))
+        np.add.at(parts, self._ways.classes, self._parts(sums))
+        weight = sum(share * part.started / part.started.sum() for share, part in zip(self.shares, sums, strict=True))
+        scales = self._scales(sums)
+        scattered = sum(scale * part.scattered for scale, part in zip(scales, sums, strict=True))
+        largest = max(scale * part.largest for scale, part in zip(scales, sums, strict=True))
+        return Cell(
+            parts=parts,
+            weight=np.asarray(weight),
+            largest_share=largest / scattered if scattered > 0 else np.nan,
+            rays=round(sum(part.started.sum() for part in sums)),
+            segments=round(sum(part.segments for part in sums)),
+            beam_area=sum(run.beam.power for run in self._runs),  # of 1 W/mm² together
+        )
+
+    def _with_details(self, cell: Cell, sums: Sequence[Sums], paths: bool) -> Cell:
+        """The cell with its paths and its map, where they are wanted."""
+        rows = self._rows(cell, sums) if paths else None
+        return replace(cell, rows=rows, map=self._map(sums) if self.has_maps else None)
+
+    def _rows(self, cell: Cell, sums: Sequence[Sums]) -> pd.DataFrame:
+        parts = self._parts(sums)
+        hits = np.sum([part.hits for part in sums], axis=0)
+        met = np.flatnonzero(hits)
+        rows = self._ways.table(met)
+        rows["rays"] = hits[met].astype(np.int64)
+        rows["pst_normal"] = parts[met].sum(axis=1)
+        rows["pst_normal_se"] = batch_error(parts[met], cell.weight)
+        return rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
+
+    def _map(self, sums: Sequence[Sums]) -> np.ndarray:
+        columns, rows = self._map_size
+        x0, x1, y0, y1 = self.extent
+        pixels = self.area * columns * rows / ((x1 - x0) * (y1 - y0))  # on the detector
+        value, variance = np.zeros((2, rows, columns))
+        for scale, part in zip(self._scales(sums), sums, strict=True):
+            flux, square = part.film
+            value += pixels * scale * flux
+            variance += (pixels * scale) ** 2 * np.maximum(square - flux**2 / part.started.sum(), 0.0)
+        return np.stack([value, np.sqrt(variance)])

@@ -1,0 +1,255 @@
+"""A point source transmittance over field angle and azimuth, by class of the light, with standard errors."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.trace.directions import DirectionGrid
+from mistray.trace.path_events import DIRECT
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter")
+STRAY = CLASSES[1:]
+CONVENTIONS = ("normal", "projected")
+
+
+@dataclass(frozen=True, eq=False)
+class Pst:
+    """
+    Point source transmittance (PST) of a system: irradiance on the detector over irradiance of a distant source.
+
+    PST_normal = E_det / E_⊥ with the irradiance E_⊥ on a plane across the beam; PST_projected = E_det / (E_⊥ cos θ),
+    where the plane is that of the aperture (R. Breault in Handbook of Optics; E. Fest, Stray Light Analysis and
+    Control, 2013). E_det is the flux that *meets* the detector, averaged over its area; what it absorbs of it does not
+    matter. Values are means over the cells of `grid`.
+
+    Light is "direct" (no reflection but at mirrors, no scatter), "straight_shot" (the same, but past all optics,
+    through an edge or bevel, or with total reflection), "ghost" (reflections, no scatter), "single_scatter" or
+    "multiple_scatter" (one or more scatter events, with or without reflections).
+
+    Attributes
+    ----------
+    grid : DirectionGrid
+        (n, m) cells.
+    by_batch : (c, n, m, b) float64
+        PST_normal of each class in `CLASSES` from each batch of start rays alone. Batches are independent of each
+        other; the cells of one batch are not.
+    weight : (b,) or (n, m, b) float64
+        Share of the start rays that each batch has, of each cell where cells have their own start rays.
+    convention : {"normal", "projected"}
+        What `value` and all that is derived from it follow.
+    method : {"adjoint", "forward"}
+    facts : dict
+        How it was computed, plain values: scene, detector, detector_area_mm2, wavelength_nm, weights, rays, seed,
+        seconds, segments, settings …
+    largest_share : (n, m) float64
+        Share of the scattered light of a cell that its strongest single ray carries; where it is large, so are the
+        errors of the errors.
+    path_rows : DataFrame, optional
+        Paths by cell: columns cell (number of the field angle), azimuth_cell, events, path, order, kind, ghost_1,
+        ghost_2, scatter_1, scatters, structure_bounces, tir, rays, pst_normal, pst_normal_se.
+    maps : (2, n, m, h, w) float64, optional
+        PST_normal of each pixel of the detector and its standard error.
+    extent_mm : tuple of float
+        x0, x1, y0, y1 of the detector, in its own frame.
+    """
+
+    grid: DirectionGrid
+    by_batch: np.ndarray
+    weight: np.ndarray
+    convention: str = "normal"
+    method: str = "adjoint"
+    facts: dict[str, Any] = field(default_factory=dict)
+    largest_share: np.ndarray | None = None
+    path_rows: pd.DataFrame | None = None
+    maps: np.ndarray | None = None
+    extent_mm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+
+    def __post_init__(self) -> None:
+        if self.convention not in CONVENTIONS:
+            raise MistrayError(f"convention is '{self.convention}'; use 'normal' or 'projected'")
+
+    # ---- numbers
+
+    @property
+    def angles_deg(self) -> np.ndarray:
+        """(n,) field angles."""
+        return self.grid.angles_deg
+
+    @property
+    def _factor(self) -> np.ndarray:
+        """(n,) what PST_normal is multiplied by."""
+        cosine = np.maximum(self.grid.mean_cosine, np.finfo(float).tiny)
+        return np.asarray(1 / cosine if self.convention == "projected" else np.ones_like(cosine))
+
+    def samples(self, classes: str | Sequence[str] = "total") -> np.ndarray:
+        """The PST from each batch, (n, m, b): "total", "stray" (all but "direct"), a class, or several together."""
+        groups = {"total": CLASSES, "stray": STRAY}
+        names = groups.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
+        unknown = [name for name in names if name not in CLASSES]
+        if unknown:
+            raise MistrayError(
+                f"class '{unknown[0]}' of light does not exist; use {', '.join(CLASSES)}, stray or total"
+            )
+        chosen = [CLASSES.index(name) for name in names]
+        return np.asarray(self.by_batch[chosen].sum(axis=0) * self._factor[:, None, None])
+
+    def map(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
+        """PST of the cells and its standard error, (n, m) each."""
+        return self._estimate(self.samples(classes), self.weight)
+
+    def curve(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
+        """PST over field angle, the mean over azimuths, and its standard error, (n,) each."""
+        samples, weight = self.samples(classes), self.weight
+        if weight.ndim == 1:
+            return self._estimate(samples.mean(axis=1), weight)
+        value, se = self._estimate(samples, weight)  # every cell has its own start rays
+        return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
+
+    @staticmethod
+    def _estimate(samples: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Weighted mean over the batches (last axis) and its standard error from their spread."""
+        value = np.sum(weight * samples, axis=-1)
+        used = np.maximum(np.count_nonzero(weight, axis=-1), 2)
+        spread = np.sum(np.square(weight * (samples - value[..., None])), axis=-1)
+        return value, np.sqrt(used / (used - 1) * spread)
+
+    @property
+    def value(self) -> np.ndarray:
+        """(n,) PST of all light."""
+        return self.curve()[0]
+
+    @property
+    def standard_error(self) -> np.ndarray:
+        """(n,) standard error of `value`."""
+        return self.curve()[1]
+
+    @property
+    def stray(self) -> np.ndarray:
+        """(n,) PST of all light but the direct image."""
+        return self.curve("stray")[0]
+
+    @property
+    def stray_se(self) -> np.ndarray:
+        """(n,) standard error of `stray`."""
+        return self.curve("stray")[1]
+
+    @property
+    def is_dark(self) -> bool:
+        """Whether nothing at all reaches the detector."""
+        return not np.any(self.by_batch)
+
+    def to(self, convention: str) -> Pst:
+        """The same PST in another convention."""
+        return replace(self, convention=convention)
+
+    # ---- details
+
+    def paths(self, angle_deg: float, azimuth_deg: float = 0.0, n: int | None = None) -> pd.DataFrame:
+        """
+        Paths of the light at a field angle, the strongest first.
+
+        Parameters
+        ----------
+        angle_deg, azimuth_deg : float
+        n : int, optional
+            The first n of them.
+
+        Returns
+        -------
+        DataFrame
+            Columns of `path_rows` without the cells, with ``pst``, ``pst_se`` (in the convention of this result),
+            ``percent_of_stray`` (of all light at this angle but the direct image; NaN for the direct image) and
+            ``percent_of_all``.
+        """
+        if self.path_rows is None:
+            raise MistrayError("this PST was computed without paths; ask for them with paths=True")
+        i, j = self.grid.nearest(angle_deg, azimuth_deg)
+        rows = self.path_rows
+        rows = rows[(rows.cell == i) & (rows.azimuth_cell == j)]
+        rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
+        factor = self._factor[i]
+        stray, total = self.map("stray")[0][i, j], self.map()[0][i, j]
+        rows = rows.assign(pst=factor * rows.pst_normal, pst_se=factor * rows.pst_normal_se)
+        is_stray = rows.kind != DIRECT
+        with np.errstate(divide="ignore", invalid="ignore"):
+            rows["percent_of_stray"] = np.where(is_stray, 100 * rows.pst / stray, np.nan)
+            rows["percent_of_all"] = 100 * rows.pst / total
+        rows = rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"])
+        return rows if n is None else rows.head(n)
+
+    def irradiance(self, angle_deg: float, azimuth_deg: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """
+        Irradiance on the detector from a source of 1 W/mm² (across the beam) and its standard error.
+
+        Returns
+        -------
+        value, se : (h, w) float64
+            W/mm², row 0 at the smallest y.
+        """
+        if self.maps is None:
+            raise MistrayError("this PST was computed without maps; ask for them with map_pixels=64, say")
+        i, j = self.grid.nearest(angle_deg, azimuth_deg)
+        return self.maps[0, i, j], self.maps[1, i, j]
+
+    def to_pandas(self) -> pd.DataFrame:
+        """
+        The curve as a DataFrame, one row for each cell.
+
+        Columns angle_deg, angle_from_deg, angle_to_deg, azimuth_deg, convention, method; for total, stray and each
+        class the PST and its standard error (``…_se``).
+        """
+        import pandas as pd
+
+        n, m = self.grid.shape
+        columns: dict[str, Any] = {
+            "angle_deg": np.repeat(self.angles_deg, m),
+            "angle_from_deg": np.repeat(self.grid.edges_deg[:, 0], m),
+            "angle_to_deg": np.repeat(self.grid.edges_deg[:, 1], m),
+            "azimuth_deg": np.tile(self.grid.azimuths_deg, n),
+            "convention": self.convention,
+            "method": self.method,
+        }
+        for name in ("total", "stray", *CLASSES):
+            value, se = self.map(name)
+            columns[f"pst_{name}"], columns[f"pst_{name}_se"] = value.ravel(), se.ravel()
+        return pd.DataFrame(columns)
+
+    def to_csv(self, path: str | Path) -> None:
+        """Write `to_pandas` as CSV, numbers with nine digits."""
+        self.to_pandas().to_csv(path, index=False, float_format="%.9g")
+
+
+def notes(found: Pst, largest: np.ndarray) -> list[str]:
+    """What a reader of a PST should know, one line each."""
+    lines = []
+    if found.is_dark:
+        lines.append(
+            "PST is 0: no ray from the detector leaves the scene within the angles; it sees no opening, or limits cut "
+            "all paths"
+        )
+        return lines
+    value, _ = found.map()
+    dark = found.grid.angles_deg[np.all(value == 0, axis=1)]
+    if dark.size:
+        lines.append(f"no light was found at {_angles(dark)}: the PST there is below what so many rays can see")
+    heavy = found.grid.angles_deg[np.any(largest > 0.1, axis=1)]
+    if heavy.size:
+        lines.append(
+            f"single rays carry more than 10 % of the scattered light at {_angles(heavy)}; errors there may be too "
+            "low, take more rays"
+        )
+    return lines
+
+
+def _angles(angles: np.ndarray) -> str:
+    shown = ", ".join(f"{angle:g}" for angle in angles[:8])
+    return f"{shown}{' …' if len(angles) > 8 else ''}°"

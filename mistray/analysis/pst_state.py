@@ -1,0 +1,226 @@
+"""The state of a run in a file, written whole after every pass, so that the run can go on; and how far it is."""
+
+from __future__ import annotations
+
+import io
+import json
+import math
+import re
+import zipfile
+import zlib
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.replace_file import replace_file
+
+FORM = 1  # changes when the content does
+_FACTS, _ARRAY = "facts", "array_"  # entries of the file; the prefix keeps names of arrays apart from all others
+_HASH = re.compile("[0-9a-f]{16,}")
+_ABSENT = "absent"
+_MOST_LISTED = 6  # values of a list that a message quotes
+
+
+@dataclass(frozen=True)
+class PstProgress:
+    """
+    How far a run is.
+
+    Attributes
+    ----------
+    rays_done, rays_planned : int
+        Start rays so far, those of the saved run that it went on from included, and the most there will be.
+    worst_error : float
+        Largest relative standard error of the angles that count; infinite where an angle has no light yet.
+    wanted_error : float or None
+        The run ends when the worst error is below it; None: it takes all rays planned.
+    seconds : float
+        Since this run began or went on.
+    seconds_left : float
+        Estimate; NaN before the first pass.
+    """
+
+    rays_done: int
+    rays_planned: int
+    worst_error: float
+    wanted_error: float | None
+    seconds: float
+    seconds_left: float
+
+    @classmethod
+    def after(
+        cls,
+        rays_done: int,
+        rays_planned: int,
+        worst_error: float,
+        wanted_error: float | None,
+        seconds: float,
+        rays_before: int = 0,
+    ) -> PstProgress:
+        """
+        Progress with the estimate of the time left.
+
+        The error falls as 1/√rays, so that rays_done · (worst_error/wanted_error)² rays are needed in all, but never
+        more than `rays_planned`; each takes as long as those since `rays_before`, with which this run went on.
+        """
+        here = rays_done - rays_before
+        left = max(_rays_needed(rays_done, rays_planned, worst_error, wanted_error) - rays_done, 0.0)
+        seconds_left = seconds * left / here if here > 0 else math.nan
+        return cls(rays_done, rays_planned, worst_error, wanted_error, seconds, seconds_left)
+
+    @property
+    def share_done(self) -> float:
+        """Share of the rays needed that are done, 0 … 1."""
+        needed = _rays_needed(self.rays_done, self.rays_planned, self.worst_error, self.wanted_error)
+        return min(self.rays_done / needed, 1.0) if needed > 0 else 1.0
+
+
+def _rays_needed(done: int, planned: int, worst_error: float, wanted_error: float | None) -> float:
+    if wanted_error is None or not math.isfinite(worst_error):
+        return float(planned)
+    return min(float(planned), done * (worst_error / wanted_error) ** 2)
+
+
+def save_state(path: str | Path, arrays: Mapping[str, np.ndarray], facts: Mapping[str, Any]) -> Path:
+    """
+    Save what a run needs to go on; the file is replaced whole, so that a process that is killed leaves the old one.
+
+    Parameters
+    ----------
+    path : str or Path
+        NumPy archive (.npz), readable without mistray. The folder is made if it is missing.
+    arrays : mapping of str to array
+        Numbers or text; no objects.
+    facts : mapping
+        Plain values; "signature" holds all that must agree when the run goes on, see `require_same`.
+
+    Returns
+    -------
+    Path
+        The file.
+    """
+    entries = {_ARRAY + name: np.asarray(values) for name, values in arrays.items()}
+    objects = [name for name, values in arrays.items() if np.asarray(values).dtype.hasobject]
+    if objects:
+        raise MistrayError(f"state '{path}': array '{objects[0]}' holds objects; give numbers or text")
+    text = json.dumps({"form": FORM, "facts": dict(facts)}, default=_plain)
+    buffer = io.BytesIO()
+    np.savez(buffer, **{_FACTS: np.array(text)}, **entries)  # type: ignore[arg-type]
+    path = Path(path)
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise MistrayError(f"state '{path}': {error.strerror}; choose another folder") from None
+    return replace_file(path, buffer.getvalue(), "state")
+
+
+def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]:
+    """
+    Read a saved state back.
+
+    Returns
+    -------
+    arrays, facts : dict
+
+    Raises
+    ------
+    MistrayError
+        If there is no such file, it is no state or damaged, or another version of mistray wrote it.
+    """
+    try:
+        with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as archive:
+            content = json.loads(str(archive[_FACTS][()]))
+            arrays = {name.removeprefix(_ARRAY): archive[name] for name in archive.files if name.startswith(_ARRAY)}
+        form, facts = content["form"], dict(content["facts"])
+    except FileNotFoundError:
+        raise MistrayError(f"state '{path}': no such file; run once without resuming, or check the path") from None
+    except OSError as error:
+        raise MistrayError(f"state '{path}': {error.strerror or error}; check the path") from None
+    except (ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, zipfile.BadZipFile, zlib.error):
+        raise MistrayError(f"state '{path}' is damaged or no state; remove it and run without resuming") from None
+    if form != FORM:
+        raise MistrayError(f"state '{path}' was written by another version of mistray; run without resuming")
+    return arrays, facts
+
+
+def require_same(path: str | Path, facts: Mapping[str, Any], signature: Mapping[str, Any]) -> None:
+    """
+    Check that a saved state belongs to the run that is to go on.
+
+    Parameters
+    ----------
+    path : str or Path
+        For the message.
+    facts : mapping
+        From `load_state`.
+    signature : mapping
+        What ``facts["signature"]`` must hold: plain values, mappings of such and lists. Values of 16 and more
+        hexadecimal digits are taken for hashes, which a message does not quote.
+
+    Raises
+    ------
+    MistrayError
+        Names the first thing that differs, as it was and as it is; hashes come last.
+    """
+    saved = _flat(facts.get("signature", {}))
+    here = _flat(json.loads(json.dumps(dict(signature), default=_plain)))
+    differing = []
+    for name in dict.fromkeys((*here, *saved)):
+        old, new = saved.get(name, _ABSENT), here.get(name, _ABSENT)
+        if old != new and not _both_nan(old, new):
+            differing.append((_are_hashes(old, new), name, old, new))
+    if differing:  # a hash changes with settings that are named themselves
+        _, name, old, new = min(differing, key=lambda item: item[0])
+        raise MistrayError(
+            f"state '{path}' belongs to another run: {_difference(name, old, new)}; use another file, or run without "
+            "resuming"
+        )
+
+
+def _flat(values: Any, name: str = "") -> dict[str, Any]:
+    """Values of nested mappings under names such as "settings.seed"."""
+    if not isinstance(values, dict):
+        return {name: values}
+    flat: dict[str, Any] = {}
+    for key, value in values.items():
+        flat |= _flat(value, f"{name}.{key}" if name else str(key))
+    return flat
+
+
+def _both_nan(old: Any, new: Any) -> bool:
+    return isinstance(old, float) and isinstance(new, float) and math.isnan(old) and math.isnan(new)
+
+
+def _are_hashes(*values: Any) -> bool:
+    return all(isinstance(value, str) and _HASH.fullmatch(value) for value in values)
+
+
+def _difference(name: str, old: Any, new: Any) -> str:
+    if _are_hashes(old, new):
+        return f"the {name} is another one or has changed"
+    if isinstance(old, list) and isinstance(new, list):
+        if len(old) == len(new) > _MOST_LISTED:
+            k = next(k for k in range(len(old)) if old[k] != new[k])
+            return f"value {k + 1} of {name} was {_text(old[k])} and is {_text(new[k])}"
+        if max(len(old), len(new)) > _MOST_LISTED:
+            return f"{name} had {len(old)} values ({_text(old)}) and has {len(new)} ({_text(new)})"
+    return f"{name} was {_text(old)} and is {_text(new)}"
+
+
+def _text(value: Any) -> str:
+    if isinstance(value, list):
+        if len(value) > _MOST_LISTED:
+            return f"{_text(value[0])} … {_text(value[-1])}"
+        return f"[{', '.join(map(_text, value))}]"
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
+
+def _plain(value: Any) -> Any:
+    """NumPy's numbers and arrays as those of Python, for JSON."""
+    if hasattr(value, "tolist"):
+        return value.tolist()
+    return str(value)

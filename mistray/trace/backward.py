@@ -1,0 +1,402 @@
+"""Traces against the light: from the detector to the sky, which is every direction that stray light can come from."""
+
+from __future__ import annotations
+
+import hashlib
+import time
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.trace.books import (
+    ABSORBED_HERE,
+    CONTROL,
+    ESCAPED,
+    EVENTS,
+    HITS,
+    INCIDENT,
+    MEDIUM,
+    REASONS,
+    REFLECTIONS,
+    ROULETTE,
+    SAMPLING,
+    SCATTERS,
+    SEGMENTS,
+    SURFACE_SUMS,
+    THRESHOLD,
+    Film,
+    Tallies,
+)
+from mistray.trace.detector_start import DetectorStart, stratified_places
+from mistray.trace.directions import DirectionGrid
+from mistray.trace.energy import batch_error
+from mistray.trace.exits import exits
+from mistray.trace.intersect import Intersector
+from mistray.trace.ledger import BATCHES
+from mistray.trace.ray_tree import walk
+from mistray.trace.scatter_tables import ScatterTables
+from mistray.trace.scattering import Scattering
+from mistray.trace.settings import NO_LIMIT, Settings
+from mistray.trace.sky import PathBook, Sky
+from mistray.trace.sources import spectrum_of
+from mistray.trace.surfaces import SurfaceTable
+
+FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the fifth and all that follow
+PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
+# Reasons that take weight from the rays for good; what the last two take they give back on average
+LOST = (THRESHOLD, REFLECTIONS, SCATTERS, EVENTS, MEDIUM, CONTROL)
+EVEN = (ROULETTE, SAMPLING)
+
+
+@dataclass(frozen=True)
+class _Band:
+    """One wavelength of a trace."""
+
+    table: SurfaceTable
+    scattering: Scattering
+    start: DetectorStart
+    share: float
+
+
+class BackwardTrace:
+    """
+    A trace against the light that can go on for as long as one likes.
+
+    A ray leaves the detector like light from a Lambertian surface and goes on as the light came that would be detected
+    there. Of light of radiance L that a cell of directions sends towards the scene, the irradiance on the detector is
+    E = n² π L mean(w), where w is the weight of the rays that leave within the cell; for a distant source that is
+    PST_normal = n² π/ΔΩ mean(w). The factor n², for a detector in a medium, is part of the weights.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    grid : DirectionGrid
+    settings : Settings
+    wavelength_nm : float or sequence of float, optional
+        By default those of the first source, else 550 nm.
+    weights : sequence of float, optional
+        Shares of the flux.
+    detector : str, optional
+    map_pixels : int
+        Longer side of the maps of the detector; 0: none.
+    paths : bool
+        Keep a table of the paths.
+    both_sides : bool
+        Light that meets the detector from behind counts as well, as in a trace with the light.
+
+    Attributes
+    ----------
+    sums : dict of str to np.ndarray
+        Everything that has been counted, see `Sky.read`, and ``surfaces``, ``media``, ``reasons`` (see
+        `mistray.trace.books`); sums over all passes.
+    passes : int
+        That have been traced.
+    area : float
+        Of the detector, mm².
+    has_optics : bool
+        Whether there is a lens or a mirror on the way from a source to the detector.
+
+    Raises
+    ------
+    MistrayError
+        For settings that a backward trace does not know.
+    """
+
+    def __init__(
+        self,
+        scene: mi.Scene,
+        grid: DirectionGrid,
+        settings: Settings,
+        wavelength_nm: float | Sequence[float] | None = None,
+        weights: Sequence[float] | None = None,
+        detector: str | None = None,
+        map_pixels: int = 0,
+        paths: bool = False,
+        both_sides: bool = True,
+    ) -> None:
+        if settings.stokes:
+            raise MistrayError("polarization is 'stokes'; rays against the light know unpolarised light only")
+        if settings.max_random_scatters < NO_LIMIT:
+            raise MistrayError(
+                f"max_random_scatters is {settings.max_random_scatters}; it limits how light is sampled, which is "
+                "another thing against the light: use max_scatters"
+            )
+        self.grid, self.settings = grid, settings
+        wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
+        self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
+        first = SurfaceTable(scene, self.wavelength_nm[0], detector)
+        self._intersector = Intersector(first)
+        axis = np.asarray(grid.rotation)[:, 2]
+        found = exits(first, scene, settings, axis)
+        self.has_optics = found.has_optics
+        self._bands = []
+        for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
+            table = first if wavelength == first.wavelength_nm else first.at(wavelength)
+            scattering = Scattering(ScatterTables(table.ids, table.optics, found.aims, backward=True))
+            light = found.light if found.light is not None else axis
+            self._bands.append(_Band(table, scattering, DetectorStart(table, light, found.start, both_sides), share))
+        start = self._bands[0].start
+        self.table, self.area, self.extent = first, start.area, start.extent
+        long_side = max(start.width, start.height)
+        self.map_size = (
+            (max(1, round(map_pixels * start.width / long_side)), max(1, round(map_pixels * start.height / long_side)))
+            if map_pixels
+            else (0, 0)
+        )
+        cells = int(np.prod(grid.shape))
+        self._book = PathBook(PATH_SLOTS, ENTRY_SLOTS, settings.max_events, cells) if paths else None
+        self._film = Film(1, 1, *(dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0)))
+        self.passes = 0
+        self.seconds = 0.0
+        self.sums: dict[str, np.ndarray] = {}
+
+    @property
+    def lists_paths(self) -> bool:
+        """Whether there is a table of the paths."""
+        return self._book is not None
+
+    def go_on_from(self, sums: dict[str, np.ndarray], passes: int, seconds: float) -> None:
+        """Take over what another trace with the same arguments has counted."""
+        self.sums, self.passes, self.seconds = dict(sums), passes, seconds
+
+    @property
+    def next_pass(self) -> int:
+        """Rays of the next pass: few at first, so that there is a result after seconds."""
+        return min(FIRST_PASS << self.passes, PASS_LANES)
+
+    def advance(self, rays: int | None = None) -> None:
+        """Trace one more pass of about so many rays, by default `next_pass`; `sums` grow."""
+        rays = self.next_pass if rays is None else rays
+        started = time.perf_counter()
+        for number, one in enumerate(self._bands):
+            lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
+            sky = Sky(self.grid, self.map_size[0] * self.map_size[1], self._book, self.has_optics)
+            tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
+            # The share of a wavelength is that of its rays, but for rounding
+            weight = one.share * rays / lanes
+            start = self._start(one, number, lanes, rays, weight)
+            walk(one.table, one.scattering, self._intersector, start, self.settings, self._film, tallies, sky=sky)
+            dr.eval()
+            dr.sync_thread()
+            self._add(sky.read())
+            # Sums by surface are in the order of the first wavelength's media
+            self._add(
+                {
+                    "surfaces": np.array(tallies.surfaces).reshape(one.table.count, SURFACE_SUMS, BATCHES),
+                    "media": self._by_medium(one.table, np.array(tallies.media).reshape(-1, BATCHES)),
+                    "reasons": np.array(tallies.reasons).reshape(REASONS, BATCHES),
+                    "rays": np.full(BATCHES, rays * one.share / BATCHES),
+                }
+            )
+        self.passes += 1
+        self.seconds += time.perf_counter() - started
+
+    def _start(self, one: _Band, number: int, lanes: int, rays: int, weight: float) -> Any:
+        index = dr.arange(mi.UInt32, lanes)
+        stream = (self.settings.seed + 0x9E3779B9 * (number + len(self._bands) * self.passes)) % 2**32
+        state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, stream), index)
+        rng = mi.PCG32(size=lanes, initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
+        batch, place = stratified_places(index, lanes, rng)
+        start = one.start.rays(index, batch, place, rng, dr.opaque(mi.Float, weight), self.map_size)
+        dr.eval(
+            start.lane,
+            start.batch,
+            start.rng,
+            start.o,
+            start.d,
+            start.w,
+            start.left,
+            start.normal,
+            start.pixel,
+            start.medium,
+        )
+        return start
+
+    def _by_medium(self, table: SurfaceTable, sums: np.ndarray) -> np.ndarray:
+        """Rows of media in the order of the first wavelength, where numbers by index may fall together otherwise."""
+        names = self.table.optics.media
+        found = np.zeros((len(names), BATCHES))
+        for name, row in zip(table.optics.media, sums, strict=True):
+            found[names.index(name) if name in names else 0] += row
+        return found
+
+    def _add(self, more: Mapping[str, np.ndarray]) -> None:
+        for key, values in more.items():
+            if key == "largest":
+                self.sums[key] = np.maximum(self.sums.get(key, 0.0), values)
+            else:
+                self.sums[key] = self.sums.get(key, 0.0) + values
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of all that the kernel reads: geometry, coatings, media, scatter, of every wavelength."""
+        digest = hashlib.sha256(repr(self.table.ids).encode())
+        for one in self._bands:
+            optics, table = one.table.optics, one.table
+            arrays = [table.quadric, table.vertex, table.polynomial, table.rotation, table.half_size, optics.words]
+            arrays += [optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
+            arrays += one.scattering.arrays
+            for values in arrays:
+                digest.update(np.array(values).tobytes())
+            digest.update(repr([str(shape) for shape in table.shapes[len(table.pieces) :]]).encode())
+        return digest.hexdigest()
+
+    def paths(self) -> dict[str, np.ndarray] | None:
+        """The path table so far, see `PathBook.read`."""
+        return self._book.read() if self._book is not None else None
+
+    @property
+    def rays(self) -> np.ndarray:
+        """(BATCHES,) rays that have been started, by batch."""
+        return np.asarray(self.sums.get("rays", np.zeros(BATCHES)))
+
+    @property
+    def segments(self) -> float:
+        """Ray segments that have been traced."""
+        return float(self.sums["reasons"][SEGMENTS].sum())
+
+    @property
+    def lost(self) -> np.ndarray:
+        """(BATCHES,) weight that limits and thresholds cut, and what random choices have taken or added so far."""
+        return np.asarray(self.sums["reasons"][[*LOST, *EVEN]].sum(axis=0))
+
+
+@dataclass(frozen=True)
+class SeenSurface:
+    """
+    What the detector sees of a surface.
+
+    Attributes
+    ----------
+    id, part : str
+    space : int
+        Optical space.
+    hits : int
+    share, share_se : float
+        Mean weight that meets the surface, of Lambertian rays from the detector. If the surface alone had the
+        radiance L, towards all sides, the irradiance on the detector would be π L · share (but for light that is
+        scattered at the surface itself).
+    emission, emission_se : float
+        The same times what the surface absorbs at each angle, 1 - R - T - scatter, which by Kirchhoff's law is its
+        emissivity: a surface with the blackbody radiance L gives the irradiance π L · emission.
+    emission_by_batch : (BATCHES,) float64
+        Its estimates from single batches of rays.
+    """
+
+    id: str
+    part: str
+    space: int
+    hits: int
+    share: float
+    share_se: float
+    emission: float
+    emission_se: float
+    emission_by_batch: np.ndarray
+
+
+@dataclass(frozen=True)
+class Seen:
+    """
+    What a detector sees, in a trace against the light.
+
+    All shares are of Lambertian rays from the side of the detector that the light of the design comes to, times n² of
+    the medium there; emission, escaped and lost add up to n².
+
+    Attributes
+    ----------
+    rows : list of SeenSurface
+        All surfaces, in the order of the scene; the detector itself where it sees itself.
+    media : dict
+        Material → (emission, standard error, by batch) of absorbing media.
+    escaped : tuple
+        Share of the rays that leave the scene, standard error, by batch.
+    lost : tuple
+        Share that limits and thresholds cut, standard error, by batch.
+    detector : str
+    detector_area_mm2 : float
+    wavelength_nm : float
+    rays : int
+    seconds : float
+    """
+
+    rows: list[SeenSurface]
+    media: dict[str, tuple[float, float, np.ndarray]]
+    escaped: tuple[float, float, np.ndarray]
+    lost: tuple[float, float, np.ndarray]
+    detector: str
+    detector_area_mm2: float
+    wavelength_nm: float
+    rays: int
+    seconds: float
+
+
+def see(
+    scene: mi.Scene,
+    rays: int = 200_000,
+    wavelength_nm: float | None = None,
+    detector: str | None = None,
+    **settings: Any,
+) -> Seen:
+    """
+    Trace against the light and tell what the detector sees: surfaces, media, the sky.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    rays : int
+    wavelength_nm : float, optional
+        By default the first of the scene's source.
+    detector : str, optional
+    **settings
+        Fields of `mistray.trace.Settings`; ``max_reflections=0, max_scatters=0`` or
+        ``ray_control="transmit_specular"`` for what is seen directly.
+
+    Raises
+    ------
+    MistrayError
+        For bad settings, or a detector that cannot be found.
+    """
+    chosen = Settings.of(scene, rays=rays, **settings)
+    wavelength = float(spectrum_of(scene, wavelength_nm, None)[0][0])
+    whole = DirectionGrid.of([45.0], cell_deg=90.0)
+    trace = BackwardTrace(scene, whole, chosen, wavelength, detector=detector, both_sides=False)
+    for done in range(0, chosen.rays, PASS_LANES):
+        trace.advance(min(PASS_LANES, chosen.rays - done))
+    started = trace.rays
+
+    def estimate(by_batch: np.ndarray) -> tuple[float, float, np.ndarray]:
+        return (
+            float(by_batch.sum() / started.sum()),
+            float(batch_error(by_batch, started) / started.sum()),
+            by_batch / started,
+        )
+
+    rows = []
+    for i in trace.table.listed:
+        sums = trace.sums["surfaces"][i]
+        share, share_se, _ = estimate(sums[INCIDENT])
+        emission = estimate(sums[ABSORBED_HERE])
+        table = trace.table
+        hits = round(float(sums[HITS].sum()))
+        rows.append(SeenSurface(table.ids[i], table.parts[i], table.spaces[i], hits, share, share_se, *emission))
+    media = {
+        name: estimate(row)
+        for name, row in zip(trace.table.optics.media[1:], trace.sums["media"][1:], strict=True)
+        if row.any()
+    }
+    return Seen(
+        rows=rows,
+        media=media,
+        escaped=estimate(trace.sums["reasons"][ESCAPED]),
+        lost=estimate(trace.lost),
+        detector=trace.table.ids[trace.table.detector],
+        detector_area_mm2=trace.area,
+        wavelength_nm=wavelength,
+        rays=round(float(started.sum())),
+        seconds=trace.seconds,
+    )

@@ -1,0 +1,162 @@
+"""Cells of directions in which a point source transmittance is averaged."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+
+CELL_DEG = 2.0  # width of a cell where the angles say nothing
+
+
+@dataclass(frozen=True, eq=False)
+class DirectionGrid:
+    """
+    Cells of field angle and azimuth about an axis.
+
+    A cell holds the directions of light whose field angle is within `edges_deg` and whose azimuth is within half of
+    `azimuth_cell_deg` of the cell's own.
+
+    Attributes
+    ----------
+    angles_deg : (n,) float64
+        Field angles, ascending, 0 … 90.
+    edges_deg : (n, 2) float64
+        Smallest and largest field angle of each cell; cells do not overlap.
+    azimuths_deg : (m,) float64
+        Azimuths from +y towards -x, as of a `collimated` source.
+    azimuth_cell_deg : float
+        Width of a cell in azimuth; 360: all azimuths together.
+    rotation : (3, 3) float64
+        Columns: x, y and z axis of the frame that the angles are measured in; light at 0° travels along z.
+
+    Raises
+    ------
+    MistrayError
+        For angles outside 0 … 90°, that do not ascend, or cells that overlap.
+    """
+
+    angles_deg: np.ndarray
+    edges_deg: np.ndarray
+    azimuths_deg: np.ndarray
+    azimuth_cell_deg: float
+    rotation: np.ndarray
+
+    @classmethod
+    def of(
+        cls,
+        angles_deg: Sequence[float] | np.ndarray,
+        azimuths_deg: Sequence[float] | np.ndarray | None = None,
+        cell_deg: float | None = None,
+        azimuth_cell_deg: float | None = None,
+        rotation: np.ndarray | None = None,
+    ) -> DirectionGrid:
+        """
+        Cells around angles.
+
+        Parameters
+        ----------
+        angles_deg : sequence of float
+        azimuths_deg : sequence of float, optional
+            By default one cell holds all azimuths.
+        cell_deg : float, optional
+            Width of the cells in field angle; by default 2°, or the smallest distance of two angles if that is less.
+        azimuth_cell_deg : float, optional
+            By default the smallest distance of two azimuths, at most 10° for a single one.
+        rotation : (3, 3) float64, optional
+        """
+        angles = np.atleast_1d(np.asarray(angles_deg, dtype=np.float64))
+        if angles.ndim != 1 or not angles.size or not np.all(np.isfinite(angles)):
+            raise MistrayError(f"angles_deg is {angles_deg}; give one or more field angles in degrees")
+        outside = angles[(angles < 0) | (angles > 90)]
+        if outside.size:
+            raise MistrayError(f"angles_deg holds {outside[0]:g}; field angles must lie between 0 and 90 degrees")
+        apart = float(np.min(np.diff(angles), initial=np.inf))
+        if apart <= 0:
+            raise MistrayError("angles_deg must ascend; sort the field angles and give each once")
+        width = min(CELL_DEG, apart) if cell_deg is None else float(cell_deg)
+        if not 0 < width <= 90 or width > apart * (1 + 1e-9):
+            raise MistrayError(
+                f"cell_deg is {width:g}; it must be positive and at most the distance of two angles, {apart:g} degrees"
+            )
+        edges = np.clip(np.stack([angles - width / 2, angles + width / 2], axis=1), 0.0, 90.0)
+        if azimuths_deg is None:
+            if azimuth_cell_deg is not None:
+                raise MistrayError("azimuth_cell_deg is given without azimuths_deg; give the azimuths too")
+            azimuths, span = np.zeros(1), 360.0
+        else:
+            azimuths = np.atleast_1d(np.asarray(azimuths_deg, dtype=np.float64))
+            if azimuths.ndim != 1 or not azimuths.size or not np.all(np.isfinite(azimuths)):
+                raise MistrayError(f"azimuths_deg is {azimuths_deg}; give one or more azimuths in degrees")
+            around = np.sort(azimuths % 360)
+            gaps = np.diff(np.append(around, around[0] + 360))
+            span = min(10.0, float(gaps.min())) if len(around) == 1 else float(gaps.min())
+            if azimuth_cell_deg is not None:
+                if not 0 < azimuth_cell_deg <= gaps.min() * (1 + 1e-9):
+                    raise MistrayError(
+                        f"azimuth_cell_deg is {azimuth_cell_deg:g}; it must be positive and at most the distance of "
+                        f"two azimuths, {gaps.min():g} degrees"
+                    )
+                span = float(azimuth_cell_deg)
+            elif span <= 0:
+                raise MistrayError("azimuths_deg holds an azimuth twice; give each once")
+        return cls(angles, edges, azimuths, span, np.eye(3) if rotation is None else np.asarray(rotation))
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Number of field angles and of azimuths."""
+        return len(self.angles_deg), len(self.azimuths_deg)
+
+    @property
+    def solid_angle(self) -> np.ndarray:
+        """(n,) solid angle of a cell, sr; the same at all azimuths."""
+        low, high = np.cos(np.radians(self.edges_deg)).T
+        return np.asarray(np.radians(self.azimuth_cell_deg) * (low - high))
+
+    @property
+    def mean_cosine(self) -> np.ndarray:
+        """(n,) mean of cos θ over the cell."""
+        low, high = np.cos(np.radians(self.edges_deg)).T
+        return np.asarray(0.5 * (low + high))
+
+    def nearest(self, angle_deg: float, azimuth_deg: float = 0.0) -> tuple[int, int]:
+        """
+        Cell of a direction.
+
+        Raises
+        ------
+        MistrayError
+            If no cell holds it.
+        """
+        i = int(np.argmin(np.abs(self.angles_deg - angle_deg)))
+        low, high = self.edges_deg[i]
+        if not low - 1e-9 <= angle_deg <= high + 1e-9:
+            raise MistrayError(
+                f"angle {angle_deg:g}° is in no cell; the nearest is that of {self.angles_deg[i]:g}°, "
+                f"{low:g} … {high:g}°"
+            )
+        apart = np.abs((self.azimuths_deg - azimuth_deg + 180) % 360 - 180)
+        j = int(np.argmin(apart))
+        if apart[j] > self.azimuth_cell_deg / 2 + 1e-9:
+            raise MistrayError(f"azimuth {azimuth_deg:g}° is in no cell; the nearest is {self.azimuths_deg[j]:g}°")
+        return i, j
+
+    def facts(self) -> dict[str, Any]:
+        """The grid as plain numbers, to be stored with a result."""
+        return {
+            "angles_deg": self.angles_deg.tolist(),
+            "edges_deg": self.edges_deg.tolist(),
+            "azimuths_deg": self.azimuths_deg.tolist(),
+            "azimuth_cell_deg": self.azimuth_cell_deg,
+            "rotation": np.asarray(self.rotation).tolist(),
+        }
+
+    @classmethod
+    def from_facts(cls, facts: dict[str, Any]) -> DirectionGrid:
+        """The grid of stored numbers."""
+        arrays = {key: np.asarray(facts[key], dtype=np.float64) for key in ("angles_deg", "edges_deg", "azimuths_deg")}
+        return cls(**arrays, azimuth_cell_deg=float(facts["azimuth_cell_deg"]), rotation=np.array(facts["rotation"]))

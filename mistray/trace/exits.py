@@ -1,0 +1,191 @@
+"""Where rays that go against the light should be sent so that they leave the scene: targets for a backward trace.
+
+- The *opening* is where the light comes in: the disc, at the front of the scene, through which the first surface of the
+  design path (or the detector, where there is none) sees the outside.
+- Rays that leave a surface of the design path against the light, and those that start on the detector, are aimed at the
+  image of the opening by the surfaces that follow; rays from any other surface at what they see of the opening and of
+  lenses and mirrors from behind. This is `automatic_targets` for the design path in reverse.
+- From a side that sees much of the sky itself, rays are aimed at the sky: at discs so far away and so large that all
+  field angles get their share.
+
+Whatever the targets are, the result is the same but for its error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.trace.aiming import MOST_KNOWN, Side, automatic_targets, signature
+from mistray.trace.design_path import OPENING, DesignPath, Step, find_design_path
+from mistray.trace.detector_images import FAR, DetectorImages
+from mistray.trace.host_points import across, sphere_points, surface_points
+from mistray.trace.host_rays import first_hit
+from mistray.trace.settings import Settings
+from mistray.trace.surfaces import SurfaceTable, solid_shapes
+from mistray.trace.targets import AimSet, Target
+
+PROBES, SKY_PROBES = 2048, 256  # rays that look for the opening, and for the sky
+WIDEST_DEG = 80.0  # field angle up to which the opening is sought
+OPEN = 0.2  # share of a side's rays that must see the sky for the sky to be its target
+SKY_DEG = (10.0, 35.0, 80.0)  # field angles that the discs of the sky reach to
+LANDED = 0.02  # share of the rays to an image of the opening that must leave by it
+
+_known: dict[str, tuple[dict[Side, list[Target]], Target | None, np.ndarray | None, bool]] = {}
+
+
+@dataclass(frozen=True)
+class Exits:
+    """
+    Targets of a backward trace.
+
+    Attributes
+    ----------
+    aims : dict
+        (surface, whether rays leave to the back) → AimSet.
+    start : AimSet or None
+        Of the rays that start on the detector, towards the light.
+    light : (3,) float64 or None
+        Direction of the design light at the detector.
+    has_optics : bool
+        Whether the design path has lenses or mirrors.
+    """
+
+    aims: dict[Side, AimSet]
+    start: AimSet | None
+    light: np.ndarray | None
+    has_optics: bool
+
+
+def exits(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.ndarray) -> Exits:
+    """
+    The targets of all surfaces that scatter, and of the detector.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    scene : mi.Scene
+    settings : Settings
+        `aim` (only "auto" has targets here) and `aimed_rays`.
+    axis : (3,) float64
+        Direction of light at field angle 0.
+    """
+    scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
+    key = signature(table, scene, scatterers) + repr(np.round(axis, 9).tolist())
+    if key not in _known:
+        while len(_known) >= MOST_KNOWN:
+            _known.pop(next(iter(_known)))
+        _known[key] = _find(table, scene, scatterers, axis)
+    sides, start, light, has_optics = _known[key]
+    if settings.aim != "auto" or not settings.aimed_rays:
+        return Exits({}, None, light, has_optics)
+    aims = {
+        side: AimSet(tuple(target.with_share(1 / len(targets)) for target in targets), settings.aimed_rays)
+        for side, targets in sides.items()
+    }
+    return Exits(aims, AimSet((start.with_share(1.0),), 1) if start is not None else None, light, has_optics)
+
+
+def _find(
+    table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray
+) -> tuple[dict[Side, list[Target]], Target | None, np.ndarray | None, bool]:
+    """Targets by side, that of the detector, the direction of the light there, and whether there are optics."""
+    rng = np.random.default_rng(0)
+    path = find_design_path(table, scene)
+    opening = find_opening(table, scene, path, axis, rng)
+    found: dict[Side, list[Target]] = {}
+    start = None
+    if opening is not None:
+        back = path.reversed(opening) if path is not None else _straight(table, opening, axis)
+        found = automatic_targets(table, back, scatterers)
+        points, normals = surface_points(table, table.detector, PROBES, rng)
+        towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
+        fitted = DetectorImages(back).fitted(0, points, towards, rng)
+        start = fitted.target if fitted.landed > LANDED else None
+    far = sky_discs(scene, axis)
+    for surface in scatterers:
+        points, normals = surface_points(table, surface, SKY_PROBES, rng)
+        for to_back in (False, True):
+            outward = normals if to_back else -normals
+            if _sees_sky(table, surface, points, outward, axis, rng) > OPEN:
+                found[surface, to_back] = far
+    if path is None:
+        return found, start, None, False
+    return found, start, path.steps[-1].before, len(path.steps) > 1
+
+
+def find_opening(
+    table: SurfaceTable, scene: mi.Scene, path: DesignPath | None, axis: np.ndarray, rng: np.random.Generator
+) -> Target | None:
+    """The disc through which the first surface of the design path, or the detector, sees the outside, if it does."""
+    first = path.steps[0].surface if path is not None else table.detector
+    points, _ = surface_points(table, first, PROBES, rng)
+    cosine = rng.uniform(np.cos(np.radians(WIDEST_DEG)), 1.0, PROBES)
+    phi = rng.uniform(0.0, 2 * np.pi, PROBES)
+    sine = np.sqrt(1 - cosine**2)
+    frame = across(axis)
+    d = (
+        -cosine[:, None] * axis
+        + (sine * np.cos(phi))[:, None] * frame[:, 0]
+        + (sine * np.sin(phi))[:, None] * frame[:, 1]
+    )
+    hit, _, _ = first_hit(table, points, d, np.full(PROBES, first))
+    free = hit < 0
+    if not np.any(free):
+        return None
+    front = _front(scene, axis)
+    t = np.maximum((points[free] @ axis - front) / cosine[free], 0.0)
+    p = points[free] + t[:, None] * d[free]
+    middle = 0.5 * (p.max(axis=0) + p.min(axis=0))
+    middle += (front - middle @ axis) * axis
+    radius = float(np.max(np.linalg.norm(p - middle - ((p - middle) @ axis)[:, None] * axis, axis=1)))
+    if radius == 0:
+        return None
+    u, v = radius * frame.T
+    return Target("ellipse", middle, u, v)
+
+
+def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
+    """Discs so far before the scene that their directions are the same from everywhere."""
+    corners = _corners(scene)
+    distance = FAR * float(np.linalg.norm(corners[-1] - corners[0]))
+    frame = across(axis)
+    centre = corners.mean(axis=0) - distance * axis
+    return [Target("ellipse", centre, *(distance * np.tan(np.radians(angle)) * frame.T)) for angle in SKY_DEG]
+
+
+def _corners(scene: mi.Scene) -> np.ndarray:
+    """(8, 3) corners of the box around the scene, mm."""
+    boxes = [shape.bbox() for shape in solid_shapes(scene)]
+    low = np.min([np.array(box.min, dtype=np.float64) for box in boxes], axis=0)
+    high = np.max([np.array(box.max, dtype=np.float64) for box in boxes], axis=0)
+    return np.array([[(low, high)[i >> k & 1][k] for k in range(3)] for i in range(8)])
+
+
+def _front(scene: mi.Scene, axis: np.ndarray) -> float:
+    """Position along the axis of the front of the scene, mm."""
+    along = _corners(scene) @ axis
+    return float(along.min() - 1e-3 * np.ptp(along))
+
+
+def _straight(table: SurfaceTable, opening: Target, axis: np.ndarray) -> DesignPath:
+    """A path against the light that meets no surface."""
+    out = Step(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
+    return DesignPath(table, (out,), opening)
+
+
+def _sees_sky(
+    table: SurfaceTable,
+    surface: int,
+    points: np.ndarray,
+    outward: np.ndarray,
+    axis: np.ndarray,
+    rng: np.random.Generator,
+) -> float:
+    """Share of the rays of a Lambertian side of a surface that leave the scene against the light."""
+    d = outward + sphere_points(rng, len(points))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    hit, _, _ = first_hit(table, points, d, np.full(len(points), surface))
+    return float(np.mean((hit < 0) & (d @ axis < 0)))

@@ -1,0 +1,44 @@
+"""Random points of the unit cube along a space-filling curve, so that neighbouring lanes walk similar trees."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+BITS = 32  # of a place on the curve
+
+
+def curve_points(place: mi.Float64, dimensions: int, rng: mi.PCG32) -> list[mi.Float]:
+    """
+    Points of the unit cube by their places on Morton's curve.
+
+    Parameters
+    ----------
+    place : mi.Float64
+        0 … 1 along the curve; uniform places give uniform points.
+    dimensions : int
+        2 or 4.
+    rng : mi.PCG32
+        One generator a lane; one number is drawn for each dimension, for the place within a cell.
+
+    Returns
+    -------
+    list of mi.Float
+        Coordinates, 0 … 1.
+    """
+    cell = mi.UInt32(dr.minimum(place, 1 - 2.0 ** -(BITS + 1)) * 2.0**BITS)
+    scale = 2.0 ** -(BITS // dimensions)
+    return [
+        (mi.Float(_every(mi.UInt32(cell >> k), dimensions)) + rng.next_float32()) * scale for k in range(dimensions)
+    ]
+
+
+def _every(v: mi.UInt32, stride: int) -> mi.UInt32:
+    """The bits of a word at multiples of 2 or 4, side by side."""
+    steps = {
+        2: ((0, 0x55555555), (1, 0x33333333), (2, 0x0F0F0F0F), (4, 0x00FF00FF), (8, 0x0000FFFF)),
+        4: ((0, 0x11111111), (3, 0x03030303), (6, 0x000F000F), (12, 0x000000FF)),
+    }[stride]
+    for shift, mask in steps:
+        v = (v | (v >> shift)) & mask if shift else v & mask
+    return v
