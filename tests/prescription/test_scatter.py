@@ -62,6 +62,7 @@ def test_a_name_must_fit_the_scene() -> None:
 def test_every_plugin_can_be_written() -> None:
     examples = {
         "abg": {"A": 1e-3, "B": 1e-3, "g": 2.0},
+        "edge_diffraction": {"width_mm": 0.05, "law": "heisenberg"},
         "gaussian_lobe": {"total": 0.01, "width": 0.1},
         "harvey_shack": {"b0": 0.1},
         "k_correlation": {

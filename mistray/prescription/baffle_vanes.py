@@ -1,0 +1,154 @@
+"""Cross-sections of vanes: ideal knife edges, plates, bevels and rounded edges."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+
+from mistray.errors import MistrayError
+
+ARC_FACETS = 6  # cones that stand for a rounded edge
+
+
+@dataclass(frozen=True, kw_only=True)
+class VaneEdge:
+    """
+    What a vane looks like at its inner edge.
+
+    Attributes
+    ----------
+    thickness : float
+        Of the plate, mm.
+    bevel_deg : float or None
+        Angle β between the bevel and the plane of the vane; small is sharp. ``None``: a square edge.
+    radius : float
+        Of the rounded edge, mm; 0: perfectly sharp. Real knife edges have 0.01 to 0.1 mm. A rounded edge is lit and
+        seen: its first-order path is what is left of a good baffle.
+
+    Raises
+    ------
+    MistrayError
+        If the numbers do not make an edge.
+    """
+
+    thickness: float
+    bevel_deg: float | None = None
+    radius: float = 0.0
+
+    def __post_init__(self) -> None:
+        if not 0 < self.thickness < math.inf:
+            raise MistrayError(
+                f"vane edge: thickness = {self.thickness:g} mm; it must be greater than 0, for an ideal edge give none"
+            )
+        if self.bevel_deg is not None and not 0 < self.bevel_deg < 90:
+            raise MistrayError(f"vane edge: bevel_deg = {self.bevel_deg:g}; it must lie between 0 and 90")
+        if not 0 <= self.radius <= self.thickness / 2:
+            raise MistrayError(
+                f"vane edge: radius = {self.radius:g} mm; it must lie between 0 and half the thickness "
+                f"{self.thickness:g} mm"
+            )
+        if self.bevel_deg is None and self.radius not in (0.0, self.thickness / 2):
+            raise MistrayError(
+                f"vane edge: radius = {self.radius:g} mm of a plate {self.thickness:g} mm thick without bevel; "
+                "give 0 (square) or half the thickness (round), or a bevel_deg"
+            )
+
+
+@dataclass(frozen=True)
+class Vane:
+    """
+    A ring inside a tube.
+
+    Attributes
+    ----------
+    z : float
+        Of its tip, mm: of the edge nearest to the axis, or of the rear face of a square plate.
+    radius : float
+        Of its opening, mm.
+    edge : VaneEdge or None
+        ``None``: a plane ring of thickness zero.
+    bevel : str
+        Which face is bevelled: "front", whose plate lies before the tip, or "rear", whose plate lies behind it.
+    """
+
+    z: float
+    radius: float
+    edge: VaneEdge | None = None
+    bevel: str = "front"
+
+    @property
+    def plate(self) -> tuple[float, float]:
+        """First and last z, mm."""
+        thickness = 0.0 if self.edge is None else self.edge.thickness
+        return (self.z, self.z + thickness) if self.bevel == "rear" else (self.z - thickness, self.z)
+
+
+Profile = tuple[str, float, float, float, float]
+"""Ending of a name; r0, z0, r1, z1 in mm."""
+
+
+def vane_faces(vane: Vane, wall_radius: Callable[[float], float]) -> Iterator[Profile]:
+    """
+    Faces of a vane as frusta, from the wall along its front to the tip and back along its rear.
+
+    Parameters
+    ----------
+    vane : Vane
+    wall_radius : callable
+        z → radius of the wall, mm.
+
+    Yields
+    ------
+    Profile
+        One with an empty ending for a plane ring; else ``_front``, ``_bevel``, ``_edge_1`` …, ``_rear``, less those of
+        no width.
+
+    Raises
+    ------
+    MistrayError
+        If the bevel is wider than the vane is deep.
+    """
+    if vane.edge is None:
+        yield ("", wall_radius(vane.z), vane.z, vane.radius, vane.z)
+        return
+    points, names = _edge_profile(vane, vane.edge)
+    if vane.bevel == "rear":
+        points, names = [(r, 2 * vane.z - z) for r, z in reversed(points)], names[::-1]
+    (first, z_first), (last, z_last) = points[0], points[-1]
+    if max(first, last) >= min(wall_radius(z_first), wall_radius(z_last)):
+        raise MistrayError(
+            f"vane at z = {vane.z:g} mm: its edge reaches to r = {max(first, last):g} mm, beyond the wall; make "
+            "bevel_deg larger or the thickness smaller"
+        )
+    yield ("_front", wall_radius(z_first), z_first, first, z_first)
+    facet = 0
+    for (r0, z0), (r1, z1), name in zip(points, points[1:], names, strict=False):
+        if name == "_edge":
+            facet += 1
+            name += f"_{facet}"
+        yield (name, r0, z0, r1, z1)
+    yield ("_rear", last, z_last, wall_radius(z_last), z_last)
+
+
+def _edge_profile(vane: Vane, edge: VaneEdge) -> tuple[list[tuple[float, float]], list[str]]:
+    """(r, z) from the front plane over the tip to the rear plane of a vane bevelled at the front, and names between."""
+    a, z, rho = vane.radius, vane.z, edge.radius
+    if edge.bevel_deg is None:
+        if rho == 0:
+            return [(a, z - edge.thickness), (a, z)], ["_edge"]
+        middle = z - rho
+        return _arc(a + rho, middle, rho, math.radians(180.0)), ["_edge"] * ARC_FACETS
+    # The rounded edge touches the rear plane z and the bevel, whose outward normal is (-sin β, -cos β)
+    beta = math.radians(edge.bevel_deg)
+    centre = (a + rho, z - rho)
+    arc = [(a, z)] if rho == 0 else _arc(*centre, rho, math.radians(180.0) - beta)
+    r_bevel, z_bevel = arc[0]
+    depth = edge.thickness - (z - z_bevel)
+    return [(r_bevel + depth / math.tan(beta), z - edge.thickness), *arc], ["_bevel", *["_edge"] * (len(arc) - 1)]
+
+
+def _arc(r: float, z: float, radius: float, turn: float) -> list[tuple[float, float]]:
+    """Points on a circle about (r, z), ending on its rear (+z), over an angle `turn` through the side of the axis."""
+    angles = [turn * (1 - k / ARC_FACETS) for k in range(ARC_FACETS + 1)]
+    return [(r - radius * math.sin(angle), z + radius * math.cos(angle)) for angle in angles]

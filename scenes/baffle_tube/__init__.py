@@ -1,0 +1,1 @@
+"""A lens behind a tube with vanes that leave no first-order path to it."""

@@ -1,0 +1,1 @@
+"""Cassegrain telescope with main tube, vanes, secondary baffle and inner baffle."""

@@ -1,0 +1,1 @@
+"""Double Gauss in a blackened barrel with a hood; surfaces scatter."""

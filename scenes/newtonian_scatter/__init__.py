@@ -1,0 +1,1 @@
+"""Newtonian telescope with rough, dusty mirrors and black walls."""

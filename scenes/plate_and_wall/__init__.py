@@ -1,0 +1,1 @@
+"""A glass plate and a grey screen before a detector: one scatter at either."""

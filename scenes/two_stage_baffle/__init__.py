@@ -1,0 +1,1 @@
+"""A lens behind a two-stage baffle with vanes, as of a star tracker."""

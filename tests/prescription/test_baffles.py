@@ -1,0 +1,372 @@
+"""Vane tubes against ray casting in three dimensions: what is lit from outside is not seen from the optic.
+
+The oracle knows a tube as a list of rings (z, inner radius) and a wall; it casts straight rays in float64 and uses
+neither the construction's equations nor its argument that the plane of the axis is enough.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.prescription.baffle_two_stage import two_stage_baffle
+from mistray.prescription.baffle_vanes import Vane, VaneEdge, vane_faces
+from mistray.prescription.baffle_zones import first_order_zones, lit_zones, seen_zones
+from mistray.prescription.baffles import BaffleTube, hood_length, vane_tube
+
+SKIN = 1e-6  # distance of tested points from the faces, mm
+
+
+def fan(rays, steepest_deg=89.99, least_deg=0.0):
+    """Unit vectors towards -z, evenly over field angle and azimuth, (n, 3)."""
+    side = math.isqrt(rays)
+    angle = np.radians(np.linspace(least_deg, steepest_deg, side))
+    azimuth = np.arange(side) * (2 * np.pi / side)
+    angle, azimuth = (grid.ravel() for grid in np.meshgrid(angle, azimuth))
+    return np.column_stack([np.sin(angle) * np.cos(azimuth), np.sin(angle) * np.sin(azimuth), -np.cos(angle)])
+
+
+def disc(radius, z, rays):
+    """Points on a disc, rim included, (n, 3)."""
+    side = math.isqrt(rays)
+    r, azimuth = np.linspace(0, radius, side), np.arange(side) * (2 * np.pi / side)
+    r, azimuth = (grid.ravel() for grid in np.meshgrid(r, azimuth))
+    return np.column_stack([r * np.cos(azimuth), r * np.sin(azimuth), np.full(r.size, z)])
+
+
+def passes(tube, point, directions, z_end):
+    """Which rays from a point of the tube get to the plane z_end through the openings between, (n,) bool."""
+    free = np.sign(directions[:, 2]) == np.sign(z_end - point[2])
+    for vane in (*tube.vanes, Vane(z_end, math.inf)):
+        way = (vane.z - point[2]) / directions[:, 2]
+        between = (way > 0) & (np.abs(vane.z - point[2]) <= abs(z_end - point[2]))
+        x, y = (point[i] + way * directions[:, i] for i in (0, 1))
+        wall = tube.wall_front + (tube.wall_rear - tube.wall_front) * (vane.z - tube.z_front) / (
+            tube.z_rear - tube.z_front
+        )
+        free &= ~between | (np.hypot(x, y) <= min(vane.radius, wall))
+    return free
+
+
+def is_lit(tube, point, least_deg=0.0, rays=2500):
+    return passes(tube, point, fan(rays, least_deg=least_deg), tube.z_front).any()
+
+
+def is_seen(tube, point, rays=900):
+    return passes(tube, point, disc(tube.optic_radius, tube.z_rear, rays) - point, tube.z_rear).any()
+
+
+def inner_points(tube, count=300):
+    """Points just inside of the wall, and just before and behind the vanes, (n, 3)."""
+    z = np.linspace(tube.z_front, tube.z_rear, count + 2)[1:-1]
+    away = [at for at in z if min(abs(at - vane.z) for vane in tube.vanes) > SKIN]
+    points = [(tube.wall_radius(at) - SKIN, 0.0, at) for at in away]
+    for vane in tube.vanes:
+        for r in np.linspace(vane.radius + 0.01, tube.wall_radius(vane.z) - 0.01, 10):
+            points += [(r, 0.0, vane.z + SKIN)]
+            if vane.z > tube.z_front:
+                points += [(r, 0.0, vane.z - SKIN)]
+    return np.array(points)
+
+
+def first_order(tube, least_deg=0.0, count=300):
+    """Points that are lit and seen."""
+    return [p for p in inner_points(tube, count) if is_seen(tube, p) and is_lit(tube, p, least_deg)]
+
+
+TUBES = {
+    "straight": {"optic_radius": 18.0, "length": 102.0, "wall_radius": 30.0, "field_deg": 4.0},
+    "exclusion": {
+        "optic_radius": 10.0,
+        "length": 60.0,
+        "wall_radius": 25.0,
+        "field_deg": 5.0,
+        "exclusion_deg": 50.0,
+        "clearance": 0.3,
+    },
+    "widening": {"optic_radius": 12.0, "length": 80.0, "wall_radius": (30.0, 18.0), "field_deg": 8.0},
+    "narrowing": {"optic_radius": 5.0, "length": 90.0, "wall_radius": (12.0, 16.0), "field_deg": 3.0, "overlap": 0.05},
+    "no field": {"optic_radius": 10.0, "length": 100.0, "wall_radius": 13.0, "field_deg": 0.0},
+}
+
+
+def tube_of(key, **changes):
+    return vane_tube("tube", z_rear=7.0, **(TUBES[key] | changes))
+
+
+@pytest.mark.parametrize("key", TUBES)
+def test_no_point_is_lit_and_seen(key):
+    tube = tube_of(key)
+    least = TUBES[key].get("exclusion_deg", 0.0)
+    assert first_order(tube, least) == []
+    assert any(is_seen(tube, point) for point in inner_points(tube, 50))
+    assert any(is_lit(tube, point, least) for point in inner_points(tube, 50))
+
+
+@pytest.mark.parametrize("key", ["straight", "exclusion", "widening", "narrowing"])
+def test_every_vane_is_needed(key):
+    tube = tube_of(key)
+    least = TUBES[key].get("exclusion_deg", 0.0)
+    for k in range(1, len(tube.vanes)):
+        missing = replace(tube, vanes=tube.vanes[:k] + tube.vanes[k + 1 :])
+        assert first_order(missing, least, 150), f"without vane {k + 1} of {len(tube.vanes)}"
+
+
+def test_vanes_stand_as_far_apart_as_they_may():
+    """A vane moved by 2 mm towards the optic leaves a lit and seen zone before it."""
+    tube = tube_of("straight", overlap=0.0)
+    for k in range(1, len(tube.vanes) - 1):
+        vane = tube.vanes[k]
+        moved = replace(vane, z=vane.z + 2.0)
+        assert first_order(replace(tube, vanes=(*tube.vanes[:k], moved, *tube.vanes[k + 1 :])), count=600)
+
+
+@pytest.mark.parametrize("key", TUBES)
+def test_tips_leave_the_field_free(key):
+    """From every point of the optic, along every direction of the field, the sky is seen."""
+    tube, given = tube_of(key), TUBES[key]
+    directions = fan(400, given["field_deg"] - 1e-9) if given["field_deg"] else np.array([[0.0, 0.0, -1.0]])
+    for point in disc(tube.optic_radius * (1 - 1e-9), tube.z_rear, 100):
+        assert passes(tube, point, directions, tube.z_front).all()
+    assert tube.vanes[0].z == tube.z_front
+    assert all(v.radius < tube.wall_radius(v.z) for v in tube.vanes)
+
+
+def test_light_beyond_direct_deg_does_not_meet_the_optic():
+    for key in TUBES:
+        tube = tube_of(key)
+        for share, wanted in ((0.99, True), (1.01, False)):
+            slope = math.tan(math.radians(tube.direct_deg)) * share
+            towards = np.array([[-slope, 0.0, -1.0]])
+            heights = np.linspace(-1, 1, 2001) * tube.optic_radius
+            seen = [passes(tube, np.array([h, 0.0, tube.z_rear]), towards, tube.z_front)[0] for h in heights]
+            assert any(seen) == wanted, key
+
+
+def test_hood_length():
+    length = hood_length(10.0, 5.0, 30.0)
+    opening = 10.0 + length * math.tan(math.radians(5.0))
+    assert math.degrees(math.atan((opening + 10.0) / length)) == pytest.approx(30.0, abs=1e-12)
+
+
+def test_a_wider_exclusion_angle_needs_fewer_vanes():
+    counts = [len(tube_of("straight", exclusion_deg=angle).vanes) for angle in (0.0, 30.0, 50.0, 70.0)]
+    assert counts == sorted(counts, reverse=True)
+    assert counts[0] > counts[-1]
+
+
+def ends(vane, wall=20.0):
+    """Ends of the faces of a vane, in their order."""
+    return [((r0, z0), (r1, z1)) for _, r0, z0, r1, z1 in vane_faces(vane, lambda z: wall)]
+
+
+@pytest.mark.parametrize("bevel", ["front", "rear"])
+@pytest.mark.parametrize(
+    "edge",
+    [
+        VaneEdge(thickness=1.0),
+        VaneEdge(thickness=1.0, radius=0.5),
+        VaneEdge(thickness=1.0, bevel_deg=30.0),
+        VaneEdge(thickness=1.0, bevel_deg=30.0, radius=0.1),
+    ],
+)
+def test_faces_of_a_vane_form_a_closed_profile(edge, bevel):
+    faces = ends(Vane(5.0, 10.0, edge, bevel))
+    for (_, end), (start, _) in pairwise(faces):
+        assert start == pytest.approx(end, abs=1e-12)
+    assert faces[0][0][0] == faces[-1][1][0] == 20.0
+    radii = [r for face in faces for r, _ in face]
+    assert min(radii) == pytest.approx(10.0, abs=0.04 * edge.radius + 1e-12)  # facets of an arc stay within it
+    depths = [z for face in faces for _, z in face]
+    assert max(depths) - min(depths) == pytest.approx(1.0)
+    assert (max(depths) if bevel == "front" else min(depths)) == pytest.approx(5.0)
+
+
+def test_a_rounded_edge_is_an_arc_that_ends_along_both_faces():
+    faces = ends(Vane(5.0, 10.0, VaneEdge(thickness=1.0, bevel_deg=30.0, radius=0.2)))
+    arc = np.array([start for start, _ in faces[2:]])
+    np.testing.assert_allclose(np.hypot(arc[:, 0] - 10.2, arc[:, 1] - 4.8), 0.2, atol=1e-12)
+    (r0, z0), (r1, z1) = faces[1]
+    assert math.degrees(math.atan2(z1 - z0, r0 - r1)) == pytest.approx(30.0)
+    # tangent: the radius to the point of contact is normal to the bevel
+    assert (r1 - 10.2) * (r1 - r0) + (z1 - 4.8) * (z1 - z0) == pytest.approx(0.0, abs=1e-12)
+
+
+def test_a_knife_edge_is_bevelled_where_the_bevel_is_dark_or_unseen():
+    tube = tube_of("straight", edge=VaneEdge(thickness=0.5, bevel_deg=25.0))
+    assert tube.vanes[0].bevel == "front"
+    assert tube.vanes[-1].bevel == "rear"
+    for vane in tube.vanes:
+        bevel = next(face for face in vane_faces(vane, tube.wall_radius) if face[0] == "_bevel")
+        middle = np.array([0.5 * (bevel[1] + bevel[3]) - 1e-3, 0.0, 0.5 * (bevel[2] + bevel[4])])
+        assert (is_seen if vane.bevel == "front" else is_lit)(tube, middle) is np.False_
+    with pytest.raises(MistrayError, match="would be lit and seen; make it at most"):
+        tube_of("straight", edge=VaneEdge(thickness=0.5, bevel_deg=80.0))
+
+
+def test_structures_have_names_and_parts():
+    tube = tube_of("straight", edge=VaneEdge(thickness=0.5, bevel_deg=25.0, radius=0.05))
+    shapes = tube.structures(space=3)
+    assert shapes[0].name == "tube_wall"
+    assert len({shape.name for shape in shapes}) == len(shapes)
+    assert {shape.part for shape in shapes} == {"tube", *(f"tube_vane_{k}" for k in range(1, len(tube.vanes) + 1))}
+    assert {shape.space for shape in shapes} == {3}
+    assert shapes[0].z0 == min(min(s.z0, s.z1) for s in shapes)  # no gap between a plate and the wall
+    plain = tube_of("straight").structures()
+    assert [shape.name for shape in plain[:3]] == ["tube_wall", "tube_vane_1", "tube_vane_2"]
+
+
+@pytest.mark.parametrize(
+    ("changes", "wanted"),
+    [
+        ({"optic_radius": 0.0}, "optic_radius = 0 mm; it must be greater than 0"),
+        ({"length": -1.0}, "length = -1 mm"),
+        ({"wall_radius": 20.0}, "wall radius 20 mm at the front; the unobscured beam is 25"),
+        ({"wall_radius": (30.0, 17.0)}, "wall radius 17 mm at the rear"),
+        ({"wall_radius": (25.1331, 18.0001)}, "more than 200 vanes"),
+        ({"field_deg": -1.0}, "field_deg = -1; it must lie between 0 and 90"),
+        ({"exclusion_deg": 90.0}, "exclusion_deg = 90"),
+        ({"clearance": -0.1}, "clearance = -0.1 mm; it must not be negative"),
+        ({"overlap": -0.1}, "overlap = -0.1 mm; it must not be negative"),
+        ({"overlap": 20.0}, "make the overlap smaller"),
+        ({"edge": VaneEdge(thickness=5.0, bevel_deg=20.0)}, "beyond the wall"),
+        ({"edge": VaneEdge(thickness=13.0)}, "thickness = 13 mm of the vane at z = -95 mm|where the next vane"),
+        ({"edge": VaneEdge(thickness=7.5, bevel_deg=45.0)}, "where the next vane or the optic begins"),
+    ],
+)
+def test_impossible_tubes(changes, wanted):
+    with pytest.raises(MistrayError, match=wanted):
+        tube_of("straight", **changes).structures()
+
+
+@pytest.mark.parametrize(
+    ("given", "wanted"),
+    [
+        ({"thickness": 0.0}, "for an ideal edge give none"),
+        ({"thickness": 1.0, "bevel_deg": 90.0}, "bevel_deg = 90"),
+        ({"thickness": 1.0, "radius": 0.6}, "half the thickness"),
+        ({"thickness": 1.0, "radius": 0.1}, "0 \\(square\\) or half the thickness"),
+    ],
+)
+def test_impossible_edges(given, wanted):
+    with pytest.raises(MistrayError, match=wanted):
+        VaneEdge(**given)
+
+
+def test_impossible_hoods():
+    with pytest.raises(MistrayError, match="between the half field and 90"):
+        hood_length(10.0, 30.0, 20.0)
+    with pytest.raises(MistrayError, match="optic_radius"):
+        hood_length(0.0, 5.0, 20.0)
+
+
+# ---- two stages
+
+STAR_TRACKER = {"optic_radius": 10.0, "z_rear": 0.0, "field_deg": 5.0, "exclusion_deg": 40.0, "depth": 8.0}
+
+
+def whole(baffle):
+    """Both stages as one tube with the inner one's opening as a vane; the wall is that of the outer stage."""
+    return BaffleTube(
+        name="whole",
+        z_front=baffle.outer.z_front,
+        z_rear=baffle.inner.z_rear,
+        wall_front=baffle.outer.wall_front,
+        wall_rear=baffle.outer.wall_rear,
+        optic_radius=baffle.inner.optic_radius,
+        vanes=(*baffle.outer.vanes, *baffle.inner.vanes),
+    )
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.5])
+def test_the_optic_sees_nothing_of_the_outer_stage(clearance):
+    baffle = two_stage_baffle("b", clearance=clearance, **STAR_TRACKER)
+    outer, everything = baffle.outer, whole(baffle)
+    points = inner_points(outer, 100)
+    tips = [(v.radius + 1e-3, 0.0, v.z + SKIN) for v in outer.vanes]
+    assert not any(is_seen(everything, point) for point in np.vstack([points, tips]))
+    closer = np.array([(v.radius - clearance - 0.1, 0.0, v.z) for v in outer.vanes])
+    assert all(is_seen(everything, point, 3600) for point in closer)
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.5])
+def test_both_stages_have_no_first_order_path(clearance):
+    baffle = two_stage_baffle("b", clearance=clearance, **STAR_TRACKER)
+    assert baffle.outer.direct_deg == pytest.approx(40.0, abs=1e-9)
+    assert first_order(baffle.outer, 40.0) == []
+    assert first_order(baffle.inner) == []
+
+
+@pytest.mark.parametrize("clearance", [0.0, 0.5, 3.0])
+def test_two_stages_of_least_length(clearance):
+    best = two_stage_baffle("b", clearance=clearance, **STAR_TRACKER)
+    length = best.inner.z_rear - best.inner.z_front
+    others = [two_stage_baffle("b", clearance=clearance, inner_length=length * f, **STAR_TRACKER) for f in (0.99, 1.01)]
+    assert best.length < min(other.length for other in others)
+    if clearance == 0:
+        slopes = [math.tan(math.radians(STAR_TRACKER[key])) for key in ("exclusion_deg", "field_deg")]
+        assert length == pytest.approx(40.0 / (slopes[0] - slopes[1]))
+        assert best.length == pytest.approx(length * (1 + best.outer.optic_radius / 10.0))
+
+
+def test_impossible_two_stages():
+    with pytest.raises(MistrayError, match="inner_length = 20 mm; it must be greater than 26"):
+        two_stage_baffle("b", inner_length=20.0, **STAR_TRACKER)
+    with pytest.raises(MistrayError, match="between the half field and 90"):
+        two_stage_baffle("b", **(STAR_TRACKER | {"exclusion_deg": 4.0}))
+    with pytest.raises(MistrayError, match="clearance"):
+        two_stage_baffle("b", clearance=-1.0, **STAR_TRACKER)
+
+
+# ---- zones
+
+
+def hand_made(name):
+    """Tubes that no construction made: vanes too far apart, too low, tips not in line, a conical wall."""
+    given = {"name": "t", "z_front": 0.0, "z_rear": 100.0, "wall_front": 30.0, "wall_rear": 30.0, "optic_radius": 12.0}
+    vanes = {
+        "sparse": [(0, 24), (40, 20), (70, 18)],
+        "low": [(0, 28), (30, 27), (60, 26), (90, 25)],
+        "jagged": [(0, 20), (25, 26), (50, 15), (75, 22)],
+        "cone": [(0, 18), (20, 19), (50, 17)],
+    }
+    changes = {"cone": {"wall_front": 22.0, "wall_rear": 34.0}}
+    return BaffleTube(**(given | changes.get(name, {}) | {"vanes": tuple(Vane(float(z), a) for z, a in vanes[name])}))
+
+
+@pytest.mark.parametrize("name", ["sparse", "low", "jagged", "cone"])
+@pytest.mark.parametrize("exclusion_deg", [0.0, 35.0])
+def test_zones_are_those_of_the_cast_rays(name, exclusion_deg):
+    tube = hand_made(name)
+    lit, seen = lit_zones(tube, exclusion_deg), seen_zones(tube)
+    both = first_order_zones(tube, exclusion_deg)
+    assert lit
+    assert seen
+    for z in np.linspace(0.25, 99.75, 150):
+        point = (tube.wall_radius(z) - 1e-9, 0.0, z)
+        for zones, cast in (
+            (lit, is_lit(tube, point, exclusion_deg, 3600)),
+            (seen, is_seen(tube, point, 3600)),
+        ):
+            inside = any(a <= z <= b for a, b in zones)
+            at_border = any(abs(z - end) < 1.3 for zone in zones for end in zone)  # the oracle's rays have gaps
+            assert cast == inside or (inside and at_border), z
+        assert any(a <= z <= b for a, b in both) == all(any(a <= z <= b for a, b in zones) for zones in (lit, seen))
+
+
+@pytest.mark.parametrize("key", TUBES)
+def test_generated_tubes_have_no_first_order_zone(key):
+    tube = tube_of(key)
+    least = TUBES[key].get("exclusion_deg", 0.0)
+    assert first_order_zones(tube, least) == ()
+    assert len(seen_zones(tube)) >= len(tube.vanes) - 1
+    if key != "no field":
+        for k in range(1, len(tube.vanes)):
+            assert first_order_zones(replace(tube, vanes=tube.vanes[:k] + tube.vanes[k + 1 :]), least)
+    if least:
+        assert first_order_zones(tube, 0.0)
