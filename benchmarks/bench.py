@@ -18,6 +18,7 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from pst import pst_costs
 from rows import Row, alternate
 from scatter import scatter_samples, scattering_camera
 from thinfilm import thin_films
@@ -249,6 +250,7 @@ def main() -> None:
         *thin_films(),
         *scattering_camera(1 << 15),
         *scatter_samples(),
+        *pst_costs(),
     ]
     table = ["| compared | mistray | other | ratio | bar |", "|---|---|---|---|---|", *map(str, rows)]
     text = "\n".join(

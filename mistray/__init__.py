@@ -15,7 +15,20 @@ from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
     from mistray import analysis, coatings, materials, optimize, physics, prescription, report, scene
-    from mistray.analysis import GhostReport, ghosts
+    from mistray.analysis import (  # type: ignore[no-redef]
+        FirstLevel,
+        GhostReport,
+        Objects,
+        Pst,
+        Study,
+        ThermalReport,
+        first_level,
+        ghosts,
+        objects,
+        pst,
+        study,
+        thermal,
+    )
     from mistray.optimize import Metric, gradient  # type: ignore[no-redef]
     from mistray.prescription import Detector, Prescription, Source, Structure, Surface
     from mistray.scene import load  # type: ignore[no-redef]
@@ -27,6 +40,16 @@ _HOMES = {
     "Trace": "mistray.trace",
     "ghosts": "mistray.analysis",
     "GhostReport": "mistray.analysis",
+    "first_level": "mistray.analysis",
+    "FirstLevel": "mistray.analysis",
+    "objects": "mistray.analysis",
+    "Objects": "mistray.analysis",
+    "pst": "mistray.analysis",
+    "Pst": "mistray.analysis",
+    "study": "mistray.analysis",
+    "Study": "mistray.analysis",
+    "thermal": "mistray.analysis",
+    "ThermalReport": "mistray.analysis",
     "Metric": "mistray.optimize",
     "gradient": "mistray.optimize",
     "Detector": "mistray.prescription",
@@ -39,27 +62,37 @@ _MODULES = ("analysis", "coatings", "materials", "optimize", "physics", "prescri
 
 __all__ = [
     "Detector",
+    "FirstLevel",
     "GhostReport",
     "Metric",
     "MistrayError",
+    "Objects",
     "Prescription",
+    "Pst",
     "Source",
     "Structure",
+    "Study",
     "Surface",
+    "ThermalReport",
     "Trace",
     "analysis",
     "coatings",
     "ensure_variant",
+    "first_level",
     "ghosts",
     "gradient",
     "load",
     "materials",
+    "objects",
     "optimize",
     "physics",
     "prescription",
+    "pst",
     "report",
     "scatter",
     "scene",
+    "study",
+    "thermal",
     "trace",
 ]
 

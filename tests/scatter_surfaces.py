@@ -17,6 +17,7 @@ MODELS: dict[str, dict[str, Any]] = {
     "abg": {"type": "abg", "A": 0.0025, "B": 0.001, "g": 1.8},
     "abg_narrow": {"type": "abg", "A": 2e-3, "B": 1e-9, "g": 2.0},
     "abg_lambertian": {"type": "abg", "A": 0.1, "B": 0.0, "g": 0.0},
+    "edge_diffraction": {"type": "edge_diffraction", "width_mm": 0.05, "event": "transmission"},
     "harvey_shack": {"type": "harvey_shack", "rms_nm": 4.0, "l": 0.01, "s": -1.5},
     "k_correlation": {"type": "k_correlation", "rms_nm": 4.0, "B_um": 20.0, "slope": 2.5},
     "rayleigh_rice": {

@@ -125,6 +125,7 @@ def test_ghosts_passes_every_option_on(capsys, fake):
         "splitting": "one",
         "below_threshold": "roulette",
         "seed": 5,
+        "ray_control": "reflect_specular",
         "polarization": "stokes",
     }
     assert {setting.name for setting in fields(Settings)} == set(options) - {"azimuth_deg"}

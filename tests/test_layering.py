@@ -53,6 +53,7 @@ LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
 # (importing layer, imported layer): upward imports inside a function, each with its reason.
 LAZY = {
     ("prescription", "scene"): "Prescription.to_scene() is a shorthand for mistray.scene.load",
+    ("analysis", "report"): "Study.write() is a shorthand for mistray.report.write_study",
 }
 # Names that change between Mitsuba releases live in one file.
 RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}

@@ -1,18 +1,36 @@
-"""What the ledger says: ghosts and irradiance maps."""
+"""What the ledger says: ghosts, point source transmittance, objects, thermal emission, whole studies."""
 
 from mistray.analysis.estimate import Estimate
+from mistray.analysis.first_level import FirstLevel, first_level
 from mistray.analysis.ghosts import FieldSummary, GhostReport, ghosts
 from mistray.analysis.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
+from mistray.analysis.object_sources import DiskSource
+from mistray.analysis.objects import Objects, objects
+from mistray.analysis.pst import pst
+from mistray.analysis.pst_result import Pst
 from mistray.analysis.ranking import DirectImage
+from mistray.analysis.stray_study import Study, study
+from mistray.analysis.thermal import ThermalReport, thermal
 
 __all__ = [
     "DirectImage",
+    "DiskSource",
     "Estimate",
     "FieldSummary",
+    "FirstLevel",
     "GhostReport",
     "MapStatistics",
+    "Objects",
+    "Pst",
+    "Study",
+    "ThermalReport",
+    "first_level",
     "ghosts",
     "log10_image",
     "mirror_asymmetry",
+    "objects",
+    "pst",
     "statistics",
+    "study",
+    "thermal",
 ]

@@ -255,7 +255,10 @@ class _AdjointRun:
             columns, rows = trace.map_size
             n, m = trace.grid.shape
             weight, squares = trace.sums["maps"].reshape(2, n, m, rows, columns)
-            unit = np.pi * rows * columns / trace.grid.solid_angle[:, None, None, None] / rays
+            # The map is a rectangle; a round detector does not fill it
+            x0, x1, y0, y1 = trace.extent
+            pixels = rows * columns * trace.area / ((x1 - x0) * (y1 - y0))
+            unit = np.pi * pixels / trace.grid.solid_angle[:, None, None, None] / rays
             maps = np.stack([unit * weight, unit * np.sqrt(np.maximum(squares - weight**2 / rays, 0))])
         facts = {
             "detector": table.ids[table.detector],

@@ -233,8 +233,7 @@ def notes(found: Pst, largest: np.ndarray) -> list[str]:
     lines = []
     if found.is_dark:
         lines.append(
-            "PST is 0: no ray from the detector leaves the scene within the angles; it sees no opening, or limits cut "
-            "all paths"
+            "PST is 0: no light from these angles reaches the detector; it sees no opening, or limits cut all paths"
         )
         return lines
     value, _ = found.map()

@@ -8,6 +8,7 @@ from typing import NoReturn
 
 from mistray.errors import MistrayError
 
+MOST_ANGLES = 10_000  # in one range
 RAW = argparse.RawDescriptionHelpFormatter
 
 
@@ -52,3 +53,28 @@ def count(text: str) -> int:
     if value < 0 or value != int(value):
         raise argparse.ArgumentTypeError(f"{text} must be a whole number that is not negative, such as 1e6")
     return int(value)
+
+
+def angles(text: str) -> list[float]:
+    """Angles in degrees: one, or a range first:last:step with both ends."""
+    parts = text.split(":")
+    if len(parts) == 1:
+        return [finite(text)]
+    if len(parts) != 3:
+        raise argparse.ArgumentTypeError(f"'{text}' is not a range; write first:last:step, such as 0:80:2")
+    first, last, step = (finite(part) for part in parts)
+    if step <= 0 or last < first:
+        raise argparse.ArgumentTypeError(f"'{text}' must go up: first:last:step, such as 0:80:2")
+    steps = math.floor((last - first) / step * (1 + 1e-12) + 1e-9)
+    if steps >= MOST_ANGLES:
+        raise argparse.ArgumentTypeError(f"'{text}' is more than {MOST_ANGLES} angles; give a larger step")
+    return [round(first + k * step, 9) for k in range(steps + 1)]
+
+
+def incidence(text: str) -> list[float]:
+    """The same between 0 and 90 degrees."""
+    values = angles(text)
+    wrong = [value for value in values if not 0 <= value <= 90]
+    if wrong:
+        raise argparse.ArgumentTypeError(f"{wrong[0]:g} must lie between 0 and 90 degrees")
+    return values

@@ -56,6 +56,9 @@ OPTIONS: Mapping[str, Option] = MappingProxyType(
         "slope": Option("k_correlation, particulate: slope of the spectrum or of the particle distribution"),
         "band_limited": Option("k_correlation: the roughness is that of the band up to 1/wavelength", bool),
         "theory": Option("k_correlation: theory (ghs)", ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")),
+        "width_mm": Option("edge_diffraction: width of the ring inside the edge, mm", positive, "MM"),
+        "law": Option("edge_diffraction: tail of a half plane, or after Heisenberg (half_plane)",
+                      ("half_plane", "heisenberg")),
         "total": Option("gaussian_lobe: scattered share at normal incidence"),
         "width": Option("gaussian_lobe: |β - β0| where the BSDF has fallen to 1/e"),
         "level": Option("particulate: cleanliness level of IEST-STD-CC1246"),
@@ -195,6 +198,13 @@ def _k_correlation(given: dict[str, Any], options: argparse.Namespace) -> Scatte
     return KCorrelation(**given)
 
 
+def _edge_diffraction(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
+    from mistray.scatter.edge_diffraction import EdgeDiffraction
+
+    _required("edge_diffraction", given, "width_mm")
+    return EdgeDiffraction(**given)
+
+
 def _gaussian(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
     from mistray.scatter.gaussian import Gaussian
 
@@ -239,6 +249,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "particulate": Kind(
             ("level", "coverage_percent", "slope", "particle", "min_um", "max_um"), _particulate
         ),
+        "edge_diffraction": Kind(("width_mm", "law"), _edge_diffraction),
         "paint": Kind(("reflectance", "b0", "l", "s", "n", "preset"), _paint),
     }
 )  # fmt: skip

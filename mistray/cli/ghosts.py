@@ -7,12 +7,21 @@ import contextlib
 import json
 import sys
 from collections.abc import Iterator
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import RAW, count, field, finite, positive
+from mistray.cli.arguments import RAW, count, field, finite
 from mistray.cli.ghosts_json import WORST_SHOWN, as_json
+from mistray.cli.tracing_arguments import (
+    add_ray_tree,
+    add_scatter,
+    add_scene,
+    add_spectrum,
+    check_weights,
+    scene_title,
+    settings_of,
+    start_mitsuba,
+)
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
@@ -34,45 +43,13 @@ def add(commands: Any) -> None:
         "  mistray ghosts scene.xml --wavelength-nm 450 550 650 --weights 1 2 1 --colour --out out",
         formatter_class=RAW,
     )
-    parser.add_argument(
-        "scene", metavar="SCENE", help="scene XML file, or the name of a shipped scene such as phone_camera"
-    )
+    add_scene(parser)
     source = parser.add_argument_group("source (default: as the scene says)")
     source.add_argument("--field-deg", type=field, nargs="+", metavar="DEG", help="field angles, degrees")
     source.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of the field about z, degrees")
-    source.add_argument("--wavelength-nm", type=positive, nargs="+", metavar="NM", help="wavelengths, nm")
-    source.add_argument("--weights", type=finite, nargs="+", metavar="W",
-                        help="shares of the flux, one for each of --wavelength-nm (equal)")  # fmt: skip
-    tracing = parser.add_argument_group("ray tree (default: as the scene says, else what stands in brackets)")
-    tracing.add_argument("--rays", type=count, metavar="N", help="start rays at each field (1e6)")
-    tracing.add_argument("--max-reflections", type=count, metavar="N",
-                         help="reflections on one path, those of mirrors and TIR not counted (2)")  # fmt: skip
-    tracing.add_argument("--max-generations", type=count, metavar="N",
-                         help="reflections and scatter events together on one path (no limit)")  # fmt: skip
-    tracing.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one path (64)")
-    tracing.add_argument("--flux-threshold", type=finite, metavar="F",
-                         help="flux below which a ray ends, relative to its start ray (1e-8)")  # fmt: skip
-    tracing.add_argument("--splitting", choices=("split", "one"),
-                         help="follow both rays at a surface, or one of them by chance (split)")  # fmt: skip
-    tracing.add_argument("--below-threshold", choices=("cut", "roulette"),
-                         help="end a ray below the threshold, or play unbiased roulette (cut)")  # fmt: skip
-    tracing.add_argument("--seed", type=count, metavar="N", help="seed of the random numbers (0)")
-    tracing.add_argument("--polarization", choices=("unpolarized", "stokes"),
-                         help="means of s and p at every hit, or Stokes vectors along paths (unpolarized)")  # fmt: skip
-    tracing.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
-    scatter = parser.add_argument_group("scatter (default: as the scene says, else what stands in brackets)")
-    scatter.add_argument("--max-scatters", type=count, metavar="N", help="scatter events on one path; 0: none (1)")
-    scatter.add_argument("--max-optical-scatters", type=count, metavar="N",
-                         help="those of them at surfaces that transmit (no limit)")  # fmt: skip
-    scatter.add_argument("--max-random-scatters", type=count, metavar="N",
-                         help="those of them that are not aimed at a target (no limit)")  # fmt: skip
-    scatter.add_argument("--scatter-rays", type=count, metavar="N", help="rays scattered at random at every hit (1)")
-    scatter.add_argument("--aimed-rays", type=count, metavar="N",
-                         help="rays aimed at the targets at every hit, to either side; 0: none (1)")  # fmt: skip
-    scatter.add_argument("--aim", choices=("auto", "targets", "none"),
-                         help="aim at the detector and targets of the scene, only at these, or not (auto)")  # fmt: skip
-    scatter.add_argument("--scatter-threshold", type=finite, metavar="F",
-                         help="flux below which a scattered ray ends, relative to its start (1e-4)")  # fmt: skip
+    add_spectrum(source)
+    add_ray_tree(parser, "start rays at each field (1e6)")
+    add_scatter(parser)
     output = parser.add_argument_group("output")
     output.add_argument("--out", type=Path, metavar="DIR", help="write report.html, CSV, PNG and path-sort files there")
     output.add_argument("--per-wavelength", action="store_true", help="add paths and ledgers at each wavelength")
@@ -93,18 +70,13 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from mistray._mitsuba_compat import silence_warnings
-    from mistray._variant import ensure_variant
-
-    ensure_variant(options.variant)  # settles libLLVM before anything imports Mitsuba
-    silence_warnings()
+    start_mitsuba(options)
     from mistray.analysis import ghosts
     from mistray.report import main_table, writable_directory, write_all
     from mistray.report.colour import check_wavelengths
     from mistray.scene import load
-    from mistray.trace import Settings
 
-    _check_weights(options)
+    check_weights(options)
     look = _look(options)
     if options.out is not None:
         writable_directory(options.out)
@@ -119,12 +91,12 @@ def run(options: argparse.Namespace) -> int:
             weights=options.weights,
             azimuth_deg=options.azimuth_deg,
             progress=progress,
-            **{setting.name: getattr(options, setting.name) for setting in fields(Settings)},
+            **settings_of(options),
         )
     files = []
     if options.out is not None:
         files = write_all(
-            report, options.out, _title(options.scene), options.command_line, options.per_wavelength, look
+            report, options.out, scene_title(options.scene), options.command_line, options.per_wavelength, look
         )
     if options.json:
         print(json.dumps(as_json(report, files, options.per_wavelength), indent=2, allow_nan=False))
@@ -133,18 +105,6 @@ def run(options: argparse.Namespace) -> int:
         if files:
             print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
     return 0
-
-
-def _check_weights(options: argparse.Namespace) -> None:
-    if options.weights is None:
-        return
-    if options.wavelength_nm is None:
-        raise MistrayError("--weights without --wavelength-nm; give one wavelength for each weight")
-    if len(options.weights) != len(options.wavelength_nm):
-        raise MistrayError(
-            f"--weights has {len(options.weights)} values for {len(options.wavelength_nm)} of --wavelength-nm; "
-            "give one weight for each wavelength"
-        )
 
 
 def _look(options: argparse.Namespace) -> Look | None:
@@ -164,12 +124,6 @@ def _look(options: argparse.Namespace) -> Look | None:
 
 def _own_wavelengths(scene: Any) -> list[float]:
     return sorted({float(nm) for emitter in scene.emitters() for nm in getattr(emitter, "wavelengths_nm", ())})
-
-
-def _title(scene: str) -> str:
-    """Name of a scene: that of its file, or of its folder if the file is called scene.xml."""
-    path = Path(scene).resolve()
-    return path.parent.name if path.name == "scene.xml" else path.stem
 
 
 @contextlib.contextmanager

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
 from dataclasses import asdict
 from pathlib import Path
@@ -18,6 +17,7 @@ WORST_SHOWN = 4
 def as_json(report: GhostReport, files: Sequence[Path], per_wavelength: bool = False) -> dict[str, Any]:
     """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
     from mistray.report.csv_tables import summary_frame
+    from mistray.report.json_values import plain
     from mistray.report.tables import warnings
 
     fields = []
@@ -35,7 +35,7 @@ def as_json(report: GhostReport, files: Sequence[Path], per_wavelength: bool = F
         "warnings": warnings(report),
         "files": [str(file) for file in files],
     }
-    return dict(_plain(answer))
+    return dict(plain(answer))
 
 
 def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
@@ -77,16 +77,3 @@ def _energy(energy: Energy) -> dict[str, Any]:
         "cut_W": dict(energy.cut),
         "closure": energy.closure,
     }
-
-
-def _plain(value: Any) -> Any:
-    """The value with what JSON knows: numpy scalars as numbers, NaN and infinity as null."""
-    if isinstance(value, dict):
-        return {str(key): _plain(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_plain(item) for item in value]
-    if hasattr(value, "tolist"):
-        return _plain(value.tolist())
-    if isinstance(value, float) and not math.isfinite(value):
-        return None
-    return value

@@ -10,13 +10,14 @@ import shlex
 import sys
 from collections.abc import Sequence
 
-from mistray.cli import bsdf, coating, doctor, ghosts, import_lens, optimize
+from mistray.cli import bsdf, coating, doctor, ghosts, import_lens, objects, optimize, pst, study, thermal
 from mistray.cli.arguments import RAW, Parser
 from mistray.errors import MistrayError
 
 BAD_INPUT = 2
 INTERRUPTED = 130
-COMMANDS = (doctor, import_lens, ghosts, coating, bsdf, optimize)  # in the order of the help; each has `add`
+# In the order of the help; each has `add`
+COMMANDS = (doctor, import_lens, ghosts, objects, pst, study, thermal, coating, bsdf, optimize)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -13,7 +13,13 @@ TINY = 1e-30  # cosine of a scattered direction in the plane of the surface
 
 
 def bsdf(
-    lobes: Sequence[Lobe], event: str, cos_i: float, directions: np.ndarray, n_in: float, n_out: float, share: float
+    lobes: Sequence[Lobe],
+    event: str,
+    cos_i: float | np.ndarray,
+    directions: np.ndarray,
+    n_in: float,
+    n_out: float,
+    share: float | np.ndarray,
 ) -> np.ndarray:
     """
     Sum of the lobes of one event, 1/sr.
@@ -23,14 +29,14 @@ def bsdf(
     lobes : sequence of Lobe
         For light of the side in question.
     event : {"reflection", "transmission"}
-    cos_i : float
-        Cosine of the angle of incidence.
+    cos_i : float or (…) float64
+        Cosine of the angle of incidence, of all light or of that which is scattered to each direction.
     directions : (…, 3) float64
         Scattered unit vectors: x along the tangential part of the incident light, z ≥ 0 along the normal on the side
         that the scattered light is on.
     n_in, n_out : float
         Indices on the side of incidence and on the other.
-    share : float
+    share : float or (…) float64
         R or T of the coating at this angle.
 
     Returns
@@ -39,30 +45,32 @@ def bsdf(
         BSDF: scattered radiance by incident irradiance. It is 0 in transmission beyond the critical angle, where there
         is no direction to count from, but for lobes about the normal.
     """
-    sin_i = np.sqrt(max(0.0, 1 - cos_i * cos_i))
+    cos_i = np.asarray(cos_i, dtype=np.float64)
+    sin_i = np.sqrt(np.maximum(0.0, 1 - cos_i * cos_i))
     sin_0 = sin_i if event == "reflection" else sin_i * n_in / n_out
     total = np.zeros(directions.shape[:-1])
     for lobe in lobes:
-        if lobe.event != event or (sin_0 >= 1 and event == "transmission" and lobe.centre != "normal"):
+        no_centre = sin_0 >= 1 if event == "transmission" and lobe.centre != "normal" else np.zeros_like(sin_0, bool)
+        if lobe.event != event or np.all(no_centre):
             continue
         c0, c1, c2 = lobe.shares
-        total = total + (c0 + c1 * share + c2 * share * share) * _shape(lobe, cos_i, sin_0, directions)
+        values = (c0 + c1 * share + c2 * share * share) * _shape(lobe, cos_i, sin_0, directions)
+        total = total + np.where(no_centre, 0.0, values)
     return total
 
 
-def _shape(lobe: Lobe, cos_i: float, sin_0: float, directions: np.ndarray) -> np.ndarray:
+def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndarray) -> np.ndarray:
     """BSDF of a lobe per unit of its coefficient."""
     x, y, cos_s = np.moveaxis(directions, -1, 0)
-    cos_0 = np.sqrt(max(0.0, 1 - sin_0 * sin_0))
-    centre = {"specular": sin_0, "normal": 0.0, "retro": -sin_0}[lobe.centre]
+    cos_0 = np.sqrt(np.maximum(0.0, 1 - sin_0 * sin_0))
+    centre = {"specular": sin_0, "normal": np.zeros_like(sin_0), "retro": -sin_0}[lobe.centre]
     if lobe.measure == "angle":
         r = np.sqrt((x - centre) ** 2 + y**2 + (cos_s - cos_0) ** 2)
-        oblique = lobe.oblique(np.array([cos_i]))[0]
-        return np.asarray(oblique * lobe.profile(r.ravel()).reshape(r.shape) / np.maximum(cos_s, TINY))
+        return np.asarray(lobe.oblique(cos_i) * lobe.profile(r.ravel()).reshape(r.shape) / np.maximum(cos_s, TINY))
     r = np.hypot(x - centre, y)
-    values = lobe.profile(r.ravel()).reshape(r.shape) * factor_values(lobe, cos_i, cos_s)
+    values = lobe.profile(r.ravel()).reshape(r.shape) * factor_values(lobe, cos_i, cos_s, cos_0, r)
     if lobe.ratio is not None and lobe.ratio.axes == "radial":
-        values = values * lobe.ratio.at(np.asarray(cos_0), r, np.arctan2(np.abs(y), x - centre))
+        values = values * lobe.ratio.at(cos_0, r, np.arctan2(np.abs(y), x - centre))
     elif lobe.ratio is not None:
-        values = values * lobe.ratio.at(np.asarray(cos_0), cos_s, np.arctan2(np.abs(y), x))
+        values = values * lobe.ratio.at(cos_0, cos_s, np.arctan2(np.abs(y), x))
     return np.asarray(values)

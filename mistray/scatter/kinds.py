@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from types import MappingProxyType
 
 from mistray.scatter.abg import ABg
+from mistray.scatter.edge_diffraction import EdgeDiffraction
 from mistray.scatter.gaussian import Gaussian
 from mistray.scatter.harvey_shack import HarveyShack
 from mistray.scatter.k_correlation import KCorrelation
@@ -17,6 +18,7 @@ from mistray.scatter.tabulated import Tabulated
 KINDS: Mapping[str, type[Placement]] = MappingProxyType(
     {
         "abg": ABg,
+        "edge_diffraction": EdgeDiffraction,
         "gaussian_lobe": Gaussian,
         "harvey_shack": HarveyShack,
         "k_correlation": KCorrelation,

@@ -13,7 +13,7 @@ from mistray.errors import MistrayError
 EVENTS = ("reflection", "transmission")
 MEASURES = ("cosines", "angle")
 CENTRES = ("specular", "normal", "retro")
-FACTORS = ("none", "ghs", "rayleigh_rice")
+FACTORS = ("none", "ghs", "rayleigh_rice", "edge")
 
 
 @dataclass(frozen=True, eq=False)
@@ -95,8 +95,9 @@ class Lobe:
         The reflected or refracted direction, the normal, or the way back.
     shares : tuple of float
         c0, c1, c2.
-    factor : {"none", "ghs", "rayleigh_rice"}
-        1, ((cos θi + cos θs)/2)² of the generalised Harvey-Shack theory, or cos θi cos θs.
+    factor : {"none", "ghs", "rayleigh_rice", "edge"}
+        1, ((cos θi + cos θs)/2)² of the generalised Harvey-Shack theory, cos θi cos θs, or the `obliquity` of
+        `mistray.physics.diffraction` about the specular direction.
     ratio : RatioTable, optional
     optical_depth : float, optional
         Share of X that the specular beam loses at normal incidence, where it is more than what the lobe scatters; times

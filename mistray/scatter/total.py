@@ -9,6 +9,7 @@ from functools import lru_cache
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.physics.diffraction import obliquity
 from mistray.scatter.lobe import Lobe, Scatter
 from mistray.scatter.radial import OCTAVES, R_MAX, RadialTable
 
@@ -125,7 +126,7 @@ def _with_factor(lobe: Lobe, table: RadialTable, cos_i: float, cosine: float, co
     psi = start[:, None] + half[:, None] * t
     beta2 = b * b + r[:, None] ** 2 + 2 * b * r[:, None] * np.cos(psi)
     cos_s = np.sqrt(np.maximum(0.0, 1 - beta2))
-    values = factor_values(lobe, cos_i, cos_s)
+    values = factor_values(lobe, cos_i, cos_s, cosine, r[:, None])
     if lobe.ratio is not None:
         if lobe.ratio.axes == "radial":
             values = values * lobe.ratio.at(np.asarray(cos_specular), r[:, None], psi)
@@ -136,8 +137,16 @@ def _with_factor(lobe: Lobe, table: RadialTable, cos_i: float, cosine: float, co
     return float(np.sum(weight * r * table.value(r) * over_arc))
 
 
-def factor_values(lobe: Lobe, cos_i: np.ndarray | float, cos_s: np.ndarray) -> np.ndarray:
-    """The lobe's factor for cosines of incidence and of scatter."""
+def factor_values(
+    lobe: Lobe,
+    cos_i: np.ndarray | float,
+    cos_s: np.ndarray,
+    cos_0: np.ndarray | float = 1.0,
+    r: np.ndarray | float = 0.0,
+) -> np.ndarray:
+    """The lobe's factor for cosines of incidence, of scatter and of the lobe's centre, and distances from that."""
+    if lobe.factor == "edge":
+        return np.asarray(obliquity(cos_0, cos_s, np.square(r)))
     if lobe.factor == "ghs":
         return 0.25 * (cos_i + cos_s) ** 2
     return cos_i * cos_s if lobe.factor == "rayleigh_rice" else np.ones_like(cos_s)

@@ -38,16 +38,19 @@ from mistray.trace.energy import batch_error
 from mistray.trace.exits import exits
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES
-from mistray.trace.ray_tree import walk
+from mistray.trace.ray_tree import StartRays, walk
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import NO_LIMIT, Settings
-from mistray.trace.sky import PathBook, Sky
+from mistray.trace.sky import PathBook, Sky, Thrift
 from mistray.trace.sources import spectrum_of
 from mistray.trace.surfaces import SurfaceTable
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the fifth and all that follow
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
+# Of a ray that meets all optics about so many hits scatter, and so many reflections are followed; but a surface that
+# sees the sky scatters with so many times the share of its rays that get there
+SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
 # Reasons that take weight from the rays for good; what the last two take they give back on average
 LOST = (THRESHOLD, REFLECTIONS, SCATTERS, EVENTS, MEDIUM, CONTROL)
 EVEN = (ROULETTE, SAMPLING)
@@ -134,6 +137,12 @@ class BackwardTrace:
         axis = np.asarray(grid.rotation)[:, 2]
         found = exits(first, scene, settings, axis)
         self.has_optics = found.has_optics
+        optics = max(len(found.views), 1)
+        chance = np.ones(first.count)
+        for surface, share in found.views.items():
+            chance[surface] = np.clip(VIEWS_OF_SKY * share, min(1.0, SCATTERS_OF_RAY / optics), 1.0)
+        ghosts = dr.opaque(mi.Float, min(1.0, REFLECTIONS_OF_RAY / optics))
+        self._thrift = Thrift(mi.Float(chance), ghosts)
         self._bands = []
         for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
             table = first if wavelength == first.wavelength_nm else first.at(wavelength)
@@ -173,19 +182,20 @@ class BackwardTrace:
         """Trace one more pass of about so many rays, by default `next_pass`; `sums` grow."""
         rays = self.next_pass if rays is None else rays
         started = time.perf_counter()
+        new: list[dict[str, np.ndarray]] = []  # what an interrupt leaves out is a whole pass
         for number, one in enumerate(self._bands):
             lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
-            sky = Sky(self.grid, self.map_size[0] * self.map_size[1], self._book, self.has_optics)
+            sky = Sky(self.grid, self._thrift, self.map_size[0] * self.map_size[1], self._book, self.has_optics)
             tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
             # The share of a wavelength is that of its rays, but for rounding
             weight = one.share * rays / lanes
-            start = self._start(one, number, lanes, rays, weight)
+            start = self._start(one, number, lanes, weight)
             walk(one.table, one.scattering, self._intersector, start, self.settings, self._film, tallies, sky=sky)
             dr.eval()
             dr.sync_thread()
-            self._add(sky.read())
+            new.append(sky.read())
             # Sums by surface are in the order of the first wavelength's media
-            self._add(
+            new.append(
                 {
                     "surfaces": np.array(tallies.surfaces).reshape(one.table.count, SURFACE_SUMS, BATCHES),
                     "media": self._by_medium(one.table, np.array(tallies.media).reshape(-1, BATCHES)),
@@ -193,10 +203,12 @@ class BackwardTrace:
                     "rays": np.full(BATCHES, rays * one.share / BATCHES),
                 }
             )
+        for sums in new:
+            self._add(sums)
         self.passes += 1
         self.seconds += time.perf_counter() - started
 
-    def _start(self, one: _Band, number: int, lanes: int, rays: int, weight: float) -> Any:
+    def _start(self, one: _Band, number: int, lanes: int, weight: float) -> StartRays:
         index = dr.arange(mi.UInt32, lanes)
         stream = (self.settings.seed + 0x9E3779B9 * (number + len(self._bands) * self.passes)) % 2**32
         state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, stream), index)

@@ -22,18 +22,24 @@ from mistray.trace.aiming import MOST_KNOWN, Side, automatic_targets, signature
 from mistray.trace.design_path import OPENING, DesignPath, Step, find_design_path
 from mistray.trace.detector_images import FAR, DetectorImages
 from mistray.trace.host_points import across, sphere_points, surface_points
-from mistray.trace.host_rays import first_hit
+from mistray.trace.host_rays import first_hit, onward
+from mistray.trace.optics import MIRROR, OPAQUE
 from mistray.trace.settings import Settings
 from mistray.trace.surfaces import SurfaceTable, solid_shapes
 from mistray.trace.targets import AimSet, Target
 
-PROBES, SKY_PROBES = 2048, 256  # rays that look for the opening, and for the sky
+PROBES, SKY_PROBES, VIEW_PROBES = (
+    2048,
+    256,
+    128,
+)  # rays that look for the opening, for the sky, and there through optics
+MOST_STEPS = 40  # of the last of them
 WIDEST_DEG = 80.0  # field angle up to which the opening is sought
 OPEN = 0.2  # share of a side's rays that must see the sky for the sky to be its target
 SKY_DEG = (10.0, 35.0, 80.0)  # field angles that the discs of the sky reach to
 LANDED = 0.02  # share of the rays to an image of the opening that must leave by it
 
-_known: dict[str, tuple[dict[Side, list[Target]], Target | None, np.ndarray | None, bool]] = {}
+_known: dict[str, _Found] = {}
 
 
 @dataclass(frozen=True)
@@ -51,12 +57,27 @@ class Exits:
         Direction of the design light at the detector.
     has_optics : bool
         Whether the design path has lenses or mirrors.
+    views : dict
+        Surface that transmits or is a mirror → share of Lambertian rays from it that leave the scene by refraction and
+        at mirrors.
     """
 
     aims: dict[Side, AimSet]
     start: AimSet | None
     light: np.ndarray | None
     has_optics: bool
+    views: dict[int, float]
+
+
+@dataclass(frozen=True)
+class _Found:
+    """What is known of a scene."""
+
+    sides: dict[Side, list[Target]]
+    start: Target | None
+    light: np.ndarray | None
+    has_optics: bool
+    views: dict[int, float]
 
 
 def exits(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.ndarray) -> Exits:
@@ -78,20 +99,19 @@ def exits(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.nda
         while len(_known) >= MOST_KNOWN:
             _known.pop(next(iter(_known)))
         _known[key] = _find(table, scene, scatterers, axis)
-    sides, start, light, has_optics = _known[key]
+    found = _known[key]
+    rest = found.light, found.has_optics, found.views
     if settings.aim != "auto" or not settings.aimed_rays:
-        return Exits({}, None, light, has_optics)
+        return Exits({}, None, *rest)
     aims = {
         side: AimSet(tuple(target.with_share(1 / len(targets)) for target in targets), settings.aimed_rays)
-        for side, targets in sides.items()
+        for side, targets in found.sides.items()
     }
-    return Exits(aims, AimSet((start.with_share(1.0),), 1) if start is not None else None, light, has_optics)
+    return Exits(aims, AimSet((found.start.with_share(1.0),), 1) if found.start is not None else None, *rest)
 
 
-def _find(
-    table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray
-) -> tuple[dict[Side, list[Target]], Target | None, np.ndarray | None, bool]:
-    """Targets by side, that of the detector, the direction of the light there, and whether there are optics."""
+def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> _Found:
+    """All that the targets follow from."""
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
     opening = find_opening(table, scene, path, axis, rng)
@@ -111,9 +131,10 @@ def _find(
             outward = normals if to_back else -normals
             if _sees_sky(table, surface, points, outward, axis, rng) > OPEN:
                 found[surface, to_back] = far
-    if path is None:
-        return found, start, None, False
-    return found, start, path.steps[-1].before, len(path.steps) > 1
+    words = table.optics.host_words
+    views = {i: _view(table, i, axis, rng) for i in range(table.count) if not words[i] & OPAQUE or words[i] & MIRROR}
+    light = path.steps[-1].before if path is not None else None
+    return _Found(found, start, light, path is not None and len(path.steps) > 1, views)
 
 
 def find_opening(
@@ -189,3 +210,27 @@ def _sees_sky(
     d /= np.linalg.norm(d, axis=1, keepdims=True)
     hit, _, _ = first_hit(table, points, d, np.full(len(points), surface))
     return float(np.mean((hit < 0) & (d @ axis < 0)))
+
+
+def _view(table: SurfaceTable, surface: int, axis: np.ndarray, rng: np.random.Generator) -> float:
+    """Share of Lambertian rays of a surface, to its better side, that leave the scene against the light specularly."""
+    points, normals = surface_points(table, surface, VIEW_PROBES, rng)
+    best = 0.0
+    for side in (-1.0, 1.0):
+        o, d = points, side * normals + sphere_points(rng, VIEW_PROBES)
+        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        last = np.full(len(o), surface)
+        gone = 0
+        for _ in range(MOST_STEPS):
+            hit, p, normal = first_hit(table, o, d, last)
+            gone += int(np.count_nonzero((hit < 0) & (d @ axis < 0)))
+            met = hit >= 0
+            if not np.any(met):
+                break
+            after, _ = onward(table, hit[met], d[met], normal[met])
+            goes = np.isfinite(after[:, 0])
+            o, d, last = p[met][goes], after[goes], hit[met][goes]
+            if not len(o):
+                break
+        best = max(best, gone / VIEW_PROBES)
+    return best

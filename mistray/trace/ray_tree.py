@@ -65,8 +65,9 @@ TRANSMIT, REFLECT, SCATTER = range(3)
 ASIDE = 1 << 31  # bit of the word of a pending node; the surface and its reflections are below
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT = 0xFF, 8, 16
 PLAN_WORDS, FLOOR_FLOATS = 4, 4  # of a node, where there is scatter
-WORTH_OF_WALLS = 1e-3  # against the light: the share of `scatter_threshold` that holds at opaque surfaces
-CHANCE_OF_OPTICS = 0.1  # and with which a hit of a surface that transmits scatters there
+WORTH_IN_THE_DARK = (
+    1e-3  # share of `scatter_threshold` that holds against the light: in the dark little is all there is
+)
 HITS_OF_LANE = 8  # place of the sums by surface among the local arrays
 
 
@@ -224,7 +225,7 @@ def walk(
     if sky is not None:
         first_key = dr.full(mi.UInt64, FIRST_KEY, n)
         nowhere = mi.Bool(False)
-        sky.record(d, start.w, full(), full(), nowhere, batch, start.pixel, first_key, full(), lambda k, _: k, missed)
+        sky.record(d, start.w, full(), full(), nowhere, batch, start, first_key, full(), lambda k, _: k, missed)
     start_medium = full() if start.medium is None else start.medium
     start_w, start_clouded = attenuate(start.w, start_medium, t, hit)
 
@@ -361,23 +362,22 @@ def walk(
         add_reason(SCATTERS, stopped, first & room & (stopped > 0))
         w_s, w_b = dr.select(may_scatter, w_s, 0), dr.select(may_cloud, w_b, 0)
 
-        # With the light a ray that has not been scattered keeps to the flux threshold; else weak ones play roulette
+        # A ray that has not been scattered keeps to the flux threshold; one that has plays roulette below its own
         fresh = (state["scatters"] & COUNT_MASK) == 0 if scatters else mi.Bool(True)
         own = state["birth"] * scatter_threshold
-        limit = own if sky is not None else dr.select(fresh, threshold if roulette else 0, own)
+        limit = dr.select(fresh, threshold if roulette else 0, own)
         boost = state["boost"]
-        lot = (
-            rng.next_float32() if roulette or scatters or sky is not None else mi.Float(0)
-        )  # one for all children: none knows of another
+        # One for all children: none knows of another
+        lot = rng.next_float32() if roulette or scatters or sky is not None else mi.Float(0)
         if scatters and split:
             # A weak node scatters with a probability in proportion to the light that reaches it
             worth = own
-            if sky is not None:  # what little a wall gets against the light is all there is in the dark
-                worth = dr.select(transmits, own, own * WORTH_OF_WALLS)
+            if sky is not None:
+                worth = dr.select(transmits, own, own * WORTH_IN_THE_DARK)
             chance = dr.minimum(w / worth, 1)
             if sky is not None:
-                chance = chance * dr.select(transmits, CHANCE_OF_OPTICS, 1)
-            boost = dr.select(first, dr.select(lot < chance, dr.rcp(chance), 0), boost)
+                chance = chance * dr.gather(mi.Float, sky.thrift.scatter, s, first)
+            boost = dr.select(first, dr.select(1 - lot <= chance, dr.rcp(chance), 0), boost)
         if split and table.optics.one_child:
             # Of transmission, reflection and scatter one takes the flux of all. A negative boost: the surface does not
             # scatter, what its medium has scattered is sent on all the same
@@ -397,7 +397,13 @@ def walk(
                 cut = dr.select(cut_t, w_t, 0) + dr.select(cut_r, w_r, 0)
                 add_reason(THRESHOLD, cut, first & (cut > 0))
                 w_t, w_r = dr.select(cut_t, 0, w_t), dr.select(cut_r, 0, w_r)
-            if roulette or scatters or sky is not None:
+            if sky is not None:
+                thinned = fresh & transmits & counted & ((it.word & ONE_CHILD) == 0)
+                followed = again | (lot < sky.thrift.reflection)
+                kept_r = dr.select(thinned, dr.select(followed, w_r / sky.thrift.reflection, 0), w_r)
+                add_reason(ROULETTE, w_r - kept_r, first & thinned)
+                w_r = kept_r
+            if roulette or scatters:
                 # A later visit is for a child that has survived
                 left_t, left_r = (
                     dr.select((v > 0) & (v < limit), dr.select(lot * limit < v, limit, 0), v) for v in (w_t, w_r)
@@ -425,7 +431,7 @@ def walk(
             )
             push = mi.Bool(False)
             child = both
-            if roulette or scatters or sky is not None:
+            if roulette or scatters:
                 small = (both > 0) & (both < limit)
                 child = dr.select(small, dr.select(lot * limit < both, limit, 0), both)
                 add_reason(ROULETTE, both - child, visit & small)
@@ -521,9 +527,7 @@ def walk(
             bounces = reflections + dr.select(bounced, mi.UInt32(1), 0)
             aside = state["aside"] | is_aside(it, reflect)
             path_key, leaving = extend_key(state["key"], code), go & ~hit
-            sky.record(
-                heading, child, bounces, after, aside, batch, start.pixel, path_key, depth + 1, codes.read, leaving
-            )
+            sky.record(heading, child, bounces, after, aside, batch, start, path_key, depth + 1, codes.read, leaving)
         child, clouded = attenuate(child, medium, t, hit)
         segments = dr.select(go, state["segments"] + 1, state["segments"])
 

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -13,6 +14,9 @@ from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.ledger import BATCHES, MULTIPLIER, claim, host_keys, write_list
 from mistray.trace.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.trace.ray_tree import StartRays
 
 # Classes of the light, in the order of their sums
 DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE = range(5)
@@ -113,6 +117,23 @@ class PathBook:
         }
 
 
+@dataclass
+class Thrift:
+    """
+    Chances with which rays against the light branch; the branches carry so much more, and results stay the same.
+
+    Attributes
+    ----------
+    scatter : mi.Float
+        (surfaces,) that a hit scatters.
+    reflection : mi.Float
+        That the reflection at a surface that transmits is followed.
+    """
+
+    scatter: mi.Float
+    reflection: mi.Float
+
+
 class Sky:
     """
     Sums of the weights of rays that leave the scene.
@@ -120,6 +141,7 @@ class Sky:
     Parameters
     ----------
     grid : DirectionGrid
+    thrift : Thrift
     pixels : int
         Of a map of the detector for every cell; 0: no maps.
     paths : PathBook, optional
@@ -128,9 +150,15 @@ class Sky:
     """
 
     def __init__(
-        self, grid: DirectionGrid, pixels: int = 0, paths: PathBook | None = None, has_optics: bool = True
+        self,
+        grid: DirectionGrid,
+        thrift: Thrift,
+        pixels: int = 0,
+        paths: PathBook | None = None,
+        has_optics: bool = True,
     ) -> None:
         self._has_optics = has_optics
+        self.thrift = thrift
         self.grid, self.pixels, self.paths = grid, pixels, paths
         self._angles, self._azimuths = grid.shape
         self.cells = self._angles * self._azimuths
@@ -181,7 +209,7 @@ class Sky:
         scatters: mi.UInt32,
         aside: mi.Bool,
         batch: mi.UInt32,
-        pixel: mi.UInt32 | None,
+        start: StartRays,
         key: mi.UInt64,
         length: mi.UInt32,
         read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
@@ -201,7 +229,7 @@ class Sky:
         # The bits of positive floats are in the order of the floats
         dr.scatter_reduce(dr.ReduceOp.Max, self.largest, dr.reinterpret_array(mi.UInt32, weight), cell, scattered)
         if self.maps is not None:
-            place = 2 * (cell * self.pixels + pixel)
+            place = 2 * (cell * self.pixels + start.pixel)
             for k, value in enumerate((w, w * w)):
                 dr.scatter_reduce(dr.ReduceOp.Add, self.maps, value, place + k, inside)
         if self.paths is not None:

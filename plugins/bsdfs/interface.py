@@ -68,7 +68,7 @@ class Interface(mi.BSDF):
     (nested) thinfilm bsdf            none     the coating, instead of R, T and table
     (nested) scatter  bsdf            none     models of scatter, any number: ``abg``, ``harvey_shack``,
                                                ``k_correlation``, ``gaussian_lobe``, ``particulate``, ``paint``,
-                                               ``tabulated``; see docs/scatter.md
+                                               ``edge_diffraction``, ``tabulated``; see docs/scatter.md
     mirror            bool            false    the design path reflects here: such a reflection is not counted
                                                as a ghost bounce
     splitting         string  split,  split    follow all children of a ray here, or one of them at random

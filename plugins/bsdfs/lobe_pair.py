@@ -9,6 +9,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from mistray.physics.diffraction import obliquity
 from mistray.scatter import Lobe
 
 
@@ -136,6 +137,8 @@ def cosine(x: mi.Float, y: mi.Float) -> mi.Float:
 
 def factor(lobe: Lobe, pair: Pair) -> mi.Float:
     """The lobe's factor for two directions."""
+    if lobe.factor == "edge":
+        return obliquity(dr.abs(pair.centre(lobe).z), pair.cos_s, pair.r2(lobe))
     if lobe.factor == "ghs":
         return 0.25 * dr.square(pair.cos_i + pair.cos_s)
     return pair.cos_i * pair.cos_s if lobe.factor == "rayleigh_rice" else mi.Float(1)

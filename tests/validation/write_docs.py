@@ -1,4 +1,4 @@
-"""Writes the tables of docs/validation: ``python tests/validation/write_docs.py [phone_camera] [lsst]``."""
+"""Writes the tables of docs/validation: ``python tests/validation/write_docs.py [phone_camera] [lsst] …``."""
 
 from __future__ import annotations
 
@@ -23,6 +23,9 @@ GHOST_RAYS = {0.0: 400_000, 5.0: 400_000, 10.0: 400_000}
 FAR_GHOST_RAYS = 2_000_000
 THREE_REFLECTION_RAYS = 1_000_000
 TOP = 4
+PST_RAYS, PST_BEAM_RAYS = 1_000_000, 50_000
+PST_BEAM_FIELDS_DEG = [10, 20, 30, 40]
+PST_STRAY = ("straight_shot", "ghost", "single_scatter")
 LSST_RAYS = 100_000
 LSST_FIELDS_DEG = (0.0, 1.0, 1.4, 1.6, 1.75)
 
@@ -180,6 +183,103 @@ def write_phone_camera() -> None:
     )
 
 
+def write_phone_camera_pst() -> None:
+    """docs/validation/phone_camera_pst.md."""
+    from validation import phone_camera_pst as camera
+
+    scene = camera.scene()
+    curve = camera.curve(scene, PST_RAYS)
+    groups = {group: curve.curve(group) for group in ("total", "direct", *PST_STRAY)}
+    projected = curve.to("projected").curve()
+    implied = camera.implied().PST
+    beam = camera.beam_psts(scene, PST_BEAM_FIELDS_DEG, PST_BEAM_RAYS)
+    write(
+        "phone_camera_pst.md",
+        {
+            "pst": markdown(
+                (
+                    "angle °",
+                    "all light",
+                    "projected",
+                    "image",
+                    "straight shots",
+                    "ghosts",
+                    "single scatter",
+                    "Table 27",
+                ),
+                [
+                    (
+                        f"{angle:g}",
+                        number(groups["total"][0][i], groups["total"][1][i]),
+                        number(projected[0][i], projected[1][i]),
+                        *(
+                            number(groups[group][0][i], groups[group][1][i]) if groups[group][0][i] > 0 else "–"
+                            for group in ("direct", *PST_STRAY)
+                        ),
+                        f"{implied[angle]:.3g}" if angle in implied.index else "–",
+                    )
+                    for i, angle in enumerate(curve.angles_deg)
+                    if angle % 4 == 0 or angle in implied.index
+                ],
+            ),
+            "breaks": markdown(
+                ("angle °", "slope before, decades/°", "after", "± of the change", "causes before", "causes after"),
+                [
+                    (
+                        f"{b.angle:g}",
+                        f"{b.before:+.3f}",
+                        f"{b.after:+.3f}",
+                        f"{b.se:.3f}",
+                        b.causes_before,
+                        b.causes_after,
+                    )
+                    for b in camera.bends(curve).itertuples()
+                ],
+            ),
+            "causes": markdown(
+                ("angle °", "study", "%", "first-level scatter here", "%", "all stray light here", "%"),
+                [
+                    (
+                        f"{row.angle:g}",
+                        row.name_,
+                        f"{row.percent:.3g}",
+                        row.surface,
+                        f"{row.surface_percent:.0f}",
+                        row.cause,
+                        f"{row.cause_percent:.0f}",
+                    )
+                    for row in camera.main_causes(curve).rename(columns={"name": "name_"}).itertuples()
+                ],
+            ),
+            "watts": markdown(
+                ("angle °", "study: 1st scatter", "study W", "same surface here", "our strongest", "its W"),
+                [
+                    (
+                        f"{row.angle:g}",
+                        row.name_,
+                        f"{row.study:.2g}",
+                        number(row.same, row.same_se) if row.same > 0 else "0",
+                        row.surface,
+                        number(row.power, row.power_se),
+                    )
+                    for row in camera.watts(scene, PST_BEAM_RAYS).rename(columns={"name": "name_"}).itertuples()
+                ],
+            ),
+            "beam": markdown(
+                ("angle °", "beam of 1.252 mm in the y-z plane", "light everywhere, all azimuths"),
+                [
+                    (
+                        f"{angle:g}",
+                        f"{irradiance:.3g}",
+                        number(groups["total"][0][angle // 2], groups["total"][1][angle // 2]),
+                    )
+                    for angle, irradiance in beam.items()
+                ],
+            ),
+        },
+    )
+
+
 def write_lsst() -> None:
     """docs/validation/lsst.md."""
     from validation import lsst
@@ -242,7 +342,11 @@ def _image_row(field: float, result: Comparison) -> tuple[str, ...]:
     return f"{field:g}", f"{a:.3f}", f"{b:.3f}", f"{math.sqrt(max(a * a - b * b, 0.0)):.2f}"
 
 
-REPORTS: dict[str, Callable[[], None]] = {"phone_camera": write_phone_camera, "lsst": write_lsst}
+REPORTS: dict[str, Callable[[], None]] = {
+    "phone_camera": write_phone_camera,
+    "phone_camera_pst": write_phone_camera_pst,
+    "lsst": write_lsst,
+}
 
 if __name__ == "__main__":
     for report in sys.argv[1:] or REPORTS:

@@ -1,0 +1,102 @@
+"""PST: what a curve of 41 angles costs against the light, and angle by angle with the light.
+
+The cost of an angle is its relative variance times the seconds of the run, which is the time to an error of 100 %; it
+does not depend on the number of rays. With the light every angle has its own run, so that its seconds are those of all
+angles together. ``python benchmarks/pst.py`` prints the rows alone.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from rows import Row
+
+import mistray
+from mistray.analysis.pst_result import Pst
+
+ANGLES_DEG = range(0, 81, 2)
+UP_TO_DEG = 60.0
+WANTED = 0.02  # relative error
+MINUTES = 5.0  # in which it must be reached
+WARM_UP = 1 << 12
+
+
+@dataclass(frozen=True)
+class Case:
+    """A scene, its limits, and the rays of the adjoint run and of each forward one."""
+
+    scene: str
+    limits: dict[str, Any]
+    adjoint_rays: int
+    forward_rays: int
+
+
+CASES = (
+    Case("phone_camera_scatter", {"max_reflections": 1, "max_scatters": 1}, 1 << 20, 1 << 14),
+    Case("baffle_tube", {"max_reflections": 2, "max_scatters": 4}, 1 << 20, 1 << 15),
+)
+
+
+def costs(found: Pst) -> np.ndarray:
+    """(n,) relative variance × time, s; infinite where no light was found."""
+    value, se = found.curve()
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.where(value > 0, (se / value) ** 2, np.inf) * found.facts["seconds"]
+
+
+def run(case: Case, method: str, rays: int, **more: Any) -> Pst:
+    """One run, its kernels compiled before."""
+    scene = mistray.load(case.scene)
+    arguments: dict[str, Any] = {"method": method, "paths": False, **case.limits, **more}
+    mistray.pst(scene, [20.0], rays=WARM_UP, **arguments)
+    return mistray.pst(scene, ANGLES_DEG, rays=rays, **arguments)
+
+
+def compared(title: str, ours: np.ndarray, other: np.ndarray, bar: float) -> Row:
+    """Cost of the angle that is worst for each method; angles where the other finds no light would cost it more."""
+    seen, angles = np.isfinite(other), np.array(ANGLES_DEG)
+    worst, other_worst = int(np.argmax(ours)), int(np.argmax(np.where(seen, other, 0.0)))
+    unseen = f"; with it {np.count_nonzero(~seen)} angles see no light, not counted" * (not seen.all())
+    ratio = other[other_worst] / ours[worst]
+    return Row(
+        f"{title}: relative variance × time at the worst of {len(angles)} angles ({angles[worst]}° and "
+        f"{angles[other_worst]}°; angle by angle {np.median(other / ours):.3g} in the median{unseen})",
+        f"{ours[worst]:.2g} s",
+        f"{other[other_worst]:.2g} s",
+        float(ratio),
+        bar,
+    )
+
+
+def pst_costs() -> list[Row]:
+    """Rows of all scenes."""
+    rows = []
+    for case in CASES:
+        ours = run(case, "adjoint", case.adjoint_rays)
+        for aim, words, bar in (("none", "without importance sampling", 100.0), ("auto", "aimed", 5.0)):
+            other = run(case, "forward", case.forward_rays, aim=aim)
+            rows.append(
+                compared(
+                    f"PST of `{case.scene}` against the light, and with it {words}", costs(ours), costs(other), bar
+                )
+            )
+        counts = np.array(ANGLES_DEG) <= UP_TO_DEG
+        seconds = costs(ours)[counts] / WANTED**2
+        rows.append(
+            Row(
+                f"PST of `{case.scene}`: time to an error of 2 % at every angle up to 60° (worst: "
+                f"{np.array(ANGLES_DEG)[counts][np.argmax(seconds)]}°)",
+                f"{seconds.max():.0f} s",
+                f"{60 * MINUTES:.0f} s",
+                float(60 * MINUTES / seconds.max()),
+                1.0,
+            )
+        )
+    return rows
+
+
+if __name__ == "__main__":
+    for row in pst_costs():
+        print(row)

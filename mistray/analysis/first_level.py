@@ -1,0 +1,118 @@
+"""First-level analysis: light that is scattered once, ghosts alone, and all of it, beside each other.
+
+The scene is not changed; the limits of the trace are. In the words of other programs they are the levels of scatter and
+of specular ancestry that a ray may have.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analysis.pst import pst
+from mistray.analysis.pst_result import Pst
+from mistray.errors import MistrayError
+from mistray.trace.settings import Settings
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LIMITS: dict[str, dict[str, int]] = {
+    "scatter once": {"max_scatters": 1, "max_reflections": 0},
+    "ghosts off": {"max_reflections": 0},
+    "scatter off": {"max_scatters": 0},
+    "all": {},
+}
+Progress = Callable[[str, Any], None]
+
+
+@dataclass(frozen=True, eq=False)
+class FirstLevel:
+    """
+    Point source transmittances of one scene under several sets of limits.
+
+    Attributes
+    ----------
+    curves : dict
+        Name of the set → Pst. Sets that come to the same limits share one.
+    limits : dict
+        Name of the set → the limits that it changes.
+    """
+
+    curves: dict[str, Pst]
+    limits: dict[str, dict[str, int]]
+
+    def to_pandas(self, classes: str = "stray") -> pd.DataFrame:
+        """
+        The curves beside each other, one row for each field angle.
+
+        Parameters
+        ----------
+        classes : str
+            As of `Pst.curve`: "stray", "total" or a class of the light.
+
+        Returns
+        -------
+        DataFrame
+            angle_deg, and for each set its PST and standard error (``…_se``).
+        """
+        import pandas as pd
+
+        first = next(iter(self.curves.values()))
+        columns: dict[str, np.ndarray] = {"angle_deg": first.angles_deg}
+        for name, curve in self.curves.items():
+            columns[name], columns[f"{name}_se"] = curve.curve(classes)
+        return pd.DataFrame(columns)
+
+
+def first_level(
+    scene: mi.Scene,
+    angles_deg: Any = range(0, 81, 2),
+    *,
+    limits: Mapping[str, Mapping[str, int]] | None = None,
+    progress: Progress | None = None,
+    **arguments: Any,
+) -> FirstLevel:
+    """
+    Point source transmittance with light scattered once and no ghosts, with ghosts off, with scatter off, and with all.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    angles_deg : sequence of float
+        Field angles.
+    limits : mapping, optional
+        Other sets: name → limits of `mistray.trace.Settings` that it changes. Default: `LIMITS`.
+    progress : callable, optional
+        Called with the name of a set and what `mistray.pst` reports.
+    **arguments
+        What `mistray.pst` takes, the same for all sets; a limit given here holds where a set does not change it.
+
+    Raises
+    ------
+    MistrayError
+        For an empty or unknown limit, and what `mistray.pst` raises.
+    """
+    chosen = {name: dict(change) for name, change in (LIMITS if limits is None else limits).items()}
+    if not chosen:
+        raise MistrayError("first_level: limits is empty; give at least one set of limits")
+    known = set(Settings.__dataclass_fields__)
+    own = {key: value for key, value in arguments.items() if key in known}
+    done: dict[Settings, Pst] = {}
+    curves = {}
+    for name, change in chosen.items():
+        unknown = set(change) - known
+        if unknown:
+            raise MistrayError(
+                f"first_level: '{name}' changes {', '.join(sorted(unknown))}, which is no limit of a trace"
+            )
+        settings = Settings.of(scene, **(own | change))
+        if settings not in done:
+            report = (lambda state, name=name: progress(name, state)) if progress else None
+            done[settings] = pst(scene, angles_deg, progress=report, **(arguments | change))
+        curves[name] = done[settings]
+    return FirstLevel(curves, chosen)

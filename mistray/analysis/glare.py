@@ -1,0 +1,292 @@
+"""Veiling glare: what stray light does to a black patch, to the image of a point, and beside the direct image."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.extended_source import Cover, Disc, ExtendedSource, Sky, cover
+from mistray.analysis.metric import DEFINITIONS, Metric
+from mistray.analysis.pst_result import Pst
+from mistray.analysis.pst_sums import quotient, weighted_sum
+from mistray.errors import MistrayError
+from mistray.trace import Trace
+from mistray.trace.path_events import DIRECT
+
+PLACES = {
+    "map": "the pixel of the detector where the middle of the patch is imaged",
+    "point": "the detector, taken for a point within the image of the patch",
+    "mean": "the detector, the mean of the stray light over its area",
+}
+
+
+def veiling_glare_index(
+    pst: Pst,
+    patch_deg: float,
+    angle_deg: float = 0.0,
+    azimuth_deg: float = 0.0,
+    *,
+    source_deg: float = 90.0,
+    place: str | None = None,
+    at_mm: tuple[float, float] | None = None,
+    interpolation: str = "cells",
+) -> Metric:
+    """
+    Veiling glare index of an extended white source with a black patch, per cent: 100 E_black / E_white (ISO 9358).
+
+    Parameters
+    ----------
+    pst : Pst
+        In either convention.
+    patch_deg : float
+        Angular half-width (radius) of the patch.
+    angle_deg, azimuth_deg : float
+        Direction of its middle.
+    source_deg : float
+        Field angle that the white source reaches to; 90: half of all directions.
+    place : {"map", "point", "mean"}, optional
+        "map": E at one pixel of the maps of the PST, by default if there are any. "point": the detector is so small
+        that it lies within the image of the patch. "mean": the mean over the detector stands for the point; E_black is
+        then of stray light alone, because direct light from beside the patch does not fall on its image.
+    at_mm : (float, float), optional
+        The pixel of "map", in the detector's frame; by default the brightest for light from the middle of the patch.
+    interpolation : {"cells", "linear", "log"}
+        See `mistray.analysis.extended_source.cover`.
+
+    Returns
+    -------
+    Metric
+        Unit "%"; `covered` is the share of the white source in cells of the PST. The maps of a PST have no batches: of
+        "map" the errors of the cells are taken for independent.
+
+    Raises
+    ------
+    MistrayError
+        For a patch that is not within the source or of which no cell holds anything, or off the axis where one cell
+        holds all azimuths and the detector is a point or a pixel.
+    """
+    place = place or ("mean" if pst.maps is None else "map")
+    if place not in PLACES:
+        raise MistrayError(f"place is '{place}'; use 'map', 'point' or 'mean'")
+    if place == "map" and pst.maps is None:
+        raise MistrayError("this PST was computed without maps; ask for them with map_pixels=64, or use place='mean'")
+    if not 0 < patch_deg < source_deg or angle_deg + patch_deg > source_deg:
+        raise MistrayError(
+            f"patch of half-width {patch_deg:g}° at {angle_deg:g}°; it must lie within the source, which reaches to "
+            f"{source_deg:g}°"
+        )
+    if angle_deg > 0 and pst.grid.azimuth_cell_deg >= 360 and place != "mean":
+        raise MistrayError(
+            f"patch at {angle_deg:g}°: one cell of the PST holds all azimuths, which says nothing about a point off "
+            "the axis; compute the PST with azimuths_deg"
+        )
+    normal = pst.to("normal")
+    black_light = "stray" if place == "mean" else "total"
+
+    def seen(source: ExtendedSource, light: str) -> Cover:
+        return cover(pst.grid, source, interpolation, normal.map(light)[0] if interpolation == "log" else None)
+
+    sky, patch = Sky(to_deg=source_deg), Disc(patch_deg, 1.0, angle_deg, azimuth_deg, "patch")
+    white = seen(sky, "total")
+    black = seen(sky, black_light).coefficients - seen(patch, black_light).coefficients
+    facts: dict[str, Any] = {}
+    if place == "map":
+        glare, facts = _at_pixel(pst, black, white.coefficients, angle_deg, azimuth_deg, at_mm)
+    else:
+        glare = quotient(normal, (black, black_light), (white.coefficients, "total"))
+    facts |= {
+        "patch_deg": patch_deg,
+        "angle_deg": angle_deg,
+        "azimuth_deg": azimuth_deg,
+        "source_deg": source_deg,
+        "interpolation": interpolation,
+    }
+    return Metric.of(
+        "vgi",
+        Estimate(100 * glare.value, 100 * glare.se),
+        "%",
+        {"place": PLACES[place]},
+        covered=white.covered,
+        interpolated=white.interpolated,
+        facts=facts,
+    )
+
+
+def _at_pixel(
+    pst: Pst,
+    black: np.ndarray,
+    white: np.ndarray,
+    angle_deg: float,
+    azimuth_deg: float,
+    at_mm: tuple[float, float] | None,
+) -> tuple[Estimate, dict[str, Any]]:
+    """E_black over E_white at a pixel, and where that is."""
+    assert pst.maps is not None
+    height, width = pst.maps.shape[-2:]
+    x0, x1, y0, y1 = pst.extent_mm
+    if at_mm is None:
+        i, j = pst.grid.nearest(angle_deg, azimuth_deg)
+        image = pst.maps[0, i, j]
+        if not image.any():
+            raise MistrayError(
+                f"no light from the middle of the patch, {angle_deg:g}°, meets the detector; choose the pixel by at_mm"
+            )
+        row, column = divmod(int(np.argmax(image)), width)
+    else:
+        column, row = (
+            int(np.floor((at - low) / (high - low) * count))
+            for at, low, high, count in ((at_mm[0], x0, x1, width), (at_mm[1], y0, y1, height))
+        )
+        if not (0 <= column < width and 0 <= row < height):
+            raise MistrayError(
+                f"at_mm is ({at_mm[0]:g}, {at_mm[1]:g}); the detector reaches from x {x0:g} to {x1:g} and y {y0:g} to "
+                f"{y1:g} mm"
+            )
+    value, se = pst.maps[:, :, :, row, column]
+    where = {
+        "x_mm": float(x0 + (column + 0.5) * (x1 - x0) / width),
+        "y_mm": float(y0 + (row + 0.5) * (y1 - y0) / height),
+    }
+    base = float(np.sum(white * value))
+    if not base > 0:
+        return UNKNOWN, where
+    glare = float(np.sum(black * value)) / base
+    return Estimate(glare, float(np.sqrt(np.sum(np.square((black - glare * white) * se)))) / base), where
+
+
+@dataclass(frozen=True, eq=False)
+class GlareSpread:
+    """
+    Glare spread function over the detector.
+
+    Attributes
+    ----------
+    value, se : (h, w) float64
+        1/mm², row 0 at the smallest y, and its standard error.
+    extent_mm : tuple of float
+        x0, x1, y0, y1 of the detector.
+    definition : str
+    """
+
+    value: np.ndarray
+    se: np.ndarray
+    extent_mm: tuple[float, float, float, float]
+    definition: str
+
+
+def glare_spread(
+    light: Pst | Trace, angle_deg: float = 0.0, azimuth_deg: float = 0.0, *, reference_deg: float | None = None
+) -> GlareSpread:
+    """
+    Glare spread function: irradiance on the detector over the flux of the direct image (ISO 9358).
+
+    Parameters
+    ----------
+    light : Pst or Trace
+        A PST with maps, whose maps hold the direct image as well; or a trace, of which stray light alone is mapped, by
+        tracing its rays again.
+    angle_deg, azimuth_deg : float
+        Direction of the source; a trace has its own.
+    reference_deg : float, optional
+        Field angle whose direct image is the yardstick; by default that of the source. For a source out of the field
+        give one within it. A PST only.
+
+    Raises
+    ------
+    MistrayError
+        Without maps, or if the direct image has no light.
+    """
+    if isinstance(light, Trace):
+        direct, stray = _direct_and_stray(light)
+        flux = Estimate(*light.paths.power(direct))
+        if not flux.value > 0:
+            raise MistrayError("the trace has no direct image to compare with; trace a field angle within the field")
+        value, se = light.irradiance_of(stray) if stray else (np.zeros_like(light.irradiance),) * 2
+        extent, words = light.extent, "stray light alone"
+    else:
+        value, se = light.irradiance(angle_deg, azimuth_deg)
+        reference = angle_deg if reference_deg is None else reference_deg
+        i, j = light.grid.nearest(reference, azimuth_deg)
+        cell = np.zeros(light.grid.shape)
+        cell[i, j] = light.facts["detector_area_mm2"]
+        flux = weighted_sum(light.to("normal"), cell, "direct")
+        if not flux.value > 0:
+            raise MistrayError(
+                f"no direct light from {reference:g}° meets the detector; give a reference_deg within the field"
+            )
+        extent, words = light.extent_mm, f"all light, and the flux of the direct image at {reference:g}°"
+    spread = value / flux.value
+    return GlareSpread(
+        spread,
+        np.hypot(se, spread * flux.se) / flux.value,
+        extent,
+        DEFINITIONS["gsf"].format(light=words),
+    )
+
+
+def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[Metric, Metric]:
+    """
+    Ghost-to-signal ratio of a trace: all light but the direct image over the direct image.
+
+    Parameters
+    ----------
+    t : Trace
+        With its path table; its rays are traced again for the peak.
+    nominal : Trace, optional
+        Trace whose direct image is the signal, of the same beam; by default the same. Give one on axis for a source
+        out of the field.
+
+    Returns
+    -------
+    integrated, peak : Metric
+        Φ_stray / Φ_direct, of what the detector absorbs, and the quotient of the brightest pixels. The brightest of
+        noisy pixels is too bright by about its standard error.
+
+    Raises
+    ------
+    MistrayError
+        If there is no direct image.
+    """
+    own = nominal is None
+    signal = t if nominal is None else nominal
+    _, stray = _direct_and_stray(t)
+    direct, _ = _direct_and_stray(signal)
+    if not direct:
+        raise MistrayError("no direct light meets the detector; give a nominal trace of a field angle within the field")
+    above, below = (Estimate(*trace.paths.power(ids)) for trace, ids in ((t, stray), (signal, direct)))
+    integrated = above.over(below)
+    if own:  # numbers of the same rays: the error of the residual by batch
+        number = {row.path_id: k for k, row in enumerate(t.paths)}
+        weights = np.zeros(len(number))
+        weights[[number[i] for i in stray]] = 1
+        weights[[number[i] for i in direct]] = -integrated.value
+        residual = t.by_batch(weights)
+        used = max(int(np.count_nonzero(t.by_batch(np.ones(len(number))))), 2)
+        spread = np.sqrt(used / (used - 1) * np.sum(np.square(residual)))
+        integrated = Estimate(integrated.value, float(spread) / below.value)
+    dark = np.zeros_like(t.irradiance)
+    if own:
+        image, glare = t.maps([direct, stray]) if stray else (t.irradiance_of(direct), (dark, dark))
+    else:
+        image, glare = signal.irradiance_of(direct), t.irradiance_of(stray) if stray else (dark, dark)
+    peak = _brightest(*glare).over(_brightest(*image))
+    facts = {"field_deg": t.settings["field_deg"], "signal_field_deg": signal.settings["field_deg"]}
+    return (
+        Metric.of("gsr", integrated, facts=facts),
+        Metric.of("gsr_peak", peak, facts=facts | {"pixels": f"{t.irradiance.shape[1]} x {t.irradiance.shape[0]}"}),
+    )
+
+
+def _direct_and_stray(t: Trace) -> tuple[list[int], list[int]]:
+    """Path ids of the direct image, and of all other light."""
+    table = t.paths.to_pandas()
+    is_direct = table.kind == DIRECT
+    return list(table.path_id[is_direct]), list(table.path_id[~is_direct])
+
+
+def _brightest(value: np.ndarray, se: np.ndarray) -> Estimate:
+    pixel = np.unravel_index(int(np.argmax(value)), value.shape)
+    return Estimate(float(value[pixel]), float(se[pixel]))

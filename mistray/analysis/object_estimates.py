@@ -1,0 +1,256 @@
+"""Stray light by one scatter event at an object: the product of what lights it, its BSDF and what is seen of it.
+
+    Φ_det = Φ · BSDF · π GCF
+
+with the flux Φ on the object, its BSDF from the direction of that light to the detector, and the geometrical
+configuration factor GCF: the projected solid angle of the detector as the object sees it through the optics, over π
+(R. Breault, Control of Stray Light, in Handbook of Optics, OSA). With the refractive indices n at the object and n_d at
+the detector and the mean weight s of Lambertian rays from the detector that meet the object, étendue gives
+π GCF = π (n_d/n)² A_det s/A.
+
+The factors are not the same all over an object. The object is divided into patches: GCF is the mean of that of the
+patches, weighted with the flux on them; the BSDF is the mean over pairs of a ray that lights the object and one nearby
+that sees it, weighted likewise. What is left as an error is what varies within a patch.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from mistray.analysis.object_patches import Patches
+from mistray.analysis.object_view import SIDES, Samples, View
+from mistray.scatter.evaluate import bsdf
+from mistray.trace.energy import batch_error
+from mistray.trace.ledger import BATCHES
+from mistray.trace.optics import OPAQUE
+from mistray.trace.scatter_tables import side_of
+from mistray.trace.surfaces import SurfaceTable
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+LIT, SEEN = 512, 128  # rays that light an object, and rays that see it near each of them, whose pairs give the BSDF
+FEW = 32  # a part of those that see it, one in so many, is near
+
+
+@dataclass(frozen=True)
+class Product:
+    """The factors of an object and their product, with its relative standard error; W for 1 W/mm² across the beam."""
+
+    flux: float
+    flux_se: float
+    bsdf: float
+    gcf: float
+    detector: float
+    relative_error: float
+
+
+@dataclass(frozen=True, eq=False)
+class Seen:
+    """Rays against the light that meet an object, and their places as a search tree."""
+
+    hits: Samples
+    tree: cKDTree
+
+    @classmethod
+    def of(cls, hits: Samples) -> Seen:
+        """Of these hits."""
+        return cls(hits, cKDTree(hits.point))
+
+
+def product_estimates(
+    table: SurfaceTable,
+    detector_area: float,
+    critical: View,
+    illuminated: Sequence[View],
+    angles_deg: Sequence[float],
+    numbers: Sequence[int],
+    rows: Sequence[Any],
+) -> pd.DataFrame:
+    """
+    The product estimate of some objects at every source angle.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    detector_area : float
+        mm².
+    critical : View
+    illuminated : sequence of View
+        One for each of `angles_deg`.
+    angles_deg : sequence of float
+    numbers : sequence of int
+        Objects.
+    rows : sequence of CommonObject
+        The same as they stand in the tables.
+
+    Returns
+    -------
+    DataFrame
+        Columns angle_deg (NaN for the mean over a cone or a disc), id, part, side, between, stop, optic, scatters (has
+        a scatter model), flux_W with its ``_se``, bsdf_1_sr, gcf, detector_W with its ``_se`` (flux that meets the
+        detector, for 1 W/mm² across the beam), pst, pst_se (detector_W over the area of the detector, normal
+        convention), percent (of the sum of the column at this angle); of each angle the strongest first.
+    """
+    import pandas as pd
+
+    found = []
+    for number, row in zip(numbers, rows, strict=True):
+        seen = Seen.of(critical.samples(number))
+        for angle, view in zip(angles_deg, illuminated, strict=True):
+            product = estimate(table, detector_area, seen, view, number)
+            error = product.relative_error * product.detector
+            found.append(
+                {
+                    "angle_deg": angle,
+                    "id": row.id,
+                    "part": row.part,
+                    "side": row.side,
+                    "between": row.between,
+                    "stop": row.stop,
+                    "optic": row.optic,
+                    "scatters": bool(table.interfaces[number // SIDES].scatter),
+                    "flux_W": product.flux,
+                    "flux_W_se": product.flux_se,
+                    "bsdf_1_sr": product.bsdf,
+                    "gcf": product.gcf,
+                    "detector_W": product.detector,
+                    "detector_W_se": error,
+                    "pst": product.detector / detector_area,
+                    "pst_se": error / detector_area,
+                }
+            )
+    columns = ["angle_deg", "id", "part", "side", "between", "stop", "optic", "scatters", "flux_W", "flux_W_se",
+               "bsdf_1_sr", "gcf", "detector_W", "detector_W_se", "pst", "pst_se"]  # fmt: skip
+    frame = pd.DataFrame(found, columns=columns)
+    total = frame.groupby("angle_deg", dropna=False).detector_W.transform("sum")
+    frame["percent"] = np.where(total > 0, 100 * frame.detector_W / total.where(total > 0, 1.0), 0.0)
+    return frame.sort_values(["angle_deg", "detector_W"], ascending=[True, False], kind="stable", ignore_index=True)
+
+
+def estimate(table: SurfaceTable, detector_area: float, view: Seen, illuminated: View, number: int) -> Product:
+    """The product estimate of one object."""
+    flux, flux_se = illuminated.area(number)
+    lit, seen = illuminated.samples(number), view.hits
+    if not lit.weight.sum() > 0 or not seen.weight.sum() > 0:
+        return Product(flux, flux_se, 0.0, 0.0, 0.0, 0.0)
+    surface = number // SIDES
+    patches = Patches.of(table, surface, min(len(lit.weight), len(seen.weight)))
+    areas = patches.areas
+    at_lit, at_seen = patches.numbers(lit.point), patches.numbers(seen.point)
+    # Projected solid angle of the detector from each patch, by batch of the rays that see it
+    weight = seen.weight / seen.index**2
+    by_batch = np.bincount(at_seen * BATCHES + seen.batch, weight, minlength=patches.count * BATCHES)
+    omega = np.pi * detector_area / seen.rays * by_batch.reshape(-1, BATCHES) / areas[:, None]
+    of_patch = omega.sum(axis=1)
+    share = np.bincount(at_lit, lit.weight, minlength=patches.count) / lit.weight.sum()
+    mean = float(share @ of_patch)
+    if mean == 0:
+        return Product(flux, flux_se, 0.0, 0.0, 0.0, 0.0)
+    values = _pairs(table, surface, lit, view, lit.weight * of_patch[at_lit])
+    value = float(values.mean())
+    spread = float(values.std(ddof=1) / np.sqrt(len(values)) / value) if value > 0 and len(values) > 1 else 0.0
+    rays = np.full(BATCHES, 1 / BATCHES)
+    lit_batches = np.bincount(lit.batch, lit.weight * of_patch[at_lit], minlength=BATCHES)
+    errors = (
+        float(batch_error(lit_batches, rays)) / float(lit_batches.sum()),
+        float(batch_error(share @ omega, rays)) / mean,
+        spread,
+    )
+    return Product(flux, flux_se, value, mean / np.pi, flux * value * mean, float(np.linalg.norm(errors)))
+
+
+def _pairs(table: SurfaceTable, surface: int, lit: Samples, view: Seen, chance: np.ndarray) -> np.ndarray:
+    """
+    BSDF from rays that light a surface, chosen by `chance`, to rays nearby that see it.
+
+    Returns
+    -------
+    (LIT,) float64
+        1/sr; of every ray that lights it the mean over the rays that see it.
+    """
+    rng, seen = np.random.default_rng(surface), view.hits
+    sums = np.cumsum(chance)
+    chosen = np.searchsorted(sums, (np.arange(LIT) + rng.random()) / LIT * sums[-1], side="right")
+    chosen = np.minimum(chosen, len(chance) - 1)
+    near = min(int(np.clip(len(seen.weight) // FEW, 8, SEEN)), len(seen.weight))
+    _, partners = view.tree.query(lit.point[chosen], k=near)
+    partners = partners.reshape(len(chosen), near)
+    weight = (seen.weight / seen.index**2)[partners]
+    values = surface_bsdf(
+        table,
+        surface,
+        lit.from_front[chosen],
+        lit.direction[chosen],
+        lit.normal[chosen],
+        -seen.direction[partners],
+        seen.from_front[partners] == lit.from_front[chosen][:, None],
+    )
+    return np.asarray(np.sum(weight * values, axis=1) / np.sum(weight, axis=1))
+
+
+def surface_bsdf(
+    table: SurfaceTable,
+    surface: int,
+    from_front: np.ndarray,
+    direction: np.ndarray,
+    normal: np.ndarray,
+    leaving: np.ndarray,
+    same_side: np.ndarray,
+) -> np.ndarray:
+    """
+    BSDF of a surface of a scene, float64.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    surface : int
+    from_front : (m,) bool
+        Whether the light comes from the front.
+    direction, normal : (m, 3) float64
+        Of the incident light, and the unit normals on the side that it heads for.
+    leaving : (m, k, 3) float64
+        Directions of the scattered light.
+    same_side : (m, k) bool
+        Whether it is to leave on the side of incidence: reflected, else transmitted.
+
+    Returns
+    -------
+    (m, k) float64
+        1/sr; 0 where `leaving` points into the surface.
+    """
+    optics = table.optics
+    models = tuple(optics.bsdfs[surface].scatter)
+    values = np.zeros(leaving.shape[:2])
+    if not models:
+        return values
+    cos_i = np.minimum(np.einsum("ij,ij->i", direction, normal), 1.0)
+    along = direction - cos_i[:, None] * normal
+    # At normal incidence any direction in the surface will do
+    any_way = np.cross(normal, np.where(np.abs(normal[:, :1]) < 0.5, [1.0, 0.0, 0.0], [0.0, 1.0, 0.0]))
+    x = np.where(np.linalg.norm(along, axis=1, keepdims=True) > 1e-9, along, any_way)
+    x /= np.linalg.norm(x, axis=1, keepdims=True)
+    for front in (True, False):
+        here = from_front == front
+        if not here.any():
+            continue
+        n_in, n_out = (float(n) for n in optics.host_indices[surface, [0, 1] if front else [1, 0]])
+        side = side_of(models, optics.wavelength_nm, n_in, n_out, front)
+        if optics.host_words[surface] & OPAQUE:
+            side = side.without_transmission()
+        shares = optics.shares(surface, front, cos_i[here])
+        for event, wanted, sign, share in (
+            ("reflection", same_side, -1.0, shares[0]),
+            ("transmission", ~same_side, 1.0, shares[1]),
+        ):
+            z = sign * normal[here]
+            frame = np.stack([x[here], np.cross(z, x[here]), z], axis=2)
+            local = leaving[here] @ frame
+            found = bsdf(side.lobes, event, cos_i[here][:, None], local, n_in, n_out, share[:, None])
+            values[here] += np.where(wanted[here] & (local[:, :, 2] > 0), found, 0.0)
+    return values

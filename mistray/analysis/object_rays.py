@@ -1,0 +1,250 @@
+"""Rays that have one child at every surface, hit by hit: what can be seen from somewhere, without ghosts and scatter.
+
+Rays go with the light or against it; the geometry is the same. They are followed all at once, surface by surface, and
+every hit comes back to the host with its point, its directions and the side of the surface.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.trace.interaction import Interaction, counts_as_reflection, interact
+from mistray.trace.intersect import Intersector
+from mistray.trace.next_hit import next_hit
+from mistray.trace.optics import OPAQUE
+from mistray.trace.scattering import Scattering
+from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
+from mistray.trace.upload import upload
+
+FAINTEST = 1e-12  # weight below which a ray ends
+
+
+@dataclass(frozen=True, eq=False)
+class StartPoints:
+    """
+    Where rays start.
+
+    Attributes
+    ----------
+    o, d : (n, 3) float64
+        Origins (mm) and unit directions.
+    weight : (n,) float64
+    left : int
+        Surface that all of them start on; -1: none.
+    normal : (n, 3) float64, optional
+        Normals there, needed if that surface is a stock shape.
+    medium : int
+        Number of the material in which they start; 0: not known, without absorption.
+    """
+
+    o: np.ndarray
+    d: np.ndarray
+    weight: np.ndarray
+    left: int = -1
+    normal: np.ndarray | None = None
+    medium: int = 0
+
+
+@dataclass(frozen=True, eq=False)
+class Hits:
+    """
+    The hits of all rays at one step of their ways.
+
+    Attributes
+    ----------
+    number : int
+        Of the step, from 0.
+    lane : (m,) int
+        Numbers of the rays.
+    surface : (m,) int
+    from_front : (m,) bool
+    point, direction : (m, 3) float64
+        The hits, mm, and the unit directions in which the rays arrive.
+    normal : (m, 3) float64
+        Unit normals on the side that the rays head for.
+    weight : (m,) float64
+        Of the rays as they arrive.
+    index : (m,) float64
+        Refractive index of the medium in which they arrive, in units of that in which they started.
+    transmits, reflects, total : (m,) bool
+        What the rays do next: go through, or are reflected, in `total` by total reflection; else they end.
+    """
+
+    number: int
+    lane: np.ndarray
+    surface: np.ndarray
+    from_front: np.ndarray
+    point: np.ndarray
+    direction: np.ndarray
+    normal: np.ndarray
+    weight: np.ndarray
+    index: np.ndarray
+    transmits: np.ndarray
+    reflects: np.ndarray
+    total: np.ndarray
+
+
+@dataclass(frozen=True, eq=False)
+class Escape:
+    """Rays that leave the scene: their numbers, unit directions (m, 3) and weights."""
+
+    lane: np.ndarray
+    direction: np.ndarray
+    weight: np.ndarray
+
+
+class ChainTracer:
+    """
+    Follows rays that send on one child at every surface.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    intersector : Intersector
+    scattering : Scattering
+        What scatter takes from the specular light.
+    ray_control : str
+        As in `mistray.trace.Settings`. "allow_all": reflected or transmitted by chance, in proportion to R and T.
+    mirrors : (s,) bool
+        Surfaces that reflect whatever `ray_control` says, but for "halt_all".
+    max_events : int
+        Longest way, surfaces.
+    total_reflection : bool
+        Follow light in total reflection, which "transmit_specular" does not stop otherwise.
+
+    Attributes
+    ----------
+    lost : float
+        Weight of the rays so far that met a surface from a material that is not there: a gap in the geometry.
+    """
+
+    def __init__(
+        self,
+        table: SurfaceTable,
+        intersector: Intersector,
+        scattering: Scattering,
+        ray_control: str,
+        mirrors: np.ndarray,
+        max_events: int,
+        total_reflection: bool = True,
+    ) -> None:
+        self.table, self.intersector, self.scattering = table, intersector, scattering
+        self.ray_control, self.max_events, self.total_reflection = ray_control, max_events, total_reflection
+        self.mirrors = mi.Bool(mirrors)
+        self.lost = 0.0
+
+    def follow(self, start: StartPoints, rng: np.random.Generator) -> Iterator[Hits | Escape]:
+        """
+        Follow rays to their ends.
+
+        Yields
+        ------
+        Hits or Escape
+            Step by step the rays that leave the scene and the hits of the others.
+        """
+        table, n = self.table, len(start.o)
+        o, d = (mi.Vector3f(*(upload(mi.Float, column) for column in v.T)) for v in (start.o, start.d))
+        w = upload(mi.Float, start.weight)
+        index = dr.full(mi.Float, 1, n)
+        last = dr.full(mi.UInt32, NO_SURFACE if start.left < 0 else start.left, n)
+        medium = dr.full(mi.UInt32, start.medium, n)
+        lane = np.arange(n)
+        behind = None
+        if start.normal is not None and table.stock_scene is not None:
+            behind = mi.Vector3f(*(upload(mi.Float, column) for column in start.normal.T))
+        for number in range(self.max_events):
+            t, s, normal = next_hit(table, self.intersector, o, d, last, mi.Bool(True), normal=behind)
+            hit = s != NO_SURFACE
+            if table.optics.absorbs:
+                extinction = dr.gather(mi.Float, table.optics.extinction, medium, hit)
+                w = dr.select(hit, w * dr.exp(-extinction * dr.select(hit, t, 0)), w)
+            it = interact(table, dr.fma(t, d, o), d, s, normal if table.stock_scene is not None else None, None, hit)
+            R, T = it.R, it.T
+            if self.scattering.any:
+                given = self.scattering.give(s, it, hit)
+                R, T = R * given.reflection.kept, T * given.transmission.kept
+            strayed = (medium != 0) & (it.medium_in != 0) & (it.medium_in != medium)
+            hit_here = hit & ~strayed
+            through, back, factor = self._child(it, s, R, T, rng, len(lane), hit_here)
+            after = w * factor
+            goes = hit_here & (through | back) & (after > FAINTEST)
+            if not self.total_reflection:
+                goes &= ~it.tir
+            heading = dr.select(back, it.reflected, it.transmitted)
+            n_after = dr.select(back, index, index / it.eta)
+            inside = dr.select(it.medium_in == 0, medium, it.medium_in)
+            medium = dr.select(back, inside, it.medium_out)
+            dr.eval(
+                it.p,
+                d,
+                it.axis,
+                s,
+                w,
+                index,
+                hit,
+                strayed,
+                hit_here,
+                goes,
+                through,
+                back,
+                heading,
+                n_after,
+                medium,
+                after,
+            )
+            dr.eval(it.from_front, it.tir, normal)
+            missed, met = ~np.array(hit), np.array(hit_here)
+            astray = np.array(hit & strayed)
+            self.lost += float(np.array(w, dtype=np.float64)[astray].sum())
+            if missed.any():
+                yield Escape(lane[missed], _rows(d)[missed], np.array(w, dtype=np.float64)[missed])
+            if met.any():
+                yield Hits(
+                    number=number,
+                    lane=lane[met],
+                    surface=np.array(s, dtype=np.int64)[met],
+                    from_front=np.array(it.from_front)[met],
+                    point=_rows(it.p)[met],
+                    direction=_rows(d)[met],
+                    normal=_rows(it.axis)[met],
+                    weight=np.array(w, dtype=np.float64)[met],
+                    index=np.array(index, dtype=np.float64)[met],
+                    transmits=np.array(goes & through)[met],
+                    reflects=np.array(goes & back)[met],
+                    total=np.array(goes & back & it.tir)[met],
+                )
+            kept = dr.compress(goes)
+            if not dr.width(kept):
+                return
+            o, d = (dr.gather(mi.Vector3f, v, kept) for v in (it.p, heading))
+            w, index = dr.gather(mi.Float, after, kept), dr.gather(mi.Float, n_after, kept)
+            last, medium = dr.gather(mi.UInt32, s, kept), dr.gather(mi.UInt32, medium, kept)
+            behind = dr.gather(mi.Vector3f, normal, kept) if table.stock_scene is not None else None
+            lane = lane[np.array(kept)]
+            dr.eval(o, d, w, index, last, medium, behind)
+
+    def _child(
+        self, it: Interaction, s: mi.UInt32, R: mi.Float, T: mi.Float, rng: np.random.Generator, n: int, active: mi.Bool
+    ) -> tuple[mi.Bool, mi.Bool, mi.Float]:
+        """Whether rays go through, whether they are reflected, and their flux over the incident one."""
+        opaque = (it.word & OPAQUE) != 0
+        mirror = ~counts_as_reflection(it) | dr.gather(mi.Bool, self.mirrors, s, active)
+        no = mi.Bool(False)
+        if self.ray_control == "halt_all":
+            return no, no, mi.Float(0)
+        if self.ray_control == "allow_all":
+            back = opaque | (upload(mi.Float, rng.random(n)) * (R + T) < R)
+            return ~back, back, R + T
+        if self.ray_control == "reflect_specular":
+            return no, mi.Bool(True), R
+        return ~opaque & ~mirror, mirror, dr.select(mirror, R, T)
+
+
+def _rows(vectors: mi.Vector3f) -> np.ndarray:
+    """(n, 3) float64."""
+    return np.array(vectors, dtype=np.float64).T

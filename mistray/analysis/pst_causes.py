@@ -1,0 +1,258 @@
+"""What causes the stray light of a PST: its paths by angle, by cause, and where the curve breaks."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pandas as pd
+
+from mistray.analysis.pst_result import Pst
+from mistray.analysis.ranking import label
+
+GHOSTS = "ghosts"
+STRAIGHT_SHOTS = "straight shots"
+CAUSES_NAMED = 2  # surfaces that a break names on either side
+LEAST_CHANGE = 0.05  # decades per degree: a change of the slope below that is no break
+SURE = 4.0  # standard errors that a change of the slope must have
+LARGEST_ERROR = 0.25  # relative: beyond that a point of the curve says nothing about its slope
+MOST_BREAKS = 8
+
+
+def stray_paths(pst: Pst, angle_deg: float, n: int | None = None) -> pd.DataFrame:
+    """
+    Stray paths at a field angle, the strongest first; of several azimuths the mean.
+
+    Returns
+    -------
+    DataFrame
+        The columns of `Pst.paths` and ``label``, the path in words. The errors of several azimuths are added in
+        quadrature, as if their rays were different ones.
+    """
+    azimuths = pst.grid.azimuths_deg
+    parts = [pst.paths(angle_deg, azimuth) for azimuth in azimuths]
+    rows = parts[0]
+    if len(azimuths) > 1:
+        i, _ = pst.grid.nearest(angle_deg, azimuths[0])
+        rows = _mean_of(pd.concat(parts, ignore_index=True), len(azimuths), float(pst.stray[i]), float(pst.value[i]))
+    rows = rows[rows.percent_of_stray.notna()].reset_index(drop=True)
+    words = rows[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]]
+    rows["label"] = np.array([_label(*row) for row in words.itertuples(index=False)], dtype=object)
+    return rows if n is None else rows.head(n)
+
+
+def _label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str, scatters: int) -> str:
+    """A path in words; the kind stands with reflections at structure, which read like the surface alone."""
+    text = label(ghost_1, ghost_2, kind, scatter_1, scatters)
+    return f"{text} ({kind})" if kind.startswith("structure") else text
+
+
+def _mean_of(rows: pd.DataFrame, azimuths: int, stray: float, total: float) -> pd.DataFrame:
+    """The same paths at several azimuths as one row each."""
+    was_stray = rows.percent_of_stray.notna()
+    rows = rows.assign(pst_se=rows.pst_se**2, percent_of_stray=was_stray.astype(float))
+    sums = {"pst", "pst_se", "rays"}
+    rows = rows.groupby("events", sort=False, as_index=False).agg(
+        {name: "sum" if name in sums else "first" for name in rows.columns}
+    )
+    rows["pst"] /= azimuths
+    rows["pst_se"] = np.sqrt(rows.pst_se) / azimuths
+    rows["percent_of_stray"] = np.where(rows.percent_of_stray > 0, 100 * rows.pst / stray, np.nan)
+    rows["percent_of_all"] = 100 * rows.pst / total
+    return rows.sort_values("pst", ascending=False, kind="stable", ignore_index=True)
+
+
+def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
+    """
+    Rows of `stray_paths` with the column ``cause``.
+
+    The cause of scattered light is the surface that scatters it first; light that is only reflected counts as "ghosts"
+    or, where structure alone reflects it, under the name of the first surface that does so; light that is neither
+    scattered nor reflected is a straight shot.
+    """
+    by_structure = (rows.structure_bounces > 0) & (rows.order == 0)
+    reflected = np.where(by_structure, rows.ghost_1 + " (reflects)", GHOSTS)
+    reflected = np.where(rows.order + rows.structure_bounces > 0, reflected, STRAIGHT_SHOTS)
+    return rows.assign(cause=np.where(rows.scatters > 0, rows.scatter_1, reflected).astype(object))
+
+
+def cause_frame(pst: Pst) -> pd.DataFrame:
+    """Stray light by its cause, % of the stray light at each angle (index); the strongest cause first."""
+    shares = {}
+    for angle in pst.angles_deg:
+        rows = with_cause(stray_paths(pst, angle))
+        shares[angle] = rows.percent_of_stray.groupby(rows.cause).sum()
+    table = pd.DataFrame(shares).T.reindex(pst.angles_deg).fillna(0.0)
+    return table[table.max().sort_values(ascending=False, kind="stable").index]
+
+
+def first_level_scatter(pst: Pst) -> pd.DataFrame:
+    """
+    First-level scatter by angle and surface: paths with one scatter event and no reflection besides.
+
+    Columns angle_deg, surface, paths, rays, pst, pst_se, percent_of_first_level, percent_of_stray; at each angle the
+    surface that scatters most first. Errors of the paths of a surface are added in quadrature.
+    """
+    parts = []
+    for angle in pst.angles_deg:
+        rows = stray_paths(pst, angle)
+        rows = rows[(rows.scatters == 1) & (rows.order == 0) & (rows.structure_bounces == 0)]
+        table = rows.assign(pst_se=rows.pst_se**2).groupby("scatter_1", sort=False, as_index=False)
+        table = table.agg(
+            paths=("pst", "size"),
+            rays=("rays", "sum"),
+            pst=("pst", "sum"),
+            pst_se=("pst_se", "sum"),
+            percent_of_stray=("percent_of_stray", "sum"),
+        )
+        table = table.assign(pst_se=np.sqrt(table.pst_se), angle_deg=angle).rename(columns={"scatter_1": "surface"})
+        table["percent_of_first_level"] = 100 * table.pst / table.pst.sum() if len(table) else np.empty(0)
+        parts.append(table.sort_values("pst", ascending=False, kind="stable"))
+    columns = ["angle_deg", "surface", "paths", "rays", "pst", "pst_se", "percent_of_first_level", "percent_of_stray"]
+    filled = [part for part in parts if len(part)]
+    return pd.concat(filled, ignore_index=True)[columns] if filled else pd.DataFrame(columns=columns)
+
+
+@dataclass(frozen=True)
+class Break:
+    """
+    An abrupt change of slope of the curve of stray light.
+
+    Attributes
+    ----------
+    angle_deg : float
+    slope_before, slope_after : float
+        Decades per degree, between this angle and its neighbours.
+    change_se : float
+        Standard error of their difference.
+    before, after : tuple of (str, float)
+        Strongest causes at the neighbouring angles and their shares of the stray light there, %.
+    """
+
+    angle_deg: float
+    slope_before: float
+    slope_after: float
+    change_se: float
+    before: tuple[tuple[str, float], ...]
+    after: tuple[tuple[str, float], ...]
+
+    @property
+    def change(self) -> float:
+        """Slope after less slope before, decades per degree."""
+        return self.slope_after - self.slope_before
+
+
+def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Break]:
+    """
+    Where the curve of log10 PST over the field angle bends abruptly, in the order of the angles.
+
+    A break is an angle at which the slope changes by at least `LEAST_CHANGE` and `SURE` standard errors, and by no less
+    than at the angles next to it. Its error is that of the combination of the three points, from the batches.
+
+    Parameters
+    ----------
+    pst : Pst
+    most : int
+        How many: those with the largest change of slope.
+    light : str
+        "stray", or another group of `Pst.curve`.
+    """
+    angle = pst.angles_deg
+    value, se = pst.curve(light)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        level = np.where(se < LARGEST_ERROR * value, np.log10(value), np.nan)
+    slope = np.diff(level) / np.diff(angle)
+    change = np.concatenate([[np.nan], np.diff(slope), [np.nan]])
+    change_se = _change_errors(pst, value, light)
+    size = np.nan_to_num(np.abs(change))
+    next_to = np.maximum(np.append(0.0, size[:-1]), np.append(size[1:], 0.0))
+    with np.errstate(invalid="ignore"):
+        sure = (size >= LEAST_CHANGE) & (size >= SURE * change_se) & (size >= next_to)
+    found = np.flatnonzero(sure)
+    found = np.sort(found[np.argsort(-size[found])][:most])
+    return [
+        Break(
+            float(angle[i]),
+            float(slope[i - 1]),
+            float(slope[i]),
+            float(change_se[i]),
+            strongest(pst, float(angle[i - 1])),
+            strongest(pst, float(angle[i + 1])),
+        )
+        for i in found
+    ]
+
+
+def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
+    """(n,) standard errors of the change of the slope of log10 PST at each angle; NaN at both ends."""
+    step = np.diff(pst.angles_deg)
+    # Slope after less slope before as a sum over three neighbouring points
+    factors = np.zeros((len(value), 3))
+    factors[1:-1] = np.stack([1 / step[:-1], -1 / step[:-1] - 1 / step[1:], 1 / step[1:]], axis=1)
+    samples, weight = pst.samples(light), pst.weight
+    with np.errstate(divide="ignore", invalid="ignore"):
+        if weight.ndim == 1:  # the angles share their start rays
+            off = weight * (samples.mean(axis=1) - value[:, None]) / (value[:, None] * math.log(10))
+            off = np.pad(off, ((1, 1), (0, 0)))
+            together = sum(factors[:, k, None] * off[k : k + len(value)] for k in range(3))
+            used = max(int(np.count_nonzero(weight)), 2)
+            errors = np.sqrt(used / (used - 1) * np.sum(np.square(together), axis=1))
+        else:
+            single = np.pad(pst.curve(light)[1] / value / math.log(10), 1)
+            errors = np.sqrt(sum((factors[:, k] * single[k : k + len(value)]) ** 2 for k in range(3)))
+    errors[[0, -1]] = np.nan
+    return np.asarray(errors)
+
+
+def strongest(pst: Pst, angle_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[str, float], ...]:
+    """
+    The strongest causes of the stray light at an angle with their shares, %; () without a table of paths.
+
+    Ghosts are named by their strongest path, "ghosts such as detector → filter_rear".
+    """
+    if pst.path_rows is None:
+        return ()
+    rows = with_cause(stray_paths(pst, angle_deg))
+    shares = rows.percent_of_stray.groupby(rows.cause).sum().sort_values(ascending=False, kind="stable").head(n)
+    names = {name: name for name in shares.index}
+    if GHOSTS in names:
+        names[GHOSTS] = f"{GHOSTS} such as {rows.label[rows.cause == GHOSTS].iloc[0]}"
+    return tuple((names[name], float(share)) for name, share in shares.items() if share > 0)
+
+
+def reigns(causes: pd.DataFrame) -> list[tuple[float, float, str, float, float]]:
+    """
+    Ranges of angles over which one cause brings the most stray light.
+
+    Returns
+    -------
+    list of tuple
+        First and last angle (degrees), cause, smallest and largest share of the stray light there (%).
+    """
+    found: list[tuple[float, float, str, float, float]] = []
+    for angle, row in causes.iterrows():
+        if row.empty or not row.max() > 0:
+            continue
+        name, share = str(row.idxmax()), float(row.max())
+        if found and found[-1][2] == name and causes.index.get_loc(angle) == causes.index.get_loc(found[-1][1]) + 1:
+            first, _, _, low, high = found[-1]
+            found[-1] = (first, float(angle), name, min(low, share), max(high, share))
+        else:
+            found.append((float(angle), float(angle), name, share, share))
+    return found
+
+
+def field_edge(pst: Pst) -> float | None:
+    """
+    Field angle at which the direct image has half of its PST at the smallest angle, degrees.
+
+    None where there is no direct light at the smallest angle, or where it does not fall so far.
+    """
+    direct = pst.curve("direct")[0]
+    below = np.flatnonzero(direct < direct[0] / 2)
+    if direct[0] <= 0 or not below.size:
+        return None
+    k = int(below[0])
+    angles = pst.angles_deg
+    return float(np.interp(direct[0] / 2, direct[[k, k - 1]], angles[[k, k - 1]]))

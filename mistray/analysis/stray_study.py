@@ -1,0 +1,313 @@
+"""A whole stray-light study: the eight steps from the optical model to ghosts and PST, one after the other."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, fields, replace
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analysis.first_order import FirstOrder
+from mistray.analysis.ghosts import GhostReport, ghosts
+from mistray.analysis.objects import Objects, objects
+from mistray.analysis.pst import pst
+from mistray.analysis.pst_result import CONVENTIONS, Pst
+from mistray.analysis.study_analysis import stray_light_analysis
+from mistray.analysis.study_models import mechanical_model, optical_model
+from mistray.analysis.study_objects import object_steps, source_angles
+from mistray.analysis.study_step import STEPS, StudyStep
+from mistray.analysis.study_surfaces import coatings_and_scatter, importance_sampling
+from mistray.errors import MistrayError
+from mistray.trace import Settings, trace
+from mistray.trace.aiming import aims
+from mistray.trace.design_path import find_design_path
+from mistray.trace.directions import DirectionGrid
+from mistray.trace.settings import NO_LIMIT
+from mistray.trace.sources import beams
+from mistray.trace.surfaces import SurfaceTable
+
+RAYS = 1_000_000  # of the PST
+QUICK_RAYS = 100_000
+# Start rays in units of those of the PST: of the objects at each source angle, of the ghosts at each field, and of the
+# check of the sampling
+OBJECT_SHARE, GHOST_SHARE, CHECK_SHARE = 0.2, 0.1, 0.02
+FIELDS = (0.0, 0.5, 1.0, 1.25)  # of the half field over the detector's height, where the fields are not given
+FEW_FIELDS_DEG = (0.0, 10.0, 20.0)  # where that is not known
+
+Progress = Callable[[int, str, float], None]
+"""Called with the number of the step, what it does, and the share of it that is done."""
+
+
+@dataclass(frozen=True, eq=False)
+class Study(Mapping[str, StudyStep]):
+    """
+    Result of `study`: a mapping from the key of a step (see `mistray.analysis.study_step.STEPS`) to its result.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+    name : str
+        Of the system.
+    steps : tuple of StudyStep
+        The eight steps in order.
+    settings : dict
+        What the study was asked for, plain values.
+    """
+
+    scene: Any
+    name: str
+    steps: tuple[StudyStep, ...]
+    settings: dict[str, Any]
+
+    def __getitem__(self, key: str) -> StudyStep:
+        for step in self.steps:
+            if step.key == key:
+                return step
+        raise MistrayError(f"a study has no step '{key}'; its steps are {', '.join(name for name, _ in STEPS)}")
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(step.key for step in self.steps)
+
+    def __len__(self) -> int:
+        return len(self.steps)
+
+    @property
+    def first_order(self) -> FirstOrder | None:
+        """First-order numbers of step 1; None where there is no design path."""
+        found: FirstOrder | None = self["optical_model"].result
+        return found
+
+    @property
+    def objects(self) -> Objects:
+        """Critical, illuminated and common objects of the steps 3 to 5."""
+        found: Objects = self["common_objects"].result
+        return found
+
+    @property
+    def ghosts(self) -> GhostReport:
+        """The ghost analysis of step 8."""
+        found: GhostReport = self["analysis"].result["ghosts"]
+        return found
+
+    @property
+    def pst(self) -> Pst:
+        """The point source transmittance of step 8."""
+        found: Pst = self["analysis"].result["pst"]
+        return found
+
+    @property
+    def findings(self) -> list[str]:
+        """What the study found, one sentence each, in the order of the steps."""
+        return [text for step in self.steps for text in step.findings]
+
+    @property
+    def warnings(self) -> list[str]:
+        """What a reader must know before trusting it, one line each; empty if all is well."""
+        return [f"step {step.number}: {text}" for step in self.steps for text in step.warnings]
+
+    def write(self, directory: str | Path, command: str = "") -> list[Path]:
+        """
+        Write report.html, which holds all of the study, and every table as CSV.
+
+        Parameters
+        ----------
+        directory : str or Path
+            Made if it is missing. Files of the same names are replaced.
+        command : str
+            Command line, quoted in the report.
+
+        Returns
+        -------
+        list of Path
+            The files written.
+        """
+        from mistray.report.study_output import write_study
+
+        return write_study(self, directory, command)
+
+    def __repr__(self) -> str:
+        lines = [f"Study of '{self.name}'"]
+        lines += [f"{step.number} {step.title}: {text}" for step in self.steps for text in step.findings]
+        return "\n".join(lines + [f"warning: {text}" for text in self.warnings])
+
+
+def study(
+    scene: mi.Scene,
+    angles_deg: Sequence[float] | np.ndarray = range(0, 81, 2),
+    fields_deg: Sequence[float] | None = None,
+    *,
+    rays: int | None = None,
+    quick: bool = False,
+    wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
+    azimuth_deg: float | None = None,
+    relative_error: float | None = None,
+    convention: str = "normal",
+    state: str | Path | None = None,
+    resume: bool = False,
+    name: str = "scene",
+    progress: Progress | None = None,
+    **settings: Any,
+) -> Study:
+    """
+    Run the eight steps of a stray-light study.
+
+    The steps are those of the list that "Stray Light Analysis of a Mobile Phone Camera" quotes from R. Pfisterer:
+    optical model, mechanical model, critical objects, illuminated objects, common objects, coatings and scatter models,
+    importance sampling, stray-light analysis.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        From `mistray.load`, with a ``collimated`` source and a detector.
+    angles_deg : sequence of float
+        Field angles of the PST, degrees.
+    fields_deg : sequence of float, optional
+        Field angles of the ghost analysis, degrees; by default the axis, half, the whole and 5/4 of the half field.
+    rays : int, optional
+        Start rays of the PST (1e6; quick: 1e5). The objects get a fifth of them at each source angle, the ghosts a
+        tenth at each field.
+    quick : bool
+        A first look: fewer rays.
+    wavelength_nm, weights
+        As in `mistray.trace`; the steps 1, 2, 6 and 7 are about the first wavelength.
+    azimuth_deg : float, optional
+        Azimuth of the fields of the ghost analysis; the PST is the mean over all azimuths.
+    relative_error : float, optional
+        Trace the PST until its relative standard error is below this at all angles, with `rays` as a limit.
+    convention : {"normal", "projected"}
+        Of the PST.
+    state, resume
+        File of the saved PST run, and whether to go on from it; see `mistray.pst`.
+    name : str
+        Of the system, for the report.
+    progress : callable, optional
+        See `Progress`.
+    **settings
+        Other fields of `mistray.trace.Settings`, such as ``max_scatters`` or ``seed``.
+
+    Raises
+    ------
+    MistrayError
+        For arguments out of range, or a scene without a source or a detector.
+    """
+    if not isinstance(scene, mi.Scene):
+        raise MistrayError(f"study() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    _check(settings, angles_deg, fields_deg, convention, relative_error)
+    given = {key: value for key, value in settings.items() if value is not None}
+    count = rays if rays is not None else QUICK_RAYS if quick else RAYS
+    tell = progress or (lambda number, what, share: None)
+    chosen = Settings.of(scene, **given | {"rays": count})
+    if chosen.max_random_scatters < NO_LIMIT:
+        raise MistrayError(
+            f"max_random_scatters is {chosen.max_random_scatters}; a PST that is traced against the light has no such "
+            "limit; leave it out"
+        )
+    first = beams(scene, wavelength_nm=wavelength_nm, weights=weights)[0].wavelength_nm
+    table = SurfaceTable(scene, first, stokes=chosen.stokes)
+    path = find_design_path(table, scene)
+    light: dict[str, Any] = {"wavelength_nm": wavelength_nm, "weights": weights}
+    steps: list[StudyStep] = []
+    started = time.perf_counter()
+
+    def done(*found: StudyStep) -> None:
+        nonlocal started
+        now = time.perf_counter()
+        steps.extend(replace(step, seconds=(now - started) / len(found)) for step in found)
+        started = now
+
+    tell(1, "optical model", 0.0)
+    done(optical_model(scene, table, path))
+    tell(2, "mechanical model", 0.0)
+    done(mechanical_model(table, path))
+    numbers: FirstOrder | None = steps[0].result
+    wanted = _fields(numbers) if fields_deg is None else [float(field) for field in fields_deg]
+    tell(3, "critical, illuminated and common objects", 0.0)
+    seen = objects(
+        scene,
+        rays=max(1, round(OBJECT_SHARE * count)),
+        angles_deg=source_angles(wanted, float(np.max(angles_deg))),
+        azimuth_deg=azimuth_deg or 0.0,
+        wavelength_nm=first,
+        seed=chosen.seed,
+        progress=lambda at, of: tell(3, "critical, illuminated and common objects", at / of),
+    )
+    done(*object_steps(seen))
+    tell(6, "coatings and scatter models", 0.0)
+    done(coatings_and_scatter(table, path))
+    tell(7, "importance sampling", 0.0)
+    probe = None
+    if any(interface.scatter for interface in table.interfaces) and chosen.max_scatters:
+        few = given | {"rays": max(1, round(CHECK_SHARE * count))}
+        probe = trace(scene, field_deg=0.0, wavelength_nm=first, **few)
+    done(importance_sampling(table, path, aims(table, scene, chosen), probe))
+    report = ghosts(
+        scene,
+        wanted,
+        azimuth_deg=azimuth_deg,
+        progress=lambda at, of: tell(8, "ghosts", at / of),
+        **light,
+        **given | {"rays": max(1, round(GHOST_SHARE * count)), "max_scatters": 0},
+    )
+    curve = pst(
+        scene,
+        angles_deg,
+        convention=convention,
+        rays=count,
+        relative_error=relative_error,
+        state=state,
+        resume=resume,
+        progress=lambda at: tell(8, "PST", at.share_done),
+        **light,
+        **{key: value for key, value in given.items() if key != "rays"},
+    )
+    transmittance = steps[5].fact("transmittance of the design path") if path is not None else math.nan
+    assert isinstance(transmittance, float)
+    design = [table.ids[step.surface] for step in path.steps] if path is not None else []
+    done(stray_light_analysis(report, curve, numbers, transmittance, design))
+    asked = {
+        "rays": count,
+        "angles_deg": [float(angle) for angle in curve.angles_deg],
+        "fields_deg": [float(field) for field in report],
+        "wavelength_nm": list(report.wavelengths_nm),
+        "weights": [report.weight(line) for line in report.wavelengths_nm],
+        "azimuth_deg": next(iter(report.values())).settings["azimuth_deg"],
+        "convention": convention,
+        "relative_error": relative_error,
+        **given,
+    }
+    return Study(scene, name, tuple(steps), asked)
+
+
+def _check(
+    settings: Mapping[str, Any],
+    angles_deg: Sequence[float] | np.ndarray,
+    fields_deg: Sequence[float] | None,
+    convention: str,
+    relative_error: float | None,
+) -> None:
+    """Refuse before the first step what the last one would refuse."""
+    unknown = set(settings) - {f.name for f in fields(Settings)}
+    if unknown:
+        raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of study; see mistray.trace.Settings")
+    DirectionGrid.of(angles_deg)
+    if fields_deg is not None and (not len(fields_deg) or not all(-90 < field < 90 for field in fields_deg)):
+        raise MistrayError(f"fields_deg is {list(fields_deg)}; give field angles between -90 and 90 degrees")
+    if convention not in CONVENTIONS:
+        raise MistrayError(f"convention is '{convention}'; use {' or '.join(map(repr, CONVENTIONS))}")
+    if relative_error is not None and not 0 < relative_error < 1:
+        raise MistrayError(f"relative_error is {relative_error:g}; it must lie between 0 and 1, 0.02 say")
+
+
+def _fields(numbers: FirstOrder | None) -> list[float]:
+    """Field angles of the ghost analysis where none are given: whole degrees, or tenths in a narrow field."""
+    half = numbers.field_deg["y"] if numbers is not None else math.nan
+    if not math.isfinite(half):
+        return list(FEW_FIELDS_DEG)
+    digits = 0 if half >= 8 else 1 if half >= 0.8 else 3
+    return list(dict.fromkeys(round(share * half, digits) for share in FIELDS if share * half < 89))

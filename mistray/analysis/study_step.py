@@ -1,0 +1,101 @@
+"""What a step of a stray-light study gives back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import pandas as pd
+
+from mistray.analysis.estimate import Estimate
+
+STEPS = (
+    ("optical_model", "Optical model"),
+    ("mechanical_model", "Mechanical model"),
+    ("critical_objects", "Critical objects"),
+    ("illuminated_objects", "Illuminated objects"),
+    ("common_objects", "Common objects"),
+    ("coatings_and_scatter", "Coatings and scatter models"),
+    ("importance_sampling", "Importance sampling"),
+    ("analysis", "Stray-light analysis"),
+)
+"""Key and title of the steps, in the order of R. Pfisterer's list as "Stray Light Analysis of a Mobile Phone Camera" \
+quotes it (Table 3)."""
+
+
+def count_of(number: int, what: str) -> str:
+    """A number of things in words, "1 object", "2 objects"."""
+    return f"{number} {what}{'' if number == 1 else 's'}"
+
+
+class Fact(NamedTuple):
+    """A number, or a word, that a step found: its name, its value (with an error if it has one) and its unit."""
+
+    name: str
+    value: float | str | Estimate
+    unit: str = ""
+
+
+@dataclass(frozen=True, eq=False)
+class StudyStep:
+    """
+    Result of one step.
+
+    Attributes
+    ----------
+    number : int
+        1 … 8.
+    key : str
+        Its name in `STEPS`, also that of its CSV files.
+    text : str
+        What was done, in a sentence or two.
+    facts : tuple of Fact
+    tables : dict
+        DataFrames by name; the first is the main one. Columns end in their unit, standard errors in ``_se`` and the
+        unit of their value.
+    findings : tuple of str
+        What the step says about the system, one sentence each.
+    warnings : tuple of str
+        What a reader must know before trusting it; empty if all is well.
+    result : object
+        What the tables were made from: a `FirstOrder`, a `GhostReport`, a `Pst` …; None if there is no more than the
+        tables.
+    seconds : float
+    """
+
+    number: int
+    key: str
+    text: str
+    facts: tuple[Fact, ...] = ()
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    findings: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    result: Any = None
+    seconds: float = 0.0
+
+    @classmethod
+    def of(cls, key: str, text: str, **more: Any) -> StudyStep:
+        """The step with this key; its number follows."""
+        return cls([name for name, _ in STEPS].index(key) + 1, key, text, **more)
+
+    @property
+    def title(self) -> str:
+        """Title of the step."""
+        return dict(STEPS)[self.key]
+
+    @property
+    def table(self) -> pd.DataFrame:
+        """The main table; empty if there is none."""
+        return next(iter(self.tables.values()), pd.DataFrame())
+
+    def fact(self, name: str) -> float | str | Estimate:
+        """
+        The value of a fact.
+
+        Raises
+        ------
+        KeyError
+            If the step has no such fact.
+        """
+        return {fact.name: fact.value for fact in self.facts}[name]

@@ -1,0 +1,415 @@
+"""Thermal self-emission: the irradiance that warm optics and structure put on their own detector.
+
+Kirchhoff's law: a surface emits at each angle as much of a blackbody's radiance as it absorbs there, 1 - R - T -
+scatter. A trace against the light finds how much of what the detector sees each surface absorbs, with all reflections
+and scatter on the way; times π L of a blackbody of the surface's temperature it is the irradiance (E. Fest, Stray Light
+Analysis and Control, SPIE Press 2013, chapter 3). Where everything has one temperature the sum is that of a blackbody.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.thermal_narcissus import Return, mean_returns, returns
+from mistray.analysis.thermal_spectrum import band_weights, traced_wavelengths
+from mistray.errors import MistrayError
+from mistray.physics import planck
+from mistray.trace import Settings
+from mistray.trace.backward import Seen, see
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+    import pandas as pd
+
+RAYS, RETURN_RAYS = 200_000, 50_000
+IMAGE_ONLY = {"max_reflections": 0, "max_scatters": 0}
+LOST_WARNING = 0.01  # of the detector's view
+
+Progress = Callable[[int, int], None]
+Key = tuple[str, str]  # kind and name of what emits
+
+
+@dataclass(frozen=True)
+class Emitter:
+    """
+    A surface or a medium and what it puts on the detector.
+
+    Attributes
+    ----------
+    name : str
+        Surface id, or the material of a medium.
+    part : str
+        Part that a surface belongs to; "" for a medium.
+    kind : {"surface", "medium"}
+    temperature_K : float
+    hits : int
+        Rays that met a surface.
+    share : Estimate
+        n² times the mean share of the detector's view that meets a surface; more than n² where rays meet it repeatedly.
+    emission : Estimate
+        n² times the mean share that it absorbs, weighted with the spectrum of its temperature: a projected solid angle
+        over π, times the emissivity. n is the index before the detector.
+    irradiance_W_mm2 : Estimate
+    """
+
+    name: str
+    part: str
+    kind: str
+    temperature_K: float
+    hits: int
+    share: Estimate
+    emission: Estimate
+    irradiance_W_mm2: Estimate
+
+
+@dataclass(frozen=True)
+class ThermalReport:
+    """
+    What warms the detector; irradiances are in W/mm² in the band and do not depend on what the detector absorbs.
+
+    Attributes
+    ----------
+    emitters : list of Emitter
+        All that emit, the strongest first; the detector itself where it sees itself.
+    total_W_mm2 : Estimate
+        By all of them.
+    scene_W_mm2 : Estimate
+        Of a blackbody around the system at `scene_K`, by all paths.
+    image_W_mm2 : Estimate
+        The part of it that makes the image: no scatter, no reflection but those of mirrors.
+    lost_W_mm2 : float
+        What a blackbody at `temperature_K` would add by the paths that were not followed.
+    self_view : Estimate
+        Emission of the detector in its own view (narcissus).
+    nitd_K : Estimate
+        Narcissus: change of the scene's temperature that would take as much light from the detector as the view of all
+        that is colder than `temperature_K` by way of ghosts and scatter, the detector first of all; see
+        `mistray.physics.planck.narcissus_nitd`. NaN where no scene is seen or nothing is colder.
+    temperature_K, detector_K, scene_K : float
+    band_um : (float, float)
+    wavelengths_um : tuple of float
+        At which the optics were traced.
+    detector : str
+    returned : list of Return
+        Surfaces by which the cold detector sees itself, the strongest first; empty if it is not colder than the rest.
+    facts : dict
+        Plain values: rays, seconds, settings.
+    notes : list of str
+        What a reader must know.
+    """
+
+    emitters: list[Emitter]
+    total_W_mm2: Estimate
+    scene_W_mm2: Estimate
+    image_W_mm2: Estimate
+    lost_W_mm2: float
+    self_view: Estimate
+    nitd_K: Estimate
+    temperature_K: float
+    detector_K: float
+    scene_K: float
+    band_um: tuple[float, float]
+    wavelengths_um: tuple[float, ...]
+    detector: str
+    returned: list[Return] = field(default_factory=list)
+    facts: dict[str, Any] = field(default_factory=dict)
+    notes: list[str] = field(default_factory=list)
+
+    @property
+    def to_image(self) -> Estimate:
+        """Self-emission over the irradiance of the imaged scene; NaN where none is seen."""
+        return self.total_W_mm2.over(self.image_W_mm2)
+
+    def by_part(self) -> dict[str, Estimate]:
+        """
+        Irradiance by part, and by medium in brackets, W/mm², the strongest first.
+
+        Errors of surfaces of one part are added, because rays of one trace share them: a bound.
+        """
+        sums: dict[str, Estimate] = {}
+        for emitter in self.emitters:
+            name = emitter.part if emitter.kind == "surface" else f"({emitter.name})"
+            before = sums.get(name, Estimate(0.0, 0.0))
+            more = emitter.irradiance_W_mm2
+            sums[name] = Estimate(before.value + more.value, before.se + more.se)
+        return dict(sorted(sums.items(), key=lambda item: -item[1].value))
+
+    def to_pandas(self) -> pd.DataFrame:
+        """One row for each emitter; columns ``_se`` are standard errors, ``percent`` is of the total."""
+        import pandas as pd
+
+        total = self.total_W_mm2.value
+        rows = [
+            {
+                "name": e.name, "part": e.part, "kind": e.kind, "temperature_K": e.temperature_K, "hits": e.hits,
+                "share": e.share.value, "share_se": e.share.se,
+                "emission": e.emission.value, "emission_se": e.emission.se,
+                "irradiance_W_mm2": e.irradiance_W_mm2.value, "irradiance_W_mm2_se": e.irradiance_W_mm2.se,
+                "percent": 100 * e.irradiance_W_mm2.value / total if total > 0 else math.nan,
+            }
+            for e in self.emitters
+        ]  # fmt: skip
+        columns = ["name", "part", "kind", "temperature_K", "hits", "share", "share_se", "emission", "emission_se",
+                   "irradiance_W_mm2", "irradiance_W_mm2_se", "percent"]  # fmt: skip
+        return pd.DataFrame(rows, columns=columns)
+
+
+def thermal(
+    scene: mi.Scene,
+    temperature_K: float = 293.0,
+    band_um: tuple[float, float] = (8.0, 12.0),
+    *,
+    temperatures: Mapping[str, float] | None = None,
+    scene_K: float | None = None,
+    wavelengths_um: float | Sequence[float] | None = None,
+    detector: str | None = None,
+    rays: int | None = None,
+    progress: Progress | None = None,
+    **settings: Any,
+) -> ThermalReport:
+    """
+    Irradiance on the detector by thermal emission, for every surface and medium.
+
+    E = π ∫ L_B(λ, T) emission(λ) dλ, where the emission holds n² of the medium before the detector. Between wavelengths
+    it is interpolated linearly, beyond them it is that of the nearest.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    temperature_K : float
+        Of everything that `temperatures` does not name, K, ≥ 0.
+    band_um : (float, float)
+        Band of the detector, µm.
+    temperatures : mapping of str to float, optional
+        Name of a surface, part or material, with the wildcards ``*`` and ``?``, → temperature, K. The last that fits
+        holds. The detector is cooled by its own name.
+    scene_K : float, optional
+        Temperature of the blackbody around the system; by default `temperature_K`.
+    wavelengths_um : float or sequence of float, optional
+        Where the optics are traced, ascending. By default the middle of the band where nothing depends on the
+        wavelength, else its ends and its middle.
+    detector : str, optional
+    rays : int, optional
+        Of each trace; by default 200 000. There are two for each wavelength: of everything, and of the image.
+    progress : callable, optional
+        Called with the traces done and their number.
+    **settings
+        Fields of `mistray.trace.Settings`.
+
+    Raises
+    ------
+    MistrayError
+        If a temperature or the band is out of range, a name fits no surface, part or material, or a material is not
+        known in the band.
+    """
+    low, high = (float(v) for v in band_um)
+    rules = {pattern: float(kelvin) for pattern, kelvin in (temperatures or {}).items()}
+    outside = float(temperature_K if scene_K is None else scene_K)
+    for kelvin in (temperature_K, outside, *rules.values()):
+        planck.band_radiance(kelvin, low, high)  # refuses what is out of range
+    if not math.isfinite(high) or low <= 0:
+        raise MistrayError(f"band_um is {low:g} to {high:g}; a system is traced in a band with two ends above 0")
+    waves = traced_wavelengths(scene, wavelengths_um, (low, high))
+    _check_names(scene, rules)
+    chosen = Settings.of(scene, **settings)
+    runs: tuple[list[Seen], list[Seen]] = ([], [])
+    for number, wave in enumerate(waves):
+        for which, limits in enumerate(({}, IMAGE_ONLY)):
+            # Independent traces, whose errors add in quadrature
+            more = {**settings, **limits, "seed": (chosen.seed + 2 * number + which) % 2**32}
+            runs[which].append(see(scene, rays or RAYS, wavelength_nm=1e3 * wave, detector=detector, **more))
+            if progress is not None:
+                progress(2 * number + which + 1, 2 * len(waves))
+    report = _report(*runs, waves, (low, high), float(temperature_K), outside, rules, settings)
+    if report.detector_K >= report.temperature_K or not report.self_view.value:
+        return report
+    fewer = min(rays or RAYS, RETURN_RAYS)
+    found = [
+        returns(scene, report.detector, wave, fewer, (chosen.seed + number) % 2**32, chosen)
+        for number, wave in enumerate(waves)
+    ]
+    return replace(report, returned=_returned(report, found, runs))
+
+
+def _check_names(scene: mi.Scene, rules: Mapping[str, float]) -> None:
+    """Refuse a name that fits no surface, part or material, before anything is traced."""
+    names, parts = set(), set()
+    for shape in scene.shapes():
+        parts.add(str(getattr(shape, "part", shape.id())))
+        names |= {shape.id(), *(str(getattr(shape.bsdf(), side, "")).strip() for side in ("front", "back"))}
+    for pattern in rules:
+        if not any(fnmatchcase(name, pattern) for name in names | parts):
+            raise MistrayError(
+                f"temperatures: no surface, part or material is called '{pattern}'; parts are "
+                + ", ".join(sorted(parts))
+            )
+
+
+def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, float]) -> dict[Key, float]:
+    """Temperature of everything that emits, by kind and name."""
+    names: dict[Key, tuple[str, ...]] = {("surface", row.id): (row.id, row.part) for row in seen[0].rows}
+    names.setdefault(("surface", seen[0].detector), (seen[0].detector,))
+    names |= {("medium", material): (material,) for one in seen for material in one.media}
+    found = dict.fromkeys(names, default_K)
+    for pattern, kelvin in rules.items():
+        fitting = (key for key, titles in names.items() if any(fnmatchcase(title, pattern) for title in titles))
+        found |= dict.fromkeys(fitting, kelvin)
+    return found
+
+
+def _emission(one: Seen, key: Key) -> np.ndarray:
+    """Emission of a surface or medium from single batches of a trace."""
+    kind, name = key
+    nothing = np.zeros_like(one.escaped[2])
+    if kind == "medium":
+        return one.media[name][2] if name in one.media else nothing
+    return next((row.emission_by_batch for row in one.rows if row.id == name), nothing)
+
+
+def _sum(weights: np.ndarray, by_batch: Sequence[np.ndarray]) -> Estimate:
+    """Sum over the wavelengths, whose traces are independent, of weight times the mean of the batches."""
+    value = math.fsum(float(w * np.mean(batches)) for w, batches in zip(weights, by_batch, strict=True))
+    errors = [float(w * np.std(b, ddof=1)) / math.sqrt(len(b)) for w, b in zip(weights, by_batch, strict=True)]
+    return Estimate(value, math.hypot(*errors))
+
+
+def _emitter(key: Key, kelvin: float, weights: np.ndarray, seen: Sequence[Seen]) -> Emitter:
+    """What a surface or a medium gives; `weights` are those of its temperature, times π."""
+    kind, name = key
+    by_batch = [_emission(one, key) for one in seen]
+    # Of what is at 0 K the emission is the plain mean over the wavelengths
+    spectrum = weights / weights.sum() if weights.any() else np.full(len(weights), 1 / len(weights))
+    part, hits, share = "", 0, UNKNOWN
+    if kind == "surface":
+        rows = [row for one in seen for row in one.rows if row.id == name]
+        part, hits = rows[0].part, sum(row.hits for row in rows)
+        share = Estimate(
+            sum(row.share for row in rows) / len(rows), math.hypot(*(row.share_se for row in rows)) / len(rows)
+        )
+    return Emitter(name, part, kind, kelvin, hits, share, _sum(spectrum, by_batch), _sum(weights, by_batch))
+
+
+def _report(
+    seen: Sequence[Seen],
+    image: Sequence[Seen],
+    waves: tuple[float, ...],
+    band: tuple[float, float],
+    default_K: float,
+    scene_K: float,
+    rules: Mapping[str, float],
+    settings: Mapping[str, Any],
+) -> ThermalReport:
+    """The report of the traces at the wavelengths, of everything and of the image."""
+    kelvin = _temperatures(seen, default_K, rules)
+    weights = {k: np.pi * band_weights(k, band, waves) for k in {*kelvin.values(), default_K, scene_K}}
+    emitters = [_emitter(key, k, weights[k], seen) for key, k in kelvin.items()]
+    emitters = [e for e in emitters if e.hits or e.kind == "medium"]
+    # Surfaces of one trace share its rays: the error of their sum is that of sums by batch
+    warmth = [
+        np.sum([weights[k][number] * _emission(one, key) for key, k in kelvin.items()], axis=0)
+        for number, one in enumerate(seen)
+    ]
+    detector = seen[0].detector
+    image_irradiance = _sum(weights[scene_K], [one.escaped[2] for one in image])
+    return ThermalReport(
+        emitters=sorted(emitters, key=lambda e: -e.irradiance_W_mm2.value),
+        total_W_mm2=_sum(np.ones(len(waves)), warmth),
+        scene_W_mm2=_sum(weights[scene_K], [one.escaped[2] for one in seen]),
+        image_W_mm2=image_irradiance,
+        lost_W_mm2=float(weights[default_K] @ [one.lost[0] for one in seen]),
+        self_view=next((e.emission for e in emitters if (e.kind, e.name) == ("surface", detector)), Estimate(0.0, 0.0)),
+        nitd_K=_nitd(seen, image, kelvin, weights, default_K, band),
+        temperature_K=default_K,
+        detector_K=kelvin["surface", detector],
+        scene_K=scene_K,
+        band_um=band,
+        wavelengths_um=waves,
+        detector=detector,
+        facts={
+            "rays": sum(one.rays for one in (*seen, *image)),
+            "seconds": sum(one.seconds for one in (*seen, *image)),
+            "detector_area_mm2": seen[0].detector_area_mm2,
+            "settings": {key: value for key, value in settings.items() if value is not None},
+        },
+        notes=_notes(seen, image_irradiance, waves, band),
+    )
+
+
+def _nitd(
+    seen: Sequence[Seen],
+    image: Sequence[Seen],
+    kelvin: Mapping[Key, float],
+    weights: Mapping[float, np.ndarray],
+    housing_K: float,
+    band: tuple[float, float],
+) -> Estimate:
+    """Temperature difference by what is colder than the housing and seen by way of ghosts or scatter."""
+    cold = {key: k for key, k in kelvin.items() if k < housing_K}
+    other = {key: k for key, k in cold.items() if key != ("surface", seen[0].detector)}
+    if not cold:
+        return UNKNOWN
+
+    def missing(runs: Sequence[Seen], pieces: Mapping[Key, float]) -> Estimate:
+        by_batch = [
+            sum(
+                ((weights[housing_K] - weights[k])[number] * _emission(one, key) for key, k in pieces.items()),
+                np.zeros_like(one.escaped[2]),
+            )
+            for number, one in enumerate(runs)
+        ]
+        return _sum(np.ones(len(runs)), by_batch)
+
+    # However the detector sees itself; a cold shield only where it is not seen directly
+    everything, direct = missing(seen, cold), missing(image, other)
+    returned = Estimate(everything.value - direct.value, math.hypot(everything.se, direct.se))
+    return returned.over(_per_kelvin(image, weights[housing_K], housing_K, band))
+
+
+def _per_kelvin(image: Sequence[Seen], weights: np.ndarray, scene_K: float, band: tuple[float, float]) -> Estimate:
+    """Change of the irradiance of the imaged scene by its temperature, W/(mm² K)."""
+    spectrum = weights / max(float(weights.sum()), np.finfo(float).tiny)
+    transmitted = _sum(spectrum, [one.escaped[2] for one in image])
+    slope = float(np.pi * planck.band_derivative(scene_K, *band))
+    return Estimate(slope * transmitted.value, slope * transmitted.se)
+
+
+def _returned(
+    report: ThermalReport, found: Sequence[dict[str, Estimate]], runs: tuple[list[Seen], list[Seen]]
+) -> list[Return]:
+    """What each surface sends back to the detector, the strongest first."""
+    housing, own = (
+        np.pi * band_weights(kelvin, report.band_um, report.wavelengths_um)
+        for kelvin in (report.temperature_K, report.detector_K)
+    )
+    per_kelvin = _per_kelvin(runs[1], housing, report.temperature_K, report.band_um)
+    emissions, missing = mean_returns(found, housing / housing.sum()), mean_returns(found, housing - own)
+    parts = {row.id: row.part for row in runs[0][0].rows}
+    rows = [Return(name, parts.get(name, ""), emissions[name], missing[name].over(per_kelvin)) for name in emissions]
+    return sorted(rows, key=lambda row: -row.emission.value)
+
+
+def _notes(seen: Sequence[Seen], image: Estimate, waves: tuple[float, ...], band: tuple[float, float]) -> list[str]:
+    """What a reader must know."""
+    notes = []
+    lost = max(one.lost[0] for one in seen)
+    view = sum(row.emission for row in seen[0].rows) + seen[0].escaped[0] + seen[0].lost[0]
+    if lost > LOST_WARNING * view:
+        notes.append(
+            f"{100 * lost / view:.2g} % of what the detector sees was not followed to its source; raise "
+            "max_reflections and max_scatters, or set below_threshold to roulette"
+        )
+    if image.value <= 0:
+        notes.append("the detector sees no scene: no ray leaves the system without a ghost reflection or scatter")
+    if waves[0] < band[0] or waves[-1] > band[1]:
+        notes.append(
+            f"the optics were traced at {', '.join(f'{w:g}' for w in waves)} µm, outside of the band: their emissivity "
+            "there is taken for that in the band"
+        )
+    return notes

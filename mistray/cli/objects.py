@@ -1,0 +1,158 @@
+"""`mistray objects`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Iterator
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mistray.cli.arguments import RAW, count, finite, incidence, positive
+from mistray.cli.tracing_arguments import add_scene, scene_title, start_mitsuba
+from mistray.errors import MistrayError
+
+if TYPE_CHECKING:
+    from mistray.analysis.objects import Progress
+
+ROWS_SHOWN = 25
+HALF_ANGLE_DEG = 20.0
+
+
+def add(commands: Any) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "objects",
+        help="critical, illuminated and common objects of a scene, and the light that they scatter",
+        description="Objects that the detector sees (critical), that light from outside reaches (illuminated), and\n"
+        "both (common): surfaces only transmit, mirrors reflect, nothing is split or scattered. Light that common\n"
+        "objects and optics send to the detector by one scatter event is estimated as flux x BSDF x pi GCF. Ways by\n"
+        "which the detector sees the outside past the optics are told as warnings.",
+        epilog="examples:\n"
+        "  mistray objects phone_camera --half-angle-deg 20 --out out\n"
+        "  mistray objects phone_camera_scatter --angles-deg 0 10 20:40:5 --rays 3e5\n"
+        "  mistray objects phone_camera --disc -5.75 3.083 --view-half-angle-deg 45 --threshold 0 --json",
+        formatter_class=RAW,
+    )
+    add_scene(parser)
+    source = parser.add_argument_group("light from outside (one of the first three)")
+    source.add_argument("--half-angle-deg", type=positive, metavar="DEG",
+                        help=f"from everywhere within this angle of the axis ({HALF_ANGLE_DEG:g})")  # fmt: skip
+    source.add_argument("--angles-deg", type=incidence, nargs="+", metavar="DEG",
+                        help="a distant source at field angles: numbers, and ranges first:last:step")  # fmt: skip
+    source.add_argument("--disc", type=finite, nargs=2, metavar=("Z", "RADIUS"),
+                        help="a Lambertian disc across the z axis, mm; its cone is --half-angle-deg")  # fmt: skip
+    source.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of --angles-deg, from +y to -x (0)")
+    source.add_argument("--wavelength-nm", type=positive, metavar="NM", help="wavelength (first of the scene's source)")
+    view = parser.add_argument_group("view of the detector")
+    view.add_argument("--view-half-angle-deg", type=positive, metavar="DEG",
+                      help="rays leave the detector within this angle of its normal (90)")  # fmt: skip
+    view.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
+    view.add_argument("--stop", metavar="NAME", help="part or shape that is the aperture stop (found by marginal rays)")
+    tracing = parser.add_argument_group("rays (default: as the scene says, else what stands in brackets)")
+    tracing.add_argument("--rays", type=count, metavar="N",
+                         help="start rays from the detector, and from outside at each angle (1e6)")  # fmt: skip
+    tracing.add_argument("--threshold", type=finite, metavar="W",
+                         help="flux that makes an object count, W for each W that starts (1e-6)")  # fmt: skip
+    tracing.add_argument("--ray-control", choices=("transmit_specular", "reflect_specular", "allow_all", "halt_all"),
+                         help="what surfaces send on (transmit_specular)")  # fmt: skip
+    tracing.add_argument("--no-total-reflection", action="store_true", help="end rays in total reflection")
+    tracing.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one way (64)")
+    tracing.add_argument("--seed", type=count, metavar="N", help="seed of the random numbers (0)")
+    tracing.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
+    output = parser.add_argument_group("output")
+    output.add_argument("--out", type=Path, metavar="DIR", help="write objects.html, CSV, JSON and PNG files there")
+    output.add_argument(
+        "--rows", type=count, default=ROWS_SHOWN, metavar="N", help=f"rows of each table ({ROWS_SHOWN})"
+    )
+    output.add_argument("--json", action="store_true", help="print JSON instead of the tables")
+    output.add_argument("--quiet", action="store_true", help="no progress, no tables")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    _check(options)
+    start_mitsuba(options)
+    from mistray.analysis.object_sources import DiskSource
+    from mistray.analysis.objects import objects
+    from mistray.report.objects_output import write_objects
+    from mistray.report.objects_tables import objects_record, objects_text
+    from mistray.report.output import writable_directory
+    from mistray.scene import load
+
+    if options.out is not None:
+        writable_directory(options.out)
+    half_angle = options.half_angle_deg
+    source = None
+    if options.disc is not None:
+        z, radius = options.disc
+        source = DiskSource((0.0, 0.0, z), radius, HALF_ANGLE_DEG if half_angle is None else half_angle)
+        half_angle = None
+    given = {
+        "rays": options.rays,
+        "half_angle_deg": half_angle,
+        "angles_deg": None if options.angles_deg is None else list(chain(*options.angles_deg)),
+        "azimuth_deg": options.azimuth_deg,
+        "source": source,
+        "view_half_angle_deg": options.view_half_angle_deg,
+        "wavelength_nm": options.wavelength_nm,
+        "detector": options.detector,
+        "stop": options.stop,
+        "threshold": options.threshold,
+        "ray_control": options.ray_control,
+        "max_events": options.max_events,
+        "seed": options.seed,
+    }
+    scene = load(options.scene)
+    with _progress(options) as progress:
+        found = objects(
+            scene,
+            total_reflection=not options.no_total_reflection,
+            progress=progress,
+            **{key: value for key, value in given.items() if value is not None},
+        )
+        estimates = found.estimates()
+    files = []
+    if options.out is not None:
+        files = write_objects(found, estimates, options.out, scene_title(options.scene), options.command_line)
+    if options.json:
+        record = objects_record(found, estimates) | {"files": [str(file) for file in files]}
+        print(json.dumps(record, indent=2, allow_nan=False))
+    elif not options.quiet:
+        print(objects_text(found, estimates, options.rows))
+        if files:
+            print(f"\n{len(files)} files in {options.out}; open {options.out / 'objects.html'}")
+    return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse arguments that do not fit together."""
+    if options.angles_deg is not None:
+        for name in ("half_angle_deg", "disc"):
+            if getattr(options, name) is not None:
+                raise MistrayError(
+                    f"--angles-deg and --{name.replace('_', '-')} are two kinds of source; give one of them"
+                )
+    elif options.azimuth_deg is not None:
+        raise MistrayError("--azimuth-deg is about --angles-deg; give that too, or leave it out")
+
+
+@contextlib.contextmanager
+def _progress(options: argparse.Namespace) -> Iterator[Progress | None]:
+    """A bar on stderr when that is a terminal."""
+    if options.quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+
+    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+    with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr) as bar:
+
+        def advance(done: float, total: float) -> None:
+            bar.update(max(done / total - bar.n, 0.0))
+
+        yield advance

@@ -1,0 +1,244 @@
+"""`mistray pst`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import math
+import sys
+from collections.abc import Callable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mistray.cli.arguments import RAW, angles, count, finite, incidence, positive
+from mistray.cli.tracing_arguments import (
+    add_ray_tree,
+    add_scatter,
+    add_scene,
+    add_spectrum,
+    check_weights,
+    scene_title,
+    settings_of,
+    start_mitsuba,
+)
+from mistray.errors import MistrayError
+
+if TYPE_CHECKING:
+    from mistray.analysis.pst_state import PstProgress
+    from mistray.trace.directions import DirectionGrid
+
+INTERRUPTED = 130
+ANGLES = [float(angle) for angle in range(0, 81, 2)]
+MAP_PIXELS = 64
+STATE = "pst_state.npz"
+
+
+def add(commands: Any) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "pst",
+        help="point source transmittance against field angle, with causes",
+        description="Irradiance on the detector from a distant source over that of the source (PST), against the\n"
+        "field angle: direct image, ghosts, single and multiple scatter, with standard errors and the strongest paths.",
+        epilog="examples:\n"
+        "  mistray pst phone_camera_scatter --out out\n"
+        "  mistray pst baffle_tube --angles-deg 0:10:1 12:80:2 --max-scatters 3 --rays 1e6\n"
+        "  mistray pst scene.xml --relative-error 0.02 --up-to-deg 60 --out out    # until 2 % everywhere up to 60°\n"
+        "  mistray pst scene.xml --relative-error 0.01 --up-to-deg 60 --out out --resume    # go on to 1 %\n"
+        "  mistray pst scene.xml --azimuths-deg 0:350:10 --map-angles-deg 20 40 --out out\n"
+        "  mistray pst scene.xml --angles-deg 0 10 20 --method forward --convention projected --json",
+        formatter_class=RAW,
+    )
+    add_scene(parser)
+    directions = parser.add_argument_group("directions (angles: numbers, and ranges first:last:step)")
+    directions.add_argument("--angles-deg", type=incidence, nargs="+", metavar="DEG",
+                            help="field angles, ascending (0:80:2)")  # fmt: skip
+    directions.add_argument("--azimuths-deg", type=angles, nargs="+", metavar="DEG",
+                            help="azimuths of a map, from +y towards -x (the mean over all)")  # fmt: skip
+    directions.add_argument("--cell-deg", type=positive, metavar="DEG",
+                            help="width of the cells of field angle that the PST is averaged over (2)")  # fmt: skip
+    directions.add_argument("--azimuth-cell-deg", type=positive, metavar="DEG",
+                            help="and of azimuth (the distance of two azimuths)")  # fmt: skip
+    result = parser.add_argument_group("result")
+    result.add_argument("--method", choices=("adjoint", "forward"), default="adjoint",
+                        help="one trace from the detector, or one beam for each angle (adjoint)")  # fmt: skip
+    result.add_argument("--convention", choices=("normal", "projected"), default="normal",
+                        help="E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ) (normal)")  # fmt: skip
+    result.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
+    result.add_argument("--relative-error", type=positive, metavar="E",
+                        help="go on until the standard error over the PST is below this at every angle")  # fmt: skip
+    result.add_argument("--up-to-deg", type=finite, metavar="DEG",
+                        help="angles beyond this do not count for --relative-error")  # fmt: skip
+    source = parser.add_argument_group("source (default: as the scene says)")
+    add_spectrum(source)
+    add_ray_tree(parser, "start rays in all, or for each angle (forward); with --relative-error the most (4e6; 2e5)")
+    add_scatter(parser)
+    saved = parser.add_argument_group("saved run (adjoint)")
+    saved.add_argument("--state", type=Path, metavar="FILE",
+                       help=f"what is finished, renewed as the run goes on ({STATE} in --out)")  # fmt: skip
+    saved.add_argument("--resume", action="store_true", help="go on from the saved run")
+    output = parser.add_argument_group("output")
+    output.add_argument("--out", type=Path, metavar="DIR", help="write report.html, CSV, JSON and PNG files there")
+    output.add_argument("--paths-shown", type=count, default=4, metavar="N",
+                        help="strongest stray paths of each angle; 0: no paths (4)")  # fmt: skip
+    output.add_argument("--map-angles-deg", type=incidence, nargs="+", metavar="DEG",
+                        help="field angles of irradiance maps of the detector (need --out)")  # fmt: skip
+    output.add_argument("--map-azimuth-deg", type=finite, metavar="DEG", help="their azimuth (the first one)")
+    output.add_argument("--map-pixels", type=count, metavar="N", help=f"pixels along their longer side ({MAP_PIXELS})")
+    output.add_argument("--json", action="store_true", help="print JSON instead of the tables")
+    output.add_argument("--quiet", action="store_true", help="no progress, no tables")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    _check(options)
+    start_mitsuba(options)
+    from mistray.analysis.pst import pst
+    from mistray.report.output import writable_directory
+    from mistray.report.pst_output import write_pst
+    from mistray.report.pst_tables import pst_record, pst_text
+    from mistray.scene import load
+    from mistray.trace.directions import DirectionGrid
+
+    if options.out is not None:
+        writable_directory(options.out)
+    grid = DirectionGrid.of(
+        ANGLES if options.angles_deg is None else list(chain(*options.angles_deg)),
+        None if options.azimuths_deg is None else list(chain(*options.azimuths_deg)),
+        options.cell_deg,
+        options.azimuth_cell_deg,
+    )
+    maps_at = _maps_at(options, grid)
+    state = _state(options)
+    scene = load(options.scene)
+    passes: list[PstProgress] = []
+    try:
+        with _progress(options) as shown:
+
+            def progress(now: PstProgress) -> None:
+                passes.append(now)
+                shown(now)
+
+            found = pst(
+                scene,
+                grid.angles_deg,
+                method=options.method,
+                convention=options.convention,
+                azimuths_deg=None if options.azimuths_deg is None else grid.azimuths_deg,
+                cell_deg=options.cell_deg,
+                azimuth_cell_deg=options.azimuth_cell_deg,
+                wavelength_nm=options.wavelength_nm,
+                weights=options.weights,
+                detector=options.detector,
+                relative_error=options.relative_error,
+                error_up_to_deg=options.up_to_deg,
+                paths=options.paths_shown > 0,
+                map_pixels=(MAP_PIXELS if options.map_pixels is None else options.map_pixels) if maps_at else 0,
+                state=state,
+                resume=options.resume,
+                progress=progress,
+                **settings_of(options),
+            )
+    except KeyboardInterrupt:
+        if state is None or not (passes or options.resume):
+            raise
+        print(f"mistray: interrupted; {_so_far(passes)} in {state}, go on with --resume", file=sys.stderr)
+        return INTERRUPTED
+    files = []
+    if options.out is not None:
+        title = scene_title(options.scene)
+        files = write_pst(found, options.out, title, options.command_line, options.paths_shown, maps_at)
+    if options.json:
+        record = pst_record(found, options.paths_shown) | {"files": [str(file) for file in files]}
+        print(json.dumps(record, indent=2, allow_nan=False))
+    elif not options.quiet:
+        print(pst_text(found, options.paths_shown))
+        if files:
+            print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
+    return 0
+
+
+def _check(options: argparse.Namespace) -> None:
+    """Refuse arguments that do not fit together."""
+    check_weights(options)
+    if options.up_to_deg is not None and options.relative_error is None:
+        raise MistrayError("--up-to-deg is about --relative-error; give that too, or leave it out")
+    if options.map_angles_deg is not None and options.out is None:
+        raise MistrayError("--map-angles-deg draws pictures; say with --out where they shall go")
+    for name in ("map_pixels", "map_azimuth_deg"):
+        if getattr(options, name) is not None and options.map_angles_deg is None:
+            raise MistrayError(f"--{name.replace('_', '-')} without --map-angles-deg; say which angles to draw")
+    if options.map_pixels == 0:
+        raise MistrayError("--map-pixels is 0; give at least 1, or leave --map-angles-deg out")
+    if options.method == "forward" and (options.resume or options.state is not None):
+        given = "resume" if options.resume else "state"
+        raise MistrayError(f"--{given} with --method forward; only the adjoint method can go on from a saved run")
+    if options.resume and options.state is None and options.out is None:
+        raise MistrayError("--resume needs the saved run; give --state FILE, or the --out DIR of that run")
+
+
+def _maps_at(options: argparse.Namespace, grid: DirectionGrid) -> list[tuple[float, float]]:
+    """Directions whose maps of the detector are drawn; each must lie in a cell."""
+    if options.map_angles_deg is None:
+        return []
+    azimuth = float(grid.azimuths_deg[0]) if options.map_azimuth_deg is None else options.map_azimuth_deg
+    directions = [(angle, azimuth) for angle in dict.fromkeys(chain(*options.map_angles_deg))]
+    for direction in directions:
+        grid.nearest(*direction)
+    return directions
+
+
+def _state(options: argparse.Namespace) -> Path | None:
+    """File of the saved run: the one given, else one in the output directory; None: nothing is saved."""
+    path = options.state
+    if path is None and options.out is not None and options.method == "adjoint":
+        path = options.out / STATE
+    if path is None:
+        return None
+    if path.is_dir():
+        raise MistrayError(f"--state {path} is a directory; name a file")
+    if options.resume and not path.exists():
+        raise MistrayError(f"--resume: there is no saved run '{path}'; run without --resume first")
+    return Path(path)
+
+
+def _so_far(passes: list[PstProgress]) -> str:
+    if not passes:
+        return "the saved run is still"
+    worst = passes[-1].worst_error
+    reached = f", worst error {100 * worst:.2g} %," if math.isfinite(worst) else ""
+    return f"{passes[-1].rays_done:.3g} start rays{reached} are"
+
+
+@contextlib.contextmanager
+def _progress(options: argparse.Namespace) -> Iterator[Callable[[PstProgress], None]]:
+    """A bar on stderr when that is a terminal."""
+    if options.quiet or not sys.stderr.isatty():
+        yield lambda _: None
+        return
+    from tqdm import tqdm
+
+    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}{postfix}"
+    with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
+
+        def show(now: PstProgress) -> None:
+            bar.set_postfix_str(_state_of(now), refresh=False)
+            bar.update(max(now.share_done - bar.n, 0.0))
+            bar.refresh()
+
+        yield show
+
+
+def _state_of(now: PstProgress) -> str:
+    """Error and time left as the bar shows them, "error 3.1 % of 2 %, 01:23 left"."""
+    error = f"error {100 * now.worst_error:.2g} %" if math.isfinite(now.worst_error) else "no light yet at some angles"
+    if now.wanted_error is not None and math.isfinite(now.worst_error):
+        error += f" of {100 * now.wanted_error:g} %"
+    if not math.isfinite(now.seconds_left):
+        return error
+    minutes, seconds = divmod(round(now.seconds_left), 60)
+    hours, minutes = divmod(minutes, 60)
+    return f"{error}, {f'{hours}:' if hours else ''}{minutes:02d}:{seconds:02d} left"

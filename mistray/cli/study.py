@@ -1,0 +1,147 @@
+"""`mistray study`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Callable, Iterator
+from itertools import chain
+from pathlib import Path
+from typing import Any
+
+from mistray.cli.arguments import RAW, field, finite, incidence, positive
+from mistray.cli.tracing_arguments import (
+    add_ray_tree,
+    add_scatter,
+    add_scene,
+    add_spectrum,
+    check_weights,
+    scene_title,
+    settings_of,
+    start_mitsuba,
+)
+from mistray.errors import MistrayError
+
+INTERRUPTED = 130
+ANGLES = [float(angle) for angle in range(0, 81, 2)]
+STATE = "pst_state.npz"
+STEPS = 8
+
+
+def add(commands: Any) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "study",
+        help="whole stray-light study: model, objects, scatter, sampling, ghosts and PST in one report",
+        description="Run the eight steps of a stray-light study: optical model, mechanical model, critical,\n"
+        "illuminated and common objects, coatings and scatter models, importance sampling, and the analysis\n"
+        "(ghosts at some fields, PST at all angles, causes). Prints what was found; --out writes one report.",
+        epilog="examples:\n"
+        "  mistray study phone_camera_scatter --quick --out out\n"
+        "  mistray study scene.xml --angles-deg 0:80:2 --field-deg 0 10 18 22 --rays 4e6 --out out\n"
+        "  mistray study scene.xml --relative-error 0.05 --rays 1e8 --out out    # until 5 % at every angle\n"
+        "  mistray study scene.xml --quick --json",
+        formatter_class=RAW,
+    )
+    add_scene(parser)
+    what = parser.add_argument_group("what is traced")
+    what.add_argument("--angles-deg", type=incidence, nargs="+", metavar="DEG",
+                      help="field angles of the PST, numbers and ranges first:last:step (0:80:2)")  # fmt: skip
+    what.add_argument("--field-deg", type=field, nargs="+", metavar="DEG",
+                      help="field angles of the ghosts (0, 1/2, 1 and 5/4 of the half field)")  # fmt: skip
+    what.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of these fields (as the scene says)")
+    what.add_argument("--quick", action="store_true", help="fewer rays, for a first look")
+    what.add_argument("--relative-error", type=positive, metavar="E",
+                      help="go on until the standard error over the PST is below this at every angle")  # fmt: skip
+    what.add_argument("--convention", choices=("normal", "projected"), default="normal",
+                      help="PST as E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ) (normal)")  # fmt: skip
+    add_spectrum(what)
+    add_ray_tree(parser, "start rays of the PST; objects get a fifth at each angle, ghosts a tenth (1e6; quick: 1e5)")
+    add_scatter(parser)
+    output = parser.add_argument_group("output")
+    output.add_argument("--out", type=Path, metavar="DIR", help="write report.html and a CSV file of every table there")
+    output.add_argument("--resume", action="store_true", help="go on with the PST that was saved in --out")
+    output.add_argument("--json", action="store_true", help="print JSON instead of the findings")
+    output.add_argument("--quiet", action="store_true", help="no progress, no findings")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    check_weights(options)
+    if options.resume and options.out is None:
+        raise MistrayError("--resume needs the folder of the saved run; give --out")
+    start_mitsuba(options)
+    from mistray.analysis.stray_study import study
+    from mistray.report.output import writable_directory
+    from mistray.report.study_output import write_study
+    from mistray.report.study_tables import study_record, study_text
+    from mistray.scene import load
+
+    state = None
+    if options.out is not None:
+        state = writable_directory(options.out) / STATE
+        if options.resume and not state.exists():
+            raise MistrayError(f"--resume: there is no saved run '{state}'; run without --resume first")
+        if not state.parent.exists():
+            state.parent.mkdir(parents=True)
+    scene = load(options.scene)
+    saved = _written(state)
+    try:
+        with _progress(options) as progress:
+            found = study(
+                scene,
+                ANGLES if options.angles_deg is None else list(chain(*options.angles_deg)),
+                options.field_deg,
+                quick=options.quick,
+                wavelength_nm=options.wavelength_nm,
+                weights=options.weights,
+                azimuth_deg=options.azimuth_deg,
+                relative_error=options.relative_error,
+                convention=options.convention,
+                state=state,
+                resume=options.resume,
+                name=scene_title(options.scene),
+                progress=progress,
+                **settings_of(options),
+            )
+    except KeyboardInterrupt:
+        if state is None or _written(state) == saved:
+            raise
+        print(f"mistray: interrupted; the PST so far is in {state}, go on with --resume", file=sys.stderr)
+        return INTERRUPTED
+    files = write_study(found, options.out, options.command_line) if options.out is not None else []
+    if options.json:
+        record = study_record(found) | {"files": [str(file) for file in files]}
+        print(json.dumps(record, indent=2, allow_nan=False))
+    elif not options.quiet:
+        print(study_text(found))
+        if files:
+            print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
+    return 0
+
+
+def _written(state: Path | None) -> int | None:
+    """When a file was written last; None if there is none."""
+    return state.stat().st_mtime_ns if state is not None and state.exists() else None
+
+
+@contextlib.contextmanager
+def _progress(options: argparse.Namespace) -> Iterator[Callable[[int, str, float], None] | None]:
+    """A bar over the steps on stderr when that is a terminal."""
+    if options.quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+
+    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
+    with tqdm(total=1.0, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
+
+        def show(step: int, what: str, share: float) -> None:
+            bar.set_description_str(f"step {step} of {STEPS}, {what}", refresh=False)
+            bar.n = share
+            bar.refresh()
+
+        yield show

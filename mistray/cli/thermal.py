@@ -1,0 +1,122 @@
+"""`mistray thermal`."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+from collections.abc import Iterator
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mistray.cli.arguments import RAW, finite, positive
+from mistray.cli.tracing_arguments import add_ray_tree, add_scatter, add_scene, scene_title, settings_of, start_mitsuba
+
+if TYPE_CHECKING:
+    from mistray.analysis.thermal import Progress
+
+
+def add(commands: Any) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "thermal",
+        help="irradiance that warm optics and structure put on their own detector",
+        description="Trace a scene backwards from its detector and add up what every surface and medium emits towards\n"
+        "it: π L of a blackbody of its temperature times what it absorbs, 1 - R - T - scatter.",
+        epilog="examples:\n"
+        "  mistray thermal scene.xml --temperature-K 293 --band-um 8 12 --out out\n"
+        "  mistray thermal scene.xml --band-um 3 5 --part detector=77 'baffle_*=150' --scene-K 300\n"
+        "  mistray thermal scene.xml --band-um 8 12 --wavelength-um 2 --max-scatters 3 --json",
+        formatter_class=RAW,
+    )
+    add_scene(parser)
+    warmth = parser.add_argument_group("temperatures")
+    warmth.add_argument("--temperature-K", type=_kelvin, default=293.0, metavar="T",
+                        help="of everything without one of its own, K (293)")  # fmt: skip
+    warmth.add_argument("--part", type=_named, nargs="+", action="extend", metavar="NAME=T",
+                        help="of surfaces, parts or materials by name, with * and ?; the last holds")  # fmt: skip
+    warmth.add_argument("--scene-K", type=_kelvin, metavar="T",
+                        help="of the blackbody around the system, K (--temperature-K)")  # fmt: skip
+    band = parser.add_argument_group("band")
+    band.add_argument("--band-um", type=positive, nargs=2, default=(8.0, 12.0), metavar=("LOW", "HIGH"),
+                      help="of the detector, µm (8 12)")  # fmt: skip
+    band.add_argument("--wavelength-um", type=positive, nargs="+", metavar="UM",
+                      help="where optics are traced, µm (middle of the band, and its ends if need be)")  # fmt: skip
+    band.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
+    add_ray_tree(parser, "rays from the detector, for each wavelength and twice (2e5)")
+    add_scatter(parser)
+    output = parser.add_argument_group("output")
+    output.add_argument("--out", type=Path, metavar="DIR", help="write report.html, CSV, JSON and PNG files there")
+    output.add_argument("--json", action="store_true", help="print JSON instead of the tables")
+    output.add_argument("--quiet", action="store_true", help="no progress, no tables")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    start_mitsuba(options)
+    from mistray.analysis.thermal import thermal
+    from mistray.report.output import writable_directory
+    from mistray.report.thermal import thermal_record, thermal_text, write_thermal
+    from mistray.scene import load
+
+    if options.out is not None:
+        writable_directory(options.out)
+    scene = load(options.scene)
+    with _progress(options) as progress:
+        report = thermal(
+            scene,
+            options.temperature_K,
+            tuple(options.band_um),
+            temperatures=dict(options.part or ()),
+            scene_K=options.scene_K,
+            wavelengths_um=options.wavelength_um,
+            detector=options.detector,
+            progress=progress,
+            **settings_of(options),
+        )
+    files = []
+    if options.out is not None:
+        files = write_thermal(report, options.out, scene_title(options.scene), options.command_line)
+    if options.json:
+        record = thermal_record(report) | {"files": [str(file) for file in files]}
+        print(json.dumps(record, indent=2, allow_nan=False))
+    elif not options.quiet:
+        print(thermal_text(report))
+        if files:
+            print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
+    return 0
+
+
+def _kelvin(text: str) -> float:
+    """A temperature in K."""
+    value = finite(text)
+    if value < 0:
+        raise argparse.ArgumentTypeError(f"{text} K is below absolute zero; temperatures are in K")
+    return value
+
+
+def _named(text: str) -> tuple[str, float]:
+    """NAME=T."""
+    name, found, value = text.rpartition("=")
+    if not found or not name:
+        raise argparse.ArgumentTypeError(f"'{text}' is no NAME=T, such as detector=77")
+    return name, _kelvin(value)
+
+
+@contextlib.contextmanager
+def _progress(options: argparse.Namespace) -> Iterator[Progress | None]:
+    """A bar on stderr when that is a terminal."""
+    if options.quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+
+    with tqdm(desc="tracing", leave=False, file=sys.stderr) as bar:
+
+        def advance(done: int, total: int) -> None:
+            bar.total = total
+            bar.update(done - bar.n)
+
+        yield advance

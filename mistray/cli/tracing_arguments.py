@@ -1,0 +1,101 @@
+"""What the commands that trace a scene share: their arguments, and what is made of them."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import fields
+from pathlib import Path
+from typing import Any
+
+from mistray.cli.arguments import count, finite, positive
+from mistray.errors import MistrayError
+
+
+def add_scene(parser: argparse.ArgumentParser) -> None:
+    """Declare the scene."""
+    parser.add_argument(
+        "scene", metavar="SCENE", help="scene XML file, or the name of a shipped scene such as phone_camera"
+    )
+
+
+def add_spectrum(group: Any) -> None:
+    """Declare wavelengths and their weights in a group of arguments."""
+    group.add_argument("--wavelength-nm", type=positive, nargs="+", metavar="NM", help="wavelengths, nm")
+    group.add_argument("--weights", type=finite, nargs="+", metavar="W",
+                       help="shares of the flux, one for each of --wavelength-nm (equal)")  # fmt: skip
+
+
+def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
+    """Declare the settings of the ray tree; `rays` is the help of --rays. Returns their group."""
+    group = parser.add_argument_group("ray tree (default: as the scene says, else what stands in brackets)")
+    group.add_argument("--rays", type=count, metavar="N", help=rays)
+    group.add_argument("--max-reflections", type=count, metavar="N",
+                       help="reflections on one path, those of mirrors and TIR not counted (2)")  # fmt: skip
+    group.add_argument("--max-generations", type=count, metavar="N",
+                       help="reflections and scatter events together on one path (no limit)")  # fmt: skip
+    group.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one path (64)")
+    group.add_argument("--flux-threshold", type=finite, metavar="F",
+                       help="flux below which a ray ends, relative to its start ray (1e-8)")  # fmt: skip
+    group.add_argument("--splitting", choices=("split", "one"),
+                       help="follow both rays at a surface, or one of them by chance (split)")  # fmt: skip
+    group.add_argument("--below-threshold", choices=("cut", "roulette"),
+                       help="end a ray below the threshold, or play unbiased roulette (cut)")  # fmt: skip
+    group.add_argument("--seed", type=count, metavar="N", help="seed of the random numbers (0)")
+    group.add_argument("--ray-control", choices=("allow_all", "transmit_specular", "reflect_specular", "halt_all"),
+                       help="what surfaces send on (allow_all)")  # fmt: skip
+    group.add_argument("--polarization", choices=("unpolarized", "stokes"),
+                       help="means of s and p at every hit, or Stokes vectors along paths (unpolarized)")  # fmt: skip
+    group.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
+    return group
+
+
+def add_scatter(parser: argparse.ArgumentParser) -> None:
+    """Declare the settings of scatter."""
+    group = parser.add_argument_group("scatter (default: as the scene says, else what stands in brackets)")
+    group.add_argument("--max-scatters", type=count, metavar="N", help="scatter events on one path; 0: none (1)")
+    group.add_argument("--max-optical-scatters", type=count, metavar="N",
+                       help="those of them at surfaces that transmit (no limit)")  # fmt: skip
+    group.add_argument("--max-random-scatters", type=count, metavar="N",
+                       help="those of them that are not aimed at a target (no limit)")  # fmt: skip
+    group.add_argument("--scatter-rays", type=count, metavar="N", help="rays scattered at random at every hit (1)")
+    group.add_argument("--aimed-rays", type=count, metavar="N",
+                       help="rays aimed at the targets at every hit, to either side; 0: none (1)")  # fmt: skip
+    group.add_argument("--aim", choices=("auto", "targets", "none"),
+                       help="aim at the detector and targets of the scene, only at these, or not (auto)")  # fmt: skip
+    group.add_argument("--scatter-threshold", type=finite, metavar="F",
+                       help="flux below which hits scatter by chance, relative to the ray's start (0.1)")  # fmt: skip
+
+
+def settings_of(options: argparse.Namespace) -> dict[str, Any]:
+    """All fields of `mistray.trace.Settings` as given; None where the scene or the default decides."""
+    from mistray.trace import Settings
+
+    return {setting.name: getattr(options, setting.name) for setting in fields(Settings)}
+
+
+def check_weights(options: argparse.Namespace) -> None:
+    """Refuse weights that do not fit the wavelengths."""
+    if options.weights is None:
+        return
+    if options.wavelength_nm is None:
+        raise MistrayError("--weights without --wavelength-nm; give one wavelength for each weight")
+    if len(options.weights) != len(options.wavelength_nm):
+        raise MistrayError(
+            f"--weights has {len(options.weights)} values for {len(options.wavelength_nm)} of --wavelength-nm; "
+            "give one weight for each wavelength"
+        )
+
+
+def start_mitsuba(options: argparse.Namespace) -> None:
+    """Choose the variant, which settles libLLVM, before anything imports Mitsuba."""
+    from mistray._mitsuba_compat import silence_warnings
+    from mistray._variant import ensure_variant
+
+    ensure_variant(options.variant)
+    silence_warnings()
+
+
+def scene_title(scene: str) -> str:
+    """Name of a scene: that of its file, or of its folder if the file is called scene.xml."""
+    path = Path(scene).resolve()
+    return path.parent.name if path.name == "scene.xml" else path.stem

@@ -1,0 +1,184 @@
+"""Thermal radiation of a blackbody in a band of wavelengths, and what warm optics put on a detector.
+
+Radiances are in W/(mm² sr): 1 W/(mm² sr) = 10⁶ W/(m² sr). Wavelengths are vacuum ones, in µm; the radiances hold in
+vacuum, in a medium of index n they are n² times as large. Sources: M. Planck, Verhandl. Dtsch. Phys. Ges. 2, 237
+(1900); the constants h, c and k are exact in the SI of 2019. Narcissus: J. W. Howard, I. R. Abel, "Narcissus:
+reflections on retroreflections in thermal imaging systems", Appl. Opt. 21, 3393 (1982).
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
+
+PLANCK, LIGHT, BOLTZMANN = 6.62607015e-34, 299792458.0, 1.380649e-23  # J s, m/s, J/K
+C2_UM_K = 1e6 * PLANCK * LIGHT / BOLTZMANN  # second radiation constant: x = C2/(λ T)
+_PEAK_X = 4.965114231744276  # root of x = 5 (1 - exp(-x))
+# 2 h c² T⁴ (k/(h c))⁴ x³/(exp(x) - 1) dx is the radiance of dx; in W/(mm² sr K⁴)
+_SCALE = 1e-6 * 2 * BOLTZMANN**4 / (PLANCK**3 * LIGHT**2)
+# Panels of at most 1.1 in x, whose next singularities are 2π away: 16 nodes are exact to the rounding
+_PANELS, _LONGEST, _ABOVE = 64, 64.0, 3.0
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+
+
+def spectral_radiance(wavelength_um: npt.ArrayLike, temperature_K: npt.ArrayLike) -> Any:
+    """
+    Radiance of a blackbody by wavelength, W/(mm² sr µm).
+
+    Parameters
+    ----------
+    wavelength_um : array_like
+        λ, µm, > 0.
+    temperature_K : array_like
+        T, K, > 0; broadcasts with λ.
+    """
+    wavelength, temperature = (np.asarray(v, dtype=np.float64) for v in (wavelength_um, temperature_K))
+    with np.errstate(over="ignore"):
+        occupied = np.expm1(C2_UM_K / (wavelength * temperature))
+    return 1e18 * 2 * PLANCK * LIGHT**2 / wavelength**5 / occupied
+
+
+def band_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.ndarray, np.ndarray]:
+    """
+    A quadrature of the radiance of a blackbody over a band.
+
+    Parameters
+    ----------
+    temperature_K : float
+        T, K, ≥ 0.
+    low_um, high_um : float
+        The band, µm, 0 ≤ low < high ≤ ∞.
+
+    Returns
+    -------
+    wavelengths_um, radiances : (m,) float64
+        ∫ L(λ) f(λ) dλ is the sum of radiances · f(wavelengths), W/(mm² sr); for f = 1 to a relative error of 1e-13.
+
+    Raises
+    ------
+    MistrayError
+        If a number is out of range.
+    """
+    if not (math.isfinite(temperature_K) and temperature_K >= 0):
+        raise MistrayError(f"temperature of {temperature_K:g} K; give one of 0 K or more")
+    if not 0 <= low_um < high_um:
+        raise MistrayError(f"band of {low_um:g} to {high_um:g} µm; give 0 ≤ low < high")
+    if temperature_K == 0:
+        return np.array([high_um if math.isfinite(high_um) else low_um + 1]), np.zeros(1)
+    first = C2_UM_K / (high_um * temperature_K)
+    # What is left out is less than exp(-61) of the peak of the band
+    furthest = max(first, _ABOVE) + _LONGEST
+    last = min(C2_UM_K / (low_um * temperature_K), furthest) if low_um > 0 else furthest
+    edges = np.linspace(first, last, _PANELS + 1)
+    half = 0.5 * np.diff(edges)[:, None]
+    x = (0.5 * (edges[1:] + edges[:-1])[:, None] + half * _NODES).ravel()
+    with np.errstate(over="ignore"):
+        radiances = _SCALE * temperature_K**4 * (half * _WEIGHTS).ravel() * x**3 / np.expm1(x)
+    return C2_UM_K / (x * temperature_K), radiances
+
+
+def band_radiance(temperature_K: npt.ArrayLike, low_um: float, high_um: float) -> Any:
+    """
+    Radiance of a blackbody in a band, W/(mm² sr).
+
+    Parameters
+    ----------
+    temperature_K : array_like
+        T, K, ≥ 0.
+    low_um, high_um : float
+        As in `band_nodes`.
+
+    Returns
+    -------
+    float or array of the shape of `temperature_K`
+        Relative error 1e-13. Over all wavelengths it is σ T⁴/π.
+    """
+    return _by_temperature(lambda t: float(band_nodes(t, low_um, high_um)[1].sum()), temperature_K)
+
+
+def band_derivative(temperature_K: npt.ArrayLike, low_um: float, high_um: float) -> Any:
+    """
+    dL/dT of `band_radiance`, W/(mm² sr K); parameters as there, T > 0.
+
+    Each wavelength has dL/dT = L x exp(x)/((exp(x) - 1) T) with x = hc/(λ k T).
+    """
+
+    def derivative(temperature: float) -> float:
+        if temperature == 0:
+            return 0.0
+        wavelengths, radiances = band_nodes(temperature, low_um, high_um)
+        x = C2_UM_K / (wavelengths * temperature)
+        return float(np.sum(radiances * x / -np.expm1(-x)) / temperature)
+
+    return _by_temperature(derivative, temperature_K)
+
+
+def peak_wavelength_um(temperature_K: npt.ArrayLike) -> Any:
+    """Wavelength of the largest `spectral_radiance`, µm: W. Wien's displacement law, 2897.77 µm K/T."""
+    return C2_UM_K / _PEAK_X / np.asarray(temperature_K, dtype=np.float64)
+
+
+def cone_projected_solid_angle(f_number: npt.ArrayLike) -> Any:
+    """
+    Projected solid angle of a cone of light, π sin² u = π/(4 F² + 1), sr.
+
+    Parameters
+    ----------
+    f_number : array_like
+        F = 1/(2 tan u), with the half angle u of the cone: distance over diameter of the exit pupil.
+    """
+    return np.pi / (4 * np.asarray(f_number, dtype=np.float64) ** 2 + 1)
+
+
+def self_emission(
+    emissivity: npt.ArrayLike, temperature_K: npt.ArrayLike, low_um: float, high_um: float, f_number: npt.ArrayLike
+) -> Any:
+    """
+    Irradiance on a detector in air by optics that fill its cone, ε L π/(4 F² + 1), W/mm².
+
+    Parameters
+    ----------
+    emissivity : array_like
+        ε = 1 - R - T of the optics (G. Kirchhoff), 0 … 1.
+    temperature_K, low_um, high_um
+        As in `band_radiance`.
+    f_number : array_like
+        As in `cone_projected_solid_angle`.
+    """
+    radiance = band_radiance(temperature_K, low_um, high_um)
+    return np.asarray(emissivity, dtype=np.float64) * radiance * cone_projected_solid_angle(f_number)
+
+
+def narcissus_nitd(
+    returned: npt.ArrayLike, housing_K: float, cold_K: float, low_um: float, high_um: float
+) -> np.ndarray:
+    """
+    Narcissus-induced temperature difference (NITD), K: share · [L(T_h) - L(T_c)]/(dL/dT)(T_h).
+
+    The change of the scene's temperature that a detector would take for its own cold image, where a share of what it
+    sees is the cold space about itself instead of the housing. Losses of the optics act on the scene and on the image
+    alike and cancel to first order.
+
+    Parameters
+    ----------
+    returned : array_like
+        Share of the cone of light that returns to the cold space: reflectance times the part of the cone.
+    housing_K, cold_K : float
+        Temperatures T_h of housing and scene, and T_c of the cold space, K; T_h > 0.
+    low_um, high_um : float
+        As in `band_radiance`.
+    """
+    missing = band_radiance(housing_K, low_um, high_um) - band_radiance(cold_K, low_um, high_um)
+    return np.asarray(returned, dtype=np.float64) * missing / band_derivative(housing_K, low_um, high_um)
+
+
+def _by_temperature(function: Any, temperature_K: npt.ArrayLike) -> Any:
+    """A function of one temperature for arrays of them."""
+    temperatures = np.asarray(temperature_K, dtype=np.float64)
+    values = np.array([function(float(t)) for t in temperatures.ravel()]).reshape(temperatures.shape)
+    return values if values.shape else float(values)

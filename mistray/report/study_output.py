@@ -1,0 +1,67 @@
+"""Everything that a stray-light study writes, into one directory, each file complete or not at all."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from mistray.analysis.stray_study import Study
+from mistray.replace_file import replace_file
+from mistray.report.html_study import study_html
+from mistray.report.layout import layout
+from mistray.report.objects_plots import objects_layout
+from mistray.report.output import writable_directory
+from mistray.report.plots import as_png, levels_against_field, montage
+from mistray.report.pst_plots import pst_causes, pst_curve
+
+FLOATS = "%.9g"
+
+
+def draw_study(study: Study) -> dict[str, bytes]:
+    """The pictures of a study as PNG by file name; see `mistray.report.html_study.CAPTIONS`."""
+    report = study.ghosts
+    on_axis = min(report, key=abs)
+    pictures = {
+        "layout.png": as_png(layout(report, on_axis, ghosts=0)),
+        "objects.png": as_png(objects_layout(study.objects)),
+        "pst.png": as_png(pst_curve(study.pst, study.name)),
+        "ghost_images.png": as_png(montage(report)),
+        "ghost_levels.png": as_png(levels_against_field(report)),
+    }
+    if not study.pst.is_dark:
+        pictures["pst_causes.png"] = as_png(pst_causes(study.pst, study.name))
+    rated = {field: report.summary(field).brightest_normalised.value for field in report}
+    rated = {field: value for field, value in rated.items() if math.isfinite(value)}
+    if rated:
+        pictures["worst_ghosts.png"] = as_png(layout(report, max(rated, key=lambda field: rated[field])))
+    return pictures
+
+
+def write_study(study: Study, directory: str | Path, command: str = "") -> list[Path]:
+    """
+    Write report.html and every table of every step as CSV, named by step and table.
+
+    All of them are made before the first is written. Files of the same names are replaced, others are left alone.
+
+    Parameters
+    ----------
+    study : Study
+    directory : str or Path
+        Made if it is missing, with the directories above it.
+    command : str
+        Command line, quoted in the report.
+
+    Returns
+    -------
+    list of Path
+        The files written; report.html is the last.
+    """
+    target = writable_directory(directory)
+    files = {
+        f"{step.number}_{name}.csv": frame.to_csv(index=False, lineterminator="\n", float_format=FLOATS)
+        for step in study.steps
+        for name, frame in step.tables.items()
+    }
+    files["report.html"] = study_html(study, draw_study(study), command)
+    target.mkdir(parents=True, exist_ok=True)
+    return [replace_file(target / name, content) for name, content in files.items()]

@@ -1,0 +1,72 @@
+"""Diffraction at the edge of an opening, as scatter by a thin ring inside it."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics import diffraction
+from mistray.scatter.lobe import Lobe, Placement
+from mistray.scatter.numbers import need_positive
+from mistray.scatter.radial import OCTAVES, R_MAX
+
+FIRST_R = R_MAX * 2.0**-OCTAVES  # below it the lobe is flat, as its table is
+LEAST_WAVES = 25.0  # width over wavelength; a narrower ring would give more light than it gets at grazing incidence
+
+
+@dataclass(frozen=True)
+class EdgeDiffraction(Placement):
+    """
+    A transparent ring along an edge that deflects what passes it: unpolarised light, averaged over the ring.
+
+    The ring deflects all light that meets it, most of it by less than the angle λ/(16 w); beyond, the diffracted light
+    does not depend on the width. A round aperture whose ring is lit evenly has the far field of its diffraction. β is
+    taken in the medium of the diffracted light. Equations and sources: `mistray.physics.diffraction`.
+
+    Attributes
+    ----------
+    width_mm : float
+        w, > 0: area of the ring over the length of the edge. For a ring from r0 to r1 whose edge is r1,
+        (r1² - r0²)/(2 r1); where the edge is the inner one, as around an obstruction, (r1² - r0²)/(2 r0).
+    law : {"half_plane", "heisenberg"}
+        The far field of a half plane, or Heisenberg's relation with its 1.25 times as much light far from the beam.
+    event : {"transmission"}
+
+    Raises
+    ------
+    MistrayError
+        If a number is out of range. `lobes` raises it where the ring is not much wider than a wavelength.
+    """
+
+    width_mm: float
+    law: str = "half_plane"
+    _: KW_ONLY
+    event: str = "transmission"
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        need_positive(self.title, "width_mm", self.width_mm, " mm")
+        diffraction.spread(self.law)
+        if self.event != "transmission":
+            raise MistrayError(f"{self.title}: event is '{self.event}'; an edge diffracts what passes it: transmission")
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        """One lobe; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        if not self.events(from_front):
+            return ()
+        wavelength_mm = 1e-6 * wavelength_nm / n_out
+        if self.width_mm < LEAST_WAVES * wavelength_mm:
+            raise MistrayError(
+                f"{self.title}: width_mm is {self.width_mm:g} mm at {wavelength_nm:g} nm; make the ring at least "
+                f"{LEAST_WAVES:g} wavelengths wide"
+            )
+        return (
+            Lobe(
+                "transmission",
+                lambda r: diffraction.ring_bsdf(np.maximum(r, FIRST_R), self.width_mm, wavelength_mm, self.law),
+                factor="edge",
+                shares=self.shares,
+            ),
+        )

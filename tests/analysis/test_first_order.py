@@ -1,0 +1,105 @@
+"""First-order numbers by rays, against closed forms and a table of paraxial rays."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+import mistray
+from mistray.analysis.first_order import FirstOrder, first_order
+from mistray.scenes.cooke_triplet.prescription import build as triplet
+from mistray.trace.design_path import find_design_path
+from mistray.trace.sources import beams
+from mistray.trace.surfaces import SurfaceTable
+
+
+def measured(name: str) -> tuple[FirstOrder, SurfaceTable]:
+    scene = mistray.load(name)
+    table = SurfaceTable(scene, beams(scene)[0].wavelength_nm)
+    path = find_design_path(table, scene)
+    assert path is not None
+    return first_order(scene, path), table
+
+
+def paraxial(curvature, z, index) -> tuple[float, float]:
+    """Focal length and back focus of coaxial surfaces by n'u' = nu - y c (n' - n), from a ray of height 1."""
+    y, u = 1.0, 0.0
+    for k, c in enumerate(curvature):
+        if k:
+            y += u * (z[k] - z[k - 1])
+        u = (index[k] * u - y * c * (index[k + 1] - index[k])) / index[k + 1]
+    return -1 / u, -y / u
+
+
+def test_triplet_against_paraxial_rays():
+    found, table = measured("cooke_triplet")
+    surfaces = triplet().surfaces
+    n = table.optics.host_indices[[table.ids.index(s.name) for s in surfaces], :2]
+    index = [*n[:, 0], n[-1, 1]]
+    focal, back = paraxial([1 / s.radius for s in surfaces], [s.z for s in surfaces], index)
+    assert found.focal_length_mm == pytest.approx(focal, rel=1e-6)
+    assert found.focal_lengths_mm[0] == pytest.approx(found.focal_lengths_mm[1], rel=1e-9)
+    assert found.back_focus_mm == pytest.approx(back, rel=1e-6)
+    assert found.f_number == pytest.approx(4.0, rel=1e-3)
+
+
+def test_thick_lens():
+    """R = ±100 mm, 5 mm of n = 1.5168: f = 97.58041 mm by the lensmaker's equation; then a window."""
+    found, table = measured("singlet_window_detector")
+    n = float(table.optics.host_indices[table.ids.index("L1_front"), 1])
+    focal = 1 / ((n - 1) * (2 / 100 - (n - 1) * 5 / (n * 100**2)))
+    assert found.focal_length_mm == pytest.approx(focal, rel=1e-7)
+    # The detector stands in the paraxial focus
+    assert abs(found.defocus_mm) < 1e-5
+
+
+def test_newtonian():
+    """A paraboloid: half its radius of curvature; its rim is the stop; the diagonal and its holder obstruct it."""
+    found, _ = measured("newtonian")
+    assert found.focal_length_mm == pytest.approx(50 * 25.4, rel=1e-7)
+    assert found.pupil_diameter_mm == pytest.approx(2 * 95.25, rel=1e-4)
+    assert found.stop == "mirror_cell"
+    assert found.f_number == pytest.approx(1270 / 190.5, rel=1e-4)
+    # Round detector of half an inch: the base ray meets its edge at atan(h / f) of a mirror
+    assert found.field_deg["y"] == pytest.approx(math.degrees(math.atan(12.7 / 1270)), rel=1e-3)
+    assert found.field_deg["diagonal"] == found.field_deg["x"]
+    # Seen along the axis: the square diagonal with its holder 3 mm behind it, and the eyepiece tube in the beam
+    half = 0.6 * 25.4
+    diagonal = 2 * half * (2 * half + 3 / math.sqrt(2))
+    tube = 25.4 * (95.25 - 3 * 25.4)
+    assert found.pupil_area_mm2 == pytest.approx(math.pi * 95.25**2 - diagonal - tube, rel=0.01)
+
+
+def test_phone_camera():
+    """Focal length and chief ray of the float64 trace that scenes/phone_camera/SOURCE.md quotes; the stop's radius."""
+    found, _ = measured("phone_camera")
+    assert found.focal_length_mm == pytest.approx(7.0734, abs=1e-4)
+    assert found.pupil_diameter_mm == pytest.approx(2 * 1.25171162, rel=1e-4)
+    assert found.stop == "stop_front"
+    assert found.defocus_mm == pytest.approx(-0.335, abs=0.005)
+    # The chief ray lands at 2.06523 and 2.18592 mm at 17 and 18° on the d line (docs/validation/phone_camera.md), in
+    # proportion to the focal length; the edge of the detector is at 2.18394 mm
+    heights = np.array([1.93940, 2.06523, 2.18592]) * 7.0734 / 7.0750
+    edge = np.interp(4.36788654 / 2, np.polyval(np.polyfit([16, 17, 18], heights, 2), np.linspace(17, 18.2, 500)),
+                     np.linspace(17, 18.2, 500))  # fmt: skip
+    assert found.field_deg["y"] == pytest.approx(edge, abs=0.002)
+
+
+def test_flat_window_has_no_focus():
+    found, _ = measured("plate")
+    assert math.isinf(found.focal_length_mm)
+    assert math.isnan(found.defocus_mm)
+    assert found.field_deg["y"] > 0
+
+
+def test_a_wrong_curvature_shows():
+    """The table of paraxial rays tells a radius that is wrong by 0.1 %."""
+    found, table = measured("cooke_triplet")
+    surfaces = triplet().surfaces
+    n = table.optics.host_indices[[table.ids.index(s.name) for s in surfaces], :2]
+    curvature = np.array([1 / s.radius for s in surfaces])
+    curvature[0] *= 1.001
+    focal, _ = paraxial(curvature, [s.z for s in surfaces], [*n[:, 0], n[-1, 1]])
+    assert abs(found.focal_length_mm / focal - 1) > 1e-4

@@ -1,0 +1,369 @@
+"""Critical, illuminated and common objects: view factors, set logic, places, the product estimate, bad input."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from oracles.object_scenes import open_tube_text, vane_text
+from oracles.scatter_integrals import disc_to_disc, element_to_disc
+from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
+from oracles.small_scenes import interface_xml, plates_text, write
+from oracles.statistics import assert_z
+
+import mistray
+from mistray.analysis.object_sources import DiskSource
+from mistray.analysis.objects import objects
+from mistray.errors import MistrayError
+from mistray.trace.backward import see
+
+RAYS = 100_000
+
+
+@pytest.fixture(scope="module")
+def load(tmp_path_factory):
+    def load_text(text):
+        return mistray.load(write(tmp_path_factory.mktemp("scene"), text))
+
+    return load_text
+
+
+@pytest.fixture(scope="module")
+def phone():
+    return objects(mistray.load("phone_camera"), rays=RAYS)
+
+
+def row(rows, name, side=None):
+    (found,) = (entry for entry in rows if entry.id == name and side in (None, entry.side))
+    return found
+
+
+def plate_text(**coating):
+    """A plate of radius 50 and a smaller detector behind it."""
+    text = plates_text(1, **coating)
+    for key in ("half_width", "half_height"):
+        text = text.replace(f'name="{key}" value="50.0"', f'name="{key}" value="30.0"')
+    return text
+
+
+def lens_area(distance, radius_1, radius_2):
+    """Area that two discs at this distance share."""
+    if distance >= radius_1 + radius_2:
+        return 0.0
+    if distance <= abs(radius_1 - radius_2):
+        return np.pi * min(radius_1, radius_2) ** 2
+    a = (distance**2 + radius_1**2 - radius_2**2) / (2 * distance * radius_1)
+    b = (distance**2 + radius_2**2 - radius_1**2) / (2 * distance * radius_2)
+    root = (radius_1 + radius_2) ** 2 - distance**2, distance**2 - (radius_1 - radius_2) ** 2
+    return radius_1**2 * np.arccos(a) + radius_2**2 * np.arccos(b) - 0.5 * np.sqrt(root[0] * root[1])
+
+
+# ---- closed forms
+
+
+def test_a_tube_seen_from_its_end(load):
+    """The detector sees the opening with the view factor of coaxial discs, and the wall with the rest of its view."""
+    length, radius, detector_radius = 3.0, 1.0, 0.7
+    found = objects(load(open_tube_text(length, radius, detector_radius)), rays=RAYS)
+    wall = row(found.critical, "wall")
+    opening = disc_to_disc(detector_radius, radius, length)
+    assert_z("wall", wall.power, 1 - opening, wall.power_se)
+    (shot,) = found.straight_shots
+    assert (shot.surfaces, shot.missed, shot.beside) == ((), (), ())
+    assert_z("opening", shot.share, opening, shot.share_se)
+    assert abs(wall.power - 1) > 10 * wall.power_se  # a detector that saw nothing but the wall would be noticed
+
+
+def test_an_open_tube_reports_a_path_without_surfaces(load):
+    found = objects(load(open_tube_text(3.0, 1.0, 0.7)), rays=20_000)
+    assert any("with no surface in between" in text for text in found.warnings)
+    steepest = np.degrees(np.arctan(1.7 / 3.0))
+    low, high = found.straight_shots[0].angles_deg
+    assert low < 2
+    assert steepest - 2 < high < steepest + 1e-3
+
+
+@pytest.mark.parametrize("angle", [0.0, 10.0, -25.0, 60.0])
+def test_a_tube_lit_from_outside(load, angle):
+    """Flux on the detector is what two discs share, shifted by L tan θ; the rest of the opening's goes to the wall."""
+    length, radius, detector_radius = 3.0, 1.0, 0.7
+    scene = load(open_tube_text(length, radius, detector_radius))
+    found = objects(scene, rays=RAYS, angles_deg=[angle], azimuth_deg=30.0)
+    theta = np.radians(angle)
+    direct = np.cos(theta) * lens_area(length * abs(np.tan(theta)), radius, detector_radius)
+    (wall,) = found.illumination("wall", "front")
+    (detector,) = found.illumination("detector", "front")
+    if angle:
+        # What passes the opening and goes by the detector, within the tube, leaves behind
+        passed = np.cos(theta) * lens_area(length * abs(np.tan(theta)), radius, radius)
+        assert_z("wall", wall.value, np.pi * radius**2 * np.cos(theta) - passed, wall.se)
+    else:
+        assert wall.value == 0
+    assert_z("detector", detector.value, direct, max(detector.se, 1e-12))
+    if angle:
+        (outside,) = found.illumination("wall", "back")
+        assert_z("outside", outside.value, 2 * radius * length * abs(np.sin(theta)), outside.se)
+
+
+def test_cone_of_light_through_an_opening(load):
+    """Averaged over the solid angle of a cone, an area takes A (1 + cos h)/2; a disc source gives the same."""
+    scene = load(open_tube_text(1e-3, 1.0, 0.999))
+    half = 35.0
+    cone = objects(scene, rays=RAYS, half_angle_deg=half).illumination("detector", "front")[0]
+    expected = np.pi * 0.999**2 * (1 + np.cos(np.radians(half))) / 2
+    disc = DiskSource((0.0, 0.0, -1e-3), 3.0, half)
+    near = objects(scene, rays=RAYS, source=disc).illumination("detector", "front")[0]
+    # A disc of three times the radius this near fills the cone everywhere but for 1e-3
+    assert_z("cone and disc", [cone.value, near.value], expected, [cone.se, near.se], floor=2e-3 * expected)
+    assert abs(cone.value - np.pi) > 10 * cone.se
+
+
+def test_plate_in_front(load):
+    """Rays weigh T after one face and T² after both, against the light and with it."""
+    found = objects(load(plate_text(R=0.1, T=0.8)), rays=20_000, view_half_angle_deg=10.0, angles_deg=[0.0])
+    for name, seen, lit in (("p0_front", 0.8, 1.0), ("p0_rear", 1.0, 0.8), ("detector", 0.0, 0.64)):
+        entry = row(found.optics, name)
+        assert entry.critical_power == pytest.approx(seen * entry.critical_rays / 20_000, rel=1e-5)
+        assert entry.illuminated_power == pytest.approx(lit * entry.illuminated_rays / 20_000, rel=1e-5)
+        assert entry.illuminated_rays > 5_000
+
+
+def test_absorption_along_the_way(load):
+    """An absorbing plate takes exp(-α t/cos θ'): both views have the light that is left."""
+    tau = 0.6  # of 5 mm along the axis
+    k = float(-np.log(tau) * 550e-6 / (4 * np.pi * 5.0))
+    scene = load(plate_text(index=f"1.5+{k!r}i", R=0.0, T=1.0))
+    sine, cosine = np.sin(np.radians(20.0)), np.cos(np.radians(20.0))
+    disc = DiskSource((0.0, 0.0, -20.0), 10.0, 1e-3, axis=(0.0, sine, cosine))
+    found = objects(scene, rays=20_000, view_half_angle_deg=20.0, source=disc)
+    front, rear, detector = (row(found.optics, name) for name in ("p0_front", "p0_rear", "detector"))
+    slanted = tau ** (1 / np.sqrt(1 - (sine / 1.5) ** 2))
+    assert rear.illuminated_power == pytest.approx(slanted * rear.illuminated_rays / 20_000, rel=1e-4)
+    assert detector.illuminated_power == pytest.approx(slanted * detector.illuminated_rays / 20_000, rel=1e-4)
+    assert slanted * front.critical_rays / 20_000 < front.critical_power < tau * front.critical_rays / 20_000
+
+
+def test_stock_shapes(load):
+    """A disk of Mitsuba's own as the detector and another one as what it sees: the view factor of coaxial discs."""
+    scene = load(
+        scatter_scene(
+            beam_xml(1.0),
+            placed_xml("disk", "plate", interface_xml(R=0.0), at=(0.0, 0.0, 0.0), scale=(1.2, 1.2, 1.0)),
+            placed_xml("rectangle", "detector", at=(0.0, 0.0, 2.0), scale=(0.01, 0.01, 1.0), pixels=8),
+        )
+    )
+    found = objects(scene, rays=RAYS)
+    plate = row(found.critical, "plate")
+    assert_z("plate", plate.power, element_to_disc(1.2, 2.0, 0.0), plate.power_se, floor=1e-5)
+    assert found.common == []  # its other side is lit
+    assert row(found.illuminated, "plate").side != plate.side
+
+
+# ---- set logic
+
+
+def test_a_vane_is_lit_on_one_side_and_seen_on_the_other(load):
+    """The ring in the middle shows its front to the light and its back to the detector."""
+    found = objects(load(vane_text([(10.0, 2.0)], 20.0, 5.0, 2.0)), rays=RAYS, half_angle_deg=10.0)
+    assert row(found.illuminated, "vane_1").side == "front"
+    assert row(found.critical, "vane_1").side == "back"
+    assert "vane_1" not in [entry.id for entry in (*found.common, *found.apart)]
+
+
+def test_lit_and_seen_in_different_places(load):
+    """The wall before the vane is lit, the wall behind it is seen; without the vane places meet."""
+    arguments = {"rays": RAYS, "half_angle_deg": 5.0}
+    shaded = objects(load(vane_text([(20.0, 2.0)], 40.0, 5.0, 0.5)), **arguments)
+    assert [entry.id for entry in shaded.apart] == ["wall"]
+    assert not shaded.common
+    bare = objects(load(vane_text([], 40.0, 5.0, 0.5)), **arguments)
+    assert [(entry.id, entry.side) for entry in bare.common] == [("wall", "front")]
+    assert not bare.apart
+
+
+def test_common_objects_are_in_both_lists(phone):
+    critical = {(entry.id, entry.side) for entry in phone.critical}
+    illuminated = {(entry.id, entry.side) for entry in phone.illuminated}
+    common = {(entry.id, entry.side) for entry in (*phone.common, *phone.apart)}
+    assert common == critical & illuminated
+    optics = {entry.id for entry in phone.optics}
+    assert not optics & {name for name, _ in critical | illuminated}
+    assert len(phone.optics) == 15
+    assert all(entry.optic for entry in phone.optics)
+    assert not any(entry.optic for entry in (*phone.critical, *phone.illuminated, *phone.common))
+
+
+def test_threshold_is_a_share_of_the_flux(phone):
+    """A higher threshold takes the rows below it away and leaves the others as they are."""
+    threshold = 1e-3
+    found = objects(phone.scene, rays=RAYS, threshold=threshold)
+    for name in ("critical", "illuminated"):
+        assert getattr(found, name) == [entry for entry in getattr(phone, name) if entry.power > threshold]
+    assert len(found.common) < len(phone.common)
+
+
+def test_rows_agree_with_the_kernel(phone):
+    """
+    The ray tree against the light, with the same ray control, sees the same share of every surface.
+
+    One of a thousand such tests fails by chance.
+    """
+    seen = see(phone.scene, rays=200_000, ray_control="transmit_specular")
+    own = {entry.id: (entry.critical_power, entry.critical_power_se) for entry in phone.optics}
+    for entry in phone.critical:  # of a surface with two sides their sum
+        value, error = own.get(entry.id, (0.0, 0.0))
+        own[entry.id] = value + entry.power, np.hypot(error, entry.power_se)
+    rows = [entry for entry in seen.rows if entry.share > 2e-4]
+    assert len(rows) > 40
+    value, error = (np.array([own[entry.id][k] for entry in rows]) for k in (0, 1))
+    share, share_se = (np.array([getattr(entry, key) for entry in rows]) for key in ("share", "share_se"))
+    assert_z("share", value, share, np.hypot(error, share_se), names=[entry.id for entry in rows])
+
+
+# ---- places
+
+
+@pytest.mark.parametrize(
+    ("scene", "stop"),
+    [
+        ("phone_camera", "stop"),
+        ("double_gauss", "stop"),
+        ("newtonian", "primary"),
+        ("cooke_triplet", "L2"),
+        ("singlet_window_detector", "L1"),
+        ("plate", ""),
+    ],
+)
+def test_the_stop_is_found_by_marginal_rays(scene, stop):
+    assert objects(mistray.load(scene), rays=100).stop == stop
+
+
+def test_before_and_after_the_stop(phone):
+    places = {(entry.id, entry.side): (entry.between, entry.stop) for entry in (*phone.critical, *phone.illuminated)}
+    assert places["barrel_0_cone", "front"] == ("window_rear – L1_front", "before")
+    assert places["barrel_1_plane", "front"] == ("window_rear – L1_front", "before")
+    assert places["stop_wall", "front"] == ("window_rear – L1_front", "stop")
+    assert places["barrel_1_cone", "front"] == ("window_rear – L1_front", "after")
+    assert places["barrel_3_cone", "front"] == ("L2_rear – L3_front", "after")
+    assert places["L3_edge", "front"] == ("L3_front – L3_rear", "after")
+    assert places["barrel_6_cone", "front"] == ("L5_rear – filter_front", "after")
+    assert places["barrel_0_window_seat", "front"] == ("window_front – window_rear", "before")
+
+
+def test_a_stop_that_the_user_names(phone):
+    found = objects(phone.scene, rays=20_000, stop="L3_front")
+    assert found.stop == "L3"
+    places = {entry.id: entry.stop for entry in found.critical}
+    assert (places["barrel_3_cone"], places["barrel_4_cone"], places["L3_edge"]) == ("before", "after", "stop")
+
+
+def test_folded_systems_keep_their_gaps():
+    """Inside of the Newtonian's focuser the detector sees the eyepiece tube behind the diagonal."""
+    found = objects(mistray.load("newtonian"), rays=RAYS)
+    assert row(found.critical, "eyepiece_tube", "front").between == "diagonal – image"
+    assert row(found.critical, "eyepiece_tube", "front").stop == "after"
+    assert row(found.illuminated, "vane_1", "front").between == "before primary"
+    assert [entry.id for entry in found.optics] == ["primary", "diagonal", "image"]
+
+
+def test_light_past_a_lens_is_a_straight_shot(phone):
+    shots = {shot.beside: shot for shot in phone.straight_shots}
+    assert shots["L3_bevel_2",].missed == ("L3_rear",)
+    low, high = shots["L3_bevel_2",].angles_deg
+    assert 15 < low < high < 27
+    assert any("past L3_rear through L3_bevel_2" in text for text in phone.warnings)
+
+
+# ---- ray controls
+
+
+def test_ray_controls(load):
+    """Nothing goes on, all of it is reflected, all of it is transmitted, or either by chance."""
+    scene = load(plate_text(R=0.3, T=0.5))
+    disc = DiskSource((0.0, 0.0, -1.0), 20.0, 1.0)
+    hits = {}
+    for control in ("halt_all", "reflect_specular", "transmit_specular", "allow_all"):
+        found = objects(scene, rays=RAYS, ray_control=control, source=disc, view_half_angle_deg=10.0)
+        hits[control] = {entry.id: entry for entry in found.optics}
+    assert hits["halt_all"]["p0_front"].illuminated_rays == RAYS
+    assert hits["halt_all"]["p0_rear"].illuminated_rays == 0
+    assert hits["halt_all"]["p0_rear"].critical_rays == RAYS
+    assert hits["halt_all"]["p0_front"].critical_rays == 0
+    assert hits["reflect_specular"]["p0_rear"].illuminated_rays == 0
+    assert hits["reflect_specular"]["detector"].critical_power == pytest.approx(0.3 * RAYS / RAYS, rel=0.1)
+    assert hits["transmit_specular"]["detector"].illuminated_power == pytest.approx(0.25, rel=1e-5)
+    detector = hits["allow_all"]["detector"]  # T²/(1 - R²), all orders between the faces
+    assert_z("all", detector.illuminated_power, 0.25 / (1 - 0.3**2), detector.illuminated_power_se)
+
+
+def test_light_in_total_reflection_can_be_stopped(phone):
+    with_it = {entry.id for entry in phone.critical}
+    without = {entry.id for entry in objects(phone.scene, rays=RAYS, total_reflection=False).critical}
+    assert without < with_it
+    assert "board_left" in with_it - without
+
+
+def test_the_same_seed_gives_the_same_rows(phone):
+    again = objects(phone.scene, rays=20_000)
+    assert again.critical == objects(phone.scene, rays=20_000).critical
+    assert again.critical != objects(phone.scene, rays=20_000, seed=1).critical
+
+
+# ---- bad input
+
+
+@pytest.mark.parametrize(
+    ("arguments", "text"),
+    [
+        ({"threshold": 1.0}, "threshold is 1"),
+        ({"threshold": -1e-6}, "threshold is -1e-06"),
+        ({"half_angle_deg": 0.0}, "half_angle_deg is 0"),
+        ({"half_angle_deg": 120.0}, "half_angle_deg is 120"),
+        ({"angles_deg": [90.0]}, "angles_deg holds 90"),
+        ({"angles_deg": [float("nan")]}, "angles_deg holds nan"),
+        ({"angles_deg": []}, "angles_deg is empty"),
+        ({"angles_deg": [1.0], "azimuth_deg": float("inf")}, "azimuth_deg is inf"),
+        ({"angles_deg": [1.0], "half_angle_deg": 3.0}, "half_angle_deg and angles_deg are given"),
+        ({"view_half_angle_deg": 91.0}, "view_half_angle_deg is 91"),
+        ({"stop": "pupil"}, "no part and no shape of the scene is called 'pupil'"),
+        ({"detector": "L1_front"}, "'L1_front' is no detector"),
+        ({"wavelength_nm": -5.0}, "wavelength_nm is"),
+        ({"ray_control": "all"}, "ray_control is 'all'"),
+        ({"rays": 0}, "rays is 0"),
+        ({"max_scatters": 1}, "unknown argument max_scatters of objects"),
+    ],
+)
+def test_bad_arguments_are_one_line(phone, arguments, text):
+    with pytest.raises(MistrayError, match=text.replace("(", r"\(")) as error:
+        objects(phone.scene, **({"rays": 100} | arguments))
+    assert "\n" not in str(error.value)
+
+
+def test_bad_objects_are_one_line(phone):
+    for call, text in (
+        (lambda: objects("phone_camera"), "got str"),
+        (lambda: phone.to_pandas("seen"), "there is no list 'seen'"),
+        (lambda: phone.illumination("L9"), "'L9' has no side"),
+        (lambda: DiskSource((0, 0, 0), 1.0, 10.0, inner_radius=2.0), "inner_radius = 2"),
+        (lambda: DiskSource((0, 0, 0), 1.0, 10.0, inner_half_angle_deg=10.0), "inner_half_angle_deg is 10"),
+        (lambda: DiskSource((0, 0, np.nan), 1.0, 10.0), "centre is"),
+        (lambda: DiskSource((0, 0, 0), 1.0, 10.0, axis=(0, 0, 0)), "axis is 0, 0, 0"),
+    ):
+        with pytest.raises(MistrayError, match=text):
+            call()
+
+
+def test_a_detector_in_a_closed_box_says_so(load):
+    scene = load(
+        scatter_scene(
+            beam_xml(1.0, at=(0.0, 0.0, -20.0), distance=5.0),
+            placed_xml("frustum", "lid", r0=0.0, z0=-5.0, r1=5.0, z1=-5.0),
+            placed_xml("frustum", "tube", r0=5.0, z0=-5.0, r1=5.0, z1=5.0),
+            placed_xml("frustum", "floor", r0=0.0, z0=5.0, r1=5.0, z1=5.0),
+            placed_xml("asphere", "detector", pixels=8, semi_diameter=1.0),
+        )
+    )
+    found = objects(scene, rays=20_000)
+    assert any("no ray from the detector leaves the scene" in text for text in found.warnings)
+    assert any("without a design path" in text for text in found.warnings)
+    assert not found.common
+    assert row(found.critical, "lid").stop == ""

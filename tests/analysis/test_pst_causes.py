@@ -1,0 +1,113 @@
+"""Paths, causes and breaks of a PST whose curve and paths are known."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from report.fake_pst import fake_pst
+
+from mistray.analysis.pst_causes import breaks, cause_frame, first_level_scatter, reigns, stray_paths, strongest
+from mistray.analysis.pst_result import CLASSES, Pst
+from mistray.trace.directions import DirectionGrid
+
+BATCHES = 32
+ANGLES = np.arange(0.0, 81.0, 2.0)
+
+
+def curve(level: np.ndarray, noise: float = 0.02, seed: int = 5) -> Pst:
+    """A PST of single scatter with given levels at `ANGLES`; `noise` is the relative error of a point."""
+    rng = np.random.default_rng(seed)
+    samples = level[:, None] * (1 + noise * np.sqrt(BATCHES) * rng.standard_normal((len(level), BATCHES)))
+    by_batch = np.zeros((len(CLASSES), len(level), 1, BATCHES))
+    by_batch[CLASSES.index("single_scatter"), :, 0] = samples
+    return Pst(DirectionGrid.of(ANGLES), by_batch, np.full(BATCHES, 1 / BATCHES))
+
+
+def bent(angles: np.ndarray) -> np.ndarray:
+    """log10: -0.02 per degree to 20°, -0.2 to 30°, then -0.01."""
+    return -3 - np.interp(angles, [0, 20, 30, 80], [0, 0.4, 2.4, 2.9])
+
+
+def test_breaks_are_where_the_slope_changes():
+    """
+    A false alarm is a smooth point 4 standard errors off.
+
+    39 points, 2 · 3.2e-5 each (t with 31 degrees of freedom: 4e-4): below 0.02.
+    """
+    found = breaks(curve(10.0 ** bent(ANGLES)))
+    assert [b.angle_deg for b in found] == [20.0, 30.0]
+    first, second = found
+    assert first.slope_before == pytest.approx(-0.02, abs=0.03)
+    assert first.slope_after == pytest.approx(-0.2, abs=0.03)
+    assert first.change < 0 < second.change
+    # Three independent points of 2 %: sqrt(1 + 4 + 1) · 0.02 / ln(10) / 2°
+    assert first.change_se == pytest.approx(np.sqrt(6) * 0.02 / np.log(10) / 2, rel=0.4)
+    assert first.before == ()
+
+
+def test_a_smooth_curve_has_no_break():
+    smooth = 10.0 ** (-3 - 2.9 * ANGLES / 80)
+    assert breaks(curve(smooth)) == []
+
+
+def test_noise_is_no_break():
+    """Points of 20 % error change the slope by more than the least change, but not by four standard errors."""
+    assert breaks(curve(10.0 ** (-3 - 2.9 * ANGLES / 80), noise=0.2)) == []
+
+
+def test_errors_that_all_angles_share_drop_out():
+    """One factor on all angles of a batch changes no slope: the error of a change vanishes, that of the curve stays."""
+    rng = np.random.default_rng(3)
+    shared = 1 + 0.5 * rng.standard_normal(BATCHES)
+    by_batch = np.zeros((len(CLASSES), len(ANGLES), 1, BATCHES))
+    by_batch[2, :, 0] = (10.0 ** bent(ANGLES))[:, None] * shared
+    pst = Pst(DirectionGrid.of(ANGLES), by_batch, np.full(BATCHES, 1 / BATCHES))
+    found = breaks(pst)
+    assert pst.standard_error[0] > 0.05 * pst.value[0]
+    assert [b.angle_deg for b in found] == [20.0, 30.0]
+    assert found[0].change_se < 1e-9
+
+
+def test_the_causes_of_a_break_are_those_beside_it():
+    pst = fake_pst()
+    found = next(b for b in breaks(pst) if b.angle_deg == 22.0)
+    (name, share), *_ = found.before
+    rows = pst.paths(20.0)
+    assert name == "barrel_1 (reflects)"
+    stray = rows[rows.kind != "direct"].pst.sum()
+    assert share == pytest.approx(100 * rows.pst[rows.kind == "structure"].sum() / stray)
+
+
+def test_causes_add_up_and_are_named():
+    table = cause_frame(fake_pst())
+    named = {"ghosts", "window_front", "barrel_1", "stop_wall", "barrel_1 (reflects)", "straight shots"}
+    assert set(table.columns) == named
+    np.testing.assert_allclose(table.sum(axis=1), 100)
+    words = strongest(fake_pst(), 10.0, 1)
+    assert words[0][0].startswith("ghosts such as detector → L1_rear")
+
+
+def test_first_level_is_scattered_once_and_not_reflected():
+    pst = fake_pst(angles_deg=(0, 30))
+    table = first_level_scatter(pst)
+    at_30 = table[table.angle_deg == 30].set_index("surface")
+    assert next(iter(at_30.index)) == "barrel_1"
+    paths = pst.paths(30.0).set_index("events")
+    alone = paths.pst["L1_front:T barrel_1:r detector:A"]
+    assert at_30.pst["barrel_1"] == alone  # the path scattered twice, whose first is barrel_1 too, is left out
+    assert at_30.percent_of_first_level.sum() == pytest.approx(100)
+    assert at_30.percent_of_stray.sum() < 100
+
+
+def test_ranges_of_one_cause():
+    shares = pd.DataFrame({"a": [60.0, 70.0, 10.0, 0.0, 51.0], "b": [40.0, 30.0, 90.0, 0.0, 49.0]}, [0, 2, 4, 6, 8])
+    assert reigns(shares) == [(0, 2, "a", 60, 70), (4, 4, "b", 90, 90), (8, 8, "a", 51, 51)]
+
+
+def test_paths_of_several_azimuths_are_their_mean():
+    pst = fake_pst(azimuths_deg=(0.0, 180.0))
+    rows = stray_paths(pst, 20.0)
+    parts = [pst.paths(20.0, azimuth).set_index("events").pst for azimuth in (0.0, 180.0)]
+    for row in rows.itertuples():
+        assert row.pst == pytest.approx(0.5 * (parts[0][row.events] + parts[1][row.events]))

@@ -1,0 +1,211 @@
+"""The steps of a study, against numbers that are known without it."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+import mistray
+from mistray.analysis.stray_study import Study, study
+from mistray.analysis.study_models import mechanical_model, optical_model, role
+from mistray.analysis.study_objects import source_angles
+from mistray.analysis.study_step import STEPS
+from mistray.analysis.study_surfaces import coatings_and_scatter, importance_sampling
+from mistray.errors import MistrayError
+from mistray.trace import Settings
+from mistray.trace.aiming import aims
+from mistray.trace.design_path import find_design_path
+from mistray.trace.sources import beams
+from mistray.trace.surfaces import SurfaceTable
+
+ANGLES = (0.0, 20.0, 40.0, 60.0)
+FIELDS = (0.0, 20.0)
+RAYS = 3000
+
+
+def prepared(name: str):
+    scene = mistray.load(name)
+    table = SurfaceTable(scene, beams(scene)[0].wavelength_nm)
+    return scene, table, find_design_path(table, scene)
+
+
+@pytest.fixture(scope="module")
+def camera():
+    return prepared("phone_camera_scatter")
+
+
+@pytest.fixture(scope="module")
+def small() -> Study:
+    """A plate and a grey screen in a black housing, with few rays."""
+    return study(mistray.load("plate_and_wall"), ANGLES, FIELDS, rays=RAYS, name="plate and wall")
+
+
+# ---- step 1
+
+
+def test_surfaces_in_the_order_of_the_light(camera):
+    step = optical_model(*camera)
+    table = step.table
+    assert list(table.surface[:4]) == ["window_front", "window_rear", "L1_front", "L1_rear"]
+    assert list(table.does[-2:]) == ["refracts", "detects"]
+    row = table.set_index("surface").loc["L2_rear"]
+    assert (row.radius_mm, row.conic, row.asphere) == (3.482, 8.701, 12)
+    assert row.semi_diameter_mm == pytest.approx(1.06523826)
+    assert row.distance_mm == pytest.approx(1.1305)
+    assert row.material == "air"
+    assert step.fact("focal length") == pytest.approx(7.0734, abs=1e-4)
+    assert step.warnings == ()
+
+
+def test_a_source_that_does_not_fill_the_pupil_is_named():
+    """singlet_window_detector: a beam of 10 mm radius through lenses of 20 mm."""
+    step = optical_model(*prepared("singlet_window_detector"))
+    assert "the source reaches 10 mm from the axis, the entrance pupil 20 mm" in step.warnings[0]
+
+
+def test_without_a_design_path_there_are_no_numbers(camera):
+    scene, table, _ = camera
+    step = optical_model(scene, table, None)
+    assert step.result is None
+    assert "no design path" in step.warnings[0]
+    assert step.table.empty
+
+
+# ---- step 2
+
+
+def test_structure_has_extents_and_roles(camera):
+    _, table, path = camera
+    frame = mechanical_model(table, path).table.set_index("surface")
+    assert len(frame) == table.count - len(path.steps)
+    wall = frame.loc["stop_wall"]
+    assert (wall["shape"], wall.role, wall.space) == ("cylinder", "structure", 1)
+    assert (wall.z_from_mm, wall.z_to_mm) == (-0.075, 0.0)
+    assert wall.r_from_mm == wall.r_to_mm == pytest.approx(1.25171162)
+    assert frame.role["L3_bevel_2"] == "bevel or edge"
+    assert role(table, path, table.detector) == "detector"
+
+
+# ---- step 6
+
+
+def test_budget_of_every_surface_is_whole(camera):
+    _, table, path = camera
+    step = coatings_and_scatter(table, path)
+    frame = step.tables["surface_budget"]
+    parts = frame[["R_percent", "T_percent", "TIS_reflected_percent", "TIS_transmitted_percent", "A_percent"]]
+    np.testing.assert_allclose(parts.sum(axis=1), 100, atol=1e-9)
+    assert (parts >= 0).all(axis=None)
+    assert int(step.table["count"].sum()) == len(frame)  # treatments: every row once
+
+
+def test_tis_is_that_of_the_roughness(camera):
+    """TIS = (2π Δn σ/λ)² of the transmitted light, for 4 nm at 550 nm (eq. 7 of the phone camera study)."""
+    _, table, path = camera
+    models = coatings_and_scatter(table, path).tables["scatter_models"]
+    of_window = models[(models.surface == "window_front") & models.model.str.startswith("harvey_shack")].iloc[0]
+    index = float(table.optics.host_indices[table.ids.index("window_front"), 1])
+    tis = (2 * math.pi * (index - 1) * 4 / 550) ** 2
+    assert of_window.TIS_transmitted_percent == pytest.approx(100 * 0.99 * tis, rel=1e-4)
+    wall = models[(models.surface == "stop_wall") & models.model.str.startswith("paint")]
+    assert wall.TIS_reflected_percent.iloc[0] == pytest.approx(4.5)
+
+
+def test_transmittance_of_the_design_path(camera):
+    """Product of the coatings' T, less what scatter takes: 0.99⁴ 0.98¹⁰ = 0.7849 times 0.98."""
+    _, table, path = camera
+    step = coatings_and_scatter(table, path)
+    frame = step.tables["surface_budget"].set_index("surface")
+    expected = np.prod([frame.T_percent[table.ids[s.surface]] / 100 for s in path.steps[:-1]])
+    assert step.fact("transmittance of the design path") == pytest.approx(expected, rel=1e-9)
+    assert 0.95 < expected / (0.99**4 * 0.98**10) < 1
+
+
+# ---- step 7
+
+
+def test_targets_say_where_and_how_large(camera):
+    """The rear of the filter sees the detector itself, 0.1363 mm away; its front is given a target far away."""
+    scene, table, path = camera
+    step = importance_sampling(table, path, aims(table, scene, Settings.of(scene)), None)
+    rows = step.table.set_index("surface")
+    assert rows.distance_mm["filter_rear"] == pytest.approx(0.1363)
+    assert rows.half_width_mm["filter_rear"] == pytest.approx(4.36788654 / 2)
+    assert rows.leaves["filter_rear"] == "back"
+    assert math.isinf(rows.distance_mm["filter_front"])
+    assert 0 < rows.half_angle_deg["filter_front"] < 90
+
+
+# ---- the whole
+
+
+def test_eight_steps_in_order(small):
+    assert [step.key for step in small.steps] == [key for key, _ in STEPS]
+    assert [step.number for step in small.steps] == list(range(1, 9))
+    assert list(small) == [key for key, _ in STEPS]
+    assert all(step.text and step.seconds >= 0 for step in small.steps)
+    assert all(step.findings for step in small.steps)
+    assert small["analysis"] is small.steps[7]
+    with pytest.raises(MistrayError, match="no step 'ghosts'; its steps are optical_model"):
+        small["ghosts"]
+
+
+def test_the_screen_is_a_common_object_and_the_cause(small):
+    """Light meets the screen, the detector sees it: beyond the direct view it brings most of the stray light."""
+    assert "screen" in set(small["common_objects"].table.id)
+    causes = small["analysis"].table.set_index("angle_deg").main_cause
+    assert causes[40.0] == "screen"
+    assert any("screen" in text for text in small["analysis"].findings)
+
+
+def test_the_parts_are_at_hand(small):
+    assert list(small.pst.angles_deg) == list(ANGLES)
+    assert list(small.ghosts) == list(FIELDS)
+    assert small.first_order is not None
+    assert math.isinf(small.first_order.focal_length_mm)
+    assert {row.id for row in small.objects.common} == set(small["common_objects"].table.id)
+    assert small.settings["rays"] == RAYS
+    assert "Stray-light analysis" in repr(small)
+
+
+def test_one_report_and_a_csv_of_every_table(small, tmp_path: Path):
+    files = small.write(tmp_path / "out", "mistray study plate_and_wall")
+    assert files[-1].name == "report.html"
+    tables = [f"{step.number}_{name}.csv" for step in small.steps for name in step.tables]
+    assert sorted(path.name for path in files) == sorted([*tables, "report.html"])
+    text = files[-1].read_text(encoding="utf-8")
+    for key, title in STEPS:
+        assert f'id="{key}"' in text
+        assert title in text
+    assert "mistray study plate_and_wall" in text
+    for outside in ("http://", "https://", 'src="/'):
+        assert outside not in text.replace("http://www.w3.org", "")
+    back = pd.read_csv(tmp_path / "out" / "8_pst.csv")
+    np.testing.assert_allclose(back.pst_total, small.pst.value, rtol=1e-8)
+
+
+def test_source_angles_reach_beyond_the_fields():
+    assert source_angles([0.0, 18.0, -22.0], 80.0) == [0.0, 18.0, 22.0, 30.0, 40.0, 60.0, 80.0]
+    assert source_angles([0.0, 50.0], 60.0) == [0.0, 50.0, 60.0]
+
+
+def test_bad_arguments_are_one_line():
+    scene = mistray.load("plate")
+    with pytest.raises(MistrayError, match="unknown argument max_ghosts of study"):
+        study(scene, max_ghosts=3)
+    with pytest.raises(MistrayError, match="load the scene first"):
+        study("plate")
+    with pytest.raises(MistrayError, match="must ascend"):
+        study(scene, [10, 5])
+    with pytest.raises(MistrayError, match="convention is 'cosine'; use 'normal' or 'projected'"):
+        study(scene, convention="cosine")
+    with pytest.raises(MistrayError, match=r"fields_deg is \[\]; give field angles"):
+        study(scene, fields_deg=[])
+    with pytest.raises(MistrayError, match="max_random_scatters is 1; a PST"):
+        study(scene, max_random_scatters=1)
+    with pytest.raises(MistrayError, match="relative_error is 2"):
+        study(scene, relative_error=2)

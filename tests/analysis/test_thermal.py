@@ -1,0 +1,327 @@
+"""Thermal self-emission: cones of optics, narcissus, closed cavities, absorbing media, names, messages.
+
+A number from a trace must lie within 4 standard errors of the exact one: false-alarm probability 6e-5 each.
+"""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml, wall_xml
+from oracles.small_scenes import interface_xml, write
+from oracles.statistics import assert_z
+from scipy.integrate import quad
+
+import mistray
+from mistray.analysis.thermal import ThermalReport, thermal
+from mistray.analysis.thermal_spectrum import band_weights, traced_wavelengths
+from mistray.errors import MistrayError
+from mistray.physics import planck
+
+DATA = Path(__file__).parents[1] / "data"
+PER_M2 = 1e-6
+BAND = (8.0, 12.0)
+RADIANCE = planck.band_radiance(293.0, *BAND)  # its tests have oracles of their own
+
+
+def vectors(name: str) -> pd.DataFrame:
+    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
+
+
+def detector_xml(half: float = 0.01, **values: float | str) -> str:
+    """A small square detector at the origin, light comes from -z."""
+    return placed_xml(
+        "asphere", "detector", interface_xml(**{"R": 0.0, **values}), pixels=4, half_width=half, half_height=half
+    )
+
+
+def sheet_xml(emissivity: float) -> str:
+    """A surface that passes what it does not absorb."""
+    return interface_xml(R=0.0, T=1 - emissivity)
+
+
+def load(folder: Path, *parts: str) -> object:
+    return mistray.load(write(folder, scatter_scene(beam_xml(1.0, distance=3.0), *parts)))
+
+
+def check(what: str, found: tuple[float, float], expected: float, relative: float) -> None:
+    """Within 4 standard errors, which are at most `relative` of the number."""
+    assert found[1] < relative * expected, f"{what}: standard error {found[1] / expected:.1e} of {expected:.5g}"
+    assert_z(what, found[0], expected, found[1], k=4.0, floor=3e-6 * expected)
+
+
+def irradiance(report: ThermalReport, name: str) -> tuple[float, float]:
+    (emitter,) = (e for e in report.emitters if e.name == name)
+    return emitter.irradiance_W_mm2
+
+
+class TestConeOfOptics:
+    @pytest.mark.parametrize("row", list(vectors("self_emission.csv").itertuples()), ids=["F2", "F4", "F2_cold"])
+    def test_vectors(self, row: pd.Series, tmp_path: Path) -> None:
+        """A window that fills the cone, and a housing of the same emissivity that passes the rest."""
+        distance, radius = 10.0, 10.0 / (2 * row.F)
+        scene = load(
+            tmp_path,
+            detector_xml(),
+            placed_xml("asphere", "window", sheet_xml(row.emissivity), at=(0, 0, -distance), semi_diameter=radius),
+            placed_xml("frustum", "housing", sheet_xml(row.emissivity), r0=radius, z0=-distance, r1=radius, z1=0.5),
+        )
+        report = thermal(scene, row.T, BAND, rays=200_000, seed=1)
+        check("optics", irradiance(report, "window"), PER_M2 * row[6], 0.03)
+        check("housing", irradiance(report, "housing"), PER_M2 * row[7], 0.01)
+        check("total", report.total_W_mm2, PER_M2 * (row[6] + row[7]), 0.01)
+        whole = math.pi * planck.band_radiance(row.T, *BAND)
+        check("scene", report.scene_W_mm2, (1 - row.emissivity) * whole, 0.01)
+        check("image", report.image_W_mm2, (1 - row.emissivity) * whole, 0.01)
+        assert report.to_image.value == pytest.approx(row.emissivity / (1 - row.emissivity), rel=0.02)
+        assert math.isnan(report.nitd_K.value), "nothing is cold"
+        assert report.notes == []
+
+    def test_temperatures(self, tmp_path: Path) -> None:
+        """Each part has its own; the last name that fits holds; the scene has one, too."""
+        scene = load(
+            tmp_path,
+            detector_xml(),
+            placed_xml("asphere", "window", sheet_xml(0.5), at=(0, 0, -10), semi_diameter=2.5),
+            placed_xml("frustum", "tube_a", r0=2.5, z0=-10.0, r1=2.5, z1=-1.0),
+            placed_xml("frustum", "tube_b", r0=2.5, z0=-1.0, r1=2.5, z1=0.5),
+        )
+        kelvin = {"*": 250.0, "tube_?": 200.0, "tube_b": 0.0, "window": 350.0}
+        report = thermal(scene, 293.0, BAND, temperatures=kelvin, scene_K=310.0, rays=100_000, seed=2)
+        sine2 = 1 / 17
+        inner = 2.5**2 / (2.5**2 + 1.0**2)  # sin² of the edge between the tubes
+        found = {e.name: e for e in report.emitters}
+        assert {name: e.temperature_K for name, e in found.items()} == {"window": 350, "tube_a": 200, "tube_b": 0}
+        check("window", irradiance(report, "window"), 0.5 * sine2 * math.pi * planck.band_radiance(350.0, *BAND), 0.01)
+        ring = (inner - sine2) * math.pi * planck.band_radiance(200.0, *BAND)
+        check("tube_a", irradiance(report, "tube_a"), ring, 0.01)
+        assert irradiance(report, "tube_b") == (0.0, 0.0)
+        check("emission at 0 K", found["tube_b"].emission, 1 - inner, 0.01)
+        check("scene", report.scene_W_mm2, 0.5 * sine2 * math.pi * planck.band_radiance(310.0, *BAND), 0.01)
+        assert report.detector_K == 250.0
+        frame = report.to_pandas()
+        assert frame.name.tolist() == ["tube_a", "window", "tube_b"], "the strongest first"
+        assert frame.percent.sum() == pytest.approx(100)
+        assert frame.irradiance_W_mm2.sum() == pytest.approx(report.total_W_mm2.value, rel=1e-6)
+        assert set(report.by_part()) == {"window", "tube_a", "tube_b"}
+
+
+def mirror_xml(name: str, reflectance: float, outer: float, inner: float = 0.0) -> str:
+    """A piece of a sphere of radius 10 about the detector."""
+    bsdf = interface_xml(R=reflectance, T=1 - reflectance)
+    ring = {"inner_semi_diameter": inner} if inner else {}
+    return placed_xml("asphere", name, bsdf, at=(0, 0, -10), radius=10.0, semi_diameter=outer, **ring)
+
+
+class TestNarcissus:
+    @pytest.mark.parametrize("row", list(vectors("narcissus.csv").itertuples()), ids=["quarter", "whole"])
+    def test_vectors(self, row: pd.Series, tmp_path: Path) -> None:
+        """A concentric window sends a part of the F/2 cone back to the detector; it passes the rest."""
+        sine = math.sqrt(1 / 17)
+        part = math.sqrt(row.fraction_of_cone_returning_cold) * sine
+        shapes = [mirror_xml("window", row.R, 10 * part)]
+        if part < sine:
+            shapes.append(mirror_xml("rim", 0.0, 10 * sine, 10 * part))
+        wall = placed_xml("frustum", "wall", r0=10 * sine, z0=-10 * math.cos(math.asin(sine)), r1=10 * sine, z1=1.0)
+        scene = load(tmp_path, detector_xml(0.02), *shapes, wall)
+        cold = {"detector": row.T_cold}
+        report = thermal(scene, row.T_housing, BAND, temperatures=cold, rays=400_000, seed=3)
+        # The vector holds to first order: the window also reflects the scene away
+        passed = 1 - row.R * row.fraction_of_cone_returning_cold
+        check("NITD", report.nitd_K, row.NITD_K / passed, 0.05)
+        check("self view", report.self_view, row.R * row.fraction_of_cone_returning_cold * sine**2, 0.05)
+        assert report.detector_K == row.T_cold
+        (back,) = report.returned
+        assert (back.surface, back.part) == ("window", "window")
+        check("by surface", back.emission, row.R * row.fraction_of_cone_returning_cold * sine**2, 0.05)
+        check("NITD by surface", back.nitd_K, row.NITD_K / passed, 0.05)
+
+    def test_a_cold_shield_is_no_narcissus(self, tmp_path: Path) -> None:
+        """What is cold and seen directly, as it should be, does not count."""
+        shield = placed_xml("frustum", "shield", r0=2.5, z0=-10.0, r1=2.5, z1=0.5)
+        scene = load(tmp_path, detector_xml(), shield)
+        report = thermal(scene, 293.0, BAND, temperatures={"detector": 77.0, "shield": 77.0}, rays=50_000, aim="none")
+        assert abs(report.nitd_K.value) < 4 * report.nitd_K.se
+        assert report.self_view == (0.0, 0.0)
+        assert report.returned == []
+
+    def test_which_surface(self, tmp_path: Path) -> None:
+        """A lens with two coated faces, scatter and an absorbing glass: the single returns and the whole self view."""
+        glass = "1.5+0.000002i"
+        rough = [bsdf_xml("abg", A=1e-4, B=1e-3, g=2.0)]
+        scene = load(
+            tmp_path,
+            placed_xml(
+                "asphere", "front", scattering_xml(rough, "air", glass, R=0.3, T=0.6), at=(0, 0, -9), radius=12.0,
+                semi_diameter=4.0,
+            ),
+            placed_xml("asphere", "rear", interface_xml(glass, "air", R=0.2, T=0.7), at=(0, 0, -6), semi_diameter=4.0),
+            detector_xml(1.0, R=0.1),
+            placed_xml("frustum", "tube", r0=4.0, z0=-8.0, r1=4.0, z1=0.5),
+        )  # fmt: skip
+        settings = {"max_reflections": 1, "max_scatters": 0}
+        report = thermal(
+            scene, 293.0, BAND, temperatures={"detector": 77.0}, rays=400_000, wavelengths_um=10.0, **settings
+        )
+        assert {back.surface for back in report.returned} == {"front", "rear"}
+        single = sum(back.emission.value for back in report.returned)
+        error = math.hypot(report.self_view.se, *(back.emission.se for back in report.returned))
+        assert error < 0.03 * single
+        assert_z("self view", report.self_view.value, single, error, k=4.0)
+        (rear,) = (back.emission.value for back in report.returned if back.surface == "rear")
+        assert 0 < rear < 0.2 * 0.9
+
+
+class TestCavity:
+    def test_black(self, tmp_path: Path) -> None:
+        """A closed black box: every ray ends where it arrives, the sum has no error."""
+        scene = load(
+            tmp_path,
+            detector_xml(1.0),
+            placed_xml("frustum", "wall", r0=3.0, z0=-5.0, r1=3.0, z1=1.0),
+            placed_xml("asphere", "end", at=(0, 0, -5), semi_diameter=3.0),
+        )
+        report = thermal(scene, 293.0, BAND, rays=20_000)
+        assert report.total_W_mm2.value == pytest.approx(math.pi * RADIANCE, rel=1e-6)
+        assert report.total_W_mm2.se < 1e-6 * math.pi * RADIANCE
+        assert report.scene_W_mm2.value == 0
+        assert math.isnan(report.to_image.value)
+        assert "the detector sees no scene" in report.notes[0]
+
+    def test_everything(self, tmp_path: Path) -> None:
+        """Lens, coatings, paint and a grey detector in glass: π n² L of a blackbody, less what was not followed."""
+        glass = "1.5+0.00001i"
+        coated = interface_xml("air", glass, R=0.1, T=0.8)
+        scene = load(
+            tmp_path,
+            placed_xml("asphere", "lens_front", coated, at=(0, 0, -4), radius=10.0, semi_diameter=3.0),
+            placed_xml("frustum", "lens_edge", interface_xml(R=0.6), r0=3.0, z0=-3.5390302, r1=3.0, z1=0.5),
+            detector_xml(1.0, front=glass, R=0.3),
+            placed_xml("frustum", "barrel", wall_xml(0.3), r0=3.0, z0=-8.0, r1=3.0, z1=-3.5390302),
+            placed_xml("asphere", "cap", wall_xml(0.5), at=(0, 0, -8), semi_diameter=3.0),
+            placed_xml("asphere", "floor", wall_xml(0.2), at=(0, 0, 0.5), semi_diameter=3.0),
+        )
+        many = {"max_reflections": 60, "max_scatters": 60, "splitting": "one", "below_threshold": "roulette"}
+        report = thermal(
+            scene, 293.0, BAND, wavelengths_um=[8.0, 12.0], rays=60_000, seed=4, flux_threshold=1e-3, **many
+        )
+        total = report.total_W_mm2.value + report.lost_W_mm2
+        assert report.lost_W_mm2 < 0.01 * total
+        check("total", (total, report.total_W_mm2.se), 1.5**2 * math.pi * RADIANCE, 0.01)
+        assert any(e.kind == "medium" and e.name == glass and e.irradiance_W_mm2.value > 0 for e in report.emitters)
+        assert any(e.name == "detector" and e.emission.value > 0 for e in report.emitters)
+
+    def test_a_share_that_is_not_followed(self, tmp_path: Path) -> None:
+        scene = load(
+            tmp_path,
+            detector_xml(1.0),
+            placed_xml("frustum", "wall", wall_xml(0.9), r0=3.0, z0=-5.0, r1=3.0, z1=1.0),
+            placed_xml("asphere", "end", wall_xml(0.9), at=(0, 0, -5), semi_diameter=3.0),
+        )
+        report = thermal(scene, 293.0, BAND, rays=20_000, max_scatters=1)
+        assert "was not followed to its source; raise max_reflections and max_scatters" in report.notes[0]
+        whole = math.pi * RADIANCE
+        assert 0.5 * whole < report.lost_W_mm2 < 0.81 * whole
+        rest = report.total_W_mm2.value + report.scene_W_mm2.value + report.lost_W_mm2
+        assert rest == pytest.approx(whole, rel=1e-5)
+
+
+def test_absorbing_medium(tmp_path: Path) -> None:
+    """
+    A slab of constant k and index 1: the emission 1 - exp(-4πk t/(λ cos θ)) over the angle, band and temperature.
+
+    Its absorption falls with the wavelength, so three of them are traced; linear interpolation costs 1e-3.
+    """
+    k, thickness, radius, near = 2e-4, 5.0, 5.0, 1.0
+    medium = f"1+{k:g}i"
+    scene = load(
+        tmp_path,
+        detector_xml(),
+        placed_xml("asphere", "rear", interface_xml(medium, "air"), at=(0, 0, -near), semi_diameter=50.0),
+        placed_xml("asphere", "front", interface_xml("air", medium), at=(0, 0, -near - thickness), semi_diameter=50.0),
+        placed_xml("asphere", "stop", at=(0, 0, -0.5), semi_diameter=60.0, inner_semi_diameter=0.5 * math.tan(0.5)),
+    )
+    report = thermal(scene, 350.0, (3.0, 5.0), temperatures={medium: 300.0}, rays=100_000, seed=5)
+    assert report.wavelengths_um == (3.0, 4.0, 5.0)
+    assert radius < 50
+
+    def absorbed(wave: float) -> float:
+        depth = 4e3 * math.pi * k * thickness / wave
+        return quad(lambda t: 2 * math.sin(t) * math.cos(t) * -math.expm1(-depth / math.cos(t)), 0, 0.5)[0]
+
+    expected = math.pi * quad(lambda w: absorbed(w) * float(planck.spectral_radiance(w, 300.0)), 3, 5)[0]
+    (slab,) = (e for e in report.emitters if e.kind == "medium")
+    assert (slab.name, slab.temperature_K) == (medium, 300.0)
+    assert slab.irradiance_W_mm2.se < 0.01 * expected
+    assert slab.irradiance_W_mm2.value == pytest.approx(expected, rel=4 * 0.01)
+    assert_z("slab", slab.irradiance_W_mm2.value, expected, slab.irradiance_W_mm2.se, k=4.0, floor=4e-3 * expected)
+    assert f"({medium})" in report.by_part()
+
+
+def test_band_weights() -> None:
+    """Positive, sum to the band's radiance, exact for what is linear between the wavelengths."""
+    nodes = (7.0, 9.0, 10.5, 14.0)
+    weights = band_weights(293.0, BAND, nodes)
+    assert np.all(weights > 0)
+    assert weights.sum() == pytest.approx(RADIANCE, rel=1e-12)
+    values = np.array([0.3, 0.8, 0.1, 0.5])
+    expected = quad(
+        lambda w: float(np.interp(w, nodes, values) * planck.spectral_radiance(w, 293.0)), *BAND, points=nodes[1:3]
+    )[0]
+    assert weights @ values == pytest.approx(expected, rel=1e-10)
+    np.testing.assert_allclose(band_weights(293.0, BAND, [5.0]), [RADIANCE], rtol=1e-12)
+    assert not band_weights(0.0, BAND, nodes).any()
+
+
+class TestWavelengths:
+    def test_constant(self, tmp_path: Path) -> None:
+        lens = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)], "air", "1.5")
+        scene = load(tmp_path, placed_xml("asphere", "lens", lens, at=(0, 0, -5), semi_diameter=2.0), detector_xml())
+        assert traced_wavelengths(scene, None, BAND) == (10.0,)
+
+    @pytest.mark.parametrize(
+        "lens",
+        [
+            interface_xml("air", "ZnSe k=0"),
+            interface_xml("air", "1.5+0.0001i"),
+            scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0, reference_nm=5e3)], R=0.5, T=0.5),
+        ],
+        ids=["index", "absorption", "scatter"],
+    )
+    def test_depends(self, lens: str, tmp_path: Path) -> None:
+        scene = load(tmp_path, placed_xml("asphere", "lens", lens, at=(0, 0, -5), semi_diameter=2.0), detector_xml())
+        assert traced_wavelengths(scene, None, BAND) == (8.0, 10.0, 12.0)
+        assert traced_wavelengths(scene, 9, BAND) == (9.0,)
+
+    def test_unknown_there(self, tmp_path: Path) -> None:
+        glass = placed_xml("asphere", "lens", interface_xml("air", "N-BK7"), at=(0, 0, -5), semi_diameter=2.0)
+        scene = load(tmp_path, glass, detector_xml())
+        with pytest.raises(MistrayError, match=r"surface 'lens' at 8 µm: .*2500 nm.*; or give wavelengths_um"):
+            thermal(scene, 293.0, BAND)
+        report = thermal(scene, 293.0, BAND, wavelengths_um=2.0, rays=1000, aim="none")
+        assert "outside of the band" in report.notes[-1]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"temperature_K": -3.0}, "temperature of -3 K; give one of 0 K or more"),
+        ({"temperatures": {"detector": math.nan}}, "temperature of nan K"),
+        ({"band_um": (12.0, 8.0)}, "band of 12 to 8 µm"),
+        ({"band_um": (0.0, 8.0)}, "band_um is 0 to 8; a system is traced in a band with two ends above 0"),
+        ({"wavelengths_um": [9.0, 8.0]}, "give one or more positive ones in ascending order"),
+        (
+            {"temperatures": {"lense": 77.0}},
+            "no surface, part or material is called 'lense'; parts are detector, window",
+        ),
+    ],
+)
+def test_bad_input(arguments: dict, words: str, tmp_path: Path) -> None:
+    scene = load(tmp_path, detector_xml(), placed_xml("asphere", "window", at=(0, 0, -5), semi_diameter=1.0))
+    arguments = {"rays": 1000, "aim": "none", **arguments}
+    with pytest.raises(MistrayError, match=words):
+        thermal(scene, **arguments)

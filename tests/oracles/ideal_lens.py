@@ -1,0 +1,125 @@
+"""A real lens that is all but an ideal thin one, and scattered irradiance behind and before it, in float64.
+
+The lens is plano-hyperbolic: collimated light along the axis comes to a perfect focus (conic constant -n²). With a high
+index its surfaces are nearly plane, n = 21: 0.025 mm of sag at a radius of 10 mm for f = 100 mm, so that it is thin; it
+loses nothing (R = 0, T = 1) unless told otherwise. Light travels +z; the vertex of the rear face is the origin.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from .geometry import Array
+from .scatter_integrals import Profile, gauss_legendre
+from .scatter_scenes import placed_xml
+from .small_scenes import interface_xml
+
+INDEX = 21.0
+THICKNESS = 0.5
+STOP = -0.6  # z of the aperture before the front face
+
+
+def lens_texts(focal: float, radius: float, R: float = 0.0, T: float = 1.0) -> list[str]:
+    """The shapes: a thin black stop of this radius just before the lens, and its two faces."""
+    # Nothing that comes past the outer rim of the stop, at some ten degrees, is to meet what lies behind the lens
+    stop = placed_xml("asphere", "stop", at=(0.0, 0.0, STOP), semi_diameter=8 * radius, inner_semi_diameter=radius)
+    return [stop, *_faces(focal, 1.1 * radius, R, T)]
+
+
+def telecentric_texts(focal: float, radius: float, least: float, field: float) -> list[str]:
+    """The lens with its stop, an annulus of light, in the front focal plane: all points of the image, to ``field`` mm
+    from the axis, see light in the same directions.
+    """
+    wide = radius + 2 * field
+    return [
+        placed_xml("asphere", "stop", at=(0.0, 0.0, -focal), semi_diameter=wide, inner_semi_diameter=radius),
+        placed_xml("asphere", "middle", at=(0.0, 0.0, -focal), semi_diameter=least),
+        placed_xml("frustum", "tube", r0=wide, z0=-focal, r1=wide, z1=0.0),
+        *_faces(focal, wide),
+    ]
+
+
+def _faces(focal: float, semi_diameter: float, R: float = 0.0, T: float = 1.0) -> list[str]:
+    size = {"semi_diameter": semi_diameter}
+    return [
+        placed_xml("asphere", "front", interface_xml("air", str(INDEX), R=R, T=T), at=(0.0, 0.0, -THICKNESS), **size),
+        placed_xml(
+            "asphere",
+            "rear",
+            interface_xml(str(INDEX), "air", R=R, T=T),
+            radius=-(INDEX - 1) * focal,
+            conic=-(INDEX**2),
+            **size,
+        ),
+    ]
+
+
+def through_lens(points: Array, direction: Array, focal: float) -> tuple[Array, Array]:
+    """Points and unit directions behind the rear face of rays (n, 3) that start in the plane of the stop."""
+    o = points + ((-THICKNESS - points[:, 2]) / direction[2])[:, None] * direction
+    d = _refract(np.broadcast_to(direction, points.shape), np.array([0.0, 0.0, 1.0]), 1 / INDEX)
+    c, k = -1 / ((INDEX - 1) * focal), -(INDEX**2)
+    t = -o[:, 2] / d[:, 2]
+    for _ in range(20):  # Newton: F = c (x² + y² + (1 + k) z²) - 2 z
+        p = o + t[:, None] * d
+        value = c * (p[:, 0] ** 2 + p[:, 1] ** 2 + (1 + k) * p[:, 2] ** 2) - 2 * p[:, 2]
+        slope = 2 * np.stack([c * p[:, 0], c * p[:, 1], c * (1 + k) * p[:, 2] - 1], axis=1)
+        t = t - value / np.sum(slope * d, axis=1)
+    p = o + t[:, None] * d
+    normal = -slope / np.linalg.norm(slope, axis=1)[:, None]
+    return p, _refract(d, normal, INDEX)
+
+
+def _refract(d: Array, normal: Array, eta: float) -> Array:
+    """Snell's law; ``normal`` along the light, ``eta`` index before over index behind."""
+    normal = np.broadcast_to(normal, d.shape)
+    cosine = np.sum(d * normal, axis=1)
+    left = 1 - eta**2 * (1 - cosine**2)
+    return eta * d + (np.sqrt(left) - eta * cosine)[:, None] * normal
+
+
+def plate_behind(
+    profile: Profile, plate_z: float, angles_deg: Sequence[float], focal: float, radius: float, detector_z: float
+) -> Array:
+    """Irradiance on the axis in ``detector_z`` per irradiance across the beam at each angle, of light that a plate at
+    ``plate_z`` behind the lens scatters in transmission; the plate passes all other light.
+    """
+    h, wh = gauss_legendre(np.linspace(0.0, radius, 7), 8)
+    phi = (np.arange(96) + 0.5) * np.pi / 96  # the other half is its mirror image
+    points = np.stack([h[:, None] * np.cos(phi), h[:, None] * np.sin(phi), np.full((len(h), len(phi)), STOP)], axis=-1)
+    weight = np.repeat(wh * h, len(phi)) * 2 * np.pi / 96
+    found = []
+    for angle in np.radians(angles_deg):
+        p, d = through_lens(points.reshape(-1, 3), np.array([np.sin(angle), 0.0, np.cos(angle)]), focal)
+        at = p + ((plate_z - p[:, 2]) / d[:, 2])[:, None] * d
+        out = np.array([0.0, 0.0, detector_z]) - at
+        length = np.linalg.norm(out, axis=1)
+        out = out / length[:, None]
+        value = profile(np.hypot(d[:, 0] - out[:, 0], d[:, 1] - out[:, 1])) * out[:, 2] ** 2 / length**2
+        found.append(np.cos(angle) * np.sum(weight * value))
+    return np.array(found)
+
+
+def plate_before(profile: Profile, angles_deg: Sequence[float], focal: float, radius: float) -> Array:
+    """The same of a plate before the lens, for the detector in its focus: BSDF(sin θ) cos θ π NA², exactly."""
+    # Light that is scattered along the axis is all that a point on the axis gets; the rim is at the height of the stop
+    rim, _ = through_lens(np.array([[radius, 0.0, STOP]]), np.array([0.0, 0.0, 1.0]), focal)
+    aperture = radius**2 / (radius**2 + (focal - rim[0, 2]) ** 2)
+    angle = np.radians(angles_deg)
+    return profile(np.sin(angle)) * np.cos(angle) * np.pi * aperture
+
+
+def over_cells(value: Array, cell_edges_deg: Array) -> Array:
+    """Means over the solid angle of cells (n, 2) of values (n, k) at the angles of `cell_nodes`."""
+    x, w = np.polynomial.legendre.leggauss(value.shape[1])
+    weight = w * np.sin(np.radians(cell_nodes(cell_edges_deg, len(x))))
+    return np.sum(weight * value, axis=1) / np.sum(weight, axis=1)
+
+
+def cell_nodes(cell_edges_deg: Array, count: int = 3) -> Array:
+    """(n, count) field angles of a Gauss-Legendre rule over each cell."""
+    x, _ = np.polynomial.legendre.leggauss(count)
+    low, high = np.asarray(cell_edges_deg).T
+    return 0.5 * (low + high)[:, None] + 0.5 * (high - low)[:, None] * x

@@ -1,0 +1,30 @@
+"""XML texts of tubes, vanes and walls whose critical and illuminated objects are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from .scatter_scenes import beam_xml, placed_xml, scatter_scene, wall_xml
+
+
+def open_tube_text(length: float, radius: float, detector_radius: float, wall: str | None = None) -> str:
+    """A tube that is open in front, a black disc at its end as the detector."""
+    return scatter_scene(
+        beam_xml(radius),
+        placed_xml("frustum", "wall", wall, r0=radius, z0=0.0, r1=radius, z1=length),
+        placed_xml("asphere", "detector", at=(0.0, 0.0, length), pixels=8, semi_diameter=detector_radius),
+    )
+
+
+def vane_text(vanes: Sequence[tuple[float, float]], length: float, radius: float, detector_radius: float) -> str:
+    """The same with rings of (z, inner radius) between wall and opening."""
+    rings = [
+        placed_xml("frustum", f"vane_{k}", r0=radius, z0=z, r1=inner, z1=z)
+        for k, (z, inner) in enumerate(vanes, start=1)
+    ]
+    return open_tube_text(length, radius, detector_radius).replace("</scene>", "".join(rings) + "</scene>")
+
+
+def painted_tube_text(length: float, radius: float, detector_radius: float, rho: float) -> str:
+    """The open tube with a Lambertian wall."""
+    return open_tube_text(length, radius, detector_radius, wall_xml(rho))

@@ -1,0 +1,205 @@
+"""Edge diffraction against float64 test vectors, the Airy pattern, and Sommerfeld's solution of the half plane."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+
+import drjit as dr
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.integrate import quad
+from scipy.special import fresnel, j1
+
+import mistray  # noqa: F401  (settles libLLVM and the variant)
+from mistray.errors import MistrayError
+from mistray.physics import diffraction
+
+DATA = Path(__file__).parents[1] / "data"
+LAMBDA = 0.55e-3  # mm
+
+
+def vectors(name: str) -> pd.DataFrame:
+    return pd.read_csv(DATA / name, comment="#", skipinitialspace=True)
+
+
+def test_keller_vectors() -> None:
+    table = vectors("diffraction_keller.csv")
+    theta = np.radians(table["theta_deg"].to_numpy())
+    for name, sign in (("shadow", 1), ("lit", -1)):
+        soft, hard = diffraction.keller(sign * theta, 1.0)
+        np.testing.assert_allclose(soft, table[f"{name}_soft/lam"], rtol=1e-10)
+        np.testing.assert_allclose(hard, table[f"{name}_hard/lam"], rtol=1e-10)
+        np.testing.assert_allclose(0.5 * (soft + hard), table["1/(4pi^2 sin^2)"], rtol=1e-10)
+    np.testing.assert_allclose(diffraction.half_plane(theta, 1.0), table["1/(4pi^2 th^2)"], rtol=1e-12)
+
+
+def sommerfeld(theta: np.ndarray, distance: float, soft: bool) -> np.ndarray:
+    """
+    Diffracted part of Sommerfeld's exact field behind a half plane, |u|² · distance, unit wave in normal incidence.
+
+    u = U(φ-φ') ∓ U(φ+φ') with Fresnel integrals, M. Born and E. Wolf, Principles of Optics, 11.5; in the lit part the
+    geometrical wave is taken off.
+    """
+    k = 2 * math.pi / LAMBDA
+
+    def part(angle: np.ndarray) -> np.ndarray:
+        # F(v) = ∫_v^∞ exp(iμ²) dμ by Fresnel integrals; the diffracted part is F(|v|) with the sign of -v
+        v = math.sqrt(2 * k * distance) * np.cos(0.5 * angle)
+        s, c = fresnel(np.abs(v) * math.sqrt(2 / math.pi))
+        tail = math.sqrt(math.pi / 2) * ((0.5 - c) + 1j * (0.5 - s))
+        wave = np.exp(-1j * k * distance * np.cos(angle))
+        return -np.sign(v) * np.exp(-0.25j * math.pi) / math.sqrt(math.pi) * wave * tail
+
+    phi, phi_i = 1.5 * math.pi + theta, 0.5 * math.pi
+    field = part(phi - phi_i) + (-1 if soft else 1) * part(phi + phi_i)
+    return np.abs(field) ** 2 * distance
+
+
+@pytest.mark.parametrize("soft", [True, False])
+def test_keller_against_sommerfeld(soft: bool) -> None:
+    """The exact field 2000 wavelengths behind the edge, on both sides of the beam."""
+    theta = np.radians([-80.0, -45, -20, -10, 10, 20, 45, 80])
+    exact = sommerfeld(theta, 2000 * LAMBDA, soft)
+    found = diffraction.keller(theta, LAMBDA)[0 if soft else 1]
+    np.testing.assert_allclose(found, exact, rtol=0.01)
+
+
+def test_half_plane_by_fresnel_integrals() -> None:
+    """Deep in the shadow the irradiance by Fresnel's integrals is the flux of the edge over the screen."""
+    distance = 1000.0
+    for theta in (0.01, 0.03):
+        v = theta * distance * math.sqrt(2 / (LAMBDA * distance))
+        s, c = fresnel(v)
+        irradiance = 0.5 * ((0.5 - c) ** 2 + (0.5 - s) ** 2)
+        assert diffraction.half_plane(theta, LAMBDA) / distance == pytest.approx(irradiance, rel=1e-4)
+
+
+def test_unpolarised_keller_at_any_incidence() -> None:
+    """The closed form in direction cosines against Keller's coefficients in his own angles, and reciprocity."""
+    rng = np.random.default_rng(1)
+    for _ in range(200):
+        sine = math.sqrt(1 - rng.uniform(-0.9, 0.9) ** 2)  # the parts along the edge are the same
+        across_i, across_s = sine * np.cos(rng.uniform(0.05, math.pi - 0.05, 2))
+        if abs(across_s - across_i) < 0.02:
+            continue
+        cos_i, cos_s = (math.sqrt(sine**2 - b * b) for b in (across_i, across_s))
+        # Keller: light comes from φ', goes to φ; with the propagation along -φ' its part across is -sin γ cos φ'
+        phi_i, phi = math.acos(-across_i / sine), 2 * math.pi - math.acos(across_s / sine)
+        d = [1 / math.cos(0.5 * (phi - phi_i)) + sign / math.cos(0.5 * (phi + phi_i)) for sign in (-1, 1)]
+        # |D|² of both polarisations; flux by edge length and azimuth is |D|² sin² γ, D has 1/sin γ
+        by_azimuth = 0.5 * sum(v * v for v in d) * LAMBDA / (16 * math.pi**2)
+        by_cosine = by_azimuth / cos_s  # dβ = sin γ |sin φ| dψ = cos θs dψ
+        by_strip = by_cosine / cos_i  # irradiance across the ray by that on the aperture
+        if min(cos_i, cos_s) < diffraction.GRAZING:
+            continue
+        r2 = (across_s - across_i) ** 2
+        found = LAMBDA / (4 * math.pi**2) * diffraction.obliquity(cos_i, cos_s, r2) / r2
+        assert found == pytest.approx(by_strip, rel=1e-9)
+        assert diffraction.obliquity(cos_s, cos_i, r2) == diffraction.obliquity(cos_i, cos_s, r2)
+
+
+def test_circular_aperture_vectors() -> None:
+    for row in vectors("diffraction_circular.csv").itertuples():
+        found = diffraction.circular_aperture(row.theta_rad, row.lambda_mm, row.radius_mm)
+        assert found == pytest.approx(row[5], rel=1e-11)
+        assert found / math.cos(row.theta_rad) == pytest.approx(row[7], rel=1e-11)
+        assert found == pytest.approx(row.I_avg_Airy_per_W_sr, rel=0.011)  # limited by the window of the mean
+
+
+@pytest.mark.parametrize(("radius", "theta"), [(5.0, 0.003), (5.0, 0.02), (0.5, 0.02)])
+def test_circular_aperture_against_airy(radius: float, theta: float) -> None:
+    """Mean of the Airy pattern over 40 rings, I = J1²(ka sin θ)/(π sin² θ)."""
+    k = 2 * math.pi / LAMBDA
+    x = np.linspace(k * radius * theta - 20 * math.pi, k * radius * theta + 20 * math.pi, 40 * 64 + 1)
+    # I sin³θ does not fall on average
+    pattern = j1(x) ** 2 / (math.pi * (x / (k * radius)) ** 2)
+    expected = np.mean((pattern * (x / (k * radius)) ** 3)[:-1]) / theta**3
+    assert diffraction.circular_aperture(theta, LAMBDA, radius) == pytest.approx(expected, rel=1e-3)
+
+
+def test_heisenberg_vectors() -> None:
+    """A strip of any width diffracts, far out, by length of the edge: width · density."""
+    table = vectors("diffraction_hup.csv")
+    column = table.columns[2]
+    for row in table.to_dict("records"):
+        law = "heisenberg" if "HUP" in row["model"] else "half_plane"
+        for width in (1.0, 3.0):
+            found = width * diffraction.deflection_density(row["theta_rad"], width, LAMBDA, law)
+            assert found == pytest.approx(row[column], rel=1e-10)
+        assert found / diffraction.half_plane(row["theta_rad"], LAMBDA) == pytest.approx(row["ratio"], rel=1e-10)
+    assert diffraction.spread("heisenberg") / diffraction.spread() == pytest.approx(math.sqrt(math.pi / 2), rel=1e-14)
+
+
+@pytest.mark.parametrize("law", list(diffraction.SPREADS))
+def test_density_is_the_mean_of_gaussians(law: str) -> None:
+    width = 0.1
+    for delta in (0.0, 1e-5, 1e-4, 1e-3, 1e-2):
+
+        def gaussian(x: float, delta: float = delta) -> float:
+            sigma = float(diffraction.deflection_sigma(x, LAMBDA, law))
+            return math.exp(-0.5 * (delta / sigma) ** 2) / (math.sqrt(2 * math.pi) * sigma)
+
+        expected = quad(gaussian, 0, width, points=[width * 0.01, width * 0.1], epsrel=1e-11)[0] / width
+        assert diffraction.deflection_density(delta, width, LAMBDA, law) == pytest.approx(expected, rel=1e-9)
+    total = sum(
+        quad(lambda d: float(diffraction.deflection_density(d, width, LAMBDA, law)), low, 10 * low, epsrel=1e-10)[0]
+        for low in 10.0 ** np.arange(-9, 6)
+    )
+    assert 2 * total == pytest.approx(1, abs=1e-5)
+
+
+def test_samples_follow_the_density() -> None:
+    """χ² of 2e5 samples in 40 cells; false-alarm probability 1e-3. A density of 5 % less width fails."""
+    rng = np.random.default_rng(3)
+    count, width = 200_000, 0.1
+    drawn = np.abs(diffraction.sampled_deflection(1 - rng.random(count), rng.standard_normal(count), width, LAMBDA))
+    edges = np.concatenate([[0.0], np.geomspace(1e-5, 0.1, 40)])
+    counted = np.histogram(drawn, edges)[0]
+
+    def chi2(w: float) -> float:
+        cells = [
+            2 * quad(lambda d: float(diffraction.deflection_density(d, w, LAMBDA)), low, high, epsrel=1e-10)[0]
+            for low, high in pairwise(edges)
+        ]
+        expected = count * np.array(cells)
+        return float(np.sum((counted - expected) ** 2 / expected))
+
+    limit = 73.4  # χ² of 40 degrees of freedom, 1e-3
+    assert chi2(width) < limit
+    assert chi2(0.95 * width) > 3 * limit
+
+
+def test_ring_is_the_aperture() -> None:
+    """Ring of any width: flux times BSDF is the far field of the whole aperture; over all directions it is 1."""
+    radius = 5.0
+    for width in (0.01, 0.1):
+        r = np.array([0.05, 0.2, 0.7])
+        bsdf = diffraction.ring_bsdf(r, width, LAMBDA) * diffraction.obliquity(1.0, np.sqrt(1 - r * r), r * r)
+        intensity = 2 * width / radius * bsdf * np.sqrt(1 - r * r)
+        np.testing.assert_allclose(intensity, diffraction.circular_aperture(np.arcsin(r), LAMBDA, radius), rtol=1e-12)
+        total = sum(
+            quad(lambda r, w=width: 2 * np.pi * r * float(diffraction.ring_bsdf(r, w, LAMBDA)), low, 10 * low)[0]
+            for low in 10.0 ** np.arange(-9, 6)
+        )
+        assert total == pytest.approx(1, abs=1e-5)
+
+
+def test_drjit() -> None:
+    r = np.array([1e-7, 1e-4, 1e-2, 1.0])
+    width = dr.llvm.ad.Float64(0.1)
+    dr.enable_grad(width)
+    value = diffraction.ring_bsdf(dr.llvm.ad.Float64(r), width, LAMBDA)
+    expected = diffraction.ring_bsdf(r, 0.1, LAMBDA)
+    np.testing.assert_allclose(np.array(value), expected, rtol=1e-12)
+    dr.forward(width)
+    step = 1e-6
+    slope = (diffraction.ring_bsdf(r, 0.1 + step, LAMBDA) - diffraction.ring_bsdf(r, 0.1 - step, LAMBDA)) / (2 * step)
+    np.testing.assert_allclose(np.array(dr.grad(value)), slope, rtol=1e-6)
+
+
+def test_unknown_law() -> None:
+    with pytest.raises(MistrayError, match="law of edge diffraction is 'fresnel'; use 'half_plane' or 'heisenberg'"):
+        diffraction.deflection_sigma(1.0, LAMBDA, "fresnel")

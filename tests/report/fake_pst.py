@@ -1,0 +1,126 @@
+"""A point source transmittance that no trace made: a camera of 26 degrees half field, ghosts and scatter of three
+walls."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+
+from mistray.analysis.pst_result import CLASSES, Pst
+from mistray.trace.directions import DirectionGrid
+
+BATCHES = 32
+AREA = 18.0
+FACTS = {
+    "scene": "camera",
+    "detector": "detector",
+    "detector_area_mm2": AREA,
+    "wavelength_nm": [550.0],
+    "weights": [1.0],
+    "rays": 1_000_000,
+    "seed": 0,
+    "seconds": 12.5,
+    "segments": 34_567_890,
+    "settings": {"max_reflections": 2, "max_scatters": 2},
+    "notes": ["single rays carry more than 10 % of the scattered light at 72, 74, 76, 78, 80°"],
+}
+# events, order, kind, ghosts, first scatter surface, scatters, structure, class, level at each angle
+PATHS = (
+    ("L1_front:T L1_rear:T detector:A", 0, "direct", "-", "-", "-", 0, 0),
+    ("L1_front:T L1_rear:T detector:R L1_rear:R detector:A", 2, "ghost", "detector", "L1_rear", "-", 0, 0),
+    ("window_front:t L1_front:T detector:A", 0, "single scatter", "-", "-", "window_front", 1, 0),
+    ("L1_front:T barrel_1:r detector:A", 0, "single scatter", "-", "-", "barrel_1", 1, 0),
+    ("L1_front:T stop_wall:r detector:A", 0, "single scatter", "-", "-", "stop_wall", 1, 0),
+    ("L1_front:T barrel_1:r stop_wall:r detector:A", 0, "multiple scatter", "-", "-", "barrel_1", 2, 0),
+    ("barrel_1:R L1_front:T detector:A", 0, "structure", "barrel_1", "-", "-", 0, 1),
+    ("detector:A", 0, "straight shot", "-", "-", "-", 0, 0),
+)
+COLUMNS = [
+    "cell", "azimuth_cell", "events", "path", "order", "kind", "ghost_1", "ghost_2", "scatter_1", "scatters",
+    "structure_bounces", "tir", "rays", "pst_normal", "pst_normal_se",
+]  # fmt: skip
+CLASS_OF_PATH = (0, 2, 3, 3, 3, 4, 2, 1)
+
+
+def levels(theta: np.ndarray) -> np.ndarray:
+    """(p, n) PST of each path at the angles, degrees."""
+    edge = 1 / (1 + np.exp((theta - 26) / 0.7))
+    return np.array(
+        [
+            0.9 * edge * (edge > 1e-3),
+            2e-4 * np.exp(-((theta / 18) ** 2)),
+            3e-4 / (1 + (theta / 6) ** 2),
+            4e-5 * np.exp(-(((theta - 30) / 9) ** 2)),
+            2e-6 * np.exp(-theta / 25),
+            1e-6 * np.exp(-theta / 30),
+            3e-4 * np.exp(-(((theta - 21) / 2.5) ** 2)),
+            2e-5 * (abs(theta - 46) < 5),
+        ]
+    )
+
+
+def fake_pst(
+    angles_deg=tuple(range(0, 81, 2)),
+    azimuths_deg=None,
+    noise: float = 0.05,
+    map_pixels: int = 0,
+    convention: str = "normal",
+    dark_from_deg: float = 90.0,
+    paths: bool = True,
+    **facts,
+) -> Pst:
+    """The PST of the camera; `noise` is the relative spread of a batch, larger at larger angles."""
+    rng = np.random.default_rng(7)
+    grid = DirectionGrid.of(angles_deg, azimuths_deg)
+    n, m = grid.shape
+    theta = grid.angles_deg
+    tilt = 1 + 0.5 * np.cos(np.radians(grid.azimuths_deg)) if m > 1 else np.ones(1)
+    clean = levels(theta)[:, :, None] * np.where(np.arange(len(PATHS)) == 3, 1.0, 0.0)[:, None, None] * tilt
+    clean += levels(theta)[:, :, None] * np.where(np.arange(len(PATHS)) == 3, 0.0, 1.0)[:, None, None]
+    clean *= (theta < dark_from_deg)[None, :, None]
+    spread = noise * (1 + theta / 20)[None, :, None, None]
+    batches = clean[..., None] * rng.gamma(1 / spread**2, spread**2, size=(*clean.shape, BATCHES))
+    by_batch = np.zeros((len(CLASSES), n, m, BATCHES))
+    for path, kind in enumerate(CLASS_OF_PATH):
+        by_batch[kind] += batches[path]
+    rows = [
+        {
+            "cell": i,
+            "azimuth_cell": j,
+            "events": events,
+            "path": "".join(word[-1] for word in events.split()),
+            "order": order,
+            "kind": kind,
+            "ghost_1": ghost_1,
+            "ghost_2": ghost_2,
+            "scatter_1": scatter_1,
+            "scatters": scatters,
+            "structure_bounces": structure,
+            "tir": 0,
+            "rays": int(1000 * rng.uniform()) + 1,
+            "pst_normal": batches[p, i, j].mean(),
+            "pst_normal_se": batches[p, i, j].std(ddof=1) / np.sqrt(BATCHES),
+        }
+        for i in range(n)
+        for j in range(m)
+        for p, (events, order, kind, ghost_1, ghost_2, scatter_1, scatters, structure) in enumerate(PATHS)
+        if batches[p, i, j].any()
+    ]
+    maps = None
+    if map_pixels:
+        x = (np.arange(map_pixels) + 0.5) / map_pixels - 0.5
+        total = by_batch.sum(axis=0).mean(axis=-1)
+        spot = np.exp(-(x[:, None] ** 2 + x[None, :] ** 2) / 0.02) + 0.02
+        value = total[..., None, None] * spot / spot.mean()
+        maps = np.stack([value, 0.1 * value])
+    return Pst(
+        grid=grid,
+        by_batch=by_batch,
+        weight=np.full(BATCHES, 1 / BATCHES),
+        convention=convention,
+        facts=FACTS | facts,
+        largest_share=np.broadcast_to(np.where(theta > 70, 0.31, 0.002)[:, None], (n, m)).copy(),
+        path_rows=pd.DataFrame(rows, columns=COLUMNS) if paths else None,
+        maps=maps,
+        extent_mm=(-2.1, 2.1, -2.1, 2.1),
+    )

@@ -1,0 +1,156 @@
+"""Report of thermal self-emission: text, CSV, JSON, picture, HTML."""
+
+from __future__ import annotations
+
+import csv
+import json
+import math
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.thermal import Emitter, ThermalReport
+from mistray.analysis.thermal_narcissus import Return
+from mistray.report.thermal import html_text, thermal_figure, thermal_record, thermal_text, write_thermal
+
+
+def emitter(name: str, part: str, watts: float, kelvin: float = 293.0, kind: str = "surface") -> Emitter:
+    return Emitter(
+        name, part, kind, kelvin, 100, Estimate(0.2, 0.01) if part else UNKNOWN, Estimate(0.1, 0.002),
+        Estimate(watts, 0.02 * watts),
+    )  # fmt: skip
+
+
+EMITTERS = [emitter(f"tube_{k}", "tube", 1e-6 / 2**k) for k in range(14)]
+REPORT = ThermalReport(
+    emitters=[
+        emitter("lens_<rear>", "lens", 3e-6),
+        *EMITTERS,
+        emitter("ZnSe", "", 1e-8, kind="medium"),
+        emitter("detector", "detector", 0.0, 77.0),
+    ],
+    total_W_mm2=Estimate(5.01e-6, 4e-8),
+    scene_W_mm2=Estimate(7e-6, 3e-8),
+    image_W_mm2=Estimate(6e-6, 2e-8),
+    lost_W_mm2=1e-9,
+    self_view=Estimate(0.002, 1e-4),
+    nitd_K=Estimate(0.31, 0.02),
+    temperature_K=293.0,
+    detector_K=77.0,
+    scene_K=300.0,
+    band_um=(8.0, 12.0),
+    wavelengths_um=(8.0, 10.0, 12.0),
+    detector="detector",
+    returned=[
+        Return("lens_<rear>", "lens", Estimate(0.0015, 1e-4), Estimate(0.25, 0.02)),
+        Return("(total reflection)", "", Estimate(0.0004, 1e-4), Estimate(0.06, 0.02)),
+    ],
+    facts={"rays": 400000, "seconds": 1.5, "detector_area_mm2": 4.0, "settings": {"max_scatters": 3}},
+    notes=["a <note>"],
+)
+NOTHING = replace(
+    REPORT,
+    emitters=[],
+    total_W_mm2=Estimate(0.0, 0.0),
+    image_W_mm2=Estimate(0.0, 0.0),
+    nitd_K=UNKNOWN,
+    notes=[],
+    returned=[],
+)
+
+
+def test_text() -> None:
+    text = thermal_text(REPORT)
+    assert "8 to 12 µm, 293 K where no other is given, detector at 77 K; 400 000 rays, traced at 8, 10, 12 µm" in text
+    lines = text.splitlines()
+    assert "3.000e-06 ± 6.0e-08" in next(line for line in lines if line.startswith("lens_<rear>"))
+    assert next(line for line in lines if line.startswith("lens_<rear>")).endswith("59.9")
+    assert any(line.startswith("… and 5 more") for line in lines)
+    assert any("NITD" in line and line.endswith("0.310 ± 0.020") for line in lines)
+    (back,) = (line.split() for line in lines if line.startswith("lens_<rear>") and line.endswith("0.020"))
+    assert back == ["lens_<rear>", "lens", "0.00150", "±", "0.00010", "0.250", "±", "0.020"]
+    assert lines[-1] == "warning: a <note>"
+    assert "nothing emits" in thermal_text(NOTHING)
+
+
+def test_sums_by_part() -> None:
+    parts = REPORT.by_part()
+    assert list(parts) == ["lens", "tube", "(ZnSe)", "detector"]
+    assert parts["tube"].value == pytest.approx(sum(e.irradiance_W_mm2.value for e in EMITTERS))
+    assert parts["tube"].se == pytest.approx(sum(e.irradiance_W_mm2.se for e in EMITTERS)), "a bound"
+    assert REPORT.to_image.value == pytest.approx(5.01 / 6)
+    assert math.isnan(NOTHING.to_image.value)
+
+
+class Page(HTMLParser):
+    """Text of the cells, and whether tags are closed."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.cells: list[str] = []
+
+    def handle_starttag(self, tag: str, attrs: list) -> None:
+        if tag not in ("meta", "img", "input", "br", "path", "use", "rect"):
+            self.open.append(tag)
+        if tag in ("td", "th"):
+            self.cells.append("")
+
+    def handle_endtag(self, tag: str) -> None:
+        if tag not in ("meta", "img", "input", "br", "path", "use", "rect"):
+            assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if self.open and self.open[-1] in ("td", "th", "small"):
+            self.cells[-1] += data
+
+
+@pytest.mark.parametrize("report", [REPORT, NOTHING], ids=["full", "dark"])
+def test_html(report: ThermalReport) -> None:
+    text = html_text(report, "a & b", "mistray thermal a")
+    page = Page()
+    page.feed(text)
+    assert page.open == []
+    assert "http://" not in text.replace("http://www.w3.org", "").replace("http://purl.org", "").replace(
+        "http://creativecommons.org", ""
+    )
+    assert "a &amp; b" in text
+    if report is REPORT:
+        assert "lens_<rear>" in page.cells
+        assert "a &lt;note&gt;" in text
+
+
+def test_files(tmp_path: Path) -> None:
+    files = write_thermal(REPORT, tmp_path / "new" / "out", "system", "mistray thermal system")
+    assert {file.name for file in files} == {
+        "thermal.csv", "narcissus.csv", "thermal.json", "thermal.png", "report.html",
+    }  # fmt: skip
+    with (tmp_path / "new/out/thermal.csv").open(encoding="utf-8") as stream:
+        rows = list(csv.DictReader(stream))
+    assert [row["name"] for row in rows] == [e.name for e in REPORT.emitters]
+    assert float(rows[0]["irradiance_W_mm2"]) == 3e-6
+    assert float(rows[0]["percent"]) == pytest.approx(100 * 3 / 5.01)
+    record = json.loads((tmp_path / "new/out/thermal.json").read_text(encoding="utf-8"))
+    assert record["nitd_K"] == 0.31
+    assert record["returned"][1]["surface"] == "(total reflection)"
+    with (tmp_path / "new/out/narcissus.csv").open(encoding="utf-8") as stream:
+        assert [row["nitd_K"] for row in csv.DictReader(stream)] == ["0.25", "0.06"]
+    assert record["emitters"][-2]["share"] is None
+    assert record["command"] == "mistray thermal system"
+    assert record == {"title": "system", "command": "mistray thermal system"} | thermal_record(REPORT)
+
+
+def test_picture() -> None:
+    axes = thermal_figure(REPORT).axes[0]
+    names = [label.get_text() for label in axes.get_yticklabels()]
+    assert names[0] == "lens_<rear>"
+    assert len(names) == 12
+    assert axes.get_xscale() == "log"
+    assert axes.patches[0].get_width() == 3e-6
+    lines = [line.get_xdata()[0] for line in axes.lines if len(set(line.get_xdata())) == 1]
+    assert 5.01e-6 in lines
+    assert 6e-6 in lines
+    thermal_figure(NOTHING)

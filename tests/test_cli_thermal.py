@@ -1,0 +1,81 @@
+"""`mistray thermal`: what it prints, what it writes, one line for bad input."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
+from oracles.small_scenes import interface_xml, write
+
+from mistray import cli
+from mistray.physics.planck import band_radiance, cone_projected_solid_angle
+
+
+@pytest.fixture
+def scene(tmp_path: Path) -> str:
+    """An F/2 cone through a window of emissivity 0.05, in a black tube."""
+    text = scatter_scene(
+        beam_xml(1.0, distance=3.0),
+        placed_xml("asphere", "window", interface_xml(R=0.0, T=0.95), at=(0, 0, -10), semi_diameter=2.5),
+        placed_xml("frustum", "tube", r0=2.5, z0=-10.0, r1=2.5, z1=0.5),
+        placed_xml("asphere", "detector", pixels=4, half_width=0.01, half_height=0.01),
+    )
+    return str(write(tmp_path, text))
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = cli.main(["thermal", *arguments])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+def test_text_and_files(scene: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = tmp_path / "out"
+    code, text, err = run(capsys, scene, "--part", "tube=150", "detector=77", "--rays", "2e4", "--out", str(out))
+    assert (code, err) == (0, "")
+    assert "293 K where no other is given, detector at 77 K" in text
+    assert any(line.split()[:3] == ["tube", "tube", "150"] for line in text.splitlines())
+    assert {file.name for file in out.iterdir()} == {"thermal.csv", "thermal.json", "thermal.png", "report.html"}
+    assert "--part tube=150 detector=77" in (out / "report.html").read_text(encoding="utf-8")
+
+
+def test_json(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
+    """The numbers of the options: temperature, band, scene. 4 standard errors: false alarm 6e-5 each."""
+    code, text, _ = run(
+        capsys, scene, "--temperature-K", "300", "--band-um", "3", "5", "--scene-K", "310", "--part", "tube=0",
+        "--rays", "1e5", "--seed", "7", "--json",
+    )  # fmt: skip
+    assert code == 0
+    record = json.loads(text)
+    assert record["band_um"] == [3, 5]
+    assert record["wavelengths_um"] == [4]
+    for key, expected in (
+        ("total_W_mm2", 0.05 * cone_projected_solid_angle(2.0) * band_radiance(300.0, 3.0, 5.0)),
+        ("image_W_mm2", 0.95 * cone_projected_solid_angle(2.0) * band_radiance(310.0, 3.0, 5.0)),
+    ):
+        assert abs(record[key] - expected) < 4 * record[f"{key}_se"] < 0.1 * expected
+
+
+def test_quiet(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
+    assert run(capsys, scene, "--rays", "1000", "--quiet") == (0, "", "")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        (("--part", "tube"), "'tube' is no NAME=T, such as detector=77"),
+        (("--part", "tube=-3"), "-3 K is below absolute zero"),
+        (("--part", "tubes=3"), "no surface, part or material is called 'tubes'"),
+        (("--temperature-K", "warm"), "'warm' is not a number"),
+        (("--band-um", "12", "8"), "band of 12 to 8 µm; give 0 ≤ low < high"),
+        (("--wavelength-um", "9", "8"), "in ascending order"),
+        (("--polarization", "stokes"), "rays against the light know unpolarised light only"),
+    ],
+)
+def test_bad_input(arguments: tuple[str, ...], words: str, scene: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code, out, err = run(capsys, scene, "--rays", "1000", *arguments)
+    assert (code, out) == (2, "")
+    assert words in err
+    assert err.count("\n") == 1

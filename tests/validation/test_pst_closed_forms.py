@@ -1,0 +1,356 @@
+"""PSTs of real traces, by both methods, against closed forms and quadrature in float64.
+
+Cells cover the whole hemisphere where an integral over the sky is wanted. A number must lie within 5 standard errors of
+the exact one, and its error must be below the limit that is written at the test. Errors come from 32 batches, so that a
+false alarm has the probability 2e-5 (Student's t of 31 degrees of freedom); there are about 300 numbers.
+"""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles import ideal_lens
+from oracles import scatter_integrals as integrals
+from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml, wall_xml
+from oracles.small_scenes import interface_xml, write
+from oracles.statistics import assert_z
+
+import mistray
+from mistray.analysis.extended_source import Sky, source_irradiance
+from mistray.analysis.glare import veiling_glare_index
+from mistray.analysis.pst import pst
+from mistray.analysis.pst_result import Pst
+from mistray.prescription import Coating, Prescription, Scatter
+from mistray.scenes.phone_camera.prescription import build as phone_camera
+from mistray.trace.backward import see
+
+Load = Callable[[str], Any]
+
+pytestmark = pytest.mark.validation
+
+DATA = Path(__file__).parents[1] / "data"
+WHOLE = np.arange(5, 90, 10.0)  # cells of 10° that leave no gap
+EVERYTHING = {"scatter_threshold": 0.0, "flux_threshold": 0.0}
+ONE_BRANCH = {"max_reflections": 64, "max_scatters": 64, "splitting": "one", "aim": "none", **EVERYTHING}
+METHODS = pytest.mark.parametrize("method", ["adjoint", "forward"])
+
+
+@pytest.fixture(scope="session")
+def load_scene(tmp_path_factory: pytest.TempPathFactory) -> Load:
+    """XML text → Mitsuba scene."""
+    return lambda text: mistray.load(write(tmp_path_factory.mktemp("scene"), text))
+
+
+def vectors(name: str) -> list[dict[str, str]]:
+    with (DATA / name).open(newline="", encoding="utf-8") as stream:
+        return list(csv.DictReader(line for line in stream if not line.startswith("#")))
+
+
+def analytic(start: str, quantity: str) -> float:
+    (row,) = (r for r in vectors("analytic_cases.csv") if r["case"].startswith(start) and r["quantity"] == quantity)
+    return float(row["closed_form"])
+
+
+def check(what: str, measured: Any, se: Any, expected: Any, relative: Any, rounding: float = 1e-6) -> None:
+    """Within 5 standard errors of the exact numbers, or ``rounding`` of them; the errors are below ``relative``."""
+    expected = np.asarray(expected)
+    assert_z(what, measured, expected, se, k=5.0, floor=rounding * float(np.max(np.abs(expected))))
+    assert np.all(np.asarray(se) < relative * expected), f"{what}: relative errors {np.asarray(se) / expected}"
+
+
+def of(scene: Any, method: str, rays: tuple[int, int], angles: Any = WHOLE, cell_deg: float = 10.0, **more: Any) -> Pst:
+    """The PST by one of the methods; ``rays`` are start rays of adjoint, and of each angle of forward."""
+    count = rays[0] if method == "adjoint" else rays[1]
+    return pst(scene, angles, cell_deg=cell_deg, method=method, rays=count, paths=False, **more)
+
+
+def check_sky(what: str, found: Pst, expected: float, relative: float) -> None:
+    """Irradiance by a sky of radiance 1 over π."""
+    e = source_irradiance(found, Sky(), "total")
+    assert e.covered == pytest.approx(1, abs=1e-9)
+    check(what, e.value / np.pi, e.se / np.pi, expected, relative)
+
+
+class TestDirect:
+    @METHODS
+    def test_bare_detector(self, load_scene: Load, method: str) -> None:
+        """Nothing but a detector: PST_n = cos θ, PST_p = 1."""
+        scene = load_scene(scatter_scene(beam_xml(1.0), placed_xml("asphere", "detector", pixels=4, semi_diameter=1.0)))
+        found = of(scene, method, (400_000, 40_000))
+        check("PST normal", *found.curve(), found.grid.mean_cosine, 0.04)
+        check("PST projected", *found.to("projected").curve(), np.ones(9), 0.04)
+        check_sky("sky", found, 1.0, 0.003)
+
+    @METHODS
+    def test_on_axis(self, load_scene: Load, method: str) -> None:
+        """T A_ep cos θ / A_det: a thin lens with T = 0.93² whose whole image falls on the detector."""
+        text = scatter_scene(
+            beam_xml(1.0),
+            *ideal_lens.lens_texts(100.0, 10.0, R=0.02, T=0.93),
+            placed_xml("asphere", "detector", at=(0.0, 0.0, 100.0), pixels=4, half_width=25.0, half_height=20.0),
+        )  # fmt: skip
+        found = of(load_scene(text), method, (2_000_000, 300_000), [0, 4, 8], 2.0, max_reflections=0)
+        expected = 0.93**2 * np.pi * 100 / (4 * 25 * 20) * found.grid.mean_cosine
+        check("direct", *found.curve("direct"), expected, 0.02)
+        check("all light", *found.to("projected").curve(), expected / found.grid.mean_cosine, 0.02)
+
+    @METHODS
+    def test_phone_camera_on_axis(self, method: str) -> None:
+        """Its stop lies before all lenses and is its entrance pupil; fourteen surfaces transmit 0.98 and 0.99.
+
+        The stop is 0.075 mm thick: two circles, shifted by that times tan θ, limit the light.
+        """
+        camera = mistray.load("phone_camera")
+        found = of(camera, method, (6_000_000, 60_000), [0], 2.0, max_reflections=0, max_scatters=0)
+        area = found.facts["detector_area_mm2"]
+        assert area == pytest.approx(4.36788654**2, rel=1e-7)
+        theta = np.radians(ideal_lens.cell_nodes(found.grid.edges_deg, 6))
+        half = 0.5 * 0.075 * np.tan(theta) / 1.25171162  # of the shift, over the radius
+        pupil = 2 * 1.25171162**2 * (np.arccos(half) - half * np.sqrt(1 - half**2))
+        expected = 0.99**4 * 0.98**10 / area * ideal_lens.over_cells(np.cos(theta) * pupil, found.grid.edges_deg)
+        check("direct", *found.curve("direct"), expected, 0.04)
+
+
+PROFILES = {
+    "lambert": integrals.lambertian(0.05),
+    "ABg": integrals.abg(2e-5, 1e-6, 2.0),
+    "harvey": integrals.harvey_shack(0.1099, 0.01, -1.5),
+}
+TRANSMITTED = {
+    "lambert": bsdf_xml("paint", reflectance=0.05, event="transmission", relative_to="specular"),
+    "ABg": bsdf_xml("abg", A=2e-5, B=1e-6, g=2.0, event="transmission"),
+    "harvey": bsdf_xml("harvey_shack", b0=0.1099, l=0.01, s=-1.5, event="transmission"),
+}
+
+
+def plate_text(bsdf: str, plate_z: float, radius: float, half: float = 0.05) -> str:
+    """A thin lens of f = 100 and a plate that scatters before or behind it; a small detector in the focus."""
+    return scatter_scene(
+        beam_xml(1.0),
+        *ideal_lens.lens_texts(100.0, radius),
+        placed_xml(
+            "asphere",
+            "plate",
+            scattering_xml([TRANSMITTED[bsdf]], R=0.0, T=1.0),
+            at=(0.0, 0.0, plate_z),
+            semi_diameter=2.5 * radius,
+        ),
+        placed_xml("asphere", "detector", at=(0.0, 0.0, 100.0), pixels=4, half_width=half, half_height=half),
+    )
+
+
+class TestFirstOrderScatter:
+    """BSDF cos θ π NA² and its like; the lens is a real one that is all but ideal, see `oracles.ideal_lens`.
+
+    The oracle is averaged over the cells, and the size of the detector, 0.06°, costs less than 1e-3.
+    """
+
+    ONCE = {"max_scatters": 1, "max_reflections": 0}
+
+    @METHODS
+    def test_plate_before_a_thin_lens(self, load_scene: Load, method: str) -> None:
+        angles, edges = [5.0, 20.0, 45.0], np.array([[4.5, 5.5], [19.5, 20.5], [44.5, 45.5]])
+        at_middle = ideal_lens.plate_before(PROFILES["ABg"], angles, 100.0, 12.5)
+        published = [
+            analytic(f"thin lens 1st-order scatter f=100 a=12.5 th={angle:g}", "PST_normal=BSDF cos(th) pi NA^2")
+            for angle in angles
+        ]
+        assert at_middle == pytest.approx(published, rel=1e-3)  # the rim of the lens is 0.04 mm before its vertex
+        nodes = ideal_lens.cell_nodes(edges, 6)
+        values = [ideal_lens.plate_before(PROFILES["ABg"], row, 100.0, 12.5) for row in nodes]
+        expected = ideal_lens.over_cells(np.array(values), edges)
+        found = of(load_scene(plate_text("ABg", -3.0, 12.5)), method, (4_000_000, 200_000), angles, 1.0, **self.ONCE)
+        value, se = found.curve("single_scatter")
+        check("PST", value, np.hypot(se, 1e-3 * expected), expected, 0.08)
+
+    @METHODS
+    @pytest.mark.parametrize("plate_z", [0.3, 50.0, 80.0])
+    @pytest.mark.parametrize("bsdf", ["lambert", "ABg", "harvey"])
+    def test_plate_in_a_converging_beam(self, load_scene: Load, bsdf: str, plate_z: float, method: str) -> None:
+        """The vectors are of a lens that changes slopes by -h/f, which no surface does: 1.3 % from this one."""
+        for row in vectors("scatter_plate_converging.csv"):
+            if row["BTDF"].startswith(bsdf) and float(row["plate_z_mm"]) == round(plate_z):
+                exact = ideal_lens.plate_behind(PROFILES[bsdf], plate_z, [float(row["theta_deg"])], 100.0, 10.0, 100.0)
+                assert exact[0] == pytest.approx(float(row["E_det_on_axis_per_E0(normal)"]), rel=0.013)
+        angles, edges = [0.5, 2.0, 5.0], np.array([[0.25, 0.75], [1.75, 2.25], [4.75, 5.25]])
+        nodes = ideal_lens.cell_nodes(edges, 6)
+        values = [ideal_lens.plate_behind(PROFILES[bsdf], plate_z, row, 100.0, 10.0, 100.0) for row in nodes]
+        expected = ideal_lens.over_cells(np.array(values), edges)
+        found = of(load_scene(plate_text(bsdf, plate_z, 10.0)), method, (4_000_000, 100_000), angles, 0.5, **self.ONCE)
+        value, se = found.curve("single_scatter")
+        check("PST", value, np.hypot(se, 1e-3 * expected), expected, np.array([0.3, 0.15, 0.1]))
+
+
+class TestVeilingGlare:
+    @METHODS
+    @pytest.mark.parametrize("row", vectors("vgi_retro.csv"), ids=lambda r: f"{r['R_det']}-{r['R_w1']}")
+    def test_retro_ghost(self, load_scene: Load, row: dict[str, str], method: str) -> None:
+        """Light that the detector sends back to the window returns to the black patch: R_det R_window of E_white.
+
+        The lens is telecentric, and its pupil is a ring, so that the ghost of every point is a ring, 0.5 … 1.3 mm in
+        radius (0.3 … 0.8°), which leaves out the patch of 0.2° about that point. All orders of the ghost are in E_black
+        and in E_white alike, so that their quotient is the number of first order.
+        """
+        r_det, r1, r2 = (float(row[key]) for key in ("R_det", "R_w1", "R_w2"))
+        n, t, gap = 1.5168, 1.0, 5.0
+        focus = 100 + t * (n - 1) / n
+        near, chip = focus - gap - t, interface_xml(R=r_det)
+        text = scatter_scene(
+            beam_xml(1.0),
+            *ideal_lens.telecentric_texts(100.0, 12.5, 5.0, 6.0),
+            *(
+                placed_xml("asphere", name, interface_xml(*sides, R=r, T=1 - r), at=(0, 0, z), semi_diameter=30.0)
+                for name, sides, r, z in (
+                    ("near", ("air", str(n)), r1, near),
+                    ("far", (str(n), "air"), r2, near + t),
+                )
+            ),
+            placed_xml("asphere", "chip", chip, at=(0, 0, focus), semi_diameter=30.0, inner_semi_diameter=0.1),
+            placed_xml("asphere", "detector", chip, at=(0, 0, focus), pixels=4, semi_diameter=0.1),
+        )
+        angles = np.arange(0.1, 1.8, 0.2)
+        found = of(load_scene(text), method, (8_000_000, 400_000), angles, 0.2, max_reflections=6, flux_threshold=1e-9)
+        glare = veiling_glare_index(found, 0.2, source_deg=1.8, place="point")
+        expected = float(row["VGI_percent (first order, E_black/E_white)"])
+        check("VGI", glare.value, glare.se, expected, 0.08)
+
+
+class TestCavities:
+    @METHODS
+    @pytest.mark.parametrize("rho", [0.05, 0.5, 1.0])
+    @pytest.mark.parametrize("length", [1.0, 2.0, 4.0])
+    def test_diffuse_tube(self, load_scene: Load, length: float, rho: float, method: str) -> None:
+        """A sky of radiance 1 through the tube: E / π is the transmission; its entrance is like a Lambertian disc.
+
+        60 wall reflections leave 1e-6 inside at most.
+        """
+        text = scatter_scene(
+            beam_xml(1.0),
+            placed_xml("frustum", "wall", wall_xml(rho), r0=1.0, z0=0.0, r1=1.0, z1=length),
+            placed_xml("asphere", "detector", at=(0.0, 0.0, length), pixels=4, semi_diameter=1.0),
+        )
+        found = of(load_scene(text), method, (500_000, 100_000), max_scatters=60, aim="none", **EVERYTHING)
+        expected = analytic(f"tube L/r={length:g} rho={rho:g} ", "T (Lambertian entrance)")
+        check_sky("tube", found, expected, 0.01)
+        direct = source_irradiance(found, Sky(), "direct")
+        f12 = integrals.disc_to_disc(1.0, 1.0, length)
+        check("direct", direct.value / np.pi, direct.se / np.pi, f12, 0.02)
+
+    @METHODS
+    @pytest.mark.parametrize("rho", [0.5, 0.9])
+    def test_integrating_sphere(self, load_scene: Load, rho: float, method: str) -> None:
+        """E / π = f / (1 - ρ(1 - f)) everywhere on the wall of a sphere whose port of area fraction f sees the sky.
+
+        The detector is a cap of the sphere and scatters as the wall does. A black tube keeps light from its rear side,
+        and a belt of 0.3 mm closes the gap between the two halves. 60 reflections leave 1e-4 inside.
+        """
+        port, cap, width = 4.0, 3.0, 9.999
+        half, wall, rim = float(np.sqrt(100 - width**2)), wall_xml(rho), {"semi_diameter": width}
+        text = scatter_scene(
+            beam_xml(1.0),
+            placed_xml("asphere", "fore", wall, at=(0, 0, -10), radius=10.0, inner_semi_diameter=port, **rim),
+            placed_xml("asphere", "rear", wall, at=(0, 0, 10), radius=-10.0, inner_semi_diameter=cap, **rim),
+            placed_xml("frustum", "belt", wall, r0=width, z0=-half, r1=width, z1=half),
+            placed_xml("frustum", "hull", r0=10.02, z0=-half, r1=10.02, z1=12.0),
+            placed_xml("asphere", "detector", wall, at=(0, 0, 10), radius=-10.0, semi_diameter=cap, pixels=4),
+        )
+        f = 0.5 * (1 - np.sqrt(1 - (port / 10) ** 2))
+        found = of(load_scene(text), method, (1_000_000, 200_000), max_scatters=60, aim="none", **EVERYTHING)
+        check_sky("sphere", found, f / (1 - rho * (1 - f)), 0.025)
+
+
+def cavity_text(*parts: str, wall: str, inner: str = "air", glass_from: float | None = None) -> str:
+    """A can of radius 1, open towards the light, with a detector in its bottom that scatters all light, as it does.
+
+    Behind ``glass_from`` it is filled with the material ``inner``.
+    """
+    behind = wall if glass_from is None else scattering_xml([bsdf_xml("paint", reflectance=1.0)], front=inner, R=0.0)
+    end = 1.2
+    shapes = [placed_xml("frustum", "can", wall, r0=1.0, z0=0.0, r1=1.0, z1=end if glass_from is None else glass_from)]
+    if glass_from is not None:
+        shapes.append(placed_xml("frustum", "filled", behind, r0=1.0, z0=glass_from, r1=1.0, z1=end))
+        shapes.append(
+            placed_xml("asphere", "face", interface_xml("air", inner), at=(0, 0, glass_from), semi_diameter=1.0)
+        )
+    shapes.append(placed_xml("asphere", "bottom", behind, at=(0, 0, end), semi_diameter=1.0, inner_semi_diameter=0.6))
+    white = scattering_xml([bsdf_xml("paint", reflectance=1.0)], front=inner, R=0.0)
+    shapes.append(placed_xml("asphere", "detector", white, at=(0, 0, end), pixels=4, semi_diameter=0.6))
+    return scatter_scene(beam_xml(1.0), *parts, *shapes)
+
+
+WHITE = wall_xml(1.0)
+GLOSSY = scattering_xml([bsdf_xml("harvey_shack", b0=1.0, l=0.1, s=-2.2)], R=1.0)
+SHEET = placed_xml(
+    "asphere",
+    "sheet",
+    scattering_xml([bsdf_xml("gaussian_lobe", total=0.5, width=0.3, event="both")], R=0.2, T=0.8),
+    at=(0, 0, 0.3),
+    semi_diameter=1.0,
+)
+
+
+class TestWhiteFurnace:
+    """All albedos are 1 and light of radiance 1 comes in by the one opening: it is 1 everywhere, n² in glass."""
+
+    @METHODS
+    @pytest.mark.parametrize(
+        ("text", "squared_index"),
+        [
+            (cavity_text(wall=WHITE), 1.0),
+            (cavity_text(wall=GLOSSY), 1.0),
+            (cavity_text(SHEET, wall=WHITE), 1.0),
+            (cavity_text(wall=WHITE, inner="1.2", glass_from=0.9), 1.2**2),
+        ],
+        ids=["white", "glossy", "sheet", "glass"],
+    )
+    def test_cavity(self, load_scene: Load, text: str, squared_index: float, method: str) -> None:
+        """Nothing absorbs, so that what 64 events cut would have come out; they cut less than 1e-3 here."""
+        found = of(load_scene(text), method, (1_000_000, 200_000), **ONE_BRANCH)
+        e = source_irradiance(found, Sky(), "total")
+        check("furnace", e.value / np.pi, np.hypot(e.se / np.pi, 3e-4), squared_index, 0.01)
+
+    def test_phone_camera(self) -> None:
+        """The whole camera: its coatings have R + T = 1; its barrel, lens edges and detector scatter everything.
+
+        The camera is a good trap: most rays make more than the 64 events that a path can have. A ray against the light
+        loses nothing, so that it leaves by the front at last, and adding what is cut is exact. The detector's albedo
+        must be 1 like all others: a black one would be a cold spot that the rest sees.
+        """
+        scene = white_camera().to_scene()
+        e = source_irradiance(of(scene, "adjoint", (200_000, 0), **ONE_BRANCH), Sky(), "total")
+        seen = see(scene, rays=200_000, **ONE_BRANCH)
+        assert sum(row.emission for row in seen.rows) == pytest.approx(0, abs=1e-6)  # Kirchhoff: nothing absorbs
+        assert not seen.media
+        cut, cut_se = seen.lost[:2]
+        assert 0.7 < cut < 0.9
+        # The rays of both runs are the same or not: the sum of their errors is enough
+        check("furnace", e.value / np.pi + cut, e.se / np.pi + cut_se, 1.0, 0.01)
+        # What comes out within 64 events light finds as well that goes the other way
+        forward = source_irradiance(of(scene, "forward", (0, 200_000), **ONE_BRANCH), Sky(), "total")
+        check("forward", forward.value, np.hypot(forward.se, e.se), e.value, 0.02)
+
+
+def white_camera() -> Prescription:
+    """The phone camera with Lambertian walls of albedo 1 wherever it is opaque, the detector included."""
+    white = Scatter("paint", {"reflectance": 1.0}, name="white")
+
+    def painted(shape: Any) -> Any:
+        if shape.coating is None or not shape.coating.opaque:
+            assert shape.coating is None or shape.coating.R + shape.coating.T == 1
+            return shape
+        return replace(shape, coating=Coating(R=0.0), scatter=(white,))
+
+    camera = phone_camera()
+    return replace(
+        camera,
+        surfaces=tuple(map(painted, camera.surfaces)),
+        structures=tuple(map(painted, camera.structures)),
+        stop=painted(camera.stop),
+        detector=painted(camera.detector),
+    )
