@@ -38,12 +38,13 @@ from mistray.trace.energy import batch_error
 from mistray.trace.exits import exits
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES
-from mistray.trace.ray_tree import StartRays, walk
+from mistray.trace.ray_tree import walk
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import NO_LIMIT, Settings
 from mistray.trace.sky import PathBook, Sky, Thrift
 from mistray.trace.sources import spectrum_of
+from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import SurfaceTable
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the fifth and all that follow

@@ -12,8 +12,8 @@ from mistray.trace.host_points import detector_area, sphere_points, surface_poin
 from mistray.trace.host_rays import first_hit
 from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, OPAQUE
-from mistray.trace.ray_tree import StartRays
 from mistray.trace.space_filling import curve_points
+from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.targets import AimSet
 

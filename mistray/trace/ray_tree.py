@@ -9,7 +9,6 @@ indexed by depth, so the path is always at hand and nothing can overflow below `
 
 from __future__ import annotations
 
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -57,6 +56,7 @@ from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
 from mistray.trace.scattering import ScatteredRay, Scattering
 from mistray.trace.settings import NO_LIMIT, Settings
 from mistray.trace.sky import Sky
+from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
 
 # Children of a node in the order in which they are sent on; scattered ones follow
@@ -69,55 +69,6 @@ WORTH_IN_THE_DARK = (
     1e-3  # share of `scatter_threshold` that holds against the light: in the dark little is all there is
 )
 HITS_OF_LANE = 8  # place of the sums by surface among the local arrays
-
-
-@dataclass
-class StartRays:
-    """
-    Rays as they leave a source.
-
-    Attributes
-    ----------
-    lane : mi.UInt32
-        Numbers of the start rays within the trace.
-    batch : mi.UInt32
-        Batch of each ray, for standard errors.
-    rng : mi.PCG32
-        One generator a lane.
-    o, d : mi.Vector3f
-        Origins (mm) and unit directions.
-    w : mi.Float
-        Weights; 1 from a source.
-    left : mi.UInt32, optional
-        Surface that the rays start on.
-    normal : mi.Vector3f, optional
-        Its normal at the origins.
-    pixel : mi.UInt32, optional
-        Pixel of the detector that they start from.
-    medium : mi.UInt32, optional
-        Number of the material that they start in; 0 is not known.
-    """
-
-    lane: mi.UInt32
-    batch: mi.UInt32
-    rng: mi.PCG32
-    o: mi.Vector3f
-    d: mi.Vector3f
-    w: mi.Float
-    left: mi.UInt32 | None = None
-    normal: mi.Vector3f | None = None
-    pixel: mi.UInt32 | None = None
-    medium: mi.UInt32 | None = None
-
-    def take(self, index: mi.UInt32) -> StartRays:
-        """Some of the rays of a source."""
-        rng = mi.PCG32()
-        rng.state, rng.inc = (dr.gather(mi.UInt64, v, index) for v in (self.rng.state, self.rng.inc))
-        lane, batch = (dr.gather(mi.UInt32, v, index) for v in (self.lane, self.batch))
-        o, d = (dr.gather(mi.Vector3f, v, index) for v in (self.o, self.d))
-        w = dr.gather(mi.Float, self.w, index)
-        dr.eval(lane, batch, rng, o, d, w)
-        return StartRays(lane, batch, rng, o, d, w)
 
 
 def walk(

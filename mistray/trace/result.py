@@ -323,6 +323,7 @@ def trace(
     splitting: str | None = None,
     below_threshold: str | None = None,
     seed: int | None = None,
+    ray_control: str | None = None,
     polarization: str | None = None,
     detector: str | None = None,
     ledger: bool = True,
@@ -350,7 +351,7 @@ def trace(
         Limits of a path, see `mistray.trace.Settings`.
     scatter_rays, aimed_rays, aim
         Scattered rays at every hit and where they are aimed at, see there.
-    flux_threshold, scatter_threshold, splitting, below_threshold, seed, polarization
+    flux_threshold, scatter_threshold, splitting, below_threshold, seed, ray_control, polarization
         See there.
     detector : str
         Id of the detector, if the scene has several.
@@ -388,6 +389,7 @@ def trace(
         splitting=splitting,
         below_threshold=below_threshold,
         seed=seed,
+        ray_control=ray_control,
         polarization=polarization,
     )
     runs = prepare(scene, settings, field_deg, azimuth_deg, wavelength_nm, weights, detector)

@@ -16,7 +16,7 @@ from mistray.trace.ledger import BATCHES, MULTIPLIER, claim, host_keys, write_li
 from mistray.trace.upload import upload
 
 if TYPE_CHECKING:
-    from mistray.trace.ray_tree import StartRays
+    from mistray.trace.start_rays import StartRays
 
 # Classes of the light, in the order of their sums
 DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE = range(5)

@@ -17,11 +17,12 @@ from mistray.trace.aiming import aims
 from mistray.trace.books import REASONS, STARTED, SURFACE_SUMS, Film, Recorder, Tallies
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES, DecodedPaths, Ledger
-from mistray.trace.ray_tree import StartRays, walk
+from mistray.trace.ray_tree import walk
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sources import Beam, Source, beams
+from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import SurfaceTable
 
 PASS_LANES = 1 << 20

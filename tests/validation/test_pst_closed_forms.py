@@ -195,15 +195,16 @@ class TestVeilingGlare:
 
         The lens is telecentric, and its pupil is a ring, so that the ghost of every point is a ring, 0.5 … 1.3 mm in
         radius (0.3 … 0.8°), which leaves out the patch of 0.2° about that point. All orders of the ghost are in E_black
-        and in E_white alike, so that their quotient is the number of first order.
+        and in E_white alike, so that their quotient is the number of first order. Aberration of the pupil costs 0.2 %
+        of the ghost (at F/8; 0.8 % at F/4).
         """
         r_det, r1, r2 = (float(row[key]) for key in ("R_det", "R_w1", "R_w2"))
-        n, t, gap = 1.5168, 1.0, 5.0
+        n, t, gap = 1.5168, 1.0, 10.0
         focus = 100 + t * (n - 1) / n
         near, chip = focus - gap - t, interface_xml(R=r_det)
         text = scatter_scene(
             beam_xml(1.0),
-            *ideal_lens.telecentric_texts(100.0, 12.5, 5.0, 6.0),
+            *ideal_lens.telecentric_texts(100.0, 6.25, 2.5, 6.0),
             *(
                 placed_xml("asphere", name, interface_xml(*sides, R=r, T=1 - r), at=(0, 0, z), semi_diameter=30.0)
                 for name, sides, r, z in (
@@ -215,10 +216,10 @@ class TestVeilingGlare:
             placed_xml("asphere", "detector", chip, at=(0, 0, focus), pixels=4, semi_diameter=0.1),
         )
         angles = np.arange(0.1, 1.8, 0.2)
-        found = of(load_scene(text), method, (8_000_000, 400_000), angles, 0.2, max_reflections=6, flux_threshold=1e-9)
+        found = of(load_scene(text), method, (4_000_000, 300_000), angles, 0.2, max_reflections=6, flux_threshold=1e-9)
         glare = veiling_glare_index(found, 0.2, source_deg=1.8, place="point")
         expected = float(row["VGI_percent (first order, E_black/E_white)"])
-        check("VGI", glare.value, glare.se, expected, 0.08)
+        check("VGI", glare.value, np.hypot(glare.se, 2e-3 * expected), expected, 0.08)
 
 
 class TestCavities:
