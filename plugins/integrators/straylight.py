@@ -49,6 +49,7 @@ class StrayLight(mi.CppADIntegrator):
     splitting         string  split, one     split     follow both children, or one at random
     below_threshold   string  cut, roulette  cut       end weak branches, or play Russian roulette (unbiased)
     seed              1       0 … 2³²-1      0         random numbers; the ``seed`` of ``mi.render`` is added
+    ray_control       string  see `Settings` allow_all what surfaces send on: all, transmitted, reflected light, nothing
     polarization      string  unpolarized,   unpolar-  average s and p at every hit, or carry the Stokes vector along
                               stokes         ized
     ================= ======= ============== ========= =================================================================
