@@ -14,7 +14,7 @@ import numpy as np
 from rows import Row
 
 import mistray
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.pst.result import Pst
 
 ANGLES_DEG = range(0, 81, 2)
 UP_TO_DEG = 60.0

@@ -18,10 +18,10 @@ import pytest
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 from report.fake_pst import fake_pst
 
-import mistray.analysis.pst
+import mistray.analysis.pst.run
 import mistray.scene
 from mistray import cli
-from mistray.analysis.pst_state import PstProgress, load_state, save_state
+from mistray.analysis.pst.state import PstProgress, load_state, save_state
 from mistray.cli.pst import _state_of
 from mistray.trace import Settings
 
@@ -54,7 +54,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         azimuths, pixels = given["azimuths_deg"], given["map_pixels"]
         return fake_pst(angles_deg, azimuths, map_pixels=pixels, convention=given["convention"], paths=given["paths"])
 
-    monkeypatch.setattr(sys.modules["mistray.analysis.pst"], "pst", pst)
+    monkeypatch.setattr(sys.modules["mistray.analysis.pst.run"], "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda source: source)
     return calls
 
@@ -273,7 +273,7 @@ def test_a_detector_in_a_closed_box_has_the_pst_0_and_a_line_says_why(capfd: Any
     code, text, err = run(capfd, scene, "--angles-deg", ANGLES, "--rays", "1e4", "--out", str(out))
     assert (code, err) == (0, "")
     assert text.count("warning: ") == 1
-    assert "warning: PST is 0: no ray from the detector leaves the scene" in text
+    assert "warning: PST is 0: no light from these angles reaches the detector" in text
     assert "No light reaches the detector: the PST is 0." in (out / "report.html").read_text(encoding="utf-8")
 
 
@@ -362,7 +362,7 @@ class TestSavedRun:
         def pressed(*_: Any, **__: Any) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(sys.modules["mistray.analysis.pst"], "pst", pressed)
+        monkeypatch.setattr(sys.modules["mistray.analysis.pst.run"], "pst", pressed)
         nothing = (130, "", "mistray: interrupted, nothing was written\n")
         assert run(capsys, "x", "--out", str(tmp_path)) == nothing
         assert run(capsys, "x") == nothing

@@ -1,16 +1,16 @@
 """What the ledger says: ghosts, point source transmittance, objects, thermal emission, whole studies."""
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.first_level import FirstLevel, first_level
 from mistray.analysis.ghosts import FieldSummary, GhostReport, ghosts
 from mistray.analysis.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
-from mistray.analysis.object_sources import DiskSource
-from mistray.analysis.objects import Objects, objects
-from mistray.analysis.pst import pst
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.objects.search import Objects, objects
+from mistray.analysis.objects.sources import DiskSource
+from mistray.analysis.pst.first_level import FirstLevel, first_level
+from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.run import pst
 from mistray.analysis.ranking import DirectImage
-from mistray.analysis.stray_study import Study, study
-from mistray.analysis.thermal import ThermalReport, thermal
+from mistray.analysis.study.run import Study, study
+from mistray.analysis.thermal.emission import ThermalReport, thermal
 
 __all__ = [
     "DirectImage",

@@ -16,7 +16,7 @@ from mistray.cli.tracing_arguments import add_scene, scene_title, start_mitsuba
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
-    from mistray.analysis.objects import Progress
+    from mistray.analysis.objects.search import Progress
 
 ROWS_SHOWN = 25
 HALF_ANGLE_DEG = 20.0
@@ -77,8 +77,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     _check(options)
     start_mitsuba(options)
-    from mistray.analysis.object_sources import DiskSource
-    from mistray.analysis.objects import objects
+    from mistray.analysis.objects.search import objects
+    from mistray.analysis.objects.sources import DiskSource
     from mistray.report.objects_output import write_objects
     from mistray.report.objects_tables import objects_record, objects_text
     from mistray.report.output import writable_directory

@@ -26,7 +26,7 @@ from mistray.cli.tracing_arguments import (
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
-    from mistray.analysis.pst_state import PstProgress
+    from mistray.analysis.pst.state import PstProgress
     from mistray.trace.directions import DirectionGrid
 
 INTERRUPTED = 130
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     _check(options)
     start_mitsuba(options)
-    from mistray.analysis.pst import pst
+    from mistray.analysis.pst.run import pst
     from mistray.report.output import writable_directory
     from mistray.report.pst_output import write_pst
     from mistray.report.pst_tables import pst_record, pst_text

@@ -74,7 +74,7 @@ def run(options: argparse.Namespace) -> int:
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the saved run; give --out")
     start_mitsuba(options)
-    from mistray.analysis.stray_study import study
+    from mistray.analysis.study.run import study
     from mistray.report.output import writable_directory
     from mistray.report.study_output import write_study
     from mistray.report.study_tables import study_record, study_text

@@ -14,7 +14,7 @@ from mistray.cli.arguments import RAW, finite, positive
 from mistray.cli.tracing_arguments import add_ray_tree, add_scatter, add_scene, scene_title, settings_of, start_mitsuba
 
 if TYPE_CHECKING:
-    from mistray.analysis.thermal import Progress
+    from mistray.analysis.thermal.emission import Progress
 
 
 def add(commands: Any) -> None:
@@ -56,7 +56,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     start_mitsuba(options)
-    from mistray.analysis.thermal import thermal
+    from mistray.analysis.thermal.emission import thermal
     from mistray.report.output import writable_directory
     from mistray.report.thermal import thermal_record, thermal_text, write_thermal
     from mistray.scene import load

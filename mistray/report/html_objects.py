@@ -8,8 +8,8 @@ from html import escape
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.object_rows import CommonObject, SceneObject
-from mistray.analysis.objects import Objects
+from mistray.analysis.objects.rows import CommonObject, SceneObject
+from mistray.analysis.objects.search import Objects
 from mistray.report.markup import (
     cell,
     data_table,

@@ -7,8 +7,8 @@ from html import escape
 from typing import Any
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.pst_causes import breaks, field_edge, stray_paths
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.pst.causes import breaks, field_edge, stray_paths
+from mistray.analysis.pst.result import Pst
 from mistray.report.markup import (
     cell,
     data_table,

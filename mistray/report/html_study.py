@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
-from mistray.analysis.stray_study import Study
-from mistray.analysis.study_step import StudyStep
+from mistray.analysis.study.run import Study
+from mistray.analysis.study.step import StudyStep
 from mistray.report.html import ASSUMPTIONS, DEFINITIONS, POLARIZATION, SCATTERED
 from mistray.report.markup import figure, filter_box, image, section, setting_text, thousands
 from mistray.report.page import page

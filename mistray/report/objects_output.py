@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from mistray.analysis.objects import Objects
+from mistray.analysis.objects.search import Objects
 from mistray.replace_file import replace_file
 from mistray.report.html_objects import html_text
 from mistray.report.objects_plots import objects_layout

@@ -8,8 +8,8 @@ from typing import Any
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.object_rows import LISTS, CommonObject, SceneObject, describe
-from mistray.analysis.objects import Objects
+from mistray.analysis.objects.rows import LISTS, CommonObject, SceneObject, describe
+from mistray.analysis.objects.search import Objects
 from mistray.report.json_values import plain
 from mistray.report.text import ABSENT, number, text_table, with_error
 

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.pst.result import Pst
 from mistray.replace_file import replace_file
 from mistray.report.html_pst import html_text
 from mistray.report.output import writable_directory

@@ -13,8 +13,8 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from mistray.analysis.irradiance import log_range
-from mistray.analysis.pst_causes import cause_frame, field_edge
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.pst.causes import cause_frame, field_edge
+from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
 from mistray.report.plots import (
     BLACK,

@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.pst_causes import Break, breaks, field_edge, stray_paths
-from mistray.analysis.pst_result import CLASSES, Pst
+from mistray.analysis.pst.causes import Break, breaks, field_edge, stray_paths
+from mistray.analysis.pst.result import CLASSES, Pst
 from mistray.report.json_values import plain
 from mistray.report.text import ABSENT, number, text_table, with_error
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
-from mistray.analysis.stray_study import Study
+from mistray.analysis.study.run import Study
 from mistray.replace_file import replace_file
 from mistray.report.html_study import study_html
 from mistray.report.layout import layout

@@ -13,8 +13,8 @@ from typing import Any
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.stray_study import Study
-from mistray.analysis.study_step import Fact, StudyStep
+from mistray.analysis.study.run import Study
+from mistray.analysis.study.step import Fact, StudyStep
 from mistray.report import pst_tables, tables
 from mistray.report.json_values import plain
 from mistray.report.markup import cell, data_table, number_cell, thousands

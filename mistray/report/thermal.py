@@ -15,7 +15,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.thermal import Emitter, ThermalReport
+from mistray.analysis.thermal.emission import Emitter, ThermalReport
 from mistray.replace_file import replace_file
 from mistray.report.json_values import plain
 from mistray.report.markup import cell, data_table, figure, number_cell, section, setting_text, thousands

@@ -37,6 +37,7 @@ MOST_TARGETS = 4
 Side = tuple[int, bool]
 """Number of a surface, and whether the light leaves it to the back."""
 
+_OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg")
 MOST_KNOWN = 32  # scenes whose automatic targets are kept: a scene is traced at many fields
 _known: dict[str, dict[Side, list[Target]]] = {}
 
@@ -81,7 +82,7 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
     facts = [
         *((shape.id(), str(shape.bbox()), str(getattr(shape, "values", ""))) for shape in table.shapes),
         *(getattr(shape, "coefficients", "") for shape in table.shapes),
-        *(str(emitter) for emitter in scene.emitters()),
+        *(repr([getattr(emitter, key, "") for key in _OF_SOURCES]) for emitter in scene.emitters()),
         table.vertices.tobytes(),
         table.rotations.tobytes(),
         table.optics.host_indices.tobytes(),

@@ -71,7 +71,7 @@ class DirectionGrid:
         """
         angles = np.atleast_1d(np.asarray(angles_deg, dtype=np.float64))
         if angles.ndim != 1 or not angles.size or not np.all(np.isfinite(angles)):
-            raise MistrayError(f"angles_deg is {angles_deg}; give one or more field angles in degrees")
+            raise MistrayError(f"angles_deg is {_short(angles_deg)}; give one or more field angles in degrees")
         outside = angles[(angles < 0) | (angles > 90)]
         if outside.size:
             raise MistrayError(f"angles_deg holds {outside[0]:g}; field angles must lie between 0 and 90 degrees")
@@ -79,9 +79,11 @@ class DirectionGrid:
         if apart <= 0:
             raise MistrayError("angles_deg must ascend; sort the field angles and give each once")
         width = min(CELL_DEG, apart) if cell_deg is None else float(cell_deg)
-        if not 0 < width <= 90 or width > apart * (1 + 1e-9):
+        if not 0 < width <= 90:
+            raise MistrayError(f"cell_deg is {width:g}; it must be positive and at most 90 degrees")
+        if width > apart * (1 + 1e-9):
             raise MistrayError(
-                f"cell_deg is {width:g}; it must be positive and at most the distance of two angles, {apart:g} degrees"
+                f"cell_deg is {width:g}; it must be at most the distance of two angles, {apart:g} degrees"
             )
         edges = np.clip(np.stack([angles - width / 2, angles + width / 2], axis=1), 0.0, 90.0)
         if azimuths_deg is None:
@@ -91,7 +93,7 @@ class DirectionGrid:
         else:
             azimuths = np.atleast_1d(np.asarray(azimuths_deg, dtype=np.float64))
             if azimuths.ndim != 1 or not azimuths.size or not np.all(np.isfinite(azimuths)):
-                raise MistrayError(f"azimuths_deg is {azimuths_deg}; give one or more azimuths in degrees")
+                raise MistrayError(f"azimuths_deg is {_short(azimuths_deg)}; give one or more azimuths in degrees")
             around = np.sort(azimuths % 360)
             gaps = np.diff(np.append(around, around[0] + 360))
             span = min(10.0, float(gaps.min())) if len(around) == 1 else float(gaps.min())
@@ -160,3 +162,8 @@ class DirectionGrid:
         """The grid of stored numbers."""
         arrays = {key: np.asarray(facts[key], dtype=np.float64) for key in ("angles_deg", "edges_deg", "azimuths_deg")}
         return cls(**arrays, azimuth_cell_deg=float(facts["azimuth_cell_deg"]), rotation=np.array(facts["rotation"]))
+
+
+def _short(values: Any) -> str:
+    """Values for a message of one line."""
+    return " ".join(str(values).split())

@@ -34,7 +34,7 @@ PROBES, SKY_PROBES, VIEW_PROBES = (
     128,
 )  # rays that look for the opening, for the sky, and there through optics
 MOST_STEPS = 40  # of the last of them
-WIDEST_DEG = 80.0  # field angle up to which the opening is sought
+CONES_DEG = (80.0, 20.0, 5.0, 1.0)  # field angles up to which the opening is sought
 OPEN = 0.2  # share of a side's rays that must see the sky for the sky to be its target
 SKY_DEG = (10.0, 35.0, 80.0)  # field angles that the discs of the sky reach to
 LANDED = 0.02  # share of the rays to an image of the opening that must leave by it
@@ -143,22 +143,19 @@ def find_opening(
     """The disc through which the first surface of the design path, or the detector, sees the outside, if it does."""
     first = path.steps[0].surface if path is not None else table.detector
     points, _ = surface_points(table, first, PROBES, rng)
-    cosine = rng.uniform(np.cos(np.radians(WIDEST_DEG)), 1.0, PROBES)
-    phi = rng.uniform(0.0, 2 * np.pi, PROBES)
-    sine = np.sqrt(1 - cosine**2)
-    frame = across(axis)
-    d = (
-        -cosine[:, None] * axis
-        + (sine * np.cos(phi))[:, None] * frame[:, 0]
-        + (sine * np.sin(phi))[:, None] * frame[:, 1]
-    )
-    hit, _, _ = first_hit(table, points, d, np.full(PROBES, first))
-    free = hit < 0
-    if not np.any(free):
+    frame, front = across(axis), _front(scene, axis)
+    through = []
+    for widest in CONES_DEG:  # a distant opening is missed by most rays of a wide cone
+        cosine = rng.uniform(np.cos(np.radians(widest)), 1.0, PROBES)
+        phi = rng.uniform(0.0, 2 * np.pi, PROBES)
+        aside = np.sqrt(1 - cosine**2)[:, None] * (np.stack([np.cos(phi), np.sin(phi)], axis=1) @ frame.T)
+        d = aside - cosine[:, None] * axis
+        free = first_hit(table, points, d, np.full(PROBES, first))[0] < 0
+        t = np.maximum((points[free] @ axis - front) / cosine[free], 0.0)
+        through.append(points[free] + t[:, None] * d[free])
+    p = np.concatenate(through)
+    if not len(p):
         return None
-    front = _front(scene, axis)
-    t = np.maximum((points[free] @ axis - front) / cosine[free], 0.0)
-    p = points[free] + t[:, None] * d[free]
     middle = 0.5 * (p.max(axis=0) + p.min(axis=0))
     middle += (front - middle @ axis) * axis
     radius = float(np.max(np.linalg.norm(p - middle - ((p - middle) @ axis)[:, None] * axis, axis=1)))

@@ -11,7 +11,7 @@ from oracles.small_scenes import plates_text, write
 from report.fake_pst import fake_pst
 
 import mistray
-from mistray.analysis.first_level import LIMITS, first_level
+from mistray.analysis.pst.first_level import LIMITS, first_level
 from mistray.errors import MistrayError
 
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.analysis.first_order import FirstOrder, first_order
+from mistray.analysis.study.first_order import FirstOrder, first_order
 from mistray.scenes.cooke_triplet.prescription import build as triplet
 from mistray.trace.design_path import find_design_path
 from mistray.trace.sources import beams

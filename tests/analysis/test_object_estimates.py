@@ -11,10 +11,10 @@ from oracles.small_scenes import write
 from oracles.statistics import assert_z, z_limit
 
 import mistray
-from mistray.analysis.object_estimates import surface_bsdf
-from mistray.analysis.object_patches import Patches
-from mistray.analysis.object_sources import DiskSource, Surroundings, source_axes
-from mistray.analysis.objects import objects
+from mistray.analysis.objects.estimates import surface_bsdf
+from mistray.analysis.objects.patches import Patches
+from mistray.analysis.objects.search import objects
+from mistray.analysis.objects.sources import DiskSource, Surroundings, source_axes
 from mistray.trace.host_points import surface_points
 from mistray.trace.surfaces import SurfaceTable
 

@@ -11,8 +11,8 @@ from oracles.small_scenes import interface_xml, plates_text, write
 from oracles.statistics import assert_z
 
 import mistray
-from mistray.analysis.object_sources import DiskSource
-from mistray.analysis.objects import objects
+from mistray.analysis.objects.search import objects
+from mistray.analysis.objects.sources import DiskSource
 from mistray.errors import MistrayError
 from mistray.trace.backward import see
 

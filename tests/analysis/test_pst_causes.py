@@ -7,8 +7,8 @@ import pandas as pd
 import pytest
 from report.fake_pst import fake_pst
 
-from mistray.analysis.pst_causes import breaks, cause_frame, first_level_scatter, reigns, stray_paths, strongest
-from mistray.analysis.pst_result import CLASSES, Pst
+from mistray.analysis.pst.causes import breaks, cause_frame, first_level_scatter, reigns, stray_paths, strongest
+from mistray.analysis.pst.result import CLASSES, Pst
 from mistray.trace.directions import DirectionGrid
 
 BATCHES = 32

@@ -15,8 +15,8 @@ from oracles.statistics import assert_z
 from scipy.optimize import brentq
 
 import mistray
-from mistray.analysis.pst_forward import forward_pst
-from mistray.analysis.pst_forward_cells import FIRST_RAYS
+from mistray.analysis.pst.forward import forward_pst
+from mistray.analysis.pst.forward_cells import FIRST_RAYS
 from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.host_points import surface_points

@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from mistray.analysis.pst_state import PstProgress, load_state, require_same, save_state
+from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
 from mistray.errors import MistrayError
 
 SIGNATURE = {
@@ -96,7 +96,7 @@ def test_missing_files_and_folders_are_one_line(tmp_path: Path) -> None:
 
 def test_another_version_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     save_state(tmp_path / "s.npz", ARRAYS, {})
-    monkeypatch.setattr("mistray.analysis.pst_state.FORM", 2)
+    monkeypatch.setattr(sys.modules[load_state.__module__], "FORM", 2)
     with pytest.raises(MistrayError, match="another version of mistray"):
         load_state(tmp_path / "s.npz")
 
@@ -146,7 +146,7 @@ import numpy as np
 for name in ("mistray", "mistray.analysis"):
     sys.modules[name] = types.ModuleType(name)
     sys.modules[name].__path__ = [str(Path(sys.argv[3], *name.split(".")))]
-from mistray.analysis.pst_state import save_state
+from mistray.analysis.pst.state import save_state
 k = int(sys.argv[2])
 print("ready", flush=True)
 while True:

@@ -15,12 +15,10 @@ from oracles import small_scenes
 
 import mistray
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.extended_source import Disc, Sky, cover, source_irradiance, sun
-from mistray.analysis.glare import ghost_to_signal, glare_spread, veiling_glare_index
-from mistray.analysis.metric import DEFINITIONS
-from mistray.analysis.pst_result import CLASSES, Pst
-from mistray.analysis.pst_sums import quotient, weighted_sum
-from mistray.analysis.stray_metrics import (
+from mistray.analysis.metrics.extended_source import Disc, Sky, cover, source_irradiance, sun
+from mistray.analysis.metrics.glare import ghost_to_signal, glare_spread, veiling_glare_index
+from mistray.analysis.metrics.metric import DEFINITIONS
+from mistray.analysis.metrics.ratios import (
     ab_zero_point,
     contrast_factor,
     equivalent_stray_radiance,
@@ -33,6 +31,8 @@ from mistray.analysis.stray_metrics import (
     stray_to_signal,
     surface_magnitude,
 )
+from mistray.analysis.pst.result import CLASSES, Pst
+from mistray.analysis.pst.sums import quotient, weighted_sum
 from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
 

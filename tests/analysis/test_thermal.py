@@ -17,8 +17,8 @@ from oracles.statistics import assert_z
 from scipy.integrate import quad
 
 import mistray
-from mistray.analysis.thermal import ThermalReport, thermal
-from mistray.analysis.thermal_spectrum import band_weights, traced_wavelengths
+from mistray.analysis.thermal.emission import ThermalReport, thermal
+from mistray.analysis.thermal.spectrum import band_weights, traced_wavelengths
 from mistray.errors import MistrayError
 from mistray.physics import planck
 

@@ -6,7 +6,7 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
-from mistray.analysis.pst_result import CLASSES, Pst
+from mistray.analysis.pst.result import CLASSES, Pst
 from mistray.trace.directions import DirectionGrid
 
 BATCHES = 32

@@ -11,7 +11,7 @@ import pandas as pd
 import pytest
 
 import mistray
-from mistray.analysis.objects import objects
+from mistray.analysis.objects.search import objects
 from mistray.errors import MistrayError
 from mistray.report.objects_output import write_objects
 from mistray.report.objects_plots import STYLES, groups, objects_layout

@@ -7,8 +7,8 @@ import pytest
 from matplotlib.collections import QuadMesh
 from report.fake_pst import fake_pst
 
-from mistray.analysis.pst_causes import cause_frame
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.pst.causes import cause_frame
+from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
 from mistray.report.plots import as_png
 from mistray.report.pst_plots import pst_causes, pst_curve, pst_irradiance, pst_map

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from report.fake_pst import FACTS, fake_pst
 
-from mistray.analysis.pst_causes import field_edge, stray_paths
-from mistray.analysis.pst_result import CLASSES, Pst
+from mistray.analysis.pst.causes import field_edge, stray_paths
+from mistray.analysis.pst.result import CLASSES, Pst
 from mistray.report.pst_tables import (
     cell_frame,
     curve_frame,

@@ -9,7 +9,7 @@ import pandas as pd
 import pytest
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.study_step import STEPS, Fact, StudyStep, count_of
+from mistray.analysis.study.step import STEPS, Fact, StudyStep, count_of
 from mistray.report.study_tables import error_of, fact_text, heading_of, table_html, value_text
 
 

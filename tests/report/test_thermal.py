@@ -12,8 +12,8 @@ from pathlib import Path
 import pytest
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.thermal import Emitter, ThermalReport
-from mistray.analysis.thermal_narcissus import Return
+from mistray.analysis.thermal.emission import Emitter, ThermalReport
+from mistray.analysis.thermal.narcissus import Return
 from mistray.report.thermal import html_text, thermal_figure, thermal_record, thermal_text, write_thermal
 
 

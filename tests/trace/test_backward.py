@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 from typing import Any
 
 import drjit as dr
@@ -14,6 +13,7 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray import MistrayError
+from mistray.analysis.pst.run import _strongest, join_books, with_the_light
 from mistray.trace import backward
 from mistray.trace.backward import BackwardTrace, Seen, see
 from mistray.trace.directions import DirectionGrid
@@ -72,6 +72,28 @@ class TestSee:
         for row in seen.rows:
             assert row.share >= row.emission * (1 - 1e-6)
             assert row.emission >= 0
+
+    @pytest.mark.parametrize(
+        "limits",
+        [
+            {"max_events": 3},
+            {"max_reflections": 0, "max_scatters": 0},
+            {"flux_threshold": 0.05},
+            {"flux_threshold": 0.05, "below_threshold": "roulette"},
+            {"ray_control": "transmit_specular"},
+            {"ray_control": "halt_all"},
+            {"splitting": "one"},
+            {"max_scatters": 3},
+        ],
+        ids=str,
+    )
+    @pytest.mark.parametrize("name", ["plate_and_wall", "cooke_triplet"])
+    def test_limits_and_chances_are_booked(self, name: str, limits: dict[str, Any]) -> None:
+        """Without aiming every start ray weighs 1, so that the balance holds in each batch: to 1e-5."""
+        seen = see(mistray.load(name), rays=3200, aim="none", **limits)
+        total, error = balance(seen)
+        assert total == pytest.approx(1.0, abs=1e-5)
+        assert error < 1e-6
 
     def test_in_glass_it_is_the_squared_index(self, load_scene) -> None:
         """A detector in a block of n = 1.5: 2.25; what leaves by the face is the étendue, T of the sky."""
@@ -324,11 +346,6 @@ def test_too_many_cells_for_paths(wall_scene) -> None:
 # -- tables of paths -----------------------------------------------------------------------------------------------
 
 
-def analysis(name: str) -> Any:
-    """One of the functions that make the tables of a PST."""
-    return getattr(importlib.import_module("mistray.analysis.pst"), name)
-
-
 def code(surface: int, what: int) -> int:
     return (surface << EVENT_BITS) | what
 
@@ -340,7 +357,7 @@ def test_with_the_light() -> None:
     """Events are turned round and end in the detector, number 7; the rest is filled up with zeros."""
     events = np.array([[A, B, C], [C, 0, 0], [0, 0, 0], [B, A, 0]], dtype=np.uint32)
     end = code(7, ABSORBED)
-    turned, lengths = analysis("with_the_light")(events, np.array([3, 1, 0, 2]), 7)
+    turned, lengths = with_the_light(events, np.array([3, 1, 0, 2]), 7)
     np.testing.assert_array_equal(turned, [[C, B, A, end], [C, end, 0, 0], [end, 0, 0, 0], [A, B, end, 0]])
     np.testing.assert_array_equal(lengths, [4, 2, 1, 3])
     assert turned.dtype == np.uint32
@@ -348,7 +365,7 @@ def test_with_the_light() -> None:
 
 def test_with_the_light_without_events() -> None:
     """A table whose only path meets nothing has no columns."""
-    turned, lengths = analysis("with_the_light")(np.zeros((1, 0), dtype=np.uint32), np.array([0]), 2)
+    turned, lengths = with_the_light(np.zeros((1, 0), dtype=np.uint32), np.array([0]), 2)
     np.testing.assert_array_equal(turned, [[code(2, ABSORBED)]])
     np.testing.assert_array_equal(lengths, [1])
 
@@ -383,7 +400,7 @@ def test_join_books() -> None:
     """A path of both is one path, in another order and with longer rows too."""
     first = book([[A, B], [C]], [(0, 0, 2, 1.0, 0.5), (0, 3, 1, 4.0, 16.0), (1, 0, 1, 0.25, 0.0625)])
     second = book([[C], [A, B, C], [A, B]], [(0, 0, 3, 0.5, 0.1), (1, 2, 1, 8.0, 64.0), (2, 3, 1, 1.0, 1.0)])
-    joined = analysis("join_books")(first, second)
+    joined = join_books(first, second)
     expected = {
         ((A, B), 0): (2, 1.0, 0.5),
         ((A, B), 3): (2, 5.0, 17.0),
@@ -393,12 +410,12 @@ def test_join_books() -> None:
     assert_contents(joined, expected)
     assert len(joined["lengths"]) == 3
     assert len(np.unique(host_keys(joined["events"], joined["lengths"]))) == 3
-    assert_contents(analysis("join_books")(second, first), expected)
+    assert_contents(join_books(second, first), expected)
 
 
 def test_join_books_with_an_empty_one() -> None:
     full, empty = book([[A, B]], [(0, 1, 1, 2.0, 4.0)]), book([], [])
-    for joined in (analysis("join_books")(full, empty), analysis("join_books")(empty, full)):
+    for joined in (join_books(full, empty), join_books(empty, full)):
         assert_contents(joined, contents(full))
 
 
@@ -410,15 +427,14 @@ def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene) -> None:
     resumed = traced(wall_scene, passes=0, **settings)
     resumed.go_on_from(begun.sums, 1, 0.0)
     resumed.advance(RAYS)
-    assert_contents(analysis("join_books")(begun.paths(), resumed.paths()), contents(whole.paths()))
+    assert_contents(join_books(begun.paths(), resumed.paths()), contents(whole.paths()))
 
 
 def test_strongest() -> None:
     """The two largest of each group, the larger first; groups without values have none."""
     group = np.array([5, 0, 5, 5, 0, 2])
     values = np.array([1.0, 3.0, 7.0, 4.0, 9.0, 0.5])
-    strongest = analysis("_strongest")
-    np.testing.assert_array_equal(strongest(group, values, 2), [4, 1, 5, 2, 3])
-    np.testing.assert_array_equal(strongest(group, values, 1), [4, 5, 2])
-    np.testing.assert_array_equal(strongest(group, values, 10), [4, 1, 5, 2, 3, 0])
-    assert len(strongest(np.zeros(0, dtype=np.int64), np.zeros(0), 3)) == 0
+    np.testing.assert_array_equal(_strongest(group, values, 2), [4, 1, 5, 2, 3])
+    np.testing.assert_array_equal(_strongest(group, values, 1), [4, 5, 2])
+    np.testing.assert_array_equal(_strongest(group, values, 10), [4, 1, 5, 2, 3, 0])
+    assert len(_strongest(np.zeros(0, dtype=np.int64), np.zeros(0), 3)) == 0

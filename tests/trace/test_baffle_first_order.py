@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.analysis.pst import pst
+from mistray.analysis.pst.run import pst
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source
 from mistray.prescription.baffle_two_stage import two_stage_baffle
 from mistray.prescription.baffle_vanes import VaneEdge

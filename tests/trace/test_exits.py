@@ -232,7 +232,7 @@ def test_a_wall_under_the_sky_aims_at_the_sky(load_scene) -> None:
 @pytest.mark.parametrize("beam", ["", beam_xml(0.5, at=(50.0, 0.0, 0.0))], ids=["no source", "no path"])
 def test_without_a_path(load_scene, beam: str) -> None:
     """A detector that no design light reaches starts towards what it sees of the outside."""
-    table, found = exits_of(load_scene(tube(beam=beam)))
+    table, found = exits_of(load_scene(tube(length=2.5, beam=beam)))
     assert found.light is None
     assert not found.has_optics
     (target,) = found.start.targets
@@ -240,6 +240,20 @@ def test_without_a_path(load_scene, beam: str) -> None:
     assert target.centre[2] < 0
     assert np.linalg.norm(target.u) == pytest.approx(1.0, abs=0.05)
     assert (table.ids.index("tube"), False) in found.aims
+
+
+@pytest.mark.parametrize(("at", "along"), [((50.0, 0.0, 0.0), 1.0), ((0.0, 0.0, 9.0), -1.0)], ids=["aside", "behind"])
+def test_another_source_is_not_taken_for_one_before(load_scene, at: tuple[float, ...], along: float) -> None:
+    """What is kept of a scene depends on where its source stands and shines: beside the detector, or from behind."""
+    meter = placed_xml("asphere", "detector", at=(0.0, 0.0, 2.0), **DETECTOR)
+    before = load_scene(scatter_scene(beam_xml(0.5), meter))
+    _, found = exits_of(before)
+    np.testing.assert_allclose(found.light, [0, 0, 1])
+    _, found = exits_of(load_scene(scatter_scene(beam_xml(0.5, at=at, along=(0.0, 0.0, along)), meter)))
+    if along > 0:
+        assert found.light is None
+    else:
+        np.testing.assert_allclose(found.light, [0, 0, -1])
 
 
 def test_a_bare_detector_without_a_source(load_scene) -> None:

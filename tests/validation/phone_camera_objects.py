@@ -18,8 +18,8 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 from validation.tables import markdown, number, write
 
 import mistray
-from mistray.analysis.object_sources import DiskSource
-from mistray.analysis.objects import Objects, objects
+from mistray.analysis.objects.search import Objects, objects
+from mistray.analysis.objects.sources import DiskSource
 
 FILE = "phone_camera_objects.md"
 STUDY_RAYS = 1_000_000

@@ -19,9 +19,9 @@ import pytest
 from scipy.stats import chi2, norm, t
 
 import mistray
-from mistray.analysis.pst import pst
-from mistray.analysis.pst_forward import forward_pst
-from mistray.analysis.pst_result import CLASSES, Pst
+from mistray.analysis.pst.forward import forward_pst
+from mistray.analysis.pst.result import CLASSES, Pst
+from mistray.analysis.pst.run import pst
 from mistray.trace.plane_wave import Entrance
 from mistray.trace.settings import Settings
 

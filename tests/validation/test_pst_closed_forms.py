@@ -22,10 +22,10 @@ from oracles.small_scenes import interface_xml, write
 from oracles.statistics import assert_z
 
 import mistray
-from mistray.analysis.extended_source import Sky, source_irradiance
-from mistray.analysis.glare import veiling_glare_index
-from mistray.analysis.pst import pst
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.metrics.extended_source import Sky, source_irradiance
+from mistray.analysis.metrics.glare import veiling_glare_index
+from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.run import pst
 from mistray.prescription import Coating, Prescription, Scatter
 from mistray.scenes.phone_camera.prescription import build as phone_camera
 from mistray.trace.backward import see

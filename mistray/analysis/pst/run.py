@@ -14,9 +14,9 @@ from typing import TYPE_CHECKING, Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst_forward import forward_pst
-from mistray.analysis.pst_result import Pst, notes
-from mistray.analysis.pst_state import PstProgress, load_state, require_same, save_state
+from mistray.analysis.pst.forward import forward_pst
+from mistray.analysis.pst.result import Pst, notes
+from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
 from mistray.errors import MistrayError
 from mistray.trace.backward import FIRST_PASS, BackwardTrace
 from mistray.trace.directions import DirectionGrid

@@ -7,9 +7,9 @@ from collections.abc import Sequence
 import numpy as np
 import pandas as pd
 
-from mistray.analysis.object_rows import SceneObject, describe
-from mistray.analysis.objects import Objects
-from mistray.analysis.study_step import Fact, StudyStep, count_of
+from mistray.analysis.objects.rows import SceneObject, describe
+from mistray.analysis.objects.search import Objects
+from mistray.analysis.study.step import Fact, StudyStep, count_of
 
 NAMED = 6  # objects that a finding names
 PLACE = ["id", "part", "side", "space", "between", "stop"]

@@ -10,11 +10,11 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.first_order import FirstOrder
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.pst_causes import Break, breaks, cause_frame, first_level_scatter, reigns, stray_paths
-from mistray.analysis.pst_result import CLASSES, Pst
-from mistray.analysis.study_step import Fact, StudyStep
+from mistray.analysis.pst.causes import Break, breaks, cause_frame, first_level_scatter, reigns, stray_paths
+from mistray.analysis.pst.result import CLASSES, Pst
+from mistray.analysis.study.first_order import FirstOrder
+from mistray.analysis.study.step import Fact, StudyStep
 
 TOP_PATHS = 4  # of each angle, and worst ghosts of each field
 MOST_RANGES = 8  # ranges of angles with one main cause that are told

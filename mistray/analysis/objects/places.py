@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.object_rays import ChainTracer, Escape, Hits, StartPoints
+from mistray.analysis.objects.rays import ChainTracer, Escape, Hits, StartPoints
 from mistray.errors import MistrayError
 from mistray.trace.design_path import find_design_path
 from mistray.trace.host_points import across

@@ -13,8 +13,8 @@ from typing import TYPE_CHECKING, Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst import pst
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.run import pst
 from mistray.errors import MistrayError
 from mistray.trace.settings import Settings
 

@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst_result import CLASSES
+from mistray.analysis.pst.result import CLASSES
 from mistray.trace.aiming import aims
 from mistray.trace.books import SCATTERED_FLUX, SEGMENTS, Film
 from mistray.trace.design_path import find_design_path

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import pandas as pd
 
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.pst.result import Pst
 from mistray.analysis.ranking import label
 
 GHOSTS = "ghosts"

@@ -12,7 +12,7 @@ from typing import Protocol
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.object_rays import StartPoints
+from mistray.analysis.objects.rays import StartPoints
 from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.host_points import across, detector_area, outline, surface_points

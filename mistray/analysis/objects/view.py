@@ -7,9 +7,9 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mistray.analysis.object_places import Places
-from mistray.analysis.object_rays import ChainTracer, Escape, Hits
-from mistray.analysis.object_sources import RaySource
+from mistray.analysis.objects.places import Places
+from mistray.analysis.objects.rays import ChainTracer, Escape, Hits
+from mistray.analysis.objects.sources import RaySource
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import OPAQUE
@@ -241,7 +241,7 @@ class View:
         return self._share(self.flux[number])
 
     def area(self, number: int) -> tuple[float, float]:
-        """The same for 1 W/mm² of the source, W; see `mistray.analysis.object_sources`."""
+        """The same for 1 W/mm² of the source, W; see `mistray.analysis.objects.sources`."""
         value, se = self.power(number)
         scale = self.started / float(self.rays.sum())
         return value * scale, se * scale

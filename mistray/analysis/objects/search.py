@@ -15,12 +15,12 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.object_patches import meet
-from mistray.analysis.object_places import Places
-from mistray.analysis.object_rays import ChainTracer
-from mistray.analysis.object_rows import LISTS, SceneObject, StraightShot, both_views, describe, strongest
-from mistray.analysis.object_sources import DetectorView, DiskSource, RaySource, Surroundings, source_axes
-from mistray.analysis.object_view import SIDES, View
+from mistray.analysis.objects.patches import meet
+from mistray.analysis.objects.places import Places
+from mistray.analysis.objects.rays import ChainTracer
+from mistray.analysis.objects.rows import LISTS, SceneObject, StraightShot, both_views, describe, strongest
+from mistray.analysis.objects.sources import DetectorView, DiskSource, RaySource, Surroundings, source_axes
+from mistray.analysis.objects.view import SIDES, View
 from mistray.errors import MistrayError
 from mistray.trace.intersect import Intersector
 from mistray.trace.optics import OPAQUE
@@ -203,9 +203,9 @@ class Objects:
         Returns
         -------
         DataFrame
-            One row for each source angle and object; see `mistray.analysis.object_estimates.product_estimates`.
+            One row for each source angle and object; see `mistray.analysis.objects.estimates.product_estimates`.
         """
-        from mistray.analysis.object_estimates import product_estimates
+        from mistray.analysis.objects.estimates import product_estimates
 
         traced = self._traced
         wanted = [*self.common, *(row for row in self.optics if row.id != self.facts["detector"])]

@@ -12,8 +12,8 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.aiming_check import SamplingCheck, sampling_check
-from mistray.analysis.study_models import role
-from mistray.analysis.study_step import Fact, StudyStep, count_of
+from mistray.analysis.study.models import role
+from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.coatings import Bare, Ideal
 from mistray.scatter import Scatter
 from mistray.scatter.total import Totals, model_lobes, totals

@@ -13,9 +13,9 @@ from typing import Protocol
 
 import numpy as np
 
-from mistray.analysis.metric import Metric
-from mistray.analysis.pst_result import Pst
-from mistray.analysis.pst_sums import Light, weighted_sum
+from mistray.analysis.metrics.metric import Metric
+from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.sums import Light, weighted_sum
 from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
 

@@ -12,7 +12,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.pst_result import Pst
+from mistray.analysis.pst.result import Pst
 
 Light = str | Sequence[str]
 

@@ -1,7 +1,7 @@
 """Numbers that stray light is judged by, from a PST: rejection, normalised stray light, equivalent radiance.
 
-What each number is, `mistray.analysis.metric.DEFINITIONS` says in words, and every result carries its own. Extended
-sources and veiling glare have modules of their own: `mistray.analysis.extended_source`, `mistray.analysis.glare`.
+What each number is, `mistray.analysis.metrics.metric.DEFINITIONS` says in words, and every result carries its own.
+Extended sources and veiling glare have modules of their own beside this one.
 """
 
 from __future__ import annotations
@@ -11,10 +11,10 @@ from collections.abc import Callable, Mapping
 import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.extended_source import ExtendedSource, cover
-from mistray.analysis.metric import DEFINITIONS, Metric, MetricCurve
-from mistray.analysis.pst_result import Pst
-from mistray.analysis.pst_sums import Light, quotient, weighted_sum
+from mistray.analysis.metrics.extended_source import ExtendedSource, cover
+from mistray.analysis.metrics.metric import DEFINITIONS, Metric, MetricCurve
+from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.sums import Light, quotient, weighted_sum
 from mistray.errors import MistrayError
 
 PLANES = {"normal": "on a plane normal to the light", "projected": "on the plane of the aperture, E_⊥ cos θ"}
@@ -113,12 +113,12 @@ def equivalent_stray_radiance(
     ----------
     pst : Pst
     source : ExtendedSource
-        Source of the stray light, see `mistray.analysis.extended_source`.
+        Source of the stray light, see `mistray.analysis.metrics.extended_source`.
     f_number, transmittance : float, optional
         With an F-number, E_stray is divided by T π / (4 F² + 1); without, by the integral of the direct PST_n over the
         cells (`image_throughput`), which must cover the field of view.
     interpolation : {"cells", "linear", "log"}
-        Of the stray light, see `mistray.analysis.extended_source.cover`.
+        Of the stray light, see `mistray.analysis.metrics.extended_source.cover`.
 
     Returns
     -------

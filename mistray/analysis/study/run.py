@@ -12,16 +12,16 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.first_order import FirstOrder
 from mistray.analysis.ghosts import GhostReport, ghosts
-from mistray.analysis.objects import Objects, objects
-from mistray.analysis.pst import pst
-from mistray.analysis.pst_result import CONVENTIONS, Pst
-from mistray.analysis.study_analysis import stray_light_analysis
-from mistray.analysis.study_models import mechanical_model, optical_model
-from mistray.analysis.study_objects import object_steps, source_angles
-from mistray.analysis.study_step import STEPS, StudyStep
-from mistray.analysis.study_surfaces import coatings_and_scatter, importance_sampling
+from mistray.analysis.objects.search import Objects, objects
+from mistray.analysis.pst.result import CONVENTIONS, Pst
+from mistray.analysis.pst.run import pst
+from mistray.analysis.study.analysis import stray_light_analysis
+from mistray.analysis.study.first_order import FirstOrder
+from mistray.analysis.study.models import mechanical_model, optical_model
+from mistray.analysis.study.objects import object_steps, source_angles
+from mistray.analysis.study.step import STEPS, StudyStep
+from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.errors import MistrayError
 from mistray.trace import Settings, trace
 from mistray.trace.aiming import aims
@@ -46,7 +46,7 @@ Progress = Callable[[int, str, float], None]
 @dataclass(frozen=True, eq=False)
 class Study(Mapping[str, StudyStep]):
     """
-    Result of `study`: a mapping from the key of a step (see `mistray.analysis.study_step.STEPS`) to its result.
+    Result of `study`: a mapping from the key of a step (see `mistray.analysis.study.step.STEPS`) to its result.
 
     Attributes
     ----------

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 import pandas as pd
 
-from mistray.analysis.first_order import FirstOrder, first_order
-from mistray.analysis.study_step import Fact, StudyStep, count_of
+from mistray.analysis.study.first_order import FirstOrder, first_order
+from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.trace.design_path import DesignPath
 from mistray.trace.optics import OPAQUE, WALL
 from mistray.trace.sources import beams

@@ -17,8 +17,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.thermal_narcissus import Return, mean_returns, returns
-from mistray.analysis.thermal_spectrum import band_weights, traced_wavelengths
+from mistray.analysis.thermal.narcissus import Return, mean_returns, returns
+from mistray.analysis.thermal.spectrum import band_weights, traced_wavelengths
 from mistray.errors import MistrayError
 from mistray.physics import planck
 from mistray.trace import Settings

@@ -22,8 +22,8 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial import cKDTree
 
-from mistray.analysis.object_patches import Patches
-from mistray.analysis.object_view import SIDES, Samples, View
+from mistray.analysis.objects.patches import Patches
+from mistray.analysis.objects.view import SIDES, Samples, View
 from mistray.scatter.evaluate import bsdf
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES

@@ -10,9 +10,9 @@ from functools import partial
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst_forward_cells import FIRST_RAYS, Cell, ForwardCells
-from mistray.analysis.pst_result import Pst, notes
-from mistray.analysis.pst_state import PstProgress
+from mistray.analysis.pst.forward_cells import FIRST_RAYS, Cell, ForwardCells
+from mistray.analysis.pst.result import Pst, notes
+from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.plane_wave import Entrance

@@ -8,10 +8,10 @@ from typing import Any
 import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.extended_source import Cover, Disc, ExtendedSource, Sky, cover
-from mistray.analysis.metric import DEFINITIONS, Metric
-from mistray.analysis.pst_result import Pst
-from mistray.analysis.pst_sums import quotient, weighted_sum
+from mistray.analysis.metrics.extended_source import Cover, Disc, ExtendedSource, Sky, cover
+from mistray.analysis.metrics.metric import DEFINITIONS, Metric
+from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.sums import quotient, weighted_sum
 from mistray.errors import MistrayError
 from mistray.trace import Trace
 from mistray.trace.path_events import DIRECT
@@ -54,7 +54,7 @@ def veiling_glare_index(
     at_mm : (float, float), optional
         The pixel of "map", in the detector's frame; by default the brightest for light from the middle of the patch.
     interpolation : {"cells", "linear", "log"}
-        See `mistray.analysis.extended_source.cover`.
+        See `mistray.analysis.metrics.extended_source.cover`.
 
     Returns
     -------

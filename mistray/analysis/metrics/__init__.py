@@ -1,0 +1,1 @@
+"""Numbers that follow from a PST: ratios, glare, extended sources."""

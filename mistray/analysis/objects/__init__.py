@@ -1,0 +1,1 @@
+"""Critical, illuminated and common objects."""

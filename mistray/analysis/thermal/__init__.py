@@ -1,0 +1,1 @@
+"""Thermal self-emission on the detector."""
