@@ -61,13 +61,12 @@ from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
 
 # Children of a node in the order in which they are sent on; scattered ones follow
 TRANSMIT, REFLECT, SCATTER = range(3)
-# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit
 ASIDE = 1 << 31  # bit of the word of a pending node; the surface and its reflections are below
+# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT = 0xFF, 8, 16
 PLAN_WORDS, FLOOR_FLOATS = 4, 4  # of a node, where there is scatter
-WORTH_IN_THE_DARK = (
-    1e-3  # share of `scatter_threshold` that holds against the light: in the dark little is all there is
-)
+# Share of `scatter_threshold` that holds at walls against the light: in the dark little is all there is
+WORTH_IN_THE_DARK = 1e-3
 HITS_OF_LANE = 8  # place of the sums by surface among the local arrays
 
 
@@ -202,9 +201,8 @@ def walk(
         "birth": mi.Float(start.w),  # weight with which the ray started, at the source or scattered last
         "boost": dr.full(mi.Float, 1, n),  # factor of its scattered rays; 0: none, negative: see ONE_CHILD
         "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # of the segment that led to it, mm
-        "clouded": mi.Float(start_clouded)
-        if bulk
-        else dr.zeros(mi.Float, 1),  # flux that its medium scattered on the way
+        # Flux that its medium scattered on the way
+        "clouded": mi.Float(start_clouded) if bulk else dr.zeros(mi.Float, 1),
         "rng": rng,
         "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits, *events),
     }
@@ -439,7 +437,10 @@ def walk(
                 for j in range(3):
                     memory.write(state[name][j], depth * 3 + j, push)
         keys.write(state["key"], depth, push)
-        words.write(s | (reflections << 16) | dr.select(state["aside"], mi.UInt32(ASIDE), 0), depth, push)
+        place_and_count = s | (reflections << 16)
+        if sky is not None:
+            place_and_count = place_and_count | dr.select(state["aside"], mi.UInt32(ASIDE), 0)
+        words.write(place_and_count, depth, push)
         if scatters:
             for j, value in enumerate((later, state["scatters"], state["aimed_from"], state["medium"])):
                 plans.write(value, depth * PLAN_WORDS + j, push)
@@ -471,12 +472,13 @@ def walk(
         hit = go & (s2 != NO_SURFACE)
         add_reason(ESCAPED, child, go & ~hit)
         bounced = reflect & counted & ~scatter
+        aside = state["aside"]
         if sky is not None:
             after = state["scatters"] & COUNT_MASK
             if scatters:
                 after = after + dr.select(scatter | cloud, mi.UInt32(1), 0)
             bounces = reflections + dr.select(bounced, mi.UInt32(1), 0)
-            aside = state["aside"] | is_aside(it, reflect)
+            aside = aside | is_aside(it, reflect)
             path_key, leaving = extend_key(state["key"], code), go & ~hit
             sky.record(heading, child, bounces, after, aside, batch, start, path_key, depth + 1, codes.read, leaving)
         child, clouded = attenuate(child, medium, t, hit)
@@ -534,7 +536,7 @@ def walk(
             "medium": dr.select(back, 0, medium),
             "depth": dr.select(back, k, depth + 1),
             "reflections": dr.select(back, (word >> 16) & NO_LIMIT, dr.select(bounced, reflections + 1, reflections)),
-            "aside": dr.select(back, (word & ASIDE) != 0, state["aside"] | is_aside(it, reflect)),
+            "aside": dr.select(back, (word & ASIDE) != 0, aside),
             "key": dr.select(back, bkey, extend_key(state["key"], code)),
             "pending": pending,
             "segments": segments,
