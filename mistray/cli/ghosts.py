@@ -3,10 +3,7 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import sys
-from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -18,6 +15,7 @@ from mistray.cli.tracing_arguments import (
     add_scene,
     add_spectrum,
     check_weights,
+    progress_bar,
     scene_title,
     settings_of,
     start_mitsuba,
@@ -25,7 +23,6 @@ from mistray.cli.tracing_arguments import (
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
-    from mistray.analysis.ghosts import Progress
     from mistray.report import Look
 
 
@@ -83,7 +80,7 @@ def run(options: argparse.Namespace) -> int:
     scene = load(options.scene)
     if look is not None:
         check_wavelengths(options.wavelength_nm or _own_wavelengths(scene))
-    with _progress(options) as progress:
+    with progress_bar(options) as progress:
         report = ghosts(
             scene,
             fields_deg=options.field_deg,
@@ -124,20 +121,3 @@ def _look(options: argparse.Namespace) -> Look | None:
 
 def _own_wavelengths(scene: Any) -> list[float]:
     return sorted({float(nm) for emitter in scene.emitters() for nm in getattr(emitter, "wavelengths_nm", ())})
-
-
-@contextlib.contextmanager
-def _progress(options: argparse.Namespace) -> Iterator[Progress | None]:
-    """A bar on stderr when that is a terminal."""
-    if options.quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from tqdm import tqdm
-
-    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-    with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr) as bar:
-
-        def advance(done: float, total: float) -> None:
-            bar.update(max(done / total - bar.n, 0.0))
-
-        yield advance

@@ -3,20 +3,14 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import sys
-from collections.abc import Iterator
 from itertools import chain
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mistray.cli.arguments import RAW, count, finite, incidence, positive
-from mistray.cli.tracing_arguments import add_scene, scene_title, start_mitsuba
+from mistray.cli.tracing_arguments import add_scene, progress_bar, scene_title, start_mitsuba
 from mistray.errors import MistrayError
-
-if TYPE_CHECKING:
-    from mistray.analysis.objects.search import Progress
 
 ROWS_SHOWN = 25
 HALF_ANGLE_DEG = 20.0
@@ -108,7 +102,7 @@ def run(options: argparse.Namespace) -> int:
         "seed": options.seed,
     }
     scene = load(options.scene)
-    with _progress(options) as progress:
+    with progress_bar(options) as progress:
         found = objects(
             scene,
             total_reflection=not options.no_total_reflection,
@@ -139,20 +133,3 @@ def _check(options: argparse.Namespace) -> None:
                 )
     elif options.azimuth_deg is not None:
         raise MistrayError("--azimuth-deg is about --angles-deg; give that too, or leave it out")
-
-
-@contextlib.contextmanager
-def _progress(options: argparse.Namespace) -> Iterator[Progress | None]:
-    """A bar on stderr when that is a terminal."""
-    if options.quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from tqdm import tqdm
-
-    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-    with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr) as bar:
-
-        def advance(done: float, total: float) -> None:
-            bar.update(max(done / total - bar.n, 0.0))
-
-        yield advance

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import argparse
-import contextlib
 import json
-import sys
-from collections.abc import Iterator
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 from mistray.cli.arguments import RAW, finite, positive
-from mistray.cli.tracing_arguments import add_ray_tree, add_scatter, add_scene, scene_title, settings_of, start_mitsuba
-
-if TYPE_CHECKING:
-    from mistray.analysis.thermal.emission import Progress
+from mistray.cli.tracing_arguments import (
+    add_ray_tree,
+    add_scatter,
+    add_scene,
+    progress_bar,
+    scene_title,
+    settings_of,
+    start_mitsuba,
+)
 
 
 def add(commands: Any) -> None:
@@ -64,7 +66,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         writable_directory(options.out)
     scene = load(options.scene)
-    with _progress(options) as progress:
+    with progress_bar(options) as progress:
         report = thermal(
             scene,
             options.temperature_K,
@@ -103,20 +105,3 @@ def _named(text: str) -> tuple[str, float]:
     if not found or not name:
         raise argparse.ArgumentTypeError(f"'{text}' is no NAME=T, such as detector=77")
     return name, _kelvin(value)
-
-
-@contextlib.contextmanager
-def _progress(options: argparse.Namespace) -> Iterator[Progress | None]:
-    """A bar on stderr when that is a terminal."""
-    if options.quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from tqdm import tqdm
-
-    with tqdm(desc="tracing", leave=False, file=sys.stderr) as bar:
-
-        def advance(done: int, total: int) -> None:
-            bar.total = total
-            bar.update(done - bar.n)
-
-        yield advance

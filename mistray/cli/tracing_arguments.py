@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+import sys
+from collections.abc import Callable, Iterator
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -99,3 +102,20 @@ def scene_title(scene: str) -> str:
     """Name of a scene: that of its file, or of its folder if the file is called scene.xml."""
     path = Path(scene).resolve()
     return path.parent.name if path.name == "scene.xml" else path.stem
+
+
+@contextlib.contextmanager
+def progress_bar(options: argparse.Namespace) -> Iterator[Callable[[float, float], None] | None]:
+    """A bar on stderr when that is a terminal: a function of what is done and what there is to do."""
+    if options.quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from tqdm import tqdm
+
+    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
+    with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr) as bar:
+
+        def advance(done: float, total: float) -> None:
+            bar.update(max(done / total - bar.n, 0.0))
+
+        yield advance
