@@ -186,7 +186,7 @@ def test_text_of_the_bar(progress: PstProgress, text: str) -> None:
         (("--angles-deg", "20", "10"), "angles_deg must ascend; sort the field angles and give each once"),
         (("--azimuths-deg", "0:360:10"), "azimuths_deg holds an azimuth twice; give each once"),
         (("--azimuth-cell-deg", "5"), "azimuth_cell_deg is given without azimuths_deg"),
-        (("--cell-deg", "3"), "cell_deg is 3; it must be positive and at most the distance of two angles, 2 degrees"),
+        (("--cell-deg", "3"), "cell_deg is 3; it must be at most the distance of two angles, 2 degrees"),
         (("--map-angles-deg", "20"), "--map-angles-deg draws pictures; say with --out where they shall go"),
         (("--map-angles-deg", "85", "--out", "o"), "angle 85° is in no cell; the nearest is that of 80°"),
         (("--map-pixels", "32"), "--map-pixels without --map-angles-deg; say which angles to draw"),
