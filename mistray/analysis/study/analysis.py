@@ -317,8 +317,8 @@ def _level_findings(pst: Pst, first: FirstOrder | None, transmittance: float) ->
             k = int(np.flatnonzero(inside)[-1])
             drop = f"; it is below {100 * FALLEN:.0f} % from {angle[fallen[0]]:g}° on" if len(fallen) else ""
             found.append(
-                f"Inside of the field of ±{first.field_deg['y']:.3g}° the direct light falls to "
-                f"{100 * direct[k] / on_axis:.0f} % of that on axis at {angle[k]:g}°{drop}."
+                f"At {angle[k]:g}°, inside of the field of ±{first.field_deg['y']:.3g}°, the direct light is "
+                f"{100 * direct[k] / on_axis:.0f} % of that on axis{drop}."
             )
     return found
 
