@@ -13,8 +13,9 @@ from pathlib import Path
 
 import mistray
 from mistray.coatings import preset
-from mistray.optimize import Comparison, compare, measure, optimize_coatings, read_study
-from mistray.report.optimization import comparison_table, report_text, write_optimization
+from mistray.optimize import Comparison, compare, measure, optimize, read_study
+from mistray.report.optimization import write_optimization
+from mistray.report.optimization_tables import comparison_table, report_text
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating, write_recoated
 
@@ -29,17 +30,17 @@ def against_quarter_wave(scene_file: Path) -> Comparison:
     with tempfile.TemporaryDirectory() as folder:
         coating = SharedCoating("mgf2", preset("mgf2_quarter_wave"), surfaces)
         before = mistray.load(write_recoated(find(SCENE), [coating], Path(folder) / "scene.xml"))
-    return compare(measure(before, study.metric), measure(mistray.load(scene_file), study.metric))
+    return compare(measure(before, study), measure(mistray.load(scene_file), study))
 
 
 def main(folder: Path) -> None:
     """Optimise, write the results and print both comparisons."""
     started = time.perf_counter()
-    result = optimize_coatings(SCENE, STUDY, checkpoint=folder / "checkpoint.json")
+    result = optimize(SCENE, STUDY, checkpoint=folder / "checkpoint.json")
     write_optimization(result, folder)
     print(f"before: three-layer preset on every surface\n{report_text(result)}\n")
     comparison = against_quarter_wave(folder / "scene.xml")
-    print(f"before: quarter wave of MgF2 on every surface\n{comparison_table(comparison, 'W/W')}")
+    print(f"before: quarter wave of MgF2 on every surface\n{comparison_table(comparison)}")
     for name, rows in (("preset", result.comparison.rows), ("MgF2", comparison.rows)):
         least = min(rows, key=lambda row: row.ratio)
         where = f"{least.field_deg:g}° and {least.wavelength_nm:g} nm"

@@ -29,7 +29,7 @@ if TYPE_CHECKING:
         study,
         thermal,
     )
-    from mistray.optimize import Metric, gradient  # type: ignore[no-redef]
+    from mistray.optimize import Metric, gradient, sensitivity  # type: ignore[no-redef]
     from mistray.prescription import Detector, Prescription, Source, Structure, Surface
     from mistray.scene import load  # type: ignore[no-redef]
     from mistray.trace import Trace, trace
@@ -52,6 +52,7 @@ _HOMES = {
     "ThermalReport": "mistray.analysis",
     "Metric": "mistray.optimize",
     "gradient": "mistray.optimize",
+    "sensitivity": "mistray.optimize",
     "Detector": "mistray.prescription",
     "Prescription": "mistray.prescription",
     "Source": "mistray.prescription",
@@ -91,6 +92,7 @@ __all__ = [
     "report",
     "scatter",
     "scene",
+    "sensitivity",
     "study",
     "thermal",
     "trace",

@@ -4,11 +4,15 @@ from __future__ import annotations
 
 import argparse
 import math
-from typing import NoReturn
+from collections.abc import Callable
+from itertools import chain
+from typing import Any, NoReturn
 
 from mistray.errors import MistrayError
 
 MOST_ANGLES = 10_000  # in one range
+FIELD_ANGLES = [float(angle) for angle in range(0, 81, 2)]  # of a PST, degrees
+INTERRUPTED = 130  # exit status after Ctrl-C, as of a shell
 RAW = argparse.RawDescriptionHelpFormatter
 
 
@@ -78,3 +82,15 @@ def incidence(text: str) -> list[float]:
     if wrong:
         raise argparse.ArgumentTypeError(f"{wrong[0]:g} must lie between 0 and 90 degrees")
     return values
+
+
+class _Joined(argparse.Action):
+    """The values of several arguments, each a list, as one list."""
+
+    def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+        setattr(namespace, self.dest, list(chain(*values)))
+
+
+def add_angles(group: Any, name: str, text: str, kind: Callable[[str], list[float]] = incidence) -> None:
+    """Declare an argument that takes numbers and ranges first:last:step, all in one list; `text` is its help."""
+    group.add_argument(name, type=kind, nargs="+", action=_Joined, metavar="DEG", help=text)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import RAW, count, field, finite
 from mistray.cli.ghosts_json import WORST_SHOWN, as_json
 from mistray.cli.tracing_arguments import (
+    add_output,
     add_ray_tree,
     add_scatter,
     add_scene,
@@ -18,6 +17,7 @@ from mistray.cli.tracing_arguments import (
     progress_bar,
     scene_title,
     settings_of,
+    show,
     start_mitsuba,
 )
 from mistray.errors import MistrayError
@@ -47,11 +47,8 @@ def add(commands: Any) -> None:
     add_spectrum(source)
     add_ray_tree(parser, "start rays at each field (1e6)")
     add_scatter(parser)
-    output = parser.add_argument_group("output")
-    output.add_argument("--out", type=Path, metavar="DIR", help="write report.html, CSV, PNG and path-sort files there")
+    output = add_output(parser, "report.html, CSV, PNG and path-sort files")
     output.add_argument("--per-wavelength", action="store_true", help="add paths and ledgers at each wavelength")
-    output.add_argument("--json", action="store_true", help="print JSON instead of the tables")
-    output.add_argument("--quiet", action="store_true", help="no progress, no tables")
     colour = parser.add_argument_group("colour pictures (need --out and three wavelengths or more)")
     colour.add_argument("--colour", action="store_true", help="draw the ghosts as a photograph would show them")
     colour.add_argument("--stops", type=finite, metavar="S",
@@ -95,12 +92,8 @@ def run(options: argparse.Namespace) -> int:
         files = write_all(
             report, options.out, scene_title(options.scene), options.command_line, options.per_wavelength, look
         )
-    if options.json:
-        print(json.dumps(as_json(report, files, options.per_wavelength), indent=2, allow_nan=False))
-    elif not options.quiet:
-        print(main_table(report, WORST_SHOWN, options.per_wavelength))
-        if files:
-            print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
+    lines = options.per_wavelength
+    show(options, lambda: as_json(report, lines), lambda: main_table(report, WORST_SHOWN, lines), files)
     return 0
 
 

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import asdict
-from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
@@ -14,7 +12,7 @@ if TYPE_CHECKING:
 WORST_SHOWN = 4
 
 
-def as_json(report: GhostReport, files: Sequence[Path], per_wavelength: bool = False) -> dict[str, Any]:
+def as_json(report: GhostReport, per_wavelength: bool = False) -> dict[str, Any]:
     """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
     from mistray.report.csv_tables import summary_frame
     from mistray.report.json_values import plain
@@ -29,13 +27,7 @@ def as_json(report: GhostReport, files: Sequence[Path], per_wavelength: bool = F
             row["per_wavelength"] = _lines(report, row["field_deg"])
         fields.append(row)
     settings = {key: value for key, value in next(iter(report.values())).settings.items() if key != "field_deg"}
-    answer = {
-        "settings": settings,
-        "fields": fields,
-        "warnings": warnings(report),
-        "files": [str(file) for file in files],
-    }
-    return dict(plain(answer))
+    return dict(plain({"settings": settings, "fields": fields, "warnings": warnings(report)}))
 
 
 def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import argparse
-import json
-from itertools import chain
-from pathlib import Path
+from functools import partial
 from typing import Any
 
-from mistray.cli.arguments import RAW, count, finite, incidence, positive
-from mistray.cli.tracing_arguments import add_scene, progress_bar, scene_title, start_mitsuba
+from mistray.cli.arguments import RAW, add_angles, count, finite, positive
+from mistray.cli.tracing_arguments import add_output, add_scene, progress_bar, scene_title, show, start_mitsuba
 from mistray.errors import MistrayError
 
 ROWS_SHOWN = 25
@@ -35,8 +33,7 @@ def add(commands: Any) -> None:
     source = parser.add_argument_group("light from outside (one of the first three)")
     source.add_argument("--half-angle-deg", type=positive, metavar="DEG",
                         help=f"from everywhere within this angle of the axis ({HALF_ANGLE_DEG:g})")  # fmt: skip
-    source.add_argument("--angles-deg", type=incidence, nargs="+", metavar="DEG",
-                        help="a distant source at field angles: numbers, and ranges first:last:step")  # fmt: skip
+    add_angles(source, "--angles-deg", "a distant source at field angles: numbers, and ranges first:last:step")
     source.add_argument("--disc", type=finite, nargs=2, metavar=("Z", "RADIUS"),
                         help="a Lambertian disc across the z axis, mm; its cone is --half-angle-deg")  # fmt: skip
     source.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of --angles-deg, from +y to -x (0)")
@@ -57,13 +54,10 @@ def add(commands: Any) -> None:
     tracing.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one way (64)")
     tracing.add_argument("--seed", type=count, metavar="N", help="seed of the random numbers (0)")
     tracing.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
-    output = parser.add_argument_group("output")
-    output.add_argument("--out", type=Path, metavar="DIR", help="write objects.html, CSV, JSON and PNG files there")
+    output = add_output(parser, "objects.html, CSV, JSON and PNG files")
     output.add_argument(
         "--rows", type=count, default=ROWS_SHOWN, metavar="N", help=f"rows of each table ({ROWS_SHOWN})"
     )
-    output.add_argument("--json", action="store_true", help="print JSON instead of the tables")
-    output.add_argument("--quiet", action="store_true", help="no progress, no tables")
     parser.set_defaults(run=run)
 
 
@@ -89,7 +83,7 @@ def run(options: argparse.Namespace) -> int:
     given = {
         "rays": options.rays,
         "half_angle_deg": half_angle,
-        "angles_deg": None if options.angles_deg is None else list(chain(*options.angles_deg)),
+        "angles_deg": options.angles_deg,
         "azimuth_deg": options.azimuth_deg,
         "source": source,
         "view_half_angle_deg": options.view_half_angle_deg,
@@ -113,13 +107,8 @@ def run(options: argparse.Namespace) -> int:
     files = []
     if options.out is not None:
         files = write_objects(found, estimates, options.out, scene_title(options.scene), options.command_line)
-    if options.json:
-        record = objects_record(found, estimates) | {"files": [str(file) for file in files]}
-        print(json.dumps(record, indent=2, allow_nan=False))
-    elif not options.quiet:
-        print(objects_text(found, estimates, options.rows))
-        if files:
-            print(f"\n{len(files)} files in {options.out}; open {options.out / 'objects.html'}")
+    text = partial(objects_text, found, estimates, options.rows)
+    show(options, partial(objects_record, found, estimates), text, files, "objects.html")
     return 0
 
 

@@ -3,97 +3,107 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import RAW, count
+from mistray.cli.arguments import INTERRUPTED, RAW, count
+from mistray.cli.tracing_arguments import add_output, add_scene, show, start_mitsuba
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
-    from mistray.optimize import Design, Step
-
-INTERRUPTED = 130
+    from mistray.optimize import Start, Step
 
 
 def add(commands: Any) -> None:
     """Declare the command."""
     parser = commands.add_parser(
         "optimize",
-        help="make stray light small by the thicknesses of coatings",
-        description="Search thicknesses of coatings that make a metric of a scene small, along the gradient of the\n"
-        "traced metric, and prove the result on other random numbers. STUDY is a TOML file that says what is to be\n"
-        "made small and by which coatings; docs/optimization.md describes it.",
+        help="make stray light small by coatings, shapes, positions, rims and scatter",
+        description="Search values of a scene's parameters that make a merit small, along the gradient of the traced\n"
+        "merit, and prove the result on other random numbers. STUDY is a TOML file that says what is to be small,\n"
+        "what is to be kept, and what may change; docs/optimization.md describes it.",
         epilog="examples:\n"
         "  mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar\n"
         "  mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar --steps 80 --resume",
         formatter_class=RAW,
     )
-    parser.add_argument("scene", metavar="SCENE", help="scene XML file, or the name of a shipped scene")
+    add_scene(parser)
     parser.add_argument("study", metavar="STUDY", type=Path, help="TOML file")
     parser.add_argument(
         "--steps", type=count, metavar="N", help="most steps of each search (default: as the study says)"
     )
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
-    parser.add_argument("--out", type=Path, metavar="DIR",
-                        help="write scene.xml, report.html, tables, pictures and the checkpoint there")  # fmt: skip
     parser.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
-    parser.add_argument("--quiet", action="store_true", help="no progress, no report")
+    add_output(parser, "scene.xml, report.html, tables, pictures and the checkpoint")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from mistray._mitsuba_compat import silence_warnings
-    from mistray._variant import ensure_variant
-
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the checkpoint; give --out")
-    ensure_variant(options.variant)  # settles libLLVM before anything imports Mitsuba
-    silence_warnings()
-    from mistray.optimize import optimize_coatings
+    start_mitsuba(options)
+    from mistray.optimize import optimize, read_study
     from mistray.report import writable_directory
-    from mistray.report.optimization import report_text, write_optimization
+    from mistray.report.optimization import write_optimization
+    from mistray.report.optimization_tables import optimization_record, report_text
 
+    study = read_study(options.study)
+    steps = study.optimizer.steps if options.steps is None else options.steps
     checkpoint = None
-    shown = not options.quiet and sys.stderr.isatty()
     saved = options.resume
     if options.out is not None:
         checkpoint = writable_directory(options.out) / "checkpoint.json"
-
-    def progress(step: Step, design: Design) -> None:
-        nonlocal saved
-        saved = checkpoint is not None
-        if shown:
-            _show(step, design)
-
     try:
-        result = optimize_coatings(
-            options.scene,
-            options.study,
-            steps=options.steps,
-            checkpoint=checkpoint,
-            resume=options.resume,
-            progress=progress,
-        )
+        with _progress(options, min(study.starts, study.optimizer.searches) * steps) as shown:
+
+            def progress(step: Step, start: Start) -> None:
+                nonlocal saved
+                saved = checkpoint is not None
+                shown(step, start)
+
+            result = optimize(
+                options.scene, study, steps=steps, checkpoint=checkpoint, resume=options.resume, progress=progress
+            )
         files = [] if options.out is None else write_optimization(result, options.out, options.command_line)
     except KeyboardInterrupt:
         if not saved:
             raise
         print(f"mistray: interrupted; all steps are in {checkpoint}, go on with --resume", file=sys.stderr)
         return INTERRUPTED
-    if not options.quiet:
-        print(report_text(result))
-        if files:
-            print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
+    show(options, lambda: optimization_record(result), lambda: report_text(result), files)
     return 0
 
 
-def _show(step: Step, design: Design) -> None:
-    """One line for each step on stderr."""
-    print(
-        f"start {step.start + 1} ({design.name}), step {step.step}: {step.value:.4e} ± {step.value_se:.1e}, "
-        f"|gradient| {step.gradient_norm:.1e}/nm, {step.seconds:.0f} s",
-        file=sys.stderr,
-        flush=True,
+@contextlib.contextmanager
+def _progress(options: argparse.Namespace, steps: int) -> Iterator[Any]:
+    """A line for each step and below them a bar over the steps, on stderr when that is a terminal."""
+    if options.quiet or not sys.stderr.isatty():
+        yield lambda step, start: None
+        return
+    from tqdm import tqdm
+
+    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
+    with tqdm(desc="starts", total=max(steps, 1), bar_format=form, leave=False, file=sys.stderr) as bar:
+
+        def shown(step: Step, start: Start) -> None:
+            bar.write(step_text(step, start), file=sys.stderr)
+            if step.step:
+                bar.set_description_str(f"search from start {step.start + 1}, merit {step.merit:.4f}", refresh=False)
+                bar.update(1)
+
+        yield shown
+
+
+def step_text(step: Step, start: Start) -> str:
+    """A step in one line: merit, terms, and an exclamation mark at each that breaks its limit."""
+    terms = ", ".join(
+        f"{name} {value:.4g}{' (!)' if name in step.broken else ''}" for name, value in step.terms.items()
+    )
+    return (
+        f"start {step.start + 1} ({start.name}), step {step.step}: merit {step.merit:.4f} ± {step.merit_se:.1e}; "
+        f"{terms}; |gradient| {step.gradient_norm:.1e}, {step.seconds:.0f} s"
     )

@@ -10,14 +10,26 @@ import shlex
 import sys
 from collections.abc import Sequence
 
-from mistray.cli import bsdf, coating, doctor, ghosts, import_lens, objects, optimize, pst, study, thermal
-from mistray.cli.arguments import RAW, Parser
+from mistray.cli import (
+    bsdf,
+    budget,
+    coating,
+    doctor,
+    ghosts,
+    import_lens,
+    objects,
+    optimize,
+    pst,
+    sensitivity,
+    study,
+    thermal,
+)
+from mistray.cli.arguments import INTERRUPTED, RAW, Parser
 from mistray.errors import MistrayError
 
 BAD_INPUT = 2
-INTERRUPTED = 130
 # In the order of the help; each has `add`
-COMMANDS = (doctor, import_lens, ghosts, objects, pst, study, thermal, coating, bsdf, optimize)
+COMMANDS = (doctor, import_lens, ghosts, objects, pst, study, thermal, coating, bsdf, sensitivity, budget, optimize)
 
 
 def main(argv: Sequence[str] | None = None) -> int:

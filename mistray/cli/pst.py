@@ -4,16 +4,15 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import math
 import sys
 from collections.abc import Callable, Iterator
-from itertools import chain
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import RAW, angles, count, finite, incidence, positive
+from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, RAW, add_angles, angles, count, finite, positive
 from mistray.cli.tracing_arguments import (
+    add_output,
     add_ray_tree,
     add_scatter,
     add_scene,
@@ -21,6 +20,7 @@ from mistray.cli.tracing_arguments import (
     check_weights,
     scene_title,
     settings_of,
+    show,
     start_mitsuba,
 )
 from mistray.errors import MistrayError
@@ -29,8 +29,6 @@ if TYPE_CHECKING:
     from mistray.analysis.pst.state import PstProgress
     from mistray.trace.directions import DirectionGrid
 
-INTERRUPTED = 130
-ANGLES = [float(angle) for angle in range(0, 81, 2)]
 MAP_PIXELS = 64
 STATE = "pst_state.npz"
 
@@ -53,10 +51,8 @@ def add(commands: Any) -> None:
     )
     add_scene(parser)
     directions = parser.add_argument_group("directions (angles: numbers, and ranges first:last:step)")
-    directions.add_argument("--angles-deg", type=incidence, nargs="+", metavar="DEG",
-                            help="field angles, ascending (0:80:2)")  # fmt: skip
-    directions.add_argument("--azimuths-deg", type=angles, nargs="+", metavar="DEG",
-                            help="azimuths of a map, from +y towards -x (the mean over all)")  # fmt: skip
+    add_angles(directions, "--angles-deg", "field angles, ascending (0:80:2)")
+    add_angles(directions, "--azimuths-deg", "azimuths of a map, from +y towards -x (the mean over all)", angles)
     directions.add_argument("--cell-deg", type=positive, metavar="DEG",
                             help="width of the cells of field angle that the PST is averaged over (2)")  # fmt: skip
     directions.add_argument("--azimuth-cell-deg", type=positive, metavar="DEG",
@@ -79,16 +75,12 @@ def add(commands: Any) -> None:
     saved.add_argument("--state", type=Path, metavar="FILE",
                        help=f"what is finished, renewed as the run goes on ({STATE} in --out)")  # fmt: skip
     saved.add_argument("--resume", action="store_true", help="go on from the saved run")
-    output = parser.add_argument_group("output")
-    output.add_argument("--out", type=Path, metavar="DIR", help="write report.html, CSV, JSON and PNG files there")
+    output = add_output(parser, "report.html, CSV, JSON and PNG files")
     output.add_argument("--paths-shown", type=count, default=4, metavar="N",
                         help="strongest stray paths of each angle; 0: no paths (4)")  # fmt: skip
-    output.add_argument("--map-angles-deg", type=incidence, nargs="+", metavar="DEG",
-                        help="field angles of irradiance maps of the detector (need --out)")  # fmt: skip
+    add_angles(output, "--map-angles-deg", "field angles of irradiance maps of the detector (need --out)")
     output.add_argument("--map-azimuth-deg", type=finite, metavar="DEG", help="their azimuth (the first one)")
     output.add_argument("--map-pixels", type=count, metavar="N", help=f"pixels along their longer side ({MAP_PIXELS})")
-    output.add_argument("--json", action="store_true", help="print JSON instead of the tables")
-    output.add_argument("--quiet", action="store_true", help="no progress, no tables")
     parser.set_defaults(run=run)
 
 
@@ -106,8 +98,8 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         writable_directory(options.out)
     grid = DirectionGrid.of(
-        ANGLES if options.angles_deg is None else list(chain(*options.angles_deg)),
-        None if options.azimuths_deg is None else list(chain(*options.azimuths_deg)),
+        FIELD_ANGLES if options.angles_deg is None else options.angles_deg,
+        options.azimuths_deg,
         options.cell_deg,
         options.azimuth_cell_deg,
     )
@@ -116,11 +108,11 @@ def run(options: argparse.Namespace) -> int:
     scene = load(options.scene)
     passes: list[PstProgress] = []
     try:
-        with _progress(options) as shown:
+        with _progress(options) as draw:
 
             def progress(now: PstProgress) -> None:
                 passes.append(now)
-                shown(now)
+                draw(now)
 
             found = pst(
                 scene,
@@ -151,13 +143,8 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         title = scene_title(options.scene)
         files = write_pst(found, options.out, title, options.command_line, options.paths_shown, maps_at)
-    if options.json:
-        record = pst_record(found, options.paths_shown) | {"files": [str(file) for file in files]}
-        print(json.dumps(record, indent=2, allow_nan=False))
-    elif not options.quiet:
-        print(pst_text(found, options.paths_shown))
-        if files:
-            print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
+    shown = options.paths_shown
+    show(options, lambda: pst_record(found, shown), lambda: pst_text(found, shown), files)
     return 0
 
 
@@ -185,7 +172,7 @@ def _maps_at(options: argparse.Namespace, grid: DirectionGrid) -> list[tuple[flo
     if options.map_angles_deg is None:
         return []
     azimuth = float(grid.azimuths_deg[0]) if options.map_azimuth_deg is None else options.map_azimuth_deg
-    directions = [(angle, azimuth) for angle in dict.fromkeys(chain(*options.map_angles_deg))]
+    directions = [(angle, azimuth) for angle in dict.fromkeys(options.map_angles_deg)]
     for direction in directions:
         grid.nearest(*direction)
     return directions
@@ -224,12 +211,12 @@ def _progress(options: argparse.Namespace) -> Iterator[Callable[[PstProgress], N
     form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}{postfix}"
     with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
 
-        def show(now: PstProgress) -> None:
+        def draw(now: PstProgress) -> None:
             bar.set_postfix_str(_state_of(now), refresh=False)
             bar.update(max(now.share_done - bar.n, 0.0))
             bar.refresh()
 
-        yield show
+        yield draw
 
 
 def _state_of(now: PstProgress) -> str:

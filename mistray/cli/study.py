@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import json
 import sys
 from collections.abc import Callable, Iterator
-from itertools import chain
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import RAW, field, finite, incidence, positive
+from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, RAW, add_angles, field, finite, positive
 from mistray.cli.tracing_arguments import (
+    add_output,
     add_ray_tree,
     add_scatter,
     add_scene,
@@ -20,12 +19,11 @@ from mistray.cli.tracing_arguments import (
     check_weights,
     scene_title,
     settings_of,
+    show,
     start_mitsuba,
 )
 from mistray.errors import MistrayError
 
-INTERRUPTED = 130
-ANGLES = [float(angle) for angle in range(0, 81, 2)]
 STATE = "pst_state.npz"
 STEPS = 8
 
@@ -47,8 +45,7 @@ def add(commands: Any) -> None:
     )
     add_scene(parser)
     what = parser.add_argument_group("what is traced")
-    what.add_argument("--angles-deg", type=incidence, nargs="+", metavar="DEG",
-                      help="field angles of the PST, numbers and ranges first:last:step (0:80:2)")  # fmt: skip
+    add_angles(what, "--angles-deg", "field angles of the PST, numbers and ranges first:last:step (0:80:2)")
     what.add_argument("--field-deg", type=field, nargs="+", metavar="DEG",
                       help="field angles of the ghosts (0, 1/2, 1 and 5/4 of the half field)")  # fmt: skip
     what.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of these fields (as the scene says)")
@@ -60,11 +57,8 @@ def add(commands: Any) -> None:
     add_spectrum(what)
     add_ray_tree(parser, "start rays of the PST; objects get a fifth at each angle, ghosts a tenth (1e6; quick: 1e5)")
     add_scatter(parser)
-    output = parser.add_argument_group("output")
-    output.add_argument("--out", type=Path, metavar="DIR", help="write report.html and a CSV file of every table there")
+    output = add_output(parser, "report.html and a CSV file of every table", shown="findings")
     output.add_argument("--resume", action="store_true", help="go on with the PST that was saved in --out")
-    output.add_argument("--json", action="store_true", help="print JSON instead of the findings")
-    output.add_argument("--quiet", action="store_true", help="no progress, no findings")
     parser.set_defaults(run=run)
 
 
@@ -93,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         with _progress(options) as progress:
             found = study(
                 scene,
-                ANGLES if options.angles_deg is None else list(chain(*options.angles_deg)),
+                FIELD_ANGLES if options.angles_deg is None else options.angles_deg,
                 options.field_deg,
                 quick=options.quick,
                 wavelength_nm=options.wavelength_nm,
@@ -113,13 +107,7 @@ def run(options: argparse.Namespace) -> int:
         print(f"mistray: interrupted; the PST so far is in {state}, go on with --resume", file=sys.stderr)
         return INTERRUPTED
     files = write_study(found, options.out, options.command_line) if options.out is not None else []
-    if options.json:
-        record = study_record(found) | {"files": [str(file) for file in files]}
-        print(json.dumps(record, indent=2, allow_nan=False))
-    elif not options.quiet:
-        print(study_text(found))
-        if files:
-            print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
+    show(options, lambda: study_record(found), lambda: study_text(found), files)
     return 0
 
 
@@ -139,9 +127,9 @@ def _progress(options: argparse.Namespace) -> Iterator[Callable[[int, str, float
     form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
     with tqdm(total=1.0, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
 
-        def show(step: int, what: str, share: float) -> None:
+        def draw(step: int, what: str, share: float) -> None:
             bar.set_description_str(f"step {step} of {STEPS}, {what}", refresh=False)
             bar.n = share
             bar.refresh()
 
-        yield show
+        yield draw

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import argparse
-import json
-from pathlib import Path
 from typing import Any
 
 from mistray.cli.arguments import RAW, finite, positive
 from mistray.cli.tracing_arguments import (
+    add_output,
     add_ray_tree,
     add_scatter,
     add_scene,
     progress_bar,
     scene_title,
     settings_of,
+    show,
     start_mitsuba,
 )
 
@@ -48,10 +48,7 @@ def add(commands: Any) -> None:
     band.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
     add_ray_tree(parser, "rays from the detector, for each wavelength and twice (2e5)")
     add_scatter(parser)
-    output = parser.add_argument_group("output")
-    output.add_argument("--out", type=Path, metavar="DIR", help="write report.html, CSV, JSON and PNG files there")
-    output.add_argument("--json", action="store_true", help="print JSON instead of the tables")
-    output.add_argument("--quiet", action="store_true", help="no progress, no tables")
+    add_output(parser, "report.html, CSV, JSON and PNG files")
     parser.set_defaults(run=run)
 
 
@@ -81,13 +78,7 @@ def run(options: argparse.Namespace) -> int:
     files = []
     if options.out is not None:
         files = write_thermal(report, options.out, scene_title(options.scene), options.command_line)
-    if options.json:
-        record = thermal_record(report) | {"files": [str(file) for file in files]}
-        print(json.dumps(record, indent=2, allow_nan=False))
-    elif not options.quiet:
-        print(thermal_text(report))
-        if files:
-            print(f"\n{len(files)} files in {options.out}; open {options.out / 'report.html'}")
+    show(options, lambda: thermal_record(report), lambda: thermal_text(report), files)
     return 0
 
 

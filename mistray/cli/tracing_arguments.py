@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
 from typing import Any
@@ -67,6 +68,31 @@ def add_scatter(parser: argparse.ArgumentParser) -> None:
                        help="aim at the detector and targets of the scene, only at these, or not (auto)")  # fmt: skip
     group.add_argument("--scatter-threshold", type=finite, metavar="F",
                        help="flux below which hits scatter by chance, relative to the ray's start (0.1)")  # fmt: skip
+
+
+def add_output(parser: argparse.ArgumentParser, files: str, shown: str = "tables") -> Any:
+    """Declare where results go; `files` is what --out writes, `shown` what is printed. Returns the group."""
+    group = parser.add_argument_group("output")
+    group.add_argument("--out", type=Path, metavar="DIR", help=f"write {files} there")
+    group.add_argument("--json", action="store_true", help=f"print JSON instead of the {shown}")
+    group.add_argument("--quiet", action="store_true", help=f"no progress, no {shown}")
+    return group
+
+
+def show(
+    options: argparse.Namespace,
+    record: Callable[[], Mapping[str, Any]],
+    text: Callable[[], str],
+    files: Sequence[Path],
+    page: str = "report.html",
+) -> None:
+    """Print a result as `add_output` has it: the record with the names of the files, or the text, or nothing."""
+    if options.json:
+        print(json.dumps({**record(), "files": [str(file) for file in files]}, indent=2, allow_nan=False))
+    elif not options.quiet:
+        print(text())
+        if files:
+            print(f"\n{len(files)} files in {options.out}; open {options.out / page}")
 
 
 def settings_of(options: argparse.Namespace) -> dict[str, Any]:

@@ -19,7 +19,8 @@ string                        n                                                 
 ============================  ======================================================================== ==============
 
 followed, if wanted, by `` k=VALUE`` (k is this number, whatever the data say), `` extrapolate`` (wavelengths outside of
-the data's range are allowed: formulas are evaluated there, tables keep the value of their nearest end), and
+the data's range are allowed: formulas are evaluated there, tables keep the value of their nearest end),
+`` shift=VALUE`` (added to n at every wavelength), and
 `` scatter=PER_MM g=G`` (the material scatters this share of the light per mm, with the phase function of Henyey and
 Greenstein of asymmetry g).
 
@@ -30,7 +31,7 @@ the names, their pages and their sources.
 from mistray.materials.catalogue import names
 from mistray.materials.formulas import CAUCHY_RANGE_NM, LINE_C_NM, LINE_D_NM, LINE_F_NM, cauchy_index
 from mistray.materials.lookup import Source, bulk_scatter, complex_index, refractive_index, resolved, source
-from mistray.materials.spec import BulkScatter
+from mistray.materials.spec import BulkScatter, shifted
 
 __all__ = [
     "CAUCHY_RANGE_NM",
@@ -45,5 +46,6 @@ __all__ = [
     "names",
     "refractive_index",
     "resolved",
+    "shifted",
     "source",
 ]

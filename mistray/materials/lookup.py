@@ -179,8 +179,13 @@ def _check_wavelength(spec: Spec, wavelength_nm: float) -> None:
 
 def _real(spec: Spec, found: _Material, wavelength_nm: float) -> float:
     remedy = "use a wavelength inside, or append ' extrapolate' to the material"
-    n = found.n.at(wavelength_nm, f"material '{spec.text}'", spec.extrapolate, remedy)
+    n = found.n.at(wavelength_nm, f"material '{spec.text}'", spec.extrapolate, remedy) + spec.shift
     if not n > 0:
+        if spec.shift:
+            raise MistrayError(
+                f"material '{spec.text}': index {n:g} at {wavelength_nm:g} nm; it must be greater than 0, change the "
+                "shift"
+            )
         raise MistrayError(
             f"material '{spec.text}': index {n:g} at {wavelength_nm:g} nm; its data do not hold there, use another "
             "wavelength"

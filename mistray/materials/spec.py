@@ -14,7 +14,7 @@ _REAL = re.compile(rf"[-+]?{_NUMBER}")
 _COMPLEX = re.compile(rf"([-+]?{_NUMBER})\s*([-+])\s*({_NUMBER})\s*[ij]")
 _ND_VD = re.compile(rf"nd\s*=\s*([-+]?{_NUMBER})\s*[,;\s]\s*Vd\s*=\s*([-+]?{_NUMBER})", re.IGNORECASE)
 _ENTRY = re.compile(r"(.*\.(?:agf|dat)):(.+)", re.IGNORECASE)
-_SUFFIX = re.compile(r"\s+(?:(extrapolate)|(k|scatter|g)\s*=\s*(\S*))$", re.IGNORECASE)
+_SUFFIX = re.compile(r"\s+(?:(extrapolate)|(k|shift|scatter|g)\s*=\s*(\S*))$", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -80,6 +80,8 @@ class Spec:
         The suffixes as they were written, with the blank before them.
     k : float or None
         Of the suffix ``k=VALUE``.
+    shift : float
+        Of the suffix ``shift=VALUE``.
     extrapolate : bool
         Whether the suffix ``extrapolate`` is there.
     bulk : BulkScatter
@@ -90,6 +92,7 @@ class Spec:
     form: Constant | AbbeNumber | UserFile | Name
     suffix: str
     k: float | None
+    shift: float
     extrapolate: bool
     bulk: BulkScatter
 
@@ -117,7 +120,18 @@ def parse(material: str) -> Spec:
     form = _form(text, body)
     if k is not None and isinstance(form, Constant) and form.k is not None:
         raise MistrayError(f"material '{text}': k is given twice; leave out 'k=' or the imaginary part")
-    return Spec(text, form, text[len(body) :], k, "extrapolate" in given, _bulk(text, given))
+    shift = _shift(text, given["shift"]) if "shift" in given else 0.0
+    return Spec(text, form, text[len(body) :], k, shift, "extrapolate" in given, _bulk(text, given))
+
+
+def shifted(material: str, by: float) -> str:
+    """The same material with this much more of n at every wavelength: the suffix ``shift=VALUE``."""
+    if not by:
+        return material
+    spec = parse(material)
+    others = re.sub(r"\s+shift\s*=\s*\S*", "", spec.suffix, flags=re.IGNORECASE)
+    total = spec.shift + by
+    return f"{spec.text[: len(spec.text) - len(spec.suffix)]}{others}{f' shift={total!r}' if total else ''}"
 
 
 def _form(text: str, body: str) -> Constant | AbbeNumber | UserFile | Name:
@@ -164,6 +178,14 @@ def _k(text: str, value: str) -> float:
     if not _REAL.fullmatch(value):
         raise MistrayError(f"material '{text}': k = '{value}' is no number; write for instance 'k=0' or 'k=1e-7'")
     return _finite(text, float(value))
+
+
+def _shift(text: str, value: str) -> float:
+    if not _REAL.fullmatch(value):
+        raise MistrayError(f"material '{text}': shift = '{value}' is no number; write for instance 'shift=-2e-4'")
+    if not math.isfinite(float(value)):
+        raise MistrayError(f"material '{text}': shift = {value}; it must be finite")
+    return float(value)
 
 
 def _bulk(text: str, given: dict[str, str]) -> BulkScatter:

@@ -1,33 +1,71 @@
 """Making stray light small: metrics, their gradients, and the designs that follow from them."""
 
-from mistray.optimize.checkpoint import Step
-from mistray.optimize.coatings import Optimization, optimize_coatings
-from mistray.optimize.designs import Design
+from mistray.optimize.budget import Budget, budget
 from mistray.optimize.gradient import Gradient, gradient
-from mistray.optimize.metrics import Metric, Observation, ghost_to_signal, image_metric, path_power
+from mistray.optimize.metrics import (
+    Metric,
+    combine,
+    ghost_focus,
+    ghost_rms_irradiance,
+    ghost_to_signal,
+    image_metric,
+    log,
+    path_power,
+    peak_irradiance,
+    relative_illumination,
+    rms_spot,
+    transmission,
+)
+from mistray.optimize.observation import Observation, smooth_maximum, smooth_minimum
+from mistray.optimize.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+from mistray.optimize.pst_observation import PstObservation
 from mistray.optimize.read_study import read_study
-from mistray.optimize.study import CoatingGroup, MetricStudy, Optimizer, Study
+from mistray.optimize.run import Optimization, optimize
+from mistray.optimize.sensitivity import Sensitivity, sensitivity
+from mistray.optimize.state import Start, Step
+from mistray.optimize.study import CoatingGroup, Moved, Optimizer, Study, Term, VariableGroup
 from mistray.optimize.verify import Comparison, Levels, compare, measure
 
 __all__ = [
+    "Budget",
     "CoatingGroup",
     "Comparison",
-    "Design",
     "Gradient",
     "Levels",
     "Metric",
-    "MetricStudy",
+    "Moved",
     "Observation",
     "Optimization",
     "Optimizer",
+    "PstObservation",
+    "Sensitivity",
+    "Start",
     "Step",
     "Study",
+    "Term",
+    "VariableGroup",
+    "budget",
+    "combine",
     "compare",
+    "ghost_focus",
+    "ghost_rms_irradiance",
     "ghost_to_signal",
     "gradient",
     "image_metric",
+    "log",
     "measure",
-    "optimize_coatings",
+    "optimize",
     "path_power",
+    "peak_irradiance",
+    "pst_band",
+    "pst_bin",
+    "pst_mask",
     "read_study",
+    "relative_illumination",
+    "rms_spot",
+    "sensitivity",
+    "smooth_maximum",
+    "smooth_minimum",
+    "transmission",
+    "veiling_glare",
 ]

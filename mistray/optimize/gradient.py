@@ -2,22 +2,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field
+from typing import Any
 
 import drjit as dr
 import numpy as np
 
-from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
 from mistray.optimize.metrics import Metric
-from mistray.trace.coating_gradient import IDEAL_PARAMETERS, coating_gradient
+from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.trace.energy import batch_error
+from mistray.trace.geometry_gradient import geometry_columns
 from mistray.trace.ledger import BATCHES
+from mistray.trace.parameter_gradient import edge_gradient, parameter_gradient
+from mistray.trace.raw_gradient import EDGE_WIDTH, RawGradient, Wanted
 
-if TYPE_CHECKING:
-    from mistray.trace.optics import Optics
+COATING_KINDS = ("coating", "share")
+OTHER_KINDS = ("scatter", "index")
 
 
 @dataclass(frozen=True)
@@ -33,35 +35,78 @@ class Gradient:
         Key of the parameter → (entries,) float64. The errors are those of the mean over the start rays, for the
         derivatives of the metric by the fluxes as they were traced: for a metric that is not linear in the fluxes, such
         as a ratio, the noise of those is not in it.
+    edge_check : dict
+        Key → (entries,): the gradient with half the width of the zones at rims less the gradient. What is larger than
+        its noise is the bias of the width. Only parameters that rims or rays at rims depend on are in it.
+    batches : dict
+        Key → (BATCHES, entries): the parts of the gradient from single batches of start rays, whose sum it is.
     left_out : list of str
         What the derivatives do not contain.
     seconds : tuple of float
-        Time of the primal and of the adjoint walks.
+        Time of the primal walks and of those for the derivatives.
     """
 
     value: float
     value_se: float
     gradient: dict[str, np.ndarray]
     standard_error: dict[str, np.ndarray]
+    edge_check: dict[str, np.ndarray]
+    batches: dict[str, np.ndarray]
     left_out: list[str]
     seconds: tuple[float, float]
+
+    def covariance(self, keys: Iterable[str] | None = None) -> np.ndarray:
+        """Covariance matrix of the derivatives, their entries one after the other in the order of the keys."""
+        chosen = list(self.gradient if keys is None else keys)
+        parts = np.concatenate([self.batches[key] for key in chosen], axis=1)
+        apart = parts - parts.mean(axis=0)
+        return np.asarray(BATCHES / (BATCHES - 1) * apart.T @ apart)
 
     def __str__(self) -> str:
         lines = [f"value {self.value:.6e} ± {self.value_se:.1e}"]
         for key, values in self.gradient.items():
             for k, (value, error) in enumerate(zip(values, self.standard_error[key], strict=True)):
-                lines.append(f"d/d {key}[{k}] {value:+.5e} ± {error:.1e}")
+                check = f" (edge width: {self.edge_check[key][k]:+.1e})" if key in self.edge_check else ""
+                lines.append(f"d/d {key}[{k}] {value:+.5e} ± {error:.1e}{check}")
         return "\n".join([*lines, *(f"left out: {text}" for text in self.left_out)])
 
 
 # Runs of several fields and wavelengths are added batch by batch; each splits its rays evenly
 EQUAL = np.ones(BATCHES)
 LEFT_OUT = "branches below flux_threshold and children of R = 0 or T = 0, which the trace does not follow"
+NO_EDGES = "what rays gain and lose at rims (edges=False)"
+NO_SILHOUETTES = "silhouettes of curved surfaces, which hide what lies behind them without a rim"
+INDEX_OF_SCATTER = "the change of what surfaces scatter with the index of the materials beside them"
 
 
-def gradient(metric: Metric, params: Mapping[str, Any], keys: Iterable[str] | None = None) -> Gradient:
+@dataclass
+class _Sums:
+    """Derivatives by batch, by plugin and name: with visibility as it is, and at rims with two widths."""
+
+    inner: dict[tuple[int, str], np.ndarray] = field(default_factory=dict)
+    edges: tuple[dict[tuple[int, str], np.ndarray], ...] = field(default_factory=lambda: ({}, {}))
+
+    @staticmethod
+    def add(into: dict[tuple[int, str], np.ndarray], found: Iterator[tuple[Any, str, np.ndarray]]) -> None:
+        """Add what a chain rule yields."""
+        for owner, name, part in found:
+            into[id(owner), name] = into.get((id(owner), name), 0.0) + part
+
+
+def gradient(
+    metric: Metric,
+    params: Mapping[str, Any],
+    keys: Iterable[str] | None = None,
+    *,
+    edges: bool = True,
+    edge_width: float = EDGE_WIDTH,
+) -> Gradient:
     """
-    Derivatives of a metric by coating parameters, by one primal and one adjoint walk for each field and wavelength.
+    Derivatives of a metric by parameters of its scene: coatings, scatter, indices, shapes, positions, rims.
+
+    Coatings alone cost one walk in reverse for each field and wavelength. For anything else the rays are recorded and
+    followed again in float64, and where shapes are concerned rays that hit a surface near a rim are sent past it as
+    well: what the rim takes from the metric, or gives to it.
 
     Parameters
     ----------
@@ -70,7 +115,12 @@ def gradient(metric: Metric, params: Mapping[str, Any], keys: Iterable[str] | No
     params : mi.SceneParameters
         ``mi.traverse(metric.scene)``, perhaps reduced by its `keep`.
     keys : iterable of str, optional
-        The parameters; by default all coating parameters in `params`.
+        Keys of parameters or patterns such as ``"vane_*.r0"``; by default all in `params` that have a derivative.
+    edges : bool
+        Count what rays gain and lose at rims. Without it visibility is held as it is.
+    edge_width : float
+        Width of the zone at a rim in which rays are looked at, in units of its radius, 0 … 0.5. Wider zones have less
+        noise and more bias, see `Gradient.edge_check`.
 
     Returns
     -------
@@ -79,68 +129,90 @@ def gradient(metric: Metric, params: Mapping[str, Any], keys: Iterable[str] | No
     Raises
     ------
     MistrayError
-        If a key is no coating parameter of the scene, or the scene or the settings have no derivative.
+        If a key is unknown or has no derivative, or the scene or the settings have none.
     """
-    owners = parameter_owners(params, keys)
+    if not 0 < edge_width <= 0.5:
+        raise MistrayError(f"edge_width is {edge_width:g}; it is relative to the radius of a rim, between 0 and 0.5")
+    chosen = chosen_parameters(metric.scene, params, keys)
+    wanted = wanted_of(chosen.values(), edges, edge_width)
     observations = metric.observe()
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
-    primal = sum(o.trace.seconds for o in observations)
-    sums: dict[tuple[int, str], np.ndarray] = {}
-    rows: dict[tuple[float, ...], tuple[Optics, np.ndarray]] = {}
-    seconds, variance = 0.0, 0.0
+    sums, left_out, seconds, variance = _Sums(), [LEFT_OUT], 0.0, 0.0
     by_batch = np.zeros(BATCHES)
+    raws: dict[tuple[Any, ...], RawGradient] = {}
     for observation in observations:
-        pixel, path = observation.derivatives()
-        for optics, part, elapsed in observation.trace.adjoint(pixel, path):
-            seconds += elapsed
-            # Fields share their tables: the rows of all of them go through the chain rule at once
-            shared = optics.wavelength_nm, *(id(table) for table in optics.tables)
-            rows[shared] = optics, part + rows[shared][1] if shared in rows else part
-        by_batch += observation.trace.by_batch(path)
-        variance += float(np.sum(np.square(pixel * observation.trace.irradiance_se)))
-    places = set(owners.values())
-    for optics, total in rows.values():
-        for owner, name, part in coating_gradient(optics, total, lambda owner, name: (id(owner), name) in places):
-            sums[id(owner), name] = sums.get((id(owner), name), 0.0) + part
+        for raw in observation.raw_gradients(wanted):
+            seconds += raw.seconds
+            left_out += [text for text in raw.left_out if text not in left_out]
+            # Fields share their tables: all of them go through the chain rule at once
+            shared = raw.table.wavelength_nm, raw.backward, *(id(table) for table in raw.table.optics.tables)
+            raws[shared] = raws[shared].plus(raw) if shared in raws else raw
+        noise, batches = observation.noise()
+        variance += noise
+        by_batch += batches
+    places = {(id(p.owner), p.name) for p in chosen.values()}
+
+    def is_chosen(owner: Any, name: str) -> bool:
+        return (id(owner), name) in places
+
+    for raw in raws.values():
+        sums.add(sums.inner, parameter_gradient(raw, is_chosen))
+        for half_width, into in enumerate(sums.edges):
+            sums.add(into, edge_gradient(raw, is_chosen, bool(half_width)))
+    if wanted.geometry or wanted.indices:
+        left_out += [NO_SILHOUETTES] if edges else [NO_EDGES, NO_SILHOUETTES]
+    if wanted.indices and any(raw.scattering.any for raw in raws.values()):
+        left_out.append(INDEX_OF_SCATTER)
     result: dict[str, np.ndarray] = {}
-    errors: dict[str, np.ndarray] = {}
-    for key, place in owners.items():
-        batches = sums.get(place)
-        if batches is None:  # the coating was never met
-            batches = np.zeros((BATCHES, int(np.size(params[key]))))
-        result[key], errors[key] = batches.sum(axis=0), batch_error(batches.T, EQUAL)
+    errors, checks, parts = dict(result), dict(result), dict(result)
+    for key, p in chosen.items():
+        place = id(p.owner), p.name
+        nothing = np.zeros((BATCHES, p.value.size))  # a surface that was never met
+        wide, narrow = (of_width.get(place, nothing) for of_width in sums.edges)
+        total = sums.inner.get(place, nothing) + wide
+        parts[key], result[key] = total, total.sum(axis=0)
+        errors[key] = batch_error(total.T, EQUAL)
+        if wide.any() or narrow.any():
+            checks[key] = (narrow - wide).sum(axis=0)
     return Gradient(
         float(dr.detach(value)[0]),
         float(np.sqrt(variance + batch_error(by_batch, EQUAL) ** 2)),
         result,
         errors,
-        [LEFT_OUT],
-        (primal, seconds),
+        checks,
+        parts,
+        left_out,
+        (sum(o.seconds for o in observations), seconds),
     )
 
 
-def parameter_owners(params: Mapping[str, Any], keys: Iterable[str] | None = None) -> dict[str, tuple[int, str]]:
+def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str] | None = None) -> dict[str, Parameter]:
     """
-    Keys of coating parameters → identity of the plugin that owns them and name.
+    The parameters that keys or patterns name; without keys all in `params` that have a derivative.
 
     Raises
     ------
     MistrayError
-        If a key is unknown or no coating parameter, or there is none.
+        If a key is unknown or has no derivative, or there is none.
     """
-    properties = params.properties  # type: ignore[attr-defined]
-    names = (*LAYER_PARAMETERS, *IDEAL_PARAMETERS)
-    found = {}
-    for key in keys if keys is not None else list(params.keys()):
-        if key not in params:
-            raise MistrayError(f"parameter '{key}' does not exist; list(mi.traverse(scene).keys()) shows them all")
-        name = key.rsplit(".", 1)[-1]
-        node = properties[key][2]
-        if name in names and hasattr(node, "film"):
-            found[key] = (id(node), name)
-        elif keys is not None:
-            raise MistrayError(f"parameter '{key}' has no derivative; coatings have, by {', '.join(names)}")
-    if not found:
-        raise MistrayError("no coating parameter to differentiate by; give surfaces a 'thinfilm' or an ideal R and T")
-    return found
+    known = parameters(scene, params)
+    chosen = list(known) if keys is None else match(known, keys)
+    if not chosen:
+        raise MistrayError("no parameter to differentiate by; list(mistray.optimize.parameters(scene)) shows them all")
+    return {key: known[key] for key in chosen}
+
+
+def wanted_of(chosen: Iterable[Parameter], edges: bool, edge_width: float) -> Wanted:
+    """What the tracer must gather for some parameters."""
+    chosen = list(chosen)
+    kinds = {p.kind for p in chosen}
+    shapes = [p for p in chosen if p.kind not in (*COATING_KINDS, *OTHER_KINDS)]
+    return Wanted(
+        rows=bool(kinds & {*COATING_KINDS, "index"}),
+        geometry=geometry_columns(p.name for p in shapes),
+        indices="index" in kinds,
+        scatter="scatter" in kinds,
+        edges=edges and bool(shapes or "index" in kinds),
+        edge_width=edge_width,
+    )

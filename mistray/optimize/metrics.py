@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+import difflib
+import inspect
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from typing import Any
 
 import drjit as dr
@@ -11,83 +14,12 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace import PathRow, Trace, trace
-from mistray.trace.path_events import DIRECT, STRAY_KINDS
+from mistray.optimize.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum
+from mistray.optimize.views import View
+from mistray.trace import trace
+from mistray.trace.path_events import DIRECT
 
-Selection = str | Callable[[PathRow], bool]
-
-
-class Observation:
-    """
-    One trace as a metric sees it: powers of paths and the detector's image as differentiable Dr.Jit arrays.
-
-    Parameters
-    ----------
-    result : Trace
-        At one field angle.
-
-    Attributes
-    ----------
-    trace : Trace
-        The numbers themselves, not differentiable.
-    irradiance : (height · width,) mi.Float64
-        W/mm², row by row, row 0 at the smallest y.
-    """
-
-    def __init__(self, result: Trace) -> None:
-        self.trace = result
-        self._rows = list(result.paths)
-        self._powers = mi.Float64([row.power_W for row in self._rows] or [0.0])
-        self.irradiance = mi.Float64(np.ascontiguousarray(result.irradiance.ravel()))
-        dr.enable_grad(self._powers, self.irradiance)
-
-    @property
-    def launched_W(self) -> float:
-        """Flux of the sources, W."""
-        return self.trace.energy.launched_W
-
-    def power(self, selection: Selection) -> mi.Float64:
-        """
-        Power of some paths together, W.
-
-        Parameters
-        ----------
-        selection : str or callable
-            A `kind` of the path table ("direct", "ghost", "structure", …), "stray" (all but "direct"), "all", the
-            events of one path as in its `events`, or a function of a `PathRow`.
-
-        Raises
-        ------
-        MistrayError
-            If the text is neither a kind nor the events of a path.
-        """
-        indices = [k for k, row in enumerate(self._rows) if _matches(selection, row)]
-        if not indices:
-            if isinstance(selection, str) and selection not in KINDS and ":" not in selection:
-                raise MistrayError(f"selection '{selection}' is no kind of path; use one of {', '.join(KINDS)}")
-            return mi.Float64(0.0)
-        return dr.sum(dr.gather(mi.Float64, self._powers, mi.UInt32(indices)))
-
-    def derivatives(self) -> tuple[np.ndarray, np.ndarray]:
-        """Derivatives of the metric by the irradiance of each pixel and by the power of each path, after backward."""
-        height, width = self.trace.irradiance.shape
-        return (
-            np.broadcast_to(np.array(dr.grad(self.irradiance)), height * width).reshape(height, width),
-            np.broadcast_to(np.array(dr.grad(self._powers)), max(len(self._rows), 1))[: len(self._rows)],
-        )
-
-
-KINDS = ("all", "stray", DIRECT, *STRAY_KINDS)
-
-
-def _matches(selection: Selection, row: PathRow) -> bool:
-    if not isinstance(selection, str):
-        return bool(selection(row))
-    if selection == "all":
-        return True
-    if selection == "stray":
-        return row.kind != DIRECT
-    return selection in (row.kind, row.events)
+AXIS_DEG = 0.0
 
 
 @dataclass(frozen=True)
@@ -99,8 +31,8 @@ class Metric:
     ----------
     scene : mi.Scene
     function : callable
-        Takes a list of `Observation`, one for each field, and returns a Dr.Jit scalar made from their `power` and
-        `irradiance` with smooth functions.
+        Takes a list of `Observation`, one for each field, and returns a Dr.Jit scalar made from their `power`,
+        `moments`, `map` and `irradiance` with smooth functions.
     fields_deg : tuple of float or None
         Field angles, degrees; None: the source's own.
     wavelength_nm, weights
@@ -109,72 +41,176 @@ class Metric:
         Further arguments of `mistray.trace`: rays, max_reflections, flux_threshold, seed, …
     unit : str
         Unit of the value, for tables.
+    name : str
+        For messages and tables.
     """
 
     scene: Any
-    function: Callable[[list[Observation]], Any]
+    function: Callable[[list[Any]], Any]
     fields_deg: tuple[float, ...] | None = None
     wavelength_nm: float | Sequence[float] | None = None
     weights: Sequence[float] | None = None
     settings: Any = None
     unit: str = ""
+    name: str = "metric"
 
-    def observe(self, **changes: Any) -> list[Observation]:
-        """Trace all fields; `changes` replace some of the settings."""
-        settings = {**(self.settings or {}), **changes}
+    @property
+    def views(self) -> list[View]:
+        """What is traced, in the order of the observations."""
+        light = {"wavelength_nm": self.wavelength_nm, "weights": self.weights}
         fields: Sequence[float | None] = (None,) if self.fields_deg is None else self.fields_deg
-        return [
-            Observation(
-                trace(
-                    self.scene,
-                    field_deg=angle,
-                    wavelength_nm=self.wavelength_nm,
-                    weights=self.weights,
-                    **settings,
-                )
-            )
-            for angle in fields
-        ]
+        return [View({**(self.settings or {}), **light, "field_deg": angle}) for angle in fields]
 
-    def evaluate(self, observations: list[Observation]) -> Any:
-        """The metric as a Dr.Jit scalar of type ``mi.Float64`` that depends on the observations."""
+    def observe(self, times: float = 1.0, **changes: Any) -> list[Any]:
+        """
+        Trace all fields.
+
+        Parameters
+        ----------
+        times : float
+            So many times the rays of the settings.
+        **changes
+            Replace some of the settings, for example ``seed=1``.
+
+        Returns
+        -------
+        list of Observation or PstObservation
+        """
+        if not 0 < times < np.inf:
+            raise MistrayError(f"times is {times:g}; it must be a positive number")
+        return [view.observe(self.scene, times, changes) for view in self.views]
+
+    def evaluate(self, observations: list[Any]) -> Any:
+        """
+        The metric as a Dr.Jit scalar of type ``mi.Float64`` that depends on the observations.
+
+        What the observations know of the derivatives of values before is forgotten.
+
+        Raises
+        ------
+        MistrayError
+            If the function gives more than one number, one that is not finite, or one that Dr.Jit cannot differentiate.
+        """
+        for observation in observations:
+            observation.clear()
         with dr.resume_grad():
             value = mi.Float64(self.function(observations))
         if dr.width(value) != 1:
             raise MistrayError(f"the metric's function returned {dr.width(value)} values; it must return one number")
+        if not dr.grad_enabled(value):
+            raise MistrayError(
+                f"the {self.name} does not depend on the traces; let its function work on Dr.Jit numbers and Python's, "
+                "as a NumPy number times one of Dr.Jit is an array of NumPy"
+            )
+        number = float(dr.detach(value)[0])
+        if not np.isfinite(number):
+            raise MistrayError(
+                f"the {self.name} is {number:g}; something it divides by is 0: choose other fields or paths, or trace "
+                "more rays"
+            )
         return value
 
-    def value(self, **changes: Any) -> float:
-        """The metric's value; `changes` replace some of the settings, for example ``seed=1``."""
-        return float(dr.detach(self.evaluate(self.observe(**changes)))[0])
+    def value(self, times: float = 1.0, **changes: Any) -> float:
+        """The metric's value; for the arguments see `observe`."""
+        return float(dr.detach(self.evaluate(self.observe(times, **changes)))[0])
+
+
+@dataclass(frozen=True)
+class CombinedMetric(Metric):
+    """
+    A number computed from other metrics of the same scene; see `combine`.
+
+    Attributes
+    ----------
+    parts : dict of str to Metric
+    """
+
+    parts: Mapping[str, Metric] | None = None
+
+    @property
+    def views(self) -> list[View]:
+        """What the parts look at, each view once."""
+        return list({view.key: view for part in (self.parts or {}).values() for view in part.views}.values())
+
+    def values(self, observations: list[Any]) -> dict[str, Any]:
+        """The parts as Dr.Jit scalars, by name, from the observations of `observe`."""
+        seen = {view.key: observation for view, observation in zip(self.views, observations, strict=True)}
+        return {
+            name: mi.Float64(part.function([seen[view.key] for view in part.views]))
+            for name, part in (self.parts or {}).items()
+        }
+
+
+def combine(
+    metrics: Mapping[str, Metric], function: Callable[[dict[str, Any]], Any], unit: str = "", name: str = "merit"
+) -> CombinedMetric:
+    """
+    A function of several metrics, such as a merit of weighted terms.
+
+    Every trace that several of them need, with the same field, wavelengths and settings, is made once.
+
+    Parameters
+    ----------
+    metrics : mapping of str to Metric
+        All of one scene.
+    function : callable
+        Takes a dict of Dr.Jit scalars by the same names and returns one, by smooth functions.
+    unit, name : str
+
+    Raises
+    ------
+    MistrayError
+        If there is no metric, or they are of several scenes.
+    """
+    if not metrics:
+        raise MistrayError("combine() got no metric; give at least one")
+    scenes = {id(metric.scene) for metric in metrics.values()}
+    if len(scenes) > 1:
+        raise MistrayError(f"the metrics {', '.join(metrics)} are of {len(scenes)} scenes; make all from one scene")
+    parts = dict(metrics)
+
+    def of_parts(observations: list[Any]) -> Any:
+        return function(combined.values(observations))
+
+    combined = CombinedMetric(next(iter(parts.values())).scene, of_parts, unit=unit, name=name, parts=parts)
+    return combined
+
+
+def log(metric: Metric) -> Metric:
+    """The natural logarithm of a metric, whose derivatives are relative ones; raises where it is not positive."""
+
+    def function(observations: list[Any]) -> Any:
+        value = mi.Float64(metric.function(observations))
+        if not float(dr.detach(value)[0]) > 0:
+            raise MistrayError(f"the {metric.name} is {float(dr.detach(value)[0]):g}; its logarithm does not exist")
+        return dr.log(value)
+
+    return replace(metric, function=function, unit="1", name=f"logarithm of the {metric.name}")
 
 
 def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
-    Detected power of some paths, mean over the fields, in units of the launched power.
+    Detected power of some paths over the launched power, mean over the fields, W/W.
 
     Parameters
     ----------
     scene : mi.Scene
-    selection : str or callable
+    selection : str, sequence of str or callable
         See `Observation.power`.
     **traced
         `fields_deg`, `wavelength_nm`, `weights` of `Metric`, and arguments of `mistray.trace`.
     """
-
-    def function(observations: list[Observation]) -> Any:
-        return sum(o.power(selection) / o.launched_W for o in observations) / len(observations)
-
-    return _metric(scene, function, traced, "W/W")
+    return _mean(scene, lambda o: o.power(selection) / o.launched_W, traced, "W/W", "path power")
 
 
 def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
-    """Power of the ghosts (or of another selection) over that of the direct image, mean over the fields."""
+    """
+    Power of the ghosts (or of another selection) over that of the direct image, mean over the fields, 1.
 
-    def function(observations: list[Observation]) -> Any:
-        return sum(o.power(selection) / o.power("direct") for o in observations) / len(observations)
-
-    return _metric(scene, function, traced, "1")
+    Raises when evaluated `MistrayError` if there is no direct light at a field. Parameters as for `path_power`.
+    """
+    name = "ghost-to-signal ratio"
+    return _mean(scene, lambda o: o.power(selection) / _signal(o, name), traced, "1", name)
 
 
 def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> Metric:
@@ -189,17 +225,194 @@ def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> M
     **traced
         As for `path_power`.
     """
-
-    def mean(observations: list[Observation]) -> Any:
-        return sum(function(o.irradiance) for o in observations) / len(observations)
-
-    return _metric(scene, mean, traced, "")
+    return _mean(scene, lambda o: function(o.irradiance), traced, "", "image metric")
 
 
-def _metric(scene: Any, function: Callable[[list[Observation]], Any], traced: dict[str, Any], unit: str) -> Metric:
+def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
+    """
+    Smooth maximum of the irradiance of some paths over the pixels of the detector, mean over the fields, W/mm².
+
+    (Σ E^p)^(1/p) over the pixels, see `smooth_maximum`; it depends on the size of the pixels and is the more above the
+    true maximum the more noise the pixels have.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    selection : str, sequence of str or callable
+        All of them together; see `Observation.power`. Other paths than "all" take a second trace of the same rays.
+    norm : float
+        p ≥ 1.
+    **traced
+        As for `path_power`.
+    """
+    return _mean(scene, lambda o: o.peak(selection, norm), traced, "W/mm2", "peak irradiance")
+
+
+def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
+    """
+    RMS irradiance P / (π r²) of the brightest ghost, mean over the fields, W/mm²; r is its RMS radius.
+
+    The smooth maximum over the single paths of a selection, as they are in the ghost table: of one path its own
+    figure. Paths of less than 30 rays are left out. See `Observation.moments_of_each` and `smooth_maximum`.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    selection : str, sequence of str or callable
+        See `Observation.power`.
+    norm : float
+        p ≥ 1; 1: the sum over the paths.
+    **traced
+        As for `path_power`.
+    """
+    return _mean(
+        scene,
+        lambda o: smooth_maximum(o.moments_of_each(selection).rms_irradiance, norm),
+        traced,
+        "W/mm2",
+        "RMS irradiance of the ghosts",
+    )
+
+
+def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
+    """
+    RMS radius of the ghost that is best in focus, mean over the fields, mm; large is good.
+
+    The smooth minimum over the single paths of a selection: of one path its own RMS radius. Parameters as for
+    `ghost_rms_irradiance`.
+    """
+    return _mean(
+        scene,
+        lambda o: smooth_minimum(o.moments_of_each(selection).rms_radius, norm),
+        traced,
+        "mm",
+        "RMS radius of the ghosts",
+    )
+
+
+def rms_spot(scene: Any, **traced: Any) -> Metric:
+    """
+    RMS radius of the direct image about its centroid, all wavelengths together, mean over the fields, mm.
+
+    Raises when evaluated `MistrayError` if there is no direct light at a field. Keywords as for `path_power`.
+    """
+    return _mean(scene, lambda o: o.moments(DIRECT).rms_radius, traced, "mm", "RMS spot")
+
+
+def transmission(scene: Any, **traced: Any) -> Metric:
+    """
+    Power of the direct image over the launched power, mean over the fields, W/W.
+
+    What the stop and the rims take is in it: a beam that is wider than the entrance pupil gives a smaller number.
+    Keywords as for `path_power`.
+    """
+    return _mean(scene, lambda o: o.power(DIRECT) / o.launched_W, traced, "W/W", "transmission")
+
+
+def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced: Any) -> Metric:
+    """
+    Relative illumination of the image of an even scene, mean over the fields, 1.
+
+    By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)), with the power Φ of the direct image for beams of the same
+    irradiance and the solid angle Ω from which an area of the image collects, sin θ dθ / (r dr). The beam must fill the
+    entrance pupil at every field.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    step_deg : float, optional
+        Field angles ± this are traced as well, and dr/dθ is the difference of the centroids of their direct images; the
+        image must be centred on the axis of the source. None: an image without distortion, Ω = cos³θ/f².
+    **traced
+        As for `path_power`, with `fields_deg`; the axis is traced as well.
+    """
+    name = "relative illumination"
+    fields = _own(traced)["fields_deg"] or ()
+    off_axis = [angle for angle in fields if angle != AXIS_DEG]
+    if not off_axis:
+        raise MistrayError("relative illumination needs fields_deg off the axis, 15 or (10, 15) say")
+    if step_deg is not None and not 0 < step_deg < 45:
+        raise MistrayError(f"step_deg is {step_deg:g}; give a small angle greater than 0, 0.5 say")
+    steps = (0.0,) if step_deg is None else (0.0, -float(step_deg), float(step_deg))
+    angles = [angle + step for angle in (AXIS_DEG, *off_axis) for step in steps]
+
+    def function(observations: list[Any]) -> Any:
+        groups = [observations[k : k + len(steps)] for k in range(0, len(observations), len(steps))]
+        signal = _signal(groups[0][0], name) * _solid_angle(groups[0], groups[0])
+        light = [group[0].power(DIRECT) * _solid_angle(group, groups[0]) for group in groups[1:]]
+        return (len(fields) - len(off_axis) + sum(light) / signal) / len(fields)
+
+    return _metric(scene, function, {**traced, "fields_deg": angles}, "1", name)
+
+
+def _solid_angle(group: list[Observation], axis: list[Observation]) -> Any:
+    """
+    Solid angle per area of the image at a field, in units that all fields share.
+
+    Parameters
+    ----------
+    group : list of Observation
+        At the field, and before and behind it; the field alone for an image without distortion.
+    axis : list of Observation
+        The same on the axis.
+    """
+    angle = math.radians(group[0].field_deg)
+    if len(group) == 1:
+        return math.cos(angle) ** 3
+    centre, here, near, far = (o.moments(DIRECT) for o in (axis[0], *group))
+    x, y = far.x - near.x, far.y - near.y
+    slope = dr.sqrt(x * x + y * y) / math.radians(group[2].field_deg - group[1].field_deg)
+    if group is axis:
+        return 1 / (slope * slope)
+    along = ((here.x - centre.x) * x + (here.y - centre.y) * y) / dr.sqrt(x * x + y * y)
+    return math.sin(angle) / (along * slope)
+
+
+def require_known(given: Iterable[str], known: Iterable[str]) -> None:
+    """Raise if a keyword is none of those known."""
+    names = list(known)
+    for key in given:
+        if key not in names:
+            close = difflib.get_close_matches(key, names, n=2)
+            hint = f"did you mean {' or '.join(close)}?" if close else f"use {', '.join(names)}"
+            raise MistrayError(f"metric: there is no setting '{key}'; {hint}")
+
+
+def _signal(observation: Observation, name: str) -> Any:
+    """Power of the direct image, which something is divided by."""
+    power = observation.power(DIRECT)
+    if not float(dr.detach(power)[0]) > 0:
+        raise MistrayError(
+            f"the {name} is nan: no direct light at field {observation.field_deg:g}°; choose fields within the field "
+            "of view"
+        )
+    return power
+
+
+def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
+    """The mean over the fields of a number of each."""
+
+    def function(observations: list[Any]) -> Any:
+        return sum(number(o) for o in observations) / len(observations)
+
+    return _metric(scene, function, traced, unit, name)
+
+
+def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
+    own = _own(traced)
+    settings = {key: value for key, value in traced.items() if key not in own}
+    require_known(settings, [key for key in inspect.signature(trace).parameters if key not in ("scene", "field_deg")])
+    return Metric(scene, function, settings=settings, unit=unit, name=name, **own)
+
+
+def _own(traced: dict[str, Any]) -> dict[str, Any]:
+    """The attributes of `Metric` among the keywords of a metric's function."""
     if "field_deg" in traced:
         raise MistrayError(f"metric: field_deg = {traced['field_deg']}; give fields_deg instead of field_deg")
-    own = {key: traced.pop(key) for key in ("fields_deg", "wavelength_nm", "weights") if key in traced}
-    if own.get("fields_deg") is not None:
-        own["fields_deg"] = tuple(float(angle) for angle in np.atleast_1d(own["fields_deg"]))
-    return Metric(scene, function, settings=traced, unit=unit, **own)
+    own = {key: traced.get(key) for key in ("fields_deg", "wavelength_nm", "weights")}
+    if own["fields_deg"] is not None:
+        fields = np.atleast_1d(np.asarray(own["fields_deg"], dtype=np.float64))
+        if not fields.size:
+            raise MistrayError("fields_deg is empty; give at least one field angle, or leave it out")
+        own["fields_deg"] = tuple(fields.tolist())
+    return own

@@ -14,7 +14,9 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from mistray.materials import complex_index
-from mistray.optimize.designs import Design, Placed
+from mistray.optimize.state import Start
+from mistray.optimize.study_scene import Placed
+from mistray.optimize.variables import Variables
 from mistray.physics.thinfilm import reflectance_transmittance
 
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0)  # in the rarer material
@@ -118,32 +120,45 @@ def minima(proxy: Proxy, bounds_nm: Sequence[tuple[float, float]], given: np.nda
 
 
 def starts(
-    placed: Sequence[Placed], wavelength_nm: Sequence[float], weights: Sequence[float], count: int, seed: int
-) -> list[Design]:
+    variables: Variables,
+    placed: Sequence[Placed],
+    wavelength_nm: Sequence[float],
+    weights: Sequence[float],
+    count: int,
+    seed: int,
+) -> list[Start]:
     """
-    The given design and, if more are wanted, combinations of minima of the proxy.
+    The given design and, if more are wanted, others.
 
-    The first of them takes the deepest minimum of every coating, the second the next, and so on; a coating with fewer
-    minima keeps its last.
+    With coatings they are combinations of minima of the proxy: the first of them takes the deepest minimum of every
+    coating, the second the next, and so on; a coating with fewer minima keeps its last, and other variables stay as
+    they are. Without coatings they are points of a Latin hypercube within the bounds.
 
     Parameters
     ----------
+    variables : Variables
+        Those of the layers of the coatings come first.
     placed : sequence of Placed
     wavelength_nm, weights : sequence of float
-        The band.
+        The band; not used without coatings.
     count : int
-        Most designs.
+        Most starts.
     seed : int
     """
-    given = {p.group.name: np.array([layer.thickness_nm for layer in p.group.start.layers]) for p in placed}
-    designs = [Design("given", given)]
+    result = [Start("given", variables.start)]
     if count == 1:
-        return designs
-    lists = {
-        p.group.name: minima(Proxy.of(p, wavelength_nm, weights), p.group.bounds_nm, given[p.group.name], seed)
-        for p in placed
-    }
-    for k in range(min(count - 1, max(map(len, lists.values())))):
-        thickness = {name: found[min(k, len(found) - 1)] for name, found in lists.items()}
-        designs.append(Design(f"minimum {k + 1} of the mean square R", thickness))
-    return designs
+        return result
+    if not placed:
+        points = qmc.LatinHypercube(len(variables), seed=np.random.default_rng(seed)).random(count - 1)
+        return result + [
+            Start(f"point {k + 1} of a Latin hypercube", variables.values(y)) for k, y in enumerate(points)
+        ]
+    lists = []
+    for item in placed:
+        given = np.array([layer.thickness_nm for layer in item.group.start.layers])
+        lists.append(minima(Proxy.of(item, wavelength_nm, weights), item.group.bounds_nm, given, seed))
+    for k in range(min(count - 1, max(map(len, lists)))):
+        layers = np.concatenate([found[min(k, len(found) - 1)] for found in lists])
+        x = np.concatenate([layers, variables.start[len(layers) :]])
+        result.append(Start(f"minimum {k + 1} of the mean square R", x))
+    return result

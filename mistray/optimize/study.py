@@ -1,74 +1,108 @@
-"""Studies: what is to be made small, by which coatings, within which bounds."""
+"""Studies: what is to be small, what is to hold, which variables may move within which bounds, and by which method."""
 
 from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Callable
-from dataclasses import asdict, dataclass
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from mistray.coatings import Stack
-from mistray.optimize.metrics import Metric, ghost_to_signal, path_power
 
-METRICS: dict[str, Callable[..., Metric]] = {"path_power": path_power, "ghost_to_signal": ghost_to_signal}
+GOALS = ("minimise", "at_least", "at_most", "keep")
+SCALES = ("linear", "log")
+SEEDS = ("fixed", "fresh")
+PATIENCE = {"lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps; their names are those of the methods
 
 
 @dataclass(frozen=True)
-class MetricStudy:
+class Term:
     """
-    Section ``[metric]``: the number to be made small.
+    One of the sections ``[[term]]``: a number and what is to become of it.
 
     Attributes
     ----------
-    kind : {"path_power", "ghost_to_signal"}
-        Functions of `mistray.optimize`.
-    paths : str
-        A kind of the path table ("ghost", "stray", …) or the events of one path.
-    fields_deg : tuple of float or None
-        Averaged; None: the source's own field.
-    wavelength_nm : tuple of float or None
-        Traced with `weights`; None: the source's own.
-    weights : tuple of float or None
-        Shares of the flux, equal by default.
-    rays : int
-        Start rays at each field.
-    max_reflections : int
-    flux_threshold : float
-        0 by default: branches that are cut have no gradient.
-    seed : int
-        Of the optimisation; the verification takes others.
+    name : str
+    kind : str or callable
+        A key of `mistray.optimize.terms.KINDS`; or, from Python, a function that takes a scene and the settings of
+        `traced` with a `seed`, and returns a `Metric`.
+    goal : {"minimise", "at_least", "at_most", "keep"}
+    weight : float
+        Greater than 0.
+    limit, limit_of_start : float or None
+        For "at_least" and "at_most" one of both: the least or greatest value in the unit of the term, or as a multiple
+        of the value at the start.
+    tolerance : float
+        Width of the zone inside the limit in which the penalty grows from 0 to `weight`, relative to the limit; for
+        "keep" the relative change at which it is `weight`. Greater than 0.
+    own : mapping
+        Arguments of the kind, such as `paths` or `coatings`.
+    traced : mapping
+        `fields_deg`, `wavelength_nm`, `weights` and arguments of `mistray.trace` but `seed`.
     """
 
-    kind: str = "path_power"
-    paths: str = "ghost"
-    fields_deg: tuple[float, ...] | None = None
-    wavelength_nm: tuple[float, ...] | None = None
-    weights: tuple[float, ...] | None = None
-    rays: int = 10_000
-    max_reflections: int = 2
-    flux_threshold: float = 0.0
-    seed: int = 0
+    name: str
+    kind: Any
+    goal: str = "minimise"
+    weight: float = 1.0
+    limit: float | None = None
+    limit_of_start: float | None = None
+    tolerance: float = 0.01
+    own: Mapping[str, Any] = field(default_factory=dict)
+    traced: Mapping[str, Any] = field(default_factory=dict)
 
-    def metric(self, scene: Any, selection: Any = None, **changes: Any) -> Metric:
-        """The metric of a scene; `selection` instead of `paths`, `changes` instead of some of the settings."""
-        settings = {
-            "fields_deg": self.fields_deg,
-            "wavelength_nm": self.wavelength_nm,
-            "weights": self.weights,
-            "rays": self.rays,
-            "max_reflections": self.max_reflections,
-            "flux_threshold": self.flux_threshold,
-            "seed": self.seed,
-            **changes,
-        }
-        return METRICS[self.kind](scene, self.paths if selection is None else selection, **settings)
+
+@dataclass(frozen=True)
+class Moved:
+    """
+    Parameters that a variable moves.
+
+    Attributes
+    ----------
+    key : str
+        A key of ``mi.traverse(scene)``, or a pattern as of `fnmatch`.
+    entry : int or None
+        Of a parameter that is a list; 0 is the first. None: all entries.
+    factor : float
+        How far they move with the variable; not 0.
+    """
+
+    key: str
+    entry: int | None = None
+    factor: float = 1.0
+
+
+@dataclass(frozen=True)
+class VariableGroup:
+    """
+    One of the sections ``[[variable]]``.
+
+    Attributes
+    ----------
+    name : str or None
+        None: the first parameter's key.
+    parameters : tuple of Moved
+    low, high : float
+        Least and greatest value of every parameter over its factor, in the parameter's unit.
+    scale : {"linear", "log"}
+        Whether parameters move together by differences or by ratios.
+    each : bool
+        Every parameter is a variable of its own.
+    """
+
+    name: str | None
+    parameters: tuple[Moved, ...]
+    low: float
+    high: float
+    scale: str = "linear"
+    each: bool = False
 
 
 @dataclass(frozen=True)
 class CoatingGroup:
     """
-    One of the sections ``[[coating]]``: a design that some surfaces share.
+    One of the sections ``[[coating]]``: a design that some surfaces share; its thicknesses are variables.
 
     Attributes
     ----------
@@ -98,20 +132,46 @@ class Optimizer:
 
     Attributes
     ----------
+    method : {"lbfgsb", "adam", "nlopt"}
+    algorithm : str
+        Of NLopt.
     steps : int
         Most steps of the search from each start.
+    step_size : float
+        Share of the way from bound to bound: the largest move in the first trial of "lbfgsb", the length of the steps
+        of "adam", the initial step of "nlopt". 0 … 1.
+    decay : float
+        Every step of "adam" is so many times as long as the one before. 0 … 1.
     tolerance : float
-        A search ends after two steps that each lower the metric by less than this, relative.
-    starts : int
-        Number of start designs that are traced, the given one included; 1 … 100.
+        A search ends when `patience` steps have lowered the merit by less than this; 0: when the steps are used up.
+    patience : int or None
+        None: 2 for "lbfgsb", 10 otherwise.
+    seeds : {"fixed", "fresh"}
+        The same rays at every evaluation, or others at each of them ("adam" only).
+    seed : int
+        Of the rays; the verification takes those that follow.
+    starts : int or None
+        Number of starts that are evaluated, the given one included; 1 … 100. None: 4 with coatings, otherwise 1.
     searches : int
         From so many of them, the best ones, a search begins; 1 … 100.
     """
 
+    method: str = "lbfgsb"
+    algorithm: str = "LD_MMA"
     steps: int = 40
+    step_size: float = 0.02
+    decay: float = 1.0
     tolerance: float = 1e-3
-    starts: int = 4
+    patience: int | None = None
+    seeds: str = "fixed"
+    seed: int = 0
+    starts: int | None = None
     searches: int = 1
+
+    @property
+    def stop_after(self) -> int:
+        """Steps over which the merit must fall by `tolerance`."""
+        return PATIENCE[self.method] if self.patience is None else self.patience
 
 
 @dataclass(frozen=True)
@@ -123,20 +183,31 @@ class Study:
     ----------
     name : str
         File or other name, for messages.
-    metric : MetricStudy
+    terms : tuple of Term
+    variables : tuple of VariableGroup
     coatings : tuple of CoatingGroup
     optimizer : Optimizer
     """
 
     name: str
-    metric: MetricStudy
-    coatings: tuple[CoatingGroup, ...]
+    terms: tuple[Term, ...]
+    variables: tuple[VariableGroup, ...] = ()
+    coatings: tuple[CoatingGroup, ...] = ()
     optimizer: Optimizer = Optimizer()
+
+    @property
+    def starts(self) -> int:
+        """Number of starts."""
+        return self.optimizer.starts or (4 if self.coatings else 1)
 
     @property
     def fingerprint(self) -> str:
         """Hash of what must agree for a search to go on: all but its length."""
-        content = {**asdict(self), "name": None}
-        for key in ("steps", "searches", "tolerance"):  # a search may go on with others
-            content["optimizer"].pop(key)
-        return hashlib.sha256(json.dumps(content, sort_keys=True).encode()).hexdigest()
+        optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=None)
+        content = asdict(replace(self, name="", optimizer=optimizer))
+        return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
+
+
+def _named(kind: Any) -> str:
+    """A function as text."""
+    return f"{getattr(kind, '__module__', '')}.{getattr(kind, '__qualname__', kind)}"

@@ -2,52 +2,74 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
-from dataclasses import dataclass
+import dataclasses
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
 from typing import Any
 
+import drjit as dr
+import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.designs import spectrum
-from mistray.optimize.study import MetricStudy
+from mistray.optimize.metrics import Metric
+from mistray.optimize.study import Study, Term
+from mistray.optimize.terms import RAYS, of_layers, of_pst, traced_metric
 
 SEEDS = 8
 
 
 @dataclass(frozen=True)
-class Levels:
+class Cell:
     """
-    A metric by seed, field and wavelength.
+    What a number is about.
 
     Attributes
     ----------
-    fields_deg : tuple of float or None
-        Field angles, degrees; (None,): the source's own.
-    wavelengths_nm : tuple of float or None
-        (None,): all of the source's together.
-    weights : (wavelengths,) float64
-        Shares of the flux.
-    seeds : tuple of int
-    numerator, denominator : (seeds, fields, wavelengths) float64
-        Power of the paths, and what it is divided by, each over the launched power of its wavelength.
+    term : str
+        Name of the term.
+    field_deg : float or None
+        Field angle, degrees; None: all fields of the term.
+    wavelength_nm : float or None
+        None: all wavelengths of the term with their weights.
     """
 
-    fields_deg: tuple[float | None, ...]
-    wavelengths_nm: tuple[float | None, ...]
-    weights: np.ndarray
+    term: str
+    field_deg: float | None = None
+    wavelength_nm: float | None = None
+
+    @property
+    def whole(self) -> bool:
+        """Whether this is the term itself."""
+        return self.field_deg is None and self.wavelength_nm is None
+
+
+@dataclass(frozen=True)
+class Levels:
+    """
+    The terms of a study in one scene.
+
+    Attributes
+    ----------
+    seeds : tuple of int
+    values : dict of Cell to (seeds,) float64
+        NaN where a field or a wavelength alone has no value.
+    units : dict of str to str
+        By name of the term.
+    """
+
     seeds: tuple[int, ...]
-    numerator: np.ndarray
-    denominator: np.ndarray
+    values: dict[Cell, np.ndarray]
+    units: dict[str, str] = field(default_factory=dict)
 
-    def at(self, field: int | None = None, wavelength: int | None = None) -> np.ndarray:
-        """The metric by seed, (seeds,): mean over the fields and all wavelengths together unless one is picked."""
+    def of(self, term: str) -> np.ndarray:
+        """The values of a term by seed, (seeds,)."""
+        return self.values[Cell(term)]
 
-        def band(values: np.ndarray) -> np.ndarray:
-            return np.asarray(values @ self.weights if wavelength is None else values[:, :, wavelength])
-
-        ratio = band(self.numerator) / band(self.denominator)
-        return np.asarray(ratio.mean(axis=1) if field is None else ratio[:, field])
+    def including(self, numbers: Mapping[str, float], units: Mapping[str, str]) -> Levels:
+        """The same with terms that are known exactly."""
+        exact = {Cell(name): np.full(len(self.seeds), value) for name, value in numbers.items()}
+        return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
 
 
 @dataclass(frozen=True)
@@ -57,16 +79,18 @@ class Row:
 
     Attributes
     ----------
-    field_deg : float or None
-        Field angle, degrees; None: mean over the fields, or the source's own.
-    wavelength_nm : float or None
-        None: all wavelengths with their weights.
+    term : str
+    unit : str
+    field_deg, wavelength_nm : float or None
+        See `Cell`.
     before, before_se, after, after_se : float
-        The metric of the two designs, mean over the seeds, with standard errors.
+        The value in the two designs, mean over the seeds, with standard errors.
     ratio, ratio_se : float
         before / after. Both trace the same rays, so its error is smaller than theirs.
     """
 
+    term: str
+    unit: str
     field_deg: float | None
     wavelength_nm: float | None
     before: float
@@ -75,6 +99,11 @@ class Row:
     after_se: float
     ratio: float
     ratio_se: float
+
+    @property
+    def whole(self) -> bool:
+        """Whether this is the term itself and not one field or wavelength of it."""
+        return self.field_deg is None and self.wavelength_nm is None
 
 
 @dataclass(frozen=True)
@@ -86,7 +115,7 @@ class Comparison:
     ----------
     seeds : tuple of int
     rows : tuple of Row
-        The whole, each field, each wavelength, each field at each wavelength.
+        Of each term the whole, each field, each wavelength, each field at each wavelength.
     """
 
     seeds: tuple[int, ...]
@@ -94,73 +123,92 @@ class Comparison:
 
     @property
     def total(self) -> Row:
-        """The whole metric."""
+        """The first term."""
         return self.rows[0]
 
+    def of(self, term: str) -> Row:
+        """A term."""
+        return next(row for row in self.rows if row.term == term and row.whole)
+
     def marginals(self) -> Iterator[Row]:
-        """The whole, each field and each wavelength."""
+        """The terms, each field and each wavelength of them."""
         return (row for row in self.rows if row.field_deg is None or row.wavelength_nm is None)
 
 
-def measure(scene: Any, study: MetricStudy, seeds: int = SEEDS) -> Levels:
+def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0) -> Levels:
     """
-    The metric of a scene on seeds that the search does not use: those that follow the study's own.
+    The terms of a study about light, on seeds that the search does not use: those that follow the study's own.
 
     Parameters
     ----------
     scene : mi.Scene
-    study : MetricStudy
+    study : Study
     seeds : int
         Number of seeds, at least 2.
+    times : float
+        So many times the rays of the terms for each seed.
     """
     if seeds < 2:
         raise MistrayError(f"seeds is {seeds}; a standard error needs at least 2")
-    numbers = tuple(study.seed + 1 + k for k in range(seeds))
-    wavelengths, weights = spectrum(scene, study)
-    lines: list[tuple[float | None, float]] = list(zip(wavelengths, weights, strict=True))
-    if study.wavelength_nm is None:
-        lines = [(None, 1.0)]
-    power = np.zeros((2, seeds, len(study.fields_deg or (None,)), len(lines)))
-    for k, (nm, share) in enumerate(lines):
-        rays = max(1, round(share * study.rays))
-        metric = study.metric(scene, wavelength_nm=nm, weights=None, rays=rays)
-        for j, seed in enumerate(numbers):
-            for i, observation in enumerate(metric.observe(seed=seed)):
-                signal = 1.0 if study.kind == "path_power" else _share(observation, "direct")
-                power[:, j, i, k] = _share(observation, study.paths), signal
-    return Levels(
-        study.fields_deg or (None,), tuple(nm for nm, _ in lines), np.array([w for _, w in lines]), numbers, *power
-    )
+    numbers = tuple(study.optimizer.seed + 1 + k for k in range(seeds))
+    metrics: dict[Cell, Metric] = {}
+    for term in study.terms:
+        if not of_layers(term):
+            metrics |= _cells(term, scene)
+    views = {view.key: view for metric in metrics.values() for view in metric.views}
+    values = {cell: np.zeros(seeds) for cell in metrics}
+    for j, seed in enumerate(numbers):
+        seen = {key: view.observe(scene, times, {"seed": seed}) for key, view in views.items()}
+        for cell, metric in metrics.items():
+            observations = [seen[view.key] for view in metric.views]
+            try:
+                values[cell][j] = float(dr.detach(mi.Float64(metric.function(observations)))[0])
+            except MistrayError:
+                if cell.whole:
+                    raise
+                values[cell][j] = np.nan  # no light there
+    return Levels(numbers, values, {cell.term: metric.unit for cell, metric in metrics.items()})
 
 
-def _share(observation: Any, paths: str) -> float:
-    """Power of some paths over the launched power."""
-    return float(np.array(observation.power(paths))[0]) / float(observation.launched_W)
+def _cells(term: Term, scene: Any) -> dict[Cell, Metric]:
+    """A term as a whole, at each field, at each wavelength and at each of both."""
+    fields = list(term.traced.get("fields_deg") or ())
+    lines = list(term.traced.get("wavelength_nm") or ())
+    weights = np.array(term.traced.get("weights") or [1.0] * len(lines))
+    fields, lines = ([] if of_pst(term) or len(v) < 2 else v for v in (fields, lines))
+    cells: list[tuple[float | None, int | None]] = [(None, None), *((angle, None) for angle in fields)]
+    cells += [(None, k) for k in range(len(lines))] + [(angle, k) for angle in fields for k in range(len(lines))]
+    result = {}
+    for angle, k in cells:
+        changes: dict[str, Any] = {} if angle is None else {"fields_deg": (angle,)}
+        if k is not None:
+            rays = max(1, round(float(weights[k] / weights.sum()) * term.traced.get("rays", RAYS)))
+            changes |= {"wavelength_nm": lines[k], "weights": None, "rays": rays}
+        metric = traced_metric(term, scene, 0, **changes)  # the seed is another at each measurement
+        result[Cell(term.name, angle, None if k is None else lines[k])] = metric
+    return result
 
 
 def compare(before: Levels, after: Levels) -> Comparison:
-    """The rows of two measurements with the same seeds, fields and wavelengths."""
-    same = ("fields_deg", "wavelengths_nm", "seeds")
-    for key in same:
-        if getattr(before, key) != getattr(after, key):
-            raise MistrayError(f"the two measurements differ in {key}; measure both scenes with the same study")
-    fields: list[int | None] = list(range(len(before.fields_deg)))
-    lines: list[int | None] = list(range(len(before.wavelengths_nm)))
-    fields, lines = (fields if len(fields) > 1 else []), (lines if len(lines) > 1 else [])
-    cells: list[tuple[int | None, int | None]] = [(None, None), *((i, None) for i in fields)]
-    cells += [(None, k) for k in lines] + [(i, k) for i in fields for k in lines]
+    """The rows of two measurements with the same study and seeds."""
+    if before.seeds != after.seeds:
+        raise MistrayError("the two measurements differ in seeds; measure both scenes with the same study")
+    if before.values.keys() != after.values.keys():
+        raise MistrayError("the two measurements differ in terms; measure both scenes with the same study")
     rows = []
-    for i, k in cells:
-        b, a = before.at(i, k), after.at(i, k)
+    for cell, b in before.values.items():
+        a = after.values[cell]
         root = np.sqrt(len(b))
         ratio, ratio_se = np.nan, np.nan
-        if a.mean() > 0:
+        if a.mean() != 0:
             ratio = b.mean() / a.mean()
-            ratio_se = (b - ratio * a).std(ddof=1) / a.mean() / root  # of a ratio of means
+            ratio_se = (b - ratio * a).std(ddof=1) / abs(a.mean()) / root  # of a ratio of means
         rows.append(
             Row(
-                None if i is None else before.fields_deg[i],
-                None if k is None else before.wavelengths_nm[k],
+                cell.term,
+                before.units.get(cell.term, ""),
+                cell.field_deg,
+                cell.wavelength_nm,
                 float(b.mean()),
                 float(b.std(ddof=1) / root),
                 float(a.mean()),

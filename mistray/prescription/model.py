@@ -19,6 +19,7 @@ from mistray.errors import MistrayError
 from mistray.materials import refractive_index
 from mistray.physics.crossing import meeting
 from mistray.physics.paraxial import ParaxialSystem
+from mistray.physics.pose import rotation
 from mistray.physics.sag import conic_end, sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.naming import scattering, shared_items
@@ -57,11 +58,7 @@ class Placed:
         """Rigid transform, shape (4, 4), from the frame to the world."""
         matrix = np.eye(4)
         for axis, angle in enumerate(self.tilt_deg):
-            c, s = math.cos(math.radians(angle)), math.sin(math.radians(angle))
-            i, j = (axis + 1) % 3, (axis + 2) % 3
-            rotation = np.eye(4)
-            rotation[[i, j, i, j], [i, j, j, i]] = c, c, -s, s
-            matrix = rotation @ matrix
+            matrix[:3, :3] = rotation(axis, angle) @ matrix[:3, :3]
         matrix[:3, 3] = self.x, self.y, self.z
         return matrix
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from html import escape
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +24,7 @@ from mistray.report.markup import (
     setting_text,
     thousands,
 )
+from mistray.report.page import page
 from mistray.report.plots import as_png, as_svg, levels_against_field, montage
 from mistray.report.tables import warnings
 from mistray.report.text import ABSENT, with_error
@@ -127,16 +127,7 @@ def html_text(
         section("surfaces", "Flux at every surface", surface_ledger(report, per_wavelength)),
         section("settings", "Assumptions, definitions and settings", _settings(settings, report, command)),
     ]
-    resources = files("mistray.report")
-    css = resources.joinpath("report.css").read_text(encoding="utf-8")
-    script = resources.joinpath("report.js").read_text(encoding="utf-8")
-    return (
-        '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-        '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>Ghost analysis: {escape(title)}</title><style>\n{css}</style></head>\n<body>\n"
-        + "\n".join(sections)
-        + f"\n<script>\n{script}</script></body></html>\n"
-    )
+    return page(f"Ghost analysis: {title}", sections)
 
 
 def _head(report: GhostReport, title: str, settings: dict[str, Any], summaries: Sequence[FieldSummary]) -> str:

@@ -8,11 +8,10 @@ from pathlib import Path
 import pandas as pd
 
 from mistray.analysis.objects.search import Objects
-from mistray.replace_file import replace_file
 from mistray.report.html_objects import html_text
 from mistray.report.objects_plots import objects_layout
 from mistray.report.objects_tables import csv_tables, objects_record
-from mistray.report.output import writable_directory
+from mistray.report.output import csv_text, write_files
 from mistray.report.plots import as_png
 
 
@@ -39,15 +38,10 @@ def write_objects(
     list of Path
         The files written.
     """
-    target = writable_directory(directory)
     png = as_png(objects_layout(found, title))
     record = {"title": title, "command": command} | objects_record(found, estimates)
-    files: dict[str, str | bytes] = {
-        name: table.to_csv(index=False, lineterminator="\n", float_format="%.9g")
-        for name, table in csv_tables(found, estimates).items()
-    }
+    files: dict[str, str | bytes] = {name: csv_text(table) for name, table in csv_tables(found, estimates).items()}
     files["objects.png"] = png
     files["objects.json"] = json.dumps(record, indent=1, allow_nan=False)
     files["objects.html"] = html_text(found, estimates, png, title, command)
-    target.mkdir(parents=True, exist_ok=True)
-    return [replace_file(target / name, content) for name, content in files.items()]
+    return write_files(files, directory)

@@ -1,13 +1,17 @@
-"""Everything that a ghost analysis writes, into one directory, complete or not at all."""
+"""What the reports write into a directory, complete or not at all; and everything that a ghost analysis writes."""
 
 from __future__ import annotations
 
 import shutil
 import tempfile
+from collections.abc import Mapping
 from pathlib import Path
+
+import pandas as pd
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
+from mistray.replace_file import replace_file
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.csv_tables import write_csv
 from mistray.report.html import write_html
@@ -134,6 +138,37 @@ def writable_directory(directory: str | Path) -> Path:
             f"output directory '{directory}' cannot be written ({error.strerror}); choose another"
         ) from None
     return target
+
+
+def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list[Path]:
+    """
+    Write finished files by name into one directory, each complete or not at all.
+
+    Parameters
+    ----------
+    files : mapping of str to str or bytes
+        Contents by file name; files of the same names are replaced.
+    directory : str or Path
+        Made if it is missing, with the directories above it; other files in it are left alone.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+
+    Raises
+    ------
+    MistrayError
+        See `writable_directory`.
+    """
+    target = writable_directory(directory)
+    target.mkdir(parents=True, exist_ok=True)
+    return [replace_file(target / name, content) for name, content in files.items()]
+
+
+def csv_text(table: pd.DataFrame) -> str:
+    """A table as CSV without its index, numbers with nine digits."""
+    return str(table.to_csv(index=False, lineterminator="\n", float_format="%.9g"))
 
 
 def _nearest_directory(path: Path) -> Path:

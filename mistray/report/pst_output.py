@@ -9,9 +9,8 @@ from pathlib import Path
 import pandas as pd
 
 from mistray.analysis.pst.result import Pst
-from mistray.replace_file import replace_file
 from mistray.report.html_pst import html_text
-from mistray.report.output import writable_directory
+from mistray.report.output import csv_text, write_files
 from mistray.report.plots import as_png
 from mistray.report.pst_plots import pst_causes, pst_curve, pst_irradiance, pst_map
 from mistray.report.pst_tables import cell_frame, curve_frame, path_frame, pst_record
@@ -92,15 +91,10 @@ def write_pst(
     list of Path
         The files written.
     """
-    target = writable_directory(directory)
     pictures = draw(pst, title, maps_at)
     record = {"title": title, "command": command} | pst_record(pst, paths_shown)
-    files: dict[str, str | bytes] = {
-        name: table.to_csv(index=False, lineterminator="\n", float_format="%.9g")
-        for name, table in csv_tables(pst).items()
-    }
+    files: dict[str, str | bytes] = {name: csv_text(table) for name, table in csv_tables(pst).items()}
     files |= pictures
     files["pst.json"] = json.dumps(record, indent=1, allow_nan=False)
     files["report.html"] = html_text(pst, title, command, pictures, paths_shown)
-    target.mkdir(parents=True, exist_ok=True)
-    return [replace_file(target / name, content) for name, content in files.items()]
+    return write_files(files, directory)

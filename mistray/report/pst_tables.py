@@ -11,9 +11,10 @@ import pandas as pd
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.pst.causes import Break, breaks, field_edge, stray_paths
-from mistray.analysis.pst.result import CLASSES, Pst
+from mistray.analysis.pst.result import Pst
 from mistray.report.json_values import plain
 from mistray.report.text import ABSENT, number, text_table, with_error
+from mistray.trace.sky import CLASSES
 
 ALL_CLASSES = ("total", "stray", *CLASSES)
 LARGE_ERROR = 0.1  # relative

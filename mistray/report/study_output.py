@@ -6,15 +6,12 @@ import math
 from pathlib import Path
 
 from mistray.analysis.study.run import Study
-from mistray.replace_file import replace_file
 from mistray.report.html_study import study_html
 from mistray.report.layout import layout
 from mistray.report.objects_plots import objects_layout
-from mistray.report.output import writable_directory
+from mistray.report.output import csv_text, write_files
 from mistray.report.plots import as_png, levels_against_field, montage
 from mistray.report.pst_plots import pst_causes, pst_curve
-
-FLOATS = "%.9g"
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
@@ -56,12 +53,8 @@ def write_study(study: Study, directory: str | Path, command: str = "") -> list[
     list of Path
         The files written; report.html is the last.
     """
-    target = writable_directory(directory)
-    files = {
-        f"{step.number}_{name}.csv": frame.to_csv(index=False, lineterminator="\n", float_format=FLOATS)
-        for step in study.steps
-        for name, frame in step.tables.items()
+    files: dict[str, str | bytes] = {
+        f"{step.number}_{name}.csv": csv_text(frame) for step in study.steps for name, frame in step.tables.items()
     }
     files["report.html"] = study_html(study, draw_study(study), command)
-    target.mkdir(parents=True, exist_ok=True)
-    return [replace_file(target / name, content) for name, content in files.items()]
+    return write_files(files, directory)

@@ -16,10 +16,9 @@ from matplotlib.ticker import LogLocator
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.thermal.emission import Emitter, ThermalReport
-from mistray.replace_file import replace_file
 from mistray.report.json_values import plain
 from mistray.report.markup import cell, data_table, figure, number_cell, section, setting_text, thousands
-from mistray.report.output import writable_directory
+from mistray.report.output import csv_text, write_files
 from mistray.report.page import page
 from mistray.report.plots import BLUE, GREEN, ORANGE, VERMILION, as_png, as_svg
 from mistray.report.text import ABSENT, number, text_table, with_error
@@ -265,15 +264,13 @@ def write_thermal(report: ThermalReport, directory: str | Path, title: str = "sc
     list of Path
         The files written.
     """
-    target = writable_directory(directory)
     record = {"title": title, "command": command} | thermal_record(report)
     files: dict[str, str | bytes] = {
-        "thermal.csv": report.to_pandas().to_csv(index=False, lineterminator="\n", float_format="%.9g"),
+        "thermal.csv": csv_text(report.to_pandas()),
         "thermal.json": json.dumps(record, indent=1, allow_nan=False),
         "thermal.png": as_png(thermal_figure(report, title)),
         "report.html": html_text(report, title, command),
     }
     if report.returned:
-        files["narcissus.csv"] = return_frame(report).to_csv(index=False, lineterminator="\n", float_format="%.9g")
-    target.mkdir(parents=True, exist_ok=True)
-    return [replace_file(target / name, content) for name, content in files.items()]
+        files["narcissus.csv"] = csv_text(return_frame(report))
+    return write_files(files, directory)

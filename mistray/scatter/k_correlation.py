@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 
@@ -184,11 +185,7 @@ class KCorrelation(Placement):
 
         if event == "reflection":
             return Lobe(event, profile, shares=self.shares, factor="ghs")
-
-        def ratio(at: Directions) -> np.ndarray:
-            return np.asarray((ghs.path_in_transmission(at.cos_i, at.cos_s, n_in, n_out) / step) ** 2)
-
-        return Lobe(event, profile, shares=self.shares, ratio=_over_cosines(ratio, n_out / n_in, SCALAR))
+        return Lobe(event, profile, shares=self.shares, ratio=_path_growth(n_in, n_out))
 
     def _full(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
         """The generalised Harvey-Shack theory to all orders, relative to its form at normal incidence."""
@@ -234,28 +231,55 @@ class KCorrelation(Placement):
                     f"{self.title}: indices are {n_in:g} on both sides, which has no reflection; give the substrate, "
                     "or event 'transmission'"
                 )
-
-            def reflected(at: Directions) -> np.ndarray:
-                q = rayleigh_rice.polarization_factor(at.cos_i, at.cos_s, at.cos_phi, index)
-                whole = rayleigh_rice.polarization_factor(at.cos_i, at.cos_i, np.ones_like(at.cos_i), index)
-                return np.asarray(q if absolute else q / whole)
-
             lobe = self._scalar(event, wavelength_nm, n_in, n_out)
-            return replace(lobe, ratio=_over_cosines(reflected, 1.0, REFLECTED))
+            return replace(lobe, ratio=_reflected_polarization(index, absolute))
         psd, step = self._spectrum(event, wavelength_nm, n_in, n_out), index_step(event, n_in, n_out)
-
-        def transmitted(at: Directions) -> np.ndarray:
-            q = rayleigh_rice.transmitted_factor(at.cos_i, at.cos_s, at.cos_phi, n_out / n_in)
-            whole = rayleigh_rice.transmitted_factor(at.cos_i, at.cos_specular, np.ones_like(at.cos_i), n_out / n_in)
-            path = ghs.path_in_transmission(at.cos_i, at.cos_specular, n_in, n_out)
-            return np.asarray((path / step) ** 2 * (q if absolute else q / whole))
-
         return Lobe(
             event,
             lambda r: np.asarray(ghs.smooth(step, psd(r), wavelength_nm * 1e-3, n_out)),
             shares=self.shares,
-            ratio=_over_cosines(transmitted, n_out / n_in, REFRACTED),
+            ratio=_transmitted_polarization(n_in, n_out, absolute),
         )
+
+
+# The ratios that no roughness changes: one table for all surfaces between two materials
+
+
+@lru_cache(maxsize=32)
+def _path_growth(n_in: float, n_out: float) -> RatioTable:
+    """Square of the path difference in transmission over that at normal incidence."""
+    step = index_step("transmission", n_in, n_out)
+
+    def ratio(at: Directions) -> np.ndarray:
+        return np.asarray((ghs.path_in_transmission(at.cos_i, at.cos_s, n_in, n_out) / step) ** 2)
+
+    return _over_cosines(ratio, n_out / n_in, SCALAR)
+
+
+@lru_cache(maxsize=32)
+def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
+    """Q of a bare surface in reflection; `index` is relative to the medium of the light."""
+
+    def ratio(at: Directions) -> np.ndarray:
+        q = rayleigh_rice.polarization_factor(at.cos_i, at.cos_s, at.cos_phi, index)
+        whole = rayleigh_rice.polarization_factor(at.cos_i, at.cos_i, np.ones_like(at.cos_i), index)
+        return np.asarray(q if absolute else q / whole)
+
+    return _over_cosines(ratio, 1.0, REFLECTED)
+
+
+@lru_cache(maxsize=32)
+def _transmitted_polarization(n_in: float, n_out: float, absolute: bool) -> RatioTable:
+    """Q in transmission, with the square of the path difference over that at normal incidence."""
+    step = index_step("transmission", n_in, n_out)
+
+    def ratio(at: Directions) -> np.ndarray:
+        q = rayleigh_rice.transmitted_factor(at.cos_i, at.cos_s, at.cos_phi, n_out / n_in)
+        whole = rayleigh_rice.transmitted_factor(at.cos_i, at.cos_specular, np.ones_like(at.cos_i), n_out / n_in)
+        path = ghs.path_in_transmission(at.cos_i, at.cos_specular, n_in, n_out)
+        return np.asarray((path / step) ** 2 * (q if absolute else q / whole))
+
+    return _over_cosines(ratio, n_out / n_in, REFRACTED)
 
 
 def _over_cosines(
@@ -279,7 +303,7 @@ def _over_cosines(
     sine, sine_s = np.sqrt(1 - refracted[first] ** 2), np.sqrt(1 - second * second)
     r = np.sqrt(np.maximum(0.0, sine * sine + sine_s * sine_s - 2 * sine * sine_s * third))
     values = ratio(Directions(cos_i[first], refracted[first], second, third, r))
-    return RatioTable(np.ascontiguousarray(np.broadcast_to(values, nodes)), axes="cosines")
+    return RatioTable(np.ascontiguousarray(np.broadcast_to(values, nodes)), axes="cosines", fixed=True)
 
 
 def _over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) -> RatioTable:

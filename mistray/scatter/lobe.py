@@ -32,11 +32,14 @@ class RatioTable:
         and its azimuth φ from the specular direction, 0 … π.
     r_min : float
         The smallest r of the nodes; without meaning for "cosines".
+    fixed : bool
+        No differentiable value of the model changes it.
     """
 
     values: np.ndarray
     r_min: float = 1e-3
     axes: str = "radial"
+    fixed: bool = False
 
     def __post_init__(self) -> None:
         if self.values.ndim != 3 or min(self.values.shape) < 2 or not 0 < self.r_min < 2:

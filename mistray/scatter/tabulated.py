@@ -179,7 +179,7 @@ class Tabulated(Placement):
             rim = np.maximum(1.0, beta)  # past the horizon the value at the horizon
             above = np.stack([x / rim, y / rim, np.sqrt(np.maximum(0.0, 1 - (beta / rim) ** 2))], axis=-1)
             planes.append(samples.at(relative, index, above, self.beyond))
-        return RatioTable(self._over_incidence(planes), r_min)
+        return RatioTable(self._over_incidence(planes), r_min, fixed=True)
 
     def _about_normal(self, relative: np.ndarray) -> RatioTable:
         """Over cos θs and φ; between angles of incidence at equal directions."""
@@ -191,7 +191,7 @@ class Tabulated(Placement):
             self.samples.at(relative, index, directions, self.beyond)
             for index in range(len(self.samples.specular_deg))
         ]  # fmt: skip
-        return RatioTable(self._over_incidence(planes), axes="cosines")
+        return RatioTable(self._over_incidence(planes), axes="cosines", fixed=True)
 
     def _over_incidence(self, planes: list[np.ndarray]) -> np.ndarray:
         """Interpolate between the angles of incidence onto nodes of their cosine."""

@@ -10,7 +10,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.diffraction import obliquity
-from mistray.scatter.lobe import Lobe, Scatter
+from mistray.scatter.lobe import Lobe, RatioTable, Scatter
 from mistray.scatter.radial import OCTAVES, R_MAX, RadialTable
 
 ROUNDING = 1e-6  # what the shares of a surface may exceed 1 by
@@ -55,8 +55,9 @@ def lobe_total(
     elif lobe.factor == "none" and lobe.ratio is None:
         values = _by_cosines(table, cosine)
     else:
-        specular = specular_cosine(lobe.event, cos_i, n_in, n_out)
-        values = np.array([_with_factor(lobe, table, *row) for row in zip(cos_i, cosine, specular, strict=True)])
+        shape = lobe.event, lobe.centre, lobe.factor, lobe.ratio
+        r, weight, first = _rings(*shape, cos_i.tobytes(), float(n_in), float(n_out))
+        values = np.add.reduceat(weight * table.value(r), first)
     if lobe.event == "transmission" and lobe.centre != "normal":
         values = np.where(n_in * np.sqrt(np.maximum(0, 1 - cos_i**2)) >= n_out, 0.0, values)
     return values
@@ -104,8 +105,44 @@ def _by_angle(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
     return np.asarray(table.within(low) + np.sum(weight * r * arc * table.value(r), axis=1))
 
 
-def _with_factor(lobe: Lobe, table: RadialTable, cos_i: float, cosine: float, cos_specular: float) -> float:
-    """The same as `_by_cosines` with a factor or a ratio, at one angle of incidence."""
+@lru_cache(maxsize=32)
+def _rings(
+    event: str,
+    centre: str,
+    factor: str,
+    ratio: RatioTable | None,
+    cosines: bytes,
+    n_in: float,
+    n_out: float,
+) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    The same as `_by_cosines` with a factor or a ratio, as a sum over radii that holds for all profiles.
+
+    Parameters
+    ----------
+    event, centre, factor, ratio
+        As in `Lobe`.
+    cosines : bytes
+        (m,) float64 cosines of incidence.
+
+    Returns
+    -------
+    r, weight : (k,) float64
+        Radii of all angles of incidence, one after the other, and what a profile there is multiplied by.
+    first : (m,) int
+        Where those of an angle begin.
+    """
+    lobe = Lobe(event, np.ones_like, centre=centre, factor=factor, ratio=ratio)
+    cos_i = np.frombuffer(cosines)
+    specular = specular_cosine(event, cos_i, n_in, n_out)
+    cosine = np.ones_like(cos_i) if centre == "normal" else specular
+    found = [_ring_weights(lobe, *row) for row in zip(cos_i, cosine, specular, strict=True)]
+    first = np.cumsum([0, *(len(r) for r, _ in found[:-1])])
+    return np.concatenate([r for r, _ in found]), np.concatenate([w for _, w in found]), first
+
+
+def _ring_weights(lobe: Lobe, cos_i: float, cosine: float, cos_specular: float) -> tuple[np.ndarray, np.ndarray]:
+    """Radii and weights of `_rings` at one angle of incidence."""
     b = float(np.sqrt(max(0.0, 1 - cosine * cosine)))
     edge = max(cosine * cosine / (1 + b), 1e-12)
     # Whole circles by octaves, the last one with nodes that take the square root at the horizon; then cut circles
@@ -134,7 +171,7 @@ def _with_factor(lobe: Lobe, table: RadialTable, cos_i: float, cosine: float, co
             azimuth = np.arctan2(r[:, None] * np.sin(psi), b + r[:, None] * np.cos(psi))
             values = values * lobe.ratio.at(np.asarray(cos_specular), cos_s, azimuth)
     over_arc = 2 * half * np.sum(wt * values, axis=1)
-    return float(np.sum(weight * r * table.value(r) * over_arc))
+    return r, weight * r * over_arc
 
 
 def factor_values(

@@ -6,23 +6,21 @@ refers to it from its ``interface``. What it had before goes: R, T, table, a coa
 
 from __future__ import annotations
 
-import os
 import re
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from pathlib import Path
-from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from mistray.coatings import Stack, layer_text
 from mistray.errors import MistrayError
 from mistray.prescription.scene_file import comment_text
 from mistray.replace_file import replace_file
+from mistray.scene.xml_file import INDENT, Edit, Element, SceneFile
 
 # What says which coating an interface or a thinfilm has
 COATING_VALUES = {"R", "T", "table", "layers", "preset", "first", "design_nm", "n_shift", "k_shift", "opaque"}
 COATED = ("interface", "thinfilm")
-INDENT = "    "
 NOTE = "Coatings put on by mistray"
 DESIGN_NM = 550.0  # of the plugin
 
@@ -49,136 +47,6 @@ class SharedCoating:
     design_nm: float = DESIGN_NM
 
 
-@dataclass
-class _Element:
-    """An element of the file and its place: ``<tag …>`` is start … inside, ``</tag>`` is close … end; byte offsets."""
-
-    tag: str
-    values: dict[str, str]
-    start: int
-    inside: int
-    close: int = 0
-    end: int = 0
-    parent: _Element | None = None
-    children: list[_Element] = field(default_factory=list)
-
-    def walk(self) -> Iterator[_Element]:
-        yield self
-        for child in self.children:
-            yield from child.walk()
-
-
-class _File:
-    """A scene file: its bytes and its elements."""
-
-    def __init__(self, path: Path) -> None:
-        self.path = path
-        try:
-            self.data = path.read_bytes()
-        except OSError as error:
-            raise MistrayError(f"scene '{path}': {error.strerror}; check the path") from None
-        declared = re.match(rb"\s*<\?xml[^>]*encoding\s*=\s*[\"']([\w.-]+)", self.data)
-        if declared and declared[1].lower() not in (b"utf-8", b"us-ascii", b"ascii"):
-            raise MistrayError(f"scene '{path}': its encoding is {declared[1].decode()}; save it as UTF-8")
-        self.comments: list[tuple[int, int]] = []
-        self.root = self._parse()
-        self.ids = {e.values["id"]: e for e in self.root.walk() if "id" in e.values and e.tag != "ref"}
-
-    def _parse(self) -> _Element:
-        parser = expat.ParserCreate()
-        stack: list[_Element] = []
-        roots: list[_Element] = []
-
-        def start(tag: str, values: dict[str, str]) -> None:
-            index = parser.CurrentByteIndex
-            parent = stack[-1] if stack else None
-            element = _Element(tag, values, index, self._end_of_tag(index), parent=parent)
-            (parent.children if parent else roots).append(element)
-            stack.append(element)
-
-        def end(tag: str) -> None:
-            element = stack.pop()
-            if self.data[element.inside - 2 : element.inside] == b"/>":
-                element.close = element.end = element.inside
-            else:
-                element.close = parser.CurrentByteIndex
-                element.end = self.data.index(b">", element.close) + 1
-
-        def comment(text: str) -> None:
-            index = parser.CurrentByteIndex
-            self.comments.append((index, self.data.index(b"-->", index) + 3))
-
-        parser.StartElementHandler, parser.EndElementHandler = start, end
-        parser.CommentHandler = comment
-        try:
-            parser.Parse(self.data, True)
-        except expat.ExpatError as error:
-            raise MistrayError(
-                f"scene '{self.path}', line {error.lineno}: broken XML, {expat.ErrorString(error.code)}; correct it"
-            ) from None
-        return roots[0]
-
-    def _end_of_tag(self, index: int) -> int:
-        """Offset behind the ``>`` of the tag that starts at an offset; one within quotes does not count."""
-        match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(self.data, index)
-        assert match is not None  # expat has read it
-        return match.end()
-
-    def text(self, element: _Element) -> bytes:
-        return self.data[element.start : element.end]
-
-    def indent(self, element: _Element) -> str:
-        """The blanks before an element that begins its line; empty otherwise."""
-        line = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
-        return line.decode() if not line.strip() else ""
-
-    def with_blanks(self, element: _Element) -> tuple[int, int]:
-        """Place of an element with the line break and the blanks before it."""
-        before = len(self.data[: element.start].rstrip())
-        return (before if b"\n" in self.data[before : element.start] else element.start), element.end
-
-    def head(self, element: _Element) -> int:
-        """Where an element begins, a comment right before it included."""
-        for start, end in self.comments:
-            if end <= element.start and not self.data[end : element.start].strip():
-                return start
-        return element.start
-
-    def removals(self, coatings: Sequence[_Element]) -> Iterator[tuple[int, int, bytes]]:
-        """Edits that remove shared coatings; with those of `recoated` go their note and the empty line behind them."""
-        end_of_ours = -1
-        for coating in coatings:
-            start, end = self.with_blanks(coating)
-            head = self.head(coating)
-            noted = self.data[head : coating.start].startswith(f"<!-- {NOTE}".encode())
-            if noted:
-                start = len(self.data[:head].rstrip())
-            if noted or start == end_of_ours:
-                end_of_ours = coating.end
-                empty = re.compile(rb"\n[ \t]*(?=\n)").match(self.data, end)
-                end = empty.end() if empty else end
-            yield start, end, b""
-
-    def interface(self, surface: str) -> tuple[_Element, _Element]:
-        """The child of a shape that is its surface, and the ``interface`` or ``thinfilm`` that it is or refers to."""
-        shape = self.ids.get(surface)
-        if shape is None or shape.tag != "shape":
-            raise MistrayError(
-                f"scene '{self.path}': it has no shape '{surface}'; coatings can be put on shapes that stand in the "
-                "file with their id, not on included ones"
-            )
-        for child in shape.children:
-            meant = self.ids.get(child.values.get("id", "")) if child.tag == "ref" else child
-            if meant is not None and meant.tag == "bsdf":
-                if meant.values.get("type") not in COATED:
-                    raise MistrayError(
-                        f"scene '{self.path}', shape '{surface}': its BSDF is '{meant.values.get('type')}'; "
-                        "a coating needs an 'interface'"
-                    )
-                return child, meant
-        raise MistrayError(f"scene '{self.path}', shape '{surface}': it has no BSDF; nest an 'interface' in it")
-
-
 def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str | Path, note: str = "") -> str:
     """
     Text of a scene with coatings put on surfaces.
@@ -199,8 +67,8 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
     MistrayError
         If the file cannot be read, a shape is missing or given twice, or a shape has no ``interface``.
     """
-    file = _File(Path(source))
-    edits: list[tuple[int, int, bytes]] = []
+    file = SceneFile(Path(source))
+    edits: list[Edit] = []
     names = _names(file, coatings)
     done: set[str] = set()
     for coating, name in zip(coatings, names, strict=True):
@@ -208,7 +76,7 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
             if surface in done:
                 raise MistrayError(f"shape '{surface}' gets two coatings; put it into one group")
             done.add(surface)
-            place, interface = file.interface(surface)
+            place, interface = _interface(file, surface)
             text = _coated(file, interface, name, copied=place is not interface)
             deeper = file.indent(place)[len(file.indent(interface)) :]
             edits.append((place.start, place.end, text.replace(b"\n", b"\n" + deeper.encode())))
@@ -219,14 +87,8 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
         lines += _coating_lines(name, coating)
     pad = file.indent(shapes[0])
     edits.append((at, at, "".join(f"{line}\n{pad}" for line in [*lines, ""]).replace(f"\n{pad}\n", "\n\n").encode()))
-    edits += file.removals(_forsaken(file, done))
-    if _names_files(file) and Path(folder).resolve() != file.path.resolve().parent:
-        way = os.path.relpath(file.path.resolve().parent, Path(folder).resolve())
-        edits.append((file.root.inside, file.root.inside, f"\n{pad}<path value={quoteattr(way)}/>".encode()))
-    data = file.data
-    for start, end, new in sorted(edits, reverse=True):
-        data = data[:start] + new + data[end:]
-    return data.decode("utf-8")
+    edits += _removals(file, _forsaken(file, done))
+    return file.edited(edits, Path(folder))
 
 
 def write_recoated(source: str | Path, coatings: Sequence[SharedCoating], target: str | Path, note: str = "") -> Path:
@@ -242,7 +104,42 @@ def write_recoated(source: str | Path, coatings: Sequence[SharedCoating], target
     return replace_file(target, recoated(source, coatings, target.parent, note), "scene file")
 
 
-def _coated(file: _File, interface: _Element, name: str, copied: bool) -> bytes:
+def _interface(file: SceneFile, surface: str) -> tuple[Element, Element]:
+    """The child of a shape that is its surface, and the ``interface`` or ``thinfilm`` that it is or refers to."""
+    shape = file.ids.get(surface)
+    if shape is None or shape.tag != "shape":
+        raise MistrayError(
+            f"scene '{file.path}': it has no shape '{surface}'; coatings can be put on shapes that stand in the "
+            "file with their id, not on included ones"
+        )
+    found = file.surface(shape)
+    if found is None:
+        raise MistrayError(f"scene '{file.path}', shape '{surface}': it has no BSDF; nest an 'interface' in it")
+    if found[1].values.get("type") not in COATED:
+        raise MistrayError(
+            f"scene '{file.path}', shape '{surface}': its BSDF is '{found[1].values.get('type')}'; "
+            "a coating needs an 'interface'"
+        )
+    return found
+
+
+def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
+    """Edits that remove shared coatings; with those of `recoated` go their note and the empty line behind them."""
+    end_of_ours = -1
+    for coating in coatings:
+        start, end = file.with_blanks(coating)
+        head = file.head(coating)
+        noted = file.data[head : coating.start].startswith(f"<!-- {NOTE}".encode())
+        if noted:
+            start = len(file.data[:head].rstrip())
+        if noted or start == end_of_ours:
+            end_of_ours = coating.end
+            empty = re.compile(rb"\n[ \t]*(?=\n)").match(file.data, end)
+            end = empty.end() if empty else end
+        yield start, end, b""
+
+
+def _coated(file: SceneFile, interface: Element, name: str, copied: bool) -> bytes:
     """Text of an interface with a reference to a coating instead of what it had."""
     shift = interface.start
     text = file.text(interface)
@@ -266,10 +163,9 @@ def _coated(file: _File, interface: _Element, name: str, copied: bool) -> bytes:
     return tag + body.rstrip() + reference.encode() + b"</bsdf>"
 
 
-def _is_coating(file: _File, child: _Element) -> bool:
+def _is_coating(file: SceneFile, child: Element) -> bool:
     """Whether a child of an interface says which coating it has."""
-    if child.tag == "ref":
-        child = file.ids.get(child.values.get("id", ""), child)
+    child = file.meant(child) or child
     if child.tag == "bsdf":
         return child.values.get("type") == "thinfilm"
     return child.values.get("name") in COATING_VALUES
@@ -287,7 +183,7 @@ def _coating_lines(name: str, coating: SharedCoating) -> list[str]:
     return [*lines, "</bsdf>"]
 
 
-def _names(file: _File, coatings: Sequence[SharedCoating]) -> list[str]:
+def _names(file: SceneFile, coatings: Sequence[SharedCoating]) -> list[str]:
     """Ids for the coatings that the file does not have yet, but for coatings that nobody will refer to any more."""
     recoated_shapes = {surface for coating in coatings for surface in coating.surfaces}
     taken = set(file.ids) - {element.values["id"] for element in _forsaken(file, recoated_shapes)}
@@ -301,7 +197,7 @@ def _names(file: _File, coatings: Sequence[SharedCoating]) -> list[str]:
     return names
 
 
-def _forsaken(file: _File, surfaces: set[str]) -> list[_Element]:
+def _forsaken(file: SceneFile, surfaces: set[str]) -> list[Element]:
     """Shared coatings that only these surfaces refer to."""
     found = []
     for child in file.root.children:
@@ -313,19 +209,8 @@ def _forsaken(file: _File, surfaces: set[str]) -> list[_Element]:
     return found
 
 
-def _shape_of(element: _Element | None) -> str | None:
+def _shape_of(element: Element | None) -> str | None:
     """Id of the shape that an element belongs to."""
     while element is not None and element.tag != "shape":
         element = element.parent
     return None if element is None else element.values.get("id")
-
-
-def _names_files(file: _File) -> bool:
-    """Whether a value of the scene is, or contains, the name of a file relative to the scene's folder."""
-    folder = file.path.parent
-    for element in file.root.walk():
-        for text in (element.values.get("value", ""), element.values.get("filename", "")):
-            words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
-            if any(not Path(word).is_absolute() and (folder / word).is_file() for word in words):
-                return True
-    return False

@@ -20,8 +20,10 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from mistray.trace.books import Film
 from mistray.trace.interaction import Interaction
 from mistray.trace.ledger import BATCHES
+from mistray.trace.raw_gradient import MOMENTS
 from mistray.trace.scattering import Given
 
 CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
@@ -34,11 +36,14 @@ class Adjoint:
     Parameters
     ----------
     rows : int
-        Rows of the tables of R and T.
-    pixel : (pixels,) mi.Float, optional
-        Derivative of the metric by the flux in each pixel of the film.
-    slot : (capacity,) mi.Float, optional
-        Derivative of the metric by the flux of each path of the ledger.
+        Rows of the tables of R and T; 0: no derivatives by rows, only the total of each lane, see `walk`.
+    pixel : (maps · pixels,) mi.Float, optional
+        Derivative of the metric by the flux in each pixel of the film, for one or more groups of paths.
+    path : (capacity · MOMENTS,) mi.Float64, optional
+        For each path of the ledger the coefficients of 1, x, y, x², y², x y (mm, in the detector's frame) of the
+        derivative of the metric by the flux of a hit at (x, y).
+    map_of_slot : (capacity,) mi.UInt32, optional
+        Number of the map + 1 of each path of the ledger, 0 for none; None: all hits count in the first map.
 
     Attributes
     ----------
@@ -46,14 +51,27 @@ class Adjoint:
         Derivatives of the metric by the rows, by batch of start rays; in units of a start ray's flux.
     """
 
-    def __init__(self, rows: int, pixel: mi.Float | None = None, slot: mi.Float | None = None) -> None:
-        self.rows, self.pixel, self.slot = rows, pixel, slot
+    def __init__(
+        self,
+        rows: int,
+        pixel: mi.Float | None = None,
+        path: mi.Float64 | None = None,
+        map_of_slot: mi.UInt32 | None = None,
+    ) -> None:
+        self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
         dr.eval(self.sums)
 
+    @property
+    def needs_ledger(self) -> bool:
+        """Whether the derivative depends on the path."""
+        return self.path is not None or self.map_of_slot is not None
+
     def memory(self, max_events: int) -> tuple[Any, ...]:
         """Local arrays by depth: cell of the table, fraction, slope, running total when the event was entered."""
+        if not self.rows:
+            return ()
         return (
             dr.alloc_local(mi.UInt32, max_events),
             dr.alloc_local(mi.Float, max_events),
@@ -61,14 +79,24 @@ class Adjoint:
             dr.alloc_local(mi.Float64, max_events),
         )
 
-    def derivative(self, pixel: mi.UInt32, slot: mi.UInt32 | None, active: mi.Bool) -> mi.Float:
-        """Derivative of the metric by the flux of a hit."""
-        total = dr.zeros(mi.Float, dr.width(pixel))
+    def derivative(self, film: Film, x: mi.Float, y: mi.Float, slot: mi.UInt32 | None, active: mi.Bool) -> mi.Float64:
+        """Derivative of the metric by the flux of a hit at (x, y), mm."""
+        total = dr.zeros(mi.Float64, dr.width(x))
         if self.pixel is not None:
-            total += dr.gather(mi.Float, self.pixel, pixel, active)
-        if self.slot is not None:
-            assert slot is not None
-            total += dr.gather(mi.Float, self.slot, slot, active)
+            here, first = active, mi.UInt32(0)
+            if self.map_of_slot is not None:
+                number = dr.gather(mi.UInt32, self.map_of_slot, slot, active)
+                here = active & (number > 0)
+                first = (number - 1) * (film.width * film.height)
+            for pixel, share in film.places(x, y):
+                value = dr.gather(mi.Float, self.pixel, first + pixel, here)
+                total += mi.Float64(value if share is None else value * share)
+        if self.path is not None:
+            # Of a small spot far from the axis the terms nearly cancel
+            far_x, far_y = mi.Float64(x), mi.Float64(y)
+            terms = (1, far_x, far_y, far_x * far_x, far_y * far_y, far_x * far_y)
+            for k, term in enumerate(terms):
+                total += term * dr.gather(mi.Float64, self.path, slot * MOMENTS + k, active)
         return total
 
     def enter(

@@ -15,26 +15,18 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.trace.books import (
     ABSORBED_HERE,
-    CONTROL,
     ESCAPED,
-    EVENTS,
     HITS,
     INCIDENT,
-    MEDIUM,
     REASONS,
-    REFLECTIONS,
-    ROULETTE,
-    SAMPLING,
-    SCATTERS,
     SEGMENTS,
     SURFACE_SUMS,
-    THRESHOLD,
     Film,
     Tallies,
 )
-from mistray.trace.detector_start import DetectorStart, stratified_places
+from mistray.trace.detector_start import DetectorStart
 from mistray.trace.directions import DirectionGrid
-from mistray.trace.energy import batch_error
+from mistray.trace.energy import CUTS, batch_error
 from mistray.trace.exits import exits
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES
@@ -52,13 +44,10 @@ PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
 # Of a ray that meets all optics about so many hits scatter, and so many reflections are followed; but a surface that
 # sees the sky scatters with so many times the share of its rays that get there
 SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
-# Reasons that take weight from the rays for good; what the last two take they give back on average
-LOST = (THRESHOLD, REFLECTIONS, SCATTERS, EVENTS, MEDIUM, CONTROL)
-EVEN = (ROULETTE, SAMPLING)
 
 
 @dataclass(frozen=True)
-class _Band:
+class Band:
     """One wavelength of a trace."""
 
     table: SurfaceTable
@@ -100,6 +89,8 @@ class BackwardTrace:
         `mistray.trace.books`); sums over all passes.
     passes : int
         That have been traced.
+    pass_rays : list of int or None
+        Rays of each of them; None if the trace has gone on from another.
     area : float
         Of the detector, mm².
     has_optics : bool
@@ -134,7 +125,7 @@ class BackwardTrace:
         wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
         self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
         first = SurfaceTable(scene, self.wavelength_nm[0], detector)
-        self._intersector = Intersector(first)
+        self.intersector = Intersector(first)
         axis = np.asarray(grid.rotation)[:, 2]
         found = exits(first, scene, settings, axis)
         self.has_optics = found.has_optics
@@ -144,13 +135,13 @@ class BackwardTrace:
             chance[surface] = np.clip(VIEWS_OF_SKY * share, min(1.0, SCATTERS_OF_RAY / optics), 1.0)
         ghosts = dr.opaque(mi.Float, min(1.0, REFLECTIONS_OF_RAY / optics))
         self._thrift = Thrift(mi.Float(chance), ghosts)
-        self._bands = []
+        self.bands = []
         for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
             table = first if wavelength == first.wavelength_nm else first.at(wavelength)
             scattering = Scattering(ScatterTables(table.ids, table.optics, found.aims, backward=True))
             light = found.light if found.light is not None else axis
-            self._bands.append(_Band(table, scattering, DetectorStart(table, light, found.start, both_sides), share))
-        start = self._bands[0].start
+            self.bands.append(Band(table, scattering, DetectorStart(table, light, found.start, both_sides), share))
+        start = self.bands[0].start
         self.table, self.area, self.extent = first, start.area, start.extent
         long_side = max(start.width, start.height)
         self.map_size = (
@@ -160,8 +151,9 @@ class BackwardTrace:
         )
         cells = int(np.prod(grid.shape))
         self._book = PathBook(PATH_SLOTS, ENTRY_SLOTS, settings.max_events, cells) if paths else None
-        self._film = Film(1, 1, *(dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0)))
+        self.film = Film(1, 1, *(dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0)))
         self.passes = 0
+        self.pass_rays: list[int] | None = []
         self.seconds = 0.0
         self.sums: dict[str, np.ndarray] = {}
 
@@ -173,6 +165,7 @@ class BackwardTrace:
     def go_on_from(self, sums: dict[str, np.ndarray], passes: int, seconds: float) -> None:
         """Take over what another trace with the same arguments has counted."""
         self.sums, self.passes, self.seconds = dict(sums), passes, seconds
+        self.pass_rays = None
 
     @property
     def next_pass(self) -> int:
@@ -184,14 +177,11 @@ class BackwardTrace:
         rays = self.next_pass if rays is None else rays
         started = time.perf_counter()
         new: list[dict[str, np.ndarray]] = []  # what an interrupt leaves out is a whole pass
-        for number, one in enumerate(self._bands):
-            lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
-            sky = Sky(self.grid, self._thrift, self.map_size[0] * self.map_size[1], self._book, self.has_optics)
+        for number, one in enumerate(self.bands):
+            sky = self.make_sky(maps=True)
             tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
-            # The share of a wavelength is that of its rays, but for rounding
-            weight = one.share * rays / lanes
-            start = self._start(one, number, lanes, weight)
-            walk(one.table, one.scattering, self._intersector, start, self.settings, self._film, tallies, sky=sky)
+            start = self.start_pass(number, self.passes, rays)
+            walk(one.table, one.scattering, self.intersector, start, self.settings, self.film, tallies, sky=sky)
             dr.eval()
             dr.sync_thread()
             new.append(sky.read())
@@ -207,15 +197,23 @@ class BackwardTrace:
         for sums in new:
             self._add(sums)
         self.passes += 1
+        if self.pass_rays is not None:
+            self.pass_rays.append(rays)
         self.seconds += time.perf_counter() - started
 
-    def _start(self, one: _Band, number: int, lanes: int, weight: float) -> StartRays:
-        index = dr.arange(mi.UInt32, lanes)
-        stream = (self.settings.seed + 0x9E3779B9 * (number + len(self._bands) * self.passes)) % 2**32
-        state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, stream), index)
-        rng = mi.PCG32(size=lanes, initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
-        batch, place = stratified_places(index, lanes, rng)
-        start = one.start.rays(index, batch, place, rng, dr.opaque(mi.Float, weight), self.map_size)
+    def make_sky(self, derivative: np.ndarray | None = None, maps: bool = False) -> Sky:
+        """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `Sky`."""
+        pixels = self.map_size[0] * self.map_size[1] if maps else 0
+        book = self._book if derivative is None else None
+        return Sky(self.grid, self._thrift, pixels, book, self.has_optics, derivative)
+
+    def start_pass(self, number: int, done: int, rays: int) -> StartRays:
+        """The start rays of a wavelength in a pass of so many rays, after so many passes."""
+        one = self.bands[number]
+        lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
+        seed = self.settings.seed + 0x9E3779B9 * (number + len(self.bands) * done)
+        # The share of a wavelength is that of its rays, but for rounding
+        start = one.start.pass_rays(seed, lanes, one.share * rays / lanes, self.map_size)
         dr.eval(
             start.lane,
             start.batch,
@@ -249,7 +247,7 @@ class BackwardTrace:
     def fingerprint(self) -> str:
         """Hash of all that the kernel reads: geometry, coatings, media, scatter, of every wavelength."""
         digest = hashlib.sha256(repr(self.table.ids).encode())
-        for one in self._bands:
+        for one in self.bands:
             optics, table = one.table.optics, one.table
             arrays = [table.quadric, table.vertex, table.polynomial, table.rotation, table.half_size, optics.words]
             arrays += [optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
@@ -276,7 +274,7 @@ class BackwardTrace:
     @property
     def lost(self) -> np.ndarray:
         """(BATCHES,) weight that limits and thresholds cut, and what random choices have taken or added so far."""
-        return np.asarray(self.sums["reasons"][[*LOST, *EVEN]].sum(axis=0))
+        return np.asarray(self.sums["reasons"][list(CUTS.values())].sum(axis=0))
 
 
 @dataclass(frozen=True)

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 
+from mistray.errors import MistrayError
 from mistray.trace.ledger import BATCHES
 
 # Rows of the tally: what is not tied to a surface
@@ -23,6 +24,7 @@ HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
 SURFACE_SUMS = 5
 HIT_SUMS = 3  # the first of them, which every hit adds to
 NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
+POINT_FLOATS = 3  # of them the point
 
 
 class Tallies:
@@ -109,6 +111,9 @@ class Film:
         Corner (mm) and pixels per mm, opaque.
     incident : bool
         Sum the flux that meets the detector instead of what it absorbs.
+    tent : bool
+        Spread a hit over the four nearest pixels, in proportion to how near their centres are; else it counts in the
+        pixel that holds it.
     map_of_slot : mi.UInt32 or None
         For maps of single paths: number of the map + 1 for each ledger slot, 0 for none.
     """
@@ -121,12 +126,57 @@ class Film:
     per_mm_y: mi.Float
     incident: bool = False
     map_of_slot: mi.UInt32 | None = None
+    tent: bool = False
 
-    def pixel(self, x: mi.Float, y: mi.Float) -> mi.UInt32:
-        """Number of the pixel that holds a point of the detector, row 0 at the smallest y."""
-        column = dr.clip(mi.Int32((x - self.x0) * self.per_mm_x), 0, self.width - 1)
-        row = dr.clip(mi.Int32((y - self.y0) * self.per_mm_y), 0, self.height - 1)
+    def places(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float | None]]:
+        """
+        Where a hit at a point of the detector counts.
+
+        Returns
+        -------
+        list of (mi.UInt32, mi.Float or None)
+            Numbers of pixels, row 0 at the smallest y, and the shares of the flux that they get; None: all of it.
+        """
+        along_x, along_y = (x - self.x0) * self.per_mm_x, (y - self.y0) * self.per_mm_y
+        if not self.tent:
+            return [(self._number(mi.Int32(along_x), mi.Int32(along_y)), None)]
+        low_x, low_y = dr.floor(along_x - 0.5), dr.floor(along_y - 0.5)
+        part_x, part_y = along_x - 0.5 - low_x, along_y - 0.5 - low_y
+        column, row = mi.Int32(low_x), mi.Int32(low_y)
+        return [
+            (self._number(column + i, row + j), (part_x if i else 1 - part_x) * (part_y if j else 1 - part_y))
+            for j in (0, 1)
+            for i in (0, 1)
+        ]
+
+    def _number(self, column: mi.Int32, row: mi.Int32) -> mi.UInt32:
+        """Number of a pixel, or of the nearest one beyond the border."""
+        column, row = dr.clip(column, 0, self.width - 1), dr.clip(row, 0, self.height - 1)
         return mi.UInt32(row * self.width + column)
+
+
+def spreads(film: mi.Film) -> bool:
+    """
+    Whether the hits on a detector are spread over the pixels around them, see `Film`.
+
+    Parameters
+    ----------
+    film : mi.Film
+        Of the detector; spread where its reconstruction filter is a ``tent``.
+
+    Raises
+    ------
+    MistrayError
+        For a tent that is not two pixels wide.
+    """
+    kernel = film.rfilter()
+    if kernel.class_name() != "TentFilter":
+        return False
+    if kernel.radius() != 1:
+        raise MistrayError(
+            f"the film's rfilter 'tent' has a radius of {kernel.radius():g} pixels; leave out its radius, which is 1"
+        )
+    return True
 
 
 @dataclass
@@ -138,27 +188,53 @@ class Recorder:
     ----------
     capacity : int
         Most branches that are kept.
+    max_events : int
+        Longest branch that is kept whole.
     key : mi.UInt64
-        Only paths with this key are recorded; 0 records every path that reaches the detector.
+        Only paths with this key are recorded; 0 records every path that reaches the detector. Against the light every
+        ray is recorded that leaves the scene and counts, see `Sky.gain`.
+    points_only : bool
+        Keep the points of the nodes only.
+    count : (1,) mi.UInt32
+        Branches that there were.
+    lane, length : (capacity,) mi.UInt32
+        Start ray and number of events of each.
+    codes : (capacity, max_events) mi.UInt32
+        Events, surface << EVENT_BITS | what.
+    nodes : (capacity, max_events, node_floats) mi.Float
+        Points (mm), and unless `points_only` directions of arrival and weights.
+    weight : (capacity,) mi.Float64
+        Flux that meets the detector in units of the start ray's; against the light what the metric gains.
+    heading : (capacity, 3) mi.Float
+        Directions of rays that leave the scene.
     """
 
     capacity: int
     max_events: int
     key: mi.UInt64
+    points_only: bool = False
 
     def __post_init__(self) -> None:
         size = self.capacity * self.max_events
+        self.node_floats = POINT_FLOATS if self.points_only else NODE_FLOATS
         self.count = dr.zeros(mi.UInt32, 1)
         self.lane = dr.zeros(mi.UInt32, self.capacity)
         self.length = dr.zeros(mi.UInt32, self.capacity)
         self.codes = dr.zeros(mi.UInt32, size)
-        self.nodes = dr.zeros(mi.Float, size * NODE_FLOATS)
-        dr.eval(self.count, self.lane, self.length, self.codes, self.nodes)
+        self.nodes = dr.zeros(mi.Float, size * self.node_floats)
+        self.weight = dr.zeros(mi.Float64, self.capacity)
+        self.heading = dr.zeros(mi.Float, 3 * self.capacity)
+        dr.eval(self.count, self.lane, self.length, self.codes, self.nodes, self.weight, self.heading)
+
+    def clear(self) -> None:
+        """Forget all branches."""
+        self.count = dr.zeros(mi.UInt32, 1)
+        dr.eval(self.count)
 
 
 def read_node(memory: Any, k: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
     """Point, direction of arrival and weight of node k."""
-    v = [memory.read(k * NODE_FLOATS + j, active) for j in range(7)]
+    v = [memory.read(k * NODE_FLOATS + j, active) for j in range(NODE_FLOATS)]
     return mi.Vector3f(*v[:3]), mi.Vector3f(*v[3:6]), v[6]
 
 
@@ -167,27 +243,56 @@ def record_branch(
     nodes: Any,
     event: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
     active: mi.Bool,
-    p: mi.Vector3f,
-    d: mi.Vector3f,
-    w: mi.Float,
+    last: Sequence[mi.Float],
     depth: mi.UInt32,
     lane: mi.UInt32,
-) -> None:
-    """Write the current path, node by node, to the recorder."""
+    weight: mi.Float64,
+    heading: mi.Vector3f | None = None,
+) -> tuple[mi.UInt32, mi.Bool]:
+    """
+    Write the current path, node by node, to the recorder.
+
+    Parameters
+    ----------
+    recorder : Recorder
+    nodes : dr.Local
+        Nodes before the last.
+    event : callable
+        `event(k, mask)` gives event k.
+    active : mi.Bool
+    last : sequence of mi.Float
+        What a node consists of, for the last one.
+    depth, lane : mi.UInt32
+        Number of the last node, number of the start ray.
+    weight : mi.Float64
+    heading : mi.Vector3f, optional
+        See `Recorder`.
+
+    Returns
+    -------
+    slot : mi.UInt32
+        Where it was written.
+    kept : mi.Bool
+        Whether there was room for it.
+    """
     slot = dr.scatter_inc(recorder.count, mi.UInt32(0), active)
     active = active & (slot < recorder.capacity)
     dr.scatter(recorder.lane, lane, slot, active)
     dr.scatter(recorder.length, depth + 1, slot, active)
+    dr.scatter(recorder.weight, weight, slot, active)
+    if heading is not None:
+        for j, component in enumerate(heading):
+            dr.scatter(recorder.heading, component, 3 * slot + j, active)
 
     def step(k):  # type: ignore[no-untyped-def]
         going = active & (k <= depth)
         here = k == depth
-        q, e, v = read_node(nodes, k, going & ~here)
-        values = (*dr.select(here, p, q), *dr.select(here, d, e), dr.select(here, w, v))
         row = slot * recorder.max_events + k
         dr.scatter(recorder.codes, event(k, going), row, going)
-        for j, value in enumerate(values):
-            dr.scatter(recorder.nodes, value, row * NODE_FLOATS + j, going)
+        for j in range(recorder.node_floats):
+            value = dr.select(here, last[j], nodes.read(k * NODE_FLOATS + j, going & ~here))
+            dr.scatter(recorder.nodes, value, row * recorder.node_floats + j, going)
         return (k + 1,)
 
     dr.while_loop((dr.zeros(mi.UInt32, dr.width(depth)),), lambda k: active & (k <= depth), step, mode="symbolic")
+    return slot, active

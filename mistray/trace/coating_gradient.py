@@ -58,7 +58,7 @@ def coating_gradient(
         raise MistrayError("gradients need polarization='unpolarized'; the Stokes vector has no derivative yet")
     for i, bsdf in enumerate(optics.bsdfs):
         kind = int(optics.host_words[i]) & 3
-        first, last, total_first, total_last = (int(v) for v in optics.host_places[i])
+        first, _, total_first, total_last = (int(v) for v in optics.host_places[i])
         if kind == IDEAL:
             own = sums[:, first]
             both = own[:, REFLECTION_AND_TRANSMISSION]
@@ -72,18 +72,40 @@ def coating_gradient(
                 continue
             own = sums[:, first : total_first + total_last + 1, :REFLECTION_AND_TRANSMISSION]
             used = np.flatnonzero(np.any(own.any(axis=0), axis=1))
-            slopes = _row_derivatives(
-                bsdf.coating,
-                optics.wavelength_nm,
-                *optics.complex_indices[i],
-                bool(optics.host_words[i] & OPAQUE),
-                (last + 1, total_last + 1),
-                used,
-                [LAYER_PARAMETERS.index(name) for name in names],
-            )
+            slopes = layer_row_derivatives(optics, i, used, names)
             gradient = own[:, used].reshape(BATCHES, -1) @ slopes.reshape(len(slopes), -1).T
             for name, values in zip(names, np.split(gradient, len(names), axis=1), strict=True):
                 yield bsdf.film, name, values
+
+
+def layer_row_derivatives(optics: Optics, surface: int, used: np.ndarray, names: list[str]) -> np.ndarray:
+    """
+    Derivatives of rows of a coated surface's table by the parameters of its layers.
+
+    Parameters
+    ----------
+    optics : Optics
+    surface : int
+    used : (u,) int
+        The rows that are wanted, counted through both parts of the table.
+    names : list of str
+        Of `LAYER_PARAMETERS`.
+
+    Returns
+    -------
+    (names · L, u, 3) float64
+        By each parameter for all layers, in the coating's own order; columns as in the table.
+    """
+    _, last, _, total_last = (int(v) for v in optics.host_places[surface])
+    return _row_derivatives(
+        optics.bsdfs[surface].coating,
+        optics.wavelength_nm,
+        *optics.complex_indices[surface],
+        bool(optics.host_words[surface] & OPAQUE),
+        (last + 1, total_last + 1),
+        used,
+        [LAYER_PARAMETERS.index(name) for name in names],
+    )
 
 
 def _row_derivatives(

@@ -73,6 +73,11 @@ class DesignPath:
         self.steps = steps
         self.end = end
 
+    @property
+    def has_optics(self) -> bool:
+        """Whether there is a lens or a mirror on the way."""
+        return len(self.steps) > 1
+
     def reversed(self, opening: Target) -> DesignPath:
         """The path against the light, from the detector to an opening before its first surface."""
         steps = [

@@ -8,12 +8,12 @@ import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.device_targets import DeviceTargets
-from mistray.trace.host_points import detector_area, sphere_points, surface_points
+from mistray.trace.host_points import detector_area, lambertian_directions, surface_points
 from mistray.trace.host_rays import first_hit
 from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, OPAQUE
 from mistray.trace.space_filling import curve_points
-from mistray.trace.start_rays import StartRays
+from mistray.trace.start_rays import StartRays, generators
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.targets import AimSet
 
@@ -49,10 +49,10 @@ class DetectorStart:
 
     def __init__(self, table: SurfaceTable, light: np.ndarray, aim: AimSet | None, both_sides: bool) -> None:
         self._back = FROM_BACK if both_sides else 0.0
-        self._table, self._aim = table, aim
+        self._table = table
         self.width, self.height, (x0, x1, y0, y1) = table.film()
         self.extent = (x0, x1, y0, y1)
-        self._targets = DeviceTargets([aim]) if aim is not None else None
+        self._targets = (DeviceTargets([aim]), len(aim.targets)) if aim is not None else None
         self._half = [dr.opaque(mi.Float, 0.5 * (x1 - x0)), dr.opaque(mi.Float, 0.5 * (y1 - y0))]
         self._round = False
         self._curved = False
@@ -66,8 +66,8 @@ class DetectorStart:
             if normal @ np.array(self._axes[2]).ravel() < 0:
                 self._axes[2] = -self._axes[2]
         normal = np.array(self._axes[2]).ravel()
-        self._front_sign = dr.opaque(mi.Float, -1.0 if normal @ light > 0 else 1.0)
-        towards = -1.0 if normal @ light > 0 else 1.0
+        towards = -1.0 if normal @ light > 0 else 1.0  # side of the normal that the light of the design comes from
+        self._towards = dr.opaque(mi.Float, towards)
         media = [self._medium(side) for side in (towards, -towards)]
         self._media = [dr.opaque(mi.UInt32, number) for number, _ in media]
         self._index2 = [dr.opaque(mi.Float, n * n) for _, n in media]
@@ -96,8 +96,7 @@ class DetectorStart:
         table = self._table
         rng = np.random.default_rng(0)
         points, normals = surface_points(table, table.detector, PROBES, rng)
-        d = side * normals + sphere_points(rng, PROBES)
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        d = lambertian_directions(side * normals, rng)
         hit, _, normal = first_hit(table, points, d, np.full(PROBES, table.detector))
         words = table.optics.host_words[hit]
         clear = (hit >= 0) & ((words & OPAQUE) == 0)
@@ -115,6 +114,25 @@ class DetectorStart:
         column = dr.clip(mi.Int32((0.5 + 0.5 * x / self._half[0]) * columns), 0, columns - 1)
         row = dr.clip(mi.Int32((0.5 + 0.5 * y / self._half[1]) * rows), 0, rows - 1)
         return mi.UInt32(row * columns + column)
+
+    def pass_rays(self, seed: int, lanes: int, weight: float, pixels: tuple[int, int] = (0, 0)) -> StartRays:
+        """
+        Start rays of a pass.
+
+        Parameters
+        ----------
+        seed : int
+        lanes : int
+            A multiple of the number of batches.
+        weight : float
+            Of the rays on average.
+        pixels : tuple of int
+            Columns and rows of the maps.
+        """
+        index = dr.arange(mi.UInt32, lanes)
+        rng, _ = generators(seed, index)
+        batch, place = stratified_places(index, lanes, rng)
+        return self.rays(index, batch, place, rng, dr.opaque(mi.Float, weight), pixels)
 
     def rays(
         self,
@@ -148,26 +166,21 @@ class DetectorStart:
         u = curve_points((place - low) / (high - low), 4, rng)
         # The two dimensions that change fastest are those of the direction, which most decides where a ray goes
         p, normal, stretch, x, y = self._position(u[2], u[3])
-        side = dr.select(back, -self._front_sign, self._front_sign)
-        outward = normal * side
+        outward = normal * dr.select(back, -self._towards, self._towards)
         disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u[0], u[1]))
         cosine = dr.sqrt(dr.maximum(1 - dr.squared_norm(disk), 0))
         across, along = mi.coordinate_system(outward)
         d = dr.normalize(disk.x * across + disk.y * along + cosine * outward)
-        w = stretch * weight
-        if self._targets is None:
-            w = dr.select(back, w / self._back, w / (1 - self._back)) if self._back else w
-        else:
-            plan = mi.Vector2u(0, len(self._aim.targets)) if self._aim is not None else mi.Vector2u(0, 0)
-            plan = dr.zeros(mi.Vector2u, dr.width(lane)) + plan
+        w = stretch * weight / dr.select(back, self._back, 1 - self._back)
+        if self._targets is not None:
+            targets, count = self._targets
+            plan = dr.zeros(mi.Vector2u, dr.width(lane)) + mi.Vector2u(0, count)
             spare = rng.next_float32()
-            to_target, own = self._targets.sample(plan, [u[0], u[1], spare, spare], p, aim)
+            to_target, own = targets.sample(plan, [u[0], u[1], spare, spare], p, aim)
             d = dr.select(aim, to_target, d)
-            cosine = dr.maximum(dr.dot(d, outward), 0)
-            lambertian = cosine / dr.pi
-            density = self._targets.density(plan, p, d, aim, own, ~back)
-            mixture = (1 - self._back) * ((1 - aimed_share) * lambertian + aimed_share * density)
-            w = dr.select(back, w / max(self._back, 1e-9), w * lambertian / mixture)
+            lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
+            density = targets.density(plan, p, d, aim, own, ~back)
+            w = dr.select(back, w, w * lambertian / dr.lerp(lambertian, density, aimed_share))
             w = dr.select(dr.isfinite(w), w, 0)
         w = w * dr.select(back, self._index2[1], self._index2[0])
         left = dr.full(mi.UInt32, self._table.detector, dr.width(lane))

@@ -13,7 +13,7 @@ Whatever the targets are, the result is the same but for its error.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import mitsuba as mi
 import numpy as np
@@ -21,25 +21,22 @@ import numpy as np
 from mistray.trace.aiming import MOST_KNOWN, Side, automatic_targets, signature
 from mistray.trace.design_path import OPENING, DesignPath, Step, find_design_path
 from mistray.trace.detector_images import FAR, DetectorImages
-from mistray.trace.host_points import across, sphere_points, surface_points
+from mistray.trace.host_points import across, box_corners, lambertian_directions, surface_points
 from mistray.trace.host_rays import first_hit, onward
 from mistray.trace.optics import MIRROR, OPAQUE
 from mistray.trace.settings import Settings
 from mistray.trace.surfaces import SurfaceTable, solid_shapes
 from mistray.trace.targets import AimSet, Target
 
-PROBES, SKY_PROBES, VIEW_PROBES = (
-    2048,
-    256,
-    128,
-)  # rays that look for the opening, for the sky, and there through optics
-MOST_STEPS = 40  # of the last of them
+PROBES = 2048  # rays that look for the opening
+SKY_PROBES = 256  # that look for the sky
+VIEW_PROBES, MOST_STEPS = 128, 40  # that look for it through optics, and hits of each
 CONES_DEG = (80.0, 20.0, 5.0, 1.0)  # field angles up to which the opening is sought
 OPEN = 0.2  # share of a side's rays that must see the sky for the sky to be its target
 SKY_DEG = (10.0, 35.0, 80.0)  # field angles that the discs of the sky reach to
 LANDED = 0.02  # share of the rays to an image of the opening that must leave by it
 
-_known: dict[str, _Found] = {}
+_known: dict[str, Exits] = {}
 
 
 @dataclass(frozen=True)
@@ -69,17 +66,6 @@ class Exits:
     views: dict[int, float]
 
 
-@dataclass(frozen=True)
-class _Found:
-    """What is known of a scene."""
-
-    sides: dict[Side, list[Target]]
-    start: Target | None
-    light: np.ndarray | None
-    has_optics: bool
-    views: dict[int, float]
-
-
 def exits(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.ndarray) -> Exits:
     """
     The targets of all surfaces that scatter, and of the detector.
@@ -100,18 +86,13 @@ def exits(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.nda
             _known.pop(next(iter(_known)))
         _known[key] = _find(table, scene, scatterers, axis)
     found = _known[key]
-    rest = found.light, found.has_optics, found.views
     if settings.aim != "auto" or not settings.aimed_rays:
-        return Exits({}, None, *rest)
-    aims = {
-        side: AimSet(tuple(target.with_share(1 / len(targets)) for target in targets), settings.aimed_rays)
-        for side, targets in found.sides.items()
-    }
-    return Exits(aims, AimSet((found.start.with_share(1.0),), 1) if found.start is not None else None, *rest)
+        return replace(found, aims={}, start=None)
+    return replace(found, aims={side: replace(aim, rays=settings.aimed_rays) for side, aim in found.aims.items()})
 
 
-def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> _Found:
-    """All that the targets follow from."""
+def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> Exits:
+    """The targets with one aimed ray each."""
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
     opening = find_opening(table, scene, path, axis, rng)
@@ -123,18 +104,22 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
         points, normals = surface_points(table, table.detector, PROBES, rng)
         towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
         fitted = DetectorImages(back).fitted(0, points, towards, rng)
-        start = fitted.target if fitted.landed > LANDED else None
+        start = AimSet((fitted.target.with_share(1.0),), 1) if fitted.landed > LANDED else None
     far = sky_discs(scene, axis)
     for surface in scatterers:
         points, normals = surface_points(table, surface, SKY_PROBES, rng)
         for to_back in (False, True):
             outward = normals if to_back else -normals
-            if _sees_sky(table, surface, points, outward, axis, rng) > OPEN:
+            if _sees_sky(table, surface, points, lambertian_directions(outward, rng), axis) > OPEN:
                 found[surface, to_back] = far
     words = table.optics.host_words
     views = {i: _view(table, i, axis, rng) for i in range(table.count) if not words[i] & OPAQUE or words[i] & MIRROR}
     light = path.steps[-1].before if path is not None else None
-    return _Found(found, start, light, path is not None and len(path.steps) > 1, views)
+    aims = {
+        side: AimSet(tuple(target.with_share(1 / len(targets)) for target in targets), 1)
+        for side, targets in found.items()
+    }
+    return Exits(aims, start, light, path is not None and path.has_optics, views)
 
 
 def find_opening(
@@ -167,24 +152,16 @@ def find_opening(
 
 def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
     """Discs so far before the scene that their directions are the same from everywhere."""
-    corners = _corners(scene)
+    corners = box_corners(shape.bbox() for shape in solid_shapes(scene))
     distance = FAR * float(np.linalg.norm(corners[-1] - corners[0]))
     frame = across(axis)
     centre = corners.mean(axis=0) - distance * axis
     return [Target("ellipse", centre, *(distance * np.tan(np.radians(angle)) * frame.T)) for angle in SKY_DEG]
 
 
-def _corners(scene: mi.Scene) -> np.ndarray:
-    """(8, 3) corners of the box around the scene, mm."""
-    boxes = [shape.bbox() for shape in solid_shapes(scene)]
-    low = np.min([np.array(box.min, dtype=np.float64) for box in boxes], axis=0)
-    high = np.max([np.array(box.max, dtype=np.float64) for box in boxes], axis=0)
-    return np.array([[(low, high)[i >> k & 1][k] for k in range(3)] for i in range(8)])
-
-
 def _front(scene: mi.Scene, axis: np.ndarray) -> float:
     """Position along the axis of the front of the scene, mm."""
-    along = _corners(scene) @ axis
+    along = box_corners(shape.bbox() for shape in solid_shapes(scene)) @ axis
     return float(along.min() - 1e-3 * np.ptp(along))
 
 
@@ -194,17 +171,8 @@ def _straight(table: SurfaceTable, opening: Target, axis: np.ndarray) -> DesignP
     return DesignPath(table, (out,), opening)
 
 
-def _sees_sky(
-    table: SurfaceTable,
-    surface: int,
-    points: np.ndarray,
-    outward: np.ndarray,
-    axis: np.ndarray,
-    rng: np.random.Generator,
-) -> float:
-    """Share of the rays of a Lambertian side of a surface that leave the scene against the light."""
-    d = outward + sphere_points(rng, len(points))
-    d /= np.linalg.norm(d, axis=1, keepdims=True)
+def _sees_sky(table: SurfaceTable, surface: int, points: np.ndarray, d: np.ndarray, axis: np.ndarray) -> float:
+    """Share of the rays from points of a surface along d that leave the scene against the light."""
     hit, _, _ = first_hit(table, points, d, np.full(len(points), surface))
     return float(np.mean((hit < 0) & (d @ axis < 0)))
 
@@ -214,8 +182,7 @@ def _view(table: SurfaceTable, surface: int, axis: np.ndarray, rng: np.random.Ge
     points, normals = surface_points(table, surface, VIEW_PROBES, rng)
     best = 0.0
     for side in (-1.0, 1.0):
-        o, d = points, side * normals + sphere_points(rng, VIEW_PROBES)
-        d /= np.linalg.norm(d, axis=1, keepdims=True)
+        o, d = points, lambertian_directions(side * normals, rng)
         last = np.full(len(o), surface)
         gone = 0
         for _ in range(MOST_STEPS):

@@ -142,10 +142,15 @@ def read_rays(run: Run, recorder: Recorder, most: int) -> RayHistory:
     # Start rays are numbered along a curve through the beam: every k-th is a fair picture of all
     order = np.argsort(lanes, kind="stable")
     order = order[np.linspace(0, count - 1, min(most, count)).round().astype(int)] if count else order
-    rays = []
+    alike: dict[bytes, list[int]] = {}  # rays of the same events
     for slot in order:
-        events, hits = codes[slot, : lengths[slot]], nodes[slot, : lengths[slot]]
-        points, leaving, opl = retrace(run.table, origins[slot], directions[slot], events, hits[:, :3])
-        flux = run.unit * np.concatenate([[1.0], hits[:, 6]])
-        rays.append(Ray(int(lanes[slot]), points, leaving, flux, opl, events.copy()))
-    return RayHistory(run, rays)
+        alike.setdefault(codes[slot, : lengths[slot]].tobytes(), []).append(slot)
+    rays = {}
+    for slots in alike.values():
+        length = lengths[slots[0]]
+        events, hits = codes[slots[0], :length].copy(), nodes[slots, :length]
+        exact = retrace(run.table, origins[slots], directions[slots], events, hits[:, :, :3])
+        flux = run.unit * np.concatenate([np.ones((len(slots), 1)), hits[:, :, 6]], axis=1)
+        for slot, own, points, leaving, opl in zip(slots, flux, *exact, strict=True):
+            rays[slot] = Ray(int(lanes[slot]), points, leaving, own, opl, events)
+    return RayHistory(run, [rays[slot] for slot in order])

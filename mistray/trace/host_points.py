@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
+from itertools import product
 from typing import Any
 
 import mitsuba as mi
@@ -26,6 +28,18 @@ def sphere_points(rng: np.random.Generator, count: int) -> np.ndarray:
     """(count, 3) float64: uniform points of the unit sphere."""
     points = rng.normal(size=(count, 3))
     return np.asarray(points / np.linalg.norm(points, axis=1, keepdims=True))
+
+
+def lambertian_directions(outward: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """(n, 3) float64: random directions about unit vectors, (n, 3), as a Lambertian surface sends light."""
+    d = outward + sphere_points(rng, len(outward))
+    return np.asarray(d / np.linalg.norm(d, axis=1, keepdims=True))
+
+
+def box_corners(boxes: Iterable[Any]) -> np.ndarray:
+    """(8, 3) float64: corners of the box around some bounding boxes, mm, from the least to the greatest coordinates."""
+    ends = np.array([[box.min, box.max] for box in boxes], dtype=np.float64)
+    return np.array(list(product(*zip(ends[:, 0].min(axis=0), ends[:, 1].max(axis=0), strict=True))))
 
 
 def surface_points(

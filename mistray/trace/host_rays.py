@@ -8,7 +8,8 @@ import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.optics import IDEAL, MIRROR, OPAQUE
-from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, Piece, SurfaceTable
+from mistray.trace.pieces import Piece
+from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, SurfaceTable
 
 NEWTON_STEPS = 8
 SETTLED = 1e-10  # last step of Newton's method, relative, below which it has found a hit

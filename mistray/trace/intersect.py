@@ -15,7 +15,8 @@ import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.aspheres import AsphereSearch, stretch
-from mistray.trace.surfaces import MILD_MARGIN, NO_SURFACE, SELF_HIT, Piece, SurfaceTable
+from mistray.trace.pieces import MILD_MARGIN, Piece
+from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, SurfaceTable
 
 GROUP = 6  # walls that are looked at together
 ONE_STEP = 1e-6  # error after one Newton step that is small enough, in units of the aperture

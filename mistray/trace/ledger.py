@@ -184,6 +184,24 @@ class Ledger:
         dr.scatter_reduce(dr.ReduceOp.Add, self.lost, mi.UInt32(1), mi.UInt32(0), active & ~found)
         return slot, found, new
 
+    def known(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+        """Slot of a key, and whether it has one; the table stays as it is."""
+
+        def probe(slot, going, found, tries):  # type: ignore[no-untyped-def]
+            there = dr.gather(mi.UInt64, self.keys, slot, going)
+            found |= going & (there == key)
+            going = going & (there != key) & (there != 0) & (tries + 1 < MOST_PROBES)
+            return dr.select(going, (slot + 1) & self.mask, slot), going, found, tries + 1
+
+        slot, _, found, _ = dr.while_loop(
+            (mi.UInt32(key >> 32) & self.mask, mi.Bool(active), mi.Bool(False), mi.UInt32(0)),
+            lambda *v: v[1],
+            probe,
+            labels=("slot", "going", "found", "tries"),
+            mode="symbolic",
+        )
+        return slot, active & found
+
     def record(
         self,
         slot: mi.UInt32,

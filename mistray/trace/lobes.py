@@ -16,6 +16,7 @@ STRIDE = RINGS + 2  # floats of a table: values at the nodes, and one more so th
 CELLS = RINGS + 1
 LAST_BIT = 2.0**-24  # of a random number: a cell of no share is not kept even if the number is 0
 LOG2_FIRST = 1.0 - OCTAVES  # of the radius of the first node
+FIRST_R2 = 4.0**LOG2_FIRST
 
 
 class RadialSampler:
@@ -34,7 +35,7 @@ class RadialSampler:
     """
 
     def __init__(self, tables: Sequence[RadialTable]) -> None:
-        logs = [np.append(table.log2_values, table.log2_values[-1]) for table in tables]
+        logs = [stored_logs(table) for table in tables]
         cells = [np.column_stack([table.probability, table.alias]) for table in tables]
         self._logs = upload(mi.Float, np.concatenate(logs))
         self._cells = upload(mi.Float, np.concatenate(cells))
@@ -48,7 +49,7 @@ class RadialSampler:
 
     def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
         """Value f of a table at the squared radius r2."""
-        place = dr.clip((0.5 * dr.log2(r2) - LOG2_FIRST) * PER_OCTAVE, 0, RINGS)
+        place = radial_place(r2)
         node = mi.UInt32(place)
         low, high = self._pair(table, node, active)
         return dr.exp2(dr.lerp(low, high, place - mi.Float(node)))
@@ -82,6 +83,17 @@ class RadialSampler:
         return dr.gather(mi.Float, self._logs, at, active), dr.gather(mi.Float, self._logs, at + 1, active)
 
 
+def radial_place(r2: mi.Float) -> mi.Float:
+    """Place of a squared radius among the nodes, 0 … RINGS."""
+    # Bounded below before the logarithm, whose derivative is then finite
+    return dr.minimum((0.5 * dr.log2(dr.maximum(r2, FIRST_R2)) - LOG2_FIRST) * PER_OCTAVE, RINGS)
+
+
+def stored_logs(table: RadialTable) -> np.ndarray:
+    """(STRIDE,) float64 numbers of a table as they are stored: log2 of its values, the last one twice."""
+    return np.append(table.log2_values, table.log2_values[-1])
+
+
 def trilinear(
     values: mi.Float, first: Any, sizes: Sequence[Any], places: Sequence[mi.Float], active: mi.Bool
 ) -> mi.Float:
@@ -113,5 +125,5 @@ def trilinear(
             step = corner >> axis & 1
             weight = weight * (fraction[axis] if step else 1 - fraction[axis])
             index = index * sizes[axis] + low[axis] + step
-        result += weight * dr.gather(mi.Float, values, first + index, active)
+        result += weight * dr.gather(type(values), values, first + index, active)
     return result

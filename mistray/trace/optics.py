@@ -135,35 +135,53 @@ def angle_table(
     stokes : bool
         Four numbers for each channel instead of one.
     """
-
-    def side(cosines: np.ndarray, from_front: bool) -> Response:
-        metal = n_front if from_front else n_back
-        if opaque and metal.imag > METAL_K:  # nothing travels in a metal; the row is never read
-            from_front = not from_front
-        answer: Response = coating.response(wavelength_nm, n_front, n_back, cosines, from_front)
-        return answer
+    sides = n_front, n_back
 
     def refraction(x: np.ndarray) -> np.ndarray:
-        if opaque:
-            front, back = side(x, True), side(x, False)
-        else:
-            at_front, at_back, _ = node_cosines(n_front.real, n_back.real, x)
-            front, back = side(at_front, True), side(at_back, False)
-        through = _channels(front, False, stokes)
-        return np.stack(
-            [_channels(front, True, stokes), _channels(back, True, stokes), 0 * through if opaque else through], axis=1
-        )
+        at_front, at_back = (x, x) if opaque else node_cosines(n_front.real, n_back.real, x)[:2]
+        return refraction_rows(coating, wavelength_nm, sides, opaque, stokes, at_front, at_back)
 
     def total(x: np.ndarray) -> np.ndarray:
         cosines = node_cosines(n_front.real, n_back.real, x)[2]
-        row = _channels(side(cosines, n_front.real > n_back.real), True, stokes)
-        return np.stack([row, row, np.zeros_like(row)], axis=1)
+        return total_rows(coating, wavelength_nm, sides, stokes, cosines)
 
     first, first_error = _refined(refraction)
     if opaque or n_front.real == n_back.real:  # there is no critical angle
         return AngleTable(first, np.zeros((2, *first.shape[1:])), first_error, 0.0)
     second, second_error = _refined(total)
     return AngleTable(first, second, first_error, second_error)
+
+
+def refraction_rows(
+    coating: Any,
+    wavelength_nm: float,
+    sides: tuple[complex, complex],
+    opaque: bool,
+    stokes: bool,
+    at_front: np.ndarray,
+    at_back: np.ndarray,
+) -> np.ndarray:
+    """Rows of the refraction part, (m, 3, c), at cosines of incidence in the front and in the back material, (m,)."""
+
+    def side(cosines: np.ndarray, from_front: bool) -> Response:
+        if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing travels in a metal; it is never read
+            from_front = not from_front
+        answer: Response = coating.response(wavelength_nm, *sides, cosines, from_front)
+        return answer
+
+    front, back = side(at_front, True), side(at_back, False)
+    through = _channels(front, False, stokes)
+    return np.stack(
+        [_channels(front, True, stokes), _channels(back, True, stokes), 0 * through if opaque else through], axis=1
+    )
+
+
+def total_rows(
+    coating: Any, wavelength_nm: float, sides: tuple[complex, complex], stokes: bool, cosines: np.ndarray
+) -> np.ndarray:
+    """Rows of the total-reflection part, (m, 3, c), at cosines of incidence in the denser material, (m,)."""
+    row = _channels(coating.response(wavelength_nm, *sides, cosines, sides[0].real > sides[1].real), True, stokes)
+    return np.stack([row, row, np.zeros_like(row)], axis=1)
 
 
 def unpolarized_shares(

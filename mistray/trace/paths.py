@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.energy import batch_error
-from mistray.trace.ledger import host_keys
+from mistray.trace.ledger import BATCHES, host_keys
 from mistray.trace.path_events import INTERCEPTS, LETTERS, describe_events, way, way_letters, way_text
 from mistray.trace.path_numbers import CHUNK, path_numbers
 
@@ -24,6 +24,7 @@ if TYPE_CHECKING:
     from mistray.trace.tracer import Run
 
 ROWS_PRINTED = 20
+MOMENT_SUMS = [2, 4, 5, 6]  # of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
 
 
 @dataclass(frozen=True)
@@ -218,6 +219,41 @@ class PathTable(Sequence[PathRow]):
                 by_batch = book.paths.sums[self._place[here], :, 2].sum(axis=0)
                 variance += float(book.unit * batch_error(by_batch, book.started)) ** 2
         return float(self._columns["power_W"][ids].sum()), float(np.sqrt(variance))
+
+    def moments(self) -> np.ndarray:
+        """
+        Flux that the detector absorbs of each path, and its moments over the detector.
+
+        Returns
+        -------
+        (p, 4) float64
+            Sums of the flux (W), of flux times x and times y (W mm), and of flux times x² + y² (W mm²); in the
+            detector's frame.
+        """
+        table = np.zeros((len(self), len(MOMENT_SUMS)))
+        for number, book in enumerate(self._books):
+            here = np.flatnonzero(self._run == number)
+            table[here] = book.unit * book.paths.sums.sum(axis=1)[self._place[here]][:, MOMENT_SUMS]
+        return table
+
+    def by_batch(self, coefficients: np.ndarray) -> np.ndarray:
+        """
+        Sum over the paths of coefficients times their `moments`, by batch of start rays.
+
+        Parameters
+        ----------
+        coefficients : (p, 4) float64
+
+        Returns
+        -------
+        (BATCHES,) float64
+        """
+        total = np.zeros(BATCHES)
+        for number, book in enumerate(self._books):
+            here = np.flatnonzero((self._run == number) & np.any(coefficients != 0, axis=1))
+            sums = book.paths.sums[self._place[here]][:, :, MOMENT_SUMS]
+            total += book.unit * np.einsum("pbk,pk->b", sums, coefficients[here])
+        return total
 
     def by_way(self) -> pd.DataFrame:
         """

@@ -10,6 +10,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
+from mistray.trace.host_points import box_corners
 from mistray.trace.sources import sorted_points
 from mistray.trace.surfaces import SurfaceTable
 
@@ -220,6 +221,5 @@ def hull_points(table: SurfaceTable) -> np.ndarray:
             local = np.concatenate([flat, np.full((len(flat), 1), z)], axis=1)
             points.append(local @ table.rotations[number].T + table.vertices[number])
     for shape in table.shapes[len(table.pieces) :]:
-        box = np.array([shape.bbox().min, shape.bbox().max], dtype=np.float64)
-        points.append(np.array([[box[a, 0], box[b, 1], box[c, 2]] for a in (0, 1) for b in (0, 1) for c in (0, 1)]))
+        points.append(box_corners([shape.bbox()]))
     return np.concatenate(points)

@@ -21,90 +21,88 @@ def retrace(
     table: SurfaceTable, origin: np.ndarray, direction: np.ndarray, codes: np.ndarray, hits: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
-    Follow one ray through recorded events.
+    Follow rays through recorded events, the same for all of them.
 
     Parameters
     ----------
     table : SurfaceTable
-    origin, direction : (3,) float64
-        Start ray, mm.
+    origin, direction : (n, 3) float64
+        Start rays, mm.
     codes : (k,) uint32
         Events, surface << EVENT_BITS | what.
-    hits : (k, 3) float64
+    hits : (n, k, 3) float64
         Recorded hits, mm.
 
     Returns
     -------
-    points : (k + 1, 3) float64
+    points : (n, k + 1, 3) float64
         Start and hits.
-    directions : (k + 1, 3) float64
-        Direction in which the ray leaves each point; zero at the last.
-    opl_mm : (k + 1,) float64
+    directions : (n, k + 1, 3) float64
+        Direction in which a ray leaves each point; zero at the last.
+    opl_mm : (n, k + 1) float64
         Optical path length from the start.
     """
-    d = direction / np.linalg.norm(direction)
+    d = _unit(direction)
     points, directions = [origin], []
-    steps: list[float] = []
-    indices: list[float] = []
-    medium = 1.0
-    for k, (code, hit) in enumerate(zip(codes, hits, strict=True)):
+    opl, medium = [np.zeros(len(d))], np.ones(len(d))
+    for k, code in enumerate(codes):
         surface, what = int(code) >> EVENT_BITS, int(code) & EVENT_MASK
+        directions.append(d)
         if surface >= table.count:  # within a medium: the recorded distance is all there is
-            steps.append(float(np.dot(hit - points[-1], d)))
-            indices.append(medium)
-            points.append(points[-1] + steps[-1] * d)
-            directions.append(d)
-            d = hits[k + 1] - points[-1]
-            d = d / np.linalg.norm(d)
+            step = np.einsum("ij,ij->i", hits[:, k] - points[-1], d)
+            opl.append(opl[-1] + step * medium)
+            points.append(points[-1] + step[:, None] * d)
+            d = _unit(hits[:, k + 1] - points[-1])
             continue
-        p, normal = _hit(table, surface, points[-1], d, hit)
-        side = np.dot(d, normal) > 0
+        p, normal = _hit(table, surface, points[-1], d, hits[:, k])
+        side = np.einsum("ij,ij->i", d, normal) > 0
         front, back = table.interfaces[surface].indices(table.wavelength_nm)
-        n_i, n_t = (front, back) if side else (back, front)
+        n_i, n_t = np.where(side, front, back), np.where(side, back, front)
         opaque = bool(table.optics.host_words[surface] & OPAQUE)
         # The materials of an opaque surface mean nothing: the ray is in the material it was sent into
-        indices.append(medium if opaque and indices else n_i)
-        steps.append(float(np.linalg.norm(p - points[-1])))
+        index = medium if opaque and k else n_i
+        opl.append(opl[-1] + np.linalg.norm(p - points[-1], axis=1) * index)
         points.append(p)
-        directions.append(d)
-        medium = n_t if what in (TRANSMITTED, RANDOM_TRANSMITTED, AIMED_TRANSMITTED) else indices[-1]
+        medium = n_t if what in (TRANSMITTED, RANDOM_TRANSMITTED, AIMED_TRANSMITTED) else index
         if what == ABSORBED:
             break
         if what >= FIRST_SCATTERED:
-            d = hits[k + 1] - p
+            d = hits[:, k + 1] - p
         else:
-            reflected, transmitted, _ = specular(d[None], normal[None], n_i / n_t)
-            (d,) = transmitted if what == TRANSMITTED else reflected
-        d = d / np.linalg.norm(d)
-    directions.append(np.zeros(3))
-    opl = np.concatenate([[0.0], np.cumsum(np.array(steps) * np.array(indices))])
-    return np.array(points), np.array(directions), opl
+            reflected, transmitted, _ = specular(d, normal, n_i / n_t)
+            d = transmitted if what == TRANSMITTED else reflected
+        d = _unit(d)
+    directions.append(np.zeros_like(d))
+    return np.stack(points, axis=1), np.stack(directions, axis=1), np.stack(opl, axis=1)
+
+
+def _unit(v: np.ndarray) -> np.ndarray:
+    return np.asarray(v / np.linalg.norm(v, axis=1, keepdims=True))
 
 
 def _hit(
     table: SurfaceTable, surface: int, origin: np.ndarray, d: np.ndarray, recorded: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray]:
-    """Exact hit next to a recorded one, and the normal there."""
+    """Exact hits next to recorded ones, and the normals there, (n, 3) each."""
     if surface >= len(table.pieces):  # a mesh: Mitsuba's hit is all there is
-        return recorded, table.stock_normal(recorded, d)
+        return recorded, np.array([table.stock_normal(*ray) for ray in zip(recorded, d, strict=True)])
     piece = table.pieces[surface]
     rotation = table.rotations[surface]
-    o, dl = rotation.T @ (origin - table.vertices[surface]), rotation.T @ d
-    t = float(np.dot(recorded - origin, d))
+    o, dl = (origin - table.vertices[surface]) @ rotation, d @ rotation
+    t = np.einsum("ij,ij->i", recorded - origin, d)
     for _ in range(8):
-        q = o + t * dl
-        r2 = q[0] ** 2 + q[1] ** 2
+        x, y, z = (o + t[:, None] * dl).T
+        r2 = x * x + y * y
         if piece.coefficients:
-            value = 2 * (sag(r2, *piece.conic, piece.coefficients) - q[2])
+            value = 2 * (sag(r2, *piece.conic, piece.coefficients) - z)
             slope = sag_derivative(r2, *piece.conic, piece.coefficients)
-            gradient = np.array([2 * slope * q[0], 2 * slope * q[1], -1.0])
+            gradient = np.stack([2 * slope * x, 2 * slope * y, np.full(len(z), -1.0)], axis=1)
         else:
             a, b, e, g = piece.quadric
-            value = a * r2 + (b * q[2] + e) * q[2] + g
-            gradient = np.array([a * q[0], a * q[1], b * q[2] + 0.5 * e])
-        step = value / (2 * np.dot(gradient, dl))
-        t -= step
-        if abs(step) < 1e-14 * (1 + abs(t)):
+            value = a * r2 + (b * z + e) * z + g
+            gradient = np.stack([a * x, a * y, b * z + 0.5 * e], axis=1)
+        step = value / (2 * np.einsum("ij,ij->i", gradient, dl))
+        t = t - step
+        if np.all(np.abs(step) < 1e-14 * (1 + np.abs(t))):
             break
-    normal = rotation @ (gradient * piece.sign)
-    return origin + t * d, normal / np.linalg.norm(normal)
+    return origin + t[:, None] * d, _unit(gradient @ rotation.T * piece.sign)

@@ -24,6 +24,7 @@ from mistray.trace.books import (
     LANDED,
     MEDIUM,
     NODE_FLOATS,
+    POINT_FLOATS,
     REFLECTIONS,
     ROULETTE,
     SAMPLING,
@@ -53,6 +54,7 @@ from mistray.trace.ledger import (
 )
 from mistray.trace.next_hit import film_coordinates, next_hit
 from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
+from mistray.trace.rims import NO_EVENT, RimBook
 from mistray.trace.scattering import ScatteredRay, Scattering
 from mistray.trace.settings import NO_LIMIT, Settings
 from mistray.trace.sky import Sky
@@ -83,7 +85,8 @@ def walk(
     box: mi.Vector4f | None = None,
     adjoint: Adjoint | None = None,
     sky: Sky | None = None,
-) -> None:
+    rims: RimBook | None = None,
+) -> mi.Float64 | None:
     """
     Trace the trees of a set of start rays; results are added to the tallies, the film, the ledger and the recorder.
 
@@ -98,9 +101,9 @@ def walk(
     tallies : Tallies, optional
         Where the flux goes.
     ledger : Ledger, optional
-        Sums by path. In an adjoint walk it is only asked for the slots of the paths.
+        Sums by path. In an adjoint walk it is only asked for the slots of the paths that it knows.
     recorder : Recorder, optional
-        Whole branches.
+        Whole branches; of rays that leave those that count, by `Sky.gain`, and no sums of the sky are written then.
     box : mi.Vector4f, optional
         Only detector hits with x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) enter the ledger.
     adjoint : Adjoint, optional
@@ -108,6 +111,14 @@ def walk(
     sky : Sky, optional
         Takes the rays that leave the scene, which go against the light then; the detector is a surface like others,
         and what a surface absorbs of a ray is what it emits towards the detector. `scattering` must be for such rays.
+        In an adjoint walk its `Sky.gain` is asked instead.
+    rims : RimBook, optional
+        Takes the hits close to rims, in an adjoint walk.
+
+    Returns
+    -------
+    mi.Float64 or None
+        In an adjoint walk what the metric gains from each lane: derivative × flux, summed over its hits.
     """
     o, d, batch, lane, rng = start.o, start.d, start.batch, start.lane, mi.PCG32(start.rng)
     n = dr.width(o)
@@ -125,7 +136,7 @@ def walk(
     ]
     scatter_rays = dr.opaque(mi.UInt32, settings.scatter_rays)
     scatter_threshold = dr.opaque(mi.Float, settings.scatter_threshold)
-    keep_nodes = recorder is not None
+    recorded_floats = recorder.node_floats if recorder is not None else POINT_FLOATS if rims is not None else 0
     split, roulette = settings.splitting == "split", settings.below_threshold == "roulette"
 
     def add_reason(reason: int, value: Any, active: mi.Bool) -> None:
@@ -163,19 +174,34 @@ def walk(
     floors = dr.alloc_local(mi.Float, max_events * FLOOR_FLOATS if scatters else 1)
     hits = tallies.hit_memory() if tallies is not None else dr.alloc_local(mi.Float, 1)
     events = adjoint.memory(max_events) if adjoint is not None else ()
+    rim_events = rims.memory(max_events) if rims is not None else ()
 
     # First segment: from the source to the first surface
     left_behind = full(NO_SURFACE) if start.left is None else start.left
-    t, s, normal = next_hit(table, intersector, o, d, left_behind, start.w > 0, normal=start.normal)
+    first_depth, first_key = start.given("depth", full()), start.given("key", dr.full(mi.UInt64, FIRST_KEY, n))
+    first_reflections, first_scatters = start.given("reflections", full()), start.given("scatters", full())
+    first_aside = start.given("aside", dr.full(mi.Bool, False, n))
+    under_way = start.w > 0
+    if start.at is not None:
+        under_way &= start.at == NO_SURFACE
+    t, s, normal = next_hit(table, intersector, o, d, left_behind, under_way, normal=start.normal)
+    if start.at is not None:
+        t, s = dr.select(under_way, t, 0), dr.select(under_way, s, start.at)
     hit = s != NO_SURFACE
     missed = ~hit & (start.w > 0)
     add_reason(ESCAPED, start.w, missed)
     add_reason(FIRST_MISS, 1.0, missed)
     add_reason(STARTED, 1.0, mi.Bool(True))
+    total = dr.zeros(mi.Float64, n if adjoint is not None else 1)  # derivative × flux of the hits so far
     if sky is not None:
-        first_key = dr.full(mi.UInt64, FIRST_KEY, n)
-        nowhere = mi.Bool(False)
-        sky.record(d, start.w, full(), full(), nowhere, batch, start, first_key, full(), lambda k, _: k, missed)
+        scattered_before = first_scatters & COUNT_MASK
+        if adjoint is not None:
+            total = sky.gain(d, start.w, first_reflections, scattered_before, first_aside, first_depth, missed)
+        elif recorder is None:
+            sky.record(
+                *(d, start.w, first_reflections, scattered_before, first_aside),
+                *(batch, start, first_key, first_depth, lambda k, _: k, missed),
+            )
     start_medium = full() if start.medium is None else start.medium
     start_w, start_clouded = attenuate(start.w, start_medium, t, hit)
 
@@ -189,29 +215,34 @@ def walk(
         "s": dr.select(hit, s, 0),  # its surface
         "normal": normal,  # there, if the surface is stock
         "medium": mi.UInt32(start_medium),  # material of the segment that led to it; 0 is not known
-        "depth": full(0),  # events before it
-        "reflections": full(0),  # counted reflections before it
-        "key": dr.full(mi.UInt64, FIRST_KEY, n),  # of the events before it
-        "aside": dr.full(mi.Bool, False, n),  # an event before it is none of a direct image, see `is_aside`
+        "depth": mi.UInt32(first_depth),  # events before it
+        "reflections": mi.UInt32(first_reflections),  # counted reflections before it
+        "key": mi.UInt64(first_key),  # of the events before it
+        "aside": mi.Bool(first_aside),  # an event before it is none of a direct image, see `is_aside`
         "pending": dr.zeros(mi.UInt64, n),  # bit k: a child of the node at depth k is still to come
         "segments": full(1),
-        "total": dr.zeros(mi.Float64, n if adjoint is not None else 1),  # derivative × flux of the hits so far
-        "scatters": full(0),  # scatter events before it, see COUNT_MASK
-        "aimed_from": full(NO_SURFACE),  # surface that sent the ray to a target, unless it was reflected since
-        "birth": mi.Float(start.w),  # weight with which the ray started, at the source or scattered last
+        "total": total,
+        "scatters": mi.UInt32(first_scatters),  # scatter events before it, see COUNT_MASK
+        # Surface that sent the ray to a target, unless it was reflected since
+        "aimed_from": mi.UInt32(start.given("aimed_from", full(NO_SURFACE))),
+        "birth": mi.Float(start.given("birth", start.w)),  # weight with which it left the source or was scattered last
         "boost": dr.full(mi.Float, 1, n),  # factor of its scattered rays; 0: none, negative: see ONE_CHILD
         "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # of the segment that led to it, mm
         # Flux that its medium scattered on the way
         "clouded": mi.Float(start_clouded) if bulk else dr.zeros(mi.Float, 1),
         "rng": rng,
-        "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits, *events),
+        "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits),
+        "events": events,
+        "rim_events": rim_events,
     }
 
     def body(state: dict[str, Any]) -> dict[str, Any]:
         active, d, w, s, depth = (state[k] for k in ("active", "d", "w", "s", "depth"))
-        nodes, codes, words, keys, normals, polarizations, plans, floors, hits, *events = state["memory"]
+        nodes, codes, words, keys, normals, polarizations, plans, floors, hits = state["memory"]
+        events, rim_events = state["events"], state["rim_events"]
         rng, total = state["rng"], state["total"]
         first = active & (state["child"] == TRANSMIT)
+        visited = mi.Bool(first)
         again = active & ~first
         stokes = state["stokes"] if settings.stokes else None
         it = interact(table, state["p"], d, s, state["normal"] if has_stock else None, stokes, active)
@@ -235,27 +266,32 @@ def walk(
         if not film.incident:
             detected &= absorbed > 0
         x, y = film_coordinates(table, it)
-        pixel = film.pixel(x, y)
         key = extend_key(state["key"], (s << EVENT_BITS) | ABSORBED)
 
         def event(k: mi.UInt32, mask: mi.Bool) -> mi.UInt32:
             return dr.select(k < depth, codes.read(k, mask & (k < depth)), (s << EVENT_BITS) | ABSORBED)
 
         slot, booked = None, detected
+        if rims is not None:
+            rims.visit(rim_events, nodes, event, it, state, batch, lane, visited, first)
         if ledger is not None:
             if box is not None:
                 booked = detected & (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
-            slot, booked, new = ledger.find(key, booked)
-            if adjoint is None:
+            if adjoint is not None:
+                slot, booked = ledger.known(key, booked)
+            else:
+                slot, booked, new = ledger.find(key, booked)
                 ledger.record(slot, batch, w, absorbed, x, y, stokes, booked)
                 ledger.write_events(slot, depth + 1, event, new)
         if recorder is not None:
             wanted = detected & ((recorder.key == 0) | (recorder.key == key))
-            record_branch(recorder, nodes, event, wanted, p, d, w, depth, lane)
+            record_branch(recorder, nodes, event, wanted, (*p, *d, w), depth, lane, mi.Float64(w))
         if adjoint is not None:
-            derivative = adjoint.derivative(pixel, slot, booked)
-            total = dr.select(booked, total + mi.Float64(derivative) * mi.Float64(absorbed), total)
-            adjoint.detected(it, given, batch, derivative * w, booked)
+            derivative = adjoint.derivative(film, x, y, slot, booked)
+            gained = derivative * mi.Float64(w if film.incident else absorbed)
+            total = dr.select(booked, total + gained, total)
+            if adjoint.rows and not film.incident:
+                adjoint.detected(it, given, batch, mi.Float(derivative) * w, booked)
         if tallies is not None:
             if scatters:
                 tallies.add_scattered(batch, absorbed, detected & (state["scatters"] != 0))
@@ -265,10 +301,14 @@ def walk(
             if film.map_of_slot is not None:
                 number = dr.gather(mi.UInt32, film.map_of_slot, slot, booked)
                 on_film = booked & (number > 0)
-                pixel += (number - 1) * (film.width * film.height)
-            flux = mi.Float64(w if film.incident else absorbed)
-            dr.scatter_reduce(dr.ReduceOp.Add, tallies.film, flux, 2 * pixel, on_film)
-            dr.scatter_reduce(dr.ReduceOp.Add, tallies.film, flux * flux, 2 * pixel + 1, on_film)
+            for pixel, share in film.places(x, y):
+                if film.map_of_slot is not None:
+                    pixel += (number - 1) * (film.width * film.height)
+                flux = mi.Float64(w if film.incident else absorbed)
+                if share is not None:
+                    flux *= mi.Float64(share)
+                dr.scatter_reduce(dr.ReduceOp.Add, tallies.film, flux, 2 * pixel, on_film)
+                dr.scatter_reduce(dr.ReduceOp.Add, tallies.film, flux * flux, 2 * pixel + 1, on_film)
 
         # ---- children
         visit = first | again
@@ -428,10 +468,10 @@ def walk(
 
         go = visit & (child > 0)
         # ---- keep the node: for its second visit, and as part of the path
-        kept = (push | go) if keep_nodes else push
+        kept = push | go
         # A ray that the medium scatters is the last of its node, whose point nobody needs any more
         for j, value in enumerate((*origin, *d, w)):
-            nodes.write(value, depth * NODE_FLOATS + j, kept)
+            nodes.write(value, depth * NODE_FLOATS + j, kept if j < recorded_floats else push)
         for memory, name, used in ((normals, "normal", has_stock), (polarizations, "stokes", settings.stokes)):
             if used:
                 for j in range(3):
@@ -461,8 +501,11 @@ def walk(
         place = dr.select(cloud, table.count + medium_in, s) if bulk else s
         code = (place << EVENT_BITS) | what
         codes.write(code, depth, go)
-        if adjoint is not None:
-            adjoint.enter(tuple(events), depth, it, reflect, slope, total, go)
+        if adjoint is not None and adjoint.rows:
+            adjoint.enter(events, depth, it, reflect, slope, total, go)
+        if rims is not None and scatters and bulk:  # what the medium scatters before the hit does not depend on it
+            rims.close(rim_events, depth, depth, total, cloud)
+            rim_events[0].write(NO_EVENT, depth, cloud)
 
         # ---- the child's segment
         medium = dr.select(reflect | cloud, medium_in, it.medium_out)
@@ -480,7 +523,17 @@ def walk(
             bounces = reflections + dr.select(bounced, mi.UInt32(1), 0)
             aside = aside | is_aside(it, reflect)
             path_key, leaving = extend_key(state["key"], code), go & ~hit
-            sky.record(heading, child, bounces, after, aside, batch, start, path_key, depth + 1, codes.read, leaving)
+            if adjoint is not None or recorder is not None:
+                gained = sky.gain(heading, child, bounces, after, aside, depth + 1, leaving)
+                if adjoint is not None:
+                    total = total + gained
+                if recorder is not None:
+                    last_node, counts = (*origin, *d, w), leaving & (gained != 0)
+                    record_branch(recorder, nodes, codes.read, counts, last_node, depth, lane, gained, heading)
+            else:
+                sky.record(
+                    heading, child, bounces, after, aside, batch, start, path_key, depth + 1, codes.read, leaving
+                )
         child, clouded = attenuate(child, medium, t, hit)
         segments = dr.select(go, state["segments"] + 1, state["segments"])
 
@@ -488,8 +541,10 @@ def walk(
         ended = active & ~hit
         back = ended & (pending != 0)
         k = dr.select(back, 63 - mi.UInt32(dr.lzcnt(pending)), 0)
-        if adjoint is not None:
-            adjoint.leave(tuple(events), batch, depth, k, total, ended)
+        if adjoint is not None and adjoint.rows:
+            adjoint.leave(events, batch, depth, k, total, ended)
+        if rims is not None:
+            rims.close(rim_events, depth, dr.select(back, k + 1, first_depth), total, ended)
         bp, bd, bw = read_node(nodes, k, back)
         word, bkey = words.read(k, back), keys.read(k, back)
         pending = dr.select(back, pending & ~(mi.UInt64(1) << mi.UInt64(k)), pending)
@@ -542,7 +597,9 @@ def walk(
             "segments": segments,
             "total": total,
             "rng": rng,
-            "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits, *events),
+            "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits),
+            "events": events,
+            "rim_events": rim_events,
             **following,
         }
 
@@ -552,3 +609,4 @@ def walk(
     add_reason(SEGMENTS, end["segments"], mi.Bool(True))
     if tallies is not None:
         tallies.collect_hits(end["memory"][HITS_OF_LANE], batch)
+    return end["total"] if adjoint is not None else None

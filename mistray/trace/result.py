@@ -17,14 +17,14 @@ from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import RayHistory, read_rays
 from mistray.trace.ledger import BATCHES
 from mistray.trace.paths import PathTable, path_table
+from mistray.trace.raw_gradient import MOMENTS, HitDerivative, PathDerivative, RawGradient, Wanted
+from mistray.trace.run_gradient import run_gradient
 from mistray.trace.settings import Settings
 from mistray.trace.sources import Beam
 from mistray.trace.tracer import Run, prepare
 
 if TYPE_CHECKING:
     import pandas as pd
-
-    from mistray.trace.optics import Optics
 
 
 @dataclass(frozen=True)
@@ -246,38 +246,43 @@ class Trace:
         ]
         return pd.concat(tables, ignore_index=True)
 
-    def adjoint(self, pixel: np.ndarray, path: np.ndarray) -> Iterator[tuple[Optics, np.ndarray, float]]:
+    def raw_gradients(self, derivative: HitDerivative, wanted: Wanted) -> Iterator[RawGradient]:
         """
-        Derivatives of a metric by R and T of all surfaces, by tracing the same rays in reverse.
+        Derivatives of a metric by all that the trace knows, by tracing the same rays again.
 
         Parameters
         ----------
-        pixel : (height, width) float64
-            Derivative of the metric by the irradiance of each pixel, mm²/W.
-        path : (paths,) float64
-            Derivative of the metric by the power of each path, in the order of `paths`, 1/W.
+        derivative : HitDerivative
+            Of the metric by the flux of the hits of the detector.
+        wanted : Wanted
 
         Yields
         ------
-        optics, rows, seconds
-            For each source and wavelength that matters: its coatings, the derivatives by the rows of their tables (see
-            `Run.derivatives`), and the time it took.
+        RawGradient
+            For each source and wavelength that matters.
         """
-        by_flux = np.asarray(pixel) / self._runs[0].pixel_area
+        path = derivative.path
+        maps = derivative.map_of_path
         for number, run in enumerate(self._runs):
-            slots = None
-            if np.any(path):
-                assert run.ledger is not None
-                slots = np.zeros(run.ledger.capacity)
-                for row, weight in zip(self.paths, path, strict=True):
-                    where, slot, _ = self.paths.locate(row.path_id)
-                    if where == number:
-                        slots[slot] = weight
-            pixels = by_flux if np.any(by_flux) else None
-            if pixels is None and (slots is None or not slots.any()):
+            pixel = None if derivative.pixel is None else run.unit * np.asarray(derivative.pixel, dtype=np.float64)
+            by_path = None
+            if path is not None or maps is not None:
+                located = [self.paths.locate(path_id) for path_id in range(len(self.paths))]
+                here = np.array([k for k, (where, _, _) in enumerate(located) if where == number], dtype=np.int64)
+                by_path = PathDerivative.of_paths(
+                    np.array([located[k][2] for k in here], dtype=np.uint64),
+                    np.array([located[k][1] for k in here], dtype=np.int64),
+                    run.unit * np.asarray(path)[here] if path is not None else np.zeros((len(here), MOMENTS)),
+                    np.asarray(maps)[here] if maps is not None else np.zeros(len(here), dtype=np.int64),
+                )
+            if pixel is not None and not pixel.any():
+                pixel = None
+            if pixel is None and (by_path is None or not by_path.coefficients.any()):
                 continue
             started = time.perf_counter()
-            yield run.table.optics, run.derivatives(pixels, slots), time.perf_counter() - started
+            raw = run_gradient(run, by_path, pixel, wanted)
+            raw.seconds = time.perf_counter() - started
+            yield raw
 
     def by_batch(self, path: np.ndarray) -> np.ndarray:
         """Sum of the paths' powers times `path`, (paths,) float64, by batch of start rays: (BATCHES,) float64, W."""

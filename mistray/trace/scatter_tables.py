@@ -10,16 +10,17 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.scatter.lobe import Lobe, Scatter
+from mistray.scatter.lobe import Lobe, RatioTable, Scatter
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import Totals, check_budget, model_lobes, specular_cosine, totals
 from mistray.trace.device_targets import DeviceTargets
-from mistray.trace.lobes import RadialSampler
+from mistray.trace.lobes import RadialSampler, trilinear
 from mistray.trace.optics import OPAQUE, Optics
 from mistray.trace.targets import AimSet
 from mistray.trace.upload import upload
@@ -30,6 +31,8 @@ ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
 # Flags of a lobe; the number of its radial table stands above them
 BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, RATIO, BY_COSINES, EDGE = (1 << bit for bit in range(8))
 TABLE_SHIFT = 8
+LOBE_FLOATS = 6
+RATIO_SIZES = 3  # numbers before those of a ratio table
 RANDOM_RAYS_SHIFT = 16
 
 
@@ -40,20 +43,29 @@ class Side:
     lobes: tuple[Lobe, ...]
     tables: tuple[RadialTable, ...]
     rows: dict[str, np.ndarray]  # event → (ANGLES + 1, 4): loss, and three terms of what is scattered
+    models: tuple[int, ...] = ()  # by lobe, number of the model that it is of
 
     def without_transmission(self) -> Side:
         """The same of an opaque surface."""
-        kept = [
-            (lobe, table) for lobe, table in zip(self.lobes, self.tables, strict=True) if lobe.event == "reflection"
-        ]
-        lobes, tables = tuple(lobe for lobe, _ in kept), tuple(table for _, table in kept)
-        return Side(lobes, tables, {**self.rows, "transmission": np.zeros((ANGLES + 1, 4))})
+        kept = [k for k, lobe in enumerate(self.lobes) if lobe.event == "reflection"]
+        return Side(
+            tuple(self.lobes[k] for k in kept),
+            tuple(self.tables[k] for k in kept),
+            {**self.rows, "transmission": np.zeros((ANGLES + 1, 4))},
+            tuple(self.models[k] for k in kept),
+        )
 
 
 @lru_cache(maxsize=1024)
 def side_of(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
+    """What models make of light of one side, computed once."""
+    return make_side(models, wavelength_nm, n_in, n_out, from_front)
+
+
+def make_side(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
     """Lobes and totals; uniform nodes in cos θi for reflection, in the cosine in the rarer medium for transmission."""
-    lobes = model_lobes(models, wavelength_nm, n_in, n_out, from_front)
+    own = [model_lobes([model], wavelength_nm, n_in, n_out, from_front) for model in models]
+    lobes = tuple(lobe for part in own for lobe in part)
     tables = tuple(RadialTable.of(lobe.profile, lobe.r_max) for lobe in lobes)
     x = np.linspace(0.0, 1.0, ANGLES + 1)
     denser = np.sqrt(1 - (1 - x * x) * min(n_out / n_in, 1.0) ** 2)  # cos θi where cos θt is x
@@ -63,7 +75,136 @@ def side_of(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_ou
         here = [k for k, lobe in enumerate(lobes) if lobe.event == event]
         sums = totals([lobes[k] for k in here], cos_i, n_in, n_out, [tables[k] for k in here])
         rows[event] = np.column_stack([sums.loss[event], *sums.terms[event]])
-    return Side(lobes, tables, rows)
+    return Side(lobes, tables, rows, tuple(number for number, part in enumerate(own) for _ in part))
+
+
+@dataclass(frozen=True)
+class Member:
+    """
+    A lobe of a case.
+
+    Attributes
+    ----------
+    plugin : Scatterer
+        That the lobe is of.
+    number : int
+        Its place among the lobes of the plugin's model for light of this side.
+    lobe : Lobe
+    table : RadialTable
+    """
+
+    plugin: Any
+    number: int
+    lobe: Lobe
+    table: RadialTable
+
+
+@dataclass(frozen=True)
+class Case:
+    """
+    Light of one side of a surface that is scattered in one event.
+
+    Attributes
+    ----------
+    surface : int
+    from_front : bool
+        The side that the light comes from; against the light, in transmission, not that of the ray.
+    event : str
+    rows : (ANGLES + 1, 4) float64
+        Totals over the angle.
+    members : tuple of Member
+    """
+
+    surface: int
+    from_front: bool
+    event: str
+    rows: np.ndarray
+    members: tuple[Member, ...]
+
+
+@dataclass(frozen=True)
+class PackedLobes:
+    """
+    The lobes of all cases, one after the other, in float64.
+
+    Attributes
+    ----------
+    members : list of Member
+    floats : (n, LOBE_FLOATS) float64
+        c0, c1, c2, total of the profile, limit of 1/cos θi, log2 of the ratio's smallest r.
+    words : (n, 2) uint32
+        Flags and number of the radial table; place of the ratio.
+    tables : list of RadialTable
+    table_numbers : list of int
+        By lobe.
+    ratios : (m,) float64
+        Ratio tables, each behind its three sizes; first those that change with the models' values.
+    moving : int
+        Numbers in these.
+    """
+
+    members: list[Member]
+    floats: np.ndarray
+    words: np.ndarray
+    tables: list[RadialTable]
+    table_numbers: list[int]
+    ratios: np.ndarray
+    moving: int
+
+    @property
+    def flags(self) -> int:
+        """All flags that occur."""
+        return int(np.bitwise_or.reduce(self.words[:, 0] & ((1 << TABLE_SHIFT) - 1), initial=0))
+
+
+def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
+    """
+    Number the tables of the lobes of all cases.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+    by_plugin : bool
+        Equal tables of two plugins are then two tables, so that each has its own derivatives.
+    """
+    members = [member for case in cases for member in case.members]
+    owners = [id(member.plugin) if by_plugin else 0 for member in members]
+    tables: dict[tuple[int, int], tuple[int, RadialTable]] = {}
+    ratios: dict[tuple[int, int], RatioTable] = {}
+    for member, owner in zip(members, owners, strict=True):
+        tables.setdefault((id(member.table), owner), (len(tables), member.table))
+        if member.lobe.ratio is not None:
+            ratios.setdefault((id(member.lobe.ratio), owner), member.lobe.ratio)
+    places, parts, place, moving = {}, [np.zeros(0)], 0, 0
+    for key, ratio in sorted(ratios.items(), key=lambda item: item[1].fixed):
+        places[key] = place
+        parts += [np.array(ratio.values.shape, dtype=np.float64), ratio.values.ravel()]
+        place += RATIO_SIZES + ratio.values.size
+        moving = moving if ratio.fixed else place
+    floats, words, numbers = np.zeros((len(members), LOBE_FLOATS)), np.zeros((len(members), 2), dtype=np.uint32), []
+    for k, (member, owner) in enumerate(zip(members, owners, strict=True)):
+        numbers.append(tables[id(member.table), owner][0])
+        floats[k] = lobe_floats(member.lobe, member.table)
+        words[k] = _flags(member.lobe) | numbers[-1] << TABLE_SHIFT, places.get((id(member.lobe.ratio), owner), 0)
+    return PackedLobes(
+        members, floats, words, [table for _, table in tables.values()], numbers, np.concatenate(parts), moving
+    )
+
+
+def lobe_floats(lobe: Lobe, table: RadialTable) -> np.ndarray:
+    """(LOBE_FLOATS,) numbers of a lobe, see `PackedLobes`."""
+    r_min = lobe.ratio.r_min if lobe.ratio is not None else 1.0
+    return np.array([*lobe.shares, table.total, min(lobe.oblique_limit, 1e30), np.log2(r_min)])
+
+
+def _flags(lobe: Lobe) -> int:
+    """Flags of a lobe."""
+    flags = BY_ANGLE if lobe.measure == "angle" else 0
+    flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
+    flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE}[lobe.factor]
+    if lobe.ratio is None:
+        return flags
+    return flags | RATIO | (BY_COSINES if lobe.ratio.axes == "cosines" else 0)
 
 
 class ScatterTables:
@@ -86,6 +227,8 @@ class ScatterTables:
     ----------
     any : bool
         Whether a surface scatters.
+    all_cases : list of Case
+        Those that scatter, in the order of their totals and lobes.
     """
 
     def __init__(
@@ -96,80 +239,74 @@ class ScatterTables:
         backward: bool = False,
     ) -> None:
         bsdfs = optics.bsdfs
-        self.any = any(bsdf.scatter for bsdf in bsdfs)
         self.backward = backward
-        if not self.any:
-            return
+        self.all_cases: list[Case] = []
         count = len(bsdfs)
         # By side: first row of the totals of transmission and reflection, aimed rays of either, the first of them with
         # the random rays above; by case: first lobe, lobes, first target, targets
         sides = np.zeros((count * 2, 4), dtype=np.uint32)
         cases = np.zeros((count * CASES, 4), dtype=np.uint32)
         transmission_rows = np.zeros(count * 2, dtype=np.uint32)  # by side, that of its own light
-        total_rows: list[np.ndarray] = [np.zeros((2, 4))]  # for cases without scatter
-        lobe_rows: list[np.ndarray] = []
-        ratios: list[np.ndarray] = []
         aim_sets: list[AimSet] = []
-        targets = 0
-        radial: dict[int, int] = {}
-        self._tables: list[RadialTable] = []
-        self.flags = 0
+        targets = lobes = 0
         self.most_lobes = 0
-        node = 2
         for s, bsdf in enumerate(bsdfs):
             if not bsdf.scatter:
                 continue
             found = self._sides_of(ids, optics, s)
             for side, from_front in enumerate((True, False)):
                 sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT
-                for case, event in enumerate(EVENT_NAMES):
-                    light = found[1 - side if backward and event == "transmission" else side]
-                    members = [k for k, lobe in enumerate(light.lobes) if lobe.event == event]
-                    if not members:
+                for number, event in enumerate(EVENT_NAMES):
+                    lit = 1 - side if backward and event == "transmission" else side
+                    case = _case(bsdf.scatterers, s, lit == 0, event, found[lit])
+                    if not case.members:
                         continue
-                    sides[2 * s + side, case] = node
-                    row = cases[s * CASES + 2 * side + case]
-                    row[:2] = len(lobe_rows), len(members)
-                    total_rows.append(light.rows[event])
+                    first = first_total(len(self.all_cases))
+                    sides[2 * s + side, number] = first
+                    row = cases[s * CASES + 2 * side + number]
+                    row[:2] = lobes, len(case.members)
                     if event == "transmission":
-                        transmission_rows[2 * s + (1 - side if backward else side)] = node
-                    node += ANGLES + 1
-                    for k in members:
-                        lobe, table = light.lobes[k], light.tables[k]
-                        if id(table) not in radial:
-                            radial[id(table)] = len(self._tables)
-                            self._tables.append(table)
-                        flags, place = _flags(lobe, ratios)
-                        self.flags |= flags
-                        r_min = lobe.ratio.r_min if lobe.ratio is not None else 1.0
-                        numbers = [*lobe.shares, table.total, min(lobe.oblique_limit, 1e30), np.log2(r_min)]
-                        words = np.array([flags | radial[id(table)] << TABLE_SHIFT, place], dtype=np.uint32)
-                        lobe_rows.append(np.concatenate([np.array(numbers, dtype=np.float32).view(np.uint32), words]))
-                    self.most_lobes = max(self.most_lobes, len(members))
+                        transmission_rows[2 * s + lit] = first
+                    self.all_cases.append(case)
+                    lobes += len(case.members)
+                    self.most_lobes = max(self.most_lobes, len(case.members))
                     aim = aims.get((s, from_front == (event == "transmission")))
                     if aim is not None:
                         row[2:] = targets, len(aim.targets)
-                        sides[2 * s + side, 2 + case] += aim.rays
+                        sides[2 * s + side, 2 + number] += aim.rays
                         aim_sets.append(aim)
                         targets += len(aim.targets)
+        self.any = bool(self.all_cases)
+        if not self.any:
+            return
         self.aimed = bool(aim_sets)
         self.sides, self.cases = upload(mi.UInt32, sides), upload(mi.UInt32, cases)
         self.transmission_rows = mi.UInt32(transmission_rows)
-        self.totals = upload(mi.Float, np.concatenate(total_rows))
-        self.lobes = upload(mi.UInt32, np.array(lobe_rows if lobe_rows else [np.zeros(8, dtype=np.uint32)]))
-        self.ratios = upload(mi.Float, np.concatenate(ratios) if ratios else np.zeros(1))
+        self.totals = upload(mi.Float, np.concatenate([np.zeros((2, 4)), *(case.rows for case in self.all_cases)]))
+        packed = pack(self.all_cases)
+        self.flags = packed.flags
+        self._upload_lobes(packed)
         self.targets = DeviceTargets(aim_sets)
-        self.radial = RadialSampler(self._tables)
+        self.radial = RadialSampler(packed.tables)
         dr.eval(self.sides, self.cases, self.transmission_rows, self.totals, self.lobes, self.ratios)
+
+    @property
+    def total_rows(self) -> int:
+        """Number of rows of the totals."""
+        return first_total(len(self.all_cases))
+
+    def _upload_lobes(self, packed: PackedLobes) -> None:
+        bits = packed.floats.astype(np.float32).view(np.uint32)
+        self.lobes = upload(mi.UInt32, np.hstack([bits, packed.words]))
+        self.ratios = upload(mi.Float, packed.ratios if len(packed.ratios) else np.zeros(1))
 
     @staticmethod
     def _sides_of(ids: Sequence[str], optics: Optics, s: int) -> list[Side]:
         """What a surface makes of light from the front and from the back, checked."""
         found = []
         for from_front in (True, False):
-            n_in, n_out = optics.host_indices[s, :2] if from_front else optics.host_indices[s, 1::-1]
-            models = tuple(optics.bsdfs[s].scatter)
-            side = side_of(models, optics.wavelength_nm, float(n_in), float(n_out), from_front)
+            n_in, n_out = light_indices(optics, s, from_front)
+            side = side_of(tuple(optics.bsdfs[s].scatter), optics.wavelength_nm, n_in, n_out, from_front)
             if optics.host_words[s] & OPAQUE:
                 side = side.without_transmission()
             if side.lobes:
@@ -178,17 +315,45 @@ class ScatterTables:
             found.append(side)
         return found
 
+    def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
+        """A row of the totals."""
+        return dr.gather(mi.Vector4f, self.totals, row, active)
 
-def _flags(lobe: Lobe, ratios: list[np.ndarray]) -> tuple[int, int]:
-    """Flags of a lobe, and the place of its ratio table, which is appended to the others behind its three sizes."""
-    flags = BY_ANGLE if lobe.measure == "angle" else 0
-    flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
-    flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE}[lobe.factor]
-    if lobe.ratio is None:
-        return flags, 0
-    place = sum(map(len, ratios))
-    ratios += [np.array(lobe.ratio.values.shape, dtype=np.float64), lobe.ratio.values.ravel()]
-    return flags | RATIO | (BY_COSINES if lobe.ratio.axes == "cosines" else 0), place
+    def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
+        """Of a lobe: its shares and its profile's total; the limit of 1/cos θi; log2 of its ratio's r_min; words."""
+        numbers, more = (dr.gather(mi.Vector4u, self.lobes, 2 * row + k, active) for k in range(2))
+        shares = mi.Vector4f(*(dr.reinterpret_array(mi.Float, v) for v in numbers))
+        limit, log2_r_min = (dr.reinterpret_array(mi.Float, v) for v in more.xy)
+        return shares, limit, log2_r_min, more.zw
+
+    def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
+        """The ratio table at a place, trilinear."""
+        return trilinear(self.ratios, place + RATIO_SIZES, self._ratio_sizes(place, active), places, active)
+
+    def _ratio_sizes(self, place: mi.UInt32, active: mi.Bool) -> list[mi.UInt32]:
+        """Nodes of a ratio table along its axes."""
+        numbers = [dr.gather(mi.Float, self.ratios, place + k, active) for k in range(RATIO_SIZES)]
+        return [dr.maximum(mi.UInt32(number), 2) for number in numbers]
+
+
+def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float, float]:
+    """Real indices on the side that light comes from and on the other."""
+    front, back = (float(n) for n in optics.host_indices[surface, :2])
+    return (front, back) if from_front else (back, front)
+
+
+def first_total(case: int) -> int:
+    """Row of the totals where those of a case begin; two rows of zeros come first, for cases without scatter."""
+    return 2 + case * (ANGLES + 1)
+
+
+def _case(plugins: Sequence[Any], surface: int, from_front: bool, event: str, side: Side) -> Case:
+    """One case of a surface with these scatter plugins."""
+    members = []
+    for k, (lobe, table, model) in enumerate(zip(side.lobes, side.tables, side.models, strict=True)):
+        if lobe.event == event:
+            members.append(Member(plugins[model], k - side.models.index(model), lobe, table))
+    return Case(surface, from_front, event, side.rows[event], tuple(members))
 
 
 def check_side(

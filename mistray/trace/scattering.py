@@ -23,7 +23,6 @@ import mitsuba as mi
 from mistray.physics.diffraction import obliquity
 from mistray.scatter.radial import R_MAX
 from mistray.trace.interaction import Interaction, shares_at
-from mistray.trace.lobes import trilinear
 from mistray.trace.scatter_tables import (
     ANGLES,
     BY_ANGLE,
@@ -42,6 +41,8 @@ from mistray.trace.scatter_tables import (
 if TYPE_CHECKING:
     from mistray.trace.surfaces import SurfaceTable
 
+NO_AZIMUTH = 1e-16  # product of the squared lengths of two directions' tangential parts
+ONE_LESS = 1 - 2.0**-23  # a cosine whose angle still has a finite derivative
 ANYWHERE = 0.1  # share of the rays of a lobe by angle that go against refraction anywhere
 
 
@@ -154,6 +155,11 @@ class Scattering:
         self.any = tables.any
 
     @property
+    def tables(self) -> ScatterTables:
+        """What it reads."""
+        return self._tables
+
+    @property
     def arrays(self) -> list[Any]:
         """What the kernel reads of the models of the surfaces; targets, which change no result, are not among it."""
         tables = self._tables
@@ -186,7 +192,7 @@ class Scattering:
         here = active & (first != 0)
         place = dr.select(here, cosine * ANGLES, 0)
         node = dr.minimum(mi.UInt32(place), ANGLES - 1)
-        low, high = (dr.gather(mi.Vector4f, self._tables.totals, first + node + k, here) for k in range(2))
+        low, high = (self._tables.total(first + node + k, here) for k in range(2))
         row = dr.lerp(low, high, place - mi.Float(node))
         scattered = dr.fma(x, dr.fma(x, row.w, row.z), row.y)
         return Shares(
@@ -281,7 +287,10 @@ class Scattering:
         cos_s = dr.dot(direction, outward)
         flux, slope, density = self._evaluate(lobes, total, direction, cos_s, outward, specular, d, it.cos_i, scale)
         if self._tables.backward:
-            flux = self._against(table, s, plan, ray.reflect, it, d, direction, cos_s)
+            from_front = it.from_front ^ ~ray.reflect
+            R, T, cos_t = shares_at(table, s, it.word, from_front, cos_s, mi.Bool(True))
+            share = dr.select(ray.reflect, R, T)
+            flux = self._against(plan, ray.reflect, it.axis, it.cos_i, it.eta, d, direction, cos_s, cos_t, share)
         techniques = ray.random_rays * density
         if self._tables.aimed:
             there = ray.aimed_rays > 0
@@ -292,36 +301,35 @@ class Scattering:
 
     def _against(
         self,
-        table: SurfaceTable,
-        s: mi.UInt32,
         plan: mi.Vector4u,
         reflect: mi.Bool,
-        it: Interaction,
+        axis: mi.Vector3f,
+        cos_i: mi.Float,
+        eta: mi.Float,
         d: mi.Vector3f,
         direction: mi.Vector3f,
         cos_s: mi.Float,
+        cos_t: mi.Float,
+        x: mi.Float,
     ) -> mi.Float:
         """
         What light that comes against `direction` sends against d, as flux per solid angle of `direction`.
 
-        With the étendue dG = n² cos θ dω dA of either direction the flux per étendue is the same whether one follows
-        the light or goes against it; the change from dG to dω gives the factor n_i² cos θ_i/(n_o² cos θ_o).
+        `cos_t` is the light's own cosine of refraction, x the coating's R or T for it; `axis`, `cos_i` and `eta` are
+        those of the ray. With the étendue dG = n² cos θ dω dA of either direction the flux per étendue is the same
+        whether one follows the light or goes against it; the change from dG to dω gives the factor
+        n_i² cos θ_i/(n_o² cos θ_o).
         """
-        from_front = it.from_front ^ ~reflect
-        R, T, cos_t = shares_at(table, s, it.word, from_front, cos_s, mi.Bool(True))
-        incident, outward = -direction, -it.axis
-        eta = dr.rcp(it.eta)
-        mirrored = incident - 2 * dr.dot(incident, outward) * outward
-        refracted = eta * incident + (cos_t - eta * cos_s) * outward
-        specular = dr.normalize(dr.select(reflect, mirrored, refracted))
-        lobes = self._read_lobes(plan, dr.select(reflect, R, T), cos_s)
+        incident, outward, eta = -direction, -axis, dr.rcp(eta)
+        specular = specular_direction(reflect, incident, dr.select(reflect, axis, outward), cos_s, cos_t, eta)
+        lobes = self._read_lobes(plan, x, cos_s)
         # Of light in total reflection only lobes about the normal pass on to the other side
         passes = reflect | (cos_t > 0)
         for lobe in lobes:
             lobe["here"] = lobe["here"] & (passes | ((lobe["words"].x & NORMAL) != 0))
         one = mi.Float(1)
-        flux, _, _ = self._evaluate(lobes, one, -d, it.cos_i, outward, specular, incident, cos_s, one)
-        return flux * cos_s / it.cos_i * dr.select(reflect, 1, dr.square(eta))
+        flux, _, _ = self._evaluate(lobes, one, -d, cos_i, outward, specular, incident, cos_s, one)
+        return flux * cos_s / cos_i * dr.select(reflect, 1, dr.square(eta))
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
         """The lobes of a case and the flux of each over all directions."""
@@ -329,10 +337,7 @@ class Scattering:
         for j in range(self._tables.most_lobes):
             here = plan.y > j
             row = plan.x + j
-            numbers, more = (dr.gather(mi.Vector4u, self._tables.lobes, 2 * row + k, here) for k in range(2))
-            shares = mi.Vector4f(*(dr.reinterpret_array(mi.Float, v) for v in numbers))
-            limit, log2_r_min = (dr.reinterpret_array(mi.Float, v) for v in more.xy)
-            words = more.zw
+            shares, limit, log2_r_min, words = self._tables.lobe(row, here)
             coefficient = dr.fma(x, dr.fma(x, shares.z, shares.y), shares.x)
             if self._tables.flags & BY_ANGLE:
                 oblique = dr.minimum(dr.rcp(cos_i), limit)
@@ -473,9 +478,6 @@ class Scattering:
     ) -> mi.Float:
         """The ratio table of a lobe, trilinear."""
         active = active & ((words.x & RATIO) != 0)
-        sizes = [
-            dr.maximum(mi.UInt32(dr.gather(mi.Float, self._tables.ratios, words.y + k, active)), 2) for k in range(3)
-        ]
         tangent = specular - cos_specular * outward
         second = dr.clip(1 - (1 - 0.5 * dr.log2(dr.maximum(r2, 1e-30))) / (1 - lobe["log2_r_min"]), 0, 1)
         if self._tables.flags & BY_COSINES:
@@ -483,6 +485,16 @@ class Scattering:
             across = dr.select(by_cosines, direction - cos_s * outward, across)
             second = dr.select(by_cosines, dr.clip(cos_s, 0, 1), second)
         lengths = dr.squared_norm(across) * dr.squared_norm(tangent)
-        angle = dr.acos(dr.clip(dr.dot(across, tangent) * dr.rsqrt(dr.maximum(lengths, 1e-30)), -1, 1))
+        # At normal incidence there is no azimuth, and no derivative by it; in the plane of incidence it has a kink
+        sloping = lengths > NO_AZIMUTH
+        cosine = dr.select(sloping, dr.dot(across, tangent) * dr.rsqrt(dr.select(sloping, lengths, 1)), 0)
+        angle = dr.acos(dr.clip(cosine, -ONE_LESS, ONE_LESS))
         places = (dr.clip(cos_specular, 0, 1), second, angle / dr.pi)
-        return trilinear(self._tables.ratios, words.y + 3, sizes, places, active)
+        return self._tables.ratio(words.y, places, active)
+
+
+def specular_direction(
+    reflect: mi.Bool, d: mi.Vector3f, axis: mi.Vector3f, cos_i: mi.Float, cos_t: mi.Float, eta: mi.Float
+) -> mi.Vector3f:
+    """Unit direction that light along d is reflected or refracted into; arguments as in `Interaction`."""
+    return dr.normalize(dr.select(reflect, d - 2 * cos_i * axis, eta * d + (cos_t - eta * cos_i) * axis))

@@ -19,8 +19,9 @@ if TYPE_CHECKING:
     from mistray.trace.start_rays import StartRays
 
 # Classes of the light, in the order of their sums
-DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE = range(5)
-CLASS_COUNT = 5
+CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter")
+CLASS_COUNT = len(CLASSES)
+DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE = range(CLASS_COUNT)
 # Tables of paths: a path that finds no place within so many slots is not listed
 MOST_PROBES = 24
 HIT_SUMS = 3  # of a path in a cell: hits, weight, squared weight
@@ -147,6 +148,8 @@ class Sky:
     paths : PathBook, optional
     has_optics : bool
         Whether light must pass a lens or a mirror to be part of the direct image.
+    derivative : (CLASS_COUNT, n, m) float64, optional
+        Derivative of a metric by the sums of the weights of each class in each cell, for `gain`.
     """
 
     def __init__(
@@ -156,8 +159,10 @@ class Sky:
         pixels: int = 0,
         paths: PathBook | None = None,
         has_optics: bool = True,
+        derivative: np.ndarray | None = None,
     ) -> None:
         self._has_optics = has_optics
+        self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
         self.thrift = thrift
         self.grid, self.pixels, self.paths = grid, pixels, paths
         self._angles, self._azimuths = grid.shape
@@ -220,10 +225,7 @@ class Sky:
         w = mi.Float64(weight)
         dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, w, batch, active & ~inside)
         inside &= active
-        past = aside | (length == 0) if self._has_optics else aside
-        direct = dr.select(past, mi.UInt32(STRAIGHT), mi.UInt32(DIRECT))
-        ghost = dr.select(reflections > 0, mi.UInt32(GHOST), direct)
-        kind = dr.select(scatters == 0, ghost, dr.select(scatters == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE)))
+        kind = self._kind(reflections, scatters, aside, length)
         dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, (kind * self.cells + cell) * BATCHES + batch, inside)
         scattered = inside & (scatters > 0)
         # The bits of positive floats are in the order of the floats
@@ -234,6 +236,29 @@ class Sky:
                 dr.scatter_reduce(dr.ReduceOp.Add, self.maps, value, place + k, inside)
         if self.paths is not None:
             self.paths.record(key, length, read, cell, weight, inside)
+
+    def gain(
+        self,
+        d: mi.Vector3f,
+        weight: mi.Float,
+        reflections: mi.UInt32,
+        scatters: mi.UInt32,
+        aside: mi.Bool,
+        length: mi.UInt32,
+        active: mi.Bool,
+    ) -> mi.Float64:
+        """What the metric gains from rays that leave, instead of `record`."""
+        cell, inside = self.cell(d)
+        index = self._kind(reflections, scatters, aside, length) * self.cells + cell
+        inside &= active
+        return dr.select(inside, mi.Float64(weight) * dr.gather(mi.Float64, self._derivative, index, inside), 0)
+
+    def _kind(self, reflections: mi.UInt32, scatters: mi.UInt32, aside: mi.Bool, length: mi.UInt32) -> mi.UInt32:
+        """Class of light by its events."""
+        past = aside | (length == 0) if self._has_optics else aside
+        direct = dr.select(past, mi.UInt32(STRAIGHT), mi.UInt32(DIRECT))
+        ghost = dr.select(reflections > 0, mi.UInt32(GHOST), direct)
+        return dr.select(scatters == 0, ghost, dr.select(scatters == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE)))
 
     def read(self) -> dict[str, Any]:
         """

@@ -2,10 +2,26 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+
+
+def generators(seed: int, lane: mi.UInt32) -> tuple[mi.PCG32, mi.UInt32]:
+    """
+    One random number generator for each lane.
+
+    Returns
+    -------
+    rng : mi.PCG32
+    scrambled : mi.UInt32
+        A random number of each lane that goes with its generator.
+    """
+    # Streams of PCG32 with neighbouring numbers are correlated: seed and ray number are scrambled first
+    state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, seed % 2**32), lane)
+    return mi.PCG32(size=dr.width(lane), initstate=mi.UInt64(state), initseq=mi.UInt64(sequence)), sequence
 
 
 @dataclass
@@ -33,6 +49,19 @@ class StartRays:
         Pixel of the detector that they start from.
     medium : mi.UInt32, optional
         Number of the material that they start in; 0 is not known.
+    depth, reflections, scatters : mi.UInt32, optional
+        Of rays that go on from within a tree: events before, counted reflections, scatter events (packed as in
+        `mistray.trace.ray_tree`).
+    key : mi.UInt64, optional
+        Key of these events.
+    birth : mi.Float, optional
+        Weight with which such a ray left the source or was scattered last.
+    aimed_from : mi.UInt32, optional
+        Surface that sent it to a target, `NO_SURFACE` if none did.
+    aside : mi.Bool, optional
+        Whether an event before is none of a direct image.
+    at : mi.UInt32, optional
+        Surface that a ray has just arrived at, with its origin on it; `NO_SURFACE`: it is on its way.
     """
 
     lane: mi.UInt32
@@ -45,13 +74,25 @@ class StartRays:
     normal: mi.Vector3f | None = None
     pixel: mi.UInt32 | None = None
     medium: mi.UInt32 | None = None
+    depth: mi.UInt32 | None = None
+    reflections: mi.UInt32 | None = None
+    scatters: mi.UInt32 | None = None
+    key: mi.UInt64 | None = None
+    birth: mi.Float | None = None
+    aimed_from: mi.UInt32 | None = None
+    aside: mi.Bool | None = None
+    at: mi.UInt32 | None = None
+
+    def given(self, name: str, otherwise: Any) -> Any:
+        """An optional field, or what holds where it is not given."""
+        value = getattr(self, name)
+        return otherwise if value is None else value
 
     def take(self, index: mi.UInt32) -> StartRays:
-        """Some of the rays of a source."""
+        """Some of the rays."""
         rng = mi.PCG32()
         rng.state, rng.inc = (dr.gather(mi.UInt64, v, index) for v in (self.rng.state, self.rng.inc))
-        lane, batch = (dr.gather(mi.UInt32, v, index) for v in (self.lane, self.batch))
-        o, d = (dr.gather(mi.Vector3f, v, index) for v in (self.o, self.d))
-        w = dr.gather(mi.Float, self.w, index)
-        dr.eval(lane, batch, rng, o, d, w)
-        return StartRays(lane, batch, rng, o, d, w)
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "rng"}
+        taken = {name: v if v is None else dr.gather(type(v), v, index) for name, v in values.items()}
+        dr.eval(rng, taken)
+        return StartRays(rng=rng, **taken)

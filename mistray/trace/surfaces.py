@@ -12,7 +12,6 @@ hit through its acceleration structure.
 from __future__ import annotations
 
 from copy import copy
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -20,77 +19,16 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.sag import sag
 from mistray.trace.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
+from mistray.trace.pieces import Piece, piece_numbers, vertex_frame
 from mistray.trace.upload import upload
 
 NO_SURFACE = 0xFFFFFFFF
 # A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
 SELF_HIT = 1e-5
-# An asphere is hit through its conic if it departs from it by less than this, in units of its aperture and as a slope
-MILD_DEPARTURE, MILD_SLOPE, MILD_MARGIN = 0.004, 0.03, 1.02
+SAME_FRAME = 1e-9  # by which the directions of axes may differ
 # Row of the polynomial table: curvature, conic, a4 … a20, inner², z range, outer (-1: a rectangle), slope
 POLYNOMIAL_VECTORS = 4
-
-
-@dataclass
-class Piece:
-    """One analytic surface: static facts that shape the kernel's code, and its numbers in float64.
-
-    Attributes
-    ----------
-    index : int
-        Number of the surface in the scene.
-    kind : str
-        "plane", "conic", "asphere" or "cone" (a cylinder is a cone of no slope).
-    frame : int
-        Number of the orientation it shares with other pieces; 0 is unrotated.
-    axis : int
-        Number of the axis (orientation and lateral position) it shares with other pieces.
-    z : float
-        Position of the vertex along the axis, mm.
-    quadric : (4,) float
-        a, b, e, g.
-    sign : float
-        +1 or -1: grad F times this points along the surface's normal.
-    coefficients : tuple of float
-        a4, a6, … up to the last that is not zero.
-    outer, inner : float
-        Clear radii, mm; ``outer`` is 0 for a rectangle.
-    half_size : (2,) float
-        Rectangle, mm.
-    z_range : (2,) float
-        Extent along the axis from the vertex, mm.
-    slope : float
-        Largest |dz/dr| within the aperture (aspheres), dr/dz (cones).
-    wall : bool
-        Made by `frustum`: mechanics, of which a ray meets little.
-    departure : float
-        Largest distance in z of an asphere from its conic, mm, if it is so small that the conic's hit is a safe start
-        for Newton's method; 0 if not.
-    """
-
-    index: int
-    kind: str
-    frame: int
-    axis: int
-    z: float
-    quadric: np.ndarray
-    sign: float
-    coefficients: tuple[float, ...]
-    outer: float
-    inner: float
-    half_size: tuple[float, float]
-    z_range: tuple[float, float]
-    slope: float
-    wall: bool
-    departure: float = 0.0
-
-    @property
-    def conic(self) -> tuple[float, float]:
-        """Curvature (1/mm) and conic constant of an asphere; zeros of a plane."""
-        a, b = (float(v) for v in self.quadric[:2])
-        return a, b / a - 1 if a else 0.0
 
 
 class SurfaceTable:
@@ -182,19 +120,18 @@ class SurfaceTable:
         vertices = np.zeros((self.count, 3))
         rotations = np.tile(np.eye(3), (self.count, 1, 1))
         for i, shape in enumerate(shapes):
-            rotation, position = shape.matrix[:3, :3], shape.matrix[:3, 3].copy()
-            frame = next((k for k, known in enumerate(self.frames) if np.allclose(known, rotation, atol=1e-9)), None)
+            matrix = vertex_frame(shape.kind, shape.values, shape.matrix)
+            rotation, position = matrix[:3, :3], matrix[:3, 3]
+            same = (np.allclose(known, rotation, rtol=0, atol=SAME_FRAME) for known in self.frames)
+            frame = next((k for k, known in enumerate(same) if known), None)
             if frame is None:
                 frame = len(self.frames)
                 self.frames.append(rotation)
-            v = shape.values
-            if shape.kind == "frustum":
-                position = position + rotation[:, 2] * v["z0"]
             local = self.frames[frame].T @ position
             axis_key = (frame, round(float(local[0]), 9), round(float(local[1]), 9))
             if axis_key not in self.axes:
                 self.axes.append(axis_key)
-            piece = _frustum_piece(v) if shape.kind == "frustum" else _asphere_piece(shape)
+            piece = piece_numbers(shape.kind, shape.values)
             self.pieces.append(Piece(index=i, frame=frame, axis=self.axes.index(axis_key), z=float(local[2]), **piece))
             vertices[i], rotations[i] = position, self.frames[frame]
         self.vertices, self.rotations = vertices, rotations
@@ -296,70 +233,3 @@ def _rectangle_matrix(shape: Any, name: str) -> np.ndarray:
             f"detector '{name}' is {str(shape).split('[')[0]}; use an 'asphere', a flat 'frustum' or a 'rectangle'"
         )
     return np.array(params["to_world"].matrix, dtype=np.float64).reshape(4, 4)
-
-
-def _asphere_piece(shape: Any) -> dict[str, Any]:
-    v = shape.values
-    coefficients = list(shape.coefficients)
-    while coefficients and coefficients[-1] == 0:
-        coefficients.pop()
-    c, k = v["curvature"], v["conic"]
-    kind = "asphere" if coefficients else "conic" if c else "plane"
-    r = np.linspace(0.0, shape.outer_radius, 2001)
-    z = shape.sag(r)
-    slope = np.gradient(z, r, edge_order=2) if kind != "plane" else np.zeros_like(r)
-    span = max(float(np.ptp(z)), 1e-6 * shape.outer_radius)
-    return {
-        "kind": kind,
-        "quadric": np.array([c, c * (1 + k), -2.0, 0.0]),
-        "sign": -1.0,
-        "coefficients": tuple(coefficients),
-        "outer": 0.0 if shape.rectangular else v["semi_diameter"],
-        "inner": 0.0 if shape.rectangular else v["inner_semi_diameter"],
-        "half_size": (v["half_width"], v["half_height"]) if shape.rectangular else (0.0, 0.0),
-        "z_range": (float(z.min()) - 1e-3 * span, float(z.max()) + 1e-3 * span),
-        "slope": 1.02 * float(np.max(np.abs(slope))),
-        "wall": False,
-        "departure": _mild_departure(shape) if kind == "asphere" else 0.0,
-    }
-
-
-def _mild_departure(shape: Any) -> float:
-    """`Piece.departure` of an asphere."""
-    c, k, outer = shape.values["curvature"], shape.values["conic"], shape.outer_radius
-    r = np.linspace(0.0, MILD_MARGIN * outer, 513)
-    if c == 0 or (1 + k) * (c * r[-1]) ** 2 >= 1:
-        return 0.0
-    polynomial = np.asarray(sag(r * r, 0.0, 0.0, shape.coefficients))
-    departure, slope = np.max(np.abs(polynomial)), np.max(np.abs(np.gradient(polynomial, r)))
-    return float(departure) if departure < MILD_DEPARTURE * outer and slope < MILD_SLOPE else 0.0
-
-
-def _frustum_piece(v: dict[str, float]) -> dict[str, Any]:
-    length = v["z1"] - v["z0"]
-    if length == 0:
-        return {
-            "kind": "plane",
-            "quadric": np.array([0.0, 0.0, 1.0, 0.0]),
-            "sign": 1.0,
-            "coefficients": (),
-            "outer": max(v["r0"], v["r1"]),
-            "inner": min(v["r0"], v["r1"]),
-            "half_size": (0.0, 0.0),
-            "z_range": (0.0, 0.0),
-            "slope": 0.0,
-            "wall": True,
-        }
-    m = (v["r1"] - v["r0"]) / length
-    return {
-        "kind": "cone",
-        "quadric": np.array([1.0, -m * m, -2 * v["r0"] * m, -(v["r0"] ** 2)]),
-        "sign": 1.0,
-        "coefficients": (),
-        "outer": max(v["r0"], v["r1"]),
-        "inner": 0.0,
-        "half_size": (0.0, 0.0),
-        "z_range": (min(0.0, length), max(0.0, length)),
-        "slope": m,
-        "wall": True,
-    }

@@ -14,16 +14,18 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import CHANNELS, Adjoint
 from mistray.trace.aiming import aims
-from mistray.trace.books import REASONS, STARTED, SURFACE_SUMS, Film, Recorder, Tallies
+from mistray.trace.books import REASONS, STARTED, SURFACE_SUMS, Film, Recorder, Tallies, spreads
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES, DecodedPaths, Ledger
+from mistray.trace.raw_gradient import MOMENTS, PathDerivative
 from mistray.trace.ray_tree import walk
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sources import Beam, Source, beams
-from mistray.trace.start_rays import StartRays
+from mistray.trace.start_rays import StartRays, generators
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.upload import upload
 
 PASS_LANES = 1 << 20
 FIRST_CAPACITY, FIRST_CAPACITY_OF_SCATTER = 1 << 12, 1 << 15  # slots: paths multiply where surfaces scatter
@@ -88,7 +90,13 @@ class Run:
             dr.opaque(mi.Float, y0),
             dr.opaque(mi.Float, width / (x1 - x0)),
             dr.opaque(mi.Float, height / (y1 - y0)),
+            tent=spreads(self.table.shapes[self.table.detector].sensor().film()),
         )
+
+    @property
+    def passes(self) -> int:
+        """Number of passes that all start rays take."""
+        return -(-self.rays // PASS_LANES)
 
     def start_pass(self, number: int) -> StartRays:
         """The start rays of one pass."""
@@ -96,12 +104,10 @@ class Run:
         lanes = min(PASS_LANES, self.rays - done)
         index = dr.arange(mi.UInt32, lanes)
         lane = index + dr.opaque(mi.UInt32, done)
-        # Streams of PCG32 with neighbouring numbers are correlated: seed and ray number are scrambled first
-        state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, self.seed), lane)
-        rng = mi.PCG32(size=lanes, initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
+        rng, scrambled = generators(self.seed, lane)
         # Random batches of a grid: its rows are no sample of it
         blocks = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
-        batch = sequence % BATCHES if self.beam.pattern == "grid" else blocks
+        batch = scrambled % BATCHES if self.beam.pattern == "grid" else blocks
         dr.eval(lane, batch, rng)
         closing = np.random.default_rng((self.seed, number)).exponential(size=BATCHES)
         o, d = self.beam.start(lane, batch, self.rays, rng, closing)
@@ -134,14 +140,15 @@ class Run:
     ) -> None:
         """Run the passes one after the other, until `stop`, which is asked after each, says so."""
         corners = None if box is None else mi.Vector4f(*(dr.opaque(mi.Float, float(v)) for v in box))
-        for number in range(-(-self.rays // PASS_LANES)):
-            self._walk(self.start_pass(number), film, tallies, ledger, box=corners, adjoint=adjoint)
+        for number in range(self.passes):
+            self.walk(self.start_pass(number), film, tallies, ledger, box=corners, adjoint=adjoint)
             if progress:
                 progress(min((number + 1) * PASS_LANES, self.rays), self.rays)
             if stop and stop():
                 return
 
-    def _walk(self, start: StartRays, film: Film, *books: Any, **more: Any) -> None:
+    def walk(self, start: StartRays, film: Film, *books: Any, **more: Any) -> None:
+        """Trace the trees of some start rays, with the books and options of `ray_tree.walk`."""
         walk(self.table, self.scattering, self.intersector, start, self.settings, film, *books, **more)
         dr.eval()
         dr.sync_thread()
@@ -215,25 +222,46 @@ class Run:
         width, height, (x0, x1, y0, y1) = self.table.film()
         return (x1 - x0) * (y1 - y0) / (width * height)
 
-    def derivatives(self, pixel: np.ndarray | None = None, slot: np.ndarray | None = None) -> np.ndarray:
+    def adjoint(self, pixel: np.ndarray | None, paths: PathDerivative | None, rows: int) -> Adjoint:
+        """
+        Derivative of a metric for a walk.
+
+        Parameters
+        ----------
+        pixel : (maps, height, width) or None
+            By the flux in each pixel, in units of a start ray.
+        paths : PathDerivative or None
+            By the flux of each path; needs the ledger.
+        rows : int
+            See `Adjoint`.
+        """
+        by_path = number = None
+        if paths is not None:
+            assert self.ledger is not None
+            coefficients = np.zeros((self.ledger.capacity, MOMENTS))
+            coefficients[paths.slots] = paths.coefficients
+            numbers = np.zeros(self.ledger.capacity, dtype=np.uint32)
+            numbers[paths.slots] = paths.maps + 1
+            by_path, number = upload(mi.Float64, coefficients), upload(mi.UInt32, numbers)
+        image = None if pixel is None else upload(mi.Float, pixel)
+        return Adjoint(rows, image, by_path, number)
+
+    def derivatives(self, pixel: np.ndarray | None, paths: PathDerivative | None) -> np.ndarray:
         """
         Derivatives of a metric by the rows of the tables of R and T, by tracing the same rays in reverse.
 
         Parameters
         ----------
-        pixel : (height, width), optional
-            Derivative of the metric by the flux in each pixel, 1/W.
-        slot : (capacity,), optional
-            Derivative of the metric by the flux of each path, by ledger slot, 1/W; needs the ledger.
+        pixel, paths
+            As for `adjoint`.
 
         Returns
         -------
         (BATCHES, rows, CHANNELS) float64
             By batch of start rays; see `mistray.trace.adjoint`.
         """
-        weights = [None if w is None else mi.Float(self.unit * np.asarray(w).ravel()) for w in (pixel, slot)]
-        adjoint = Adjoint(self.table.optics.rows, *weights)
-        self.launch(self.make_film(), ledger=self.ledger if slot is not None else None, adjoint=adjoint)
+        adjoint = self.adjoint(pixel, paths, self.table.optics.rows)
+        self.launch(self.make_film(), ledger=self.ledger if paths is not None else None, adjoint=adjoint)
         return np.array(adjoint.sums).reshape(BATCHES, -1, CHANNELS)
 
     def paths_in_box(self, box: Sequence[float]) -> DecodedPaths:
@@ -253,13 +281,13 @@ class Run:
         """
         recorder = Recorder(max(count, RECORD_CAPACITY), self.settings.max_events, mi.UInt64(dr.opaque(mi.UInt64, key)))
         film = self.make_film()
-        for number in range(-(-self.rays // PASS_LANES)):
+        for number in range(self.passes):
             start = self.start_pass(number)
             host_batch = np.array(start.batch)
             for low, high in ((0, 1), (1, 4), (4, BATCHES)) if number == 0 else ((0, BATCHES),):
                 index = mi.UInt32(np.flatnonzero((host_batch >= low) & (host_batch < high)).astype(np.uint32))
                 if dr.width(index):
-                    self._walk(start.take(index), film, recorder=recorder)
+                    self.walk(start.take(index), film, recorder=recorder)
                 if int(recorder.count[0]) >= count:
                     return recorder
         return recorder

@@ -13,8 +13,9 @@ import numpy as np
 from mistray.coatings import METAL_K, Bare, Coating, CoatingTable, Ideal
 from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
-from mistray.materials import complex_index, refractive_index, resolved
+from mistray.materials import complex_index, refractive_index
 from mistray.physics.fresnel import reflectance
+from mistray.plugins.bsdfs.glasses import SHIFTS, Glasses
 from mistray.plugins.bsdfs.lobe_sum import LobeSum
 from mistray.scatter import Scatter
 from mistray.trace.optics import (
@@ -36,6 +37,7 @@ SIDES = (
     "splitting",
     "scatter_rays",
     "wavelength_nm",
+    *SHIFTS,
 )  # what an interface has beside its coating
 
 
@@ -61,6 +63,9 @@ class Interface(mi.BSDF):
     front, back       string          air      material: ``air``, an index (``1.5168``, ``1.5+0.01i``),
                                                ``nd=1.544 Vd=56.1``, a name (``N-BK7``, ``Al``) or a file;
                                                see docs/materials.md
+    n_front_shift     1       ±       0        added to the real index of ``front`` at every wavelength
+                                               (differentiable)
+    n_back_shift      1       ±       0        the same for ``back`` (differentiable)
     R                 1       0 … 1   Fresnel  reflectance of an ideal coating (differentiable)
     T                 1       0 … 1   0 if R   transmittance of an ideal coating (differentiable)
     table             file            none     CSV over wavelength and angle, see docs/coatings.md; the angle
@@ -108,7 +113,8 @@ class Interface(mi.BSDF):
         super().__init__(props)
         self.name = "" if props.id() in UNNAMED else str(props.id())
         self.wavelength_nm = float(props.get("wavelength_nm", STOCK_WAVELENGTH_NM))
-        self.front, self.back = (self._resolved(str(props.get(side, "air"))) for side in ("front", "back"))
+        self._glasses = Glasses(props, _resolve)
+        self.is_nested = False
         self.mirror = bool(props.get("mirror", False))
         splitting = str(props.get("splitting", "split"))
         if splitting not in ("split", "one"):
@@ -120,7 +126,7 @@ class Interface(mi.BSDF):
                 f"{self.title}: scatter_rays is {self.scatter_rays}; give 1 to {MOST_RAYS_PER_HIT}, or 0 for the "
                 "setting of the trace"
             )
-        self.indices(self.wavelength_nm)  # an unknown material is an error of the scene, now
+        self._take_glasses()  # an unknown material is an error of the scene, now
         self._own_ideal = False
         self._R, self._T = mi.Float(0), mi.Float(0)
         self._own: Coating = Bare()
@@ -168,6 +174,7 @@ class Interface(mi.BSDF):
                 f"{self.title}: its {film.title} has {film.sides[0]} as well; give {film.sides[0]} at the "
                 "interface only"
             )
+        film.is_nested = True
         return film
 
     def _read_coating(self, props: mi.Properties) -> None:
@@ -261,8 +268,28 @@ class Interface(mi.BSDF):
 
     # -- the materials -------------------------------------------------------------------------------------------
 
-    def _resolved(self, material: str) -> str:
-        return resolved(material, _resolve)
+    @property
+    def front(self) -> str:
+        """Material in front, with its shift of the index if it has one."""
+        return self._glasses.front
+
+    @property
+    def back(self) -> str:
+        """Material behind, with its shift of the index if it has one."""
+        return self._glasses.back
+
+    @property
+    def shifts(self) -> dict[str, mi.Float]:
+        """``n_front_shift`` and ``n_back_shift``."""
+        return self._glasses.parameters
+
+    def _take_glasses(self) -> None:
+        """Take new shifts of the indices; raises if they are impossible, and then nothing has changed."""
+        try:
+            if self._glasses.update(self.wavelength_nm):
+                self._stock = None
+        except MistrayError as error:
+            raise MistrayError(f"{self.title}: {error}" if self.name else str(error)) from None
 
     def indices(self, wavelength_nm: float) -> tuple[float, float]:
         """Real refractive indices of the front and the back material at a wavelength in nm."""
@@ -284,21 +311,11 @@ class Interface(mi.BSDF):
 
     # -- Mitsuba's protocol --------------------------------------------------------------------------------------
 
-    def _stock_indices(self) -> tuple[complex, complex]:
-        """Indices for stock integrators, which know no absorption in media: without k a material is transparent."""
-        found = []
-        for material in (self.front, self.back):
-            try:
-                found.append(complex_index(material, self.wavelength_nm))
-            except MistrayError:
-                found.append(complex(refractive_index(material, self.wavelength_nm)))
-        return found[0], found[1]
-
     def _stock_table(self) -> dict[str, Any]:
         """The coating at `wavelength_nm` for stock integrators: tables, and whether nothing is transmitted."""
         coating = self.coating
         if self._stock is None or self._stock[0] is not coating:
-            sides = self._stock_indices()
+            sides = self._glasses.transparent(self.wavelength_nm)
             opaque = coating.opaque or max(n.imag for n in sides) > METAL_K
             tables = {}
             if not self.ideal and (opaque or not isinstance(coating, Bare)):
@@ -460,13 +477,17 @@ class Interface(mi.BSDF):
             callback.put(name, item, mi.ParamFlags.Differentiable)
         for name, value in self._parameters().items():
             callback.put(name, value, mi.ParamFlags.Differentiable)
+        if not self.is_nested:
+            for name, value in self._glasses.parameters.items():
+                callback.put(name, value, mi.ParamFlags.Differentiable)
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
-        if not self._parameters():  # a nested coating looks after its own
-            return
         try:
-            self._rebuild()
+            self._take_glasses()
+            if self._parameters():  # a nested coating looks after its own
+                self._rebuild()
         except MistrayError:
+            self._glasses.restore()
             for value, held in zip(self._parameters().values(), self._held, strict=True):
                 mi.set_property(value, mi.Float(held))  # in place: mi.traverse has handed out this very object
             raise

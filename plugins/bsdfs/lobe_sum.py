@@ -22,10 +22,11 @@ from mistray.scatter import Lobe
 from mistray.scatter.lobe import EVENTS
 from mistray.scatter.radial import RadialTable
 from mistray.trace.lobes import RadialSampler, trilinear
+from mistray.trace.scatter_gradient import quotient
 from mistray.trace.scatter_tables import ANGLES, Side, check_side, side_of
 from mistray.trace.upload import upload
 
-STEP = 1e-3  # relative, of a parameter, for central differences
+STEP = 1e-3  # relative, of a parameter, for differences of tables in single precision
 SMALLEST_SHARE = 0.1  # of R and T, when directions are chosen before the light's angle is known
 ONE_LESS = 1 - 2.0**-24  # the largest float32 below 1
 
@@ -157,8 +158,7 @@ class LobeSum:
         for plugin in self.plugins:
             for name, parameter in plugin.values.items():
                 if dr.grad_enabled(parameter):
-                    low, high, step = models_around(plugin, name)
-                    slope = (self._loss_table(high) - self._loss_table(low)) / step
+                    slope = sum(weight * self._loss_table(model) for weight, model in quotient(plugin, name, STEP))
                     value += at(upload(mi.Float, slope.ravel())) * (parameter - dr.detach(parameter))
         return value
 
@@ -229,15 +229,15 @@ class LobeSum:
 
     def _table_slope(self, slot: Slot, name: str, r2: mi.Float, from_back: mi.Bool, active: mi.Bool) -> mi.Float:
         """Derivative of f(r) of a table by a parameter of the model."""
-        *models, step = models_around(slot.plugin, name)
+        models = quotient(slot.plugin, name, STEP)
         tables = []
-        for model in models:
+        for _, model in models:
             for number, lobe, from_front in zip(slot.numbers, slot.lobes, (True, False), strict=True):
                 there = self._lobes(model, from_front)[number] if lobe is not None else slot.lobe
                 tables.append(RadialTable.of(there.profile, there.r_max))
         sampler, side = RadialSampler(tables), dr.select(from_back, mi.UInt32(1), mi.UInt32(0))
-        low, high = (sampler.value(side + first, r2, active) for first in (0, 2))
-        return (high - low) / step
+        values = (sampler.value(side + 2 * k, r2, active) for k in range(len(models)))
+        return sum((weight * value for (weight, _), value in zip(models, values, strict=True)), mi.Float(0))
 
     def _density(self, slot: Slot, r2: mi.Float, from_back: mi.Bool, active: mi.Bool) -> mi.Float:
         """f(r) of the table."""
@@ -406,20 +406,3 @@ def enabled(ctx: mi.BSDFContext, event: str) -> bool:
     if event == "reflection":
         return bool(ctx.is_enabled(mi.BSDFFlags.GlossyReflection, 2))
     return bool(ctx.is_enabled(mi.BSDFFlags.GlossyTransmission, 3))
-
-
-def models_around(plugin: Any, name: str) -> tuple[Any, Any, float]:
-    """Models of a plugin with one parameter lower and higher, and the difference; one-sided at the end of its range."""
-    values = {key: float(dr.detach(value)[0]) for key, value in plugin.values.items()}
-    step = STEP * abs(values[name]) or STEP
-    ends = []
-    for sign in (-1, 1):
-        at = values[name] + sign * step
-        try:
-            ends.append((plugin._model_of(**{**values, name: at}), at))
-        except MistrayError:
-            ends.append((plugin.model, values[name]))
-    (low, a), (high, b) = ends
-    if a == b:
-        raise MistrayError(f"{plugin.title}: no derivative by {name} at {values[name]:g}, which has no neighbours")
-    return low, high, b - a

@@ -5,7 +5,9 @@ from __future__ import annotations
 import mitsuba as mi
 
 from mistray.errors import MistrayError
+from mistray.materials import resolved
 from mistray.physics.contamination import CLEANED_SLOPE
+from mistray.plugins.bsdfs.interface import _resolve
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.particulate import DUST
 from mistray.scatter.particulate import Particulate as Model
@@ -70,7 +72,7 @@ class Particulate(Scatterer):
             )
         self._take(props, given[0], slope=CLEANED_SLOPE)
         particle = str(props.get("particle", DUST))
-        self._particle = particle if particle == DUST else self._resolved(particle)
+        self._particle = particle if particle == DUST else resolved(particle, _resolve)
         self._sizes = {key: float(props.get(key)) for key in ("min_um", "max_um", "immersion") if key in props}
 
     def _model_of(self, **values: float) -> Model:

@@ -36,7 +36,6 @@ class Scatterer(Interface):
         self.alone = [key for key in ALONE if key in props]
         self._placement = {key: str(props.get(key)) for key in PLACEMENT if key in props}
         self.values: dict[str, mi.Float] = {}
-        self.is_nested = False
         self._read(props)
         self._model_held: tuple[np.ndarray, ...] = ()
         self.rebuild_model()

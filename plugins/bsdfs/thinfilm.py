@@ -77,7 +77,7 @@ class ThinFilm(Interface):
         self.sides = [key for key in SIDES if key in props]
         self._layers: tuple[Layer, ...] | None = None
         self._first, self._opaque = str(props.get("first", "outside")), bool(props.get("opaque", False))
-        self._design_nm = float(props.get("design_nm", 550.0))
+        self.design_nm = float(props.get("design_nm", 550.0))
         given = [key for key in (*RECIPES, "T") if key in props]
         if len([key for key in given if key != "T"]) != 1 or ("T" in given and "R" not in given):
             raise MistrayError(
@@ -105,10 +105,10 @@ class ThinFilm(Interface):
 
     def _recipe_coating(self, recipe: str) -> Coating:
         if recipe == "layers":
-            return Stack(parse_layers(self._recipe, self._design_nm, self.name, _resolve), name=self.name)
+            return Stack(parse_layers(self._recipe, self.design_nm, self.name, _resolve), name=self.name)
         if recipe == "preset":
-            return preset(self._recipe, self._design_nm)
-        return read_coating(self._recipe, self._design_nm, self._opaque, _resolve)
+            return preset(self._recipe, self.design_nm)
+        return read_coating(self._recipe, self.design_nm, self._opaque, _resolve)
 
     def _start_layers(self, stack: Stack, props: mi.Properties) -> None:
         """Take the parameters of the layers from a recipe."""
@@ -146,7 +146,7 @@ class ThinFilm(Interface):
             for layer, d, n, k in zip(self._layers, *values, strict=True)
         )
         stack = Stack(layers, self._first, self.name, self._opaque)
-        stack.indices(self._design_nm)  # unknown materials and impossible shifts are errors of the scene, now
+        stack.indices(self.design_nm)  # unknown materials and impossible shifts are errors of the scene, now
         return stack
 
     def _summary(self) -> str:

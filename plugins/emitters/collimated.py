@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.host_points import box_corners
 
 STOCK_DISTANCE = 100.0  # start of the beam for stock integrators, in units of its size
 
@@ -163,10 +164,9 @@ class Collimated(mi.Emitter):
             return self.distance
         if not bbox.valid():
             raise MistrayError("the scene holds no shapes; add surfaces and a detector")
-        lo, hi = np.array(bbox.min, dtype=np.float64), np.array(bbox.max, dtype=np.float64)
-        corners = np.array([[(lo, hi)[i >> k & 1][k] for k in range(3)] for i in range(8)])
+        corners = box_corners([bbox])
         upstream = float(np.max((pivot - corners) @ direction))
-        return max(upstream, 0.0) + 1e-3 * float(np.linalg.norm(hi - lo))
+        return max(upstream, 0.0) + 1e-3 * float(np.linalg.norm(corners[-1] - corners[0]))
 
     # Mitsuba's own protocol, so that a stock particle tracer can use the beam
 

@@ -11,10 +11,17 @@ import numpy as np
 
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
-from mistray.trace.coating_gradient import IDEAL_PARAMETERS, coating_gradient
+from mistray.trace.coating_gradient import IDEAL_PARAMETERS
+from mistray.trace.frozen_tangent import run_tangent
+from mistray.trace.geometry_gradient import geometry_columns
+from mistray.trace.parameter_gradient import edge_gradient, parameter_gradient
+from mistray.trace.raw_gradient import EDGE_WIDTH, Wanted
 from mistray.trace.result import trace
+from mistray.trace.run_gradient import run_gradient
 from mistray.trace.settings import Settings
 from mistray.trace.tracer import prepare
+
+COATING = (*LAYER_PARAMETERS, *IDEAL_PARAMETERS)
 
 
 class StrayLight(mi.CppADIntegrator):
@@ -52,13 +59,16 @@ class StrayLight(mi.CppADIntegrator):
     ray_control       string  see `Settings` allow_all what surfaces send on: all, transmitted, reflected light, nothing
     polarization      string  unpolarized,   unpolar-  average s and p at every hit, or carry the Stokes vector along
                               stokes         ized
+    edges             bool                   true      count in gradients what rays gain and lose at rims
+    edge_width        1       0 … 0.5        0.02      width of the zones at rims for that, relative to their radii
     ================= ======= ============== ========= =================================================================
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
-    the coatings of the scene: ``thickness_nm``, ``n_shift`` and ``k_shift`` of layers, ``R`` and ``T`` of ideal
-    coatings. It traces the trees in reverse, see `mistray.trace.adjoint`, and leaves out branches below
-    ``flux_threshold``. `mistray.gradient` gives standard errors as well. Forward mode, ``polarization="stokes"`` and
-    other parameters raise.
+    coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.optimize.parameters` lists
+    them. Coatings alone take one walk in reverse (`mistray.trace.adjoint`), anything else a replay of all rays
+    (`mistray.trace.replay`). Branches below ``flux_threshold`` are left out. `mistray.gradient` gives standard errors
+    as well. ``dr.forward`` knows all but scatter, and holds visibility (``edges`` off). ``polarization="stokes"`` and
+    parameters of stock shapes raise.
 
     .. code-block:: xml
 
@@ -79,6 +89,7 @@ class StrayLight(mi.CppADIntegrator):
             self.settings = Settings(**given)
         except MistrayError as error:
             raise MistrayError(f"integrator 'straylight': {error}") from None
+        self.edges, self.edge_width = bool(props.get("edges", True)), float(props.get("edge_width", EDGE_WIDTH))
 
     def _settings(self, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
         """Own settings with the arguments of a call: ``spp`` asks for rays, ``seed`` is added."""
@@ -110,8 +121,24 @@ class StrayLight(mi.CppADIntegrator):
         result = trace(scene, detector=self._detector(sensor), ledger=False, **values)
         return mi.TensorXf(result.irradiance[:, :, None])
 
-    def render_forward(self, scene: mi.Scene, params: Any, sensor: Any = 0, seed: Any = 0, spp: int = 0) -> mi.TensorXf:
-        raise MistrayError("integrator 'straylight' differentiates backward only; use dr.backward, not dr.forward")
+    def render_forward(
+        self, scene: mi.Scene, params: Any, sensor: mi.Sensor | int = 0, seed: mi.UInt32 = 0, spp: int = 0
+    ) -> mi.TensorXf:
+        if isinstance(sensor, int):
+            sensor = scene.sensors()[sensor]
+        tracked = _tracked(scene)
+        _check_differentiable(params, tracked)
+        kinds = {kind for kind, _ in tracked.values()}
+        if "scatter" in kinds:
+            raise MistrayError("integrator 'straylight' has no forward mode by values of scatter; use dr.backward")
+        if self.edges and kinds - {"coating"}:
+            raise MistrayError(
+                "integrator 'straylight': forward mode holds visibility as it is; set edges=False, or use dr.backward"
+            )
+        tangents = {place: np.array(dr.grad(value), dtype=np.float64) for place, (_, value) in tracked.items()}
+        runs = prepare(scene, self._settings(sensor, seed, spp), detector=self._detector(sensor))
+        change = sum(run.unit / run.pixel_area * run_tangent(run, tangents) for run in runs)
+        return mi.TensorXf(np.asarray(change)[:, :, None])
 
     def render_backward(
         self,
@@ -124,17 +151,29 @@ class StrayLight(mi.CppADIntegrator):
     ) -> None:
         if isinstance(sensor, int):
             sensor = scene.sensors()[sensor]
-        _check_differentiable(params)
-        runs = prepare(scene, self._settings(sensor, seed, spp), detector=self._detector(sensor))
+        tracked = _tracked(scene)
+        _check_differentiable(params, tracked)
+        wanted = Wanted(
+            rows=any(kind in ("coating", "index") for kind, _ in tracked.values()),
+            geometry=geometry_columns(name for (_, name), (kind, _) in tracked.items() if kind == "shape"),
+            indices=any(kind == "index" for kind, _ in tracked.values()),
+            scatter=any(kind == "scatter" for kind, _ in tracked.values()),
+            edges=self.edges,
+            edge_width=self.edge_width,
+        )
         by_irradiance = np.array(grad_in, dtype=np.float64)[:, :, 0]
+
+        def is_tracked(owner: Any, name: str) -> bool:
+            return (id(owner), name) in tracked
+
         with dr.resume_grad():
             first_order = mi.Float(0)
-            for run in runs:
-                by_flux = by_irradiance / run.pixel_area
-                for owner, name, batches in coating_gradient(run.table.optics, run.derivatives(by_flux)):
-                    value = getattr(owner, name)
-                    if dr.grad_enabled(value):
-                        first_order += dr.sum(value * mi.Float(batches.sum(axis=0)))
+            for run in prepare(scene, self._settings(sensor, seed, spp), detector=self._detector(sensor)):
+                by_flux = run.unit * by_irradiance[None] / run.pixel_area
+                raw = run_gradient(run, None, by_flux, wanted)
+                for owner, name, batches in (*parameter_gradient(raw, is_tracked), *edge_gradient(raw, is_tracked)):
+                    value = tracked[id(owner), name][1]
+                    first_order += dr.sum(value * mi.Float(batches.sum(axis=0)))
             if dr.grad_enabled(first_order):
                 dr.backward(first_order)
 
@@ -146,13 +185,31 @@ class StrayLight(mi.CppADIntegrator):
         return f"StrayLight[{inside}]"
 
 
-def _check_differentiable(params: Any) -> None:
+def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
+    """Parameters of a scene that carry derivatives: plugin and name → kind and value."""
+    found = {}
+    for shape in scene.shapes():
+        bsdf = shape.bsdf()
+        film = getattr(bsdf, "film", None)
+        groups = [
+            ("shape", shape, getattr(shape, "parameters", {})),
+            ("index", bsdf, getattr(bsdf, "shifts", {})),
+            ("coating", film, {name: getattr(film, name) for name in COATING if hasattr(film, name)}),
+            *(("scatter", one, one.values) for one in getattr(bsdf, "scatterers", ())),
+        ]
+        for kind, owner, values in groups:
+            found |= {(id(owner), name): (kind, v) for name, v in values.items() if dr.grad_enabled(v)}
+    return found
+
+
+def _check_differentiable(params: Any, tracked: dict[tuple[int, str], tuple[str, mi.Float]]) -> None:
     """Raise if a gradient is asked for that would silently be 0."""
+    known = {value.index_ad for _, value in tracked.values()}
     for key in params.keys() if params is not None else ():
-        if key.rsplit(".", 1)[-1] not in (*LAYER_PARAMETERS, *IDEAL_PARAMETERS) and dr.grad_enabled(params[key]):
+        if dr.grad_enabled(params[key]) and getattr(params[key], "index_ad", None) not in known:
             raise MistrayError(
-                f"integrator 'straylight' has no derivative by '{key}'; coatings have, by "
-                f"{', '.join((*LAYER_PARAMETERS, *IDEAL_PARAMETERS))}"
+                f"integrator 'straylight' has no derivative by '{key}'; mistray.optimize.parameters(scene) lists those "
+                "that it has"
             )
 
 

@@ -18,16 +18,20 @@ class Frustum(Revolution):
     nested ``interface`` is the side the normal points away from: the inside of a tube, the -z side of an
     annulus.
 
-    ============ ======= ======== ========= ==========================================================
-    parameter    unit    range    default   meaning
-    ============ ======= ======== ========= ==========================================================
-    r0, r1       mm      ≥ 0      required  radii of the two rims (differentiable)
-    z0, z1       mm               required  positions of the two rims along the axis (differentiable)
-    to_world     mm      rigid    identity  position and orientation of the local frame
-    part         string           shape id  name of the object the surface belongs to
-    space        integer          -1        optical space, for grouping in reports
-    (nested) bsdf                 required  an ``interface``
-    ============ ======= ======== ========= ==========================================================
+    ======================= ======= ======== ========= ============================================================
+    parameter               unit    range    default   meaning
+    ======================= ======= ======== ========= ============================================================
+    r0, r1                  mm      ≥ 0      required  radii of the two rims (differentiable)
+    z0, z1                  mm      ±        required  positions of the two rims along the axis (differentiable)
+    to_world                mm      rigid    identity  position and orientation of the local frame
+    x, y, z                 mm      ±        0         displacement along the axes of this frame (differentiable)
+    tilt_x, tilt_y, tilt_z  deg     ±        0         right-handed rotations about these axes, through the displaced
+                                                       origin; the one about z comes first, then y, then x
+                                                       (differentiable)
+    part                    string           shape id  name of the object the surface belongs to
+    space                   integer          -1        optical space, for grouping in reports
+    (nested) bsdf                            required  an ``interface``
+    ======================= ======= ======== ========= ============================================================
 
     .. code-block:: xml
 

@@ -10,7 +10,9 @@ import numpy as np
 
 from mistray._mitsuba_compat import write_mesh
 from mistray.errors import MistrayError
+from mistray.physics.pose import moved
 
+POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 AZIMUTHS = 96  # facets around the axis of the mesh that stock integrators see
 
 
@@ -22,6 +24,13 @@ class Revolution(mi.Mesh):
     `profile`, `outer_radius` and `flipped`. The named parameters in `values` (floats, on the host) are
     exposed to `mi.traverse` as differentiable ``mi.Float``; an update reads them back, checks them and makes
     the mesh again.
+
+    Attributes
+    ----------
+    values : dict of str to float
+        The parameters, those of the subclass and then `POSE`.
+    base : (4, 4) float64
+        The frame that ``to_world`` gives.
     """
 
     kind = ""
@@ -32,8 +41,8 @@ class Revolution(mi.Mesh):
         self.part = str(props.get("part", self.name))
         self.space = int(props.get("space", -1))
         to_world = props.get("to_world", mi.ScalarTransform4f())
-        self.matrix = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)
-        rotation = self.matrix[:3, :3]
+        self.base = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)
+        rotation = self.base[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
             raise MistrayError(
                 f"shape '{self.name}': to_world scales, shears or mirrors; "
@@ -41,9 +50,9 @@ class Revolution(mi.Mesh):
             )
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
-        self.values = values
+        self.values = values | {key: float_property(props, key, 0.0) for key in POSE}
         self._check_all()
-        self.parameters = {key: mi.Float(value) for key, value in values.items()}
+        self.parameters = {key: mi.Float(value) for key, value in self.values.items()}
         vertices, faces = self._tessellate()
         mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
         write_mesh(self, vertices, faces)
@@ -63,6 +72,11 @@ class Revolution(mi.Mesh):
         raise NotImplementedError
 
     @property
+    def matrix(self) -> np.ndarray:
+        """The frame of the surface, displaced and tilted: (4, 4) float64 to the world, mm."""
+        return moved(self.base, *(self.values[key] for key in POSE))
+
+    @property
     def outer_radius(self) -> float:
         """Largest distance of the surface from its axis, mm."""
         raise NotImplementedError
@@ -77,7 +91,8 @@ class Revolution(mi.Mesh):
 
     def _tessellate(self) -> tuple[np.ndarray, np.ndarray]:
         vertices, faces = self._local_mesh()
-        return vertices @ self.matrix[:3, :3].T + self.matrix[:3, 3], faces
+        matrix = self.matrix
+        return vertices @ matrix[:3, :3].T + matrix[:3, 3], faces
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         mi.Mesh.traverse(self, callback)

@@ -233,6 +233,7 @@ class TestBudget:
         assert rays[2] == FIRST_RAYS
         assert found.facts["rays"] == rays.sum()
         assert found.facts["unfinished"] == []
+        assert (found.facts["relative_error"], found.facts["error_up_to_deg"]) == (0.002, 40.0)
         done = [step.rays_done for step in seen]
         assert done == sorted(done)
         assert done[-1] == rays.sum()

@@ -8,7 +8,16 @@ import pytest
 from oracles import glass
 
 from mistray.errors import MistrayError
-from mistray.materials import LINE_C_NM, LINE_D_NM, LINE_F_NM, complex_index, refractive_index, resolved, source
+from mistray.materials import (
+    LINE_C_NM,
+    LINE_D_NM,
+    LINE_F_NM,
+    complex_index,
+    refractive_index,
+    resolved,
+    shifted,
+    source,
+)
 
 
 @pytest.mark.parametrize(
@@ -51,6 +60,17 @@ def test_suffixes_in_any_order():
     outside = "N-BK7 k=2e-7 extrapolate"
     assert complex_index(outside, 280.0) == complex_index("N-BK7   extrapolate k=2e-7", 280.0)
     assert complex_index(outside, 280.0) == complex(refractive_index("N-BK7 Extrapolate", 280.0), 2e-7)
+
+
+def test_a_shift_is_added_to_n():
+    n, k = refractive_index("N-BK7", 550.0), complex_index("N-BK7", 550.0).imag
+    assert complex_index("N-BK7 shift=-2e-3", 550.0) == complex(n - 2e-3, k)
+    assert refractive_index("SCHOTT/N-BK7 shift = 0.25 k=0", 550.0) == n + 0.25
+    assert refractive_index("air shift=-1e-4", 550.0) == 1 - 1e-4  # not an error, though glass has n of at least 1
+    assert shifted("N-BK7", 0.0) == "N-BK7"
+    assert shifted("N-BK7 k=0", 1e-5) == "N-BK7 k=0 shift=1e-05"
+    assert shifted(" N-BK7 shift=0.5 k=0", 0.25) == "N-BK7 k=0 shift=0.75"
+    assert shifted("N-BK7 shift=0.5", -0.5) == "N-BK7"
 
 
 def test_extrapolation_goes_on_with_the_formula_and_keeps_the_end_of_a_table():
@@ -104,6 +124,9 @@ def test_extrapolation_onto_a_pole_is_an_error():
         ("COATING.DAT", 550.0, "Write 'COATING.DAT:NAME'"),
         ("nowhere/glass.csv", 550.0, "nowhere/glass.csv: No such file"),
         ("nowhere/glass.agf:F2", 550.0, "nowhere/glass.agf: No such file"),
+        ("N-BK7 shift=more", 550.0, "shift = 'more' is no number"),
+        ("N-BK7 shift=1e999", 550.0, "shift = 1e999; it must be finite"),
+        ("N-BK7 shift=-2", 550.0, "index -0.48.* it must be greater than 0, change the shift"),
         ("air", 0.0, "greater than 0"),
         ("air", math.nan, "greater than 0"),
     ],

@@ -16,6 +16,9 @@ colour         the CIE observer at a few wavelengths, sRGB by its definition, co
 scatter_integrals  scattered flux by quadrature: view factors, tubes, spheres, cones, plates, double scatter
 scatter_scenes XML texts of surfaces that scatter, of targets, and of scenes with them
 scatter        slow Monte Carlo tracer for surfaces that scatter
+layers         R and T of stacks of layers by characteristic matrices
+frozen_scene   a scene as one list of numbers that can be moved
+frozen_paths   recorded rays followed again while a number moves: the derivatives of metrics on frozen paths
 derivatives    central differences of fourth order
 statistics     z-tests that say by how much they fail
 """

@@ -69,8 +69,9 @@ class TestParameters:
 
     def test_traverse(self) -> None:
         params = mi.traverse(mi.load_dict({"type": "interface", "R": 0.1, "T": 0.8}))
-        assert set(params.keys()) == {"R", "T"}
-        assert not mi.traverse(mi.load_dict({"type": "interface", "back": "1.5"})).keys()
+        assert set(params.keys()) == {"R", "T", "n_front_shift", "n_back_shift"}
+        bare = mi.traverse(mi.load_dict({"type": "interface", "back": "1.5"}))
+        assert set(bare.keys()) == {"n_front_shift", "n_back_shift"}
 
     def test_update_changes_the_trace(self) -> None:
         scene = mistray.load("phone_camera")

@@ -114,10 +114,20 @@ class TestScene:
         parameters.update()
         assert (first.scatter[0].rms_nm, second.scatter[0].rms_nm) == (2.0, 2.0)
 
+    def test_particles_of_a_material(self, tmp_path: Path) -> None:
+        """The path of a table is relative to the scene, as that of any material."""
+        (tmp_path / "dust.csv").write_text("wavelength_nm,n,k\n400,1.6,0.01\n800,1.6,0.01\n", encoding="utf-8")
+        (tmp_path / "scene.xml").write_text(
+            '<bsdf version="3.0.0" type="particulate"><float name="level" value="300"/>'
+            '<string name="particle" value="dust.csv"/></bsdf>',
+            encoding="utf-8",
+        )
+        assert mi.load_file(str(tmp_path / "scene.xml")).model.particle == str(tmp_path / "dust.csv")
+
     def test_alone(self) -> None:
         """By itself it is an interface with R = 1, or R = 0 where the scatter is absolute."""
         mirror = mi.load_dict({**MODELS["abg"], "back": "1.5", "R": 0.9, "T": 0.05})
-        assert set(mi.traverse(mirror).keys()) == {"R", "T", "A", "B", "g"}
+        assert set(mi.traverse(mirror).keys()) == {"R", "T", "A", "B", "g", "n_front_shift", "n_back_shift"}
         assert (float(mirror.R[0]), float(mirror.T[0])) == pytest.approx((0.9, 0.05))
         assert mirror.indices(550.0) == (1.0, 1.5)
         for name, reflectance in (("harvey_shack", 1.0), ("paint", 0.0)):

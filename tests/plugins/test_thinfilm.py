@@ -243,7 +243,7 @@ class TestTraverse:
     def test_nested_constant_shares(self) -> None:
         bsdf = nested({"R": 0.1, "T": 0.8})
         params = mi.traverse(bsdf)
-        assert set(params.keys()) == {"coating.R", "coating.T"}
+        assert set(params.keys()) == {"coating.R", "coating.T", "n_front_shift", "n_back_shift"}
         assert bsdf.ideal
         params["coating.R"] = mi.Float(0.2)
         params.update()

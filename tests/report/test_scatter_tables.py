@@ -162,7 +162,7 @@ def test_html(report):
 
 
 def test_json(report):
-    answer = json.loads(json.dumps(as_json(report, []), allow_nan=False))
+    answer = json.loads(json.dumps(as_json(report), allow_nan=False))
     field = answer["fields"][0]
     assert [row["surface"] for row in field["scattered_by"]] == ["window_rear", "stop_wall", "window_front"]
     assert field["sampling"]["rows"][1] == {"surface": "stop_wall", "aimed": 1000, "share_landed": 0.05, "low": True}

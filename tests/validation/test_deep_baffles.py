@@ -39,26 +39,26 @@ class Walk:
     def cast(self, o, d):
         """First hit: distance (inf: none), and the normal towards the side of the ray."""
         best = np.full(len(o), np.inf)
-        normal = np.zeros_like(o)
-        a = d[:, 0] ** 2 + d[:, 1] ** 2
-        b = o[:, 0] * d[:, 0] + o[:, 1] * d[:, 1]
+        wall = np.zeros(len(o))  # radius of the cylinder that is hit; 0: a ring
+        (x, y, z), (dx, dy, dz) = np.ascontiguousarray(o.T), np.ascontiguousarray(d.T)
+        a, b, c = dx * dx + dy * dy, x * dx + y * dy, x * x + y * y
         for radius, z0, z1 in self.cylinders:
-            c = o[:, 0] ** 2 + o[:, 1] ** 2 - radius**2
-            t = (-b + np.sqrt(np.maximum(b * b - a * c, 0))) / a  # from within
-            z = o[:, 2] + t * d[:, 2]
-            hit = (t > 1e-7) & (z > z0) & (z < z1) & (t < best)
-            best[hit] = t[hit]
-            p = o[hit] + t[hit, None] * d[hit]
-            normal[hit] = np.column_stack([-p[:, :2] / radius, np.zeros(len(p))])
+            t = (-b + np.sqrt(np.maximum(b * b - a * (c - radius**2), 0))) / a  # from within
+            height = z + t * dz
+            hit = (t > 1e-7) & (height > z0) & (height < z1) & (t < best)
+            best[hit], wall[hit] = t[hit], radius
         for at, inner, outer in self.rings:
-            t = (at - o[:, 2]) / d[:, 2]
-            r = np.hypot(o[:, 0] + t * d[:, 0], o[:, 1] + t * d[:, 1])
-            hit = (t > 1e-7) & (r > inner) & (r < outer) & (t < best)
-            best[hit] = t[hit]
-            normal[hit] = np.column_stack([np.zeros((hit.sum(), 2)), -np.sign(d[hit, 2])])
-        t = (self.optic_z - o[:, 2]) / d[:, 2]
-        optic = (t > 1e-7) & (t < best) & (np.hypot(*(o + t[:, None] * d)[:, :2].T) < self.optic_radius)
+            t = (at - z) / dz
+            r2 = c + t * (2 * b + t * a)
+            hit = (t > 1e-7) & (r2 > inner**2) & (r2 < outer**2) & (t < best)
+            best[hit], wall[hit] = t[hit], 0.0
+        t = (self.optic_z - z) / dz
+        optic = (t > 1e-7) & (t < best) & (c + t * (2 * b + t * a) < self.optic_radius**2)
         best[optic] = np.inf  # absorbed; the optic is dealt with by `seen`
+        normal = np.stack([np.zeros_like(z), np.zeros_like(z), -np.sign(dz)], axis=1)
+        round_ = (wall > 0) & np.isfinite(best)
+        normal[round_, :2] = -(o[round_, :2] + best[round_, None] * d[round_, :2]) / wall[round_, None]
+        normal[round_, 2] = 0.0
         return best, normal
 
     def seen(self, p, n, rng):

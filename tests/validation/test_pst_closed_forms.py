@@ -107,7 +107,7 @@ class TestDirect:
         The stop is 0.075 mm thick: two circles, shifted by that times tan θ, limit the light.
         """
         camera = mistray.load("phone_camera")
-        found = of(camera, method, (6_000_000, 60_000), [0], 2.0, max_reflections=0, max_scatters=0)
+        found = of(camera, method, (4_000_000, 60_000), [0], 2.0, max_reflections=0, max_scatters=0)
         area = found.facts["detector_area_mm2"]
         assert area == pytest.approx(4.36788654**2, rel=1e-7)
         theta = np.radians(ideal_lens.cell_nodes(found.grid.edges_deg, 6))
@@ -165,7 +165,7 @@ class TestFirstOrderScatter:
         nodes = ideal_lens.cell_nodes(edges, 6)
         values = [ideal_lens.plate_before(PROFILES["ABg"], row, 100.0, 12.5) for row in nodes]
         expected = ideal_lens.over_cells(np.array(values), edges)
-        found = of(load_scene(plate_text("ABg", -3.0, 12.5)), method, (4_000_000, 200_000), angles, 1.0, **self.ONCE)
+        found = of(load_scene(plate_text("ABg", -3.0, 12.5)), method, (2_000_000, 200_000), angles, 1.0, **self.ONCE)
         value, se = found.curve("single_scatter")
         check("PST", value, np.hypot(se, 1e-3 * expected), expected, 0.08)
 
@@ -182,7 +182,7 @@ class TestFirstOrderScatter:
         nodes = ideal_lens.cell_nodes(edges, 6)
         values = [ideal_lens.plate_behind(PROFILES[bsdf], plate_z, row, 100.0, 10.0, 100.0) for row in nodes]
         expected = ideal_lens.over_cells(np.array(values), edges)
-        found = of(load_scene(plate_text(bsdf, plate_z, 10.0)), method, (4_000_000, 100_000), angles, 0.5, **self.ONCE)
+        found = of(load_scene(plate_text(bsdf, plate_z, 10.0)), method, (2_000_000, 100_000), angles, 0.5, **self.ONCE)
         value, se = found.curve("single_scatter")
         check("PST", value, np.hypot(se, 1e-3 * expected), expected, np.array([0.3, 0.15, 0.1]))
 
@@ -216,7 +216,7 @@ class TestVeilingGlare:
             placed_xml("asphere", "detector", chip, at=(0, 0, focus), pixels=4, semi_diameter=0.1),
         )
         angles = np.arange(0.1, 1.8, 0.2)
-        found = of(load_scene(text), method, (4_000_000, 300_000), angles, 0.2, max_reflections=6, flux_threshold=1e-9)
+        found = of(load_scene(text), method, (1_000_000, 300_000), angles, 0.2, max_reflections=6, flux_threshold=1e-9)
         glare = veiling_glare_index(found, 0.2, source_deg=1.8, place="point")
         expected = float(row["VGI_percent (first order, E_black/E_white)"])
         check("VGI", glare.value, np.hypot(glare.se, 2e-3 * expected), expected, 0.08)
@@ -262,7 +262,7 @@ class TestCavities:
             placed_xml("asphere", "detector", wall, at=(0, 0, 10), radius=-10.0, semi_diameter=cap, pixels=4),
         )
         f = 0.5 * (1 - np.sqrt(1 - (port / 10) ** 2))
-        found = of(load_scene(text), method, (1_000_000, 200_000), max_scatters=60, aim="none", **EVERYTHING)
+        found = of(load_scene(text), method, (400_000, 200_000), max_scatters=60, aim="none", **EVERYTHING)
         check_sky("sphere", found, f / (1 - rho * (1 - f)), 0.025)
 
 
@@ -312,7 +312,7 @@ class TestWhiteFurnace:
     )
     def test_cavity(self, load_scene: Load, text: str, squared_index: float, method: str) -> None:
         """Nothing absorbs, so that what 64 events cut would have come out; they cut less than 1e-3 here."""
-        found = of(load_scene(text), method, (1_000_000, 200_000), **ONE_BRANCH)
+        found = of(load_scene(text), method, (400_000, 200_000), **ONE_BRANCH)
         e = source_irradiance(found, Sky(), "total")
         check("furnace", e.value / np.pi, np.hypot(e.se / np.pi, 3e-4), squared_index, 0.01)
 
@@ -324,8 +324,8 @@ class TestWhiteFurnace:
         must be 1 like all others: a black one would be a cold spot that the rest sees.
         """
         scene = white_camera().to_scene()
-        e = source_irradiance(of(scene, "adjoint", (200_000, 0), **ONE_BRANCH), Sky(), "total")
-        seen = see(scene, rays=200_000, **ONE_BRANCH)
+        e = source_irradiance(of(scene, "adjoint", (100_000, 0), **ONE_BRANCH), Sky(), "total")
+        seen = see(scene, rays=100_000, **ONE_BRANCH)
         assert sum(row.emission for row in seen.rows) == pytest.approx(0, abs=1e-6)  # Kirchhoff: nothing absorbs
         assert not seen.media
         cut, cut_se = seen.lost[:2]
@@ -333,7 +333,7 @@ class TestWhiteFurnace:
         # The rays of both runs are the same or not: the sum of their errors is enough
         check("furnace", e.value / np.pi + cut, e.se / np.pi + cut_se, 1.0, 0.01)
         # What comes out within 64 events light finds as well that goes the other way
-        forward = source_irradiance(of(scene, "forward", (0, 200_000), **ONE_BRANCH), Sky(), "total")
+        forward = source_irradiance(of(scene, "forward", (0, 120_000), **ONE_BRANCH), Sky(), "total")
         check("forward", forward.value, np.hypot(forward.se, e.se), e.value, 0.02)
 
 

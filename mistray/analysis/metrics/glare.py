@@ -69,34 +69,18 @@ def veiling_glare_index(
         holds all azimuths and the detector is a point or a pixel.
     """
     place = place or ("mean" if pst.maps is None else "map")
-    if place not in PLACES:
-        raise MistrayError(f"place is '{place}'; use 'map', 'point' or 'mean'")
     if place == "map" and pst.maps is None:
         raise MistrayError("this PST was computed without maps; ask for them with map_pixels=64, or use place='mean'")
-    if not 0 < patch_deg < source_deg or angle_deg + patch_deg > source_deg:
-        raise MistrayError(
-            f"patch of half-width {patch_deg:g}° at {angle_deg:g}°; it must lie within the source, which reaches to "
-            f"{source_deg:g}°"
-        )
-    if angle_deg > 0 and pst.grid.azimuth_cell_deg >= 360 and place != "mean":
-        raise MistrayError(
-            f"patch at {angle_deg:g}°: one cell of the PST holds all azimuths, which says nothing about a point off "
-            "the axis; compute the PST with azimuths_deg"
-        )
     normal = pst.to("normal")
-    black_light = "stray" if place == "mean" else "total"
-
-    def seen(source: ExtendedSource, light: str) -> Cover:
-        return cover(pst.grid, source, interpolation, normal.map(light)[0] if interpolation == "log" else None)
-
-    sky, patch = Sky(to_deg=source_deg), Disc(patch_deg, 1.0, angle_deg, azimuth_deg, "patch")
-    white = seen(sky, "total")
-    black = seen(sky, black_light).coefficients - seen(patch, black_light).coefficients
+    black, seen, black_light = glare_cells(
+        normal, patch_deg, angle_deg, azimuth_deg, source_deg=source_deg, place=place, interpolation=interpolation
+    )
+    white = seen.coefficients
     facts: dict[str, Any] = {}
     if place == "map":
-        glare, facts = _at_pixel(pst, black, white.coefficients, angle_deg, azimuth_deg, at_mm)
+        glare, facts = _at_pixel(pst, black, white, angle_deg, azimuth_deg, at_mm)
     else:
-        glare = quotient(normal, (black, black_light), (white.coefficients, "total"))
+        glare = quotient(normal, (black, black_light), (white, "total"))
     facts |= {
         "patch_deg": patch_deg,
         "angle_deg": angle_deg,
@@ -109,10 +93,61 @@ def veiling_glare_index(
         Estimate(100 * glare.value, 100 * glare.se),
         "%",
         {"place": PLACES[place]},
-        covered=white.covered,
-        interpolated=white.interpolated,
+        covered=seen.covered,
+        interpolated=seen.interpolated,
         facts=facts,
     )
+
+
+def glare_cells(
+    normal: Pst,
+    patch_deg: float,
+    angle_deg: float = 0.0,
+    azimuth_deg: float = 0.0,
+    *,
+    source_deg: float = 90.0,
+    place: str = "mean",
+    interpolation: str = "cells",
+) -> tuple[np.ndarray, Cover, str]:
+    """
+    What E_black and E_white of the veiling glare index take of each cell of a PST.
+
+    Parameters
+    ----------
+    normal : Pst
+        In the convention "normal".
+    patch_deg, angle_deg, azimuth_deg, source_deg, place, interpolation
+        As for `veiling_glare_index`.
+
+    Returns
+    -------
+    black : (n, m) float64
+        What the PST of each cell is multiplied by in E_black.
+    white : Cover
+        The same for E_white, of all light.
+    light : str
+        Light that counts in E_black.
+    """
+    if place not in PLACES:
+        raise MistrayError(f"place is '{place}'; use 'map', 'point' or 'mean'")
+    if not 0 < patch_deg < source_deg or angle_deg + patch_deg > source_deg:
+        raise MistrayError(
+            f"patch of half-width {patch_deg:g}° at {angle_deg:g}°; it must lie within the source, which reaches to "
+            f"{source_deg:g}°"
+        )
+    if angle_deg > 0 and normal.grid.azimuth_cell_deg >= 360 and place != "mean":
+        raise MistrayError(
+            f"patch at {angle_deg:g}°: one cell of the PST holds all azimuths, which says nothing about a point off "
+            "the axis; compute the PST with azimuths_deg"
+        )
+    black_light = "stray" if place == "mean" else "total"
+
+    def seen(source: ExtendedSource, light: str) -> Cover:
+        return cover(normal.grid, source, interpolation, normal.map(light)[0] if interpolation == "log" else None)
+
+    sky, patch = Sky(to_deg=source_deg), Disc(patch_deg, 1.0, angle_deg, azimuth_deg, "patch")
+    black = seen(sky, black_light).coefficients - seen(patch, black_light).coefficients
+    return black, seen(sky, "total"), black_light
 
 
 def _at_pixel(

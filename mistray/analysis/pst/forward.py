@@ -60,7 +60,7 @@ def forward_pst(
     relative_error : float, optional
         Double the rays of a cell until the standard error of all light together over its value is at most this; a cell
         that no light is found in gets `DARK_RAYS` at most.
-        error_up_to_deg : float, optional
+    error_up_to_deg : float, optional
         Cells of larger field angles end with the first `FIRST_RAYS` rays. Default: 90.
     paths : bool
         List the paths of each cell.
@@ -96,7 +96,6 @@ def forward_pst(
         raise MistrayError(f"map_pixels is {map_pixels}; give the pixels across a map, or 0 for no maps")
     wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
     wavelengths, shares = wavelengths[shares > 0], shares[shares > 0]
-    cells = ForwardCells(scene, grid, settings, wavelengths, shares, detector, entrance, map_pixels)
     started = time.perf_counter()
     cells = ForwardCells(scene, grid, settings, wavelengths, shares, detector, entrance, map_pixels)
     n, m = grid.shape
@@ -107,7 +106,8 @@ def forward_pst(
         wanted = relative_error if limited[i] else None
         found[i, j] = cells.cell(i, j, most[i], wanted, paths, partial(report.after_pass, most[i], wanted))
         report.close_cell(most[i], found[i, j], bool(limited[i]))
-    return _result(cells, found, limited, relative_error, time.perf_counter() - started)
+    seconds = time.perf_counter() - started
+    return _result(cells, found, limited, relative_error, error_up_to_deg, seconds)
 
 
 def _angles_that_count(grid: DirectionGrid, relative_error: float | None, error_up_to_deg: float | None) -> np.ndarray:
@@ -177,6 +177,7 @@ def _result(
     found: dict[tuple[int, int], Cell],
     limited: np.ndarray,
     relative_error: float | None,
+    error_up_to_deg: float | None,
     seconds: float,
 ) -> Pst:
     """The cells together."""
@@ -215,6 +216,7 @@ def _result(
             "segments": int(stack("segments").sum()),
             "settings": asdict(settings),
             "relative_error": relative_error,
+            "error_up_to_deg": error_up_to_deg,
             "entrance": None if entrance is None else {"centre": list(entrance.centre), "radius": entrance.radius},
             "unseen": named(np.isinf(errors)),
             "unfinished": named(late),

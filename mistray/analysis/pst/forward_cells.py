@@ -10,7 +10,6 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst.result import CLASSES
 from mistray.trace.aiming import aims
 from mistray.trace.books import SCATTERED_FLUX, SEGMENTS, Film
 from mistray.trace.design_path import find_design_path
@@ -24,6 +23,7 @@ from mistray.trace.plane_wave import Entrance, PlaneWaves
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
+from mistray.trace.sky import CLASSES
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.tracer import Run
 
@@ -258,7 +258,7 @@ class ForwardCells:
                 CellRun(wave, table, scattering, intersector, settings, 0, 0, 0.0, map_size=self._map_size)
             )
         path = find_design_path(self.table, scene)
-        has_optics = path is not None and len(path.steps) > 1
+        has_optics = path is not None and path.has_optics
         self._ways = Ways(self.table.event_ids, self.table.event_words, has_optics)
 
     def cell(

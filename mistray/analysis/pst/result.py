@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -10,13 +10,17 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.backward_gradient import backward_gradient
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.path_events import DIRECT
+from mistray.trace.raw_gradient import RawGradient, Wanted
+from mistray.trace.sky import CLASSES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter")
+    from mistray.trace.backward import BackwardTrace
+
 STRAY = CLASSES[1:]
 CONVENTIONS = ("normal", "projected")
 
@@ -40,8 +44,8 @@ class Pst:
     grid : DirectionGrid
         (n, m) cells.
     by_batch : (c, n, m, b) float64
-        PST_normal of each class in `CLASSES` from each batch of start rays alone. Batches are independent of each
-        other; the cells of one batch are not.
+        PST_normal of each class in `mistray.trace.sky.CLASSES` from each batch of start rays alone. Batches are
+        independent of each other; the cells of one batch are not.
     weight : (b,) or (n, m, b) float64
         Share of the start rays that each batch has, of each cell where cells have their own start rays.
     convention : {"normal", "projected"}
@@ -60,6 +64,8 @@ class Pst:
         PST_normal of each pixel of the detector and its standard error.
     extent_mm : tuple of float
         x0, x1, y0, y1 of the detector, in its own frame.
+    source : BackwardTrace, optional
+        What it comes from, for derivatives.
     """
 
     grid: DirectionGrid
@@ -72,6 +78,32 @@ class Pst:
     path_rows: pd.DataFrame | None = None
     maps: np.ndarray | None = None
     extent_mm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
+    source: BackwardTrace | None = field(default=None, repr=False, compare=False)
+
+    def raw_gradients(self, derivative: np.ndarray, wanted: Wanted) -> Iterator[RawGradient]:
+        """
+        Derivatives of a metric by all that the trace knows, by tracing the same rays again.
+
+        Parameters
+        ----------
+        derivative : (c, n, m) float64
+            Of the metric by PST_normal of each class in each cell.
+        wanted : Wanted
+
+        Yields
+        ------
+        RawGradient
+            For each wavelength.
+
+        Raises
+        ------
+        MistrayError
+            If this is not the result of a trace with ``method="adjoint"`` in this process.
+        """
+        if self.source is None:
+            raise MistrayError("this PST has no rays to differentiate; compute it with method='adjoint'")
+        unit = np.pi / self.grid.solid_angle[None, :, None] / float(self.source.rays.sum())
+        yield from backward_gradient(self.source, unit * np.asarray(derivative), wanted)
 
     def __post_init__(self) -> None:
         if self.convention not in CONVENTIONS:

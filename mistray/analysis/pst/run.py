@@ -23,6 +23,7 @@ from mistray.trace.directions import DirectionGrid
 from mistray.trace.ledger import ABSORBED, EVENT_BITS, host_keys
 from mistray.trace.path_events import DIRECT, describe_events
 from mistray.trace.settings import Settings
+from mistray.trace.sky import MULTIPLE, SINGLE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -161,6 +162,7 @@ class _AdjointRun:
         self._trace, self._state = trace, state
         self._wanted: tuple[float | None, float | None] = (None, None)
         self._before: dict[str, np.ndarray] = {}  # path table of the run that this one goes on from
+        self._book: dict[str, np.ndarray] | None = None  # the path table of both, once it is read
         settings = asdict(trace.settings)
         del settings["rays"]
         self._signature = {
@@ -185,26 +187,26 @@ class _AdjointRun:
         self._wanted = wanted, up_to_deg
         trace, most = self._trace, self._trace.settings.rays
         before = float(trace.rays.sum())
+        worst = self._worst(up_to_deg) if trace.passes else np.inf
         started, saved, saving = time.perf_counter(), -np.inf, 0.0
+        all_saved = True
         with _interrupt_later() as interrupted:
-            while trace.rays.sum() < most:
-                if wanted is not None and trace.passes and self._worst(up_to_deg) <= wanted:
-                    break
+            while trace.rays.sum() < most and not (wanted is not None and worst <= wanted) and not interrupted():
                 # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
                 trace.advance(most if most < FIRST_PASS else None)
+                self._book, all_saved, worst = None, False, self._worst(up_to_deg)
                 now = time.perf_counter()
-                if self._state is not None and (interrupted() or saving <= SAVING * (now - saved)):
+                if self._state is not None and saving <= SAVING * (now - saved):
                     self._save()
-                    saved = time.perf_counter()
+                    saved, all_saved = time.perf_counter(), True
                     saving = saved - now
                 if progress:
                     done = round(float(trace.rays.sum()))
-                    worst = self._worst(up_to_deg)
                     progress(PstProgress.after(done, max(most, done), worst, wanted, now - started, round(before)))
-                if interrupted():
-                    raise KeyboardInterrupt
-        if self._state is not None:
-            self._save()
+            if self._state is not None and not all_saved:
+                self._save()
+            if interrupted():
+                raise KeyboardInterrupt
 
     def _worst(self, up_to_deg: float | None) -> float:
         """
@@ -232,10 +234,10 @@ class _AdjointRun:
 
     def _paths(self) -> dict[str, np.ndarray]:
         """The path table of this run and of the one before."""
-        here = self._trace.paths()
-        if here is None:
-            return {}
-        return join_books(self._before, here) if self._before else here
+        if self._book is None:
+            here = self._trace.paths() or {}
+            self._book = join_books(self._before, here) if self._before and here else here
+        return self._book
 
     def _pst(self) -> Pst:
         trace = self._trace
@@ -247,7 +249,7 @@ class _AdjointRun:
         """The PST of all that has been traced."""
         trace, bare = self._trace, self._pst()
         table, rays = trace.table, float(trace.rays.sum())
-        scattered = trace.sums["cells"][2:].sum(axis=(0, 3))
+        scattered = trace.sums["cells"][[SINGLE, MULTIPLE]].sum(axis=(0, 3))
         with np.errstate(divide="ignore", invalid="ignore"):
             largest = np.where(scattered > 0, trace.sums["largest"] / scattered, 0.0)
         maps = None
@@ -283,6 +285,7 @@ class _AdjointRun:
             path_rows=self._path_rows(rays),
             maps=maps,
             extent_mm=trace.extent,
+            source=trace,
         )
 
     def _path_rows(self, rays: float) -> pd.DataFrame | None:

@@ -12,9 +12,10 @@ import pandas as pd
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.pst.causes import Break, breaks, cause_frame, first_level_scatter, reigns, stray_paths
-from mistray.analysis.pst.result import CLASSES, Pst
+from mistray.analysis.pst.result import Pst
 from mistray.analysis.study.first_order import FirstOrder
 from mistray.analysis.study.step import Fact, StudyStep
+from mistray.trace.sky import CLASSES
 
 TOP_PATHS = 4  # of each angle, and worst ghosts of each field
 MOST_RANGES = 8  # ranges of angles with one main cause that are told

@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.trace.design_path import find_design_path
-from mistray.trace.detector_start import DetectorStart, stratified_places
+from mistray.trace.detector_start import DetectorStart
 from mistray.trace.interaction import counts_as_reflection, interact
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES
@@ -94,11 +94,7 @@ def _follow(table: SurfaceTable, light: np.ndarray, lanes: int, seed: int, max_e
     intersector = Intersector(table)
     scattering = Scattering(ScatterTables(table.ids, table.optics, {}, backward=True))
     has_stock = table.stock_scene is not None
-    index = dr.arange(mi.UInt32, lanes)
-    state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, seed), index)
-    rng = mi.PCG32(size=lanes, initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
-    batch, place = stratified_places(index, lanes, rng)
-    start = DetectorStart(table, light, None, False).rays(index, batch, place, rng, dr.opaque(mi.Float, 1.0), (0, 0))
+    start = DetectorStart(table, light, None, False).pass_rays(seed, lanes, 1.0)
     full = dr.zeros(mi.Float, lanes)
     o, d, w, batch, last = start.o, start.d, start.w + full, start.batch, start.left
     by = dr.full(mi.UInt32, NO_SURFACE, lanes)  # surface of the reflection
@@ -110,14 +106,14 @@ def _follow(table: SurfaceTable, light: np.ndarray, lanes: int, seed: int, max_e
         if table.optics.absorbs:
             w *= dr.exp(-dr.gather(mi.Float, table.optics.extinction, medium, hit) * dr.select(hit, t, 0))
         it = interact(table, dr.fma(t, d, o), d, s, normal if has_stock else None, None, hit)
-        R, T, scattered = it.R, it.T, mi.Float(0)
+        R, T = it.R, it.T
+        loss = 1 - R - T
         if scattering.any:
             given = scattering.give(s, it, hit)
-            R, T = R * given.reflection.kept, T * given.transmission.kept
-            scattered = given.scattered
+            R, T, loss = R * given.reflection.kept, T * given.transmission.kept, given.absorbed
         hit &= (medium == 0) | (it.medium_in == 0) | (it.medium_in == medium)
         row = dr.minimum(by, table.count)
-        absorbed = mi.Float64(dr.maximum(w * (1 - R - T - scattered), 0))
+        absorbed = mi.Float64(dr.maximum(w * loss, 0))
         dr.scatter_reduce(dr.ReduceOp.Add, sums, absorbed, row * BATCHES + batch, hit & (s == table.detector))
         free = ~counts_as_reflection(it)  # mirrors and total reflection
         through = hit & ~free & ((it.word & OPAQUE) == 0) & (w * T > FAINTEST)

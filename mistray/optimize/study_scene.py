@@ -1,4 +1,4 @@
-"""The coatings of a study on the surfaces of a scene: which surfaces they are, and how their thicknesses are set."""
+"""The scene of a study: on which surfaces its coatings are put, and the parameters of the scene that has them."""
 
 from __future__ import annotations
 
@@ -14,8 +14,9 @@ import numpy as np
 
 from mistray.coatings import METAL_K, Stack
 from mistray.errors import MistrayError
-from mistray.optimize.gradient import parameter_owners
-from mistray.optimize.study import CoatingGroup, MetricStudy, Study
+from mistray.optimize.parameters import Parameter, parameters
+from mistray.optimize.study import CoatingGroup, Study
+from mistray.optimize.terms import of_layers
 from mistray.scene import load
 from mistray.scene.recoat import SharedCoating, write_recoated
 from mistray.trace.sources import beams
@@ -55,26 +56,16 @@ class Placed:
         return SharedCoating(self.group.name, self.stack(thickness_nm), self.surfaces, self.group.design_nm)
 
 
-@dataclass(frozen=True)
-class Design:
+def band(scene: Any, study: Study) -> tuple[tuple[float, ...], tuple[float, ...]]:
     """
-    Thicknesses of all coatings of a study.
+    Wavelengths (nm, ascending) and their shares of the flux, for which coatings are made.
 
-    Attributes
-    ----------
-    name : str
-        Where it comes from.
-    thickness_nm : dict
-        Name of the coating → (layers,) float64, nm.
+    Those of the first term about light that is to be minimised, or else of the first one; where it names no
+    wavelengths, those of the scene's sources.
     """
-
-    name: str
-    thickness_nm: dict[str, np.ndarray]
-
-
-def spectrum(scene: Any, study: MetricStudy) -> tuple[tuple[float, ...], tuple[float, ...]]:
-    """Wavelengths (nm, ascending) and their shares of the flux: those of the study, or else of the scene's sources."""
-    sources = beams(scene, wavelength_nm=study.wavelength_nm, weights=study.weights)
+    terms = [term for term in study.terms if not of_layers(term)]
+    traced = next((term for term in terms if term.goal == "minimise"), terms[0]).traced
+    sources = beams(scene, wavelength_nm=traced.get("wavelength_nm"), weights=traced.get("weights"))
     wavelengths = np.unique([beam.wavelength_nm for beam in sources])
     powers = np.array([sum(b.power for b in sources if b.wavelength_nm == nm) for nm in wavelengths])
     return tuple(float(nm) for nm in wavelengths), tuple(float(share) for share in powers / powers.sum())
@@ -88,10 +79,13 @@ def place(scene: Any, study: Study) -> tuple[Placed, ...]:
     ------
     MistrayError
         If a surface does not exist, is opaque or is in two groups, "all" finds none, or a material of a layer is not
-        known over the band.
+        known at all wavelengths.
     """
-    band = spectrum(scene, study.metric)[0]
-    nm = band[0]
+    if not study.coatings:
+        return ()
+    wavelengths = {nm for term in study.terms for nm in np.atleast_1d(term.traced.get("wavelength_nm") or []).tolist()}
+    wavelengths |= set(band(scene, study)[0])
+    nm = min(wavelengths)
     shapes = {shape.id(): shape for shape in scene.shapes()}
     clear = {name: shape for name, shape in shapes.items() if _is_clear(shape.bsdf(), nm)}
     lenses = [name for name, shape in clear.items() if _meets_air(shape, nm)]
@@ -102,7 +96,7 @@ def place(scene: Any, study: Study) -> tuple[Placed, ...]:
         if group.surfaces is None and not lenses:
             raise MistrayError(f'{where}: surfaces = "all" finds no transparent surface in air; name the surfaces')
         try:
-            for wavelength in band:
+            for wavelength in sorted(wavelengths):
                 group.start.indices(wavelength)
         except MistrayError as error:
             raise MistrayError(f"{where}: {error}") from None
@@ -135,39 +129,38 @@ def _meets_air(shape: Any, wavelength_nm: float) -> bool:
     return getattr(shape, "kind", None) != "frustum" and low < THIN < high
 
 
-class CoatedScene:
+@dataclass(frozen=True)
+class StudyScene:
     """
-    A scene with the coatings of a study, whose thicknesses can be changed.
-
-    Parameters
-    ----------
-    source : Path
-        Scene XML file.
-    placed : sequence of Placed
+    A scene with the coatings of a study on it.
 
     Attributes
     ----------
     scene : mi.Scene
     params : mi.SceneParameters
-        The thicknesses alone.
-    keys : dict
-        Name of the coating → key of its thicknesses in `params`.
+    known : dict of str to Parameter
+        The parameters that have a derivative.
+    thickness_keys : dict of str to str
+        Name of a coating → key of its thicknesses.
     """
 
-    def __init__(self, source: Path, placed: Sequence[Placed]) -> None:
-        self.placed = tuple(placed)
+    scene: Any
+    params: Any
+    known: dict[str, Parameter]
+    thickness_keys: dict[str, str]
+
+
+def open_scene(source: Path, placed: Sequence[Placed]) -> StudyScene:
+    """Load a scene file and put the start designs of coatings on it."""
+    if placed:
         start = [item.shared([layer.thickness_nm for layer in item.group.start.layers]) for item in placed]
         with tempfile.TemporaryDirectory() as folder:
-            self.scene = load(write_recoated(source, start, Path(folder) / "scene.xml"))
-        self.params = mi.traverse(self.scene)
-        films = {shape.id(): shape.bsdf().film for shape in self.scene.shapes() if hasattr(shape.bsdf(), "film")}
-        owners = parameter_owners(self.params)
-        nodes = {owner: key for key, (owner, name) in owners.items() if name == "thickness_nm"}
-        self.keys = {item.group.name: nodes[id(films[item.surfaces[0]])] for item in placed}
-        self.params.keep(list(self.keys.values()))
-
-    def apply(self, thickness_nm: dict[str, np.ndarray]) -> None:
-        """Set the thicknesses, by name of the coating, nm."""
-        for name, key in self.keys.items():
-            self.params[key] = mi.Float(np.asarray(thickness_nm[name], dtype=np.float32))
-        self.params.update()
+            scene = load(write_recoated(source, start, Path(folder) / "scene.xml"))
+    else:
+        scene = load(source)
+    params = mi.traverse(scene)
+    known = parameters(scene, params)
+    films = {shape.id(): shape.bsdf().film for shape in scene.shapes() if hasattr(shape.bsdf(), "film")}
+    nodes = {id(p.owner): key for key, p in known.items() if p.name == "thickness_nm"}
+    keys = {item.group.name: nodes[id(films[item.surfaces[0]])] for item in placed}
+    return StudyScene(scene, params, known, keys)

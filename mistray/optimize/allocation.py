@@ -1,0 +1,284 @@
+"""Roughness and cleanliness that meet limits at the least cost: costs, the convex problem and its solution."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.optimize import Bounds, LinearConstraint, milp, minimize
+
+from mistray.errors import MistrayError
+from mistray.physics.contamination import CLEANED_SLOPE, coverage_percent
+
+# Values whose scatter goes with a power of them; a cleanliness level has a law of its own
+POWERS = {"rms_nm": 2.0, "A": 1.0, "b0": 1.0, "reflectance": 1.0, "coverage_percent": 1.0}
+SCATTER = (*POWERS, "level")
+GRID = 400  # values of a continuous variable where another one has steps
+SLACK = 1e-9  # of a limit, for the rounding of a solution
+STEP = 1e-4  # of ln(level), for the slope of its law
+
+
+def relative_scatter(name: str, value: np.ndarray, slope: float = CLEANED_SLOPE) -> np.ndarray:
+    """
+    What a surface scatters, up to a factor.
+
+    Smooth surfaces scatter in proportion to σ² (Rayleigh-Rice, Harvey-Shack), other models in proportion to their
+    factors A, b0 and reflectance. Particles scatter about in proportion to the area that they cover, which follows from
+    a level by `mistray.physics.contamination.coverage_percent`.
+
+    Parameters
+    ----------
+    name : {"rms_nm", "level", "coverage_percent", "A", "b0", "reflectance"}
+    value : array
+        Greater than 0; a level at least 1.
+    slope : float
+        Of the size distribution of particles.
+    """
+    if name == "level":
+        return np.array([coverage_percent(float(v), slope) for v in np.ravel(value)]).reshape(np.shape(value))
+    return np.asarray(value, dtype=np.float64) ** POWERS[name]
+
+
+def elasticity(name: str, value: float, slope: float = CLEANED_SLOPE) -> float:
+    """Slope d ln(scatter) / d ln(value) of `relative_scatter`."""
+    if name != "level":
+        return POWERS[name]
+    low, high = relative_scatter(name, value * np.exp(np.array([-STEP, STEP])), slope)
+    return float(np.log(high / low) / (2 * STEP))
+
+
+@dataclass(frozen=True)
+class PowerCost:
+    """
+    Cost (reference / value)^exponent · weight: a number half as large costs 2^exponent times as much.
+
+    Attributes
+    ----------
+    weight : float
+        Cost at the reference, > 0, in any unit.
+    reference : float
+        > 0, in the unit of the value.
+    exponent : float
+        > 0; 1 by default, the rule of thumb that the time of polishing goes with 1/σ.
+    """
+
+    weight: float = 1.0
+    reference: float = 1.0
+    exponent: float = 1.0
+
+    def __call__(self, value: np.ndarray) -> np.ndarray:
+        """Cost of values."""
+        return np.asarray(self.weight * (self.reference / np.asarray(value, dtype=np.float64)) ** self.exponent)
+
+
+@dataclass(frozen=True)
+class StepCost:
+    """
+    Cost of a few grades that can be ordered; nothing between them can.
+
+    Attributes
+    ----------
+    values : tuple of float
+        Ascending.
+    costs : tuple of float
+        Of each, falling.
+    """
+
+    values: tuple[float, ...]
+    costs: tuple[float, ...]
+
+    def __call__(self, value: np.ndarray) -> np.ndarray:
+        """Cost of values, each of the coarsest grade that is at least as good; that of the best below all."""
+        place = np.searchsorted(self.values, np.asarray(value) * (1 + 1e-9), side="right") - 1
+        return np.asarray(np.array(self.costs)[np.maximum(place, 0)])
+
+
+@dataclass(frozen=True)
+class Choice:
+    """
+    One number to choose.
+
+    Attributes
+    ----------
+    name : str
+        See `relative_scatter`.
+    value : float
+        At which the metrics and their derivatives were computed.
+    best, worst : float
+        Range to choose from; the best is the smallest.
+    cost : PowerCost or StepCost
+    slope : float
+        Of particles.
+    """
+
+    name: str
+    value: float
+    best: float
+    worst: float
+    cost: PowerCost | StepCost
+    slope: float = CLEANED_SLOPE
+
+    def ratio(self, value: np.ndarray) -> np.ndarray:
+        """Scatter at values over that at `value`."""
+        return relative_scatter(self.name, value, self.slope) / relative_scatter(
+            self.name, np.array(self.value), self.slope
+        )
+
+    def ratio_slope(self, value: float) -> float:
+        """Derivative of `ratio` by ln(value)."""
+        return float(self.ratio(np.array(value))) * elasticity(self.name, value, self.slope)
+
+    def grades(self) -> np.ndarray:
+        """Values to choose from: the steps of the cost, or many on a logarithmic scale."""
+        if isinstance(self.cost, StepCost):
+            return np.array([v for v in self.cost.values if self.best <= v <= self.worst])
+        return np.geomspace(self.best, self.worst, GRID)
+
+
+@dataclass(frozen=True)
+class Model:
+    """
+    Metrics as sums of what single surfaces scatter, M_j = fixed_j + Σ_i parts_ji T_i(p_i)/T_i(p_i now).
+
+    Attributes
+    ----------
+    fixed : (metrics,) float64
+        All other light.
+    parts : (metrics, variables) float64
+        ≥ 0.
+    """
+
+    fixed: np.ndarray
+    parts: np.ndarray
+
+    @classmethod
+    def of(cls, variables: Sequence[Choice], values: np.ndarray, derivatives: np.ndarray) -> Model:
+        """
+        The model from metrics and their derivatives.
+
+        With T ~ p^ε the part of a surface is ∂M/∂p · p/ε. Parts below 0, which noise can make, are taken for 0.
+
+        Parameters
+        ----------
+        variables : sequence of Choice
+        values : (metrics,) float64
+        derivatives : (metrics, variables) float64
+            By the numbers themselves.
+        """
+        lever = np.array([v.value / elasticity(v.name, v.value, v.slope) for v in variables])
+        parts = np.maximum(derivatives * lever, 0.0)
+        return cls(values - parts.sum(axis=1), parts)
+
+    def metrics(self, variables: Sequence[Choice], numbers: np.ndarray) -> np.ndarray:
+        """(metrics,) at other numbers."""
+        ratios = np.array([float(v.ratio(np.array(p))) for v, p in zip(variables, numbers, strict=True)])
+        return np.asarray(self.fixed + self.parts @ ratios)
+
+
+def allocate(variables: Sequence[Choice], model: Model, limits: np.ndarray) -> np.ndarray:
+    """
+    The numbers that meet all limits at the least total cost.
+
+    Over ln(p) costs and metrics are convex, so that the minimum that SLSQP finds is the only one. Grades make it a
+    choice of one of each list, which is solved exactly (mixed-integer program, HiGHS); continuous numbers beside them
+    go through a fine list first and are then solved for with the grades held.
+
+    Parameters
+    ----------
+    variables : sequence of Choice
+    model : Model
+    limits : (metrics,) float64
+
+    Returns
+    -------
+    (variables,) float64
+
+    Raises
+    ------
+    MistrayError
+        If no numbers within the ranges meet the limits, see `excess`.
+    """
+    best = np.array([v.grades().min() for v in variables])
+    if excess(variables, model, limits) > 1 + SLACK:
+        raise MistrayError("no numbers within the ranges meet the limits")
+    numbers = best
+    held = [isinstance(v.cost, StepCost) for v in variables]
+    if any(held):
+        numbers = _choose(variables, model, limits)
+    free = [k for k, is_held in enumerate(held) if not is_held]
+    return _descend(variables, model, limits, numbers, free) if free else numbers
+
+
+def excess(variables: Sequence[Choice], model: Model, limits: np.ndarray) -> float:
+    """The worst metric over its limit with every number at its best."""
+    best = np.array([v.grades().min() for v in variables])
+    return float(np.max(model.metrics(variables, best) / limits))
+
+
+def _choose(variables: Sequence[Choice], model: Model, limits: np.ndarray) -> np.ndarray:
+    """The exact choice of one grade for every variable."""
+    lists = [v.grades() for v in variables]
+    costs = np.concatenate([v.cost(grades) for v, grades in zip(variables, lists, strict=True)])
+    ratios = [v.ratio(grades) for v, grades in zip(variables, lists, strict=True)]
+    loads = np.concatenate([model.parts[:, [k]] * ratio for k, ratio in enumerate(ratios)], axis=1)
+    sizes = [len(grades) for grades in lists]
+    one = np.repeat(np.eye(len(sizes)), sizes, axis=1)
+    room = limits * (1 + SLACK) - model.fixed
+    found = milp(
+        costs / costs.max(),
+        integrality=np.ones(len(costs)),
+        bounds=Bounds(0, 1),
+        constraints=[
+            LinearConstraint(one, 1, 1),
+            LinearConstraint(loads / limits[:, None], -np.inf, room / limits),
+        ],
+        options={"mip_rel_gap": 1e-6},
+    )
+    if found.x is None:
+        raise MistrayError(f"no choice of grades meets the limits ({found.message}); widen the ranges")
+    chosen = np.split(found.x, np.cumsum(sizes)[:-1])
+    return np.array([grades[int(np.argmax(picks))] for grades, picks in zip(lists, chosen, strict=True)])
+
+
+def _descend(
+    variables: Sequence[Choice], model: Model, limits: np.ndarray, start: np.ndarray, free: Sequence[int]
+) -> np.ndarray:
+    """The best continuous numbers, with the others held."""
+    chosen = [variables[k] for k in free]
+    held = [k for k in range(len(variables)) if k not in free]
+    fixed = model.fixed + sum(model.parts[:, k] * float(variables[k].ratio(np.array(start[k]))) for k in held)
+    parts = model.parts[:, list(free)] / limits[:, None]
+    room = 1 - fixed / limits
+    scale = sum(float(v.cost(np.array(p))) for v, p in zip(chosen, start[list(free)], strict=True))
+
+    def cost(y: np.ndarray) -> float:
+        return sum(float(v.cost(np.exp(t))) for v, t in zip(chosen, y, strict=True)) / scale
+
+    def cost_slope(y: np.ndarray) -> np.ndarray:
+        return np.array(
+            [-v.cost.exponent * float(v.cost(np.exp(t))) / scale for v, t in zip(chosen, y, strict=True)]  # type: ignore[union-attr]
+        )
+
+    def left(y: np.ndarray) -> np.ndarray:
+        return np.asarray(room - parts @ np.array([float(v.ratio(np.exp(t))) for v, t in zip(chosen, y, strict=True)]))
+
+    def left_slope(y: np.ndarray) -> np.ndarray:
+        return np.asarray(-parts * np.array([v.ratio_slope(float(np.exp(t))) for v, t in zip(chosen, y, strict=True)]))
+
+    low, high = np.log([v.best for v in chosen]), np.log([v.worst for v in chosen])
+    found = minimize(
+        cost,
+        np.clip(np.log(start[list(free)]), low, high),
+        jac=cost_slope,
+        method="SLSQP",
+        bounds=list(zip(low, high, strict=True)),
+        constraints={"type": "ineq", "fun": left, "jac": left_slope},
+        options={"ftol": 1e-12, "maxiter": 500},
+    )
+    y = np.clip(found.x, low, high)
+    if not found.success or float(np.min(left(y))) < -1e-6:
+        raise MistrayError(f"the least cost was not found ({found.message}); narrow the ranges")
+    numbers = start.copy()
+    numbers[list(free)] = np.exp(y)
+    return numbers

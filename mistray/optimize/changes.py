@@ -1,0 +1,151 @@
+"""Which changes of a design lower a metric by a factor, by the linear model of its logarithm."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+SIGNIFICANT = 3.0  # standard errors that a derivative must differ from 0 by
+CANDIDATES = 12  # parameters whose combinations are tried
+ROUNDING = 1e-9  # relative
+
+
+@dataclass(frozen=True)
+class Change:
+    """
+    A new value of one parameter.
+
+    Attributes
+    ----------
+    number : int
+        Of the parameter.
+    value : float
+        The new value; that of a bound where the factor is out of reach.
+    factor : float
+        Times that the metric is smaller then, by the model; 1 where the derivative is not known to differ from 0.
+    reached : bool
+        Whether that is the factor asked for.
+    """
+
+    number: int
+    value: float
+    factor: float
+    reached: bool
+
+
+@dataclass(frozen=True)
+class Ranges:
+    """
+    What the model knows of the parameters, (n,) float64 each.
+
+    Attributes
+    ----------
+    value, low, high : float64
+        Values and physical ranges, which may be infinite.
+    tolerance : float64
+        Greater than 0: what a change is measured by.
+    slope, slope_se : float64
+        d ln(metric) / d value.
+    """
+
+    value: np.ndarray
+    low: np.ndarray
+    high: np.ndarray
+    tolerance: np.ndarray
+    slope: np.ndarray
+    slope_se: np.ndarray
+
+    def after(self, number: int, gain: float) -> float:
+        """Value of a parameter at which ln(metric) is lower by `gain`; the bound where that is all there is to gain."""
+        slope, most = float(self.slope[number]), -float(self.gain[number])
+        if gain >= most * (1 - ROUNDING):
+            return float(self.low[number] if slope > 0 else self.high[number])
+        return float(self.value[number]) - gain / slope
+
+    @property
+    def gain(self) -> np.ndarray:
+        """Change of ln(metric) at the better bound, ≤ 0; 0 where the slope is not known to differ from 0."""
+        room = np.where(self.slope > 0, self.value - self.low, self.high - self.value)
+        known = np.abs(self.slope) > SIGNIFICANT * self.slope_se
+        with np.errstate(invalid="ignore"):
+            return np.where(known, -np.abs(self.slope) * np.maximum(room, 0.0), 0.0)
+
+
+def single_changes(ranges: Ranges, factor: float) -> tuple[Change, ...]:
+    """For each parameter alone the value at which the metric is `factor` times smaller, or else the better bound."""
+    goal = math.log(factor)
+    found = []
+    for number, gain in enumerate(ranges.gain):
+        value = ranges.after(number, min(-gain, goal)) if gain < 0 else float(ranges.value[number])
+        found.append(Change(number, value, math.exp(min(-gain, goal)), bool(-gain >= goal)))
+    return tuple(found)
+
+
+def best_together(ranges: Ranges, factor: float, count: int = 3) -> tuple[Change, ...]:
+    """
+    The few parameters that lower the metric by `factor` together with the least effort, and their new values.
+
+    The effort is Σ (Δ/tolerance)². If no combination gets there, those that lower it most, at their bounds. All
+    combinations of `CANDIDATES` parameters are tried: half of them have the largest change per tolerance, half the most
+    to give within their range.
+
+    Parameters
+    ----------
+    ranges : Ranges
+    factor : float
+        Greater than 1.
+    count : int
+        Parameters to change.
+
+    Returns
+    -------
+    tuple of Change
+        The largest first; `factor` of each is its own part, the product is that of all.
+    """
+    goal = math.log(factor)
+    gain = -ranges.gain
+    per_tolerance = np.where(gain > 0, np.abs(ranges.slope) * ranges.tolerance, 0.0)
+    by_tolerance, by_gain = (np.argsort(-scores, kind="stable") for scores in (per_tolerance, np.minimum(gain, goal)))
+    half = CANDIDATES // 2
+    order = dict.fromkeys([*by_tolerance[:half], *by_gain[:half], *by_tolerance])
+    candidates = [int(k) for k in order if gain[k] > 0][:CANDIDATES]
+    best: tuple[float, float, tuple[int, ...], np.ndarray] | None = None
+    for members in itertools.combinations(candidates, min(count, len(candidates))):
+        chosen = list(members)
+        parts = least_effort(per_tolerance[chosen], gain[chosen], goal)
+        effort = float(np.sum((parts / per_tolerance[chosen]) ** 2))
+        missing = max(goal - float(parts.sum()), 0.0)
+        missing = 0.0 if missing < ROUNDING * goal else missing
+        if best is None or (missing, effort) < best[:2]:
+            best = missing, effort, members, parts
+    if best is None:
+        return ()
+    missing, _, members, parts = best
+    found = []
+    for number, part in sorted(zip(members, parts, strict=True), key=lambda item: -item[1]):
+        if part > 0:
+            found.append(Change(number, ranges.after(number, part), math.exp(part), missing == 0))
+    return tuple(found)
+
+
+def least_effort(weight: np.ndarray, most: np.ndarray, goal: float) -> np.ndarray:
+    """
+    Parts x with Σ x = goal, 0 ≤ x ≤ most and the least Σ (x/weight)².
+
+    Without bounds x is proportional to weight² (Lagrange); what is at its bound stays there and the others share the
+    rest. If the bounds do not allow the goal, they are the result.
+    """
+    parts = np.zeros(len(weight))
+    free = np.ones(len(weight), dtype=bool)
+    while free.any():
+        left = goal - parts[~free].sum()
+        parts[free] = left * weight[free] ** 2 / np.sum(weight[free] ** 2)
+        over = free & (parts > most)
+        if not over.any():
+            break
+        parts[over] = most[over]
+        free &= ~over
+    return parts

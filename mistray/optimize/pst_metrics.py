@@ -1,0 +1,235 @@
+"""What is to be small of a point source transmittance: one angle, a band, a mask, veiling glare."""
+
+from __future__ import annotations
+
+import inspect
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analysis.pst.run import pst
+from mistray.errors import MistrayError
+from mistray.optimize.metrics import Metric, require_known
+from mistray.optimize.observation import NORM, smooth_maximum
+from mistray.optimize.pst_observation import Light, PstObservation, named_classes, require_convention, require_quantity
+from mistray.optimize.views import PstView, View
+from mistray.trace import Settings
+from mistray.trace.directions import CELL_DEG
+from mistray.trace.upload import upload
+
+FIELD_DEG = 90.0
+NO_SETTINGS = ("scene", "settings", "progress", "convention")  # of mistray.pst
+
+
+@dataclass(frozen=True)
+class PstMetric(Metric):
+    """
+    A number computed from one point source transmittance.
+
+    Attributes
+    ----------
+    function : callable
+        Takes a list of one `PstObservation` and returns a Dr.Jit scalar.
+    settings : dict
+        Arguments of `mistray.pst`: angles_deg, rays, max_scatters, seed, …. `fields_deg`, `wavelength_nm` and `weights`
+        of `Metric` are not used.
+    """
+
+    @property
+    def views(self) -> list[View]:
+        """The PST."""
+        return [PstView(self.settings or {})]
+
+
+def pst_bin(
+    scene: Any,
+    angle_deg: float,
+    light: Light = "stray",
+    *,
+    azimuth_deg: float | None = None,
+    convention: str = "normal",
+    **traced: Any,
+) -> PstMetric:
+    """
+    PST of the cell that holds a field angle, 1.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    angle_deg : float
+        0 … 90.
+    light : str or sequence of str
+        See `PstObservation`.
+    azimuth_deg : float, optional
+        By default the mean over the azimuths.
+    convention : {"normal", "projected"}
+        E_det / E_⊥, or E_det / (E_⊥ cos θ).
+    **traced
+        Arguments of `mistray.pst`; `angles_deg` is `angle_deg` alone, a cell 2° wide, unless given. Metrics with the
+        same settings share one trace in `combine`.
+    """
+    require_convention(convention)
+    settings = {"angles_deg": (float(angle_deg),), **traced}
+    if azimuth_deg is not None:
+        settings = {"azimuths_deg": (float(azimuth_deg),), **settings}
+    return _metric(
+        scene,
+        lambda o: o.value_at(angle_deg, light, azimuth_deg, convention),
+        light,
+        settings,
+        "1",
+        f"PST at {angle_deg:g}°",
+    )
+
+
+def pst_band(
+    scene: Any,
+    low_deg: float,
+    high_deg: float,
+    light: Light = "stray",
+    *,
+    quantity: str = "mean",
+    convention: str = "normal",
+    interpolation: str = "cells",
+    **traced: Any,
+) -> PstMetric:
+    """
+    PST over a band of field angles: ∫ PST_normal dΩ / ∫ dΩ, or that integral.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    low_deg, high_deg : float
+        0 … 90.
+    light : str or sequence of str
+        See `PstObservation`.
+    quantity : {"mean", "integral"}
+        Mean over the solid angle (unit 1), or the irradiance on the detector by a sky of 1 W/(mm² sr) that fills the
+        band, ∫ PST_normal dΩ = ∫ PST_projected cos θ dΩ (unit sr).
+    convention : {"normal", "projected"}
+        Of the mean; that of PST_projected has the weight cos θ dΩ.
+    interpolation : {"cells", "linear", "log"}
+        See `PstObservation.band`.
+    **traced
+        As for `pst_bin`; without `angles_deg` cells of at most 2° fill the band.
+    """
+    require_quantity(quantity)
+    require_convention(convention)
+    if not 0 <= low_deg < high_deg <= FIELD_DEG:
+        raise MistrayError(f"band from {low_deg:g} to {high_deg:g}°; field angles must ascend within 0 … 90 degrees")
+    return _metric(
+        scene,
+        lambda o: o.band(low_deg, high_deg, light, quantity, convention, interpolation),
+        light,
+        _filled(low_deg, high_deg, traced),
+        "1" if quantity == "mean" else "sr",
+        f"PST from {low_deg:g} to {high_deg:g}°",
+    )
+
+
+def pst_mask(
+    scene: Any,
+    angles_deg: Sequence[float],
+    limits: Sequence[float],
+    light: Light = "stray",
+    *,
+    convention: str = "normal",
+    norm: float = NORM,
+    **traced: Any,
+) -> PstMetric:
+    """
+    Smooth maximum over field angle of the PST over what it may be at most, 1: at most 1 where the mask is met.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    angles_deg : sequence of float
+        Field angles, ascending; the mean over the azimuths counts.
+    limits : sequence of float
+        Largest PST at each of them, greater than 0.
+    light : str or sequence of str
+        See `PstObservation`.
+    convention : {"normal", "projected"}
+        Of the limits.
+    norm : float
+        p ≥ 1, see `smooth_maximum`.
+    **traced
+        As for `pst_bin`.
+    """
+    require_convention(convention)
+    highest = np.asarray(limits, dtype=np.float64)
+    if highest.shape != (len(angles_deg),) or not np.all((highest > 0) & np.isfinite(highest)):
+        raise MistrayError(
+            f"mask of {len(angles_deg)} angles and {highest.size} limits; give one limit greater than 0 for each angle"
+        )
+
+    def number(o: PstObservation) -> Any:
+        return smooth_maximum(o.curve(light, convention) / upload(mi.Float64, highest), norm)
+
+    settings = {**traced, "angles_deg": tuple(map(float, angles_deg))}
+    return _metric(scene, number, light, settings, "1", "PST over its mask")
+
+
+def veiling_glare(
+    scene: Any,
+    patch_deg: float,
+    angle_deg: float = 0.0,
+    azimuth_deg: float = 0.0,
+    *,
+    source_deg: float = FIELD_DEG,
+    place: str = "mean",
+    interpolation: str = "cells",
+    **traced: Any,
+) -> PstMetric:
+    """
+    Veiling glare index of a white source with a black patch, per cent: 100 E_black / E_white (ISO 9358).
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    patch_deg, angle_deg, azimuth_deg, source_deg, interpolation
+        As for `mistray.analysis.metrics.glare.veiling_glare_index`.
+    place : {"mean", "point"}
+        E_black is the mean of the stray light over the detector, or the detector lies within the image of the patch.
+    **traced
+        As for `pst_bin`; without `angles_deg` cells of 2° fill the source.
+    """
+    return _metric(
+        scene,
+        lambda o: o.veiling_glare_index(
+            patch_deg, angle_deg, azimuth_deg, source_deg=source_deg, place=place, interpolation=interpolation
+        ),
+        "total",
+        _filled(0.0, source_deg, traced),
+        "%",
+        "veiling glare index",
+    )
+
+
+def _filled(low_deg: float, high_deg: float, traced: dict[str, Any]) -> dict[str, Any]:
+    """The settings with cells that fill a band, unless they name angles."""
+    if "angles_deg" in traced:
+        return traced
+    if "cell_deg" in traced:
+        raise MistrayError("cell_deg is given without angles_deg; give the angles too")
+    count = int(np.ceil((high_deg - low_deg) / CELL_DEG))
+    width = (high_deg - low_deg) / count
+    return {**traced, "angles_deg": tuple((low_deg + width * (np.arange(count) + 0.5)).tolist()), "cell_deg": width}
+
+
+def _metric(
+    scene: Any,
+    number: Callable[[PstObservation], Any],
+    light: Light,
+    settings: dict[str, Any],
+    unit: str,
+    name: str,
+) -> PstMetric:
+    named_classes(light)
+    known = [key for key in inspect.signature(pst).parameters if key not in NO_SETTINGS]
+    require_known(settings, [*known, *(f.name for f in fields(Settings) if f.name not in known)])
+    PstView(settings)  # what no such metric can have
+    return PstMetric(scene, lambda observations: number(observations[0]), settings=settings, unit=unit, name=name)

@@ -1,0 +1,196 @@
+"""Makes a merit small by parameters of a scene: starts, searches along the gradient, proof."""
+
+from __future__ import annotations
+
+import dataclasses
+import time
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.optimize.checkpoint import Checkpoint
+from mistray.optimize.merit import Merit
+from mistray.optimize.read_study import read_study
+from mistray.optimize.searches import Progress, Searches
+from mistray.optimize.starts import starts
+from mistray.optimize.state import Start, State, Step
+from mistray.optimize.study import Study
+from mistray.optimize.study_scene import Placed, StudyScene, band, open_scene, place
+from mistray.optimize.terms import UNITS_OF_LAYERS, layer_value, of_layers
+from mistray.optimize.variables import Variables, find_variables
+from mistray.optimize.verify import Comparison, Levels, compare, measure
+from mistray.scene import load
+from mistray.scene.load import find
+from mistray.scene.recoat import SharedCoating
+
+
+@dataclass(frozen=True)
+class Optimization:
+    """
+    Result of `optimize`.
+
+    Attributes
+    ----------
+    study : Study
+    source : Path
+        The scene file.
+    placed : tuple of Placed
+        The coatings of the study and their surfaces.
+    band_nm : tuple of float
+        Wavelengths for which the coatings are made, ascending, nm; empty without coatings.
+    variables : Variables
+    thickness_keys : dict of str to str
+        Name of a coating of the study → key of its thicknesses.
+    starts : tuple of Start
+        The first is the given design.
+    steps : tuple of Step
+        All steps of all searches.
+    ended : dict
+        Number of a start → why its search ended. Starts that were only evaluated are not in it.
+    best : Step
+        The result.
+    comparison : Comparison
+        The given design and the result on independent seeds.
+    left_out : tuple of str
+        What the gradients do not contain.
+    search_seconds, traced_seconds, verification_seconds : float
+        Time of the searches, of the traces and derivatives in them, and of the comparison.
+    """
+
+    study: Study
+    source: Path
+    placed: tuple[Placed, ...]
+    band_nm: tuple[float, ...]
+    variables: Variables
+    thickness_keys: dict[str, str]
+    starts: tuple[Start, ...]
+    steps: tuple[Step, ...]
+    ended: dict[int, str]
+    best: Step
+    comparison: Comparison
+    left_out: tuple[str, ...]
+    search_seconds: float
+    traced_seconds: float
+    verification_seconds: float
+
+    @property
+    def before(self) -> dict[str, float]:
+        """Name of a variable → its value at the start."""
+        return dict(zip(self.variables.names, self.variables.start.tolist(), strict=True))
+
+    @property
+    def after(self) -> dict[str, float]:
+        """Name of a variable → its value in the result."""
+        return dict(zip(self.variables.names, self.best.x, strict=True))
+
+    def thickness_nm(self, coating: str, step: Step | None = None) -> np.ndarray:
+        """Thicknesses of a coating of the study in the result or at another step, (layers,) nm."""
+        return self.variables.parameters((step or self.best).x)[self.thickness_keys[coating]]
+
+    @property
+    def coatings(self) -> list[SharedCoating]:
+        """The resulting coatings of the study, for `mistray.scene.recoat`."""
+        return [item.shared(self.thickness_nm(item.group.name)) for item in self.placed]
+
+    @property
+    def parameters(self) -> dict[str, np.ndarray]:
+        """The other parameters that have moved: key → values, (entries,)."""
+        moved = self.variables.parameters(self.best.x)
+        return {key: value for key, value in moved.items() if key not in self.thickness_keys.values()}
+
+
+def optimize(
+    scene: str | Path,
+    study: str | Path | Mapping[str, Any] | Study,
+    *,
+    steps: int | None = None,
+    checkpoint: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+) -> Optimization:
+    """
+    Make a merit small by the variables of a study.
+
+    Every search follows the gradient of the traced merit within the bounds of the variables. What comes out is a local
+    minimum at best; several starts make a better one likely, no more.
+
+    Parameters
+    ----------
+    scene : str or Path
+        Scene XML file or name of a shipped scene.
+    study : str, Path, mapping or Study
+        See docs/optimization.md.
+    steps : int, optional
+        Most steps of each search, instead of the study's.
+    checkpoint : str or Path, optional
+        File that holds the state after every evaluation.
+    resume : bool
+        Go on from the checkpoint; the result is the same as without interruption.
+    progress : callable, optional
+        Called after each step with the `Step` and the `Start` of its search.
+
+    Returns
+    -------
+    Optimization
+
+    Raises
+    ------
+    MistrayError
+        If the study or the scene cannot be used, a term that is to be minimised is 0, anything is not finite, or the
+        checkpoint belongs to something else.
+    """
+    read = study if isinstance(study, Study) else read_study(study)
+    if steps is not None:
+        if steps < 0:
+            raise MistrayError(f"steps is {steps}; it must not be negative")
+        read = dataclasses.replace(read, optimizer=dataclasses.replace(read.optimizer, steps=steps))
+    if resume and checkpoint is None:
+        raise MistrayError("resume needs a checkpoint; name the file of the state to go on from")
+    source = find(scene)
+    file = None if checkpoint is None else Checkpoint(Path(checkpoint), source, read.fingerprint)
+    state = file.read() if file is not None and resume else State()
+    bare = load(source)
+    placed = place(bare, read)
+    opened = open_scene(source, placed)
+    variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
+    wavelengths, weights = band(bare, read) if placed else ((), ())
+    if not state.starts:
+        state.starts = starts(variables, placed, wavelengths, weights, read.starts, read.optimizer.seed)
+    merit = Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
+    searches = Searches(merit, variables.shares, variables.values, read.optimizer, state, file, progress)
+    searches.run()
+    best = searches.best
+    started = time.perf_counter()
+    levels = [_levels(read, opened, variables, x) for x in (variables.start, np.array(best.x))]
+    return Optimization(
+        read,
+        source,
+        placed,
+        wavelengths,
+        variables,
+        opened.thickness_keys,
+        tuple(state.starts),
+        tuple(searches.steps),
+        searches.ended,
+        best,
+        compare(*levels),
+        tuple(state.left_out),
+        state.seconds,
+        state.traced_seconds,
+        time.perf_counter() - started,
+    )
+
+
+def _levels(study: Study, opened: StudyScene, variables: Variables, x: np.ndarray) -> Levels:
+    """All terms of a study at some values of its variables."""
+    variables.apply(x)
+    layers = [term for term in study.terms if of_layers(term)]
+    numbers = {
+        term.name: layer_value(term, study.coatings, opened.thickness_keys, variables.parameters(x))[0]
+        for term in layers
+    }
+    return measure(opened.scene, study).including(numbers, {t.name: UNITS_OF_LAYERS[t.kind] for t in layers})

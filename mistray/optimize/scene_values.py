@@ -1,0 +1,44 @@
+"""Parameters of a scene set to other values, for good or for a while."""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+
+
+def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
+    """
+    Set parameters, and update the scene.
+
+    Parameters
+    ----------
+    params : mi.SceneParameters
+    values : mapping of str to (entries,) float
+
+    Raises
+    ------
+    MistrayError
+        If a number is not finite; what the plugins say of values that are impossible.
+    """
+    for key, value in values.items():
+        if not np.all(np.isfinite(value)):
+            raise MistrayError(f"parameter '{key}' would become {np.ravel(value).tolist()}; it must be finite")
+        params[key] = mi.Float(np.ravel(value).astype(np.float32))
+    params.update()
+
+
+@contextlib.contextmanager
+def changed(params: Any, values: Mapping[str, np.ndarray]) -> Iterator[None]:
+    """The scene with other values of some parameters; after the block, also after an error, with those it had."""
+    before = {key: np.array(params[key], dtype=np.float64) for key in values}
+    try:
+        assign(params, values)
+        yield
+    finally:
+        assign(params, before)

@@ -1,0 +1,54 @@
+"""Adam (Kingma & Ba, ICLR 2015, algorithm 1) within bounds; works with gradients that have noise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+if TYPE_CHECKING:
+    from mistray.optimize.study import Optimizer
+
+# The authors' values
+BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
+
+
+def adam(
+    function: Callable[[np.ndarray], tuple[float, np.ndarray]],
+    y0: np.ndarray,
+    optimizer: Optimizer,
+    after: Callable[[np.ndarray], None],
+) -> str:
+    """
+    Search downhill from a point by steps of about the same length; a step beyond a bound ends at it.
+
+    Parameters
+    ----------
+    function : callable
+        Point in the unit cube, (n,) → value and gradient, (n,); both may have noise.
+    y0 : (n,) float64
+    optimizer : Optimizer
+        Its `step_size` is α of the first step; every further one is `decay` times the one before.
+    after : callable
+        Called with the point after each step; ends the search by an exception.
+
+    Returns
+    -------
+    str
+        Why it ended by itself.
+    """
+    y = y0
+    first, second = np.zeros_like(y0), np.zeros_like(y0)
+    _, slope = function(y)
+    step = 0
+    while np.any(slope) or np.any(first):
+        step += 1
+        first = BETA_1 * first + (1 - BETA_1) * slope
+        second = BETA_2 * second + (1 - BETA_2) * slope**2
+        mean, square = first / (1 - BETA_1**step), second / (1 - BETA_2**step)
+        size = optimizer.step_size * optimizer.decay ** (step - 1)
+        y = np.clip(y - size * mean / (np.sqrt(square) + EPSILON), 0.0, 1.0)
+        _, slope = function(y)
+        after(y)
+    return "the gradient is 0"

@@ -1,0 +1,187 @@
+"""The searches of a study from all its starts, and how they go on after an interruption."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+from typing import Any, Protocol
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.optimize.checkpoint import Checkpoint
+from mistray.optimize.search import METHODS, stop_reason
+from mistray.optimize.state import Evaluation, Start, State, Step
+from mistray.optimize.study import Optimizer
+
+STEPS_USED = "all steps used"
+LIMITS_HOLD = "all limits hold"
+
+Progress = Callable[[Step, Start], None]
+
+
+class Problem(Protocol):
+    """What is searched: see `mistray.optimize.merit.Merit`."""
+
+    start: dict[str, float] | None
+
+    @property
+    def least(self) -> float:
+        """What the merit cannot fall below."""
+
+    def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
+        """The merit at a point of the unit cube."""
+
+    def broken(self, values: dict[str, float]) -> tuple[str, ...]:
+        """Names of the terms whose values break their limit."""
+
+
+class Ended(Exception):
+    """A search is over; the text says why."""
+
+
+class Searches:
+    """
+    The searches from all starts, which share one problem and one state.
+
+    Every evaluation is kept. After an interruption each search begins again from its start and gets the evaluations
+    that are kept instead of new ones; as all methods are deterministic, it comes to where it was, with everything that
+    it had learnt, and goes on as if nothing had happened.
+
+    Parameters
+    ----------
+    problem : Problem
+    shares, values : callable
+        From values of the variables to shares of the way from bound to bound, and back.
+    optimizer : Optimizer
+    state : State
+        With its starts.
+    file : Checkpoint, optional
+    progress : callable, optional
+        Called after each step.
+
+    Attributes
+    ----------
+    steps : list of Step
+        In the order in which the searches make them.
+    ended : dict
+        Number of a start → why its search ended. Starts that were only evaluated are not in it.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        shares: Callable[[np.ndarray], np.ndarray],
+        values: Callable[[np.ndarray], np.ndarray],
+        optimizer: Optimizer,
+        state: State,
+        file: Checkpoint | None = None,
+        progress: Progress | None = None,
+    ) -> None:
+        self.problem, self.shares, self.values, self.optimizer = problem, shares, values, optimizer
+        self.state, self.file, self.progress = state, file, progress
+        self.steps: list[Step] = []
+        self.ended: dict[int, str] = {}
+        self._began = time.perf_counter() - state.seconds
+        self._asked = 0  # evaluations that the searches have asked for, kept ones included
+        self._known = [len(search) for search in state.evaluations] + [0] * len(state.starts)
+        if state.evaluations and state.evaluations[0]:
+            problem.start = state.evaluations[0][0].terms
+
+    def run(self) -> None:
+        """Evaluate all starts, then search from the best ones."""
+        while len(self.state.evaluations) < len(self.state.starts):
+            self.state.evaluations.append([])
+        first = []
+        for number, start in enumerate(self.state.starts):
+            first.append(self._at(number, 0, self.shares(start.x)))
+            self._asked += 1
+            self._note(number, 0, first[-1], self._known[number] == 0)
+        for number in sorted(range(len(first)), key=lambda n: first[n].merit)[: self.optimizer.searches]:
+            self._search(number)
+
+    @property
+    def best(self) -> Step:
+        """
+        The step that is the result.
+
+        With fixed seeds that of the least merit. With fresh ones, where the least merit is the luckiest, the last step
+        of the search whose last merits, as many as decide its end, have the least mean.
+        """
+        if self.optimizer.seeds == "fixed" or not self.ended:
+            return min(self.steps, key=lambda step: step.merit)
+        lasts = {}
+        for number in self.ended:
+            own = [step for step in self.steps if step.start == number]
+            lasts[number] = float(np.mean([step.merit for step in own[-self.optimizer.stop_after :]]))
+        winner = min(lasts, key=lambda number: lasts[number])
+        return [step for step in self.steps if step.start == winner][-1]
+
+    def _at(self, start: int, number: int, y: np.ndarray) -> Evaluation:
+        """An evaluation of a search by its number: the one that is kept, or a new one, which is then kept."""
+        kept = self.state.evaluations[start]
+        if number < len(kept):
+            if not np.array_equal(kept[number].y, y):
+                raise MistrayError(
+                    "checkpoint: the search asks for other points than before, as with another version of SciPy; run "
+                    "without resuming"
+                )
+            return kept[number]
+        result = self.problem.evaluate(y, number)
+        self.state.left_out += [text for text in result.pop("left_out") if text not in self.state.left_out]
+        kept.append(Evaluation(y=y.copy(), seconds=time.perf_counter() - self._began, **result))
+        if self.file is not None:
+            self.file.write(self.state)
+        return kept[-1]
+
+    def _note(self, start: int, step: int, at: Evaluation, new: bool) -> None:
+        """Add a step, and show it if it was not made before an interruption."""
+        self.steps.append(
+            Step(
+                start,
+                step,
+                self._asked,
+                at.merit,
+                at.merit_se,
+                dict(at.terms),
+                self.problem.broken(at.terms),
+                float(np.linalg.norm(at.free_slope)),
+                at.seconds,
+                tuple(self.values(at.y).tolist()),
+            )
+        )
+        if new and self.progress is not None:
+            self.progress(self.steps[-1], self.state.starts[start])
+
+    def _search(self, start: int) -> None:
+        """Search from one start."""
+        kept = self.state.evaluations[start]
+        asked = 0
+        merits = [kept[0].merit]
+
+        def function(y: np.ndarray) -> tuple[float, np.ndarray]:
+            nonlocal asked
+            if asked >= len(kept) and len(merits) > self.optimizer.steps:
+                raise Ended(STEPS_USED)
+            at = self._at(start, asked, y)
+            self._asked += asked > 0  # the start itself is counted already
+            asked += 1
+            return at.merit, at.slope
+
+        def after(y: np.ndarray) -> None:
+            at = next(evaluation for evaluation in reversed(kept[:asked]) if np.array_equal(evaluation.y, y))
+            self._note(start, len(merits), at, asked > self._known[start])
+            merits.append(at.merit)
+            if asked < len(kept):  # a search that went on before goes on now
+                return
+            if at.merit <= self.problem.least:
+                raise Ended(LIMITS_HOLD)
+            how = self.optimizer
+            reason = stop_reason(merits, how.tolerance, how.stop_after, how.seeds == "fresh")
+            if reason is not None:
+                raise Ended(reason)
+
+        try:
+            self.ended[start] = METHODS[self.optimizer.method](function, kept[0].y, self.optimizer, after)
+        except Ended as reason:
+            self.ended[start] = str(reason)

@@ -1,0 +1,343 @@
+"""`mistray.sensitivity`: how much every parameter of a scene changes a metric within its manufacturing tolerance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING, Any
+
+import mitsuba as mi
+
+from mistray.analysis.estimate import Estimate
+from mistray.errors import MistrayError
+from mistray.optimize.changes import Change, best_together
+from mistray.optimize.gradient import Gradient, gradient
+from mistray.optimize.metrics import Metric
+from mistray.optimize.parameters import Parameter, match, parameters
+from mistray.optimize.propagation import Spread, propagate
+from mistray.optimize.proposals import SEEDS, free_keys, traced_change
+from mistray.optimize.sensitivity_rows import Line, Row, Table, material_lines, shifted_values
+from mistray.optimize.tolerance_draws import Draws, draw_systems
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+# Floats of Mitsuba's meshes and sensors: no numbers of the optical system
+INTERNAL = ("vertex_positions", "vertex_normals", "vertex_texcoords", "silhouette_sampling_weight", "shutter_open",
+            "shutter_open_time")  # fmt: skip
+
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Together:
+    """
+    A few changes at once.
+
+    Attributes
+    ----------
+    changes : tuple of (Row, Change)
+        The largest part first; none where no derivative is known well enough.
+    factor : float
+        Times that the metric is smaller, by the model.
+    reached : bool
+        Whether that is the factor asked for.
+    traced : Estimate or None
+        The same from traces of the changed scene with other seeds; None where they were not asked for.
+    image : Estimate or None
+        Power of the direct image over that before, at the sources' own field, from traces as well.
+    """
+
+    changes: tuple[tuple[Row, Change], ...]
+    factor: float
+    reached: bool
+    traced: Estimate | None = None
+    image: Estimate | None = None
+
+
+@dataclass(frozen=True)
+class Sensitivity:
+    """
+    Result of `sensitivity`.
+
+    Attributes
+    ----------
+    name, unit : str
+        Of the metric.
+    value : Estimate
+        The metric.
+    rows : tuple of Row
+        The largest change per tolerance first.
+    spread : Spread
+        Linear propagation of all tolerances.
+    factor : float
+        What the changes shall lower the metric by.
+    together : Together
+        The best three changes.
+    draws : Draws or None
+        Monte Carlo of perturbed systems.
+    left_out : tuple of str
+        What the derivatives do not contain.
+    without_derivative : tuple of str
+        Keys of numbers of the scene that have no derivative.
+    seconds : tuple of float
+        Of the primal and of the reverse run of the gradient.
+    facts : dict
+        How it was computed, plain values.
+    """
+
+    name: str
+    unit: str
+    value: Estimate
+    rows: tuple[Row, ...]
+    spread: Spread
+    factor: float
+    together: Together
+    draws: Draws | None = None
+    left_out: tuple[str, ...] = ()
+    without_derivative: tuple[str, ...] = ()
+    seconds: tuple[float, float] = (0.0, 0.0)
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    def __getitem__(self, label: str) -> Row:
+        """The row of a label."""
+        for row in self.rows:
+            if row.label == label:
+                return row
+        raise MistrayError(f"the table has no parameter '{label}'; see [row.label for row in result.rows]")
+
+    def to_pandas(self) -> pd.DataFrame:
+        """
+        One row for each number, in the order of `rows`.
+
+        Returns
+        -------
+        DataFrame
+            Columns label, keys (several of a material), entry, kind, unit, value, low, high, derivative,
+            derivative_se, tolerance, change_percent, change_percent_se (of the metric per tolerance),
+            edge_check_percent, free, to_value, to_factor, reached (see `Change`), share, share_se (of the variance; NaN for members of a group of several).
+        """
+        import pandas as pd
+
+        shares = {item.members[0]: item.share for item in self.spread.contributions if len(item.members) == 1}
+        unknown = Estimate(math.nan, math.nan)
+        return pd.DataFrame(
+            [
+                {
+                    "label": row.label,
+                    "keys": " ".join(row.line.keys),
+                    "entry": row.line.entry,
+                    "kind": row.kind,
+                    "unit": row.unit,
+                    "value": row.value,
+                    "low": row.low,
+                    "high": row.high,
+                    "derivative": row.derivative.value,
+                    "derivative_se": row.derivative.se,
+                    "tolerance": row.tolerance,
+                    "change_percent": 100 * row.change.value,
+                    "change_percent_se": 100 * row.change.se,
+                    "edge_check_percent": 100 * row.edge_check,
+                    "free": row.free,
+                    "to_value": row.alone.value,
+                    "to_factor": row.alone.factor,
+                    "reached": row.alone.reached,
+                    "share": shares.get(row.label, unknown).value,
+                    "share_se": shares.get(row.label, unknown).se,
+                }
+                for row in self.rows
+            ]
+        )
+
+    def __str__(self) -> str:
+        return self.to_pandas().to_string(index=False)
+
+
+def sensitivity(
+    metric: Metric,
+    params: Mapping[str, Any] | None = None,
+    keys: Iterable[str] | None = None,
+    *,
+    tolerances: Mapping[str, float] | None = None,
+    together: Sequence[str] = (),
+    factor: float = 10.0,
+    change: Iterable[str] | None = None,
+    reach: float = 10.0,
+    check: bool = True,
+    monte_carlo: int = 0,
+    seed: int = 0,
+    edges: bool = True,
+    edge_width: float = 0.02,
+    progress: Progress | None = None,
+) -> Sensitivity:
+    """
+    Rank the parameters of a scene by the change of ln(metric) per manufacturing tolerance, by one reverse run.
+
+    Parameters
+    ----------
+    metric : Metric
+        From `mistray.optimize`; its value must be greater than 0.
+    params : mi.SceneParameters, optional
+        ``mi.traverse(metric.scene)``, which is the default.
+    keys : iterable of str, optional
+        Keys or patterns such as ``"vane_*.r0"``; by default all that have a derivative.
+    tolerances : mapping of str to float, optional
+        Key or pattern → tolerance in the unit of the parameter, instead of the usual one; later ones win.
+    together : sequence of str
+        Patterns of parameters that vary together, all by one tolerance in the same sense: a symmetric group, or a
+        property of one batch. Each counts as one in the propagation and in the Monte Carlo.
+    factor : float
+        What the changes that are looked for shall lower the metric by, greater than 1.
+    change : iterable of str, optional
+        Keys or patterns of the parameters that may be changed for that; by default those of
+        `mistray.optimize.proposals.free_keys`: not the optics themselves.
+    reach : float
+        Largest change that is proposed, in tolerances: farther away the linear model means little. R and T alone, in
+        which powers of paths are polynomials, may go to the ends of their range.
+    check : bool
+        Trace the scene with the best three changes, on other seeds.
+    monte_carlo : int
+        Number of perturbed systems to trace with the seed of the metric; 0: none.
+    seed : int
+        Of the perturbations.
+    edges, edge_width
+        As for `mistray.gradient`.
+    progress : callable, optional
+        Called with what is done and what there is to do.
+
+    Returns
+    -------
+    Sensitivity
+
+    Raises
+    ------
+    MistrayError
+        If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
+        finite.
+    """
+    if not factor > 1 or not math.isfinite(factor):
+        raise MistrayError(f"factor is {factor:g}; the metric shall become smaller: give a number greater than 1")
+    if not reach > 0:
+        raise MistrayError(f"reach is {reach:g}; it must be greater than 0, in tolerances")
+    if monte_carlo != int(monte_carlo) or monte_carlo < 0 or monte_carlo == 1:
+        raise MistrayError(f"monte_carlo is {monte_carlo}; give the number of perturbed systems, at least 2, or 0")
+    given = mi.traverse(metric.scene) if params is None else params
+    known = parameters(metric.scene, given)
+    chosen = list(known) if keys is None else match(known, keys)
+    if not chosen:
+        raise MistrayError("there is no parameter to differentiate by; the scene has none, or no key is given")
+    lines = material_lines(given, known, chosen)
+    limits = _tolerances(known, tolerances or {})
+    groups = _groups(known, lines, together)
+    free = set(free_keys(metric.scene, known) if change is None else match(known, change))
+    advance = _Steps(progress, 1 + (2 * SEEDS if check else 0) + monte_carlo)
+    keys = list(dict.fromkeys(key for line in lines for key in line.keys))
+    found = gradient(metric, given, keys, edges=edges, edge_width=edge_width)
+    advance()
+    _require_light(found)
+    table = Table.of(found, lines, limits)
+    rows = table.rows(free, reach, factor)
+    spread = propagate([row.label for row in rows], table.change_batches, found.value_se / found.value, groups)
+    best = best_together(table.reachable(free, reach), factor)
+    changes = tuple((rows[change.number], change) for change in best)
+    traced, image = None, None
+    if check and changes:
+        values = shifted_values(given, [row.line for row, _ in changes], [change.value for _, change in changes])
+        traced, image = traced_change(metric, given, values, advance)
+    proposal = Together(
+        changes, math.prod(change.factor for change in best), any(change.reached for change in best), traced, image
+    )
+    draws = None
+    if monte_carlo:
+        draws = draw_systems(metric, given, rows, groups, int(monte_carlo), seed, advance)
+    return Sensitivity(
+        metric.name,
+        metric.unit,
+        Estimate(found.value, found.value_se),
+        tuple(sorted(rows, key=lambda row: -abs(row.change.value))),
+        spread,
+        factor,
+        proposal,
+        draws,
+        tuple(found.left_out),
+        tuple(_without_derivative(given, known)),
+        found.seconds,
+        {
+            "fields_deg": metric.fields_deg,
+            "wavelength_nm": metric.wavelength_nm,
+            **(metric.settings or {}),
+            "tolerances": dict(tolerances or {}),
+            "together": list(together),
+            "reach": reach,
+            "edges": edges,
+            "edge_width": edge_width,
+            "seed of the draws": seed,
+        },
+    )
+
+
+class _Steps:
+    """Counts what is done."""
+
+    def __init__(self, progress: Progress | None, total: int) -> None:
+        self.progress, self.total, self.done = progress, total, 0
+
+    def __call__(self) -> None:
+        self.done += 1
+        if self.progress is not None:
+            self.progress(self.done, self.total)
+
+
+def _require_light(found: Gradient) -> None:
+    if not math.isfinite(found.value) or found.value <= 0:
+        raise MistrayError(
+            f"the metric is {found.value:g}, so that it has no relative change; choose another metric, other fields or "
+            "more rays"
+        )
+
+
+def _tolerances(known: Mapping[str, Parameter], given: Mapping[str, float]) -> dict[str, float]:
+    """Tolerance of every parameter."""
+    limits = {key: parameter.tolerance for key, parameter in known.items()}
+    for pattern, value in given.items():
+        if not (math.isfinite(value) and value > 0):
+            raise MistrayError(f"tolerance of '{pattern}' is {value:g}; it must be greater than 0")
+        limits |= dict.fromkeys(match(known, [pattern]), float(value))
+    return limits
+
+
+def _groups(
+    known: Mapping[str, Parameter], lines: Sequence[Line], patterns: Sequence[str]
+) -> list[tuple[str, list[int]]]:
+    """Names and numbers of the lines that vary together."""
+    taken: dict[int, str] = {}
+    groups = []
+    for pattern in patterns:
+        keys = set(match(known, [pattern]))
+        numbers = [k for k, line in enumerate(lines) if keys & set(line.keys)]
+        if not numbers:
+            raise MistrayError(f"group '{pattern}' holds none of the parameters that were chosen; widen the choice")
+        for k in numbers:
+            if k in taken:
+                raise MistrayError(
+                    f"'{lines[k].label}' is in the groups '{taken[k]}' and '{pattern}'; put it into one of them"
+                )
+            taken[k] = pattern
+        kinds = dict.fromkeys(lines[k].parameter.kind for k in numbers)
+        if len(kinds) > 1:
+            raise MistrayError(
+                f"group '{pattern}' holds parameters of several kinds ({', '.join(kinds)}); make a group of each"
+            )
+        groups.append((pattern, numbers))
+    return groups
+
+
+def _without_derivative(params: Mapping[str, Any], known: Mapping[str, Parameter]) -> list[str]:
+    """Keys of the numbers that a scene has besides its parameters with a derivative."""
+    found = []
+    for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
+        name = key.rsplit(".", 1)[-1]
+        if key not in known and name not in INTERNAL and isinstance(params[key], mi.Float):
+            found.append(key)
+    return found

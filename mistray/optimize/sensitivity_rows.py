@@ -1,0 +1,244 @@
+"""The rows of a sensitivity table: single numbers of the scene, and the indices of its materials."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+
+from mistray.analysis.estimate import Estimate
+from mistray.errors import MistrayError
+from mistray.optimize.changes import Change, Ranges, single_changes
+from mistray.optimize.gradient import EQUAL, Gradient
+from mistray.optimize.parameters import Parameter
+from mistray.trace.energy import batch_error
+from mistray.trace.geometry_gradient import SHIFTS
+
+INDEX = "index"
+
+
+@dataclass(frozen=True)
+class Line:
+    """
+    What one row is about.
+
+    Attributes
+    ----------
+    label : str
+        The key, with the number of the entry where there are several, ``AR.thickness_nm[1]``; ``index of N-BK7``.
+    parameter : Parameter
+        The first, which has the kind, unit, value and range of all.
+    entry : int
+    keys : tuple of str
+        All that have a derivative and change by the same amount.
+    silent : tuple of str
+        Keys that change along and have no derivative: indices beside opaque surfaces.
+    """
+
+    label: str
+    parameter: Parameter
+    entry: int
+    keys: tuple[str, ...]
+    silent: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Row:
+    """
+    One number of the scene, and what it does to the metric.
+
+    Attributes
+    ----------
+    line : Line
+    low, high : float
+        Physical range, in the unit of the parameter.
+    value : float
+    tolerance : float
+        Manufacturing tolerance, in the unit of the parameter.
+    derivative : Estimate
+        d metric / d value.
+    change : Estimate
+        d ln(metric) per tolerance, with the error of the metric in it.
+    edge_check : float
+        By how much `change` would differ with half the width of the zone at rims; NaN where rims do not count.
+    alone : Change
+        The value that would lower the metric by the factor asked for, see `mistray.optimize.changes`.
+    free : bool
+        Whether it may be changed for that; where not, `alone` is the value that it has.
+    """
+
+    line: Line
+    low: float
+    high: float
+    value: float
+    tolerance: float
+    derivative: Estimate
+    change: Estimate
+    edge_check: float
+    alone: Change
+    free: bool
+
+    @property
+    def label(self) -> str:
+        """See `Line`."""
+        return self.line.label
+
+    @property
+    def kind(self) -> str:
+        """See `mistray.optimize.parameters.Parameter`."""
+        return self.line.parameter.kind
+
+    @property
+    def unit(self) -> str:
+        """Of value, tolerance and range."""
+        return self.line.parameter.unit
+
+
+def material_lines(params: Any, known: Mapping[str, Parameter], chosen: Iterable[str]) -> list[Line]:
+    """
+    The lines of some parameters; indices of one material, on whatever side of whatever surface, are one line.
+
+    A trace takes a surface whose material differs from that of the ray for a gap, so that all sides change together:
+    one melt, or the air around.
+
+    Parameters
+    ----------
+    params : mi.SceneParameters
+    known : mapping of str to Parameter
+    chosen : iterable of str
+        Keys; where one side of a material is chosen, all are.
+    """
+    sides: dict[str, list[str]] = {}
+    for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
+        material = _material(params, key)
+        if material is not None:
+            sides.setdefault(material, []).append(key)
+    lines: dict[str, Line] = {}
+    for key in chosen:
+        parameter = known[key]
+        if parameter.kind == INDEX:
+            material = str(_material(params, key))
+            keys = sides[material]
+            active = tuple(k for k in keys if k in known)
+            silent = tuple(k for k in keys if k not in known)
+            lines.setdefault(f"index of {material}", Line(f"index of {material}", parameter, 0, active, silent))
+            continue
+        for entry in range(np.size(parameter.value)):
+            label = key if np.size(parameter.value) == 1 else f"{key}[{entry}]"
+            lines[label] = Line(label, parameter, entry, (key,))
+    return list(lines.values())
+
+
+def _material(params: Any, key: str) -> str | None:
+    """The material that an index shift is about; None for other keys."""
+    owner, name = params.properties[key][2], key.rsplit(".", 1)[-1]
+    if name not in SHIFTS or not hasattr(owner, "coating"):
+        return None
+    return str((owner.front, owner.back)[SHIFTS.index(name)])
+
+
+def shifted_values(params: Any, lines: Sequence[Line], numbers: Sequence[float]) -> dict[str, np.ndarray]:
+    """Whole values of all parameters that some lines are about, by key, at new numbers of the lines."""
+    values: dict[str, np.ndarray] = {}
+    for line, number in zip(lines, numbers, strict=True):
+        change = number - float(np.ravel(line.parameter.value)[line.entry])
+        for key in (*line.keys, *line.silent):
+            value = values.setdefault(key, np.ravel(np.array(params[key], dtype=np.float64)))
+            value[line.entry] += change
+    return values
+
+
+@dataclass(frozen=True)
+class Table:
+    """
+    Numbers of the lines, (n,) float64 each.
+
+    Attributes
+    ----------
+    lines : list of Line
+    ranges : Ranges
+        Values, physical ranges, tolerances, d ln(metric) / d value.
+    derivative, derivative_se : float64
+    edge_check : float64
+        By how much d ln(metric) per tolerance differs with half the width of the zone at rims; NaN where rims do not
+        count.
+    change_batches : (BATCHES, n) float64
+        d ln(metric) per tolerance from each batch of start rays; their sum is the whole.
+    """
+
+    lines: list[Line]
+    ranges: Ranges
+    derivative: np.ndarray
+    derivative_se: np.ndarray
+    edge_check: np.ndarray
+    change_batches: np.ndarray
+
+    @classmethod
+    def of(cls, found: Gradient, lines: list[Line], tolerances: Mapping[str, float]) -> Table:
+        """
+        Collect a gradient.
+
+        Parameters
+        ----------
+        found : Gradient
+            By all keys of the lines.
+        lines : list of Line
+        tolerances : mapping of str to float
+            By key.
+        """
+
+        def summed(values: Mapping[str, np.ndarray]) -> np.ndarray:
+            return np.stack([sum(values[key][..., line.entry] for key in line.keys) for line in lines], axis=-1)
+
+        batches = summed(found.batches)
+        derivative = batches.sum(axis=0)
+        wrong = [line.label for line, value in zip(lines, derivative, strict=True) if not np.isfinite(value)]
+        if wrong:
+            raise MistrayError(f"the derivative by '{wrong[0]}' is not finite; leave it out")
+        derivative_se = np.asarray(batch_error(batches.T, EQUAL))
+        tolerance = np.array([tolerances[line.parameter.key] for line in lines])
+        slope = derivative / found.value
+        ranges = Ranges(
+            np.array([float(np.ravel(line.parameter.value)[line.entry]) for line in lines]),
+            np.array([line.parameter.low for line in lines]),
+            np.array([line.parameter.high for line in lines]),
+            tolerance,
+            slope,
+            np.hypot(derivative_se, slope * found.value_se) / found.value,
+        )
+        none = {key: np.full(np.size(values), np.nan) for key, values in found.gradient.items()}
+        check = summed({**none, **found.edge_check})
+        scale = tolerance / found.value
+        return cls(lines, ranges, derivative, derivative_se, check * scale, batches * scale)
+
+    def reachable(self, free: set[str], reach: float) -> Ranges:
+        """The ranges within `reach` tolerances; R and T keep theirs, and what is not free has none."""
+        shares = [line.parameter.kind == "share" for line in self.lines]
+        farthest = np.where(shares, np.inf, reach * self.ranges.tolerance)
+        farthest[[not set(line.keys) <= free for line in self.lines]] = 0.0
+        value = self.ranges.value
+        low, high = np.maximum(self.ranges.low, value - farthest), np.minimum(self.ranges.high, value + farthest)
+        return replace(self.ranges, low=low, high=high)
+
+    def rows(self, free: set[str], reach: float, factor: float) -> list[Row]:
+        """The rows in the order of the lines, with what each alone would have to become."""
+        r = self.ranges
+        change, change_se = r.slope * r.tolerance, r.slope_se * r.tolerance
+        alone = single_changes(self.reachable(free, reach), factor)
+        return [
+            Row(
+                line=line,
+                low=float(r.low[k]),
+                high=float(r.high[k]),
+                value=float(r.value[k]),
+                tolerance=float(r.tolerance[k]),
+                derivative=Estimate(float(self.derivative[k]), float(self.derivative_se[k])),
+                change=Estimate(float(change[k]), float(change_se[k])),
+                edge_check=float(self.edge_check[k]),
+                alone=alone[k],
+                free=set(line.keys) <= free,
+            )
+            for k, line in enumerate(self.lines)
+        ]

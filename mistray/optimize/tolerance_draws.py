@@ -1,0 +1,158 @@
+"""Monte Carlo of manufactured systems: every parameter drawn within its tolerance, one trace for each system."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mistray.analysis.estimate import Estimate
+from mistray.errors import MistrayError
+from mistray.optimize.metrics import Metric
+from mistray.optimize.scene_values import changed
+from mistray.optimize.sensitivity_rows import Row, shifted_values
+
+PERCENTILES = (5.0, 50.0, 95.0)
+RESAMPLES = 400  # of the draws, for the errors of percentiles
+
+
+@dataclass(frozen=True)
+class Draws:
+    """
+    Metrics of perturbed systems.
+
+    Attributes
+    ----------
+    ratios : (draws,) float64
+        Metric over that of the nominal system, traced with the same rays.
+    predicted : (draws,) float64
+        ln of the same by the linear model.
+    nominal : float
+        Metric of the nominal system.
+    """
+
+    ratios: np.ndarray
+    predicted: np.ndarray
+    nominal: float
+
+    @property
+    def logs(self) -> np.ndarray:
+        """(draws,) ln of the ratios."""
+        return np.asarray(np.log(self.ratios))
+
+    @property
+    def deviation(self) -> Estimate:
+        """Standard deviation of ln(metric), with its error for a normal distribution."""
+        count = len(self.ratios)
+        value = float(self.logs.std(ddof=1))
+        return Estimate(value, value / math.sqrt(2 * (count - 1)))
+
+    @property
+    def mean(self) -> Estimate:
+        """Mean of the metric over that of the nominal system: what is not 1 is of second order."""
+        return Estimate(float(self.ratios.mean()), float(self.ratios.std(ddof=1)) / math.sqrt(len(self.ratios)))
+
+    @property
+    def predicted_deviation(self) -> float:
+        """Standard deviation that the linear model gives for these very draws."""
+        return float(self.predicted.std(ddof=1))
+
+    @property
+    def unexplained(self) -> float:
+        """Share of the variance of ln(metric) that the linear model does not explain."""
+        residual = self.logs - self.predicted
+        variance = float(self.logs.var())
+        return float(residual.var() / variance) if variance > 0 else 0.0
+
+    def percentile(self, percent: float) -> Estimate:
+        """Percentile of the ratios, with an error from resampling the draws."""
+        generator = np.random.default_rng(0)
+        picks = generator.integers(0, len(self.ratios), (RESAMPLES, len(self.ratios)))
+        return Estimate(
+            float(np.percentile(self.ratios, percent)),
+            float(np.percentile(self.ratios[picks], percent, axis=1).std(ddof=1)),
+        )
+
+
+def draw_systems(
+    metric: Metric,
+    params: Mapping[str, Any],
+    rows: Sequence[Row],
+    groups: Sequence[tuple[str, Sequence[int]]],
+    count: int,
+    seed: int,
+    advance: Callable[[], None],
+) -> Draws:
+    """
+    Trace systems whose parameters are drawn from normal distributions, σ the tolerance, cut at the physical range.
+
+    All are traced with the same rays, so that what differs between them is due to the parameters. Where R + T of an
+    ideal coating would exceed 1 both are scaled down.
+
+    Parameters
+    ----------
+    metric : Metric
+    params : mi.SceneParameters
+        Of its scene, which is as it was afterwards.
+    rows : sequence of Row
+        The parameters, with their derivatives.
+    groups : sequence of (str, sequence of int)
+        Numbers of the rows that are drawn together.
+    count : int
+        Systems, at least 2.
+    seed : int
+        Of the draws.
+    advance : callable
+        Called after each system.
+
+    Raises
+    ------
+    MistrayError
+        If a system is impossible or has no light; the message says which.
+    """
+    lines = [row.line for row in rows]
+    generator = np.random.default_rng(seed)
+    places = np.arange(len(rows))
+    for _, members in groups:
+        places[list(members)] = members[0]
+    value, low, high, tolerance = (
+        np.array([getattr(row, name) for row in rows]) for name in ("value", "low", "high", "tolerance")
+    )
+    slope = np.array([row.change.value for row in rows]) / tolerance
+    # Of the very rays that all systems are traced with
+    nominal = metric.value()
+    ratios, predicted = [], []
+    for number in range(count):
+        drawn = np.clip(value + tolerance * generator.standard_normal(len(rows))[places], low, high)
+        drawn = _possible(rows, drawn, params)
+        values = shifted_values(params, lines, drawn)
+        try:
+            with changed(params, values):
+                traced = metric.value()
+        except MistrayError as error:
+            raise MistrayError(f"perturbed system {number + 1}: {error}") from None
+        if not (math.isfinite(traced) and traced > 0):
+            raise MistrayError(f"perturbed system {number + 1}: the metric is {traced:g}; give more rays")
+        ratios.append(traced / nominal)
+        predicted.append(float(slope @ (drawn - value)))
+        advance()
+    return Draws(np.array(ratios), np.array(predicted), nominal)
+
+
+def _possible(rows: Sequence[Row], drawn: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:
+    """The draws with R + T ≤ 1 of every ideal coating."""
+    found = drawn.copy()
+    numbers = {row.line.keys[0]: k for k, row in enumerate(rows) if row.kind == "share"}
+    for owner in {key.rsplit(".", 1)[0] for key in numbers}:
+        keys = f"{owner}.R", f"{owner}.T"
+        shares = [found[numbers[key]] if key in numbers else float(params[key][0]) for key in keys]
+        if sum(shares) <= 1:
+            continue
+        for key, share, other in zip(keys, shares, reversed(shares), strict=True):
+            if key in numbers:  # the other one stays as it is where it is not drawn
+                both = all(item in numbers for item in keys)
+                found[numbers[key]] = share / sum(shares) if both else 1 - other
+    return found

@@ -1,0 +1,84 @@
+"""What a metric looks at: traces at field angles and point source transmittances, each made once."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from mistray.analysis.pst.run import RAYS, pst
+from mistray.errors import MistrayError
+from mistray.optimize.observation import Observation
+from mistray.optimize.pst_observation import PstObservation
+from mistray.trace import Settings, trace
+
+
+@dataclass(frozen=True)
+class View:
+    """
+    One trace of a scene.
+
+    Attributes
+    ----------
+    arguments : dict
+        Of `mistray.trace`.
+    """
+
+    arguments: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def key(self) -> tuple[Any, ...]:
+        """Equal for views that show the same."""
+        given = {name: value for name, value in self.arguments.items() if value is not None}
+        return type(self), tuple(sorted((name, _plain(value)) for name, value in given.items()))
+
+    def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> Observation | PstObservation:
+        """Trace the scene with so many times the rays; `changes` replace some of the arguments."""
+        return Observation(trace(scene, **self._arguments(scene, times, changes)))
+
+    def _arguments(self, scene: Any, times: float, changes: Mapping[str, Any]) -> dict[str, Any]:
+        arguments = {**self.arguments, **changes}
+        if times != 1:
+            rays = arguments.get("rays") or self._usual_rays(scene)
+            arguments["rays"] = max(round(times * rays), 1)
+        return arguments
+
+    def _usual_rays(self, scene: Any) -> int:
+        return Settings.of(scene).rays
+
+
+@dataclass(frozen=True)
+class PstView(View):
+    """
+    One point source transmittance of a scene.
+
+    Attributes
+    ----------
+    arguments : dict
+        Of `mistray.pst`.
+    """
+
+    def __post_init__(self) -> None:
+        for name in ("method", "relative_error", "error_up_to_deg", "state", "resume", "map_pixels", "paths"):
+            if name in self.arguments:
+                raise MistrayError(
+                    f"{name} is no setting of a PST metric: it traces `rays` rays by the adjoint method, each time anew"
+                )
+
+    def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
+        """Compute the PST with so many times the rays; `changes` replace some of the arguments."""
+        return PstObservation(pst(scene, paths=False, **self._arguments(scene, times, changes)))
+
+    def _usual_rays(self, scene: Any) -> int:
+        return RAYS["adjoint"]
+
+
+def _plain(value: Any) -> Any:
+    """A value that can be compared: sequences as tuples."""
+    if isinstance(value, np.ndarray):
+        value = value.tolist()
+    if isinstance(value, list | tuple | range):
+        return tuple(map(_plain, value))
+    return value

@@ -1,0 +1,156 @@
+"""The tables of an optimisation: terms and variables before and after, steps; as text, frames and JSON."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pandas as pd
+
+from mistray.analysis.estimate import Estimate
+from mistray.optimize import Comparison, Optimization, Term
+from mistray.optimize.merit import holds, limit_of
+from mistray.optimize.verify import Row
+from mistray.report.json_values import plain
+from mistray.report.text import number, text_table, with_error
+
+AT_BOUND = 1e-6  # of the way from bound to bound
+
+
+def goal_text(term: Term, start: float) -> str:
+    """What is to become of a term whose value at the start is known."""
+    if term.goal == "keep":
+        return f"keep ± {100 * term.tolerance:g} %"
+    limit = limit_of(term, start)
+    if limit is None:
+        return "minimise"
+    return f"{'≥' if term.goal == 'at_least' else '≤'} {number(limit, 4)}"
+
+
+def kept_text(term: Term, row: Row) -> str:
+    """Whether the result keeps to the goal of a term; "–" if it is only to be small."""
+    if term.goal == "minimise":
+        return "–"
+    return "yes" if holds(term, row.after, row.before) else "no"
+
+
+def terms_table(result: Optimization) -> str:
+    """The terms before and after, and whether their limits hold."""
+    rows = []
+    for term in result.study.terms:
+        row = result.comparison.of(term.name)
+        numbers = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
+        texts = (with_error(Estimate(*pair)) for pair in numbers)
+        rows.append([term.name, row.unit, *texts, goal_text(term, row.before), kept_text(term, row)])
+    heads = ["term", "unit", "before", "after", "before / after", "goal", "holds"]
+    return text_table([(head, "") for head in heads], rows, left=(0, 1, 5))
+
+
+def comparison_table(comparison: Comparison) -> str:
+    """Before and after: every term, each field and each wavelength of it."""
+    rows = []
+    for row in comparison.marginals():
+        where = "all"
+        if row.field_deg is not None:
+            where = f"field {row.field_deg:g}°"
+        elif row.wavelength_nm is not None:
+            where = f"{row.wavelength_nm:g} nm"
+        numbers = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
+        rows.append(
+            [row.term if row.whole else "", where, row.unit, *(with_error(Estimate(*pair)) for pair in numbers)]
+        )
+    heads = ["term", "", "unit", "before", "after", "before / after"]
+    return text_table([(head, "") for head in heads], rows, left=(0, 1, 2))
+
+
+def variables_table(result: Optimization) -> str:
+    """The variables before and after."""
+    rows = []
+    for variable, x in zip(result.variables.variables, result.best.x, strict=True):
+        held = "*" if min(variable.share(x), 1 - variable.share(x)) < AT_BOUND else " "
+        moved = variable.places[0].label if len(variable.places) == 1 else f"{len(variable.places)} parameters"
+        bounds = f"{number(variable.low)} … {number(variable.high)}"
+        rows.append([variable.name, variable.unit, number(variable.start), f"{number(x)}{held}", bounds, moved])
+    heads = ["variable", "unit", "before", "after", "bounds", "moves"]
+    table = text_table([(head, "") for head in heads], rows, left=(0, 1, 5))
+    return f"{table}\n* at its bound" if any("*" in row[3] for row in rows) else table
+
+
+def report_text(result: Optimization) -> str:
+    """What `mistray optimize` prints at the end."""
+    lines = [f"{len(result.comparison.seeds)} seeds not used in the search", terms_table(result), ""]
+    if any(not row.whole for row in result.comparison.rows):
+        lines += [comparison_table(result.comparison), ""]
+    lines += [variables_table(result), ""]
+    for item in result.placed:
+        layers = ", ".join(layer.material for layer in item.group.start.layers)
+        lines.append(
+            f"coating '{item.group.name}' on {', '.join(item.surfaces)}: {layers}; first layer {item.group.start.first}"
+        )
+    best = result.best
+    lines.append(
+        f"result: start {best.start + 1} of {len(result.starts)} ({result.starts[best.start].name}), step {best.step}, "
+        f"merit {best.merit:.5g}"
+    )
+    lines += [f"search from start {number + 1}: {reason}" for number, reason in sorted(result.ended.items())]
+    lines.append(
+        f"{result.steps[-1].evaluations} evaluations, {result.search_seconds:.1f} s ({result.traced_seconds:.1f} s for "
+        f"traces and derivatives); verification {result.verification_seconds:.1f} s"
+    )
+    lines += [f"not in the gradient: {text}" for text in result.left_out]
+    return "\n".join(lines)
+
+
+def optimization_record(result: Optimization) -> dict[str, Any]:
+    """The result as values that JSON knows."""
+    rows = [vars(row) for row in result.comparison.rows]
+    variables = [
+        {"name": v.name, "unit": v.unit, "low": v.low, "high": v.high, "before": v.start, "after": x}
+        for v, x in zip(result.variables.variables, result.best.x, strict=True)
+    ]
+    kept = {t.name: holds(t, (row := result.comparison.of(t.name)).after, row.before) for t in result.study.terms}
+    return dict(
+        plain(
+            {
+                "scene": str(result.source),
+                "study": result.study.name,
+                "terms": rows,
+                "holds": kept,
+                "variables": variables,
+                "start": result.starts[result.best.start].name,
+                "step": result.best.step,
+                "merit": result.best.merit,
+                "ended": result.ended,
+                "evaluations": result.steps[-1].evaluations,
+                "left_out": result.left_out,
+            }
+        )
+    )
+
+
+def variables_frame(result: Optimization) -> pd.DataFrame:
+    """The variables, one row for each parameter that they move."""
+    rows = []
+    for variable, x in zip(result.variables.variables, result.best.x, strict=True):
+        for place, after, _ in variable.moved(x):
+            rows.append(
+                {
+                    "variable": variable.name,
+                    "parameter": place.label,
+                    "unit": variable.unit,
+                    "low": variable.low,
+                    "high": variable.high,
+                    "before": place.start,
+                    "after": after,
+                }
+            )
+    return pd.DataFrame(rows)
+
+
+def history_frame(result: Optimization) -> pd.DataFrame:
+    """Every step of every search."""
+    rows = []
+    for step in result.steps:
+        numbers = ("start", "step", "evaluations", "merit", "merit_se", "gradient_norm", "seconds")
+        values = dict(zip(result.variables.names, step.x, strict=True))
+        rows.append({**{key: getattr(step, key) for key in numbers}, **step.terms, **values})
+    return pd.DataFrame(rows)

@@ -1,0 +1,165 @@
+"""A scene file as text that is edited in place: comments and layout stay as they are."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from xml.parsers import expat
+from xml.sax.saxutils import quoteattr
+
+from mistray.errors import MistrayError
+
+INDENT = "    "
+Edit = tuple[int, int, bytes]  # replaces the bytes from start to end
+
+
+@dataclass
+class Element:
+    """An element of the file and its place: ``<tag …>`` is start … inside, ``</tag>`` is close … end; byte offsets."""
+
+    tag: str
+    values: dict[str, str]
+    start: int
+    inside: int
+    close: int = 0
+    end: int = 0
+    parent: Element | None = None
+    children: list[Element] = field(default_factory=list)
+
+    def walk(self) -> Iterator[Element]:
+        """The element and all within it."""
+        yield self
+        for child in self.children:
+            yield from child.walk()
+
+
+class SceneFile:
+    """
+    A scene file: its bytes and its elements.
+
+    Raises
+    ------
+    MistrayError
+        If the file cannot be read or is no XML in UTF-8.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+        try:
+            self.data = path.read_bytes()
+        except OSError as error:
+            raise MistrayError(f"scene '{path}': {error.strerror}; check the path") from None
+        declared = re.match(rb"\s*<\?xml[^>]*encoding\s*=\s*[\"']([\w.-]+)", self.data)
+        if declared and declared[1].lower() not in (b"utf-8", b"us-ascii", b"ascii"):
+            raise MistrayError(f"scene '{path}': its encoding is {declared[1].decode()}; save it as UTF-8")
+        self.comments: list[tuple[int, int]] = []
+        self.root = self._parse()
+        self.ids = {e.values["id"]: e for e in self.root.walk() if "id" in e.values and e.tag != "ref"}
+
+    def _parse(self) -> Element:
+        parser = expat.ParserCreate()
+        stack: list[Element] = []
+        roots: list[Element] = []
+
+        def start(tag: str, values: dict[str, str]) -> None:
+            index = parser.CurrentByteIndex
+            parent = stack[-1] if stack else None
+            element = Element(tag, values, index, self._end_of_tag(index), parent=parent)
+            (parent.children if parent else roots).append(element)
+            stack.append(element)
+
+        def end(tag: str) -> None:
+            element = stack.pop()
+            if self.data[element.inside - 2 : element.inside] == b"/>":
+                element.close = element.end = element.inside
+            else:
+                element.close = parser.CurrentByteIndex
+                element.end = self.data.index(b">", element.close) + 1
+
+        def comment(text: str) -> None:
+            index = parser.CurrentByteIndex
+            self.comments.append((index, self.data.index(b"-->", index) + 3))
+
+        parser.StartElementHandler, parser.EndElementHandler = start, end
+        parser.CommentHandler = comment
+        try:
+            parser.Parse(self.data, True)
+        except expat.ExpatError as error:
+            raise MistrayError(
+                f"scene '{self.path}', line {error.lineno}: broken XML, {expat.ErrorString(error.code)}; correct it"
+            ) from None
+        return roots[0]
+
+    def _end_of_tag(self, index: int) -> int:
+        """Offset behind the ``>`` of the tag that starts at an offset; one within quotes does not count."""
+        match = re.compile(rb"<(?:[^\"'>]|\"[^\"]*\"|'[^']*')*>").match(self.data, index)
+        assert match is not None  # expat has read it
+        return match.end()
+
+    def text(self, element: Element) -> bytes:
+        """An element as it is written."""
+        return self.data[element.start : element.end]
+
+    def indent(self, element: Element) -> str:
+        """The blanks before an element that begins its line; empty otherwise."""
+        line = self.data[self.data.rfind(b"\n", 0, element.start) + 1 : element.start]
+        return line.decode() if not line.strip() else ""
+
+    def with_blanks(self, element: Element) -> tuple[int, int]:
+        """Place of an element with the line break and the blanks before it."""
+        before = len(self.data[: element.start].rstrip())
+        return (before if b"\n" in self.data[before : element.start] else element.start), element.end
+
+    def head(self, element: Element) -> int:
+        """Where an element begins, a comment right before it included."""
+        for start, end in self.comments:
+            if end <= element.start and not self.data[end : element.start].strip():
+                return start
+        return element.start
+
+    def meant(self, element: Element) -> Element | None:
+        """The object that an element is or refers to; None if that is not in the file."""
+        return self.ids.get(element.values.get("id", "")) if element.tag == "ref" else element
+
+    def surface(self, shape: Element) -> tuple[Element, Element] | None:
+        """The child of a shape that is its BSDF, and the BSDF that it is or refers to; None if there is none."""
+        for child in shape.children:
+            meant = self.meant(child)
+            if meant is not None and meant.tag == "bsdf":
+                return child, meant
+        return None
+
+    def edited(self, edits: Iterable[Edit], folder: Path) -> str:
+        """
+        The text with some edits.
+
+        Parameters
+        ----------
+        edits : iterable of Edit
+            They must not overlap.
+        folder : Path
+            Where the text will be stored. If the scene names files relative to its own folder and that is another one,
+            the text says where to look for them.
+        """
+        edits = list(edits)
+        if folder.resolve() != self.path.resolve().parent and self._names_files():
+            way = os.path.relpath(self.path.resolve().parent, folder.resolve())
+            pad = next((self.indent(child) for child in self.root.children), INDENT)
+            edits.append((self.root.inside, self.root.inside, f"\n{pad}<path value={quoteattr(way)}/>".encode()))
+        data = self.data
+        for start, end, new in sorted(edits, key=lambda edit: edit[:2], reverse=True):
+            data = data[:start] + new + data[end:]
+        return data.decode("utf-8")
+
+    def _names_files(self) -> bool:
+        """Whether a value of the scene is, or contains, the name of a file relative to the scene's folder."""
+        folder = self.path.parent
+        for element in self.root.walk():
+            for text in (element.values.get("value", ""), element.values.get("filename", "")):
+                words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
+                if any(not Path(word).is_absolute() and (folder / word).is_file() for word in words):
+                    return True
+        return False

@@ -1,0 +1,81 @@
+"""Derivatives of a metric by geometry and all else for a trace against the light: record, sort, replay by passes."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Iterator
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.trace.adjoint import Adjoint
+from mistray.trace.backward import BackwardTrace
+from mistray.trace.books import Recorder
+from mistray.trace.edges import Edges
+from mistray.trace.gatherer import Gatherer
+from mistray.trace.raw_gradient import RawGradient, Wanted
+from mistray.trace.ray_tree import walk
+from mistray.trace.replay import Exit
+from mistray.trace.replay_surfaces import Vector
+from mistray.trace.start_rays import StartRays
+
+CELL_BORDERS = "light whose direction of arrival moves across the border of a cell of angles"
+EXITS_PER_RAY = 8.0  # a first guess; portions that are too large are halved
+
+
+def backward_gradient(trace: BackwardTrace, derivative: np.ndarray, wanted: Wanted) -> Iterator[RawGradient]:
+    """
+    Derivatives of a metric of a trace against the light, from the same rays traced again and replayed.
+
+    Parameters
+    ----------
+    trace : BackwardTrace
+    derivative : (CLASS_COUNT, n, m) float64
+        Of the metric by the sums of the weights of each class in each cell.
+    wanted : Wanted
+
+    Yields
+    ------
+    RawGradient
+        For each wavelength.
+
+    Raises
+    ------
+    MistrayError
+        If the trace has gone on from a saved run, whose rays are not known.
+    """
+    if trace.pass_rays is None:
+        raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
+    for number, band in enumerate(trace.bands):
+        started = time.perf_counter()
+        gatherer = Gatherer(
+            band.table, band.scattering, trace.settings, wanted, trace.settings.max_events, band.table.detector
+        )
+        scene = band.table, band.scattering, trace.intersector
+
+        def trace_again(start: StartRays, scene: Any = scene, recorder: Recorder = gatherer.recorder) -> None:
+            walk(*scene, start, trace.settings, trace.film, recorder=recorder, sky=trace.make_sky(derivative))
+            dr.eval()
+            dr.sync_thread()
+
+        def end(row: mi.UInt32, keys: np.ndarray, recorder: Recorder = gatherer.recorder) -> Exit:
+            gain = dr.gather(mi.Float64, recorder.weight, row)
+            heading = Vector(*(mi.Float64(dr.gather(mi.Float, recorder.heading, 3 * row + k)) for k in range(3)))
+            return Exit(gain, dr.zeros(Vector, dr.width(row)), heading)
+
+        with dr.suspend_grad():
+            edges = Edges(*scene, trace.settings, trace.film, wanted.edge_width) if gatherer.edges else None
+            for done, rays in enumerate(trace.pass_rays):
+                whole = trace.start_pass(number, done, rays)
+                for start in gatherer.portions(whole, EXITS_PER_RAY, trace_again):
+                    gatherer.replay(start, lambda keys: np.ones(len(keys), dtype=bool), end)
+                if edges is not None:
+                    for start, events in edges.events(whole, Adjoint(0), sky=trace.make_sky(derivative)):
+                        gatherer.replay_edges(start, events)
+        raw = gatherer.result()
+        raw.left_out.append(CELL_BORDERS)
+        raw.seconds = time.perf_counter() - started
+        yield raw

@@ -1,0 +1,347 @@
+"""What a metric gains where rims move: rays that hit a surface close to a rim, and what became of them without it.
+
+Let Δ ≥ 0 be the distance of a hit from a rim: outer radius less ρ, ρ less inner radius, z less z_low and so on, in the
+frame of the surface. If the rim moves outwards by dΔ relative to the rays, those that have just missed it hit the
+surface, and the metric changes by the flux of rays per unit of Δ at the rim times what it gains from a ray that hits
+less what it gains from one that goes past. The flux density comes from the rays with Δ < ε, weighted with the one-sided
+linear boundary kernel (J. Fan and I. Gijbels, Local Polynomial Modelling and Its Applications, 1996, section 3.2)
+
+    k(Δ) = (4 - 6 Δ/ε)/ε,   ∫ k dΔ = 1,   ∫ k Δ dΔ = 0   over 0 … ε,
+
+so that the error goes with ε². With c = k · (gain of the hit - gain past the rim) held fixed, the derivative of Σ c Δ
+by any parameter is that of the metric: Δ depends on the rim, on the surface and on all that the ray has met before.
+
+A ray past the rim starts just outside of it, in the direction of the ray that hit. Where another surface of revolution
+touches the rim, the edge is the line in which both meet (see `mistray.trace.rim_joints`). A convex edge is described by
+the rays on either surface; if both end there, each counts half. The same goes for a concave edge, but there the rim
+itself has no part in where it is: Δ follows from the distance D = F/|∇F| of the hit from the other surface, which
+`EdgeEvents.joined` names, Δ = -D s/(n · u) with the gradient's direction n, the direction u in which the rim ends the
+surface and s the part of u along the coordinate in which Δ counts. The coefficient of D takes the place of that of Δ.
+
+What this does not see: outlines of surfaces that are not rims (a lens or tube seen from the side), lines in which
+surfaces cross away from their rims, and rims of meshes and other stock shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.sag import sag
+from mistray.trace.adjoint import Adjoint
+from mistray.trace.books import Film, Recorder
+from mistray.trace.intersect import Intersector
+from mistray.trace.ledger import EVENT_BITS, Ledger
+from mistray.trace.optics import ASPHERIC
+from mistray.trace.raw_gradient import RIM_COLUMNS
+from mistray.trace.ray_tree import walk
+from mistray.trace.rim_joints import rim_circles
+from mistray.trace.rims import HALF_HEIGHT, HALF_WIDTH, RimBook, rim_sizes, zone_widths
+from mistray.trace.scattering import Scattering
+from mistray.trace.settings import Settings
+from mistray.trace.sky import Sky
+from mistray.trace.start_rays import StartRays
+from mistray.trace.surfaces import NO_SURFACE, POLYNOMIAL_VECTORS, SurfaceTable
+from mistray.trace.upload import upload
+
+CAPACITY = 1 << 15  # hits that are kept at a time
+ROOM = 0.7  # share of it that the next portion of rays should fill
+FIRST_LANES = 1 << 12
+PAST = 1e-4  # distance from the rim at which rays go past it, in units of its radius or half side
+FLAT = 1e-3  # sine of the angle between surfaces that go on in one another
+CIRCLE_FLOATS, JOINT_FLOATS = 5, 6
+STREAM = 0x3C6EF372  # of the random numbers of rays past rims
+
+
+@dataclass
+class EdgeEvents:
+    """
+    Hits close to rims, with what they say about the derivative of a metric.
+
+    Attributes
+    ----------
+    paths : Recorder
+        Where the paths up to and with the hits are; points only.
+    row : (n,) mi.UInt32
+        Rows of the hits in `paths`.
+    batch : (n,) mi.UInt32
+        Batches of their start rays.
+    rim : (n,) mi.UInt32
+        The rim, as a place in `RIM_COLUMNS`.
+    joined : (n,) mi.UInt32
+        Surface that meets the rim in a concave edge; `NO_SURFACE` for all others.
+    delta : (n,) mi.Float
+        Distance from the rim, mm.
+    c, c_half : (n,) mi.Float64
+        Coefficients of Δ, 1/mm, for the width that was asked for and for half of it; where there is a `joined` surface
+        those of the distance F/|∇F| from it. In units of a start ray.
+    """
+
+    paths: Recorder
+    row: mi.UInt32
+    batch: mi.UInt32
+    rim: mi.UInt32
+    joined: mi.UInt32
+    delta: mi.Float
+    c: mi.Float64
+    c_half: mi.Float64
+
+
+class Edges:
+    """
+    Rims of a scene, for rays with or against the light.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    scattering : Scattering
+    intersector : Intersector
+    settings : Settings
+    film : Film
+    width : float
+        Of the zones along the rims, in units of their radius or half side.
+    """
+
+    def __init__(
+        self,
+        table: SurfaceTable,
+        scattering: Scattering,
+        intersector: Intersector,
+        settings: Settings,
+        film: Film,
+        width: float,
+    ) -> None:
+        self._scene = (table, scattering, intersector)
+        self._table, self._settings, self._film = table, settings, film
+        self._book = RimBook(table, width, CAPACITY, settings.max_events)
+        self._lanes = FIRST_LANES
+        rims = len(RIM_COLUMNS)
+        sizes = np.zeros((table.count, rims, 2))
+        for piece in table.pieces:
+            for rim, zone in zone_widths(piece, width).items():
+                sizes[piece.index, rim] = rim_sizes(piece)[rim], zone
+        found = rim_circles(table)
+        self._most = max((len(circle.joints) for circle in found.values()), default=0)
+        room = max(self._most, 1)
+        circles = np.zeros((table.count, rims, CIRCLE_FLOATS))
+        joints = np.zeros((table.count, rims, room, JOINT_FLOATS))
+        surfaces = np.full((table.count, rims, room), NO_SURFACE, dtype=np.uint32)
+        for (surface, rim), circle in found.items():
+            circles[surface, rim] = *circle.point, *circle.outward, circle.stretch
+            for k, joint in enumerate(circle.joints):
+                joints[surface, rim, k] = *joint.along, *joint.gradient, float(joint.ends), 1.0
+                surfaces[surface, rim, k] = joint.surface
+        self._sizes, self._circles, self._joints = (upload(mi.Float, v) for v in (sizes, circles, joints))
+        self._joined = upload(mi.UInt32, surfaces)
+
+    def events(
+        self, start: StartRays, adjoint: Adjoint, ledger: Ledger | None = None, sky: Sky | None = None
+    ) -> Iterator[tuple[StartRays, EdgeEvents]]:
+        """
+        Hits close to rims of the trees of some start rays, in portions of a bounded size.
+
+        Parameters
+        ----------
+        start : StartRays
+        adjoint : Adjoint
+            The metric; without rows.
+        ledger : Ledger, optional
+            If the metric depends on paths.
+        sky : Sky, optional
+            The metric of rays against the light; `Sky.gain` tells.
+
+        Yields
+        ------
+        start : StartRays
+            The rays of the portion.
+        events : EdgeEvents
+            Valid until the next portion.
+
+        Raises
+        ------
+        MistrayError
+            If a single start ray has more hits than can be kept.
+        """
+        done, count = 0, dr.width(start.lane)
+        while done < count:
+            here = min(self._lanes, count - done)
+            part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
+            self._book.paths.clear()
+            self._gains(part, adjoint, ledger, sky, self._book)
+            hits = int(self._book.paths.count[0])
+            self._lanes = max(1, min(4 * here, int(here * ROOM * CAPACITY / max(hits, 1))))
+            if hits > CAPACITY:
+                if here == 1:
+                    raise MistrayError(
+                        f"a single start ray hits {hits} times close to a rim, more than {CAPACITY}; narrow the edge "
+                        "zones or lower max_reflections or max_scatters"
+                    )
+                continue
+            done += here
+            if hits:
+                yield part, self._compare(hits, adjoint, ledger, sky)
+
+    def _gains(
+        self, start: StartRays, adjoint: Adjoint, ledger: Ledger | None, sky: Sky | None, rims: RimBook | None = None
+    ) -> mi.Float64:
+        """What the metric gains from the tree of each ray."""
+        more = {"ledger": ledger, "adjoint": adjoint, "sky": sky, "rims": rims}
+        gain = walk(*self._scene, start, self._settings, self._film, **more)
+        dr.eval(gain)
+        dr.sync_thread()
+        return gain
+
+    def _compare(self, hits: int, adjoint: Adjoint, ledger: Ledger | None, sky: Sky | None) -> EdgeEvents:
+        """Let rays go past the rims, and compare."""
+        book, row = self._book, dr.arange(mi.UInt32, hits)
+        rim, delta, copies = (dr.gather(type(v), v, row) for v in (book.rim, book.delta, book.copies))
+        past = self._past(row, rim)
+        gain = dr.gather(mi.Float64, book.gain, row) - self._gains(past.start, adjoint, ledger, sky)
+        gain *= past.factor * mi.Float64(copies)
+        zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
+        c, c_half = (gain * kernel(mi.Float64(delta), mi.Float64(width)) for width in (zone, 0.5 * zone))
+        counts = dr.compress(c != 0)
+        kept = [dr.gather(type(v), v, counts) for v in (row, past.start.batch, rim, past.joined, delta, c, c_half)]
+        dr.eval(kept)
+        return EdgeEvents(book.paths, *kept)
+
+    def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
+        """Rays that go past the rims."""
+        book, table = self._book, self._table
+        length = dr.gather(mi.UInt32, book.paths.length, row)
+        last = row * book.paths.max_events + length - 1
+        s = dr.gather(mi.UInt32, book.paths.codes, last) >> EVENT_BITS
+        p = mi.Vector3f(*(dr.gather(mi.Float, book.paths.nodes, last * book.paths.node_floats + j) for j in range(3)))
+        d = mi.Vector3f(*(dr.gather(mi.Float, book.paths.heading, 3 * row + j) for j in range(3)))
+        w = mi.Float(dr.gather(mi.Float64, book.paths.weight, row))
+        vertex = dr.gather(mi.Vector4f, table.vertex, s)
+        rows = [dr.gather(mi.Vector4f, table.rotation, 3 * s + k).xyz for k in range(3)]
+        q = mi.Vector3f(sum(rows[k] * (p - vertex.xyz)[k] for k in range(3)))
+        along = mi.Vector3f(sum(rows[k] * d[k] for k in range(3)))
+        place = s * len(RIM_COLUMNS) + rim
+        size = dr.gather(mi.Float, self._sizes, 2 * place)
+        circle = [dr.gather(mi.Float, self._circles, CIRCLE_FLOATS * place + j) for j in range(CIRCLE_FLOATS)]
+        rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
+        radial = mi.Vector2f(q.x, q.y) / rho
+        outward = mi.Vector2f(circle[2], circle[3])
+        direction = mi.Vector2f(dr.dot(radial, mi.Vector2f(along.x, along.y)), along.z)
+        corner = self._corner(place, outward, circle[4], direction)
+        # Beside a circle: just past its point nearest to the hit, or, where another surface begins there, on that
+        beside = mi.Vector2f(circle[0], circle[1]) + PAST * size * corner.step
+        beside = mi.Vector3f(radial.x * beside.x, radial.y * beside.x, beside.y)
+        beside = dr.select(circle[4] > 0, beside, self._beside_straight(s, q, rim, PAST * size))
+        o = mi.Vector3f(*(dr.dot(rows[k], beside) for k in range(3))) + vertex.xyz
+        before = {name: dr.gather(type(v), v, row) for name, v in book.before.items()}
+        key = before["key"]
+        # The order of the rows changes from run to run: random numbers go with the ray itself
+        bits = dr.reinterpret_array(mi.UInt32, p.x) ^ (dr.reinterpret_array(mi.UInt32, p.y) * 0x85EBCA6B)
+        lane = dr.gather(mi.UInt32, book.paths.lane, row)
+        own = mi.UInt32(key) ^ mi.UInt32(key >> 32) ^ bits ^ dr.opaque(mi.UInt32, self._settings.seed ^ STREAM)
+        state, sequence = mi.sample_tea_32(own, lane)
+        rng = mi.PCG32(size=dr.width(row), initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
+        left = dr.select(corner.left == NO_SURFACE, s, corner.left)
+        start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=corner.at, **before)
+        dr.eval(rng, vars(start))
+        return _Past(start, place, corner.factor, corner.joined)
+
+    def _beside_straight(self, s: mi.UInt32, q: mi.Vector3f, rim: mi.UInt32, step: mi.Float) -> mi.Vector3f:
+        """The point past a side of a rectangle, in the frame of the surface, mm."""
+        table = self._table
+        half = dr.gather(mi.Vector2f, table.half_size, s) + step
+        x = dr.select(rim == HALF_WIDTH, dr.mulsign(half.x, q.x), q.x)
+        y = dr.select(rim == HALF_HEIGHT, dr.mulsign(half.y, q.y), q.y)
+        quadric = dr.gather(mi.Vector4f, table.quadric, s)
+        conic = dr.select(quadric.x == 0, 0, quadric.y / quadric.x - 1)
+        r2 = dr.fma(x, x, y * y)
+        z = sag(r2, quadric.x, conic)
+        if table.coefficient_count:
+            word = dr.gather(mi.UInt32, table.optics.words, s)
+            at = [
+                dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * s + k) for k in range(POLYNOMIAL_VECTORS)
+            ]
+            c, k, *coefficients = (at[j // 4][j % 4] for j in range(2 + table.coefficient_count))
+            z = dr.select((word & ASPHERIC) != 0, sag(r2, c, k, coefficients), z)
+        return mi.Vector3f(x, y, z)
+
+    def _corner(self, place: mi.UInt32, u: mi.Vector2f, stretch: mi.Float, d: mi.Vector2f) -> _Corner:
+        """What the surfaces that touch a rim mean for a ray along d beside it, see `mistray.trace.rim_joints`."""
+        found = _Corner(mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.Float64(1), u)
+        first = mi.Float(dr.inf)
+        for k in range(self._most):
+            number = place * self._most + k
+            v = [dr.gather(mi.Float, self._joints, JOINT_FLOATS * number + j) for j in range(JOINT_FLOATS)]
+            along, gradient = mi.Vector2f(v[0], v[1]), mi.Vector2f(v[2], v[3])
+            surface, there, ends = dr.gather(mi.UInt32, self._joined, number), v[5] > 0, v[4] > 0
+            across = _cross(along, d)
+            t = _cross(u, along) / across
+            corner = dr.abs(_cross(u, along)) > FLAT
+            beyond = _cross(u, d) * across > 0
+            share = mi.Float64(dr.select(ends, 0.5, 1))
+            distance = -mi.Float64(stretch / dr.dot(gradient, u))
+            # The ray that hit has just left the other surface. Where that ends here, its own rim tells all; else the
+            # ray beside it starts on its other half
+            left = there & ~beyond & corner & (t > 0)
+            near = there & beyond & (t < first)
+            concave = corner & (t < 0)
+            first = dr.select(left, -dr.inf, dr.select(near, t, first))
+            found = _Corner(
+                at=dr.select(near, surface, dr.select(left, NO_SURFACE, found.at)),
+                left=dr.select(left, surface, dr.select(near, NO_SURFACE, found.left)),
+                joined=dr.select(left | (near & concave), surface, dr.select(near, NO_SURFACE, found.joined)),
+                factor=dr.select(
+                    left,
+                    dr.select(ends, 0, distance),
+                    dr.select(near, dr.select(concave, share * distance, share), found.factor),
+                ),
+                step=dr.select(left, -along, dr.select(near, 0, found.step)),
+            )
+        return found
+
+
+@dataclass
+class _Corner:
+    """
+    How a ray goes past a rim where other surfaces touch it.
+
+    Attributes
+    ----------
+    at, left : mi.UInt32
+        Surface that it meets at once, or that it starts on.
+    joined : mi.UInt32
+        Surface that says where the edge is.
+    factor : mi.Float64
+        Of the coefficient.
+    step : mi.Vector2f
+        From the rim to where it starts, in units of its distance.
+    """
+
+    at: mi.UInt32
+    left: mi.UInt32
+    joined: mi.UInt32
+    factor: mi.Float64
+    step: mi.Vector2f
+
+
+@dataclass
+class _Past:
+    """Rays that go past rims, the places of these in the tables, the factors of their coefficients, what they join."""
+
+    start: StartRays
+    place: mi.UInt32
+    factor: mi.Float64
+    joined: mi.UInt32
+
+
+def kernel(delta: Any, width: Any) -> Any:
+    """The boundary kernel at a distance from the rim, 1/mm; 0 beyond its width."""
+    return dr.select(delta < width, (4 - 6 * delta / width) / width, 0)
+
+
+def _cross(a: mi.Vector2f, b: mi.Vector2f) -> mi.Float:
+    return a.x * b.y - a.y * b.x

@@ -1,0 +1,224 @@
+"""Recorded rays of a pass, sorted by path and replayed: what traces with the light and against it have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.trace.adjoint import CHANNELS
+from mistray.trace.books import Recorder
+from mistray.trace.edges import EdgeEvents
+from mistray.trace.ledger import host_keys
+from mistray.trace.raw_gradient import RawGradient, Wanted
+from mistray.trace.replay import Branches, End, Exit, follow, replay_rays
+from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split, Vector
+from mistray.trace.scatter_replay import ScatterReplay
+from mistray.trace.scattering import Scattering
+from mistray.trace.settings import Settings
+from mistray.trace.start_rays import StartRays
+from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
+
+CAPACITY = 1 << 17  # rays that are recorded at once
+ROOM = 1.3  # of the buffer over what the trace has counted
+
+
+class Gatherer:
+    """
+    Sums of the derivatives of a metric over recorded rays.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    scattering : Scattering
+    settings : Settings
+    wanted : Wanted
+    longest : int
+        Longest path.
+    start_surface : int, optional
+        Surface that the rays start from, against the light.
+
+    Raises
+    ------
+    MistrayError
+        For meshes and other stock shapes, media that scatter, polarised light.
+    """
+
+    def __init__(
+        self,
+        table: SurfaceTable,
+        scattering: Scattering,
+        settings: Settings,
+        wanted: Wanted,
+        longest: int,
+        start_surface: int | None = None,
+    ) -> None:
+        _check(table, settings)
+        self.table, self.scattering, self.wanted = table, scattering, wanted
+        self.surfaces = ReplaySurfaces(table, wanted)
+        self.scatter = ScatterReplay(table, scattering) if scattering.any else None
+        self.recorder = Recorder(CAPACITY, longest, mi.UInt64(dr.opaque(mi.UInt64, 0)), points_only=True)
+        self.start_surface = start_surface
+        # Rays at rims have only a place that changes; what it costs is in their coefficients
+        places = replace(wanted, rows=False, scatter=False)
+        moves = wanted.geometry or wanted.indices
+        self.edges = [ReplaySurfaces(table, places) for _ in range(2)] if wanted.edges and moves else []
+        self.strayed = self.rays = 0
+
+    def portions(self, start: StartRays, hits_per_ray: float, walk: Callable[[StartRays], None]) -> Iterator[StartRays]:
+        """
+        Walk the rays of a pass in portions that the recorder holds; yields each when it is recorded.
+
+        Parameters
+        ----------
+        start : StartRays
+        hits_per_ray : float
+            What is recorded of a start ray on average.
+        walk : callable
+            Traces some start rays with `recorder`.
+        """
+        lanes = max(1, int(CAPACITY / (ROOM * max(1.0, hits_per_ray))))
+        count, done = dr.width(start.lane), 0
+        while done < count:
+            here = min(lanes, count - done)
+            part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
+            self.recorder.clear()
+            walk(part)
+            recorded = int(self.recorder.count[0])
+            if recorded <= CAPACITY:
+                yield part
+                done += here
+            elif here == 1:
+                raise MistrayError(
+                    f"a single start ray has {recorded} ends, more than {CAPACITY}; raise flux_threshold or lower "
+                    "max_reflections or max_scatters"
+                )
+            lanes = here // 2 if recorded > CAPACITY else lanes
+
+    def replay(
+        self,
+        start: StartRays,
+        counts: Callable[[np.ndarray], np.ndarray],
+        end: Callable[[mi.UInt32, np.ndarray], End | Exit],
+    ) -> None:
+        """
+        Replay the recorded rays of a portion.
+
+        Parameters
+        ----------
+        start : StartRays
+            The portion.
+        counts : callable
+            Takes the keys of the rays, (n,) uint64, and says which of them matter, (n,) bool.
+        end : callable
+            What the metric gains from them, given their rows in the recorder in the order of the lanes, and their keys.
+        """
+        keys = _keys(self.recorder, np.arange(int(self.recorder.count[0])))
+        # Neighbours do the same work when they have had the same events
+        order = np.argsort(keys, kind="stable")
+        order = order[counts(keys)[order]]
+        if not len(order):
+            return
+        rays = branches(self.recorder, start, order)
+        found = follow(self.surfaces, rays)
+        replay_rays(self.surfaces, rays, found, end(rays.row, keys[order]), self.scatter, self.start_surface)
+        self.strayed += int(dr.count(found.strayed)[0])
+        self.rays += len(order)
+
+    def replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
+        """Replay the hits close to rims of a portion."""
+        rows = np.array(events.row)
+        for surfaces, c in zip(self.edges, (events.c, events.c_half), strict=True):
+            used = np.flatnonzero(np.array(c))
+            if not len(used):
+                continue
+            chosen = used[np.argsort(_keys(events.paths, rows[used]), kind="stable")]
+            rays = branches(events.paths, start, rows[chosen])
+            picked = mi.UInt32(chosen.astype(np.uint32))
+            rim, joined = (dr.gather(mi.UInt32, v, picked) for v in (events.rim, events.joined))
+            end = RimEnd(rim, joined, dr.gather(mi.Float64, c, picked))
+            replay_rays(surfaces, rays, follow(surfaces, rays), end, None, self.start_surface)
+
+    def result(self) -> RawGradient:
+        """What has been gathered."""
+        wanted = self.wanted
+        raw = RawGradient(self.table, self.scattering, backward=self.start_surface is not None)
+        if wanted.geometry:
+            raw.geometry = self.surfaces.geometry()
+        if wanted.indices:
+            raw.indices = self.surfaces.index_gradient()
+        if self.edges:
+            raw.edges = np.stack([surfaces.geometry() for surfaces in self.edges])
+            if wanted.indices:
+                raw.edge_indices = np.stack([surfaces.index_gradient() for surfaces in self.edges])
+        if wanted.rows:
+            raw.rows = self.surfaces.row_gradient(CHANNELS)
+        if wanted.scatter and self.scatter is not None:
+            raw.scatter = self.scatter.derivatives()
+        if self.strayed:
+            raw.left_out.append(f"{self.strayed} of {self.rays} rays, which could not be followed again in float64")
+        return raw
+
+
+class RimEnd:
+    """
+    What the metric gains from hits close to rims when they move relative to the rim, see `mistray.trace.edges`.
+
+    Parameters
+    ----------
+    rim, joined : mi.UInt32
+    c : mi.Float64
+        As in `EdgeEvents`.
+    """
+
+    def __init__(self, rim: mi.UInt32, joined: mi.UInt32, c: mi.Float64) -> None:
+        self._rim, self._joined, self._c = rim, joined, c
+
+    def __call__(
+        self, surfaces: ReplaySurfaces, met: Met, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
+    ) -> mi.Float64:
+        """The gain to first order: its value is 0."""
+        free = self._joined == NO_SURFACE
+        distance = surfaces.rim_distance(met, self._rim, s, batch, active & free)
+        corner = active & ~free
+        apart = surfaces.distance_from(
+            surfaces.world_point(met, s, corner), dr.select(free, 0, self._joined), batch, corner
+        )
+        value = self._c * dr.select(free, distance, apart)
+        return value - dr.detach(value)
+
+
+def _keys(recorder: Recorder, rows: np.ndarray) -> np.ndarray:
+    """(n,) uint64 keys of recorded rays."""
+    codes = np.array(recorder.codes).reshape(-1, recorder.max_events)[rows]
+    return host_keys(codes, np.array(recorder.length)[rows])
+
+
+def branches(recorder: Recorder, start: StartRays, rows: np.ndarray) -> Branches:
+    """Recorded rays of a portion."""
+    row = mi.UInt32(rows.astype(np.uint32))
+    lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
+    length = dr.gather(mi.UInt32, recorder.length, row)
+    o, d = (Vector(dr.gather(mi.Vector3f, v, lane)) for v in (start.o, start.d))
+    d = dr.normalize(d)
+    batch = dr.gather(mi.UInt32, start.batch, lane)
+    dr.eval(row, length, o, d, batch)
+    stride = dr.opaque(mi.UInt32, recorder.max_events)
+    longest = max(1, int(np.array(length).max()))
+    return Branches(o, d, batch, length, row, recorder.codes, recorder.nodes, stride, recorder.node_floats, longest)
+
+
+def _check(table: SurfaceTable, settings: Settings) -> None:
+    if settings.stokes:
+        raise MistrayError("gradients need polarization='unpolarized'; the Stokes vector has no derivative yet")
+    if table.stock_scene is not None:
+        raise MistrayError(
+            f"shape '{table.ids[len(table.pieces)]}' is none of mistray's own; gradients by anything but coatings need "
+            "'asphere' and 'frustum' shapes only"
+        )
+    if table.optics.scatters:
+        raise MistrayError("a medium of the scene scatters; gradients by anything but coatings know surfaces only")

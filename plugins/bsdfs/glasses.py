@@ -1,0 +1,83 @@
+"""The two materials of an interface, and what is added to their indices."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.materials import complex_index, refractive_index, resolved, shifted
+
+SHIFTS = ("n_front_shift", "n_back_shift")
+
+
+class Glasses:
+    """
+    Materials in front and behind, each with a differentiable number that is added to its real index.
+
+    Parameters
+    ----------
+    props : mi.Properties
+        ``front``, ``back``, ``n_front_shift`` and ``n_back_shift``.
+    resolve : callable
+        Path of a scene → path of the file.
+
+    Attributes
+    ----------
+    front, back : str
+        Material strings; a shift is in them as the suffix ``shift=VALUE``, so that all that depends on a material
+        has it.
+    parameters : dict of str to mi.Float
+        The shifts.
+    """
+
+    def __init__(self, props: mi.Properties, resolve: Callable[[str], str]) -> None:
+        self._given = [resolved(str(props.get(side, "air")), resolve) for side in ("front", "back")]
+        self._names = self._given[0], self._given[1]
+        self.parameters = {name: mi.Float(float(props.get(name, 0.0))) for name in SHIFTS}
+
+    def update(self, wavelength_nm: float) -> bool:
+        """
+        Take the shifts from `parameters`, and say whether they have changed.
+
+        Raises
+        ------
+        MistrayError
+            If a number is impossible at this wavelength; then nothing has changed.
+        """
+        values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.parameters.values())
+        for name, value in zip(SHIFTS, values, strict=True):
+            if value.shape != (1,) or not np.isfinite(value[0]):
+                raise MistrayError(f"{name} is {value.tolist()}; give one finite number")
+        front, back = (shifted(material, float(value[0])) for material, value in zip(self._given, values, strict=True))
+        for material in (front, back):
+            refractive_index(material, wavelength_nm)
+        changed = (front, back) != self._names
+        self._names, self._held = (front, back), values
+        return changed
+
+    def restore(self) -> None:
+        """Put the values that were taken last back into `parameters`."""
+        for value, held in zip(self.parameters.values(), self._held, strict=True):
+            mi.set_property(value, mi.Float(held))  # in place: mi.traverse has handed out this very object
+
+    @property
+    def front(self) -> str:
+        return self._names[0]
+
+    @property
+    def back(self) -> str:
+        return self._names[1]
+
+    def transparent(self, wavelength_nm: float) -> tuple[complex, complex]:
+        """Indices for stock integrators, which know no absorption in media: without k a material is transparent."""
+        found = []
+        for material in self._names:
+            try:
+                found.append(complex_index(material, wavelength_nm))
+            except MistrayError:
+                found.append(complex(refractive_index(material, wavelength_nm)))
+        return found[0], found[1]

@@ -1,0 +1,101 @@
+"""A run against the light: what its result says of single rays, and how often it reads and saves its books."""
+
+from __future__ import annotations
+
+import signal
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
+from oracles.small_scenes import interface_xml, write
+
+import mistray
+from mistray.analysis.pst import run
+from mistray.analysis.pst.state import PstProgress, load_state
+from mistray.trace.backward import BackwardTrace
+from mistray.trace.settings import Settings
+from mistray.trace.sky import CLASSES, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
+
+RAYS = 8192  # less than a first pass: one pass
+SCATTERED = ("single_scatter", "multiple_scatter")
+
+
+@pytest.fixture(scope="module")
+def window(tmp_path_factory: pytest.TempPathFactory) -> Any:
+    """A window of strong reflections that scatters a little, so that there is more ghost than scattered light."""
+    rough = scattering_xml([bsdf_xml("abg", A=1e-3, B=1e-2, g=2.0)], "air", "1.5", R=0.4, T=0.5)
+    text = scatter_scene(
+        beam_xml(1.0),
+        placed_xml("asphere", "front", rough, semi_diameter=4.0),
+        placed_xml("asphere", "rear", interface_xml("1.5", "air", R=0.4, T=0.6), at=(0, 0, 1), semi_diameter=4.0),
+        placed_xml("asphere", "detector", at=(0, 0, 2), pixels=4, semi_diameter=1.0),
+    )
+    return mistray.load(write(tmp_path_factory.mktemp("window"), text))
+
+
+def test_classes_have_the_order_of_their_names() -> None:
+    numbers = {"direct": DIRECT, "straight_shot": STRAIGHT, "ghost": GHOST, "single_scatter": SINGLE}
+    assert {name: CLASSES.index(name) for name in CLASSES} == numbers | {"multiple_scatter": MULTIPLE}
+
+
+def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
+    """The strongest scattered ray of the same trace over the PST of the classes that scatter; ghosts do not count."""
+    found = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, max_scatters=2, paths=False)
+    trace = BackwardTrace(window, found.grid, Settings.of(window, max_scatters=2))
+    trace.advance(RAYS)
+    strongest = np.pi * trace.sums["largest"] / (found.grid.solid_angle[:, None] * RAYS)
+    scattered = found.map(SCATTERED)[0]
+    assert found.largest_share is not None
+    np.testing.assert_allclose(found.largest_share * scattered, strongest, rtol=1e-6)
+    assert np.all(strongest > 0)
+    assert np.all(found.map("ghost")[0] > 0.5 * scattered)  # else ghosts would hardly show
+
+
+@pytest.fixture
+def counts(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
+    """How often the state was saved and the table of paths read."""
+    found = {"saved": 0, "read": 0}
+    save, read = run.save_state, BackwardTrace.paths
+
+    def counted_save(*arguments: Any) -> Path:
+        found["saved"] += 1
+        return save(*arguments)
+
+    def counted_read(self: BackwardTrace) -> Any:
+        found["read"] += 1
+        return read(self)
+
+    monkeypatch.setattr(run, "save_state", counted_save)
+    monkeypatch.setattr(BackwardTrace, "paths", counted_read)
+    return found
+
+
+def test_what_has_been_saved_is_not_saved_again(window: Any, counts: dict[str, int], tmp_path: Path) -> None:
+    state = tmp_path / "state.npz"
+    first = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, state=state)
+    assert counts == {"saved": 1, "read": 1}
+    again = mistray.pst(window, [0.0, 30.0], cell_deg=10.0, rays=RAYS, state=state, resume=True)
+    assert counts == {"saved": 1, "read": 2}
+    np.testing.assert_array_equal(again.value, first.value)
+    assert again.paths(0.0).equals(first.paths(0.0))
+
+
+def test_an_interrupt_saves_the_pass_that_it_waited_for(
+    window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Also where saving would have cost more than its share of the time."""
+    monkeypatch.setattr(run, "SAVING", -1.0)
+    reports: list[PstProgress] = []
+
+    def press(now: PstProgress) -> None:
+        reports.append(now)
+        if len(reports) == 2:
+            signal.raise_signal(signal.SIGINT)
+
+    with pytest.raises(KeyboardInterrupt):
+        mistray.pst(window, [0.0], rays=10_000_000, paths=False, state=tmp_path / "s.npz", progress=press)
+    arrays, facts = load_state(tmp_path / "s.npz")
+    assert facts["passes"] == len(reports) == 2
+    assert round(float(arrays["rays"].sum())) == reports[-1].rays_done

@@ -1,0 +1,211 @@
+"""Scenes whose recorded rays the oracle of frozen paths follows, and metrics that both sides compute."""
+
+from __future__ import annotations
+
+import tempfile
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from oracles import small_scenes
+from oracles.frozen_paths import FrozenPaths, Hits, power, rms_radius
+from oracles.frozen_scene import FrozenScene, read_frozen
+from oracles.geometry import Array, Frustum
+from recorded_rays import recorded_bundles
+
+import mistray
+from mistray.optimize import Metric
+
+SCENES = Path(__file__).parents[1] / "scenes"
+LAYERS = '<bsdf type="thinfilm"><string name="layers" value="1.38 95, 2.1 120, 1.63 80"/></bsdf>'
+NORM = 16.0  # of the peak
+
+
+def scene_text(name: str) -> str:
+    """XML of a shipped scene."""
+    return (SCENES / name / "scene.xml").read_text(encoding="utf-8")
+
+
+def coated_text(text: str, *shape_ids: str) -> str:
+    """A scene's XML with three layers on some bare surfaces."""
+    root = ElementTree.fromstring(text)
+    for shape in root.iter("shape"):
+        if shape.attrib["id"] in shape_ids:
+            shape.find("bsdf").append(ElementTree.fromstring(LAYERS))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def with_values(text: str, shape_id: str, **values: float) -> str:
+    """A scene's XML with numbers of a shape or, as bsdf_R and bsdf_T, of its interface."""
+    root = ElementTree.fromstring(text)
+    (shape,) = [node for node in root.iter("shape") if node.attrib["id"] == shape_id]
+    for name, value in values.items():
+        place = shape.find("bsdf") if name.startswith("bsdf_") else shape
+        name = name.removeprefix("bsdf_")
+        for old in [node for node in place if node.attrib.get("name") == name]:
+            place.remove(old)
+        place.append(ElementTree.Element("float", {"name": name, "value": repr(value)}))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+@dataclass
+class Case:
+    """
+    A scene, its trace, and the oracle's view of all rays that reach the detector.
+
+    Attributes
+    ----------
+    text : str
+        XML of the scene without the new parameters of position, tilt and index.
+    moved : dict
+        Keys of those and their values, set on both sides.
+    settings : dict
+        Of `mistray.trace`.
+    """
+
+    text: str
+    settings: dict[str, Any]
+    moved: dict[str, float] = field(default_factory=dict)
+
+    @cached_property
+    def scene(self) -> Any:
+        """Mitsuba scene."""
+        with tempfile.TemporaryDirectory() as folder:
+            scene = mistray.load(small_scenes.write(Path(folder), self.text))
+        params = mi.traverse(scene)
+        for key, value in self.moved.items():
+            params[key] = mi.Float(value)
+        if self.moved:
+            params.update()
+        return scene
+
+    @cached_property
+    def trace(self) -> mistray.trace.Trace:
+        """All paths."""
+        return mistray.trace(self.scene, **self.settings)
+
+    @cached_property
+    def paths(self) -> FrozenPaths:
+        """The oracle's rays."""
+        scene = read_frozen(self.text)
+        for key, value in self.moved.items():
+            scene = scene.moved(key, float(np.float32(value)))
+        return FrozenPaths(scene, recorded_bundles(self.trace))
+
+    @property
+    def frozen(self) -> FrozenScene:
+        """The oracle's scene."""
+        return self.paths.scene
+
+    @cached_property
+    def met(self) -> list[str]:
+        """Shapes that a ray to the detector meets."""
+        return list(dict.fromkeys(name for bundle in self.paths.bundles for name, _ in bundle.events))
+
+    @property
+    def launched_W(self) -> float:
+        """Flux of the source."""
+        return self.trace.energy.launched_W
+
+    def metric(self, function: Callable[[Any], Any]) -> Metric:
+        """Metric of one observation with the settings of the trace."""
+        settings = dict(self.settings)
+        field_deg = settings.pop("field_deg", None)
+        fields = None if field_deg is None else (field_deg,)
+        return Metric(self.scene, lambda observations: function(observations[0]), fields, settings=settings)
+
+    def strongest(self, kind: str, rays: int = 50) -> str:
+        """Events of the strongest path of a kind with many rays."""
+        return next(row.events for row in self.trace.paths if row.kind == kind and row.rays >= rays)
+
+    def select(self, events: Sequence[str] | None) -> Callable[[Sequence[Hits]], list[Hits]]:
+        """Takes the hits of some paths out of those of all."""
+        texts = [bundle.text for bundle in self.paths.bundles]
+        chosen = [k for k, text in enumerate(texts) if events is None or text in events]
+        return lambda hits: [hits[k] for k in chosen]
+
+    def image_functional(
+        self, by_pixel: Array, events: Sequence[str] | None = None
+    ) -> Callable[[Sequence[Hits]], float]:
+        """
+        Σ flux · g: its value where a ray lands now as the pixel has it, its slope between the centres of pixels.
+
+        by_pixel : (height, width) derivative of a metric by the flux in each pixel; beyond the outer centres constant.
+        """
+        height, width = by_pixel.shape
+        x0, x1, y0, y1 = self.trace.extent
+        take = self.select(events)
+
+        def tent(hits: Hits) -> Array:
+            u = np.clip((hits.x - x0) / (x1 - x0) * width - 0.5, 0, width - 1)
+            v = np.clip((hits.y - y0) / (y1 - y0) * height - 0.5, 0, height - 1)
+            i, j = np.minimum(u.astype(int), width - 2), np.minimum(v.astype(int), height - 2)
+            a, b = u - i, v - j
+            low = (1 - a) * by_pixel[j, i] + a * by_pixel[j, i + 1]
+            return (1 - b) * low + b * ((1 - a) * by_pixel[j + 1, i] + a * by_pixel[j + 1, i + 1])
+
+        def own(hits: Hits) -> Array:
+            column = np.clip(((hits.x - x0) / (x1 - x0) * width).astype(int), 0, width - 1)
+            return by_pixel[np.clip(((hits.y - y0) / (y1 - y0) * height).astype(int), 0, height - 1), column]
+
+        offsets = [own(hits) - tent(hits) for hits in take(self.paths.nominal)]
+        return lambda hits: float(
+            sum(h.flux @ (tent(h) + offset) for h, offset in zip(take(hits), offsets, strict=True))
+        )
+
+    def metrics(self, ghost: str) -> dict[str, tuple[Callable[[Any], Any], Callable[[Sequence[Hits]], float]]]:
+        """Names → the metric for mistray, of one observation, and for the oracle."""
+        one, everything = self.select([ghost]), self.select(None)
+        area = np.prod([self.trace.extent[1] - self.trace.extent[0], self.trace.extent[3] - self.trace.extent[2]])
+        area /= self.trace.irradiance.size
+        ids = [row.path_id for row in self.trace.paths if row.events == ghost]
+        spot = self.trace.irradiance_of(ids)[0]
+        peak = spot.max() * np.sum((spot / spot.max()) ** NORM) ** (1 / NORM)
+
+        def y_of(hits: Sequence[Hits]) -> float:
+            return float(sum(h.flux @ h.y for h in one(hits)) / power(one(hits)))
+
+        return {
+            "power": (lambda o: o.power("all") / o.launched_W, lambda hits: power(everything(hits)) / self.launched_W),
+            "one ghost": (lambda o: o.power(ghost) / o.launched_W, lambda hits: power(one(hits)) / self.launched_W),
+            "rms radius": (lambda o: o.moments(ghost).rms_radius, lambda hits: rms_radius(one(hits))),
+            "mean y": (lambda o: o.moments(ghost).y, y_of),
+            "image": (
+                lambda o: dr.sum(dr.square(o.irradiance)),
+                self.image_functional(2 * self.trace.irradiance / area),
+            ),
+            "peak": (
+                lambda o: o.peak(ghost, NORM),
+                self.image_functional((spot / peak) ** (NORM - 1) / area, [ghost]),
+            ),
+        }
+
+
+def step(scene: FrozenScene, key: str) -> float:
+    """A step that moves a surface by about 1e-4 of its size, an index or a share by 1e-5, a layer by 0.01 nm."""
+    owner, name = key.rsplit(".", 1)
+    if name in ("n_front_shift", "n_back_shift", "R", "T", "n_shift", "k_shift"):
+        return 1e-5
+    if name == "thickness_nm":
+        return 1e-2
+    if owner not in scene.model.by_id:  # a scatter model
+        return 1e-4 * abs(scene.number(key))
+    surface = scene.model.by_id[owner].surface
+    size = surface.extent()
+    if isinstance(surface, Frustum):
+        size = max(surface.r0, surface.r1)
+    if name in ("x", "y", "z", "r0", "z0", "r1", "z1"):
+        return 1e-4 * size
+    if name.startswith("tilt"):
+        return float(np.degrees(1e-4))
+    if name == "curvature":
+        return 1e-4 / size
+    if name == "conic":
+        return 1e-3
+    return 1e-4 * size / size ** int(name[1:])

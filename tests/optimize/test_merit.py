@@ -1,0 +1,250 @@
+"""The merit: its formula, its derivative against central differences, and what has no merit."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.small_scenes import plates_text, write
+
+from mistray.errors import MistrayError
+from mistray.optimize import Optimizer, Term, path_power, read_study
+from mistray.optimize.merit import Merit, contribution, holds, limit_of, seed_of
+from mistray.optimize.study_scene import open_scene, place
+from mistray.optimize.terms import layer_minimum, material_count, total_thickness
+from mistray.optimize.variables import find_variables
+from mistray.scene import load
+
+
+class TestContribution:
+    """Against the formulas of the documentation, in float64."""
+
+    TERMS = {
+        "minimise": (Term("t", "path_power", "minimise", 2.0), lambda v, v0, b: 2 * math.log(v / v0)),
+        "at_least": (
+            Term("t", "path_power", "at_least", 3.0, 5.0, None, 0.1),
+            lambda v, v0, b: 3 * max(0.0, 1 - (v - b) / (0.1 * abs(b))) ** 2,
+        ),
+        "at_most": (
+            Term("t", "path_power", "at_most", 3.0, 5.0, None, 0.1),
+            lambda v, v0, b: 3 * max(0.0, 1 - (b - v) / (0.1 * abs(b))) ** 2,
+        ),
+        "keep": (
+            Term("t", "path_power", "keep", 4.0, None, None, 0.02),
+            lambda v, v0, b: 4 * ((v - v0) / (0.02 * abs(v0))) ** 2,
+        ),
+    }
+
+    @pytest.mark.parametrize("goal", TERMS)
+    @pytest.mark.parametrize("value", [3.0, 4.4, 4.9, 5.0, 5.2, 5.45, 5.6, 9.0])
+    def test_value_and_slope(self, goal: str, value: float) -> None:
+        term, formula = self.TERMS[goal]
+        assert float(contribution(term, value, 4.5, 5.0)) == pytest.approx(formula(value, 4.5, 5.0), abs=1e-12)
+        v = dr.opaque(mi.Float64, value)
+        dr.enable_grad(v)
+        with dr.resume_grad():
+            result = contribution(term, v, mi.Float64(4.5), mi.Float64(5.0))
+        dr.backward(result)
+        step = 1e-6
+        expected = (formula(value + step, 4.5, 5.0) - formula(value - step, 4.5, 5.0)) / (2 * step)
+        assert dr.grad(v)[0] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+
+    def test_at_the_limit(self) -> None:
+        """A limit that is just met costs the weight; inside of the tolerance it costs nothing."""
+        least, most = self.TERMS["at_least"][0], self.TERMS["at_most"][0]
+        assert (contribution(least, 5.0, 1.0, 5.0), contribution(least, 5.5, 1.0, 5.0)) == (3.0, 0.0)
+        assert (contribution(most, 5.0, 1.0, 5.0), contribution(most, 4.5, 1.0, 5.0)) == (3.0, 0.0)
+        negative = Term("t", "path_power", "at_most", 1.0, -5.0, None, 0.1)
+        assert (contribution(negative, -5.0, 1.0, -5.0), contribution(negative, -5.5, 1.0, -5.0)) == (1.0, 0.0)
+
+    def test_limits(self) -> None:
+        share = Term("t", "path_power", "at_least", limit_of_start=0.9)
+        assert limit_of(share, 2.0) == pytest.approx(1.8)
+        assert limit_of(Term("t", "path_power", "at_most", limit=7.0), 2.0) == 7.0
+        assert limit_of(Term("t", "path_power"), 2.0) is None
+        assert [holds(share, value, 2.0) for value in (1.79, 1.81, 5.0)] == [False, True, True]
+        assert [holds(Term("t", "path_power", "at_most", limit=7.0), value, 2.0) for value in (6, 8)] == [True, False]
+        keep = Term("t", "path_power", "keep", tolerance=0.1)
+        assert [holds(keep, value, 2.0) for value in (1.79, 1.81, 2.19, 2.21)] == [False, True, True, False]
+        assert holds(Term("t", "path_power"), 99.0, 1.0)
+
+
+class TestSeeds:
+    def test_fixed(self) -> None:
+        assert {seed_of(Optimizer(seed=5), k) for k in range(20)} == {5}
+
+    def test_fresh(self) -> None:
+        """The first is the study's; all others differ from each other and from those of the verification."""
+        how = Optimizer(method="adam", seeds="fresh", seed=5)
+        seeds = [seed_of(how, k) for k in range(1000)]
+        assert seeds[0] == 5
+        assert len(set(seeds)) == 1000
+        assert not set(seeds) & set(range(6, 14))
+        assert seeds == [seed_of(how, k) for k in range(1000)]
+        assert all(0 <= seed < 2**32 for seed in seeds)
+
+
+class TestLayers:
+    THICKNESS = {"a": np.array([60.0, 12.0, 90.0]), "b": np.array([12.1, 3.0])}
+    MATERIALS = {"a": ["MgF2", "TiO2", "MgF2"], "b": ["TiO2", "SiO2"]}
+
+    @pytest.mark.parametrize("kind", [layer_minimum, total_thickness, material_count])
+    def test_derivatives(self, kind: Callable[..., Any]) -> None:
+        """Against central differences."""
+        _, slopes = kind(self.THICKNESS, self.MATERIALS)
+        for name, d in self.THICKNESS.items():
+            for k in range(len(d)):
+                ends = []
+                for step in (1e-4, -1e-4):
+                    moved = {n: v.copy() for n, v in self.THICKNESS.items()}
+                    moved[name][k] += step
+                    ends.append(kind(moved, self.MATERIALS)[0])
+                assert slopes[name][k] == pytest.approx((ends[0] - ends[1]) / 2e-4, rel=1e-6, abs=1e-9)
+
+    def test_values(self) -> None:
+        assert total_thickness(self.THICKNESS, self.MATERIALS)[0] == pytest.approx(177.1)
+        assert layer_minimum(self.THICKNESS, self.MATERIALS)[0] == pytest.approx(3.0, abs=1e-6)
+        even = layer_minimum({"a": np.full(4, 20.0)}, {"a": ["x"] * 4})[0]
+        assert even == pytest.approx(20 - 0.2 * math.log(4)), "below the thinnest, by a fraction of a nanometre"
+        count = material_count(self.THICKNESS, self.MATERIALS)[0]
+        assert count == pytest.approx(3 - math.exp(-150 / 5) - math.exp(-24.1 / 5) - math.exp(-3 / 5))
+        gone = material_count({**self.THICKNESS, "b": np.array([12.1, 0.0])}, self.MATERIALS)[0]
+        assert gone == pytest.approx(2, abs=0.01), "a material without thickness does not count"
+
+
+def merit_of(scene: Path, study: dict[str, Any]) -> Merit:
+    read = read_study(study)
+    placed = place(load(scene), read)
+    opened = open_scene(scene, placed)
+    variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
+    return Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
+
+
+@pytest.fixture
+def plate(tmp_path: Path) -> Path:
+    return write(tmp_path, plates_text(1, R=0.05, T=0.9))
+
+
+LIGHT = {"wavelength_nm": [500, 600], "fields_deg": [0, 5], "rays": 500}
+
+
+class TestMerit:
+    def test_terms_of_a_plate(self, plate: Path) -> None:
+        """Ghost R² T², transmission T² and their ratio R² at known R and T; the merit is that of the formulas."""
+        study = {
+            "trace": LIGHT,
+            "term": [
+                {"name": "ghosts", "kind": "path_power", "goal": "minimise", "weight": 0.5},
+                {"name": "ratio", "kind": "ghost_to_signal", "goal": "minimise"},
+                {"kind": "transmission", "goal": "at_least", "limit": 0.81, "tolerance": 0.1},
+            ],
+            "variable": [
+                {"name": "R", "parameters": "p0_*.bsdf.R", "low": 0.01, "high": 0.1},
+                {"name": "T", "parameters": "p0_*.bsdf.T", "low": 0.5, "high": 0.9},
+            ],
+        }
+        merit = merit_of(plate, study)
+        first = merit.evaluate(merit.variables.shares(merit.variables.start), 0)
+        assert first["terms"] == pytest.approx({"ghosts": (0.05 * 0.9) ** 2, "ratio": 0.05**2, "transmission": 0.81})
+        assert first["merit"] == pytest.approx(1.0, rel=1e-4), "the limit is just met"
+        x = np.array([0.02, 0.88])
+        y = merit.variables.shares(x)
+        found = merit.evaluate(y, 1)
+        inside = 1 - (0.88**2 - 0.81) / 0.081
+
+        def expected(R: float, T: float) -> float:
+            ghosts, ratio = math.log((R * T) ** 2 / (0.05 * 0.9) ** 2), math.log(R**2 / 0.05**2)
+            return 0.5 * ghosts + ratio + max(0.0, 1 - (T**2 - 0.81) / 0.081) ** 2
+
+        assert inside > 0
+        assert found["merit"] == pytest.approx(expected(*x), rel=1e-4)
+        slope = [
+            (expected(x[0] + 1e-6, x[1]) - expected(x[0] - 1e-6, x[1])) / 2e-6 * 0.09,
+            (expected(x[0], x[1] + 1e-6) - expected(x[0], x[1] - 1e-6)) / 2e-6 * 0.4,
+        ]
+        assert found["slope"] == pytest.approx(slope, rel=1e-3)
+        assert merit.broken(found["terms"]) == ("transmission",)
+        assert merit.least == -math.inf
+
+    def test_slope_against_differences(self, plate: Path) -> None:
+        """Of coatings, a term of layers and an ideal R, on a log scale, all at once; with the same seed."""
+        study = {
+            "trace": LIGHT,
+            "term": [
+                {"name": "ghosts", "kind": "path_power", "goal": "minimise"},
+                {"kind": "transmission", "goal": "keep", "tolerance": 0.5},
+                {"kind": "total_thickness", "goal": "at_most", "limit": 130, "tolerance": 0.2},
+                {"kind": "layer_minimum", "goal": "at_least", "limit": 40, "tolerance": 0.5, "weight": 0.1},
+            ],
+            "coating": [
+                {"name": "AR", "surfaces": ["p0_front"], "layers": "1.38 70, 2.0 50", "thickness_nm": [20.0, 150.0]}
+            ],
+            "variable": [{"parameters": "p0_rear.bsdf.R", "low": 1e-3, "high": 1e-1, "scale": "log"}],
+        }
+        merit = merit_of(plate, study)
+        merit.evaluate(merit.variables.shares(merit.variables.start), 0)
+        x = np.array([75.0, 45.0, 0.02])
+        y = merit.variables.shares(x)
+        slope = merit.evaluate(y, 1)["slope"]
+        for k in range(3):
+            ends = []
+            for step in (2e-3, -2e-3):
+                moved = y.copy()
+                moved[k] += step
+                ends.append(merit.evaluate(moved, 1)["merit"])
+            assert slope[k] == pytest.approx((ends[0] - ends[1]) / 4e-3, rel=1e-3), merit.variables.names[k]
+
+    def test_a_function_as_kind(self, plate: Path) -> None:
+        def both(scene: Any, **traced: Any) -> Any:
+            return path_power(scene, ("ghost", "direct"), **traced)
+
+        study = {
+            "trace": LIGHT,
+            "term": [{"kind": both, "goal": "minimise"}],
+            "variable": [{"parameters": "p0_*.bsdf.R", "low": 0.01, "high": 0.1}],
+        }
+        found = (merit := merit_of(plate, study)).evaluate(merit.variables.shares(merit.variables.start), 0)
+        assert found["terms"] == {"both": pytest.approx(0.81 + (0.05 * 0.9) ** 2, rel=1e-5)}
+
+    @pytest.mark.parametrize(
+        ("term", "message"),
+        [
+            (
+                {"kind": "path_power", "selection": "structure", "goal": "minimise"},
+                r"term 'path_power': its value is 0 at p0_front\.bsdf\.R = 0\.05; no light goes there, take more rays",
+            ),
+            ({"kind": "path_power", "selection": "structure", "goal": "keep"}, "value at the start is 0, which cannot"),
+            ({"kind": "path_power", "goal": "at_most", "limit": 0}, "its limit is 0; the tolerance is relative to it"),
+            (
+                {"kind": "transmission", "goal": "at_most", "limit": 0.9},
+                r"the merit is 0, nothing is to be minimised and all limits hold; add a term with goal = \"minimise\"",
+            ),
+            (
+                {"kind": lambda scene, **traced: broken_metric(scene, np.nan, **traced), "goal": "minimise"},
+                "term '<lambda>': its value is nan at p0_front",
+            ),
+        ],
+    )
+    def test_no_merit(self, plate: Path, term: dict[str, Any], message: str) -> None:
+        study = {
+            "trace": LIGHT,
+            "term": [term],
+            "variable": [{"parameters": "p0_front.bsdf.R", "low": 0.01, "high": 0.1}],
+        }
+        merit = merit_of(plate, study)
+        with pytest.raises(MistrayError, match=message) as caught:
+            merit.evaluate(merit.variables.shares(merit.variables.start), 0)
+        assert "\n" not in str(caught.value)
+
+
+def broken_metric(scene: Any, factor: float, **traced: Any) -> Any:
+    from mistray.optimize import Metric
+
+    light = {key: traced.pop(key) for key in ("fields_deg", "wavelength_nm")}
+    return Metric(scene, lambda observations: factor * observations[0].power("all"), settings=traced, **light)

@@ -1,0 +1,293 @@
+"""Metrics of traces: their numbers against the tables of the traces themselves, and their coating gradients."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.derivatives import central_differences
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
+
+import mistray
+from mistray import MistrayError
+from mistray.analysis.pool import by_path
+from mistray.optimize import views
+from mistray.optimize.metrics import (
+    Metric,
+    combine,
+    ghost_focus,
+    ghost_rms_irradiance,
+    ghost_to_signal,
+    image_metric,
+    log,
+    path_power,
+    peak_irradiance,
+    relative_illumination,
+    rms_spot,
+    transmission,
+)
+
+FIELDS = (0.0, 4.0)
+TRACED = {"rays": 1500, "max_reflections": 2, "wavelength_nm": (500.0, 600.0)}
+EVERY = {
+    "path_power": path_power,
+    "ghost_to_signal": ghost_to_signal,
+    "peak_irradiance": peak_irradiance,
+    "ghost_rms_irradiance": ghost_rms_irradiance,
+    "ghost_focus": ghost_focus,
+    "rms_spot": rms_spot,
+    "transmission": transmission,
+}
+
+
+@pytest.fixture(scope="module")
+def scene() -> Any:
+    return mistray.load("singlet_window_detector")
+
+
+@pytest.fixture(scope="module")
+def traces(scene) -> list[mistray.Trace]:
+    return [mistray.trace(scene, field_deg=angle, **TRACED) for angle in FIELDS]
+
+
+def ghosts(t: mistray.Trace) -> Any:
+    table = by_path(t.paths.by_way())
+    return table[(table.kind == "ghost") & (table.rays >= 30)]
+
+
+def p_norm(values: Any, norm: float = 16.0) -> float:
+    values = np.asarray(values, dtype=np.float64)
+    return float(values.max() * np.sum((values / values.max()) ** norm) ** (1 / norm))
+
+
+class TestNumbers:
+    """Means over the fields of what the path tables and maps of the same traces say."""
+
+    def test_powers(self, scene, traces) -> None:
+        def share(t: mistray.Trace, kind: str) -> float:
+            return sum(row.power_W for row in t.paths if row.kind == kind)
+
+        launched = [t.energy.launched_W for t in traces]
+        expected = {
+            path_power: [share(t, "ghost") / light for t, light in zip(traces, launched, strict=True)],
+            ghost_to_signal: [share(t, "ghost") / share(t, "direct") for t in traces],
+            transmission: [share(t, "direct") / light for t, light in zip(traces, launched, strict=True)],
+        }
+        for factory, numbers in expected.items():
+            assert factory(scene, fields_deg=FIELDS, **TRACED).value() == pytest.approx(np.mean(numbers), rel=1e-12)
+
+    def test_rms_irradiance_of_ghosts(self, scene, traces) -> None:
+        """The figures of the ghost table: all wavelengths of a path together."""
+        figures = [ghosts(t).rms_irradiance_W_mm2 for t in traces]
+        radii = [ghosts(t).rms_radius_mm for t in traces]
+        events = ghosts(traces[0]).events.iloc[1]
+        brightest = ghost_rms_irradiance(scene, fields_deg=FIELDS, **TRACED)
+        one = ghost_rms_irradiance(scene, events, **TRACED)
+        focus = ghost_focus(scene, fields_deg=FIELDS, norm=4.0, **TRACED)
+        assert len(figures[0]) > 3
+        assert brightest.value() == pytest.approx(np.mean([p_norm(e) for e in figures]), rel=1e-9)
+        assert one.value() == pytest.approx(figures[0].iloc[1], rel=1e-9)
+        assert focus.value() == pytest.approx(np.mean([1 / p_norm(1 / r, 4.0) for r in radii]), rel=1e-9)
+        assert one.value() != pytest.approx(figures[0].iloc[0], rel=1e-3)
+
+    def test_spot(self, scene) -> None:
+        """Against the rays one by one, whose places are found again in float64."""
+        settings = TRACED | {"wavelength_nm": 550.0}
+        t = mistray.trace(scene, field_deg=4.0, **settings)
+        (row,) = (row for row in t.paths if row.kind == "direct")
+        rays = t.history(row.path_id, n=row.rays).incident()
+        assert len(rays) == row.rays
+        w = rays.flux_W / rays.flux_W.sum()  # the detector absorbs the same share of every ray
+        # The plane of the detector is that of its own frame but for a shift
+        x, y = (rays[name] - w @ rays[name] for name in ("x_mm", "y_mm"))
+        expected = np.sqrt(w @ (x * x + y * y))
+        # Places in the kernel are rounded to 6e-8 of up to 2 mm
+        assert rms_spot(scene, fields_deg=4.0, **settings).value() == pytest.approx(expected, rel=1e-5)
+
+    def test_peak(self, scene, traces) -> None:
+        maps = [t.irradiance_of([row.path_id for row in t.paths if row.kind == "ghost"])[0] for t in traces]
+        found = peak_irradiance(scene, fields_deg=FIELDS, **TRACED).value()
+        assert found == pytest.approx(np.mean([p_norm(image) for image in maps]), rel=1e-9)
+        largest = np.mean([image.max() for image in maps])
+        assert largest <= found <= largest * maps[0].size ** (1 / 16)
+        image = image_metric(scene, dr.sum, fields_deg=FIELDS, **TRACED).value()
+        assert image == pytest.approx(np.mean([t.irradiance.sum() for t in traces]), rel=1e-12)
+        everything = peak_irradiance(scene, "all", norm=1.0, fields_deg=FIELDS, **TRACED).value()
+        assert everything == pytest.approx(image, rel=1e-12)
+
+    def test_relative_illumination(self, load_scene) -> None:
+        """A pinhole camera: cos⁴θ, its image without distortion."""
+        glass = shape_xml("asphere", "clear", -0.5, interface_xml("air", "1.0", R=0.0, T=1.0), semi_diameter=50.0)
+        back = shape_xml("asphere", "rear", 0.0, interface_xml("1.0", "air", R=0.0, T=1.0), semi_diameter=50.0)
+        detector = shape_xml("asphere", "detector", 10.0, sensor=True, half_width=20.0, half_height=20.0)
+        text = scene_text(glass, back, detector, radius=0.1)
+        scene = load_scene(text.replace("</emitter>", '<string name="plane" value="axis"/></emitter>'))
+        fields = (10.0, -30.0, 0.0)
+        expected = np.mean(np.cos(np.radians(fields)) ** 4)
+        assert relative_illumination(scene, fields_deg=fields, rays=500).value() == pytest.approx(expected, rel=1e-5)
+        # The centroids are those of the same random places in the beam; a difference over ±1° is wrong by about (1°)²
+        step = np.radians(1.0)
+        found = relative_illumination(scene, step_deg=1.0, fields_deg=fields, rays=500).value()
+        assert found == pytest.approx(expected, rel=step**2)
+        assert found != pytest.approx(np.mean(np.cos(np.radians(fields)) ** 3), rel=0.01)
+
+    def test_log(self, scene) -> None:
+        spot = rms_spot(scene, **TRACED)
+        assert log(spot).value() == pytest.approx(np.log(spot.value()), rel=1e-12)
+        assert log(spot).unit == "1"
+
+    def test_more_rays(self, scene) -> None:
+        metric = transmission(scene, rays=1001, max_reflections=0)
+        (few,), (many,) = metric.observe(seed=3), metric.observe(2.0, seed=3)
+        assert (few.trace.settings["rays"], many.trace.settings["rays"]) == (1001, 2002)
+        (usual,) = transmission(scene, max_reflections=0).observe(1e-4)
+        assert usual.trace.settings["rays"] == 100
+
+
+class TestCombined:
+    def test_equal_traces_are_made_once(self, scene, monkeypatch: pytest.MonkeyPatch) -> None:
+        made: list[Any] = []
+        trace = views.trace
+
+        def counted(*args: Any, **more: Any) -> Any:
+            made.append(more["field_deg"])
+            return trace(*args, **more)
+
+        monkeypatch.setattr(views, "trace", counted)
+        parts = {
+            "ghosts": path_power(scene, fields_deg=[0.0, 4.0], **TRACED),
+            "spot": rms_spot(scene, fields_deg=np.array([4.0]), **TRACED),
+            "light": transmission(scene, fields_deg=(0, 4), **TRACED | {"wavelength_nm": [500, 600]}),
+            "other": transmission(scene, fields_deg=4.0, **TRACED | {"rays": 200}),
+        }
+        merit = combine(parts, lambda m: m["ghosts"] / m["light"] ** 2 + m["spot"] - dr.log(m["other"]))
+        values = {name: part.value() for name, part in parts.items()}
+        made.clear()
+        expected = values["ghosts"] / values["light"] ** 2 + values["spot"] - np.log(values["other"])
+        assert merit.value() == pytest.approx(expected, rel=1e-12)
+        assert sorted(made) == [0.0, 4.0, 4.0]
+        made.clear()
+        twice = combine({"merit": merit, "log": log(merit)}, lambda m: dr.exp(m["log"]) + m["merit"])
+        nested = combine({"twice": twice}, lambda m: m["twice"] / 2)
+        assert nested.value() == pytest.approx(expected, rel=1e-12)
+        assert sorted(made) == [0.0, 4.0, 4.0]
+        assert merit.value(seed=1) != merit.value()
+
+    def test_derivatives_add(self, scene) -> None:
+        """Of a sum, those of its parts, from an observation that both share."""
+        parts = {"a": path_power(scene, **TRACED), "b": rms_spot(scene, **TRACED)}
+        merit = combine(parts, lambda m: 2 * m["a"] + 3 * m["b"])
+        (o,) = merit.observe()
+        found = []
+        for metric in (*parts.values(), merit):
+            dr.backward(metric.evaluate([o]))
+            found.append(o.hit_derivative().path)
+        np.testing.assert_allclose(found[2], 2 * found[0] + 3 * found[1], rtol=1e-12)
+        assert found[0].any()
+        assert found[1].any()
+
+
+class TestNoise:
+    def test_over_seeds(self, scene) -> None:
+        """Over 40 seeds the spread is the error: χ² with 39 degrees of freedom, false-alarm probability 1e-6 each."""
+        settings = {"rays": 400, "max_reflections": 2, "fields_deg": FIELDS}
+        metrics = [rms_spot(scene, **settings), ghost_to_signal(scene, **settings), ghost_radius(scene, **settings)]
+        values, variances = np.zeros((40, 3)), np.zeros((40, 3))
+        for seed in range(40):
+            observations = metrics[0].observe(seed=seed)
+            for k, metric in enumerate(metrics):
+                value = metric.evaluate(observations)
+                dr.backward(value)
+                noise = [o.noise() for o in observations]
+                by_batch = np.sum([batches for _, batches in noise], axis=0)
+                values[seed, k] = float(dr.detach(value)[0])
+                variances[seed, k] = sum(v for v, _ in noise) + 32 * by_batch.var(ddof=1)
+        ratio = values.var(axis=0, ddof=1) / variances.mean(axis=0)
+        assert np.all(ratio < 2.7), ratio
+        assert np.all(ratio > 0.24), ratio
+
+
+def ghost_radius(scene: Any, fields_deg: tuple[float, ...], **settings: Any) -> Metric:
+    """RMS radius of all ghosts as one."""
+    return Metric(
+        scene, lambda seen: sum(o.moments("ghost").rms_radius for o in seen), fields_deg=fields_deg, settings=settings
+    )
+
+
+@pytest.fixture(scope="module")
+def lens(load_scene) -> Any:
+    """A coated singlet before a detector that reflects; the beam fills it."""
+    coated = {"R": 0.1, "T": 0.8}
+    front = shape_xml("asphere", "front", 0.0, interface_xml("air", "1.5", **coated), curvature=0.02, semi_diameter=6.0)
+    rear = shape_xml("asphere", "rear", 4.0, interface_xml("1.5", "air", **coated), curvature=-0.02, semi_diameter=6.0)
+    detector = shape_xml(
+        "asphere", "detector", 50.0, interface_xml("air", R=0.2, T=0.0), sensor=True, half_width=30.0, half_height=30.0
+    )
+    return load_scene(scene_text(front, rear, detector, radius=4.0))
+
+
+class TestCoatings:
+    """Coating gradients of every metric against central differences with the same rays."""
+
+    KEYS = ("front.bsdf.R", "rear.bsdf.T", "detector.bsdf.R")
+    STEP = 0.002
+
+    @pytest.mark.parametrize("name", [*EVERY, "ghost_radius"])
+    def test_central_differences(self, lens, name: str) -> None:
+        params = mi.traverse(lens)
+        metric = (EVERY | {"ghost_radius": ghost_radius})[name](lens, fields_deg=(0.0, 3.0), rays=400)
+        found = mistray.gradient(metric, params, list(self.KEYS)).gradient
+        size = metric.value()
+        for key in self.KEYS:
+            start = float(params[key][0])
+
+            def at(shift: float, key: str = key, start: float = start) -> float:
+                params[key] = mi.Float(start + shift)
+                params.update()
+                return metric.value()
+
+            (expected,) = central_differences(at, [0.0], [self.STEP])
+            at(0.0)
+            # Rounding of the fluxes in single precision, 1e-7 relative, over the step
+            assert found[key][0] == pytest.approx(expected, rel=1e-3, abs=1e-6 * size / self.STEP), key
+
+
+class TestRefusals:
+    def test_settings(self, scene) -> None:
+        with pytest.raises(MistrayError, match="there is no setting 'ray'; did you mean rays"):
+            path_power(scene, ray=16)
+        with pytest.raises(MistrayError, match="give fields_deg instead of field_deg"):
+            rms_spot(scene, field_deg=3.0)
+        with pytest.raises(MistrayError, match="fields_deg is empty"):
+            rms_spot(scene, fields_deg=())
+        with pytest.raises(MistrayError, match="needs fields_deg off the axis"):
+            relative_illumination(scene, fields_deg=0.0)
+        with pytest.raises(MistrayError, match=r"step_deg is -1; give a small angle"):
+            relative_illumination(scene, fields_deg=3.0, step_deg=-1)
+        with pytest.raises(MistrayError, match="times is 0; it must be a positive number"):
+            rms_spot(scene).value(times=0)
+
+    def test_no_direct_light(self, scene) -> None:
+        for factory in (ghost_to_signal, rms_spot):
+            with pytest.raises(MistrayError, match=r"no (direct )?light .*at field 60°"):
+                factory(scene, fields_deg=60.0, rays=64).value()
+
+    def test_logarithm(self, scene) -> None:
+        with pytest.raises(MistrayError, match="the path power is 0; its logarithm does not exist"):
+            log(path_power(scene, "TIR", rays=64)).value()
+
+    def test_combinations(self, scene) -> None:
+        with pytest.raises(MistrayError, match=r"combine\(\) got no metric"):
+            combine({}, lambda m: 0)
+        other = mistray.load("plate")
+        with pytest.raises(MistrayError, match="the metrics a, b are of 2 scenes"):
+            combine({"a": rms_spot(scene), "b": rms_spot(other)}, lambda m: m["a"])
+        with pytest.raises(MistrayError, match="the merit does not depend on the traces"):
+            combine({"a": rms_spot(scene, rays=64)}, lambda m: float(m["a"][0])).value()
+
+    def test_functions_of_several_numbers(self, scene) -> None:
+        with pytest.raises(MistrayError, match="returned 57600 values"):
+            Metric(scene, lambda seen: seen[0].irradiance, settings={"rays": 16}).value()

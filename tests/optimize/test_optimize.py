@@ -1,0 +1,281 @@
+"""The whole of it: closed-form optima, bounds, several starts, methods, checkpoints, and no recompilation."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.small_scenes import plates_text, write
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.optimize import Start, Step, measure, optimize
+from mistray.scene.recoat import write_recoated
+
+QUARTER_WAVE = 550 / 4 / 1.38
+
+
+@pytest.fixture
+def plate(tmp_path: Path) -> Path:
+    """A plate of n = 1.5 in normal incidence: the ghost is R² T² of the launched power."""
+    return write(tmp_path, plates_text(1))
+
+
+def study(start: float = 60.0, bounds: Any = (20.0, 180.0), band: Any = 550.0, **optimizer: Any) -> dict[str, Any]:
+    """One layer of n = 1.38 on both faces of the plate."""
+    return {
+        "term": [{"name": "ghosts", "kind": "path_power", "goal": "minimise", "wavelength_nm": band, "rays": 32}],
+        "coating": [
+            {"name": "AR", "surfaces": "all", "layers": f"1.38 {start}", "thickness_nm": [float(b) for b in bounds]}
+        ],
+        "optimizer": {"starts": 1, "tolerance": 1e-6, **optimizer},
+    }
+
+
+def reflectance(d: float, nm: float = 550.0) -> float:
+    """Airy's formula for one layer at normal incidence, thickness and wavelength in nm."""
+    r1, r2 = (1 - 1.38) / (1 + 1.38), (1.38 - 1.5) / (1.38 + 1.5)
+    phase = np.exp(4j * np.pi * 1.38 * d / nm)
+    return float(abs((r1 + r2 * phase) / (1 + r1 * r2 * phase)) ** 2)
+
+
+class TestSearch:
+    def test_quarter_wave(self, plate: Path) -> None:
+        """R has one minimum within the bounds, the quarter wave; the metric there is known.
+
+        Near it the metric is flat: a relative excess of 1e-6, a thousandth of the default tolerance, is 0.04 nm.
+        """
+        result = optimize(plate, study())
+        assert result.ended[0].startswith("converged")
+        assert result.thickness_nm("AR") == pytest.approx([QUARTER_WAVE], abs=0.1)
+        assert result.before == {"AR.thickness_nm[0]": 60.0}
+        assert result.after == {"AR.thickness_nm[0]": result.thickness_nm("AR")[0]}
+        row = result.comparison.of("ghosts")
+        r0, r1 = reflectance(60.0), reflectance(QUARTER_WAVE)
+        assert row.before == pytest.approx((r0 * (1 - r0)) ** 2, rel=1e-5)
+        assert row.after == pytest.approx((r1 * (1 - r1)) ** 2, rel=1e-5)
+        assert row.ratio == pytest.approx(row.before / row.after)
+        assert result.best.merit == pytest.approx(np.log(row.after / row.before), abs=1e-5)
+
+    @pytest.mark.parametrize("how", [{"method": "adam", "steps": 60}, {"method": "nlopt"}])
+    def test_other_methods(self, plate: Path, how: dict[str, Any]) -> None:
+        if how["method"] == "nlopt":
+            pytest.importorskip("nlopt")
+        result = optimize(plate, study(**{"step_size": 0.05, **how}))
+        assert result.thickness_nm("AR") == pytest.approx([QUARTER_WAVE], abs=2.0)
+        assert result.comparison.total.ratio == pytest.approx(
+            (reflectance(60.0) / reflectance(QUARTER_WAVE)) ** 2, rel=0.05
+        )
+
+    def test_ghost_to_signal(self, plate: Path) -> None:
+        """Without T: the ratio is R²."""
+        given = study()
+        given["term"][0]["kind"] = "ghost_to_signal"
+        result = optimize(plate, given)
+        assert result.thickness_nm("AR") == pytest.approx([QUARTER_WAVE], abs=0.1)
+        assert result.comparison.total.after == pytest.approx(reflectance(QUARTER_WAVE) ** 2, rel=1e-5)
+
+    def test_first_step_is_small(self, plate: Path) -> None:
+        """The first trial moves no layer by more than 2 % of the way from bound to bound."""
+        result = optimize(plate, study(steps=1))
+        assert result.steps[1].x[0] - 60.0 == pytest.approx(0.02 * 160.0)
+        assert result.ended == {0: "all steps used"}
+
+    def test_bound(self, plate: Path) -> None:
+        result = optimize(plate, study(bounds=(20.0, 80.0)))
+        assert result.thickness_nm("AR") == pytest.approx([80.0])
+        assert result.best.gradient_norm == 0, "the layer is not free to move on"
+
+    def test_limits(self, plate: Path) -> None:
+        """The least ghost of at most 80 nm: the penalty begins 1 % below the limit and costs 1 at it.
+
+        Its slope there, 2/(0.8 nm), is much larger than that of the merit.
+        """
+        given = study()
+        given["term"].append({"name": "price", "kind": "total_thickness", "goal": "at_most", "limit": 80})
+        result = optimize(plate, given)
+        assert 79.2 < result.thickness_nm("AR")[0] <= 80.0
+        assert result.steps[-1].broken == ()
+        assert result.comparison.of("price").after == pytest.approx(result.thickness_nm("AR")[0])
+        assert result.comparison.of("price").after_se == 0
+
+    def test_variables_beside_coatings(self, plate: Path) -> None:
+        """The index of the layer moves with its thickness: towards the root of 1.5, and the quarter wave follows."""
+        given = study()
+        given["variable"] = [{"name": "n", "parameters": "AR.n_shift", "low": -0.1, "high": 0.1}]
+        result = optimize(plate, given)
+        n = 1.38 + result.after["n"]
+        assert result.after["n"] == pytest.approx(-0.1)
+        assert result.after["AR.thickness_nm[0]"] == pytest.approx(550 / 4 / n, abs=0.2)
+        assert result.parameters == {"AR.n_shift": pytest.approx(np.array([-0.1]))}, "thicknesses go with the coating"
+
+    def test_ideal_coatings_without_thin_films(self, tmp_path: Path) -> None:
+        """The ghost of a plate, R² T², is least where R is; a limit on R by the transmission T² is not touched."""
+        scene = write(tmp_path, plates_text(1, R=0.05, T=0.9))
+        given = {
+            "trace": {"wavelength_nm": 550, "rays": 32},
+            "term": [
+                {"kind": "path_power", "goal": "minimise"},
+                {"kind": "transmission", "goal": "at_least", "limit_of_start": 0.95},
+            ],
+            "variable": [{"name": "R", "parameters": "p0_*.bsdf.R", "low": 1e-3, "high": 0.1, "scale": "log"}],
+        }
+        result = optimize(scene, given)
+        assert result.after == {"R": pytest.approx(1e-3)}
+        assert set(result.parameters) == {"p0_front.bsdf.R", "p0_rear.bsdf.R"}
+        assert result.comparison.of("path_power").ratio == pytest.approx(2500, rel=1e-4)
+
+    def test_several_starts_leave_a_local_minimum(self, plate: Path) -> None:
+        """Three quarter waves are a minimum too, a worse one over a band: from there only other starts lead away."""
+        band = [450, 550, 650]
+        alone = optimize(plate, study(280.0, (20.0, 400.0), band))
+        assert alone.thickness_nm("AR")[0] > 250
+        several = optimize(plate, study(280.0, (20.0, 400.0), band, starts=3))
+        assert several.thickness_nm("AR") == pytest.approx([97.0], abs=4.0)
+        assert several.best.merit < alone.best.merit - np.log(2)
+        assert several.starts[several.best.start].name.startswith("minimum 1")
+
+    def test_shared_and_separate_designs(self, plate: Path) -> None:
+        """Two coatings that start apart both end at the quarter wave."""
+        given = study()
+        (one,) = given["coating"]
+        given["coating"] = [
+            {**one, "name": "front", "surfaces": ["p0_front"]},
+            {**one, "name": "rear", "surfaces": ["p0_rear"], "layers": "1.38 130"},
+        ]
+        result = optimize(plate, given)
+        for name in ("front", "rear"):
+            assert result.thickness_nm(name) == pytest.approx([QUARTER_WAVE], abs=0.3)
+
+    def test_no_light(self, plate: Path) -> None:
+        given = study()
+        given["term"][0]["selection"] = "structure"
+        with pytest.raises(
+            MistrayError, match=r"term 'ghosts': its value is 0 at AR\.thickness_nm\[0\] = 60; no light"
+        ):
+            optimize(plate, given)
+
+    def test_unknown_variable(self, plate: Path) -> None:
+        given = {**study(), "variable": [{"parameters": "p0_frnt.curvature", "low": -1e-3, "high": 1e-3}]}
+        with pytest.raises(
+            MistrayError, match=r"variable\[1\]\.parameters: .*'p0_frnt\.curvature'.*p0_front\.curvature"
+        ):
+            optimize(plate, given)
+
+    def test_the_result_as_a_scene(self, plate: Path, tmp_path: Path) -> None:
+        result = optimize(plate, study())
+        scene = mistray.load(write_recoated(plate, result.coatings, tmp_path / "result.xml"))
+        levels = measure(scene, result.study)
+        assert levels.of("ghosts").mean() == pytest.approx(result.comparison.total.after, rel=1e-6)
+
+
+class TestCheckpoint:
+    class Stop(BaseException):
+        """As Ctrl-C: no error that anybody catches."""
+
+    def interrupted(self, plate: Path, file: Path, after: int, **optimizer: Any) -> list[Step]:
+        seen: list[Step] = []
+
+        def progress(step: Step, start: Start) -> None:
+            seen.append(step)
+            if len(seen) == after:
+                raise self.Stop
+
+        with pytest.raises(self.Stop):
+            optimize(plate, study(**optimizer), checkpoint=file, progress=progress)
+        return seen
+
+    @pytest.mark.parametrize("how", [{}, {"method": "adam", "seeds": "fresh", "steps": 6}])
+    def test_resumed_is_uninterrupted(self, plate: Path, tmp_path: Path, how: dict[str, Any]) -> None:
+        """The same answer as without interruption. Sums of a trace may differ in the last bit from run to run."""
+        file = tmp_path / "new" / "checkpoint.json"
+        whole = optimize(plate, study(**how))
+        seen = self.interrupted(plate, file, 3, **how)
+        assert len(json.loads(file.read_text())["evaluations"][0]) == seen[-1].evaluations
+        result = optimize(plate, study(**how), checkpoint=file, resume=True)
+        assert list(result.steps[:3]) == seen
+        assert len(result.steps) == len(whole.steps)
+        for one, other in zip(result.steps, whole.steps, strict=True):
+            assert one.x == pytest.approx(other.x, rel=1e-6)
+            assert one.merit == pytest.approx(other.merit, abs=1e-6)
+        assert result.steps[3].seconds > seen[-1].seconds
+        assert result.steps[3].evaluations > seen[-1].evaluations
+        assert result.left_out == whole.left_out
+
+    def test_interrupted_between_starts(self, plate: Path, tmp_path: Path) -> None:
+        """The starts are kept, and none is evaluated twice."""
+        file, how = tmp_path / "checkpoint.json", {"start": 280.0, "bounds": (20.0, 400.0), "starts": 3}
+        self.interrupted(plate, file, 2, **how)
+        result = optimize(plate, study(**how), checkpoint=file, resume=True)
+        assert [step.start for step in result.steps[:3]] == [0, 1, 2]
+        assert sum(step.step == 0 for step in result.steps) == 3
+
+    def test_more_steps_later(self, plate: Path, tmp_path: Path) -> None:
+        file = tmp_path / "checkpoint.json"
+        short = optimize(plate, study(), steps=2, checkpoint=file)
+        assert short.ended == {0: "all steps used"}
+        same = optimize(plate, study(), steps=0, checkpoint=file, resume=True)
+        assert same.steps == short.steps, "no step: only the verification"
+        long = optimize(plate, study(), checkpoint=file, resume=True)
+        assert long.ended[0].startswith("converged")
+        again = optimize(plate, study(), checkpoint=file, resume=True)
+        assert (again.steps, again.ended) == (long.steps, long.ended), "a search that has converged is over"
+
+    def test_refusals(self, plate: Path, tmp_path: Path) -> None:
+        file = tmp_path / "checkpoint.json"
+        with pytest.raises(MistrayError, match=r"checkpoint\.json': No such file.*; run without resuming"):
+            optimize(plate, study(), checkpoint=file, resume=True)
+        self.interrupted(plate, file, 1)
+        with pytest.raises(MistrayError, match="belongs to another study"):
+            optimize(plate, study(70.0), checkpoint=file, resume=True)
+        other = tmp_path / "other.xml"
+        other.write_text(plate.read_text() + "\n")
+        with pytest.raises(MistrayError, match="belongs to another scene"):
+            optimize(other, study(), checkpoint=file, resume=True)
+        content = json.loads(file.read_text())
+        file.write_text(json.dumps({**content, "form": 0}))
+        with pytest.raises(MistrayError, match="belongs to another version of mistray"):
+            optimize(plate, study(), checkpoint=file, resume=True)
+        for damaged in ("{", "[]", json.dumps({**content, "evaluations": [[{}]]})):
+            file.write_text(damaged)
+            with pytest.raises(MistrayError, match="is damaged; remove it"):
+                optimize(plate, study(), checkpoint=file, resume=True)
+        with pytest.raises(MistrayError, match="resume needs a checkpoint"):
+            optimize(plate, study(), resume=True)
+        with pytest.raises(MistrayError, match="steps is -1"):
+            optimize(plate, study(), steps=-1)
+
+
+class TestKernels:
+    def compiled(self) -> int:
+        """Kernels that are new to this process since the last call; one found in the disk cache counts too."""
+        entries = dr.kernel_history([dr.KernelType.JIT])
+        return sum(not entry["cache_hit"] or entry["cache_disk"] for entry in entries)
+
+    @pytest.mark.parametrize("how", [{}, {"method": "adam", "seeds": "fresh"}])
+    def test_none_is_compiled_after_the_second_step(self, how: dict[str, Any]) -> None:
+        """Counted on the Cooke triplet: two terms of light, one of layers, two fields and two wavelengths."""
+        given = {
+            "trace": {"fields_deg": [0, 15], "wavelength_nm": [480, 620], "rays": 400},
+            "term": [
+                {"kind": "path_power", "goal": "minimise"},
+                {"kind": "transmission", "goal": "at_least", "limit_of_start": 0.9},
+                {"kind": "total_thickness", "goal": "at_most", "limit": 300},
+            ],
+            "coating": [{"surfaces": "all", "preset": "bbar3", "thickness_nm": [10, 250]}],
+            "optimizer": {"starts": 1, "steps": 6, "tolerance": 0, **how},
+        }
+        new: list[int] = []
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+            dr.kernel_history_clear()
+            dr.eval(mi.Float([1.0, 2.0]) * float(np.random.default_rng().uniform()))
+            assert self.compiled() == 1, "the count sees a literal that is baked in"
+            optimize("cooke_triplet", given, progress=lambda step, start: new.append(self.compiled()))
+            self.compiled()
+        assert len(new) == 7
+        assert new[3:] == [0, 0, 0, 0], new

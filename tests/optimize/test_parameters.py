@@ -1,0 +1,215 @@
+"""The list of parameters: which there are, their kinds, ranges, tolerances; names that are mistyped."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray.optimize.parameters import KINDS, match, parameters
+from mistray.trace.geometry_gradient import geometry_columns
+
+FILM = {"type": "thinfilm", "id": "AR", "layers": "1.38 100, 2.1+0.01i 60", "n_shift": "0.1, 0", "k_shift": "0, 0.002"}
+
+
+def scene(**more: Any) -> mi.Scene:
+    place = mi.ScalarTransform4d()
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+    glass = {"type": "interface", "back": "1.5", "coating": {"type": "ref", "id": "AR"}}
+    return mistray.load(
+        {
+            "type": "scene",
+            "AR": FILM,
+            "polish": {"type": "harvey_shack", "rms_nm": 4.0, "l": 0.02},
+            "beam": {"type": "collimated", "radius": 3.0},
+            "front": {
+                "type": "asphere", "radius": 20.0, "conic": -0.5, "a4": 1e-5, "semi_diameter": 5.0, "x": 0.1,
+                "bsdf": glass | {"polish": {"type": "ref", "id": "polish"}},
+            },
+            "rear": {
+                "type": "asphere", "semi_diameter": 5.0, "to_world": place.translate([0, 0, 5]),
+                "bsdf": glass | {"front": "1.5", "back": "air"},
+            },
+            "ring": {
+                "type": "frustum", "r0": 5.0, "r1": 8.0, "z0": 7.0, "z1": 7.0,
+                "bsdf": {"type": "interface", "R": 0.05, "wall": {"type": "paint", "reflectance": 0.04}},
+            },
+            "disc": {
+                "type": "frustum", "r0": 2.0, "r1": 0.0, "z0": 8.0, "z1": 8.0,
+                "bsdf": {"type": "interface", "R": 0.6, "T": 0.3},
+            },
+            "tube": {"type": "frustum", "r0": 8.0, "r1": 8.0, "z0": 7.0, "z1": 20.0,
+                     "bsdf": {"type": "interface", "R": 0.0}},
+            "mesh": {"type": "disk", "to_world": place.translate([0, 20, 0]), "bsdf": {"type": "interface", "R": 0.1}},
+            "aim": {"type": "asphere", "semi_diameter": 1.0, "to_world": place.translate([0, 0, 15]),
+                    "bsdf": {"type": "target", "surfaces": "front"}},
+            "detector": {
+                "type": "asphere", "half_width": 4.0, "half_height": 3.0, "to_world": place.translate([0, 0, 20]),
+                "bsdf": {"type": "interface", "R": 0.2}, "meter": {"type": "irradiancemeter", "film": film},
+            },
+            **more,
+        }
+    )  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def known() -> dict[str, Any]:
+    return parameters(scene())
+
+
+def test_what_there_is(known: dict[str, Any]) -> None:
+    owners: dict[str, set[str]] = {}
+    for key in known:
+        owner, _, name = key.rpartition(".")
+        owners.setdefault(owner, set()).add(name)
+    pose = {"x", "y", "z", "tilt_x", "tilt_y", "tilt_z"}
+    lens = {"curvature", "conic", "semi_diameter", *pose, *(f"a{order}" for order in range(4, 21, 2))}
+    shifts = {"n_front_shift", "n_back_shift"}
+    assert owners == {
+        "AR": {"thickness_nm", "n_shift", "k_shift"},
+        "polish": {"rms_nm", "l", "s"},
+        "front": lens,  # no hole
+        "rear": lens,
+        "front.bsdf": shifts,
+        "rear.bsdf": shifts,
+        "ring": {"r0", "r1", *pose},  # flat: moved by z
+        "ring.bsdf": {"R"},  # opaque: no T, and what is beside it does not matter
+        "ring.bsdf.paint": {"reflectance", "l", "s"},  # b0 = 0: a lobe that begins there
+        "disc": {"r0", *pose},
+        "disc.bsdf": {"R", "T", *shifts},
+        "tube": {"r0", "r1", "z0", "z1", *pose},  # R = 0: nothing to follow
+        "mesh.bsdf": {"R"},  # a stock shape has no derivatives of its own
+        "detector": lens - {"semi_diameter"} | {"half_width", "half_height"},
+        "detector.bsdf": {"R"},
+    }
+
+
+def test_facts(known: dict[str, Any]) -> None:
+    def facts(key: str) -> tuple[Any, ...]:
+        p = known[key]
+        assert p.key == key
+        assert p.name == key.rpartition(".")[2]
+        return p.kind, p.unit, p.value.tolist(), p.shapes
+
+    assert facts("AR.thickness_nm") == ("coating", "nm", [100.0, 60.0], ("front", "rear"))
+    assert facts("polish.l") == ("scatter", "1", [np.float32(0.02)], ("front",))
+    assert facts("front.curvature") == ("curvature", "1/mm", [0.05], ("front",))
+    assert facts("front.a4") == ("asphere", "mm^-3", [1e-5], ("front",))
+    assert facts("front.x") == ("position", "mm", [0.1], ("front",))
+    assert facts("ring.tilt_y") == ("tilt", "deg", [0.0], ("ring",))
+    assert facts("ring.r0") == ("rim", "mm", [5.0], ("ring",))
+    assert facts("front.bsdf.n_back_shift") == ("index", "1", [0.0], ("front",))
+    assert facts("ring.bsdf.R") == ("share", "1", [np.float32(0.05)], ("ring",))
+
+
+def test_ranges(known: dict[str, Any]) -> None:
+    def span(key: str) -> tuple[float, float]:
+        return known[key].low, known[key].high
+
+    assert span("AR.thickness_nm") == (0.0, math.inf)
+    assert span("AR.n_shift")[0] == pytest.approx(-1.38, rel=1e-6)
+    assert span("AR.k_shift")[0] == pytest.approx(0.0)  # of the layer without k, though the other has room
+    assert span("ring.bsdf.R") == (0.0, 1.0)
+    assert span("ring.r0") == (0.0, 8.0)
+    assert span("ring.r1") == (5.0, math.inf)
+    assert span("tube.r1") == (0.0, math.inf)
+    assert span("front.semi_diameter") == pytest.approx((0.0, 20 / math.sqrt(0.5)))
+    assert span("front.curvature") == pytest.approx((-1 / (5 * math.sqrt(0.5)), 1 / (5 * math.sqrt(0.5))))
+    assert span("front.conic") == pytest.approx((-math.inf, 15.0))
+    assert span("front.bsdf.n_back_shift") == (-1.5, math.inf)
+    for parameter in known.values():
+        assert parameter.kind in KINDS
+        assert parameter.tolerance > 0
+        assert np.all((parameter.low <= parameter.value) & (parameter.value <= parameter.high))
+
+
+def test_the_ends_of_ranges_are_those_of_the_plugins() -> None:
+    """One step beyond, the plugin refuses; one step inside, it does not."""
+    there = scene()
+    params = mi.traverse(there)
+    known = parameters(there)
+    for key in ("front.curvature", "front.conic", "front.semi_diameter", "ring.bsdf.R", "AR.k_shift", "polish.rms_nm"):
+        p = known[key]
+        for end, sign in ((p.low, -1), (p.high, 1)):
+            if not math.isfinite(end) or (key == "front.semi_diameter" and sign < 0):
+                continue
+            params[key] = mi.Float(np.full(p.value.shape, end - sign * 1e-4))
+            params.update()
+            params[key] = mi.Float(np.full(p.value.shape, end + sign * 1e-4))
+            with pytest.raises(mistray.MistrayError):
+                params.update()
+            params[key] = mi.Float(p.value)
+            params.update()
+
+
+def test_tolerances(known: dict[str, Any]) -> None:
+    expected = {
+        "AR.thickness_nm": 0.8, "AR.n_shift": 0.01, "polish.rms_nm": 0.8, "polish.s": 0.075,
+        "front.curvature": 2 * 3 * 633e-6 / 2 / 25, "front.a4": 5e-4 / 625, "front.x": 0.02, "front.tilt_x": 1 / 60,
+        "ring.r0": 0.08, "ring.x": 0.08, "front.bsdf.n_front_shift": 1e-5, "front.bsdf.n_back_shift": 5e-4,
+        "disc.bsdf.R": 0.08, "disc.bsdf.T": 0.06,
+    }  # fmt: skip
+    for key, value in expected.items():
+        assert known[key].tolerance == pytest.approx(value, rel=1e-6), key
+    # the rim of the conic moves by half a micrometre
+    sags = [mi.load_dict({"type": "asphere", "radius": 20.0, "conic": -0.5 + change, "semi_diameter": 5.0,
+                          "bsdf": {"type": "interface"}}).sag(np.array(5.0))
+            for change in (0.0, known["front.conic"].tolerance)]  # fmt: skip
+    assert abs(sags[1] - sags[0]) == pytest.approx(5e-4, rel=0.02)
+
+
+def test_owners_are_those_of_the_chain(known: dict[str, Any]) -> None:
+    there = scene()
+    shapes = {shape.id(): shape for shape in there.shapes()}
+    for p in parameters(there).values():
+        if p.kind in ("curvature", "conic", "asphere", "rim", "position", "tilt"):
+            assert p.owner is shapes[p.shapes[0]]
+            assert geometry_columns([p.name])
+        elif p.kind in ("coating", "share"):
+            assert p.owner is shapes[p.shapes[0]].bsdf().film
+        elif p.kind == "index":
+            assert p.owner is shapes[p.shapes[0]].bsdf()
+        else:
+            assert p.owner in shapes[p.shapes[0]].bsdf().scatterers
+
+
+def test_reduced_params() -> None:
+    there = scene()
+    params = mi.traverse(there)
+    params.keep(["front.x", "ring.bsdf.R", "AR.thickness_nm"])
+    assert set(parameters(there, params)) == {"front.x", "ring.bsdf.R", "AR.thickness_nm"}
+
+
+def test_a_film_without_use_is_not_there() -> None:
+    assert not [key for key in parameters(scene(spare=FILM | {"id": "spare"})) if key.startswith("spare")]
+
+
+class TestMatch:
+    def test_patterns(self, known: dict[str, Any]) -> None:
+        assert match(known, ["front.x"]) == ["front.x"]
+        assert match(known, ["*.r0", "ring.*", "ring.r0"])[:3] == ["ring.r0", "disc.r0", "tube.r0"]
+        assert match(known, ["front.a[46]"]) == ["front.a4", "front.a6"]
+        found = match(known, ["*"])
+        assert found == list(known)
+        assert match(known, []) == []
+
+    @pytest.mark.parametrize(
+        ("pattern", "message"),
+        [
+            ("front.curvatur", r"no parameter 'front.curvatur' with a derivative; did you mean front.curvature"),
+            ("frnt.conic", "did you mean front.conic"),
+            ("AR.thickness", "did you mean AR.thickness_nm"),
+            ("ring.z0", "did you mean ring.z"),
+            ("*.curvatur", r"did you mean \*\.curvature"),
+            ("zzz", r"list\(mistray.optimize.parameters\(scene\)\) shows them all"),
+            ("front.X", "did you mean front.x"),
+        ],
+    )
+    def test_mistyped(self, known: dict[str, Any], pattern: str, message: str) -> None:
+        with pytest.raises(mistray.MistrayError, match=message) as caught:
+            match(known, ["front.x", pattern])
+        assert "\n" not in str(caught.value)

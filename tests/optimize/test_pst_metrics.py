@@ -1,0 +1,311 @@
+"""Metrics of a point source transmittance: numbers, derivatives by its cells, noise, and what must raise."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.derivatives import central_differences
+from oracles.small_scenes import plates_text
+from scipy.integrate import quad
+
+import mistray
+from mistray import MistrayError
+from mistray.analysis.metrics.glare import veiling_glare_index
+from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.sums import weighted_sum
+from mistray.optimize import views
+from mistray.optimize.metrics import Metric, combine, log
+from mistray.optimize.observation import smooth_maximum
+from mistray.optimize.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+from mistray.optimize.pst_observation import PstObservation
+from mistray.trace.directions import DirectionGrid
+from mistray.trace.sky import CLASSES
+
+BATCHES = 32
+
+
+def made_up(angles: Any = range(5, 90, 10), cell_deg: float = 10.0, azimuths: Any = None) -> Pst:
+    """A PST of random numbers whose batches differ in size, as after a run that was cut short."""
+    rng = np.random.default_rng(4)
+    grid = DirectionGrid.of(angles, azimuths, cell_deg)
+    curve = 10.0 ** rng.uniform(-4, 0, (len(CLASSES), *grid.shape, 1))
+    weight = rng.uniform(0.5, 1.5, BATCHES)
+    facts = {"seconds": 0.0}
+    return Pst(grid, curve * rng.gamma(3.0, 1 / 3, (*curve.shape[:3], BATCHES)), weight / weight.sum(), facts=facts)
+
+
+DENSE, SPARSE = made_up(), made_up(range(10, 81, 20), 6.0)
+AROUND = made_up(azimuths=(0, 120, 240))
+
+
+def number(value: Any) -> float:
+    assert dr.width(value) == 1
+    return float(dr.detach(value)[0])
+
+
+def total_of(pst: Pst, light: str) -> np.ndarray:
+    """PST_normal of the cells, by a loop."""
+    names = {"stray": CLASSES[1:], "total": CLASSES}.get(light, (light,))
+    value = np.zeros(pst.grid.shape)
+    for name in names:
+        for batch in range(BATCHES):
+            value += pst.weight[batch] * pst.by_batch[CLASSES.index(name), :, :, batch]
+    return value
+
+
+class TestNumbers:
+    @pytest.mark.parametrize("light", ["stray", "total", "ghost", "direct"])
+    def test_cells(self, light: str) -> None:
+        o, expected = PstObservation(AROUND.to("projected")), total_of(AROUND, light)
+        n, m = AROUND.grid.shape
+        np.testing.assert_allclose(np.array(o.cells(light)).reshape(n, m), expected, rtol=1e-13)
+        np.testing.assert_allclose(np.array(o.curve(light)), expected.mean(axis=1), rtol=1e-13)
+        assert number(o.value_at(27.0, light)) == pytest.approx(expected[2].mean(), rel=1e-13)
+        assert number(o.value_at(27.0, light, 130.0)) == pytest.approx(expected[2, 1], rel=1e-13)
+        low, high = np.cos(np.radians([20, 30]))
+        projected = number(o.value_at(27.0, light, convention="projected"))
+        assert projected == pytest.approx(expected[2].mean() / (0.5 * (low + high)), rel=1e-13)
+        assert projected == pytest.approx(AROUND.to("projected").curve(light)[0][2], rel=1e-13)
+
+    def test_several_classes(self) -> None:
+        o = PstObservation(DENSE)
+        both = number(o.value_at(5, ["ghost", "single_scatter", "ghost"]))
+        assert both == pytest.approx(
+            total_of(DENSE, "ghost")[0, 0] + total_of(DENSE, "single_scatter")[0, 0], rel=1e-13
+        )
+
+    @pytest.mark.parametrize("interpolation", ["cells", "linear", "log"])
+    def test_band(self, interpolation: str) -> None:
+        """Against adaptive quadrature of the interpolated PST."""
+        for pst, low, high in ((DENSE, 17.0, 64.0), (SPARSE, 8.0, 71.0)):
+            if interpolation == "cells" and pst is SPARSE:
+                continue
+            curve, angles, edges = total_of(pst, "stray")[:, 0], pst.grid.angles_deg, np.unique(pst.grid.edges_deg)
+
+            def at(theta: float, curve=curve, angles=angles, pst=pst) -> float:
+                if interpolation == "cells":
+                    return float(curve[np.argmax(pst.grid.edges_deg[:, 1] >= theta)])
+                if interpolation == "log":
+                    return float(np.exp(np.interp(theta, angles, np.log(curve))))
+                return float(np.interp(theta, angles, curve))
+
+            def integral(function: Any, low=low, high=high, edges=edges, angles=angles) -> float:
+                breaks = np.unique([low, high, *(a for a in (*edges, *angles) if low < a < high)])
+                return sum(
+                    quad(lambda t: function(np.degrees(t)) * np.sin(t), *np.radians(pair), epsabs=0, epsrel=1e-12)[0]
+                    for pair in itertools.pairwise(breaks)
+                )
+
+            o, how = PstObservation(pst), {"interpolation": interpolation}
+            whole = integral(at)
+            assert number(o.band(low, high, **how)) == pytest.approx(2 * np.pi * whole, rel=1e-9)
+            mean = number(o.band(low, high, quantity="mean", **how))
+            assert mean == pytest.approx(whole / integral(lambda t: 1.0), rel=1e-9)
+            mean = number(o.band(low, high, quantity="mean", convention="projected", **how))
+            assert mean == pytest.approx(whole / integral(lambda t: np.cos(np.radians(t))), rel=1e-9)
+
+    def test_mean_of_what_the_cells_hold(self) -> None:
+        """Between cells it is dark in the integral and not in the mean."""
+        o, solid = PstObservation(SPARSE), SPARSE.grid.solid_angle
+        expected = np.sum(total_of(SPARSE, "stray")[:, 0] * solid)
+        assert number(o.band(0, 90)) == pytest.approx(expected, rel=1e-10)
+        assert number(o.band(0, 90, quantity="mean")) == pytest.approx(expected / solid.sum(), rel=1e-10)
+
+    @pytest.mark.parametrize("place", ["mean", "point"])
+    @pytest.mark.parametrize("interpolation", ["cells", "log"])
+    def test_veiling_glare(self, place: str, interpolation: str) -> None:
+        """Value and error of `mistray.analysis.metrics`."""
+        how = {"place": place, "interpolation": interpolation}
+        for pst, where in ((DENSE, (12.0,)), (AROUND, (7.0, 40.0, 100.0))):
+            expected = veiling_glare_index(pst, *where, **how)
+            o = PstObservation(pst)
+            value = Metric(None, lambda seen, where=where: seen[0].veiling_glare_index(*where, **how)).evaluate([o])
+            assert number(value) == pytest.approx(expected.value, rel=1e-12)
+            dr.backward(value)
+            assert np.sqrt(o.noise()[0]) == pytest.approx(expected.se, rel=1e-9)
+
+
+FUNCTIONS = {
+    "cell": lambda o: o.value_at(33, "ghost"),
+    "projected": lambda o: o.value_at(33, "stray", 120, convention="projected"),
+    "ratio": lambda o: o.value_at(33) / o.value_at(5, "direct"),
+    "band": lambda o: dr.log(o.band(12, 56, ["ghost", "multiple_scatter"])),
+    "mean": lambda o: o.band(12, 56, quantity="mean", convention="projected", interpolation="linear"),
+    "logarithmic": lambda o: o.band(12, 56, quantity="mean", interpolation="log"),
+    "mask": lambda o: smooth_maximum(o.curve("total"), 5.0),
+    "glare": lambda o: o.veiling_glare_index(7.0, 40.0, 100.0),
+    "glare at a point": lambda o: o.veiling_glare_index(7.0, 40.0, 100.0, place="point", interpolation="log"),
+}
+
+
+class TestDerivatives:
+    @staticmethod
+    def evaluated(name: str, pst: Pst = AROUND) -> tuple[PstObservation, Any]:
+        o = PstObservation(pst)
+        return o, Metric(None, lambda seen: FUNCTIONS[name](seen[0])).evaluate([o])
+
+    @pytest.mark.parametrize("name", FUNCTIONS)
+    def test_by_every_cell(self, name: str) -> None:
+        """Against central differences of the value with the cell changed, every class at some angles."""
+        o, value = self.evaluated(name)
+        dr.backward(value)
+        found = o.derivative
+        assert found.shape == AROUND.by_batch.shape[:3]
+        for place in ((c, i, 1 + (i % 2)) for c in range(len(CLASSES)) for i in (0, 1, 3, 4, 8)):
+            now = float(np.sum(AROUND.weight * AROUND.by_batch[place]))
+
+            def changed(shift: float, place: tuple[int, ...] = place) -> float:
+                by_batch = AROUND.by_batch.copy()
+                by_batch[place] += shift
+                return number(self.evaluated(name, replace(AROUND, by_batch=by_batch))[1])
+
+            (expected,) = central_differences(changed, [0.0], [1e-3 * now])
+            assert found[place] == pytest.approx(expected, rel=1e-7, abs=1e-11 * abs(number(value)) / now), place
+
+    def test_a_wrong_class_is_seen(self) -> None:
+        o, value = self.evaluated("cell")
+        dr.backward(value)
+        assert o.derivative[CLASSES.index("ghost")].sum() == pytest.approx(1.0)
+        assert not np.delete(o.derivative, CLASSES.index("ghost"), axis=0).any()
+
+    def test_noise_of_a_sum(self) -> None:
+        o, value = self.evaluated("ratio", DENSE)
+        coefficients = np.zeros(DENSE.grid.shape)
+        coefficients[3] = 1
+        dr.backward(Metric(None, lambda seen: seen[0].value_at(35)).evaluate([o]))
+        variance, by_batch = o.noise()
+        assert np.sqrt(variance) == pytest.approx(weighted_sum(DENSE, coefficients, "stray").se, rel=1e-12)
+        assert not by_batch.any()
+        assert number(value) > 0
+
+
+@pytest.fixture(scope="module")
+def scene() -> Any:
+    return mistray.load("plate_and_wall")
+
+
+TRACED = {"rays": 20_000, "max_scatters": 1}
+
+
+class TestMetrics:
+    def test_against_the_curve(self, scene) -> None:
+        angles = (0.0, 20.0, 40.0)
+        pst = mistray.pst(scene, angles, paths=False, **TRACED)
+        stray = pst.curve("stray")[0]
+        at_40 = pst_bin(scene, 40, angles_deg=angles, **TRACED)
+        assert at_40.value() == pytest.approx(stray[2], rel=1e-12)
+        projected = pst_bin(scene, 40, angles_deg=angles, convention="projected", **TRACED)
+        assert projected.value() == pytest.approx(pst.to("projected").curve("stray")[0][2], rel=1e-12)
+        direct = pst_bin(scene, 0, "direct", angles_deg=angles, **TRACED)
+        assert direct.value() == pytest.approx(pst.curve("direct")[0][0], rel=1e-12)
+        limits = (0.1, 0.01, 0.001)
+        share = stray / limits
+        mask = pst_mask(scene, angles, limits, **TRACED)
+        assert mask.value() == pytest.approx(share.max() * np.sum((share / share.max()) ** 16) ** (1 / 16), rel=1e-10)
+        assert log(at_40).value() == pytest.approx(np.log(stray[2]), rel=1e-12)
+        assert at_40.value(seed=1) != at_40.value()
+
+    def test_cells_fill_a_band(self, scene) -> None:
+        """The mean over a band is the PST of one cell as wide as the band: the rays are the same."""
+        band = pst_band(scene, 20, 50, **TRACED)
+        (view,) = band.views
+        angles, width = view.arguments["angles_deg"], view.arguments["cell_deg"]
+        assert len(angles) == 15
+        assert width == 2
+        wide = mistray.pst(scene, (35,), cell_deg=30, paths=False, **TRACED)
+        assert band.value() == pytest.approx(wide.curve("stray")[0][0], rel=1e-6)  # angles are in single precision
+        integral = pst_band(scene, 20, 50, quantity="integral", **TRACED)
+        assert integral.value() == pytest.approx(band.value() * wide.grid.solid_angle[0], rel=1e-9)
+        assert (band.unit, integral.unit) == ("1", "sr")
+        angles = pst_band(scene, 10, 45.5, **TRACED).views[0].arguments["angles_deg"]
+        assert len(angles) == 18
+
+    def test_glare(self, scene) -> None:
+        metric = veiling_glare(scene, 5.0, **TRACED)
+        (o,) = metric.observe()
+        assert o.pst.grid.edges_deg[[0, -1], [0, 1]].tolist() == [0, 90]
+        assert metric.value() == pytest.approx(veiling_glare_index(o.pst, 5.0).value, rel=1e-12)
+
+    def test_equal_runs_are_made_once(self, scene, monkeypatch: pytest.MonkeyPatch) -> None:
+        made: list[Any] = []
+        pst = views.pst
+
+        def counted(*args: Any, **more: Any) -> Any:
+            made.append(more["rays"])
+            return pst(*args, **more)
+
+        monkeypatch.setattr(views, "pst", counted)
+        angles = [20.0, 40.0]
+        parts = {
+            "a": pst_bin(scene, 20, angles_deg=angles, **TRACED),
+            "b": pst_bin(scene, 40, "total", angles_deg=np.array(angles), **TRACED),
+            "mask": pst_mask(scene, angles, (1, 1), **TRACED),
+            "other": pst_bin(scene, 20, angles_deg=angles, **TRACED | {"rays": 3000}),
+            "image": pst_bin(scene, 40, angles_deg=angles, **TRACED),
+        }
+        merit = combine(parts, lambda m: m["a"] + m["b"] / m["mask"] + m["other"] * m["image"])
+        values = {name: part.value() for name, part in parts.items()}
+        made.clear()
+        expected = values["a"] + values["b"] / values["mask"] + values["other"] * values["image"]
+        assert merit.value() == pytest.approx(expected, rel=1e-12)
+        assert sorted(made) == [3000, 20_000]
+        made.clear()
+        merit.value(2.0, seed=2)
+        assert sorted(made) == [6000, 40_000]
+
+
+class TestCoatings:
+    def test_closed_form(self, load_scene) -> None:
+        """
+        Two faces of R and T: every ghost carries T1 R2 R1 T2, so that the relative derivatives are 1/R and 1/T.
+
+        They hold for every ray by itself, however rays are chosen: what is left is single precision.
+        """
+        scene = load_scene(plates_text(1, R=0.1, T=0.8))
+        params = mi.traverse(scene)
+        keys = [f"p0_{face}.bsdf.{what}" for face in ("front", "rear") for what in "RT"]
+        traced = {"rays": 20_000, "max_reflections": 2, "angles_deg": (0, 5)}
+        ghost, direct = (pst_bin(scene, 0, light, **traced) for light in ("ghost", "direct"))
+        merit = combine({"ghost": ghost, "direct": direct}, lambda m: dr.log(m["ghost"] / m["direct"]))
+        for metric, values in (
+            (log(ghost), (10.0, 1.25, 10.0, 1.25)),
+            (log(direct), (0.0, 1.25, 0.0, 1.25)),
+            (merit, (10.0, 0.0, 10.0, 0.0)),
+        ):
+            found = mistray.gradient(metric, params, keys)
+            for key, value in zip(keys, values, strict=True):
+                assert found.gradient[key] == pytest.approx([value], rel=1e-5, abs=1e-5), (metric.name, key)
+        band = mistray.gradient(pst_band(scene, 0, 30, "ghost", rays=20_000, max_reflections=2), params, keys)
+        assert band.gradient[keys[0]] == pytest.approx([10.0 * band.value], rel=1e-5)
+
+
+class TestRefusals:
+    def test_arguments(self, scene) -> None:
+        refused = [
+            (lambda: pst_bin(scene, 20, "gost"), "light 'gost' does not exist; did you mean 'ghost'"),
+            (lambda: pst_bin(scene, 20, ()), "no light is chosen; use total, stray"),
+            (lambda: pst_bin(scene, 20, convention="both"), "convention is 'both'; use 'normal' or 'projected'"),
+            (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean rays"),
+            (lambda: pst_bin(scene, 20, fields_deg=3), "there is no setting 'fields_deg'"),
+            (lambda: pst_bin(scene, 20, method="forward"), "method is no setting of a PST metric"),
+            (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is no setting of a PST metric"),
+            (lambda: pst_bin(scene, 20, angles_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
+            (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),
+            (lambda: pst_band(scene, 20, 50, quantity="sum"), "quantity is 'sum'; use 'mean' or 'integral'"),
+            (lambda: pst_band(scene, 20, 50, cell_deg=1.0), "cell_deg is given without angles_deg"),
+            (lambda: pst_band(scene, 20, 50, angles_deg=(80,), **TRACED).value(), "no cell of the PST holds any of it"),
+            (lambda: pst_mask(scene, (20, 40), (1e-3,)), "mask of 2 angles and 1 limits"),
+            (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "2 limits; give one limit greater than 0"),
+            (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; a metric knows 'mean'"),
+            (lambda: veiling_glare(scene, 95.0, **TRACED).value(), "patch of half-width 95°"),
+            (lambda: log(pst_bin(scene, 80, "direct", **TRACED)).value(), "its logarithm does not exist"),
+        ]  # fmt: skip
+        for call, message in refused:
+            with pytest.raises(MistrayError, match=message):
+                call()

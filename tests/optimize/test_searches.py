@@ -1,0 +1,243 @@
+"""The methods on functions whose minima are known, the criterion that ends them, and interruptions."""
+
+from __future__ import annotations
+
+import importlib
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.optimize import Optimizer, Start, Step
+from mistray.optimize.checkpoint import Checkpoint
+from mistray.optimize.search import stop_reason
+from mistray.optimize.searches import Searches
+from mistray.optimize.state import State
+
+METHODS = [
+    Optimizer(method="lbfgsb", steps=200, tolerance=0),
+    Optimizer(method="adam", steps=400, tolerance=0, step_size=0.03, decay=0.98),
+    *(
+        pytest.param(Optimizer(method="nlopt", algorithm=name, steps=200, tolerance=0), id=name)
+        for name in ("LD_MMA", "LD_SLSQP", "LD_CCSAQ")
+    ),
+]
+
+
+class Bowl:
+    """A quadratic merit with a known minimum, perhaps with noise that depends on the number of the evaluation."""
+
+    start: dict[str, float] | None = None
+
+    def __init__(self, centre: list[float], noise: float = 0.0, least: float = -np.inf) -> None:
+        self.centre, self.noise, self.least = np.array(centre), noise, least
+        self.calls: list[np.ndarray] = []
+        self.width = 1.0 + np.arange(len(centre))
+
+    def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
+        self.calls.append(y.copy())
+        draw = self.noise * np.random.default_rng(number).standard_normal(len(y) + 1)
+        away = y - self.centre
+        merit = float(np.sum(self.width * away**2)) + draw[0] * float(np.linalg.norm(away))
+        return {
+            "merit": merit,
+            "merit_se": self.noise,
+            "slope": 2 * self.width * away + draw[1:],
+            "terms": {"bowl": merit},
+            "traced_seconds": 0.0,
+            "left_out": ["nothing"],
+        }
+
+    def broken(self, values: dict[str, float]) -> tuple[str, ...]:
+        return ("bowl",) if values["bowl"] > 1 else ()
+
+
+def searches(problem: Any, optimizer: Optimizer, state: State, **more: Any) -> Searches:
+    made = Searches(problem, lambda x: x / 10, lambda y: 10 * y, optimizer, state, **more)
+    made.run()
+    return made
+
+
+def begin(*starts: list[float]) -> State:
+    return State([Start(f"start {k}", np.array(x, dtype=np.float64)) for k, x in enumerate(starts)])
+
+
+@pytest.fixture(autouse=True)
+def need_nlopt(request: pytest.FixtureRequest) -> None:
+    if "nlopt" in str(request.node.callspec.params.get("optimizer", "") if hasattr(request.node, "callspec") else ""):
+        pytest.importorskip("nlopt")
+
+
+@pytest.mark.parametrize("optimizer", METHODS)
+class TestMethods:
+    def test_minimum_inside(self, optimizer: Optimizer) -> None:
+        done = searches(Bowl([0.3, 0.6, 0.5]), optimizer, begin([1, 9, 2]))
+        assert done.best.x == pytest.approx([3, 6, 5], abs=0.02)
+        assert done.best.merit == min(step.merit for step in done.steps)
+
+    def test_minimum_beyond_a_bound(self, optimizer: Optimizer) -> None:
+        """The minimum within the unit cube of a separable function lies at the nearest point of the cube."""
+        problem = Bowl([-0.5, 0.6, 1.5])
+        done = searches(problem, optimizer, begin([5, 5, 5]))
+        assert done.best.x == pytest.approx([0, 6, 10], abs=0.02)
+        assert all(np.all((y >= 0) & (y <= 1)) for y in problem.calls)
+
+    def test_first_trial_is_small(self, optimizer: Optimizer) -> None:
+        """No coordinate moves by more than `step_size`; NLopt's methods choose their own."""
+        if optimizer.method == "nlopt":
+            return
+        problem = Bowl([0.9, 0.1])
+        searches(problem, optimizer, begin([2, 5]))
+        first = np.max(np.abs(problem.calls[1] - problem.calls[0]))
+        assert first == pytest.approx(optimizer.step_size, rel=1e-6)
+
+    def test_no_more_steps_than_asked_for(self, optimizer: Optimizer) -> None:
+        done = searches(Bowl([0.3, 0.6]), replace(optimizer, steps=3), begin([1, 9]))
+        assert [step.step for step in done.steps] == [0, 1, 2, 3]
+        assert done.ended == {0: "all steps used"}
+        none = searches(Bowl([0.3, 0.6]), replace(optimizer, steps=0), begin([1, 9]))
+        assert (len(none.steps), none.ended) == (1, {0: "all steps used"})
+
+    def test_interrupted_is_uninterrupted(self, optimizer: Optimizer, tmp_path: Path) -> None:
+        """Interrupted after any evaluation, and resumed from the file: the same steps, to the last bit."""
+        how = replace(optimizer, steps=9)
+        noise = 0.05 if optimizer.method == "adam" else 0.0
+        how = replace(how, seeds="fresh") if noise else how
+        scene = tmp_path / "scene.xml"
+        scene.write_text("<scene/>")
+        whole = searches(Bowl([0.3, 0.6], noise), how, begin([1, 9]))
+        total = whole.steps[-1].evaluations
+        for after in range(1, total):
+            file = Checkpoint(tmp_path / "checkpoint.json", scene, "study")
+            problem = Bowl([0.3, 0.6], noise)
+            evaluate, left = problem.evaluate, [after]
+
+            def limited(y: np.ndarray, number: int, e: Any = evaluate, left: list[int] = left) -> Any:
+                if not left[0]:
+                    raise KeyboardInterrupt
+                left[0] -= 1
+                return e(y, number)
+
+            problem.evaluate = limited  # type: ignore[method-assign]
+            with pytest.raises(KeyboardInterrupt):
+                searches(problem, how, begin([1, 9]), file=file)
+            assert len(problem.calls) == after
+            again = Bowl([0.3, 0.6], noise)
+            seen: list[Step] = []
+            resumed = searches(again, how, file.read(), file=file, progress=lambda step, start: seen.append(step))  # noqa: B023
+            assert len(again.calls) <= total - after + 1
+            assert [(s.x, s.merit, s.terms, s.evaluations) for s in resumed.steps] == [
+                (s.x, s.merit, s.terms, s.evaluations) for s in whole.steps
+            ]
+            assert resumed.ended == whole.ended
+            assert all(b.seconds >= a.seconds for a, b in zip(resumed.steps, resumed.steps[1:], strict=False))
+            assert seen == resumed.steps[-len(seen) :], "steps that were made before are not shown again"
+
+    def test_going_on_for_longer(self, optimizer: Optimizer) -> None:
+        whole = searches(Bowl([0.3, 0.6]), replace(optimizer, steps=8), begin([1, 9]))
+        state = begin([1, 9])
+        short = searches(Bowl([0.3, 0.6]), replace(optimizer, steps=3), state)
+        problem = Bowl([0.3, 0.6])
+        still = searches(problem, replace(optimizer, steps=0), state)
+        assert (still.steps, problem.calls) == (short.steps, []), "the result as it stands"
+        longer = searches(problem, replace(optimizer, steps=8), state)
+        assert [step.x for step in longer.steps] == [step.x for step in whole.steps]
+
+
+class TestDriver:
+    def test_searches_from_the_best_starts(self) -> None:
+        done = searches(Bowl([0.5]), Optimizer(searches=2), begin([9], [4], [0]))
+        assert [(step.start, step.step) for step in done.steps[:3]] == [(0, 0), (1, 0), (2, 0)]
+        assert set(done.ended) == {0, 1}
+        assert done.best.x == pytest.approx([5], abs=0.01)
+
+    def test_evaluations_are_counted(self) -> None:
+        problem = Bowl([0.5, 0.2])
+        done = searches(problem, Optimizer(searches=2), begin([9, 1], [4, 4]))
+        counts = [step.evaluations for step in done.steps]
+        assert counts == sorted(counts)
+        assert counts[-1] == len(problem.calls)
+
+    def test_all_limits_hold(self) -> None:
+        """A merit of limits alone is over when it is 0."""
+
+        class Ramp(Bowl):
+            def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
+                short = np.maximum(0.5 - y, 0)
+                found = super().evaluate(y, number)
+                return {**found, "merit": float(np.sum(short**2)), "slope": -2 * short}
+
+        done = searches(Ramp([0.0], least=0.0), Optimizer(), begin([1]))
+        assert done.best.merit == 0
+        assert done.ended == {0: "all limits hold"}
+
+    def test_fresh_seeds_take_the_last_step(self) -> None:
+        """The least of noisy merits is the luckiest; the last step is what the search found."""
+        how = Optimizer(method="adam", seeds="fresh", steps=60, tolerance=0, step_size=0.05, decay=0.95)
+        done = searches(Bowl([0.3, 0.6], noise=0.1), how, begin([9, 1]))
+        assert done.best is done.steps[-1]
+        assert done.best.x == pytest.approx([3, 6], abs=0.5)
+
+    def test_gradient_norm_is_that_of_free_variables(self) -> None:
+        done = searches(Bowl([-1.0, 0.5]), Optimizer(steps=0), begin([0, 9]))
+        assert done.steps[0].gradient_norm == pytest.approx(2 * 2 * 0.4)
+
+    def test_a_state_of_another_search(self) -> None:
+        state = begin([1, 9])
+        searches(Bowl([0.3, 0.6]), Optimizer(steps=3), state)
+        with pytest.raises(MistrayError, match=r"asks for other points than before.*run without resuming"):
+            searches(Bowl([0.3, 0.6]), Optimizer(steps=3, step_size=0.1), state)
+
+
+class TestStop:
+    @pytest.mark.parametrize(
+        ("merits", "reason"),
+        [
+            ([3, 2, 1], None),
+            ([3, 2, 1.9995, 1.9994], "the last 2 steps have lowered the merit by less than 0.001"),
+            ([3, 2, 1.9995, 1.99], None),
+            ([3, 2, 4, 5], "the last 2 steps"),
+            ([3, 2.9999], None),
+        ],
+    )
+    def test_fixed(self, merits: list[float], reason: str | None) -> None:
+        found = stop_reason(merits, 1e-3, 2, False)
+        assert (found is None) == (reason is None)
+        assert reason is None or reason in str(found)
+
+    def test_fresh(self) -> None:
+        """Means count: one lucky step neither ends a search nor keeps it going."""
+        assert stop_reason([5, 4, 3, 2], 1e-3, 2, True) is None
+        assert "the mean merit of 2 steps" in str(stop_reason([5, 1, 3, 3.1], 1e-3, 2, True))
+        assert stop_reason([9, 9, 5, 1, 3, 2.9], 1e-3, 2, True) is None
+        assert stop_reason([1, 1, 1], 1e-3, 2, True) is None
+
+    def test_never(self) -> None:
+        assert stop_reason([1] * 100, 0, 2, False) is None
+        assert stop_reason([1] * 100, 0, 2, True) is None
+
+
+def test_nlopt_is_missing(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mistray.optimize import read_study
+
+    real: Callable[..., Any] = importlib.import_module
+
+    def without(name: str, *more: Any) -> Any:
+        if name == "nlopt":
+            raise ModuleNotFoundError(name)
+        return real(name, *more)
+
+    monkeypatch.setattr(importlib, "import_module", without)
+    study = {
+        "term": [{"kind": "path_power", "goal": "minimise"}],
+        "variable": [{"parameters": "x", "low": 0, "high": 1}],
+        "optimizer": {"method": "nlopt"},
+    }
+    with pytest.raises(
+        MistrayError, match=r"optimizer\.method.*nlopt is not installed; pip install 'mistray\[nlopt\]'"
+    ):
+        read_study(study)

@@ -1,0 +1,402 @@
+"""A scene as one list of numbers that can be moved, with all that a recorded ray meets, in float64.
+
+The keys are those of the plugins' parameters, ``lens_front.curvature``, ``window.bsdf.R``, ``polish.A``; a bsdf that
+has an id of its own gives its parameters that name, as Mitsuba does. What a scene file leaves out is there as well:
+conic and coefficients, decentres ``x``, ``y``, ``z`` (mm) and tilts ``tilt_x``, ``tilt_y``, ``tilt_z`` (degrees), which
+act as to_world · translate · Rx · Ry · Rz, and ``n_front_shift``, ``n_back_shift`` of an interface.
+"""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, lru_cache
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from .geometry import Array, Asphere, Frustum, Mask, Plane, Sphere, Surface
+from .glass import absorption_per_mm
+from .interface import Interface, interact
+from .layers import stack_powers
+from .scatter_integrals import Profile, abg, harvey_shack, lambertian, total_scatter
+from .scene_xml import SceneModel, _rotation, parse_scene
+
+ORDERS = tuple(range(4, 21, 2))
+POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
+ANGLES = 257  # nodes of a lobe's total over the cosine
+
+
+@dataclass(frozen=True)
+class Lobe:
+    """
+    One lobe: (c0 + c1 X + c2 X²) profile(|β - βc|) per projected solid angle, X the coating's R or T.
+
+    βc is that of the specular direction, or 0; a lobe that is not `absolute` takes its light from the specular beam.
+    """
+
+    event: str
+    profile: Profile
+    shares: tuple[float, float, float] = (0.0, 1.0, 0.0)
+    sides: tuple[str, ...] = ("front", "back")
+    about_normal: bool = False
+
+    @property
+    def absolute(self) -> bool:
+        """Relative to the incident light."""
+        return self.shares[0] > 0
+
+    def coefficient(self, x: Array) -> Array:
+        """c0 + c1 X + c2 X²."""
+        c0, c1, c2 = self.shares
+        return c0 + x * (c1 + x * c2)
+
+    @cached_property
+    def _totals(self) -> tuple[Array, Array]:
+        cosines = np.linspace(0.0, 1.0, ANGLES)
+        if self.about_normal:
+            return cosines, np.full(ANGLES, total_scatter(self.profile, 0.0))
+        return cosines, np.array([total_scatter(self.profile, float(np.sqrt(1 - c * c))) for c in cosines])
+
+    def total(self, cosine: Array) -> Array:
+        """Integral of the profile over the projected hemisphere, where the specular direction has these cosines."""
+        return np.interp(cosine, *self._totals)
+
+
+class LobesOf(Protocol):
+    """Lobes of a scatter model from its numbers: wavelength (nm), index on the side of incidence and on the other."""
+
+    def __call__(
+        self, numbers: dict[str, float], wavelength_nm: float, n_in: float, n_out: float, side: str
+    ) -> list[Lobe]: ...
+
+
+@dataclass(frozen=True)
+class ScatterModel:
+    """A scatter model nested in an interface: key prefix of its numbers, and what makes lobes of them."""
+
+    key: str
+    names: tuple[str, ...]
+    lobes: LobesOf
+
+
+@dataclass(frozen=True)
+class Film:
+    """Layers of a coating: key prefix, index of each layer (k > 0 absorbs), and on which side the first one lies."""
+
+    key: str
+    indices: tuple[complex, ...]
+    first: str
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What n rays meet: directions (n, 3), R and T as the coating gives them, indices (n,) of both sides."""
+
+    normal: Array
+    transmitted: Array
+    reflected: Array
+    R: Array
+    T: Array
+    tir: Mask
+    from_front: Mask
+    n_in: Array
+    n_out: Array
+
+
+@dataclass(frozen=True)
+class FrozenScene:
+    """
+    A scene whose numbers can be moved.
+
+    Attributes
+    ----------
+    model : SceneModel
+        As the file gives it; shapes, labels, transforms.
+    wavelength_nm : float
+    numbers : dict
+        Key → float64 array, (1,) but for the layers of a coating.
+    interface_keys : dict
+        Shape id → key prefix of its interface.
+    films, scatter : dict
+        Shape id → `Film`; shape id → tuple of `ScatterModel`.
+    """
+
+    model: SceneModel
+    wavelength_nm: float
+    numbers: dict[str, Array]
+    interface_keys: dict[str, str]
+    films: dict[str, Film]
+    scatter: dict[str, tuple[ScatterModel, ...]]
+
+    def moved(self, key: str, step: float, entry: int = 0) -> FrozenScene:
+        """The scene with one number changed by a step."""
+        if key not in self.numbers:
+            raise ValueError(f"frozen scene has no number {key!r}")
+        values = self.numbers[key].copy()
+        values[entry] += step
+        return replace(self, numbers={**self.numbers, key: values})
+
+    def met_by(self, key: str, shape_id: str) -> bool:
+        """Whether a number belongs to a surface."""
+        owner = key.rsplit(".", 1)[0]
+        film = self.films.get(shape_id)
+        owners = [shape_id, self.interface_keys[shape_id], film.key if film else None]
+        return owner in [*owners, *(model.key for model in self.scatter.get(shape_id, ()))]
+
+    def number(self, key: str) -> float:
+        """A single number."""
+        return float(self.numbers[key][0])
+
+    def pose(self, shape_id: str) -> tuple[Array, Array]:
+        """Rotation (3, 3) and origin (3,) of a surface's frame, with its decentre and tilt."""
+        to_world = self.model.by_id[shape_id].to_world
+        x, y, z, *tilts = (self.number(f"{shape_id}.{name}") for name in POSE)
+        rotation = to_world[:3, :3]
+        for axis, angle in zip(np.eye(3), tilts, strict=True):
+            rotation = rotation @ _rotation(axis, angle)
+        return rotation, to_world[:3, 3] + to_world[:3, :3] @ np.array([x, y, z])
+
+    def surface(self, shape_id: str) -> Surface:
+        """The surface in its own frame, with the numbers as they stand."""
+        own = self.model.by_id[shape_id].surface
+        if isinstance(own, Asphere):
+            powers = tuple((k // 2, self.number(f"{shape_id}.a{k}")) for k in ORDERS)
+            curvature, conic = self.number(f"{shape_id}.curvature"), self.number(f"{shape_id}.conic")
+            return replace(own, curvature=curvature, conic=conic, coefficients=tuple(p for p in powers if p[1]))
+        if isinstance(own, Frustum):
+            return Frustum(*(self.number(f"{shape_id}.{name}") for name in ("r0", "z0", "r1", "z1")))
+        return own
+
+    def cross(self, shape_id: str, origin: Array, direction: Array, near: Array) -> Array:
+        """
+        Path lengths (n,) to the crossings of the unbounded surface next to the lengths `near`, mm.
+
+        Newton's method on the implicit equation; raises where it does not settle.
+        """
+        surface = self.surface(shape_id)
+        rotation, vertex = self.pose(shape_id)
+        o, d = (origin - vertex) @ rotation, direction @ rotation
+        t, tolerance = near.copy(), 1e-13 * (1 + np.abs(near) + np.linalg.norm(o, axis=1))
+        for _ in range(30):
+            value, gradient = _implicit(surface, o + t[:, None] * d)
+            step = value / np.einsum("ij,ij->i", gradient, d)
+            t = t - step
+            if np.all(np.abs(step) <= tolerance):
+                return t
+        raise ValueError(f"rays do not settle on {shape_id}: last step {np.max(np.abs(step)):.1e} mm")
+
+    def meet(self, shape_id: str, point: Array, direction: Array) -> Outcome:
+        """Both daughters of rays at points of a surface, and its R and T for unpolarised light."""
+        rotation, vertex = self.pose(shape_id)
+        normal = self.surface(shape_id).normal((point - vertex) @ rotation) @ rotation.T
+        interface, (n_front, n_back) = self._interface(shape_id), self._indices(shape_id)
+        out = interact(interface, n_front, n_back, self.wavelength_nm, direction, normal)
+        R, T = out.reflectance, out.transmittance
+        film = self.films.get(shape_id)
+        if film is not None:
+            cos_i = np.abs(np.einsum("ij,ij->i", direction, normal))
+            R, T = np.zeros(len(point)), np.zeros(len(point))
+            for side in (True, False):
+                here = out.from_front == side
+                R[here], T[here] = self._film_powers(film, n_front, n_back, side, cos_i[here])
+        n_in = np.where(out.from_front, n_front, n_back)
+        n_out = np.where(out.from_front, n_back, n_front)
+        return Outcome(normal, out.transmitted, out.reflected, R, T, out.tir, out.from_front, n_in, n_out)
+
+    def lobes(self, shape_id: str, side: str) -> list[Lobe]:
+        """The lobes of a surface for light from one side."""
+        n_in, n_out = self._indices(shape_id)
+        if side == "back":
+            n_in, n_out = n_out, n_in
+        found = []
+        for model in self.scatter.get(shape_id, ()):
+            numbers = {name: self.number(f"{model.key}.{name}") for name in model.names}
+            found += [x for x in model.lobes(numbers, self.wavelength_nm, n_in, n_out, side) if side in x.sides]
+        return found
+
+    def absorption(self, material: str) -> float:
+        """Absorption coefficient, 1/mm."""
+        return _absorption(material, self.wavelength_nm)
+
+    def _interface(self, shape_id: str) -> Interface:
+        own = self.model.by_id[shape_id].interface
+        if own.reflectance is None or own.table is not None:
+            return own
+        key = self.interface_keys[shape_id]
+        return replace(own, reflectance=self.number(f"{key}.R"), transmittance=self.number(f"{key}.T"))
+
+    def _indices(self, shape_id: str) -> tuple[float, float]:
+        if self.model.by_id[shape_id].interface.opaque:
+            return 1.0, 1.0
+        n_front, n_back = self.model.indices(shape_id, self.wavelength_nm)
+        key = self.interface_keys[shape_id]
+        return n_front + self.number(f"{key}.n_front_shift"), n_back + self.number(f"{key}.n_back_shift")
+
+    def _film_powers(
+        self, film: Film, n_front: float, n_back: float, from_front: bool, cosine: Array
+    ) -> tuple[Array, Array]:
+        thickness, n_shift, k_shift = (
+            self.numbers[f"{film.key}.{name}"] for name in ("thickness_nm", "n_shift", "k_shift")
+        )
+        n = np.array(film.indices) + n_shift + 1j * k_shift
+        front_first = film.first == "front" or (film.first == "outside" and n_front <= n_back)
+        if front_first != from_front:
+            n, thickness = n[::-1], thickness[::-1]
+        outer = (n_front, n_back) if from_front else (n_back, n_front)
+        return stack_powers(outer[0], n, thickness, outer[1], self.wavelength_nm, cosine)
+
+
+@lru_cache
+def _absorption(material: str, wavelength_nm: float) -> float:
+    return absorption_per_mm(material, wavelength_nm)
+
+
+def _implicit(surface: Surface, p: Array) -> tuple[Array, Array]:
+    """F (n,) and its gradient (n, 3) at points of the frame of a surface; F = 0 on the unbounded sheet."""
+    if isinstance(surface, Asphere):
+        u = p[:, 0] ** 2 + p[:, 1] ** 2
+        slope = surface.slope_u(u)
+        return surface.sag(u) - p[:, 2], np.stack([2 * slope * p[:, 0], 2 * slope * p[:, 1], -np.ones(len(p))], axis=1)
+    if isinstance(surface, Frustum):
+        m_r, m_z, k = surface._line()
+        radius = np.hypot(p[:, 0], p[:, 1])
+        across = m_r * p[:, :2] / np.maximum(radius, 1e-300)[:, None]
+        return m_r * radius + m_z * p[:, 2] - k, np.column_stack([across, np.full(len(p), m_z)])
+    if isinstance(surface, Sphere):
+        return 0.5 * (np.sum(p * p, axis=1) - surface.radius**2), p
+    assert isinstance(surface, Plane)
+    return p[:, 2], np.tile([0.0, 0.0, 1.0], (len(p), 1))
+
+
+def read_frozen(source: str | Path, wavelength_nm: float | None = None) -> FrozenScene:
+    """A scene from its file, or from XML text, at a wavelength; by default that of its first source."""
+    path = source if isinstance(source, Path) else None
+    text = path.read_text(encoding="utf-8") if path else str(source)
+    model, root = parse_scene(text, path), ElementTree.fromstring(text)
+    if wavelength_nm is None:
+        wavelength_nm = float(model.emitters[0].values.get("wavelength_nm", 550.0))
+    named = {node.attrib["id"]: node for node in root.iter("bsdf") if "id" in node.attrib}
+    numbers: dict[str, Array] = {}
+    interface_keys: dict[str, str] = {}
+    films: dict[str, Film] = {}
+    scatter: dict[str, tuple[ScatterModel, ...]] = {}
+    nodes = {node.attrib.get("id", f"shape_{k}"): node for k, node in enumerate(root.findall("shape"))}
+    for shape in model.shapes:
+        name = shape.shape_id
+        numbers |= {f"{name}.{part}": np.zeros(1) for part in POSE}
+        if isinstance(shape.surface, Asphere):
+            own = {f"a{order}": 0.0 for order in ORDERS} | {f"a{2 * i}": a for i, a in shape.surface.coefficients}
+            own |= {"curvature": shape.surface.curvature, "conic": shape.surface.conic}
+            numbers |= {f"{name}.{part}": np.array([float(value)]) for part, value in own.items()}
+        if isinstance(shape.surface, Frustum):
+            for part in ("r0", "z0", "r1", "z1"):
+                numbers[f"{name}.{part}"] = np.array([float(getattr(shape.surface, part))])
+        found = _nested(nodes[name], named, f"{name}.bsdf")
+        key, node = found[0] if found else (f"{name}.bsdf", None)
+        interface_keys[name] = key
+        numbers |= {f"{key}.{part}": np.zeros(1) for part in ("n_front_shift", "n_back_shift")}
+        if shape.interface.reflectance is not None:
+            numbers[f"{key}.R"] = np.array([float(shape.interface.reflectance)])
+            numbers[f"{key}.T"] = np.array([float(shape.interface.transmittance or 0.0)])
+        models = []
+        for nested_key, nested in _nested(node, named, f"{key}.bsdf") if node is not None else []:
+            if nested.attrib["type"] == "thinfilm":
+                films[name] = _film(nested_key, nested, numbers)
+            else:
+                models.append(_scatter_model(nested_key, nested, numbers))
+        scatter[name] = tuple(models)
+    return FrozenScene(model, wavelength_nm, numbers, interface_keys, films, scatter)
+
+
+def _nested(
+    node: ElementTree.Element, named: dict[str, ElementTree.Element], key: str
+) -> list[tuple[str, ElementTree.Element]]:
+    """Nested bsdfs and the prefixes of their keys: the id where there is one, else by place: bsdf, bsdf_1, …"""
+    found: list[tuple[str, ElementTree.Element]] = []
+    unnamed = 0
+    for child in node:
+        if child.tag == "ref" and child.attrib["id"] in named:
+            found.append((child.attrib["id"], named[child.attrib["id"]]))
+        elif child.tag == "bsdf" and "id" in child.attrib:
+            found.append((child.attrib["id"], child))
+        elif child.tag == "bsdf":
+            found.append((key if unnamed == 0 else f"{key}_{unnamed}", child))
+            unnamed += 1
+    return found
+
+
+def _film(key: str, node: ElementTree.Element, numbers: dict[str, Array]) -> Film:
+    values = {child.attrib["name"]: child.attrib["value"] for child in node}
+    if set(values) - {"layers", "first"}:
+        raise ValueError(f"oracle knows no thinfilm with {sorted(values)}")
+    layers = [item.split() for item in values["layers"].split(",")]
+    numbers[f"{key}.thickness_nm"] = np.array([float(thickness) for _, thickness in layers])
+    for part in ("n_shift", "k_shift"):
+        numbers[f"{key}.{part}"] = np.zeros(len(layers))
+    return Film(key, tuple(complex(n.replace("i", "j")) for n, _ in layers), values.get("first", "outside"))
+
+
+def _scatter_model(key: str, node: ElementTree.Element, numbers: dict[str, Array]) -> ScatterModel:
+    """``abg``, ``harvey_shack`` by b0 or by rms_nm, ``paint`` without an index."""
+    kind = node.attrib["type"]
+    values = {child.attrib["name"]: child.attrib["value"] for child in node}
+    event = values.pop("event", "reflection" if kind == "paint" else "both")
+    relative_to = values.pop("relative_to", "incident" if kind == "paint" else "specular")
+    side = values.pop("side", "both")
+    defaults = {"abg": {}, "harvey_shack": {"l": 0.01, "s": -1.5}, "paint": {"b0": 0.0, "l": 0.1, "s": -2.0}}
+    makers: dict[str, Callable[..., list[tuple[str, Profile, bool]]]] = {
+        "abg": _abg,
+        "harvey_shack": _harvey_shack,
+        "paint": _paint,
+    }
+    known = {
+        "abg": {"A", "B", "g"},
+        "harvey_shack": {"b0", "rms_nm", "l", "s"},
+        "paint": {"reflectance", "b0", "l", "s"},
+    }
+    if kind not in makers or set(values) - known[kind]:
+        raise ValueError(f"oracle knows no {kind!r} with {sorted(values)}")
+    own = {**defaults[kind], **{name: float(value) for name, value in values.items()}}
+    for name, value in own.items():
+        numbers[f"{key}.{name}"] = np.array([value])
+    events = ("transmission", "reflection") if event == "both" else (event,)
+    sides = ("front", "back") if side == "both" else (side,)
+    shares = (1.0, 0.0, 0.0) if relative_to == "incident" else (0.0, 1.0, 0.0)
+    make = makers[kind]
+
+    def lobes(numbers: dict[str, float], wavelength_nm: float, n_in: float, n_out: float, side: str) -> list[Lobe]:
+        return [
+            Lobe(event, profile, shares, sides, about_normal)
+            for event in events
+            for _, profile, about_normal in make(numbers, event, wavelength_nm, n_in, n_out)
+        ]
+
+    return ScatterModel(key, tuple(own), lobes)
+
+
+def _abg(v: dict[str, float], event: str, *_: float) -> list[tuple[str, Profile, bool]]:
+    return [(event, abg(v["A"], v["B"], v["g"]), False)]
+
+
+def _harvey_shack(
+    v: dict[str, float], event: str, wavelength_nm: float, n_in: float, n_out: float
+) -> list[tuple[str, Profile, bool]]:
+    """b0 is given, or follows from the smooth-surface limit of the total scatter, (2π Δn σ/λ)²."""
+    knee, slope = v["l"], v["s"]
+    if "rms_nm" in v:
+        step = 2 * n_in if event == "reflection" else abs(n_in - n_out)
+        total = (2 * np.pi * step * v["rms_nm"] / wavelength_nm) ** 2
+        power = 0.5 * slope + 1
+        unit = np.log1p(knee**-2) if power == 0 else ((1 + knee**-2) ** power - 1) / power
+        b0 = total / (np.pi * knee**2 * unit)
+    else:
+        b0 = v["b0"]
+    return [(event, harvey_shack(b0, knee, slope), False)]
+
+
+def _paint(v: dict[str, float], event: str, *_: float) -> list[tuple[str, Profile, bool]]:
+    lobes = [(event, lambertian(v["reflectance"]), True)]
+    return lobes + ([(event, harvey_shack(v["b0"], v["l"], v["s"]), False)] if v["b0"] else [])

@@ -1,0 +1,172 @@
+"""Distances of recorded hits from rims and from surfaces that meet a rim, as functions of the numbers of a scene.
+
+The rays are followed again in float64 (`frozen_paths`), so that a distance moves with everything that a ray has met.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from .frozen_paths import SCATTERED, Bundle, follow
+from .frozen_scene import FrozenScene, _implicit
+from .geometry import Array, Asphere, Frustum
+
+RIMS = ("outer", "inner", "half_width", "half_height", "z_low", "z_high")
+APERTURES = {
+    "semi_diameter": "outer",
+    "inner_semi_diameter": "inner",
+    "half_width": "half_width",
+    "half_height": "half_height",
+}
+
+
+@dataclass(frozen=True)
+class RimHits:
+    """
+    Rays of one path that end close to one rim.
+
+    Attributes
+    ----------
+    bundle : Bundle
+        Whose last event, Absorbed, is at the surface with the rim.
+    rim : str
+        One of `RIMS`.
+    joined : str or None
+        Surface whose distance counts instead of that of the rim.
+    c : (…, n) float64
+        Coefficients of the distances.
+    batch : (n,) int
+    """
+
+    bundle: Bundle
+    rim: str
+    joined: str | None
+    c: Array
+    batch: np.ndarray
+
+    @property
+    def surface(self) -> str:
+        """The surface with the rim."""
+        return self.bundle.events[-1][0]
+
+
+def rim_place(scene: FrozenScene, surface: str, rim: str) -> float:
+    """Clear radius, half side or end of a surface, mm in its own frame."""
+    own = scene.surface(surface)
+    if isinstance(own, Frustum):
+        r, z = sorted((own.r0, own.r1)), sorted((own.z0, own.z1))
+        return {"outer": r[1], "inner": r[0], "z_low": z[0], "z_high": z[1]}[rim]
+    assert isinstance(own, Asphere)
+    return float(getattr(own, rim))
+
+
+def distances(scene: FrozenScene, hits: RimHits, shift: float = 0.0) -> Array:
+    """Distances of hits (n,) from their rim, which is moved by `shift`, or from the joined surface, mm."""
+    bundle = hits.bundle
+    end = follow(scene, bundle).points[-1]
+    if hits.joined is not None:
+        rotation, vertex = scene.pose(hits.joined)
+        other = scene.surface(hits.joined)
+        value, gradient = _implicit(other, (end - vertex) @ rotation)
+        falling = (
+            isinstance(other, Frustum) and other.z0 == other.z1
+        )  # for the program F falls along the axis of a plane
+        return np.asarray((-1 if falling else 1) * value / np.linalg.norm(gradient, axis=1))
+    rotation, vertex = scene.pose(hits.surface)
+    local = (end - vertex) @ rotation
+    place = rim_place(scene, hits.surface, hits.rim) + shift
+    rho = np.hypot(local[:, 0], local[:, 1])
+    return {
+        "outer": place - rho,
+        "inner": rho - place,
+        "half_width": place - np.abs(local[:, 0]),
+        "half_height": place - np.abs(local[:, 1]),
+        "z_low": local[:, 2] - place,
+        "z_high": place - local[:, 2],
+    }[hits.rim]
+
+
+def edge_derivative(scene: FrozenScene, groups: list[RimHits], key: str, step: float) -> Array:
+    """
+    Derivative of Σ c Δ by a number of the scene, or by a clear radius or half side, by batch: (…, 32).
+
+    Parameters
+    ----------
+    scene : FrozenScene
+    groups : list of RimHits
+    key : str
+        ``stop.r0``, ``lens_front.curvature``, ``lens_front.semi_diameter``, …
+    step : float
+        Of the central differences.
+    """
+    owner, name = key.rsplit(".", 1)
+    total = np.zeros((*groups[0].c.shape[:-1], 32))
+    for hits in groups:
+        if key in scene.numbers:
+            if not any(scene.met_by(key, s) for s in {hits.joined or owner, *(e[0] for e in hits.bundle.events)}):
+                continue
+            up, down = (distances(scene.moved(key, sign * step), hits) for sign in (1, -1))
+        else:
+            own = owner == hits.surface and APERTURES[name] == hits.rim and hits.joined is None
+            up, down = (distances(scene, hits, sign * step * own) for sign in (1, -1))
+        slope = hits.c * (up - down) / (2 * step)
+        for row in np.ndindex(slope.shape[:-1]):
+            total[row] += np.bincount(hits.batch, slope[row], 32)
+    return total
+
+
+def bundles_of_hits(
+    ids: list[str],
+    intercepts: tuple[str, ...],
+    codes: Array,
+    lengths: np.ndarray,
+    points: Array,
+    origin: Array,
+    direction: Array,
+    rest: dict[str, Array],
+    event_bits: int,
+) -> list[RimHits]:
+    """
+    Sort hits by path, rim and joined surface.
+
+    Parameters
+    ----------
+    ids : list of str
+        Surfaces by their numbers.
+    intercepts : tuple of str
+        Names of what happens at a surface.
+    codes, lengths, points : (n, k) int, (n,) int, (n, k, 3) float64
+        Events, their number, recorded hits.
+    origin, direction : (n, 3) float64
+        Start rays.
+    rest : dict
+        ``rim`` (n,) int, ``joined`` (n,) int (beyond the surfaces: none), ``c`` (…, n), ``batch`` (n,) int.
+    event_bits : int
+        Bits of a code that tell what happens.
+    """
+    found: dict[tuple[bytes, int, int], list[int]] = {}
+    for i, length in enumerate(lengths):
+        label = codes[i, :length].tobytes(), int(rest["rim"][i]), int(rest["joined"][i])
+        found.setdefault(label, []).append(i)
+    groups = []
+    for (_, rim, joined), chosen in found.items():
+        length = lengths[chosen[0]]
+        path = codes[chosen[0], :length]
+        events = tuple((ids[c >> event_bits], intercepts[int(c) & ((1 << event_bits) - 1)]) for c in path)
+        hits = np.moveaxis(points[chosen, :length], 1, 0)
+        leaving = np.diff(hits, axis=0, append=hits[-1:])
+        for k, (_, name) in enumerate(events):
+            if name in SCATTERED:
+                leaving[k] /= np.linalg.norm(leaving[k], axis=1, keepdims=True)
+        one = np.ones(len(chosen))
+        bundle = Bundle(events, origin[chosen], direction[chosen], hits, leaving, one, one, np.array(chosen))
+        name = None if joined >= len(ids) else ids[joined]
+        groups.append(RimHits(bundle, RIMS[rim], name, rest["c"][..., chosen], rest["batch"][chosen]))
+    return groups
+
+
+def scaled(groups: list[RimHits], factor: float) -> list[RimHits]:
+    """The same with all coefficients multiplied: what a wrong program would give."""
+    return [replace(hits, c=factor * hits.c) for hits in groups]

@@ -1,0 +1,140 @@
+"""`n_front_shift` and `n_back_shift` of an interface: the same as a material of another index."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray.trace.surfaces import SurfaceTable
+
+SHIFT = 0.125  # exact in float32, as are the indices with it
+COATINGS: dict[str, dict[str, Any]] = {
+    "bare": {},
+    "layers": {"coating": {"type": "thinfilm", "layers": "1.38 99, 2.1 60"}},
+    "ideal": {"R": 0.04, "T": 0.9},
+}
+
+
+def plate(front: dict[str, Any], rear: dict[str, Any]) -> mi.Scene:
+    """A wedge of glass before a detector."""
+    film = {"type": "hdrfilm", "width": 16, "height": 16, "rfilter": {"type": "box"}}
+    place = mi.ScalarTransform4d()
+    return mistray.load(
+        {
+            "type": "scene",
+            "beam": {"type": "collimated", "radius": 3.0, "field_deg": 10.0},
+            "front": {"type": "asphere", "radius": 40.0, "semi_diameter": 6.0, "bsdf": {"type": "interface"} | front},
+            "rear": {
+                "type": "asphere", "semi_diameter": 6.0, "to_world": place.translate([0, 0, 6]),
+                "bsdf": {"type": "interface"} | rear,
+            },
+            "detector": {
+                "type": "asphere", "semi_diameter": 9.0, "to_world": place.translate([0, 0, 20]),
+                "bsdf": {"type": "interface", "R": 0.0}, "meter": {"type": "irradiancemeter", "film": film},
+            },
+        }
+    )  # fmt: skip
+
+
+def shifted(coating: dict[str, Any]) -> mi.Scene:
+    return plate({"back": "1.5+1e-6i", "n_back_shift": SHIFT} | coating,
+                 {"front": "1.5+1e-6i", "n_front_shift": SHIFT} | coating)  # fmt: skip
+
+
+def other(coating: dict[str, Any]) -> mi.Scene:
+    return plate({"back": "1.625+1e-6i"} | coating, {"front": "1.625+1e-6i"} | coating)
+
+
+@pytest.mark.parametrize("name", COATINGS)
+class TestTrace:
+    def test_it_is_another_index(self, name: str) -> None:
+        ours, theirs = (mistray.trace(make(COATINGS[name]), rays=3000, seed=2) for make in (shifted, other))
+        np.testing.assert_array_equal(ours.irradiance, theirs.irradiance)
+        assert ours.energy.detected_W == theirs.energy.detected_W
+        plain = mistray.trace(plate({"back": "1.5+1e-6i"}, {"front": "1.5+1e-6i"}), rays=3000, seed=2)
+        assert np.any(plain.irradiance != ours.irradiance)
+
+    def test_an_update_takes_effect_without_recompilation(self, name: str) -> None:
+        scene = plate({"back": "1.5+1e-6i"} | COATINGS[name], {"front": "1.5+1e-6i"} | COATINGS[name])
+        params = mi.traverse(scene)
+        compiled = []
+        for value in (0.0, 0.25, SHIFT):
+            params["front.bsdf.n_back_shift"] = mi.Float(value)
+            params["rear.bsdf.n_front_shift"] = mi.Float(value)
+            params.update()
+            with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
+                dr.kernel_history_clear()
+                ours = mistray.trace(scene, rays=3000, seed=2)
+                compiled.append(sum(not k["cache_hit"] for k in dr.kernel_history([dr.KernelType.JIT])))
+        np.testing.assert_array_equal(
+            ours.irradiance, mistray.trace(other(COATINGS[name]), rays=3000, seed=2).irradiance
+        )
+        assert compiled[1:] == [0, 0]
+
+
+def test_two_shifts_are_two_media() -> None:
+    scene = plate({"back": "N-BK7"}, {"front": "N-BK7"})
+    assert SurfaceTable(scene, 550.0).optics.media == ["unknown", "air", "N-BK7"]
+    params = mi.traverse(scene)
+    params["front.bsdf.n_back_shift"] = mi.Float(SHIFT)
+    params.update()
+    assert SurfaceTable(scene, 550.0).optics.media == ["unknown", "air", "N-BK7 shift=0.125", "N-BK7"]
+    front, rear = (shape.bsdf() for shape in scene.shapes() if shape.id() in ("front", "rear"))
+    assert front.indices(500.0)[1] == rear.indices(500.0)[0] + SHIFT
+    assert front.complex_indices(500.0)[1] == rear.complex_indices(500.0)[0] + SHIFT
+
+
+@pytest.mark.parametrize("name", COATINGS)
+def test_stock_integrators_see_it(name: str) -> None:
+    ours, theirs = (
+        mi.load_dict({"type": "interface", **COATINGS[name], **more})
+        for more in ({"back": "1.5", "n_back_shift": 0.0}, {"back": "1.625"})
+    )
+    si = dr.zeros(mi.SurfaceInteraction3f, 50)
+    si.wi = mi.warp.square_to_uniform_sphere(mi.Point2f(np.random.default_rng(1).random((2, 50)).astype(np.float32)))
+    u = mi.Float(np.random.default_rng(2).random(50).astype(np.float32))
+
+    def sampled(bsdf: mi.BSDF) -> list[np.ndarray]:
+        bs, weight = bsdf.sample(mi.BSDFContext(), si, u, mi.Point2f(0.5, 0.5))
+        return [np.array(bs.wo), np.array(bs.eta), np.array(weight)]
+
+    before = sampled(ours)
+    params = mi.traverse(ours)
+    params["n_back_shift"] = mi.Float(SHIFT)
+    params.update()
+    for mine, his in zip(sampled(ours), sampled(theirs), strict=True):
+        np.testing.assert_allclose(mine, his, atol=1e-7)
+    assert np.any(before[0] != sampled(ours)[0])
+
+
+def test_bad_updates_leave_everything() -> None:
+    bsdf = mi.load_dict({"type": "interface", "id": "face", "back": "1.5", "R": 0.1, "T": 0.8})
+    params = mi.traverse(bsdf)
+    for key, value, message in (
+        ("n_back_shift", float("nan"), r"interface 'face': n_back_shift is \[nan\]; give one finite number"),
+        ("n_front_shift", [0.1, 0.2], r"give one finite number"),
+        ("n_back_shift", -2.0, r"interface 'face': material '1.5 shift=-2.0': index -0.5 .* greater than 0"),
+    ):
+        params[key] = mi.Float(value)
+        with pytest.raises(mistray.MistrayError, match=message):
+            params.update()
+        assert bsdf.indices(550.0) == (1.0, 1.5)
+        assert np.array(mi.traverse(bsdf)[key]).tolist() == [0.0]
+
+
+def test_nested_plugins_have_none() -> None:
+    film, polish = {"type": "thinfilm", "layers": "1.38 99"}, {"type": "abg", "A": 1e-4, "B": 1e-3, "g": 2.0}
+    bsdf = mi.load_dict({"type": "interface", "back": "1.5", "coating": film, "polish": polish})
+    keys = list(mi.traverse(bsdf).keys())
+    assert [key for key in keys if "shift" in key and "coating" not in key] == ["n_front_shift", "n_back_shift"]
+    assert {key for key in keys if "coating" in key} == {f"coating.{k}" for k in ("thickness_nm", "n_shift", "k_shift")}
+    alone = mi.load_dict({"type": "thinfilm", "layers": "1.38 99", "back": "1.5", "n_back_shift": 0.25})
+    assert alone.indices(550.0) == (1.0, 1.75)
+    for nested in ({"coating": film | {"n_back_shift": 0.1}}, {"polish": polish | {"n_front_shift": 0.1}}):
+        with pytest.raises(Exception, match=r"n_(back|front)_shift as well; give n_\w+_shift at the interface only"):
+            mi.load_dict({"type": "interface", "back": "1.5", **nested})

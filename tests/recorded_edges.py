@@ -1,0 +1,101 @@
+"""Hits close to rims and their coefficients, as `mistray.trace.edges` finds them, for the oracle of distances."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+from oracles.rim_distances import RimHits, bundles_of_hits
+
+from mistray.trace.adjoint import Adjoint
+from mistray.trace.backward import BackwardTrace
+from mistray.trace.edges import Edges
+from mistray.trace.ledger import EVENT_BITS, Ledger
+from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
+from mistray.trace.settings import Settings
+from mistray.trace.sky import Sky
+from mistray.trace.start_rays import StartRays
+from mistray.trace.tracer import Run, prepare
+from mistray.trace.upload import upload
+
+
+def edge_hits(
+    edges: Edges,
+    starts: list[StartRays],
+    ids: list[str],
+    adjoint: Adjoint,
+    ledger: Ledger | None = None,
+    sky: Sky | None = None,
+) -> list[RimHits]:
+    """All hits of some start rays, with both coefficients (the one for half the width in row 1)."""
+    found: dict[str, list[Any]] = {}
+    for pass_rays in starts:
+        for start, events in edges.events(pass_rays, adjoint, ledger, sky):
+            row, paths = np.array(events.row), events.paths
+            lane = np.array(paths.lane)[row] - int(np.array(start.lane)[0])
+            nodes = np.array(paths.nodes).reshape(paths.capacity, paths.max_events, -1)
+            portion = {
+                "codes": np.array(paths.codes).reshape(paths.capacity, -1)[row],
+                "lengths": np.array(paths.length)[row],
+                "points": nodes[row, :, :3].astype(np.float64),
+                "origin": np.array(start.o).T[lane].astype(np.float64),
+                "direction": np.array(start.d).T[lane].astype(np.float64),
+                "rim": np.array(events.rim),
+                "joined": np.array(events.joined),
+                "batch": np.array(events.batch),
+                "c": np.stack([np.array(events.c), np.array(events.c_half)], axis=1),
+            }
+            for name, values in portion.items():
+                found.setdefault(name, []).append(values)
+    if not found:
+        return []
+    whole = {name: np.concatenate(values) for name, values in found.items()}
+    rest = {name: whole.pop(name) for name in ("rim", "joined", "batch")} | {"c": whole.pop("c").T}
+    names = tuple(INTERCEPTS[k] for k in range(EVENT_MASK + 1))
+    return bundles_of_hits(ids, names, **whole, rest=rest, event_bits=EVENT_BITS)
+
+
+def traced_edges(scene: Any, width: float, pixel: np.ndarray | float = 1.0, **traced: Any) -> tuple[Run, list[RimHits]]:
+    """
+    Hits of a trace with the light.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    width : float
+        Of the zones.
+    pixel : (height, width) or float
+        Derivative of the metric by the flux in each pixel.
+    **traced
+        field_deg, and fields of `Settings`.
+    """
+    field_deg = traced.pop("field_deg", None)
+    settings = Settings.of(scene, **traced)
+    (run,) = prepare(scene, settings, field_deg)
+    film = run.make_film()
+    by_pixel = run.unit * np.broadcast_to(pixel, (film.height, film.width))
+    adjoint = Adjoint(0, upload(mi.Float, by_pixel))
+    edges = Edges(run.table, run.scattering, run.intersector, settings, film, width)
+    with dr.suspend_grad():
+        return run, edge_hits(edges, [run.start_pass(k) for k in range(run.passes)], run.table.ids, adjoint)
+
+
+def backward_edges(trace: BackwardTrace, derivative: np.ndarray, width: float) -> list[RimHits]:
+    """
+    Hits of the first wavelength of a trace against the light, from its passes again.
+
+    Parameters
+    ----------
+    trace : BackwardTrace
+    derivative : (CLASS_COUNT, n, m) float64
+        Of the metric by the sums of weights.
+    width : float
+        Of the zones.
+    """
+    band = trace.bands[0]
+    edges = Edges(band.table, band.scattering, trace.intersector, trace.settings, trace.film, width)
+    starts = [trace.start_pass(0, done, rays) for done, rays in enumerate(trace.pass_rays or [])]
+    with dr.suspend_grad():
+        return edge_hits(edges, starts, band.table.ids, Adjoint(0), sky=trace.make_sky(derivative))

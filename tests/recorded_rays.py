@@ -1,0 +1,53 @@
+"""All rays of a trace that reach the detector, for the oracle of frozen paths."""
+
+from __future__ import annotations
+
+import numpy as np
+from oracles.frozen_paths import Bundle
+
+from mistray.trace import Trace
+from mistray.trace.books import NODE_FLOATS
+from mistray.trace.ledger import EVENT_BITS
+from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
+
+
+def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
+    """
+    Every branch of one source and wavelength that ends on the detector, by path.
+
+    Only what the kernel wrote down is used: start rays, events, hits, directions of arrival, weights. Positions found
+    again in float64, as `Trace.history` has them, would share code with the program under test.
+    """
+    of = trace._runs[run]
+    count = sum(row.rays for row in trace.paths if trace.paths.locate(row.path_id)[0] == run)
+    recorder = of.record(0, count)
+    assert int(recorder.count[0]) == count, "the rays that were recorded are not those of the ledger"
+    lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)[:count]
+    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count]
+    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)[:count].astype(np.float64)
+    origins, directions = of.start_rays(lanes)
+    codes = np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0)
+    lists, group = np.unique(codes, axis=0, return_inverse=True)
+    ids = of.table.event_ids
+    bundles = []
+    for number, events in enumerate(lists):
+        here = np.flatnonzero(group.ravel() == number)
+        here = here[np.argsort(lanes[here], kind="stable")]
+        k = lengths[here[0]]
+        names = tuple((ids[int(c) >> EVENT_BITS], INTERCEPTS[int(c) & EVENT_MASK]) for c in events[:k])
+        own = np.moveaxis(nodes[here, :k], 0, 1)
+        leaving = np.concatenate([own[1:, :, 3:6], np.zeros((1, len(here), 3))])
+        leaving[:-1] /= np.linalg.norm(leaving[:-1], axis=2, keepdims=True)
+        bundles.append(
+            Bundle(
+                names,
+                origins[here],
+                directions[here],
+                own[:, :, :3],
+                leaving,
+                np.full(len(here), of.unit),
+                of.unit * own[-1, :, 6],
+                lanes[here],
+            )
+        )
+    return bundles

@@ -1,0 +1,277 @@
+"""Scene files with other values: what is loaded again is what was given, and nothing else changes."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+import mistray.scenes
+from mistray.coatings import preset
+from mistray.errors import MistrayError
+from mistray.scene.load import LOADING, find
+from mistray.scene.rewrite import rewritten, write_rewritten
+
+SHIPPED = sorted(path.parent.name for path in Path(mistray.scenes.__file__).parent.glob("*/scene.xml"))
+SCATTER = ("A", "B", "g", "b0", "l", "s", "rms_nm", "B_um", "slope", "total", "width", "level", "coverage_percent",
+           "reflectance", "width_mm")  # fmt: skip
+TRIPLET = find("cooke_triplet")
+
+
+def values_of(scene: mi.Scene) -> dict[str, np.ndarray]:
+    """All numbers of surfaces, coatings and scatter, shapes in double precision."""
+    params = mi.traverse(scene)
+    found = {}
+    for key in params.keys():  # noqa: SIM118
+        plugin, name = params.properties[key][2], key.rpartition(".")[2]
+        if hasattr(plugin, "outer_radius"):
+            if name in plugin.values:
+                found[key] = np.array([plugin.values[name]])
+        elif hasattr(plugin, "complex_indices"):
+            found[key] = np.array(params[key], dtype=np.float64)
+    return found
+
+
+def changed(key: str, value: np.ndarray, rng: np.random.Generator) -> np.ndarray:
+    """A value nearby that is possible whatever the others are."""
+    name, u = key.rpartition(".")[2], rng.uniform(0.2, 1.0, value.shape)
+    if name in ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z", "z0", "z1"):
+        return value + 1e-3 * u
+    if name in ("n_front_shift", "n_back_shift", "n_shift", "k_shift", "inner_semi_diameter"):
+        return value + np.float32(1e-4) * u
+    if name.startswith("a") and name[1:].isdigit():
+        return value - 1e-6 * u * 10.0 ** (4 - int(name[1:]))
+    if name in ("curvature", "conic"):
+        return value * (1 - 1e-3 * u) + (1e-7 * u if name == "curvature" else -1e-3 * u)
+    if name in ("r0", "r1", "thickness_nm", "level"):
+        return value * (1 + 1e-3 * u)
+    return value * (1 - 1e-3 * u)
+
+
+def assert_loads(path: Path, expected: dict[str, np.ndarray]) -> None:
+    # Random surfaces overlap, which `mistray.load` would refuse
+    found = values_of(mi.load_file(str(path), **LOADING))
+    assert found.keys() == expected.keys()
+    for key, value in expected.items():
+        shape = "." in key and key.count(".") == 1 and key.rpartition(".")[2] in PLACES
+        if shape:
+            np.testing.assert_array_equal(found[key], value, err_msg=key)
+        else:
+            np.testing.assert_array_equal(found[key].astype(np.float32), value.astype(np.float32), err_msg=key)
+
+
+PLACES = {
+    *("x", "y", "z", "tilt_x", "tilt_y", "tilt_z", "r0", "z0", "r1", "z1", "curvature", "conic"),
+    *(f"a{order}" for order in range(4, 21, 2)),
+    *("semi_diameter", "inner_semi_diameter", "half_width", "half_height"),
+}
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_round_trip_of_all_values_of_a_shipped_scene(name: str, tmp_path: Path) -> None:
+    rng = np.random.default_rng(6)
+    source = find(name)
+    before = values_of(mistray.load(source))
+    new = {key: changed(key, value, rng) for key, value in before.items()}
+    assert len(new) > 50
+    path = write_rewritten(source, new, tmp_path / "all.xml", "everything")
+    assert_loads(path, new)
+    some = {key: new[key] for key in rng.choice(list(new), 20, replace=False)}
+    path = write_rewritten(source, some, tmp_path / "some.xml")
+    assert_loads(path, before | some)
+    back = write_rewritten(path, {key: before[key] for key in some}, tmp_path / "back.xml")
+    assert_loads(back, before)
+
+
+SCENE = """<?xml version="1.0" encoding="utf-8"?>
+<scene version="3.0.0">
+    <default name="stop" value="3"/>
+    <bsdf type="thinfilm" id="shared"><string name="preset" value="bbar3"/></bsdf>
+    <bsdf type="thinfilm" id="waves">
+        <string name="layers" value="MgF2 0.25w, 2.1 130.5"/> <!-- a comment -->
+    </bsdf>
+    <bsdf type="thinfilm" id="silver"><string name="preset" value="protected_ag"/></bsdf>
+    <bsdf type="harvey_shack" id="polish"><float name="rms_nm" value="4"/></bsdf>
+    <shape type="asphere" id="a">
+        <integer name="radius" value="40"/>
+        <float name="semi_diameter" value="5"/>
+        <bsdf type="interface"><string name="back" value="1.5"/><ref id="shared"/><ref id="polish"/></bsdf>
+    </shape>
+    <shape type="asphere" id="b">
+        <float name="curvature" value="-0.01"/> <float name="semi_diameter" value="5"/>
+        <transform name="to_world"><translate z="4"/></transform>
+        <bsdf type="interface">
+            <string name="front" value="1.5"/>
+            <ref id="shared"/>
+            <bsdf type="abg"><float name="A" value="1e-4"/><float name="B" value="1e-3"/><float name="g" value="2"/></bsdf>
+            <bsdf type="abg"><float name="A" value="2e-4"/><float name="B" value="1e-3"/><float name="g" value="2"/></bsdf>
+        </bsdf>
+    </shape>
+    <shape type="asphere" id="c"><float name="semi_diameter" value="5"/>
+        <transform name="to_world"><translate z="8"/></transform><bsdf type="interface"><ref id="waves"/></bsdf></shape>
+    <shape type="asphere" id="d"><float name="semi_diameter" value="5"/>
+        <transform name="to_world"><translate z="9"/></transform><bsdf type="interface"/></shape>
+    <shape type="frustum" id="stop">
+        <float name="r0" value="$stop"/> <float name="r1" value="9"/>
+        <float name="z0" value="10"/> <float name="z1" value="10"/>
+        <bsdf type="interface">
+            <float name="R" value="0.1"/>
+            <bsdf type="paint"><string name="preset" value="flat_black"/></bsdf>
+        </bsdf>
+    </shape>
+    <shape type="asphere" id="mirror"><float name="semi_diameter" value="$stop"/>
+        <transform name="to_world"><translate z="30"/></transform>
+        <bsdf type="interface"><ref id="silver"/></bsdf>
+    </shape>
+    <shape type="asphere" id="detector">
+        <float name="half_width" value="5"/><float name="half_height" value="5"/>
+        <transform name="to_world"><translate z="12"/></transform>
+        <bsdf type="interface"><float name="R" value="0"/></bsdf>
+        <sensor type="irradiancemeter"><film type="hdrfilm"><rfilter type="box"/></film></sensor>
+    </shape>
+</scene>
+"""
+
+
+def store(folder: Path, text: str) -> Path:
+    path = folder / "scene.xml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def changes(before: str, after: str) -> tuple[list[str], list[str]]:
+    """Lines that went and lines that came."""
+    lines = list(difflib.ndiff(before.splitlines(), after.splitlines()))
+    return [x[2:].strip() for x in lines if x[0] == "-"], [x[2:].strip() for x in lines if x[0] == "+"]
+
+
+class TestText:
+    def test_only_the_values_change(self) -> None:
+        after = rewritten(TRIPLET, {"L1_front.curvature": 0.04, "L1_front.x": 0.1}, TRIPLET.parent, "for -- a test")
+        gone, new = changes(TRIPLET.read_text("utf-8"), after)
+        assert gone == ['<float name="radius" value="23.713"/>']
+        assert new == [
+            "<!-- Values set by mistray: for - - a test",
+            "L1_front.curvature = 0.04 (was 0.042170964)",
+            "L1_front.x = 0.1 (was 0) -->",
+            '<float name="radius" value="25"/>',
+            '<float name="x" value="0.1"/>',
+        ]
+
+    @pytest.mark.parametrize(
+        ("values", "lines"),
+        [
+            ({"a.curvature": 0.02}, ['<float name="radius" value="50"/>']),
+            ({"a.curvature": 0.0}, ['<float name="radius" value="0"/>']),
+            ({"a.curvature": 0.049}, ['<float name="curvature" value="0.049"/>']),  # 1/(1/0.049) is another number
+            ({"polish.l": 0.02}, [
+                '<bsdf type="harvey_shack" id="polish"><float name="rms_nm" value="4"/><float name="l" value="0.02"/></bsdf>',
+            ]),
+            ({"d.bsdf.n_back_shift": 0.25, "d.bsdf.n_front_shift": 0.5}, [
+                '<transform name="to_world"><translate z="9"/></transform><bsdf type="interface"><float name="n_back_shift" '
+                'value="0.25"/><float name="n_front_shift" value="0.5"/></bsdf></shape>',
+            ]),
+            ({"waves.thickness_nm": [99.5, 130.5]}, [
+                '<string name="layers" value="MgF2 99.5, 2.1 130.5"/> <!-- a comment -->',
+            ]),
+            ({"waves.n_shift": [0, 0.1]}, ['<string name="n_shift" value="0, 0.1"/>']),
+            ({"stop.bsdf.paint.reflectance": 0.0625}, [
+                '<bsdf type="paint"><float name="reflectance" value="0.0625"/></bsdf>',
+            ]),
+            ({"stop.bsdf.T": 0.5}, ['<float name="T" value="0.5"/>']),
+            ({"stop.r0": 2.5}, ['<float name="r0" value="2.5"/> <float name="r1" value="9"/>']),
+            ({"b.bsdf.abg_2.A": 0.0005}, [
+                '<bsdf type="abg"><float name="A" value="0.0005"/><float name="B" value="1e-3"/>'
+                '<float name="g" value="2"/></bsdf>',
+            ]),
+        ],
+    )  # fmt: skip
+    def test_where_values_go(self, values: dict[str, Any], lines: list[str], tmp_path: Path) -> None:
+        source = store(tmp_path, SCENE)
+        _, new = changes(SCENE, rewritten(source, values, tmp_path))
+        assert [line for line in new if "(was" not in line and "Values set" not in line] == lines
+        before = values_of(mistray.load(source))
+        expected = before | {key: np.atleast_1d(np.asarray(value, dtype=float)) for key, value in values.items()}
+        assert_loads(write_rewritten(source, values, tmp_path / "new.xml"), expected)
+
+    def test_shared_objects_stay_shared(self, tmp_path: Path) -> None:
+        source = store(tmp_path, SCENE)
+        thickness = [layer.thickness_nm + 1.5 for layer in preset("bbar3").layers]
+        path = write_rewritten(source, {"shared.thickness_nm": thickness, "polish.rms_nm": 5.0}, tmp_path / "new.xml")
+        scene = mistray.load(path)
+        bsdfs = {shape.id(): shape.bsdf() for shape in scene.shapes()}
+        assert bsdfs["a"].film is bsdfs["b"].film
+        assert [layer.thickness_nm for layer in bsdfs["a"].coating.layers] == pytest.approx(thickness, rel=1e-7)
+        materials = [[layer.material for layer in stack.layers] for stack in (bsdfs["a"].coating, preset("bbar3"))]
+        assert materials[0] == materials[1]
+        assert bsdfs["a"].scatter[0].rms_nm == 5.0
+
+    def test_a_metal_mirror_stays_opaque(self, tmp_path: Path) -> None:
+        source = store(tmp_path, SCENE)
+        before = {s.id(): s.bsdf().coating for s in mistray.load(source).shapes()}["mirror"]
+        thickness = [layer.thickness_nm * 1.1 for layer in before.layers]
+        path = write_rewritten(source, {"silver.thickness_nm": thickness}, tmp_path / "new.xml")
+        after = {s.id(): s.bsdf().coating for s in mistray.load(path).shapes()}["mirror"]
+        assert (after.opaque, after.first) == (before.opaque, before.first) == (True, "outside")
+        assert len(after.layers) == len(before.layers)
+
+    def test_a_table_of_layers_keeps_its_materials(self, tmp_path: Path) -> None:
+        (tmp_path / "sub").mkdir()
+        (tmp_path / "COATING.DAT").write_text(
+            "MATE MYFILM\n0.4 1.40 0\n0.7 1.38 0\nCOAT AR\nMYFILM 0.1 1\n", encoding="utf-8"
+        )
+        text = SCENE.replace('<string name="preset" value="bbar3"/>', '<string name="table" value="COATING.DAT:AR"/>')
+        path = write_rewritten(store(tmp_path, text), {"shared.thickness_nm": 88.0}, tmp_path / "sub" / "new.xml")
+        assert 'value="COATING.DAT:MYFILM 88"' in path.read_text("utf-8")
+        assert '<path value=".."/>' in path.read_text("utf-8")
+        coating = {s.id(): s.bsdf().coating for s in mistray.load(path).shapes()}["a"]
+        assert coating.layers[0].thickness_nm == 88.0
+        assert coating.indices(550.0)[0].real == pytest.approx(1.39, abs=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("values", "message"),
+    [
+        ({"a.curvatur": 1.0}, "it has no parameter 'a.curvatur'; did you mean a.curvature"),
+        ({"nothing": 1.0}, "it has no parameter 'nothing'"),
+        ({"detector.sensor.shutter_open": 1.0}, "is no value of a surface, coating or scatter"),
+        ({"a.vertex_positions": 1.0}, "is no value of a surface, coating or scatter"),
+        ({"a.x": [1.0, 2.0]}, "parameter 'a.x': 2 numbers are given; it has 1"),
+        ({"waves.n_shift": 0.1}, "parameter 'waves.n_shift': 1 numbers are given; it has 2"),
+        ({"a.x": float("nan")}, "parameter 'a.x': nan is given; it must be finite"),
+        ({"shared.R": 0.5}, "it has no parameter 'shared.R'"),
+    ],
+)
+def test_what_cannot_be_placed(values: dict[str, Any], message: str, tmp_path: Path) -> None:
+    with pytest.raises(MistrayError, match=message) as caught:
+        rewritten(store(tmp_path, SCENE), values, tmp_path)
+    assert "\n" not in str(caught.value)
+
+
+def test_an_included_file_is_not_changed(tmp_path: Path) -> None:
+    (tmp_path / "lens.xml").write_text(
+        '<scene version="3.0.0"><shape type="asphere" id="z"><float name="semi_diameter" value="2"/>'
+        '<transform name="to_world"><translate z="25"/></transform>'
+        '<bsdf type="interface"><float name="R" value="0.5"/></bsdf></shape></scene>',
+        encoding="utf-8",
+    )
+    source = store(tmp_path, SCENE.replace("</scene>", '    <include filename="lens.xml"/>\n</scene>'))
+    assert "z.x" in values_of(mistray.load(source))
+    with pytest.raises(MistrayError, match=r"the object of parameter 'z.x' does not stand in the file"):
+        rewritten(source, {"z.x": 1.0}, tmp_path)
+    (tmp_path / "other").mkdir()
+    path = write_rewritten(source, {"a.x": 0.5}, tmp_path / "other" / "new.xml")
+    assert values_of(mistray.load(path))["z.semi_diameter"] == 2.0
+
+
+def test_the_file_itself_may_be_rewritten(tmp_path: Path) -> None:
+    source = store(tmp_path, SCENE)
+    for value in (0.5, 0.25):
+        write_rewritten(source, {"a.x": value}, source)
+    assert values_of(mistray.load(source))["a.x"] == 0.25
+    assert source.read_text("utf-8").count('name="x"') == 1
