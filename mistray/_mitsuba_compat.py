@@ -104,3 +104,13 @@ def mesh_arrays(mesh: Any) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint
     buffers = import_mitsuba().traverse(mesh)
     vertices = np.array(buffers[_POSITIONS], dtype=np.float32).reshape(-1, 3)
     return vertices, np.array(buffers[_FACES], dtype=np.uint32).reshape(-1, 3)
+
+
+def peek(params: Any, key: str) -> Any:
+    """
+    A value of ``mi.SceneParameters`` as it is.
+
+    ``params[key]`` notes the key as one that may be changed, and `update` fails on it when `keep` has taken it away.
+    """
+    value, kind, node, _ = params.properties[key]
+    return value if kind is None else params.get_property(value, kind, node)

@@ -25,6 +25,7 @@ from mistray.optimize import Metric
 SCENES = Path(__file__).parents[1] / "scenes"
 LAYERS = '<bsdf type="thinfilm"><string name="layers" value="1.38 95, 2.1 120, 1.63 80"/></bsdf>'
 NORM = 16.0  # of the peak
+MOVE = 2e-5  # of a surface, in units of its size
 
 
 def scene_text(name: str) -> str:
@@ -51,6 +52,13 @@ def with_values(text: str, shape_id: str, **values: float) -> str:
         for old in [node for node in place if node.attrib.get("name") == name]:
             place.remove(old)
         place.append(ElementTree.Element("float", {"name": name, "value": repr(value)}))
+    return ElementTree.tostring(root, encoding="unicode")
+
+
+def with_shape(text: str, shape: str) -> str:
+    """A scene's XML with one more shape."""
+    root = ElementTree.fromstring(text)
+    root.append(ElementTree.fromstring(shape))
     return ElementTree.tostring(root, encoding="unicode")
 
 
@@ -142,22 +150,31 @@ class Case:
         x0, x1, y0, y1 = self.trace.extent
         take = self.select(events)
 
-        def tent(hits: Hits) -> Array:
-            u = np.clip((hits.x - x0) / (x1 - x0) * width - 0.5, 0, width - 1)
-            v = np.clip((hits.y - y0) / (y1 - y0) * height - 0.5, 0, height - 1)
-            i, j = np.minimum(u.astype(int), width - 2), np.minimum(v.astype(int), height - 2)
-            a, b = u - i, v - j
-            low = (1 - a) * by_pixel[j, i] + a * by_pixel[j, i + 1]
-            return (1 - b) * low + b * ((1 - a) * by_pixel[j + 1, i] + a * by_pixel[j + 1, i + 1])
+        def places(hits: Hits) -> tuple[Array, Array]:
+            return (hits.x - x0) / (x1 - x0) * width - 0.5, (hits.y - y0) / (y1 - y0) * height - 0.5
 
-        def own(hits: Hits) -> Array:
-            column = np.clip(((hits.x - x0) / (x1 - x0) * width).astype(int), 0, width - 1)
-            return by_pixel[np.clip(((hits.y - y0) / (y1 - y0) * height).astype(int), 0, height - 1), column]
+        # The cell between centres, and the pixel, are those of the ray as it was: a derivative does not see corners
+        cells, offsets = [], []
+        for hits in take(self.paths.nominal):
+            u, v = places(hits)
+            i, j = (np.floor(w).astype(int) for w in (u, v))
+            corners = [
+                by_pixel[np.clip(j + b, 0, height - 1), np.clip(i + a, 0, width - 1)] for b in (0, 1) for a in (0, 1)
+            ]
+            own = by_pixel[
+                np.clip(np.rint(v).astype(int), 0, height - 1), np.clip(np.rint(u).astype(int), 0, width - 1)
+            ]
+            cells.append((i, j, corners))
+            offsets.append(own - _bilinear(u - i, v - j, corners))
 
-        offsets = [own(hits) - tent(hits) for hits in take(self.paths.nominal)]
-        return lambda hits: float(
-            sum(h.flux @ (tent(h) + offset) for h, offset in zip(take(hits), offsets, strict=True))
-        )
+        def value(hits: Sequence[Hits]) -> float:
+            total = 0.0
+            for h, (i, j, corners), offset in zip(take(hits), cells, offsets, strict=True):
+                u, v = places(h)
+                total += float(h.flux @ (offset + _bilinear(u - i, v - j, corners)))
+            return total
+
+        return value
 
     def metrics(self, ghost: str) -> dict[str, tuple[Callable[[Any], Any], Callable[[Sequence[Hits]], float]]]:
         """Names → the metric for mistray, of one observation, and for the oracle."""
@@ -187,8 +204,13 @@ class Case:
         }
 
 
+def _bilinear(a: Array, b: Array, corners: Sequence[Array]) -> Array:
+    """Between four values: at (0, 0), (1, 0), (0, 1), (1, 1)."""
+    return (1 - b) * ((1 - a) * corners[0] + a * corners[1]) + b * ((1 - a) * corners[2] + a * corners[3])
+
+
 def step(scene: FrozenScene, key: str) -> float:
-    """A step that moves a surface by about 1e-4 of its size, an index or a share by 1e-5, a layer by 0.01 nm."""
+    """A step that moves a surface by 2e-5 of its size, an index or a share by 1e-5, a layer by 0.01 nm."""
     owner, name = key.rsplit(".", 1)
     if name in ("n_front_shift", "n_back_shift", "R", "T", "n_shift", "k_shift"):
         return 1e-5
@@ -197,15 +219,13 @@ def step(scene: FrozenScene, key: str) -> float:
     if owner not in scene.model.by_id:  # a scatter model
         return 1e-4 * abs(scene.number(key))
     surface = scene.model.by_id[owner].surface
-    size = surface.extent()
-    if isinstance(surface, Frustum):
-        size = max(surface.r0, surface.r1)
+    size = max(surface.r0, surface.r1) if isinstance(surface, Frustum) else surface.extent()
     if name in ("x", "y", "z", "r0", "z0", "r1", "z1"):
-        return 1e-4 * size
+        return MOVE * size
     if name.startswith("tilt"):
-        return float(np.degrees(1e-4))
+        return float(np.degrees(MOVE))
     if name == "curvature":
-        return 1e-4 / size
+        return MOVE / size
     if name == "conic":
-        return 1e-3
-    return 1e-4 * size / size ** int(name[1:])
+        return 10 * MOVE
+    return MOVE * size ** (1 - int(name[1:]))

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import re
 import sys
 from pathlib import Path
 from typing import Any
@@ -13,9 +15,18 @@ import mistray.optimize
 from mistray import cli
 
 STUDY = """
-[metric]
+[[term]]
+name = "ghosts"
+kind = "path_power"
+goal = "minimise"
 wavelength_nm = 550
 rays = 32
+
+[[term]]
+kind = "total_thickness"
+goal = "at_most"
+limit = 59
+tolerance = 0.1
 
 [[coating]]
 name = "AR"
@@ -50,9 +61,11 @@ def test_report_and_files(capsys: Any, files: tuple[str, str, str]) -> None:
     assert "search from start 1: all steps used" in printed
     assert {
         "scene.xml",
-        "table.csv",
+        "terms.csv",
+        "variables.csv",
         "history.csv",
-        "convergence.png",
+        "search.png",
+        "variables.png",
         "reflectance.png",
         "report.html",
         "checkpoint.json",
@@ -79,27 +92,27 @@ def test_progress_on_a_terminal(capsys: Any, files: tuple[str, str, str], monkey
     scene, study, _ = files
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
     _, _, errors = run(capsys, scene, study, "--steps", "1")
-    lines = errors.splitlines()
-    assert len(lines) == 2
-    assert lines[0].startswith("start 1 (given), step 0: ")
-    assert "±" in lines[1]
-    assert "|gradient| " in lines[1]
+    first, second = (line for line in re.split(r"[\r\n]+", errors) if line.startswith("start 1 (given), step "))
+    assert first.startswith("start 1 (given), step 0: merit 1.3677 ± "), "1.3677 = (1 + 1/5.9)²"
+    assert "; ghosts 0.0005104, total_thickness 60 (!); |gradient| " in first, "beyond its limit"
+    assert " step 1: " in second
+    assert "search from start 1, merit " in errors
 
 
 class TestInterruption:
     def interrupt(self, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
         """Ctrl-C while a step is computed."""
-        from mistray.optimize import coatings
+        from mistray.optimize.merit import Merit
 
-        evaluate, calls = coatings._Search.evaluate, []
+        evaluate, calls = Merit.evaluate, []
 
-        def evaluated(self: Any, d: Any) -> Any:
-            calls.append(d)
+        def evaluated(self: Any, y: Any, number: int) -> Any:
+            calls.append(y)
             if len(calls) > after:
                 raise KeyboardInterrupt
-            return evaluate(self, d)
+            return evaluate(self, y, number)
 
-        monkeypatch.setattr(coatings._Search, "evaluate", evaluated)
+        monkeypatch.setattr(Merit, "evaluate", evaluated)
 
     def test_the_checkpoint_stays(
         self, capsys: Any, files: tuple[str, str, str], monkeypatch: pytest.MonkeyPatch
@@ -131,22 +144,55 @@ class TestInterruption:
         assert (code, errors) == (130, "mistray: interrupted, nothing was written\n")
 
 
+VARIABLE = '[[variable]]\nparameters = ["p0_front.{key}"]\nlow = {low}\nhigh = {high}\n[optimizer]'
+
+
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        (("rays = 32", "ray = 32"), "metric.ray is unknown; did you mean 'rays'?"),
+        (("rays = 32", "ray = 32"), "term[1].ray is unknown; did you mean 'rays'?"),
         (('"all"', '["p9_front"]'), "coating 'AR': the scene has no surface 'p9_front'; choose from p0_front, p0_rear"),
         (("[20, 180]", "[70, 180]"), "starts with 60 nm; widen the bounds or change the start"),
+        (("[optimizer]", VARIABLE.format(key="curvatur", low=-1e-3, high=1e-3)), "p0_front.curvature"),
+        (("[optimizer]", VARIABLE.format(key="curvature", low=1e-3, high=-1e-3)), "low must be less than high"),
+        (("[optimizer]", VARIABLE.format(key="curvature", low=1e-3, high=2e-3)), "starts with 0; widen the bounds"),
+        (
+            ('kind = "path_power"', 'kind = "path_power"\nselection = "structure"'),
+            "its value is 0 at AR.thickness_nm[0]",
+        ),
+        (
+            ('goal = "minimise"', 'goal = "at_least"\nlimit = 1e-9'),
+            "the merit is 0, nothing is to be minimised and all limits hold",
+        ),
     ],
 )
 def test_bad_studies(capsys: Any, files: tuple[str, str, str], change: tuple[str, str], message: str) -> None:
+    """One line, exit status 2, and nothing is written."""
     scene, study, out = files
-    Path(study).write_text(STUDY.replace(*change))
+    Path(study).write_text(STUDY.replace("limit = 59", "limit = 70").replace(*change))
     code, printed, errors = run(capsys, scene, study, "--out", out)
     assert (code, printed, errors.count("\n")) == (2, "", 1)
     assert errors.startswith(f"mistray: error: study '{study}'")
     assert message in errors
     assert not Path(out).exists()
+
+
+def test_an_empty_study(capsys: Any, files: tuple[str, str, str]) -> None:
+    scene, study, out = files
+    Path(study).write_text(STUDY[: STUDY.index("[[term]]\nkind")])
+    code, _, errors = run(capsys, scene, study, "--out", out)
+    assert code == 2
+    assert "variable is missing: nothing may change; add a section [[variable]] or [[coating]]" in errors
+
+
+def test_json(capsys: Any, files: tuple[str, str, str]) -> None:
+    scene, study, out = files
+    code, printed, _ = run(capsys, scene, study, "--out", out, "--json")
+    record = json.loads(printed)
+    assert code == 0
+    assert record["holds"] == {"ghosts": True, "total_thickness": True}
+    assert [row["name"] for row in record["variables"]] == ["AR.thickness_nm[0]"]
+    assert f"{Path(out) / 'report.html'}" in record["files"]
 
 
 def test_bad_arguments(capsys: Any, files: tuple[str, str, str]) -> None:

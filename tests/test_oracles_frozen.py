@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import xml.etree.ElementTree as ElementTree
+
 import numpy as np
 import pytest
 from oracles.frozen_paths import Bundle, FrozenPaths, Hits, follow, mean_position, power, rms_radius, tent_image
@@ -175,9 +177,10 @@ class TestClosedForms:
             )
         )
         away = np.array([[0.3, 0.1, -np.sqrt(1 - 0.1)]])
+        kind = ElementTree.fromstring(model).attrib["type"]
         leaving = np.stack([away, np.zeros((1, 3))])
         found = derivative(
-            scene, "wall:r screen:A", f"wall.bsdf.bsdf.{key}", np.zeros(3), AXIAL, leaving=leaving, step=1e-6
+            scene, "wall:r screen:A", f"wall.bsdf.{kind}.{key}", np.zeros(3), AXIAL, leaving=leaving, step=1e-6
         )
         assert found[2] == pytest.approx(expected(np.sqrt(0.1)), rel=1e-7)
 
@@ -192,7 +195,7 @@ class TestClosedForms:
         )
         bundle = bundle_of(scene, "mirror:R screen:A", np.zeros((1, 3)), AXIAL[None])
         assert power([follow(scene, bundle)]) == pytest.approx(0.6 * 0.7, rel=1e-9)
-        found = derivative(scene, "mirror:R screen:A", "mirror.bsdf.bsdf.reflectance", np.zeros(3), AXIAL)
+        found = derivative(scene, "mirror:R screen:A", "mirror.bsdf.paint.reflectance", np.zeros(3), AXIAL)
         assert found[2] == pytest.approx(-0.6, rel=1e-8)
 
     def test_layers(self) -> None:
@@ -263,6 +266,18 @@ class TestSequentialOracle:
         for one, other in zip(scene.pose("rear"), pose, strict=True):
             np.testing.assert_allclose(one, other, atol=1e-12)
 
+    def test_numbers_move_together(self) -> None:
+        """A derivative along a direction is the sum of those by the numbers; paths start where they begin to differ."""
+        scene = read_frozen(asphere_text())
+        origin = np.column_stack([np.linspace(-4, 4, 9), np.full(9, 1.0), np.full(9, -5.0)])
+        heading = np.tile([0.0, 0.0, 1.0], (9, 1))
+        paths = FrozenPaths(scene, [bundle_of(scene, events, origin, heading) for events in (THROUGH, GHOST)])
+        direction = {"rear.curvature": 2e-6, "screen.x": 3e-4, "rear.tilt_x": 2e-3, "rear.bsdf.n_back_shift": 1e-5}
+        metrics = [power, rms_radius, lambda hits: mean_position(hits)[0]]
+        together = paths.along(metrics, {key: np.array([value]) for key, value in direction.items()})
+        apart = sum(value * paths.derivatives(metrics, key, value) for key, value in direction.items())
+        np.testing.assert_allclose(together, apart, rtol=1e-8)
+
     def test_scan_finds_the_plateau(self) -> None:
         """Steps over six decades; the best is neither the largest nor the smallest, and good to 1e-8."""
         scene = read_frozen(asphere_text())
@@ -278,7 +293,10 @@ class TestMetrics:
     def test_moments_and_image(self) -> None:
         rng = np.random.default_rng(2)
         x, y, flux = rng.normal(0.3, 0.5, 500), rng.normal(-0.2, 1.0, 500), rng.uniform(0, 1, 500)
-        hits = [Hits(x[:200], y[:200], flux[:200], flux[:200], x), Hits(x[200:], y[200:], flux[200:], flux[200:], x)]
+        hits = [
+            Hits(x[:200], y[:200], flux[:200], flux[:200], x, []),
+            Hits(x[200:], y[200:], flux[200:], flux[200:], x, []),
+        ]
         assert power(hits) == pytest.approx(flux.sum())
         assert mean_position(hits) == pytest.approx((flux @ x / flux.sum(), flux @ y / flux.sum()))
         spread = np.cov(np.stack([x, y]), aweights=flux, bias=True)

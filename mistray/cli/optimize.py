@@ -58,7 +58,7 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         checkpoint = writable_directory(options.out) / "checkpoint.json"
     try:
-        with _progress(options, min(study.starts, study.optimizer.searches) * steps) as shown:
+        with _progress(options, min(study.optimizer.starts, study.optimizer.searches) * steps) as shown:
 
             def progress(step: Step, start: Start) -> None:
                 nonlocal saved

@@ -71,7 +71,7 @@ class Checkpoint:
                 [[_evaluation(**item) for item in search] for search in content["evaluations"]],
                 [str(text) for text in content["left_out"]],
             )
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, AttributeError):
             raise self._damaged() from None
 
     def _damaged(self) -> MistrayError:
@@ -79,8 +79,14 @@ class Checkpoint:
 
 
 def _plain(evaluation: Evaluation) -> dict[str, Any]:
-    return {**vars(evaluation), "y": evaluation.y.tolist(), "slope": evaluation.slope.tolist()}
+    slopes = {name: slope.tolist() for name, slope in evaluation.slopes.items()}
+    return {**vars(evaluation), "y": evaluation.y.tolist(), "slope": evaluation.slope.tolist(), "slopes": slopes}
 
 
-def _evaluation(y: list[float], slope: list[float], **others: Any) -> Evaluation:
-    return Evaluation(y=np.array(y, dtype=np.float64), slope=np.array(slope, dtype=np.float64), **others)
+def _evaluation(y: list[float], slope: list[float], slopes: dict[str, list[float]], **others: Any) -> Evaluation:
+    return Evaluation(
+        y=np.array(y, dtype=np.float64),
+        slope=np.array(slope, dtype=np.float64),
+        slopes={name: np.array(values, dtype=np.float64) for name, values in slopes.items()},
+        **others,
+    )

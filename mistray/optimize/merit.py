@@ -1,21 +1,10 @@
-"""
-The merit of a design: one smooth number made of the terms of a study, and its derivative by the variables.
-
-With v the value of a term, v₀ that of the first start, w its weight, t its tolerance and b its limit, the merit is the
-sum of
-
-    minimise   w ln(v / v₀)
-    at_least   w max(0, 1 - (v - b) / (t |b|))²
-    at_most    w max(0, 1 - (b - v) / (t |b|))²
-    keep       w ((v - v₀) / (t |v₀|))²
-
-A limit costs w where it is just met and nothing from t |b| inside of it.
-"""
+"""The merit of a scene as a function of the variables of a study, with its gradient; see `mistray.optimize.goals`."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -23,49 +12,14 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.gradient import gradient
-from mistray.optimize.metrics import combine
-from mistray.optimize.study import Optimizer, Study, Term
+from mistray.optimize.goals import by_value, check, contribution, holds, pieces
+from mistray.optimize.gradient import Gradient, gradient
+from mistray.optimize.metrics import CombinedMetric, Metric, combine
+from mistray.optimize.search.point import Pieces
+from mistray.optimize.state import Evaluation
+from mistray.optimize.study import Optimizer, Study
 from mistray.optimize.terms import layer_value, of_layers, traced_metric
 from mistray.optimize.variables import Variables
-
-
-def contribution(term: Term, value: Any, start: Any, limit: Any) -> Any:
-    """
-    What a term adds to the merit.
-
-    Parameters
-    ----------
-    term : Term
-    value, start, limit : float or mi.Float64
-        Of the term, in its unit; `limit` counts for "at_least" and "at_most" only, `start` for the others.
-
-    Returns
-    -------
-    float or mi.Float64
-    """
-    if term.goal == "minimise":
-        return term.weight * dr.log(value / start)
-    if term.goal == "keep":
-        return term.weight * dr.square((value - start) / (term.tolerance * dr.abs(start)))
-    inside = value - limit if term.goal == "at_least" else limit - value
-    return term.weight * dr.square(dr.maximum(1 - inside / (term.tolerance * dr.abs(limit)), 0))
-
-
-def limit_of(term: Term, start: float) -> float | None:
-    """The limit of a term whose value at the start is known; None if it has none."""
-    return term.limit if term.limit_of_start is None else term.limit_of_start * start
-
-
-def holds(term: Term, value: float, start: float) -> bool:
-    """Whether a value, with that at the start, is one that the goal of a term allows; "minimise" allows all."""
-    if term.goal == "minimise":
-        return True
-    if term.goal == "keep":
-        return abs(value - start) <= term.tolerance * abs(start)
-    limit = limit_of(term, start)
-    assert limit is not None
-    return value >= limit if term.goal == "at_least" else value <= limit
 
 
 def seed_of(optimizer: Optimizer, number: int) -> int:
@@ -73,6 +27,16 @@ def seed_of(optimizer: Optimizer, number: int) -> int:
     if optimizer.seeds == "fixed" or number == 0:
         return optimizer.seed
     return int(np.random.SeedSequence((optimizer.seed, number)).generate_state(1)[0])
+
+
+@dataclass(frozen=True)
+class _OfTraced(Metric):
+    """One part of a combined metric that has been traced already."""
+
+    observations: tuple[Any, ...] = ()
+
+    def observe(self, times: float = 1.0, **changes: Any) -> list[Any]:
+        return list(self.observations)
 
 
 class Merit:
@@ -86,7 +50,7 @@ class Merit:
     params : mi.SceneParameters
     variables : Variables
     thickness_keys : mapping of str to str
-        Name of a coating → key of its thicknesses.
+        Name of a coating of the study → key of its thicknesses.
 
     Attributes
     ----------
@@ -126,7 +90,8 @@ class Merit:
         Returns
         -------
         dict
-            merit, merit_se, slope (n,) by y, terms, traced_seconds, left_out.
+            merit, merit_se, slope (n,) by y, terms, slopes, traced_seconds, left_out. `slopes` are the derivatives of
+            the terms by y for a method that works with them, otherwise empty.
 
         Raises
         ------
@@ -136,79 +101,117 @@ class Merit:
         x = self.variables.values(y)
         self.variables.apply(x)
         seed = seed_of(self.study.optimizer, number)
+        parameters = self.variables.parameters(x)
         layers = {
-            term.name: layer_value(term, self.study.coatings, self.thickness_keys, self.variables.parameters(x))
+            term.name: layer_value(term, self.study.coatings, self.thickness_keys, parameters)
             for term in self.study.terms
             if of_layers(term)
         }
+        metrics = {term.name: traced_metric(term, self.scene, seed) for term in self.study.terms if not of_layers(term)}
+        evaluate = self._one_by_one if self.study.optimizer.method == "sqp" else self._together
+        found = evaluate(metrics, layers, x)
+        stretch = self.variables.stretch(x)
+        found["slope"] = found["slope"] * stretch
+        found["slopes"] = {name: slope * stretch for name, slope in found["slopes"].items()}
+        for slope in (found["slope"], *found["slopes"].values()):
+            if not np.all(np.isfinite(slope)):
+                raise MistrayError(
+                    f"study '{self.study.name}': the gradient is not finite at {self._point(x)}; change the bounds so "
+                    "that they leave this out"
+                )
+        if self.start is None:
+            if found["merit"] == self.least:
+                raise MistrayError(
+                    f"study '{self.study.name}': the merit is 0, nothing is to be minimised and all limits hold; add a "
+                    'term with goal = "minimise" or narrow the limits'
+                )
+            self.start = found["terms"]
+        return found
+
+    def _together(
+        self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
+    ) -> dict[str, Any]:
+        """The merit and its gradient by one walk in reverse for all terms."""
         leaves = {name: dr.opaque(mi.Float64, value) for name, (value, _) in layers.items()}
         dr.enable_grad(leaves)
         values: dict[str, float] = {}
 
         def merit(traced: Mapping[str, Any]) -> Any:
             every = {**traced, **leaves}
-            values.update({t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms})
-            self._check(values, x)
-            start = {name: dr.opaque(mi.Float64, value) for name, value in self._started(values).items()}
+            values.update(self._checked(every, x))
+            start = values if self.start is None else self.start
             total = mi.Float64(0.0)
             for term in self.study.terms:
-                limit = limit_of(term, self._started(values)[term.name])
-                at = None if limit is None else dr.opaque(mi.Float64, limit)
-                total = total + contribution(term, every[term.name], start[term.name], at)
+                total = total + contribution(term, mi.Float64(every[term.name]), start[term.name])
             return total
 
-        metrics = {term.name: traced_metric(term, self.scene, seed) for term in self.study.terms if not of_layers(term)}
         result = gradient(combine(metrics, merit), self.params, self.variables.keys)
         slope = self.variables.slope(result.gradient, x)
         for name, (_, by_thickness) in layers.items():
-            by_value = float(np.broadcast_to(np.array(dr.grad(leaves[name])), 1)[0])
-            slope += by_value * self.variables.slope(by_thickness, x)
-        if not np.all(np.isfinite(slope)):
-            raise MistrayError(
-                f"study '{self.study.name}': the gradient is not finite at {self._point(x)}; change the bounds so that "
-                "they leave this out"
-            )
-        if self.start is None:
-            if result.value == self.least:
-                raise MistrayError(
-                    f"study '{self.study.name}': the merit is 0, nothing is to be minimised and all limits hold; add a "
-                    'term with goal = "minimise" or narrow the limits'
-                )
-            self.start = values
+            by_leaf = float(np.broadcast_to(np.array(dr.grad(leaves[name])), 1)[0])
+            slope += by_leaf * self.variables.slope(by_thickness, x)
         return {
             "merit": result.value,
             "merit_se": result.value_se,
-            "slope": slope * self.variables.stretch(x),
+            "slope": slope,
             "terms": values,
+            "slopes": {},
             "traced_seconds": sum(result.seconds),
             "left_out": result.left_out,
         }
 
+    def _one_by_one(
+        self, metrics: Mapping[str, Metric], layers: Mapping[str, tuple[float, dict[str, np.ndarray]]], x: np.ndarray
+    ) -> dict[str, Any]:
+        """The merit and the gradient of every term, by one trace for all and a walk in reverse for each."""
+        whole = combine(metrics, lambda traced: mi.Float64(0.0))
+        observations = tuple(whole.observe())
+        found = {name: self._of_traced(whole, observations, name) for name in metrics}
+        slopes = {name: self.variables.slope(result.gradient, x) for name, result in found.items()}
+        slopes |= {name: self.variables.slope(by_thickness, x) for name, (_, by_thickness) in layers.items()}
+        values = self._checked(
+            {**{name: result.value for name, result in found.items()}, **{name: v for name, (v, _) in layers.items()}},
+            x,
+        )
+        start = values if self.start is None else self.start
+        apart = pieces(self.study.terms, values, slopes, start)
+        total, noise = 0.0, 0.0
+        for term in self.study.terms:
+            value, at_start = values[term.name], start[term.name]
+            total += float(contribution(term, mi.Float64(value), at_start)[0])
+            if term.name in found:
+                noise = math.hypot(noise, by_value(term, value, at_start) * found[term.name].value_se)
+        return {
+            "merit": total,
+            "merit_se": noise,  # as if the noise of the terms had nothing in common
+            "slope": apart.slope + apart.rows.T @ apart.multipliers,
+            "terms": values,
+            "slopes": slopes,
+            "traced_seconds": sum(o.seconds for o in observations) + sum(r.seconds[1] for r in found.values()),
+            "left_out": list(dict.fromkeys(text for result in found.values() for text in result.left_out)),
+        }
+
+    def _of_traced(self, whole: CombinedMetric, observations: tuple[Any, ...], name: str) -> Gradient:
+        """Gradient of one term from traces that are there."""
+        part = _OfTraced(self.scene, lambda seen: whole.values(seen)[name], name=name, observations=observations)
+        return gradient(part, self.params, self.variables.keys)
+
+    def pieces(self, at: Evaluation) -> Pieces | None:
+        """The merit taken apart, if the terms were differentiated one by one."""
+        if not at.slopes:
+            return None
+        return pieces(self.study.terms, at.terms, at.slopes, self.start or at.terms)
+
     def broken(self, values: Mapping[str, float]) -> tuple[str, ...]:
         """Names of the terms whose values break their limit."""
-        start = self._started(values)
+        start = self.start or values
         return tuple(t.name for t in self.study.terms if not holds(t, values[t.name], start[t.name]))
 
-    def _started(self, values: Mapping[str, float]) -> Mapping[str, float]:
-        """Values at the start; those of this point if it is the start."""
-        return values if self.start is None else self.start
-
-    def _check(self, values: Mapping[str, float], x: np.ndarray) -> None:
-        for term in self.study.terms:
-            value = values[term.name]
-            where = f"study '{self.study.name}', term '{term.name}'"
-            if not math.isfinite(value):
-                raise MistrayError(f"{where}: its value is {value} at {self._point(x)}; change the bounds or the term")
-            if term.goal == "minimise" and value <= 0:
-                raise MistrayError(
-                    f"{where}: its value is {value:g} at {self._point(x)}; no light goes there, take more rays, "
-                    "another term or other bounds"
-                )
-            start = self._started(values)[term.name]
-            if term.goal == "keep" and start == 0:
-                raise MistrayError(f"{where}: its value at the start is 0, which cannot be kept within a share of it")
-            if limit_of(term, start) == 0:
-                raise MistrayError(f"{where}: its limit is 0; the tolerance is relative to it, give another number")
+    def _checked(self, every: Mapping[str, Any], x: np.ndarray) -> dict[str, float]:
+        """The values of the terms as numbers; raises if they have no merit."""
+        values = {t.name: float(dr.detach(mi.Float64(every[t.name]))[0]) for t in self.study.terms}
+        check(self.study.terms, values, self.start or values, f"study '{self.study.name}'", self._point(x))
+        return values
 
     def _point(self, x: np.ndarray) -> str:
         shown = [f"{v.name} = {value:.6g}" for v, value in zip(self.variables.variables, x, strict=True)]

@@ -5,6 +5,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Any
 
 import drjit as dr
@@ -152,11 +153,14 @@ class Observation:
         """
         chosen = self.chosen(selection)
         groups: dict[tuple[str, str], list[int]] = {}
-        for k, way in zip(chosen.tolist(), self._ways(chosen), strict=True):
-            groups.setdefault((self._rows[k].source, way), []).append(k)
-        return self._moments(
-            selection, [g for g in groups.values() if sum(self._rows[k].rays for k in g) >= FEWEST_RAYS]
-        )
+        for k in chosen.tolist():
+            groups.setdefault((self._rows[k].source, self._ways[k]), []).append(k)
+        sampled = [group for group in groups.values() if sum(self._rows[k].rays for k in group) >= FEWEST_RAYS]
+        if groups and not sampled:
+            raise MistrayError(
+                f"paths {named(selection)}: none has {FEWEST_RAYS} rays at field {self.field_deg:g}°; trace more rays"
+            )
+        return self._moments(selection, sampled)
 
     def map(self, selection: Selection) -> mi.Float64:
         """
@@ -194,23 +198,27 @@ class Observation:
         for name in names:
             if name not in KINDS:
                 self._check_events(name)
-        kinds, ways = {name for name in names if name in KINDS}, set(way_text(names))
-        everything = np.arange(len(self._rows))
-        return np.array(
-            [
-                k
-                for k, way in zip(everything, self._ways(everything), strict=True)
-                if ALL in kinds
-                or (STRAY in kinds and self._rows[k].kind != DIRECT)
-                or self._rows[k].kind in kinds
-                or way in ways
-            ],
-            dtype=np.int64,
-        )
+        held = np.zeros(len(self._rows), dtype=bool)
+        for name in names:
+            if name == ALL:
+                held[:] = True
+            elif name == STRAY:
+                held |= self._kinds != DIRECT
+            elif name in KINDS:
+                held |= self._kinds == name
+            else:
+                held |= self._ways == way_text([name])[0]
+        return np.flatnonzero(held)
 
-    def _ways(self, chosen: np.ndarray) -> list[str]:
-        """Events of rows, scattered at random or aimed alike."""
-        return way_text(self._rows[k].events for k in chosen)
+    @cached_property
+    def _kinds(self) -> np.ndarray:
+        """Kinds of the rows."""
+        return np.array([row.kind for row in self._rows], dtype=object)
+
+    @cached_property
+    def _ways(self) -> np.ndarray:
+        """Events of the rows, scattered at random or aimed alike."""
+        return np.array(way_text(row.events for row in self._rows), dtype=object)
 
     def _check_events(self, text: str) -> None:
         """Raise if a text cannot be the events of a path of this scene."""
@@ -220,7 +228,8 @@ class Observation:
             raise MistrayError(
                 f"selection '{text}' is no kind of path; {hint} {', '.join(KINDS)}, or the events of one"
             )
-        known = [surface.id for surface in self.trace.surfaces]
+        met = {event.rpartition(":")[0] for events in self._ways for event in events.split()}
+        known = list(dict.fromkeys((*(surface.id for surface in self.trace.surfaces), *sorted(met))))
         for event in text.split():
             surface, _, letter = event.rpartition(":")
             if surface not in known:
@@ -245,10 +254,9 @@ class Observation:
         """Moments of groups of rows."""
         light = [self._moments_of_rows[list(group), 0].sum() for group in groups]
         if not light or not np.all(np.array(light) > 0):
-            named = getattr(selection, "__name__", selection)
             raise MistrayError(
-                f"paths {named!r}: no light to take the place of at field {self.field_deg:g}°; choose other paths or "
-                "fields, or trace more rays"
+                f"paths {named(selection)}: no light goes there at field {self.field_deg:g}°, so that it has no "
+                "centroid and no radius; choose other paths or fields, or trace more rays"
             )
         power, x, y, square = self._sums_of(groups)
         x, y = x / power, y / power
@@ -322,6 +330,11 @@ class Observation:
         height, width = self.trace.irradiance.shape
         by_irradiance = np.broadcast_to(np.array(dr.grad(image)), height * width).reshape(height, width)
         return np.asarray(by_irradiance / self._pixel_area)
+
+
+def named(selection: Selection) -> str:
+    """A selection in a message."""
+    return repr(getattr(selection, "__name__", selection))
 
 
 def leaf(values: np.ndarray) -> mi.Float64:

@@ -41,6 +41,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
+from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
 from mistray.physics.sag import sag
@@ -76,6 +77,7 @@ SHARE, LEAST_SHARE = 0.2, 1e-3
 RADIUS, FRINGES_MM, FORM_MM = 1e-3, 3 * 633e-6 / 2, 5e-4
 RIM_MM, OPTICS_MM, MECHANICS_MM, IN_PROPORTION = 0.1, 0.02, 0.1, 0.01
 ARCMIN = 1 / 60
+PARALLEL = 1e-6  # by which the directions of axes may differ
 INDEX, INDEX_OF_AIR, GAS = 5e-4, 1e-5, 1.01
 
 
@@ -145,7 +147,7 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
         shapes = [shape for shape in surfaces if _has(shape, owner, name)]
         if not shapes:
             continue
-        value = np.array(params[key], dtype=np.float64).ravel()
+        value = np.array(peek(params, key), dtype=np.float64).ravel()
         about = _about_shape if owner is shapes[0] else _about_scatter if name in _values(owner) else _about_bsdf
         described = about(owner, name, value)
         if described is not None:
@@ -179,6 +181,38 @@ def match(known: Mapping[str, Parameter], patterns: Iterable[str]) -> list[str]:
             raise MistrayError(f"no parameter '{pattern}' with a derivative; {_nearest(known, pattern)}")
         found |= dict.fromkeys(keys)
     return list(found)
+
+
+def groups(known: Mapping[str, Parameter]) -> dict[str, list[str]]:
+    """
+    Parameters that belong together.
+
+    Parameters
+    ----------
+    known : mapping of str to Parameter
+        From `parameters`.
+
+    Returns
+    -------
+    dict
+        Name → keys. ``N-BK7.index``: the shifts of all sides on which a material lies. They go together, because light
+        that comes out of one glass into another without a surface between them is stopped. ``L1.z``: one coordinate of
+        all surfaces of a part whose frames point the same way, which moves it as a whole.
+    """
+    found: dict[str, list[str]] = {}
+    frames: dict[str, list[np.ndarray]] = {}
+    for key, p in known.items():
+        if p.kind == "index":
+            found.setdefault(f"{p.owner.materials[SHIFTS.index(p.name)].strip()}.index", []).append(key)
+        elif p.kind == "position":
+            found.setdefault(f"{p.owner.part}.{p.name}", []).append(key)
+            frames.setdefault(p.owner.part, []).append(p.owner.base[:3, :3])
+    turned = {part for part, all_of_it in frames.items() if np.ptp(all_of_it, axis=0).max() > PARALLEL}
+    return {
+        name: keys
+        for name, keys in found.items()
+        if len(keys) > 1 and not (known[keys[0]].kind == "position" and name.rpartition(".")[0] in turned)
+    }
 
 
 def _nearest(known: Mapping[str, Parameter], pattern: str) -> str:

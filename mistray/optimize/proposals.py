@@ -19,6 +19,15 @@ IMAGE_RAYS = 4000
 SHAPE_KINDS = ("curvature", "conic", "asphere", "rim", "position", "tilt")
 
 
+def structure(scene: Any) -> set[str]:
+    """Ids of the surfaces that are neither optics nor the detector: opaque, and no mirrors."""
+    return {
+        shape.id()
+        for shape in scene.shapes()
+        if getattr(shape.bsdf(), "opaque", False) and not shape.bsdf().mirror and not shape.is_sensor()
+    }
+
+
 def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
     """
     Keys of the parameters that can be changed without making another lens of it.
@@ -31,13 +40,8 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
     scene : mi.Scene
     known : mapping of str to Parameter
     """
-    surfaces = {shape.id(): shape for shape in scene.shapes()}
-    mirrors = {name for name, shape in surfaces.items() if shape.bsdf().mirror}
-    structure = {
-        name
-        for name, shape in surfaces.items()
-        if shape.bsdf().opaque and name not in mirrors and not shape.is_sensor()
-    }
+    mirrors = {shape.id() for shape in scene.shapes() if getattr(shape.bsdf(), "mirror", False)}
+    rigid = structure(scene)
     found = []
     for key, parameter in known.items():
         shapes = set(parameter.shapes)
@@ -45,7 +49,7 @@ def free_keys(scene: Any, known: Mapping[str, Parameter]) -> list[str]:
             parameter.kind == "scatter"
             or (parameter.kind == "coating" and not shapes & mirrors)
             or (parameter.kind == "share" and parameter.name == "R" and not shapes & mirrors)
-            or (parameter.kind in SHAPE_KINDS and shapes <= structure)
+            or (parameter.kind in SHAPE_KINDS and shapes <= rigid)
         ):
             found.append(key)
     return found

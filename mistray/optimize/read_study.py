@@ -17,6 +17,8 @@ from mistray.optimize.section import Section
 from mistray.optimize.study import SEEDS, Optimizer, Study
 from mistray.optimize.terms import of_layers
 
+PATIENCE = {"sqp": 3, "lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps
+STARTS = 4  # with coatings
 SECTIONS = ("trace", "term", "variable", "coating", "optimizer")
 
 
@@ -65,21 +67,32 @@ def _read(whole: Section, name: str) -> Study:
             if names.count(one) > 1:
                 raise whole.fail(f"{key}.name", f"'{one}' is given twice; give every [[{key}]] a name of its own")
     check_coatings(terms, [coating.name for coating in coatings], whole)
-    return Study(name, terms, variables, coatings, read_optimizer(whole.table("optimizer")))
+    limits = any(term.goal != "minimise" for term in terms)
+    optimizer = read_optimizer(whole.table("optimizer"), limits, bool(coatings))
+    return Study(name, terms, variables, coatings, optimizer)
 
 
-def read_optimizer(section: Section) -> Optimizer:
-    """Section ``[optimizer]``."""
+def read_optimizer(section: Section, limits: bool, coatings: bool) -> Optimizer:
+    """
+    Section ``[optimizer]``.
+
+    Parameters
+    ----------
+    section : Section
+    limits : bool
+        Whether a term has a limit or is kept: terms are then differentiated one by one unless the section says otherwise.
+    coatings : bool
+        Whether there are coatings, for which there are starts to be found.
+    """
     section.known(Optimizer.__dataclass_fields__)
-    method = section.choice("method", Optimizer.method, tuple(METHODS))
+    method = section.choice("method", "sqp" if limits else "lbfgsb", tuple(METHODS))
     for key, owner in (("algorithm", "nlopt"), ("decay", "adam")):
         if key in section.content and method != owner:
             raise section.fail(key, f'has no meaning with method = "{method}"; remove it')
     seeds = section.choice("seeds", Optimizer.seeds, SEEDS)
     if seeds == "fresh" and method != "adam":
         raise section.fail(
-            "seeds",
-            f'is \'fresh\', which method = "{method}" cannot work with; take seeds = "fixed" or method = "adam"',
+            "seeds", f'is \'fresh\', which method = "{method}" cannot work with; take "fixed", or method = "adam"'
         )
     if method == "nlopt":
         try:
@@ -93,9 +106,9 @@ def read_optimizer(section: Section) -> Optimizer:
         section.number("step_size", Optimizer.step_size, 1e-6, 1.0),
         section.number("decay", Optimizer.decay, 0.1, 1.0),
         section.number("tolerance", Optimizer.tolerance, 0.0, 1.0),
-        section.whole("patience", 0, 1, 1000) if "patience" in section.content else None,
+        section.whole("patience", PATIENCE[method], 1, 1000),
         seeds,
         section.whole("seed", Optimizer.seed, 0, 2**31),
-        section.whole("starts", 1, 1, 100) if "starts" in section.content else None,
+        section.whole("starts", STARTS if coatings else 1, 1, 100),
         section.whole("searches", Optimizer.searches, 1, 100),
     )

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
 from mistray.optimize.checkpoint import Checkpoint
 from mistray.optimize.merit import Merit
@@ -91,9 +92,21 @@ class Optimization:
         """Thicknesses of a coating of the study in the result or at another step, (layers,) nm."""
         return self.variables.parameters((step or self.best).x)[self.thickness_keys[coating]]
 
+    def stack(self, coating: str, step: Step | None = None) -> Stack:
+        """The layers of a coating of the study in the result or at another step, with what n and k have moved by."""
+        moved = self.variables.parameters((step or self.best).x)
+        plugin = self.thickness_keys[coating].rpartition(".")[0]
+        (start,) = (item.group.start for item in self.placed if item.group.name == coating)
+        columns = {name: moved[key] for name in LAYER_PARAMETERS if (key := f"{plugin}.{name}") in moved}
+        layers = (
+            dataclasses.replace(layer, **{name: float(column[k]) for name, column in columns.items()})  # type: ignore[arg-type]
+            for k, layer in enumerate(start.layers)
+        )
+        return dataclasses.replace(start, layers=tuple(layers))
+
     @property
     def coatings(self) -> list[SharedCoating]:
-        """The resulting coatings of the study, for `mistray.scene.recoat`."""
+        """The resulting thicknesses of the coatings of the study, for `mistray.scene.recoat`."""
         return [item.shared(self.thickness_nm(item.group.name)) for item in self.placed]
 
     @property
@@ -155,17 +168,17 @@ def optimize(
     state = file.read() if file is not None and resume else State()
     bare = load(source)
     placed = place(bare, read)
-    opened = open_scene(source, placed)
-    variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
     wavelengths, weights = band(bare, read) if placed else ((), ())
-    if not state.starts:
-        state.starts = starts(variables, placed, wavelengths, weights, read.starts, read.optimizer.seed)
-    merit = Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
-    searches = Searches(merit, variables.shares, variables.values, read.optimizer, state, file, progress)
-    searches.run()
-    best = searches.best
-    started = time.perf_counter()
-    levels = [_levels(read, opened, variables, x) for x in (variables.start, np.array(best.x))]
+    with open_scene(source, placed) as opened:
+        variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
+        if not state.starts:
+            state.starts = starts(variables, placed, wavelengths, weights, read.optimizer.starts, read.optimizer.seed)
+        merit = Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
+        searches = Searches(merit, variables.shares, variables.values, read.optimizer, state, file, progress)
+        searches.run()
+        best = searches.best
+        started = time.perf_counter()
+        levels = [_levels(read, opened, variables, x) for x in (variables.start, np.array(best.x))]
     return Optimization(
         read,
         source,

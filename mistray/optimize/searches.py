@@ -11,6 +11,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.optimize.checkpoint import Checkpoint
 from mistray.optimize.search import METHODS, stop_reason
+from mistray.optimize.search.point import Pieces, Point
 from mistray.optimize.state import Evaluation, Start, State, Step
 from mistray.optimize.study import Optimizer
 
@@ -31,6 +32,9 @@ class Problem(Protocol):
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
         """The merit at a point of the unit cube."""
+
+    def pieces(self, at: Evaluation) -> Pieces | None:
+        """The merit taken apart, if the method works with that."""
 
     def broken(self, values: dict[str, float]) -> tuple[str, ...]:
         """Names of the terms whose values break their limit."""
@@ -113,7 +117,7 @@ class Searches:
         lasts = {}
         for number in self.ended:
             own = [step for step in self.steps if step.start == number]
-            lasts[number] = float(np.mean([step.merit for step in own[-self.optimizer.stop_after :]]))
+            lasts[number] = float(np.mean([step.merit for step in own[-self.optimizer.patience :]]))
         winner = min(lasts, key=lambda number: lasts[number])
         return [step for step in self.steps if step.start == winner][-1]
 
@@ -159,14 +163,14 @@ class Searches:
         asked = 0
         merits = [kept[0].merit]
 
-        def function(y: np.ndarray) -> tuple[float, np.ndarray]:
+        def function(y: np.ndarray) -> Point:
             nonlocal asked
             if asked >= len(kept) and len(merits) > self.optimizer.steps:
                 raise Ended(STEPS_USED)
             at = self._at(start, asked, y)
             self._asked += asked > 0  # the start itself is counted already
             asked += 1
-            return at.merit, at.slope
+            return Point(at.merit, at.slope, self.problem.pieces(at))
 
         def after(y: np.ndarray) -> None:
             at = next(evaluation for evaluation in reversed(kept[:asked]) if np.array_equal(evaluation.y, y))
@@ -177,7 +181,7 @@ class Searches:
             if at.merit <= self.problem.least:
                 raise Ended(LIMITS_HOLD)
             how = self.optimizer
-            reason = stop_reason(merits, how.tolerance, how.stop_after, how.seeds == "fresh")
+            reason = stop_reason(merits, how.tolerance, how.patience, how.seeds == "fresh")
             if reason is not None:
                 raise Ended(reason)
 

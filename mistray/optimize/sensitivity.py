@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 
+from mistray._mitsuba_compat import peek
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.optimize.changes import Change, best_together
@@ -17,7 +18,7 @@ from mistray.optimize.metrics import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.optimize.propagation import Spread, propagate
 from mistray.optimize.proposals import SEEDS, free_keys, traced_change
-from mistray.optimize.sensitivity_rows import Line, Row, Table, material_lines, shifted_values
+from mistray.optimize.sensitivity_rows import Line, Row, Table, lines_of, shifted_values
 from mistray.optimize.tolerance_draws import Draws, draw_systems
 
 if TYPE_CHECKING:
@@ -116,7 +117,8 @@ class Sensitivity:
         DataFrame
             Columns label, keys (several of a material), entry, kind, unit, value, low, high, derivative,
             derivative_se, tolerance, change_percent, change_percent_se (of the metric per tolerance),
-            edge_check_percent, free, to_value, to_factor, reached (see `Change`), share, share_se (of the variance; NaN for members of a group of several).
+            edge_check_percent, free, to_value, to_factor, reached (see `Change`), share, share_se (of the variance;
+            NaN for members of a group).
         """
         import pandas as pd
 
@@ -227,7 +229,7 @@ def sensitivity(
     chosen = list(known) if keys is None else match(known, keys)
     if not chosen:
         raise MistrayError("there is no parameter to differentiate by; the scene has none, or no key is given")
-    lines = material_lines(given, known, chosen)
+    lines = lines_of(metric.scene, given, known, chosen)
     limits = _tolerances(known, tolerances or {})
     groups = _groups(known, lines, together)
     free = set(free_keys(metric.scene, known) if change is None else match(known, change))
@@ -338,6 +340,6 @@ def _without_derivative(params: Mapping[str, Any], known: Mapping[str, Parameter
     found = []
     for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
         name = key.rsplit(".", 1)[-1]
-        if key not in known and name not in INTERNAL and isinstance(params[key], mi.Float):
+        if key not in known and name not in INTERNAL and isinstance(peek(params, key), mi.Float):
             found.append(key)
     return found

@@ -1,4 +1,4 @@
-"""The rows of a sensitivity table: single numbers of the scene, and the indices of its materials."""
+"""The rows of a sensitivity table: numbers of the scene, indices of materials, and parts that move as a whole."""
 
 from __future__ import annotations
 
@@ -13,8 +13,9 @@ from mistray.errors import MistrayError
 from mistray.optimize.changes import Change, Ranges, single_changes
 from mistray.optimize.gradient import EQUAL, Gradient
 from mistray.optimize.parameters import Parameter
+from mistray.optimize.proposals import structure
 from mistray.trace.energy import batch_error
-from mistray.trace.geometry_gradient import SHIFTS
+from mistray.trace.geometry_gradient import DISPLACEMENT, SHIFTS
 
 INDEX = "index"
 
@@ -27,7 +28,8 @@ class Line:
     Attributes
     ----------
     label : str
-        The key, with the number of the entry where there are several, ``AR.thickness_nm[1]``; ``index of N-BK7``.
+        The key, with the number of the entry where there are several, ``AR.thickness_nm[1]``; ``index of N-BK7``;
+        ``barrel.z``.
     parameter : Parameter
         The first, which has the kind, unit, value and range of all.
     entry : int
@@ -96,25 +98,28 @@ class Row:
         return self.line.parameter.unit
 
 
-def material_lines(params: Any, known: Mapping[str, Parameter], chosen: Iterable[str]) -> list[Line]:
+def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Iterable[str]) -> list[Line]:
     """
-    The lines of some parameters; indices of one material, on whatever side of whatever surface, are one line.
+    The lines of some parameters, those that change together for physical reasons in one.
 
-    A trace takes a surface whose material differs from that of the ray for a gap, so that all sides change together:
-    one melt, or the air around.
+    Indices of one material are one line, on whatever side of whatever surface: one melt, or the air around. A trace
+    takes a surface whose material differs from that of the ray for a gap. The surfaces of one part that are no optics
+    move as a whole along each direction: barrels, stops, the edges of a lens; alone they would leave gaps.
 
     Parameters
     ----------
+    scene : mi.Scene
     params : mi.SceneParameters
     known : mapping of str to Parameter
     chosen : iterable of str
-        Keys; where one side of a material is chosen, all are.
+        Keys; where one of a line is chosen, all are.
     """
     sides: dict[str, list[str]] = {}
     for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
         material = _material(params, key)
         if material is not None:
             sides.setdefault(material, []).append(key)
+    bodies = _bodies(scene, known)
     lines: dict[str, Line] = {}
     for key in chosen:
         parameter = known[key]
@@ -124,11 +129,35 @@ def material_lines(params: Any, known: Mapping[str, Parameter], chosen: Iterable
             active = tuple(k for k in keys if k in known)
             silent = tuple(k for k in keys if k not in known)
             lines.setdefault(f"index of {material}", Line(f"index of {material}", parameter, 0, active, silent))
-            continue
-        for entry in range(np.size(parameter.value)):
-            label = key if np.size(parameter.value) == 1 else f"{key}[{entry}]"
-            lines[label] = Line(label, parameter, entry, (key,))
+        elif key in bodies:
+            label, active = bodies[key]
+            lines.setdefault(label, Line(label, parameter, 0, active))
+        else:
+            for entry in range(np.size(parameter.value)):
+                label = key if np.size(parameter.value) == 1 else f"{key}[{entry}]"
+                lines[label] = Line(label, parameter, entry, (key,))
     return list(lines.values())
+
+
+def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, tuple[str, tuple[str, ...]]]:
+    """Keys of displacements of surfaces that are no optics → label and keys of all that move with them."""
+    rigid = structure(scene)
+    shapes = {shape.id(): shape for shape in scene.shapes()}
+    found: dict[tuple[Any, ...], list[str]] = {}
+    for key, parameter in known.items():
+        shape = shapes[parameter.shapes[0]]
+        if parameter.kind == "position" and (shape.id() in rigid or shape.kind == "frustum"):
+            axis = shape.base[:3, DISPLACEMENT.index(parameter.name)]
+            found.setdefault((shape.part, parameter.name, *np.round(axis, 9).tolist()), []).append(key)
+    result: dict[str, tuple[str, tuple[str, ...]]] = {}
+    for (part, name, *_), keys in found.items():
+        if len(keys) > 1:
+            whole = all(shape.id() in rigid for shape in shapes.values() if getattr(shape, "part", None) == part)
+            label = f"{part}.{name}" if whole else f"edges of {part}.{name}"
+            taken = sum(label == other for other, _ in {id(v): v for v in result.values()}.values())
+            entry = f"{label} ({taken + 1})" if taken else label, tuple(keys)
+            result |= dict.fromkeys(keys, entry)
+    return result
 
 
 def _material(params: Any, key: str) -> str | None:

@@ -39,6 +39,8 @@ class Evaluation:
         d merit/d y.
     terms : dict
         Name of a term → its value, in its unit.
+    slopes : dict
+        Name of a term → (variables,) float64, d value/dy; empty unless the method works with them.
     seconds : float
         Since the beginning, interruptions left out.
     traced_seconds : float
@@ -50,6 +52,7 @@ class Evaluation:
     merit_se: float
     slope: np.ndarray
     terms: dict[str, float]
+    slopes: dict[str, np.ndarray]
     seconds: float
     traced_seconds: float
 

@@ -13,7 +13,6 @@ from mistray.coatings import Stack
 GOALS = ("minimise", "at_least", "at_most", "keep")
 SCALES = ("linear", "log")
 SEEDS = ("fixed", "fresh")
-PATIENCE = {"lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps; their names are those of the methods
 
 
 @dataclass(frozen=True)
@@ -132,26 +131,26 @@ class Optimizer:
 
     Attributes
     ----------
-    method : {"lbfgsb", "adam", "nlopt"}
+    method : {"sqp", "lbfgsb", "adam", "nlopt"}
     algorithm : str
         Of NLopt.
     steps : int
         Most steps of the search from each start.
     step_size : float
-        Share of the way from bound to bound: the largest move in the first trial of "lbfgsb", the length of the steps
-        of "adam", the initial step of "nlopt". 0 … 1.
+        Share of the way from bound to bound: the largest move in the first trial of "sqp" and "lbfgsb", the length of
+        the steps of "adam", the initial step of "nlopt". 0 … 1.
     decay : float
         Every step of "adam" is so many times as long as the one before. 0 … 1.
     tolerance : float
         A search ends when `patience` steps have lowered the merit by less than this; 0: when the steps are used up.
-    patience : int or None
-        None: 2 for "lbfgsb", 10 otherwise.
+    patience : int
+        At least 1.
     seeds : {"fixed", "fresh"}
         The same rays at every evaluation, or others at each of them ("adam" only).
     seed : int
         Of the rays; the verification takes those that follow.
-    starts : int or None
-        Number of starts that are evaluated, the given one included; 1 … 100. None: 4 with coatings, otherwise 1.
+    starts : int
+        Number of starts that are evaluated, the given one included; 1 … 100.
     searches : int
         From so many of them, the best ones, a search begins; 1 … 100.
     """
@@ -162,16 +161,11 @@ class Optimizer:
     step_size: float = 0.02
     decay: float = 1.0
     tolerance: float = 1e-3
-    patience: int | None = None
+    patience: int = 2
     seeds: str = "fixed"
     seed: int = 0
-    starts: int | None = None
+    starts: int = 1
     searches: int = 1
-
-    @property
-    def stop_after(self) -> int:
-        """Steps over which the merit must fall by `tolerance`."""
-        return PATIENCE[self.method] if self.patience is None else self.patience
 
 
 @dataclass(frozen=True)
@@ -196,14 +190,9 @@ class Study:
     optimizer: Optimizer = Optimizer()
 
     @property
-    def starts(self) -> int:
-        """Number of starts."""
-        return self.optimizer.starts or (4 if self.coatings else 1)
-
-    @property
     def fingerprint(self) -> str:
         """Hash of what must agree for a search to go on: all but its length."""
-        optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=None)
+        optimizer = replace(self.optimizer, steps=0, searches=1, tolerance=0.0, patience=1)
         content = asdict(replace(self, name="", optimizer=optimizer))
         return hashlib.sha256(json.dumps(content, sort_keys=True, default=_named).encode()).hexdigest()
 

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import dataclasses
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -150,17 +151,22 @@ class StudyScene:
     thickness_keys: dict[str, str]
 
 
-def open_scene(source: Path, placed: Sequence[Placed]) -> StudyScene:
-    """Load a scene file and put the start designs of coatings on it."""
-    if placed:
-        start = [item.shared([layer.thickness_nm for layer in item.group.start.layers]) for item in placed]
-        with tempfile.TemporaryDirectory() as folder:
-            scene = load(write_recoated(source, start, Path(folder) / "scene.xml"))
-    else:
+@contextlib.contextmanager
+def open_scene(source: Path, placed: Sequence[Placed]) -> Iterator[StudyScene]:
+    """
+    Load a scene file and put the start designs of coatings on it.
+
+    The scene works within the block: with coatings it comes from a file in a temporary folder, by a way through which
+    it finds the files of its materials when it needs them.
+    """
+    with tempfile.TemporaryDirectory() as folder:
+        if placed:
+            start = [item.shared([layer.thickness_nm for layer in item.group.start.layers]) for item in placed]
+            source = write_recoated(source, start, Path(folder) / "scene.xml")
         scene = load(source)
-    params = mi.traverse(scene)
-    known = parameters(scene, params)
-    films = {shape.id(): shape.bsdf().film for shape in scene.shapes() if hasattr(shape.bsdf(), "film")}
-    nodes = {id(p.owner): key for key, p in known.items() if p.name == "thickness_nm"}
-    keys = {item.group.name: nodes[id(films[item.surfaces[0]])] for item in placed}
-    return StudyScene(scene, params, known, keys)
+        params = mi.traverse(scene)
+        known = parameters(scene, params)
+        films = {shape.id(): shape.bsdf().film for shape in scene.shapes() if hasattr(shape.bsdf(), "film")}
+        nodes = {id(p.owner): key for key, p in known.items() if p.name == "thickness_nm"}
+        keys = {item.group.name: nodes[id(films[item.surfaces[0]])] for item in placed}
+        yield StudyScene(scene, params, known, keys)

@@ -20,8 +20,8 @@ SOFT_NM = 0.2  # of the smooth minimum of thicknesses
 PRESENT_NM = 5.0  # total thickness at which a material counts as 63 % of one
 LIGHT = ("wavelength_nm", "weights")
 # Arguments of a trace or of a PST that a metric sets itself, or cannot have
-FIXED = ("scene", "seed", "field_deg", "method", "convention", "relative_error", "error_up_to_deg", "paths", "map_pixels",
-         "state", "resume", "progress", "settings", "ledger")  # fmt: skip
+FIXED = ("scene", "seed", "field_deg", "method", "convention", "relative_error", "error_up_to_deg", "paths",
+         "map_pixels", "state", "resume", "progress", "settings", "ledger")  # fmt: skip
 RAYS, FLUX_THRESHOLD = 10_000, 0.0  # of traces, unless the study says otherwise
 
 Thicknesses = Mapping[str, np.ndarray]  # by name of the coating, (layers,) nm

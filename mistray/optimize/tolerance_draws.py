@@ -14,9 +14,12 @@ from mistray.errors import MistrayError
 from mistray.optimize.metrics import Metric
 from mistray.optimize.scene_values import changed
 from mistray.optimize.sensitivity_rows import Row, shifted_values
+from mistray.scene.check import check_overlaps
 
 PERCENTILES = (5.0, 50.0, 95.0)
 RESAMPLES = 400  # of the draws, for the errors of percentiles
+MOST_REJECTED = 20  # systems whose surfaces cross, for each that is traced
+OFF_AXIS = ("x", "y", "tilt_x", "tilt_y", "tilt_z")
 
 
 @dataclass(frozen=True)
@@ -32,11 +35,14 @@ class Draws:
         ln of the same by the linear model.
     nominal : float
         Metric of the nominal system.
+    rejected : int
+        Systems that were drawn again because surfaces crossed each other.
     """
 
     ratios: np.ndarray
     predicted: np.ndarray
     nominal: float
+    rejected: int = 0
 
     @property
     def logs(self) -> np.ndarray:
@@ -90,7 +96,8 @@ def draw_systems(
     Trace systems whose parameters are drawn from normal distributions, σ the tolerance, cut at the physical range.
 
     All are traced with the same rays, so that what differs between them is due to the parameters. Where R + T of an
-    ideal coating would exceed 1 both are scaled down.
+    ideal coating would exceed 1 both are scaled down. A system in which optical surfaces cross, on their axis and
+    without tilts, cannot be put together and is drawn again.
 
     Parameters
     ----------
@@ -125,10 +132,20 @@ def draw_systems(
     # Of the very rays that all systems are traced with
     nominal = metric.value()
     ratios, predicted = [], []
+    rejected = 0
     for number in range(count):
-        drawn = np.clip(value + tolerance * generator.standard_normal(len(rows))[places], low, high)
-        drawn = _possible(rows, drawn, params)
-        values = shifted_values(params, lines, drawn)
+        while True:
+            drawn = np.clip(value + tolerance * generator.standard_normal(len(rows))[places], low, high)
+            drawn = _possible(rows, drawn, params)
+            values = shifted_values(params, lines, drawn.tolist())
+            if _fits(metric.scene, params, values):
+                break
+            rejected += 1
+            if rejected > MOST_REJECTED * (number + 1):
+                raise MistrayError(
+                    f"{rejected} of {rejected + number} perturbed systems have surfaces that cross; give smaller "
+                    "tolerances"
+                )
         try:
             with changed(params, values):
                 traced = metric.value()
@@ -139,7 +156,18 @@ def draw_systems(
         ratios.append(traced / nominal)
         predicted.append(float(slope @ (drawn - value)))
         advance()
-    return Draws(np.array(ratios), np.array(predicted), nominal)
+    return Draws(np.array(ratios), np.array(predicted), nominal, rejected)
+
+
+def _fits(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
+    """Whether no optical surfaces cross, all of them on their axis."""
+    centred = {key: value for key, value in values.items() if key.rsplit(".", 1)[-1] not in OFF_AXIS}
+    with changed(params, centred):
+        try:
+            check_overlaps(scene)
+        except MistrayError:
+            return False
+    return True
 
 
 def _possible(rows: Sequence[Row], drawn: np.ndarray, params: Mapping[str, Any]) -> np.ndarray:

@@ -11,22 +11,24 @@ from mistray.optimize import Optimization
 from mistray.report.html_optimization import optimization_html
 from mistray.report.optimization_plots import reflectance_figure, search_figure, variables_figure
 from mistray.report.optimization_tables import history_frame, variables_frame
-from mistray.report.output import csv_text, write_files
+from mistray.report.output import csv_text, writable_directory, write_files
 from mistray.report.plots import as_png
 from mistray.scene.recoat import recoated, write_recoated
 from mistray.scene.rewrite import rewritten
 
 
-def scene_text(result: Optimization, folder: str | Path) -> str:
-    """The scene file with the result, for a file in a folder; what the study does not move is unchanged."""
+def scene_text(result: Optimization, directory: Path) -> str:
+    """The scene file with the result, for a file in a directory that exists; what does not move is unchanged."""
     note = f"study {Path(result.study.name).name}"
-    if not result.parameters:
-        return recoated(result.source, result.coatings, folder, note)
     if not result.placed:
-        return rewritten(result.source, result.parameters, folder, note)
-    with tempfile.TemporaryDirectory() as place:
-        coated = write_recoated(result.source, result.coatings, Path(place) / "scene.xml", note)
-        return rewritten(coated, result.parameters, folder, note)
+        return rewritten(result.source, result.parameters, directory, note)
+    if not result.parameters:
+        return recoated(result.source, result.coatings, directory, note)
+    # Values that belong to the new coatings have a place in the file once these are on it. What stands in between lies
+    # in the same directory, relative to which it names files
+    with tempfile.NamedTemporaryFile(dir=directory, prefix=".coated-", suffix=".xml") as draft:
+        coated = write_recoated(result.source, result.coatings, draft.name, note)
+        return rewritten(coated, result.parameters, directory, note)
 
 
 def write_optimization(result: Optimization, directory: str | Path, command: str = "") -> list[Path]:
@@ -46,17 +48,19 @@ def write_optimization(result: Optimization, directory: str | Path, command: str
     list of Path
         The files written; search.png, variables.png, and reflectance.png if the study has coatings, are among them.
     """
+    target = writable_directory(directory)
+    target.mkdir(parents=True, exist_ok=True)
     pictures = {"search.png": as_png(search_figure(result)), "variables.png": as_png(variables_figure(result))}
     if result.placed:
         pictures["reflectance.png"] = as_png(reflectance_figure(result))
     source = result.source.resolve()
     title = source.parent.name if source.name == "scene.xml" else source.stem
     files: dict[str, str | bytes] = {
-        "scene.xml": scene_text(result, directory),
+        "scene.xml": scene_text(result, target),
         "terms.csv": csv_text(pd.DataFrame([vars(row) for row in result.comparison.rows])),
         "variables.csv": csv_text(variables_frame(result)),
         "history.csv": csv_text(history_frame(result)),
         **pictures,
         "report.html": optimization_html(result, pictures, title, command),
     }
-    return write_files(files, directory)
+    return write_files(files, target)

@@ -91,8 +91,9 @@ def reflectance_figure(result: Optimization) -> Figure:
         curves = []
         from_front = outside_first(complex_index(front, wavelengths[0]), complex_index(back, wavelengths[0]))
         for name, step, style in (("before", result.steps[0], "--"), ("after", result.best, "-")):
-            stack = item.stack(result.thickness_nm(item.group.name, step))
-            values = spectrum(stack, wavelengths, ANGLES_DEG, front, back, from_front).mean()
+            values = spectrum(
+                result.stack(item.group.name, step), wavelengths, ANGLES_DEG, front, back, from_front
+            ).mean()
             curves.append(values)
             for k, colour in enumerate(COLOURS[: len(ANGLES_DEG)]):
                 axes.plot(wavelengths, 100 * values[:, k], style, color=colour, lw=1.4 if name == "after" else 1.0)

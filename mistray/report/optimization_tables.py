@@ -8,7 +8,7 @@ import pandas as pd
 
 from mistray.analysis.estimate import Estimate
 from mistray.optimize import Comparison, Optimization, Term
-from mistray.optimize.merit import holds, limit_of
+from mistray.optimize.goals import holds, limit_of
 from mistray.optimize.verify import Row
 from mistray.report.json_values import plain
 from mistray.report.text import number, text_table, with_error

@@ -132,6 +132,7 @@ def draws_lines(draws: Draws) -> list[str]:
         f"{number(100 * draws.predicted_deviation, 3)} %",
         f"metric over the nominal one: mean {with_error(draws.mean)}; percentiles {percentiles}",
         f"not explained by the linear model: {number(100 * draws.unexplained, 2)} % of the variance",
+        *([f"{draws.rejected} more were drawn again, because surfaces crossed"] if draws.rejected else []),
     ]
 
 
@@ -193,6 +194,7 @@ def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
             "mean": _estimate(draws.mean),
             "percentiles": {f"{p:g}": _estimate(draws.percentile(p)) for p in PERCENTILES},
             "unexplained": draws.unexplained,
+            "rejected": draws.rejected,
         },
         "left_out": result.left_out,
         "without_derivative": result.without_derivative,

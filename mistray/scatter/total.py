@@ -56,7 +56,8 @@ def lobe_total(
         values = _by_cosines(table, cosine)
     else:
         shape = lobe.event, lobe.centre, lobe.factor, lobe.ratio
-        r, weight, first = _rings(*shape, cos_i.tobytes(), float(n_in), float(n_out))
+        ratio = 1.0 if lobe.event == "reflection" else n_out / n_in  # one table for light of both sides
+        r, weight, first = _rings(*shape, cos_i.tobytes(), ratio)
         values = np.add.reduceat(weight * table.value(r), first)
     if lobe.event == "transmission" and lobe.centre != "normal":
         values = np.where(n_in * np.sqrt(np.maximum(0, 1 - cos_i**2)) >= n_out, 0.0, values)
@@ -112,8 +113,7 @@ def _rings(
     factor: str,
     ratio: RatioTable | None,
     cosines: bytes,
-    n_in: float,
-    n_out: float,
+    index_ratio: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     The same as `_by_cosines` with a factor or a ratio, as a sum over radii that holds for all profiles.
@@ -124,6 +124,8 @@ def _rings(
         As in `Lobe`.
     cosines : bytes
         (m,) float64 cosines of incidence.
+    index_ratio : float
+        n_out/n_in; without meaning in reflection.
 
     Returns
     -------
@@ -134,7 +136,7 @@ def _rings(
     """
     lobe = Lobe(event, np.ones_like, centre=centre, factor=factor, ratio=ratio)
     cos_i = np.frombuffer(cosines)
-    specular = specular_cosine(event, cos_i, n_in, n_out)
+    specular = specular_cosine(event, cos_i, 1.0, index_ratio)
     cosine = np.ones_like(cos_i) if centre == "normal" else specular
     found = [_ring_weights(lobe, *row) for row in zip(cos_i, cosine, specular, strict=True)]
     first = np.cumsum([0, *(len(r) for r, _ in found[:-1])])

@@ -10,14 +10,16 @@ from __future__ import annotations
 import difflib
 import os
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 from xml.sax.saxutils import quoteattr
 
 import mitsuba as mi
 import numpy as np
+import numpy.typing as npt
 
+from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
 from mistray.materials import resolved
@@ -32,9 +34,7 @@ INSTEAD = {"curvature": ("radius",), "thickness_nm": ("layers", "preset", "table
 VALUE_TAGS = ("float", "integer", "boolean", "string")
 
 
-def rewritten(
-    source: str | Path, values: Mapping[str, Sequence[float] | float], folder: str | Path, note: str = ""
-) -> str:
+def rewritten(source: str | Path, values: Mapping[str, npt.ArrayLike], folder: str | Path, note: str = "") -> str:
     """
     Text of a scene with other values of parameters.
 
@@ -63,7 +63,7 @@ def rewritten(
     for key, value in values.items():
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
         plugin, name = _plugin(file, params, key), key.rpartition(".")[2]
-        before = np.array(params[key], dtype=np.float64).ravel()
+        before = np.array(peek(params, key), dtype=np.float64).ravel()
         if numbers.shape != before.shape:
             raise MistrayError(f"parameter '{key}': {numbers.size} numbers are given; it has {before.size}")
         if not np.all(np.isfinite(numbers)):
@@ -90,7 +90,7 @@ def rewritten(
 
 
 def write_rewritten(
-    source: str | Path, values: Mapping[str, Sequence[float] | float], target: str | Path, note: str = ""
+    source: str | Path, values: Mapping[str, npt.ArrayLike], target: str | Path, note: str = ""
 ) -> Path:
     """
     Write `rewritten` text to a file, atomically: on an error an old file stays.
@@ -179,7 +179,8 @@ def _edits(file: SceneFile, element: Element, new: Mapping[str, str]) -> list[Ed
     if values:
         pad = file.indent(values[-1])
         added = "".join(f"\n{pad}{text}" if pad else text for text in more)
-        return [*edits, (values[-1].end, values[-1].end, added.encode())]
+        at = file.tail(values[-1]) if pad else values[-1].end
+        return [*edits, (at, at, added.encode())]
     pad = file.indent(element.children[0]) if element.children else ""
     added = "".join(f"\n{pad}{text}" if pad else text for text in more)
     return [*edits, (element.inside, element.inside, added.encode())]

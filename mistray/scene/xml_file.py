@@ -120,6 +120,14 @@ class SceneFile:
                 return start
         return element.start
 
+    def tail(self, element: Element) -> int:
+        """Where an element ends, a comment behind it in its line included."""
+        for start, end in self.comments:
+            between = self.data[element.end : start] if start >= element.end else b"\n"
+            if not between.strip() and b"\n" not in between:
+                return end
+        return element.end
+
     def meant(self, element: Element) -> Element | None:
         """The object that an element is or refers to; None if that is not in the file."""
         return self.ids.get(element.values.get("id", "")) if element.tag == "ref" else element

@@ -22,7 +22,7 @@ import mitsuba as mi
 
 from mistray.trace.books import Film
 from mistray.trace.interaction import Interaction
-from mistray.trace.ledger import BATCHES
+from mistray.trace.ledger import BATCHES, Ledger
 from mistray.trace.raw_gradient import MOMENTS
 from mistray.trace.scattering import Given
 
@@ -49,6 +49,8 @@ class Adjoint:
     ----------
     sums : (BATCHES, rows, CHANNELS) mi.Float64
         Derivatives of the metric by the rows, by batch of start rays; in units of a start ray's flux.
+    unknown : (1,) mi.Float64
+        Flux of hits by paths that the ledger does not know, whose derivative is taken to be 0.
     """
 
     def __init__(
@@ -61,12 +63,14 @@ class Adjoint:
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
-        dr.eval(self.sums)
+        self.unknown = dr.zeros(mi.Float64, 1)
+        dr.eval(self.sums, self.unknown)
 
-    @property
-    def needs_ledger(self) -> bool:
-        """Whether the derivative depends on the path."""
-        return self.path is not None or self.map_of_slot is not None
+    def known(self, ledger: Ledger, key: mi.UInt64, flux: mi.Float, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+        """Slots of the paths of hits, and which of them the ledger knows."""
+        slot, found = ledger.known(key, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.unknown, mi.Float64(flux), mi.UInt32(0), active & ~found)
+        return slot, found
 
     def memory(self, max_events: int) -> tuple[Any, ...]:
         """Local arrays by depth: cell of the table, fraction, slope, running total when the event was entered."""
@@ -92,6 +96,7 @@ class Adjoint:
                 value = dr.gather(mi.Float, self.pixel, first + pixel, here)
                 total += mi.Float64(value if share is None else value * share)
         if self.path is not None:
+            assert slot is not None
             # Of a small spot far from the axis the terms nearly cancel
             far_x, far_y = mi.Float64(x), mi.Float64(y)
             terms = (1, far_x, far_y, far_x * far_x, far_y * far_y, far_x * far_y)

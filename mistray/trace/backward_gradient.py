@@ -16,13 +16,14 @@ from mistray.trace.backward import BackwardTrace
 from mistray.trace.books import Recorder
 from mistray.trace.edges import Edges
 from mistray.trace.gatherer import Gatherer
-from mistray.trace.raw_gradient import RawGradient, Wanted
+from mistray.trace.raw_gradient import RIM_COLUMNS, RawGradient, Wanted
 from mistray.trace.ray_tree import walk
 from mistray.trace.replay import Exit
 from mistray.trace.replay_surfaces import Vector
 from mistray.trace.start_rays import StartRays
 
 CELL_BORDERS = "light whose direction of arrival moves across the border of a cell of angles"
+DETECTOR_RIMS = "the size of the detector itself, within which rays start"
 EXITS_PER_RAY = 8.0  # a first guess; portions that are too large are halved
 
 
@@ -70,12 +71,15 @@ def backward_gradient(trace: BackwardTrace, derivative: np.ndarray, wanted: Want
             edges = Edges(*scene, trace.settings, trace.film, wanted.edge_width) if gatherer.edges else None
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
-                for start in gatherer.portions(whole, EXITS_PER_RAY, trace_again):
-                    gatherer.replay(start, lambda keys: np.ones(len(keys), dtype=bool), end)
+                if not wanted.only_rims:
+                    for start in gatherer.portions(whole, EXITS_PER_RAY, trace_again):
+                        gatherer.replay(start, lambda keys: np.ones(len(keys), dtype=bool), end)
                 if edges is not None:
                     for start, events in edges.events(whole, Adjoint(0), sky=trace.make_sky(derivative)):
                         gatherer.replay_edges(start, events)
         raw = gatherer.result()
         raw.left_out.append(CELL_BORDERS)
+        if wanted.geometry & set(RIM_COLUMNS):
+            raw.left_out.append(DETECTOR_RIMS)
         raw.seconds = time.perf_counter() - started
         yield raw

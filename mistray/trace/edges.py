@@ -184,15 +184,22 @@ class Edges:
                     )
                 continue
             done += here
-            if hits:
-                yield part, self._compare(hits, adjoint, ledger, sky)
+            found = self._compare(hits, adjoint, ledger, sky) if hits else None
+            if found is not None and dr.width(found.row):
+                yield part, found
 
     def _gains(
         self, start: StartRays, adjoint: Adjoint, ledger: Ledger | None, sky: Sky | None, rims: RimBook | None = None
     ) -> mi.Float64:
         """What the metric gains from the tree of each ray."""
-        more = {"ledger": ledger, "adjoint": adjoint, "sky": sky, "rims": rims}
-        gain = walk(*self._scene, start, self._settings, self._film, **more)
+        table, scattering, intersector = self._scene
+        gain = walk(
+            *(table, scattering, intersector, start, self._settings, self._film),
+            ledger=ledger,
+            adjoint=adjoint,
+            sky=sky,
+            rims=rims,
+        )
         dr.eval(gain)
         dr.sync_thread()
         return gain
@@ -244,7 +251,8 @@ class Edges:
         lane = dr.gather(mi.UInt32, book.paths.lane, row)
         own = mi.UInt32(key) ^ mi.UInt32(key >> 32) ^ bits ^ dr.opaque(mi.UInt32, self._settings.seed ^ STREAM)
         state, sequence = mi.sample_tea_32(own, lane)
-        rng = mi.PCG32(size=dr.width(row), initstate=mi.UInt64(state), initseq=mi.UInt64(sequence))
+        rng = mi.PCG32()  # whose constructor would add the number of the row to both
+        rng.seed(mi.UInt64(state), mi.UInt64(sequence))
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
         start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=corner.at, **before)
         dr.eval(rng, vars(start))
@@ -299,7 +307,7 @@ class Edges:
                     dr.select(ends, 0, distance),
                     dr.select(near, dr.select(concave, share * distance, share), found.factor),
                 ),
-                step=dr.select(left, -along, dr.select(near, 0, found.step)),
+                step=dr.select(left, -along, dr.select(near, along, found.step)),
             )
         return found
 

@@ -22,7 +22,7 @@ SHAPE_COLUMNS = (
 # Rims: clear radii, half sides of a rectangle, ends of a cone along the axis from the vertex; mm
 RIM_COLUMNS = ("outer", "inner", "half_width", "half_height", "z_low", "z_high")
 GEOMETRY = (*SHAPE_COLUMNS, *RIM_COLUMNS)
-EDGE_WIDTH = 0.02  # usual width of the zones at rims, in units of their radii
+EDGE_WIDTH = 0.05  # usual width of the zones at rims, in units of their radii
 MOMENTS = 6  # coefficients of a path: 1, x, y, x², y², x y
 
 
@@ -58,6 +58,11 @@ class Wanted:
     def replays(self) -> bool:
         """Whether more than factors of coatings is asked for, so that rays are followed again one by one."""
         return bool(self.geometry) or self.indices or self.scatter
+
+    @property
+    def only_rims(self) -> bool:
+        """Whether visibility is all that can change."""
+        return self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter)
 
 
 @dataclass(frozen=True)

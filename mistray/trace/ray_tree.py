@@ -54,7 +54,7 @@ from mistray.trace.ledger import (
 )
 from mistray.trace.next_hit import film_coordinates, next_hit
 from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
-from mistray.trace.rims import NO_EVENT, RimBook
+from mistray.trace.rims import RimBook
 from mistray.trace.scattering import ScatteredRay, Scattering
 from mistray.trace.settings import NO_LIMIT, Settings
 from mistray.trace.sky import Sky
@@ -113,7 +113,7 @@ def walk(
         and what a surface absorbs of a ray is what it emits towards the detector. `scattering` must be for such rays.
         In an adjoint walk its `Sky.gain` is asked instead.
     rims : RimBook, optional
-        Takes the hits close to rims, in an adjoint walk.
+        Takes the hits close to rims, in an adjoint walk of a scene whose media do not scatter.
 
     Returns
     -------
@@ -278,7 +278,7 @@ def walk(
             if box is not None:
                 booked = detected & (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
             if adjoint is not None:
-                slot, booked = ledger.known(key, booked)
+                slot, booked = adjoint.known(ledger, key, absorbed, booked)
             else:
                 slot, booked, new = ledger.find(key, booked)
                 ledger.record(slot, batch, w, absorbed, x, y, stokes, booked)
@@ -503,9 +503,6 @@ def walk(
         codes.write(code, depth, go)
         if adjoint is not None and adjoint.rows:
             adjoint.enter(events, depth, it, reflect, slope, total, go)
-        if rims is not None and scatters and bulk:  # what the medium scatters before the hit does not depend on it
-            rims.close(rim_events, depth, depth, total, cloud)
-            rim_events[0].write(NO_EVENT, depth, cloud)
 
         # ---- the child's segment
         medium = dr.select(reflect | cloud, medium_in, it.medium_out)

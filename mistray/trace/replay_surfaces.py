@@ -366,10 +366,22 @@ class ReplaySurfaces:
             node = dr.minimum(mi.UInt32(dr.detach(x)), last - 1)
             fraction = x - mi.Float64(node)
 
+            still = dr.detach(fraction)
+
+            def value(k: mi.UInt32, channel: mi.UInt32) -> mi.Float64:
+                index = batch * self._row_stride + TABLE_CHANNELS * (start + k) + channel
+                return dr.gather(mi.Float64, self._rows, index, tabled)
+
             def read(channel: mi.UInt32) -> mi.Float64:
-                base = batch * self._row_stride + TABLE_CHANNELS * (start + node) + channel
-                low, high = (dr.gather(mi.Float64, self._rows, base + TABLE_CHANNELS * k, tabled) for k in range(2))
-                return dr.lerp(low, high, fraction)
+                # Between the nodes the value is linear as in the kernel. The slope of that is good to the spacing of
+                # the nodes only; differences over two spacings, linear between the nodes, are good to its square
+                low, high = value(node, channel), value(node + 1, channel)
+                before, after = dr.maximum(node, 1) - 1, dr.minimum(node + 2, last)
+                slopes = (
+                    (dr.detach(high) - dr.detach(value(before, channel))) / mi.Float64(node + 1 - before),
+                    (dr.detach(value(after, channel)) - dr.detach(low)) / mi.Float64(after - node),
+                )
+                return dr.lerp(low, high, still) + dr.lerp(*slopes, still) * (fraction - still)
 
             side = dr.select(from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
             R = dr.select(tabled, read(side), R)

@@ -21,6 +21,7 @@ BOX_FILM = (
     "light that moves from pixel to pixel counts as if the derivative by the image were linear between their centres; "
     "a film with the reconstruction filter 'tent' has it exactly"
 )
+UNKNOWN_SHARE = 1e-9  # of the detected light past rims that is worth a line
 HITS_PER_RAY = 8.0  # a first guess where the scene has not been traced; portions that are too large are halved
 
 
@@ -150,12 +151,19 @@ def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | Non
             adjoint = run.adjoint(pixel, paths, rows=0)
         for number in range(run.passes):
             whole = run.start_pass(number)
-            for start in gatherer.portions(whole, hits, walk):
-                gatherer.replay(start, counts, end)
+            if not wanted.only_rims:
+                for start in gatherer.portions(whole, hits, walk):
+                    gatherer.replay(start, counts, end)
             if edges is not None:
                 for start, events in edges.events(whole, adjoint, run.ledger if paths is not None else None):
                     gatherer.replay_edges(start, events)
     raw = gatherer.result()
+    if edges is not None and traced:
+        strange = float(adjoint.unknown[0]) / max(float(run.film[0].sum()), np.finfo(float).tiny)
+        if strange > UNKNOWN_SHARE:
+            raw.left_out.append(
+                f"light past rims on paths that the trace has not met: {strange:.1e} of what is detected"
+            )
     if image is not None and wanted.geometry and not film.tent:
         raw.left_out.append(BOX_FILM)
     return raw

@@ -32,6 +32,7 @@ if TYPE_CHECKING:
 
 TOTALS, LOBES, RATIOS, LOGS = "totals", "lobes", "ratios", "logs"
 TOTAL_FLOATS = 4
+AZIMUTH = 2  # axis of a ratio table
 EDGE_OF_PROFILE = 0.5  # change of the step of log2 f from one cell to the next that no smooth profile has
 
 Coating = Callable[[mi.Bool, mi.Float], tuple[mi.Float, mi.Float]]
@@ -273,14 +274,25 @@ class ReplayTables(ScatterTables):
         return shares + mi.Vector4f(*zeros[:4]), limit + zeros[4], log2_r_min + zeros[5], words
 
     def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
-        """As in `ScatterTables`."""
-        value = super().ratio(place, places, active)
+        """As in `ScatterTables`; derivatives along the axes are differences over a cell about the place."""
+        sizes, held = self._ratio_sizes(place, active), [dr.detach(at) for at in places]
+
+        def at(values: mi.Float, first: mi.UInt32, where: Sequence[mi.Float], lit: mi.Bool) -> mi.Float:
+            return mi.Float(trilinear(values, first + RATIO_SIZES, sizes, where, lit))
+
+        value = at(self.ratios, place, held, active)
+        for axis, (moved, still) in enumerate(zip(places, held, strict=True)):
+            half = 0.5 / (mi.Float(sizes[axis]) - 1)
+            low, high = dr.maximum(still - half, 0), dr.minimum(still + half, 1)
+            if axis == AZIMUTH:  # tables are the same on both sides of the plane of incidence
+                low, high = dr.abs(still - half), 1 - dr.abs(1 - still - half)
+            ends = [at(self.ratios, place, [*held[:axis], end, *held[axis + 1 :]], active) for end in (low, high)]
+            width = 2 * half if axis == AZIMUTH else high - low
+            value = value + (ends[1] - ends[0]) / width * (moved - still)
         if RATIOS not in self._leaves:
             return value
         size = self._sizes[RATIOS]
-        moving, first = active & (place < size), self.batch * size + place + RATIO_SIZES
-        zero = trilinear(self._leaves[RATIOS], first, self._ratio_sizes(place, active), places, moving)
-        return value + mi.Float(zero)
+        return value + at(self._leaves[RATIOS], self.batch * size + place, held, active & (place < size))
 
 
 class ReplayRadial(RadialSampler):

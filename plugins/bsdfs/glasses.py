@@ -30,13 +30,15 @@ class Glasses:
     front, back : str
         Material strings; a shift is in them as the suffix ``shift=VALUE``, so that all that depends on a material
         has it.
+    given : tuple of str
+        Both without the shifts.
     parameters : dict of str to mi.Float
         The shifts.
     """
 
     def __init__(self, props: mi.Properties, resolve: Callable[[str], str]) -> None:
-        self._given = [resolved(str(props.get(side, "air")), resolve) for side in ("front", "back")]
-        self._names = self._given[0], self._given[1]
+        front, back = (resolved(str(props.get(side, "air")), resolve) for side in ("front", "back"))
+        self.given = self._names = front, back
         self.parameters = {name: mi.Float(float(props.get(name, 0.0))) for name in SHIFTS}
 
     def update(self, wavelength_nm: float) -> bool:
@@ -52,7 +54,7 @@ class Glasses:
         for name, value in zip(SHIFTS, values, strict=True):
             if value.shape != (1,) or not np.isfinite(value[0]):
                 raise MistrayError(f"{name} is {value.tolist()}; give one finite number")
-        front, back = (shifted(material, float(value[0])) for material, value in zip(self._given, values, strict=True))
+        front, back = (shifted(material, float(value[0])) for material, value in zip(self.given, values, strict=True))
         for material in (front, back):
             refractive_index(material, wavelength_nm)
         changed = (front, back) != self._names

@@ -283,6 +283,11 @@ class Interface(mi.BSDF):
         """``n_front_shift`` and ``n_back_shift``."""
         return self._glasses.parameters
 
+    @property
+    def materials(self) -> tuple[str, str]:
+        """Materials in front and behind, without shifts of the index."""
+        return self._glasses.given
+
     def _take_glasses(self) -> None:
         """Take new shifts of the indices; raises if they are impossible, and then nothing has changed."""
         try:

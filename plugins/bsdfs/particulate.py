@@ -43,6 +43,8 @@ class Particulate(Scatterer):
                                                       with T
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
     front, back       string               air        by itself only: materials, see ``interface``
+    n_front_shift     1                    0          by itself only; see ``interface``
+    n_back_shift      1                    0          by itself only; see ``interface``
     mirror            bool                 false      by itself only; see ``interface``
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================

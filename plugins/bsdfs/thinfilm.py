@@ -49,6 +49,8 @@ class ThinFilm(Interface):
     opaque         bool            false    nothing passes: T = 0; of a COAT of a Zemax file the last layer
                                             is then the substrate, as for a mirror there
     front, back    string          air      materials, by itself only; see ``interface``
+    n_front_shift  1               0        by itself only; see ``interface``
+    n_back_shift   1               0        by itself only; see ``interface``
     mirror         bool            false    by itself only; see ``interface``
     wavelength_nm  nm      > 0     550      by itself only; see ``interface``
     ============== ======= ======= ======== ==============================================================

@@ -9,6 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
 from mistray.trace.coating_gradient import IDEAL_PARAMETERS
@@ -60,7 +61,7 @@ class StrayLight(mi.CppADIntegrator):
     polarization      string  unpolarized,   unpolar-  average s and p at every hit, or carry the Stokes vector along
                               stokes         ized
     edges             bool                   true      count in gradients what rays gain and lose at rims
-    edge_width        1       0 … 0.5        0.02      width of the zones at rims for that, relative to their radii
+    edge_width        1       0 … 0.5        0.05      width of the zones at rims for that, relative to their radii
     ================= ======= ============== ========= =================================================================
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
@@ -206,7 +207,8 @@ def _check_differentiable(params: Any, tracked: dict[tuple[int, str], tuple[str,
     """Raise if a gradient is asked for that would silently be 0."""
     known = {value.index_ad for _, value in tracked.values()}
     for key in params.keys() if params is not None else ():
-        if dr.grad_enabled(params[key]) and getattr(params[key], "index_ad", None) not in known:
+        value = peek(params, key)
+        if dr.grad_enabled(value) and getattr(value, "index_ad", None) not in known:
             raise MistrayError(
                 f"integrator 'straylight' has no derivative by '{key}'; mistray.optimize.parameters(scene) lists those "
                 "that it has"

@@ -60,7 +60,8 @@ class TestClosedForms:
         traced = {"rays": 64, "max_reflections": 2, "flux_threshold": 0.0}
         g = gradient(path_power(scene, lambda row: row.order <= 0, **traced), mi.traverse(scene))
         assert g.gradient["detector.bsdf.R"] == pytest.approx([-(0.8**2)], rel=2e-6)
-        assert g.gradient["detector.bsdf.T"] == pytest.approx([-(0.8**2)], rel=2e-6)
+        # An opaque surface has no T
+        assert "detector.bsdf.T" not in g.gradient
 
     def test_ratio(self, load_scene) -> None:
         """Ghost over signal is R1 R2, whatever T."""
@@ -177,7 +178,7 @@ class TestRender:
             leave(self, memory, batch, depth, dr.maximum(last, depth - 1), total, active & (depth > 0))
 
         monkeypatch.setattr(adjoint.Adjoint, "leave", wrong)
-        g = gradient(path_power(scene, "ghost", rays=256), mi.traverse(scene))
+        g = gradient(path_power(scene, "ghost", rays=256), mi.traverse(scene), [FRONT_T])
         assert abs(g.gradient[FRONT_T][0] / 0.008 - 1) > 0.01
 
 
@@ -186,26 +187,29 @@ class TestRefusals:
         scene = load_scene(coated_plate())
         params = mi.traverse(scene)
         metric = path_power(scene, "ghost", rays=16)
-        with pytest.raises(mistray.MistrayError, match=r"'p0_front\.curvature' has no derivative"):
-            gradient(metric, params, ["p0_front.curvature"])
-        with pytest.raises(mistray.MistrayError, match=r"'nothing\.R' does not exist"):
-            gradient(metric, params, ["nothing.R"])
-        with pytest.raises(mistray.MistrayError, match="polarization='unpolarized'"):
-            gradient(path_power(scene, "ghost", rays=16, polarization="stokes"), params)
+        with pytest.raises(mistray.MistrayError, match=r"no parameter 'p0_front\.curvatur' .*p0_front\.curvature"):
+            gradient(metric, params, ["p0_front.curvatur"])
+        with pytest.raises(mistray.MistrayError, match=r"no parameter 'p0_front\.silhouette_sampling_weight' with a deriv"):
+            gradient(metric, params, ["p0_front.silhouette_sampling_weight"])
+        with pytest.raises(mistray.MistrayError, match="edge_width is 0; it is relative"):
+            gradient(metric, params, ["p0_front.curvature"], edge_width=0.0)
+        for keys in (["p0_front.bsdf.R"], ["p0_front.curvature"]):
+            with pytest.raises(mistray.MistrayError, match="polarization='unpolarized'"):
+                gradient(path_power(scene, "ghost", rays=16, polarization="stokes"), params, keys)
         with pytest.raises(mistray.MistrayError, match="give fields_deg instead of field_deg"):
             path_power(scene, "ghost", field_deg=3.0)
         with pytest.raises(mistray.MistrayError, match="'phantom' is no kind of path"):
             path_power(scene, "phantom", rays=16).value()
-        dr.enable_grad(params["p0_front.curvature"])
+        dr.enable_grad(params["p0_front.vertex_positions"])
         image = mi.render(scene, params, integrator=mi.load_dict({"type": "straylight", "rays": 16}))
-        with pytest.raises(mistray.MistrayError, match=r"no derivative by 'p0_front\.curvature'"):
+        with pytest.raises(mistray.MistrayError, match=r"no derivative by 'p0_front\.vertex_positions'"):
             dr.backward(dr.sum(image.array))
 
     def test_scene_without_parameters(self, load_scene) -> None:
         scene = load_scene(plates_text(1))
         params = mi.traverse(scene)
-        params.keep([key for key in list(params.keys()) if key.startswith("p0")])
-        with pytest.raises(mistray.MistrayError, match="no coating parameter"):
+        params.keep(["p0_front.silhouette_sampling_weight"])
+        with pytest.raises(mistray.MistrayError, match="no parameter to differentiate by"):
             gradient(path_power(scene, "ghost", rays=16), params)
 
     def test_functions_of_several_numbers(self, load_scene) -> None:

@@ -121,9 +121,9 @@ class TestLayers:
 def merit_of(scene: Path, study: dict[str, Any]) -> Merit:
     read = read_study(study)
     placed = place(load(scene), read)
-    opened = open_scene(scene, placed)
-    variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
-    return Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
+    with open_scene(scene, placed) as opened:
+        variables = find_variables(read, opened.params, opened.known, opened.thickness_keys)
+        return Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
 
 
 @pytest.fixture

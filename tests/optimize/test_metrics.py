@@ -79,6 +79,21 @@ class TestNumbers:
         for factory, numbers in expected.items():
             assert factory(scene, fields_deg=FIELDS, **TRACED).value() == pytest.approx(np.mean(numbers), rel=1e-12)
 
+    def test_sums_of_the_path_table(self, traces) -> None:
+        """Flux and moments of every path are those that its row shows; batches add up to them."""
+        for t in traces:
+            power, x, y, r2 = t.paths.moments().T
+            for k, row in enumerate(t.paths):
+                assert power[k] == pytest.approx(row.power_W, rel=1e-12)
+                assert x[k] / power[k] == pytest.approx(row.x_mm, rel=1e-12)
+                assert y[k] / power[k] == pytest.approx(row.y_mm, rel=1e-12)
+                radius = np.sqrt(r2[k] / power[k] - row.x_mm**2 - row.y_mm**2)
+                assert radius == pytest.approx(row.rms_radius_mm, rel=1e-9)
+            coefficients = np.random.default_rng(1).random((len(power), 4))
+            by_batch = t.paths.by_batch(coefficients)
+            assert by_batch.sum() == pytest.approx(np.sum(coefficients * t.paths.moments()), rel=1e-12)
+            assert np.count_nonzero(by_batch) == 32
+
     def test_rms_irradiance_of_ghosts(self, scene, traces) -> None:
         """The figures of the ghost table: all wavelengths of a path together."""
         figures = [ghosts(t).rms_irradiance_W_mm2 for t in traces]

@@ -273,6 +273,10 @@ class TestRefusals:
         with pytest.raises(MistrayError, match=r"paths 'TIR': no light .* at field 3°"):
             observed().moments_of_each("TIR")
 
+    def test_too_few_rays(self) -> None:
+        with pytest.raises(MistrayError, match="paths 'ghost': none has 30 rays at field 3°; trace more rays"):
+            observed(HITS[::4]).moments_of_each("ghost")
+
     def test_norm(self) -> None:
         with pytest.raises(MistrayError, match=r"norm is 0\.5; a smooth maximum takes a number of at least 1"):
             observed().peak("all", 0.5)

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.optimize.parameters import KINDS, match, parameters
+from mistray.optimize.parameters import KINDS, groups, match, parameters
 from mistray.trace.geometry_gradient import geometry_columns
 
 FILM = {"type": "thinfilm", "id": "AR", "layers": "1.38 100, 2.1+0.01i 60", "n_shift": "0.1, 0", "k_shift": "0, 0.002"}
@@ -186,6 +186,32 @@ def test_reduced_params() -> None:
 
 def test_a_film_without_use_is_not_there() -> None:
     assert not [key for key in parameters(scene(spare=FILM | {"id": "spare"})) if key.startswith("spare")]
+
+
+def test_groups() -> None:
+    place = mi.ScalarTransform4d()
+    side = {"type": "asphere", "semi_diameter": 1.0, "part": "prism", "bsdf": {"type": "interface", "back": "1.7"}}
+    known = parameters(
+        scene(
+            lid={"type": "frustum", "r0": 2.0, "r1": 3.0, "z0": 40.0, "z1": 40.0, "part": "tube",
+                 "bsdf": {"type": "interface", "R": 0.1}},
+            one=side | {"to_world": place.translate([50, 0, 0])},
+            two=side | {"to_world": place.translate([60, 0, 0]).rotate([1, 0, 0], 45)},
+        )
+    )  # fmt: skip
+    assert groups(known) == {
+        "air.index": [f"{name}.bsdf.n_{side}_shift" for name, side in AIR],
+        "1.5.index": ["front.bsdf.n_back_shift", "rear.bsdf.n_front_shift"],
+        "1.7.index": ["one.bsdf.n_back_shift", "two.bsdf.n_back_shift"],
+        **{f"tube.{axis}": [f"tube.{axis}", f"lid.{axis}"] for axis in "xyz"},
+    }  # the prism's faces point to different sides
+    for name, keys in groups(known).items():
+        assert len({known[key].kind for key in keys}) == 1, name
+
+
+AIR = [
+    ("front", "front"), ("rear", "back"), ("disc", "front"), ("disc", "back"), ("one", "front"), ("two", "front"),
+]  # fmt: skip
 
 
 class TestMatch:

@@ -15,10 +15,12 @@ from mistray.errors import MistrayError
 from mistray.optimize import Optimizer, Start, Step
 from mistray.optimize.checkpoint import Checkpoint
 from mistray.optimize.search import stop_reason
+from mistray.optimize.search.point import Pieces
 from mistray.optimize.searches import Searches
-from mistray.optimize.state import State
+from mistray.optimize.state import Evaluation, State
 
 METHODS = [
+    Optimizer(method="sqp", steps=200, tolerance=0),
     Optimizer(method="lbfgsb", steps=200, tolerance=0),
     Optimizer(method="adam", steps=400, tolerance=0, step_size=0.03, decay=0.98),
     *(
@@ -48,9 +50,14 @@ class Bowl:
             "merit_se": self.noise,
             "slope": 2 * self.width * away + draw[1:],
             "terms": {"bowl": merit},
+            "slopes": {},
             "traced_seconds": 0.0,
             "left_out": ["nothing"],
         }
+
+    def pieces(self, at: Evaluation) -> Pieces | None:
+        none = np.zeros(0)
+        return Pieces(at.slope, none, none, np.zeros((0, len(at.y))), none.astype(bool))
 
     def broken(self, values: dict[str, float]) -> tuple[str, ...]:
         return ("bowl",) if values["bowl"] > 1 else ()
@@ -146,6 +153,57 @@ class TestMethods:
         assert (still.steps, problem.calls) == (short.steps, []), "the result as it stands"
         longer = searches(problem, replace(optimizer, steps=8), state)
         assert [step.x for step in longer.steps] == [step.x for step in whole.steps]
+
+
+class Valley(Bowl):
+    """Minimise -ln v, v = 1 + y0 + 2 y1, between walls: a bowl of residuals 1e4 times as steep, curved or one-sided.
+
+    The residual is (y0 + y1 - 1 + bend (y0 - y1)²) / WIDTH; with `one_sided` it counts above 0 only.
+    """
+
+    def __init__(self, bend: float, one_sided: bool) -> None:
+        super().__init__([0.0, 0.0])
+        self.bend, self.one_sided = bend, one_sided
+
+    def apart(self, y: np.ndarray) -> tuple[float, np.ndarray, float, np.ndarray]:
+        v, gap = 1 + y[0] + 2 * y[1], y[0] - y[1]
+        r = (y[0] + y[1] - 1 + self.bend * gap**2) / 1e-3
+        row = np.array([1 + 2 * self.bend * gap, 1 - 2 * self.bend * gap]) / 1e-3
+        return -np.log(v), -np.array([1.0, 2.0]) / v, r, row
+
+    def pieces(self, at: Evaluation) -> Pieces:
+        _, slope, r, row = self.apart(at.y)
+        return Pieces(slope, np.ones(1), np.array([r]), row[None], np.array([self.one_sided]))
+
+    def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
+        value, slope, r, row = self.apart(y)
+        r = max(r, 0.0) if self.one_sided else r
+        found = super().evaluate(y, number)
+        return {**found, "merit": value + r**2, "slope": slope + 2 * r * row}
+
+
+class TestValleys:
+    """Limits are steep against what is to be minimised; the way along them must not be lost in that."""
+
+    @pytest.mark.parametrize("one_sided", [False, True])
+    @pytest.mark.parametrize("bend", [0.0, 0.2])
+    def test_along_a_wall(self, bend: float, one_sided: bool) -> None:
+        """The optimum on the wall, from a parametrisation of it; there the penalty is less than 1e-4."""
+        problem = Valley(bend, one_sided)
+        done = searches(problem, Optimizer(method="sqp", tolerance=1e-6), begin([7, 3 if bend == 0 else 2.5]))
+        gaps = np.linspace(-1, 1, 200_001)  # y0 - y1 on the wall
+        total = 1 - bend * gaps**2
+        wall = np.stack([(total + gaps) / 2, (total - gaps) / 2])
+        wall = wall[:, np.all((wall >= 0) & (wall <= 1), axis=0)]
+        best = wall[:, np.argmax(wall[0] + 2 * wall[1])]
+        assert np.array(done.best.x) / 10 == pytest.approx(best, abs=0.02)
+        assert done.best.merit == pytest.approx(-np.log(1 + best[0] + 2 * best[1]), abs=1e-3)
+        assert len(problem.calls) < 60
+
+    def test_from_far_beyond_a_limit(self) -> None:
+        """A start that breaks a limit by 3000 widths of its zone comes back first."""
+        done = searches(Valley(0.0, True), Optimizer(method="sqp", tolerance=1e-6), begin([9, 4]))
+        assert done.best.x == pytest.approx([0, 10], abs=0.1)
 
 
 class TestDriver:

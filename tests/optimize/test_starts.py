@@ -71,10 +71,12 @@ class TestStarts:
         coating = {"name": "AR", "surfaces": ["L1_front"], "layers": "1.38 90", "thickness_nm": [10.0, 400.0]}
         study = {"term": [{"kind": "path_power", "goal": "minimise"}], "coating": [coating]}
         placed = place(mistray.load("cooke_triplet"), read_study(study))
-        given, first, second = starts(self.variables(1), placed, (550.0,), (1.0,), 3, 0)
+        given, *others = starts(self.variables(1), placed, (550.0,), (1.0,), 4, 0)
         assert given.x.tolist() == [90.0, 12.0]
-        assert [start.x[1] for start in (first, second)] == [12.0, 12.0]
-        # Odd quarter waves are equally good at one wavelength and normal incidence; over angles the first is
-        assert first.x[0] == pytest.approx(550 / 4 / 1.38, abs=5)
-        assert second.x[0] == pytest.approx(3 * 550 / 4 / 1.38, abs=15)
+        assert 1 <= len(others) <= 3, "as many as there are minima"
+        assert [start.x[1] for start in others] == [12.0] * len(others)
+        first = others[0]
+        grid = np.linspace(10.0, 400.0, 4001)
+        proxy = Proxy.of(placed[0], (550.0,), (1.0,))
+        assert first.x[0] == pytest.approx(grid[np.argmin(proxy(grid[:, None]))], abs=0.2)
         assert first.name == "minimum 1 of the mean square R"

@@ -7,8 +7,8 @@ order in float64; nothing here knows of derivatives of surfaces, of Snell's law 
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -67,29 +67,49 @@ class Bundle:
 
 @dataclass(frozen=True)
 class Hits:
-    """Where the rays of a bundle meet the detector, (n,) each: mm in its own frame, absorbed and arriving flux in W."""
+    """
+    Where the rays of a bundle meet the detector.
+
+    Attributes
+    ----------
+    x, y : (n,)
+        In the detector's own frame, mm.
+    flux, arriving : (n,)
+        What the detector absorbs, and what meets it, W.
+    points : (k, n, 3)
+        All hits, mm.
+    trail : list
+        Position, direction, flux and absorption coefficient before each event.
+    """
 
     x: Array
     y: Array
     flux: Array
     arriving: Array
     points: Array
+    trail: list[State]
 
 
+State = tuple[Array, Array, Array, float]
 Metric = Callable[[Sequence[Hits]], float]
+Direction = Mapping[str, Array]  # key → how its numbers move
 
 
-def follow(scene: FrozenScene, bundle: Bundle) -> Hits:
+def follow(scene: FrozenScene, bundle: Bundle, trail: Sequence[State] = ()) -> Hits:
     """
-    Follow the rays of a bundle through its events.
+    Follow the rays of a bundle through its events, from the last of the states in `trail` on.
 
     The flux of a path that scatters is in arbitrary units: the density with which its directions were drawn is not
     known here. `FrozenPaths` sets the scale by what was recorded.
     """
-    position, heading = bundle.origin, bundle.direction / np.linalg.norm(bundle.direction, axis=1, keepdims=True)
-    flux = bundle.power.copy()
-    points, absorption = [], 0.0
+    unit = bundle.direction / np.linalg.norm(bundle.direction, axis=1, keepdims=True)
+    states = list(trail) or [(bundle.origin, unit, bundle.power.copy(), 0.0)]
+    position, heading, flux, absorption = states.pop()
+    points = [state[0] for state in [*states, (position,)][1:]]
     for step, (shape_id, name) in enumerate(bundle.events):
+        if step < len(states):
+            continue
+        states.append((position, heading, flux, absorption))
         near = np.einsum("ij,ij->i", bundle.points[step] - position, heading)
         length = scene.cross(shape_id, position, heading, near)
         position = position + length[:, None] * heading
@@ -99,7 +119,8 @@ def follow(scene: FrozenScene, bundle: Bundle) -> Hits:
         if step == len(bundle.events) - 1:
             rotation, vertex = scene.pose(shape_id)
             local = (position - vertex) @ rotation
-            return Hits(local[:, 0], local[:, 1], flux * _absorbed(scene, shape_id, out), flux, np.array(points))
+            taken = flux * _absorbed(scene, shape_id, out)
+            return Hits(local[:, 0], local[:, 1], taken, flux, np.array(points), states)
         if name in SCATTERED:
             heading = bundle.leaving[step]
             flux = flux * _scattered(scene, shape_id, out, SCATTERED[name], heading)
@@ -198,30 +219,42 @@ class FrozenPaths:
 
     def _scaled(self, hits: Sequence[Hits], numbers: Sequence[int]) -> list[Hits]:
         return [
-            Hits(h.x, h.y, h.flux * self._scale[k], h.arriving * self._scale[k], h.points)
+            replace(h, flux=h.flux * self._scale[k], arriving=h.arriving * self._scale[k])
             for h, k in zip(hits, numbers, strict=True)
         ]
 
-    def moved(self, key: str, step: float, entry: int = 0) -> list[Hits]:
-        """The hits with one number of the scene changed by a step; paths that do not meet it stay as they are."""
-        scene = self.scene.moved(key, step, entry)
-        met = [
-            k
-            for k, bundle in enumerate(self.bundles)
-            if any(scene.met_by(key, shape_id) for shape_id in dict.fromkeys(s for s, _ in bundle.events))
-        ]
+    def moved(self, direction: Direction, factor: float) -> list[Hits]:
+        """The hits with numbers changed by a factor times the direction."""
+        scene = self.scene
+        for key, values in direction.items():
+            for entry, value in enumerate(values):
+                scene = scene.moved(key, factor * value, entry)
+        names = {name for bundle in self.bundles for name, _ in bundle.events}
+        moving = {name for name in names if any(scene.met_by(key, name) for key in direction)}
         found = list(self.nominal)
-        for k, hits in zip(met, self._scaled([follow(scene, self.bundles[k]) for k in met], met), strict=True):
-            found[k] = hits
+        for k, bundle in enumerate(self.bundles):
+            first = next((step for step, (name, _) in enumerate(bundle.events) if name in moving), None)
+            if first is not None:
+                hits = follow(scene, bundle, self.nominal[k].trail[: first + 1])
+                (found[k],) = self._scaled([hits], [k])
         return found
 
-    def derivatives(self, metrics: Sequence[Metric], key: str, step: float, entry: int = 0) -> Array:
-        """Derivatives of metrics by one number, (metrics,): (8 [f(h) - f(-h)] - [f(2h) - f(-2h)])/12h."""
+    def along(self, metrics: Sequence[Metric], direction: Direction) -> Array:
+        """Derivatives of metrics by a common factor of the direction, (metrics,), at steps of 1 and 2 times it.
+
+        (8 [f(h) - f(-h)] - [f(2h) - f(-2h)])/12h with h = 1.
+        """
         total = np.zeros(len(metrics))
         for factor, weight in ((1, 8.0), (-1, -8.0), (2, -1.0), (-2, 1.0)):
-            hits = self.moved(key, factor * step, entry)
+            hits = self.moved(direction, factor)
             total += weight * np.array([metric(hits) for metric in metrics])
-        return total / (12 * step)
+        return total / 12
+
+    def derivatives(self, metrics: Sequence[Metric], key: str, step: float, entry: int = 0) -> Array:
+        """Derivatives of metrics by one number, (metrics,)."""
+        values = np.zeros(len(self.scene.numbers[key]))
+        values[entry] = step
+        return self.along(metrics, {key: values}) / step
 
     def scan(
         self, metrics: Sequence[Metric], key: str, steps: Sequence[float], entry: int = 0

@@ -294,7 +294,7 @@ def read_frozen(source: str | Path, wavelength_nm: float | None = None) -> Froze
         if isinstance(shape.surface, Frustum):
             for part in ("r0", "z0", "r1", "z1"):
                 numbers[f"{name}.{part}"] = np.array([float(getattr(shape.surface, part))])
-        found = _nested(nodes[name], named, f"{name}.bsdf")
+        found = _nested(nodes[name], named, name)
         key, node = found[0] if found else (f"{name}.bsdf", None)
         interface_keys[name] = key
         numbers |= {f"{key}.{part}": np.zeros(1) for part in ("n_front_shift", "n_back_shift")}
@@ -302,7 +302,7 @@ def read_frozen(source: str | Path, wavelength_nm: float | None = None) -> Froze
             numbers[f"{key}.R"] = np.array([float(shape.interface.reflectance)])
             numbers[f"{key}.T"] = np.array([float(shape.interface.transmittance or 0.0)])
         models = []
-        for nested_key, nested in _nested(node, named, f"{key}.bsdf") if node is not None else []:
+        for nested_key, nested in _nested(node, named, key) if node is not None else []:
             if nested.attrib["type"] == "thinfilm":
                 films[name] = _film(nested_key, nested, numbers)
             else:
@@ -312,19 +312,19 @@ def read_frozen(source: str | Path, wavelength_nm: float | None = None) -> Froze
 
 
 def _nested(
-    node: ElementTree.Element, named: dict[str, ElementTree.Element], key: str
+    node: ElementTree.Element, named: dict[str, ElementTree.Element], owner: str
 ) -> list[tuple[str, ElementTree.Element]]:
-    """Nested bsdfs and the prefixes of their keys: the id where there is one, else by place: bsdf, bsdf_1, …"""
+    """Nested bsdfs and the prefixes of their keys: the id where there is one, else by what it is to its owner."""
     found: list[tuple[str, ElementTree.Element]] = []
-    unnamed = 0
     for child in node:
         if child.tag == "ref" and child.attrib["id"] in named:
             found.append((child.attrib["id"], named[child.attrib["id"]]))
-        elif child.tag == "bsdf" and "id" in child.attrib:
-            found.append((child.attrib["id"], child))
         elif child.tag == "bsdf":
-            found.append((key if unnamed == 0 else f"{key}_{unnamed}", child))
-            unnamed += 1
+            kind = child.attrib["type"]
+            key = {"interface": "bsdf", "thinfilm": "coating"}.get(kind, kind)
+            found.append((child.attrib.get("id", f"{owner}.{key}"), child))
+    if len({key for key, _ in found}) < len(found):
+        raise ValueError(f"{owner} has two bsdfs of one kind without ids")
     return found
 
 

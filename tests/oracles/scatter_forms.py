@@ -1,7 +1,7 @@
-"""Scatter models as closed forms of the two directions, float64: flux per solid angle, with the light or against it.
+"""Scatter models as closed forms of the directions of incidence and of scatter, float64.
 
-A form gives the BSDF in 1/sr for unit vectors in any frame. It knows nothing of lobes, tables or sampling; the equations
-are those of the models' papers, from `mistray.physics` where they are long.
+A form gives the BSDF in 1/sr for unit vectors in any frame. It knows nothing of lobes, tables or sampling; the
+equations are those of the models' papers, from `mistray.physics` where they are long.
 """
 
 from __future__ import annotations
@@ -193,8 +193,6 @@ def particles(v: Values, light: Light, share: float) -> Array:
 
     forward = angle(light.specular)
     if light.reflect:
-        if not light.from_front:
-            return np.zeros(len(light.w))
         back = np.pi - angle(-light.d)
         turned = np.where(back > np.radians(30), cloud.f(back), 0.0)
         found = 2 * share * cloud.f(forward) + (1 + share**2) * turned
@@ -214,8 +212,9 @@ class Form:
     """
     A plugin with its values, and what it scatters.
 
-    `parts` are BSDFs per unit of R or T, or of the light where `absolute`; those `about_normal` have no need of a specular
-    direction. A part that is not proportional to R or T takes that as its third argument: `own_share`.
+    `parts` are BSDFs per unit of R or T, or of the light where `absolute`; those `about_normal` need no specular
+    direction. Particles lie at the front: light from the back does not meet them when it is reflected. A part that is
+    not proportional to R or T takes that as its third argument: `own_share`.
     """
 
     kind: str
@@ -223,9 +222,17 @@ class Form:
     parts: tuple[Callable[..., Array], ...]
     options: dict[str, str | bool | float] = field(default_factory=dict)
     events: tuple[str, ...] = ("reflection", "transmission")
+    reflects_at_back: bool = True
     absolute: bool = False
     about_normal: tuple[Callable[..., Array], ...] = ()
     own_share: bool = False
+
+    def scatters(self, reflect: bool, from_front: bool) -> bool:
+        """Whether light of this side is scattered in this event."""
+        side = from_front or (
+            self.options.get("side", "both") == "both" and not (reflect and not self.reflects_at_back)
+        )
+        return side and ("reflection" if reflect else "transmission") in self.events
 
     def bsdf(self, values: Values, light: Light, share: float | Array) -> Array:
         """1/sr; `share` is R or T."""
@@ -248,7 +255,9 @@ FORMS: dict[str, Form] = {
     "gaussian_lobe": Form("gaussian_lobe", {"total": 0.3, "width": 0.15}, (gaussian,)),
     "ghs": Form("k_correlation", K, (smooth,)),
     "ghs in a band": Form("k_correlation", K, (smooth_in_band,), {"band_limited": True, "reference_nm": 1e3 * BAND_UM}),
-    "ghs_full": Form("k_correlation", K | {"rms_nm": 40.0, "slope": 3.0}, (all_orders,), {"theory": "ghs_full"}),
+    "ghs_full": Form(
+        "k_correlation", K | {"rms_nm": 20.0, "slope": 3.0}, (all_orders,), {"theory": "ghs_full", "side": "front"}
+    ),
     "rayleigh_rice": Form(
         "k_correlation",
         K,
@@ -262,10 +271,10 @@ FORMS: dict[str, Form] = {
         "paint",
         {"reflectance": 0.03, "b0": 0.1, "l": 0.2, "s": -3.0, "n": 1.5},
         (gloss,),
-        {"event": "both"},
+        {"event": "both", "side": "front"},
         absolute=True,
         about_normal=(lambertian,),
     ),
-    "particulate": Form("particulate", {"level": 100.0}, (particles,), own_share=True),
+    "particulate": Form("particulate", {"level": 100.0}, (particles,), own_share=True, reflects_at_back=False),
 }
 """Of every kind of model with values; `event` is that of the plugin if only one scatters."""

@@ -3,37 +3,47 @@
 from __future__ import annotations
 
 import csv
+import json
 from pathlib import Path
+from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from oracles.small_scenes import plates_text, write
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import Optimization, optimize_coatings
-from mistray.report.optimization import (
+from mistray.optimize import Optimization, Term, measure, optimize
+from mistray.report.optimization import write_optimization
+from mistray.report.optimization_plots import reflectance_figure, search_figure, variables_figure
+from mistray.report.optimization_tables import (
     comparison_table,
-    convergence_figure,
-    design_table,
-    reflectance_figure,
+    goal_text,
+    optimization_record,
     report_text,
-    write_optimization,
+    terms_table,
+    variables_table,
 )
 
-STUDY = {
-    "metric": {"wavelength_nm": [500, 600], "fields_deg": [0, 2], "rays": 32},
+STUDY: dict[str, Any] = {
+    "trace": {"wavelength_nm": [500, 600], "fields_deg": [0, 2], "rays": 32},
+    "term": [
+        {"name": "ghosts", "kind": "path_power", "goal": "minimise"},
+        {"name": "price", "kind": "total_thickness", "goal": "at_most", "limit_of_start": 1.5},
+    ],
     "coating": [
         {"name": "front", "surfaces": ["p0_front"], "layers": "1.38 60, 2.0 30", "thickness_nm": [20, 180]},
-        {"name": "rear", "surfaces": ["p0_rear"], "layers": "1.38 60", "thickness_nm": [20, 90]},
+        {"name": "rear", "surfaces": ["p0_rear"], "layers": "1.38 60", "thickness_nm": [20, 70]},
     ],
+    "variable": [{"name": "n", "parameters": ["front.n_shift[0]", "rear.n_shift"], "low": -0.01, "high": 0.03}],
     "optimizer": {"starts": 2, "steps": 6},
 }
 
 
 @pytest.fixture(scope="module")
 def result(tmp_path_factory: pytest.TempPathFactory) -> Optimization:
-    return optimize_coatings(write(tmp_path_factory.mktemp("plate"), plates_text(1)), STUDY)
+    return optimize(write(tmp_path_factory.mktemp("plate"), plates_text(1)), STUDY)
 
 
 def read(path: Path) -> list[dict[str, str]]:
@@ -45,43 +55,98 @@ def test_files(result: Optimization, tmp_path: Path) -> None:
     files = write_optimization(result, tmp_path / "new" / "out")
     assert [file.name for file in files] == [
         "scene.xml",
-        "table.csv",
+        "terms.csv",
+        "variables.csv",
         "history.csv",
-        "convergence.png",
+        "search.png",
+        "variables.png",
         "reflectance.png",
         "report.html",
     ]
     assert sorted(file.name for file in (tmp_path / "new" / "out").iterdir()) == sorted(file.name for file in files)
-    for file in files[3:5]:
+    for file in files[4:7]:
         assert file.read_bytes().startswith(b"\x89PNG")
-    scene = mistray.load(files[0])
-    for shape in scene.shapes():
-        if shape.id().startswith("p0"):
-            name = shape.id().removeprefix("p0_")
-            layers = shape.bsdf().coating.layers
-            assert [layer.thickness_nm for layer in layers] == pytest.approx(result.best.thickness_nm[name], rel=1e-6)
     rows = read(files[1])
-    assert len(rows) == len(result.comparison.rows) == 1 + 2 + 2 + 4
-    assert (rows[0]["field_deg"], rows[0]["wavelength_nm"]) == ("all", "all")
-    assert float(rows[0]["after"]) == result.comparison.total.after
-    assert (rows[-1]["field_deg"], rows[-1]["wavelength_nm"]) == ("2.0", "600.0")
-    history = read(files[2])
+    assert len(rows) == len(result.comparison.rows) == 1 + 2 + 2 + 4 + 1
+    assert (rows[0]["term"], rows[0]["field_deg"], rows[0]["wavelength_nm"], rows[0]["unit"]) == (
+        "ghosts",
+        "",
+        "",
+        "W/W",
+    )
+    assert float(rows[0]["after"]) == pytest.approx(result.comparison.total.after, rel=1e-8)
+    assert (rows[8]["field_deg"], rows[8]["wavelength_nm"]) == ("2", "600")
+    assert rows[9]["term"] == "price"
+    moved = {row["parameter"]: row for row in read(files[2])}
+    assert set(moved) == {
+        "front.thickness_nm[0]",
+        "front.thickness_nm[1]",
+        "rear.thickness_nm[0]",
+        "front.n_shift[0]",
+        "rear.n_shift[0]",
+    }
+    assert float(moved["rear.n_shift[0]"]["after"]) == pytest.approx(result.after["n"], rel=1e-8)
+    history = read(files[3])
     assert len(history) == len(result.steps)
-    assert float(history[0]["rear_1_nm"]) == 60.0
-    assert float(history[0]["front_2_nm"]) == 30.0
+    assert float(history[0]["rear.thickness_nm[0]"]) == pytest.approx(60.0)
+    assert float(history[0]["price"]) == pytest.approx(150.0)
     assert write_optimization(result, tmp_path / "new" / "out") == files, "files are replaced"
 
 
+def test_the_scene(result: Optimization, tmp_path: Path) -> None:
+    """It holds the result: layers, indices, and the terms as they were verified."""
+    scene = mistray.load(write_optimization(result, tmp_path)[0])
+    params = mi.traverse(scene)
+    for name in ("front", "rear"):
+        assert np.array(params[f"{name}.thickness_nm"]) == pytest.approx(result.thickness_nm(name), rel=1e-6)
+    assert np.array(params["front.n_shift"]) == pytest.approx([result.after["n"], 0.0], rel=1e-6)
+    assert np.array(params["rear.n_shift"]) == pytest.approx([result.after["n"]], rel=1e-6)
+    row = result.comparison.total
+    assert measure(scene, result.study).of("ghosts").mean() == pytest.approx(row.after, rel=1e-5)
+    assert row.ratio > 1.1, "the design has changed"
+
+
+def test_a_scene_that_names_files(tmp_path: Path) -> None:
+    """Files are found from the folder of the result, with coatings and other values changed in one go."""
+    (tmp_path / "glass.csv").write_text("wavelength_nm,n,k\n400,1.5,0\n700,1.5,0\n")
+    scene = write(tmp_path, plates_text(1).replace('"1.5"', '"glass.csv"'))
+    assert "glass.csv" in scene.read_text()
+    study = {**STUDY, "optimizer": {"starts": 1, "steps": 1}}
+    result = optimize(scene, study)
+    (file, *_) = write_optimization(result, tmp_path / "deep" / "out")
+    assert np.array(mi.traverse(mistray.load(file))["rear.n_shift"]) == pytest.approx([result.after["n"]], rel=1e-6)
+    assert not [path for path in file.parent.iterdir() if path.name.startswith(".")]
+
+
+def test_without_coatings(tmp_path: Path) -> None:
+    scene = write(tmp_path, plates_text(1, R=0.05, T=0.9))
+    study = {
+        "term": [{"kind": "path_power", "goal": "minimise", "rays": 32}],
+        "variable": [{"parameters": "p0_*.bsdf.R", "low": 0.01, "high": 0.1}],
+        "optimizer": {"steps": 2},
+    }
+    result = optimize(scene, study)
+    files = write_optimization(result, tmp_path / "out")
+    assert "reflectance.png" not in [file.name for file in files]
+    params = mi.traverse(mistray.load(files[0]))
+    for key in ("p0_front.bsdf.R", "p0_rear.bsdf.R"):
+        assert float(params[key][0]) == pytest.approx(result.after["p0_front.bsdf.R"], rel=1e-6)
+    assert "Coatings" not in files[-1].read_text(encoding="utf-8")
+
+
 def test_html(result: Optimization, tmp_path: Path) -> None:
-    """Complete in itself, with every row of the comparison, every layer and the command."""
+    """Complete in itself, with every row of the comparison, every variable and layer, and the command."""
     html = write_optimization(result, tmp_path, "mistray optimize <x>")[-1].read_text(encoding="utf-8")
     assert "http" not in html
-    assert html.count("data:image/png;base64,") == 2
+    assert html.count("data:image/png;base64,") == 3
     assert "mistray optimize &lt;x&gt;" in html
-    table = html[html.index("t-comparison") : html.index("t-designs")]
-    assert table.count("<tr>") == 1 + len(result.comparison.rows)
-    assert f"{result.best.thickness_nm['front'][0]:.2f}" in html
+    parts = [html.index(f'id="{name}"') for name in ("t-terms", "t-variables", "t-coatings", "search")]
+    assert parts == sorted(parts)
+    assert html[parts[0] : parts[1]].count("<tr>") == 1 + len(result.comparison.rows)
+    assert html[parts[1] : parts[2]].count("<tr>") == 1 + 4
+    assert f"{result.thickness_nm('front')[0]:.2f}" in html
     assert "times smaller" in html
+    assert "its limit (≤ 225) holds" in html
 
 
 def test_a_file_in_the_way(result: Optimization, tmp_path: Path) -> None:
@@ -92,25 +157,60 @@ def test_a_file_in_the_way(result: Optimization, tmp_path: Path) -> None:
 
 def test_text(result: Optimization) -> None:
     text = report_text(result)
-    assert "path_power of the paths 'ghost', 8 seeds not used in the search" in text
-    assert comparison_table(result.comparison, "W/W") in text
-    assert design_table(result) in text
-    assert "coating 'front' on p0_front; first layer outside" in text
+    assert text.startswith("8 seeds not used in the search")
+    for table in (terms_table(result), comparison_table(result.comparison), variables_table(result)):
+        assert table in text
+    assert "coating 'front' on p0_front: 1.38, 2.0; first layer outside" in text
     assert "branches below flux_threshold" in text
+    assert "search from start " in text
     lines = comparison_table(result.comparison).splitlines()
-    assert [line.split("  ")[0].strip() for line in lines[3:]] == ["all", "field 0°", "field 2°", "500 nm", "600 nm"]
-    *_, front, _, rear, note = design_table(result).splitlines()
-    assert rear.endswith("90.00*"), "the quarter wave lies beyond"
-    assert "*" not in front
-    assert note == "* at its bound"
+    assert [line.split("W/W")[0].split() for line in lines[2:7]] == [
+        ["ghosts", "all"],
+        ["field", "0°"],
+        ["field", "2°"],
+        ["500", "nm"],
+        ["600", "nm"],
+    ]
+    assert terms_table(result).splitlines()[-1].split()[-3:] == ["≤", "225", "yes"]
+    rows = {line.split()[0]: line for line in variables_table(result).splitlines()}
+    assert "70* " in rows["rear.thickness_nm[0]"], "the quarter wave lies beyond"
+    assert "2 parameters" in rows["n"]
+    assert variables_table(result).splitlines()[-1] == "* at its bound"
 
 
-def test_convergence(result: Optimization) -> None:
-    left, right = convergence_figure(result).axes
+def test_goals() -> None:
+    assert goal_text(Term("t", "path_power"), 3.0) == "minimise"
+    assert goal_text(Term("t", "path_power", "at_least", limit=2.0), 3.0) == "≥ 2"
+    assert goal_text(Term("t", "path_power", "at_most", limit_of_start=0.5), 3.0) == "≤ 1.5"
+    assert goal_text(Term("t", "path_power", "keep", tolerance=0.02), 3.0) == "keep ± 2 %"
+
+
+def test_record(result: Optimization) -> None:
+    record = json.loads(json.dumps(optimization_record(result), allow_nan=False))
+    assert record["holds"] == {"ghosts": True, "price": True}
+    assert {row["name"]: row["after"] for row in record["variables"]} == pytest.approx(result.after)
+    assert record["terms"][0]["ratio"] == pytest.approx(result.comparison.total.ratio)
+
+
+def test_search_figure(result: Optimization) -> None:
+    left, middle, right = search_figure(result).axes
     curves = [container.lines[0].get_ydata() for container in left.containers]
     assert sum(len(curve) for curve in curves) == len(result.steps)
-    assert min(np.min(curve) for curve in curves) == result.best_step.value
-    assert len(right.lines) == len(result.designs) == 2
+    assert min(np.min(curve) for curve in curves) == result.best.merit
+    assert len(right.lines) == len(result.starts) == 2
+    ghosts, price = (line.get_ydata() for line in middle.lines)
+    own = [step for step in result.steps if step.start == result.best.start]
+    first = result.steps[0].terms
+    assert ghosts == pytest.approx([step.terms["ghosts"] / first["ghosts"] for step in own])
+    assert price == pytest.approx([step.terms["price"] / first["price"] for step in own])
+
+
+def test_variables_figure(result: Optimization) -> None:
+    (axes,) = variables_figure(result).axes
+    assert len(axes.lines) == 4
+    own = [step for step in result.steps if step.start == result.best.start]
+    thickness = np.array([step.x[2] for step in own])
+    assert axes.lines[2].get_ydata() == pytest.approx((thickness - 20) / 50)
 
 
 def test_reflectance(result: Optimization) -> None:
@@ -118,17 +218,22 @@ def test_reflectance(result: Optimization) -> None:
     front, rear = reflectance_figure(result).axes
     assert front.get_title() == "front, air | 1.5"
     assert len(rear.lines) == 4
-    x, before = rear.lines[0].get_data()
     r1, r2 = (1 - 1.38) / (1 + 1.38), (1.38 - 1.5) / (1.38 + 1.5)
+    x, before = rear.lines[0].get_data()
     phase = np.exp(4j * np.pi * 1.38 * 60.0 / x)
     assert before == pytest.approx(100 * abs((r1 + r2 * phase) / (1 + r1 * r2 * phase)) ** 2, rel=1e-9)
+    n = 1.38 + result.after["n"]
+    s1, s2 = (1 - n) / (1 + n), (n - 1.5) / (n + 1.5)
+    phase = np.exp(4j * np.pi * n * result.thickness_nm("rear")[0] / x)
+    after = rear.lines[2].get_ydata()
+    assert after == pytest.approx(100 * abs((s1 + s2 * phase) / (1 + s1 * s2 * phase)) ** 2, rel=1e-6)
     assert x[0] < 500 < 600 < x[-1]
 
 
 def test_materials_end_with_the_band(tmp_path: Path) -> None:
     """Curves are drawn a little beyond the band where the materials are known there."""
     (tmp_path / "film.csv").write_text("wavelength_nm,n,k\n500,1.38,0\n600,1.38,0\n")
-    study = {**STUDY, "coating": [{**STUDY["coating"][1], "layers": f"{tmp_path / 'film.csv'} 60"}]}
+    study = {**STUDY, "coating": [{**STUDY["coating"][1], "layers": f"{tmp_path / 'film.csv'} 60"}], "variable": []}
     study["optimizer"] = {"starts": 1, "steps": 0}
-    (axes,) = reflectance_figure(optimize_coatings(write(tmp_path, plates_text(1)), study)).axes
+    (axes,) = reflectance_figure(optimize(write(tmp_path, plates_text(1)), study)).axes
     assert (axes.lines[0].get_xdata()[0], axes.lines[0].get_xdata()[-1]) == (500.0, 600.0)

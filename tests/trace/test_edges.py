@@ -8,8 +8,9 @@ and must fail if the result is multiplied by -1 or `WRONG`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import Any
+from typing import Any, ClassVar
 
+import mitsuba as mi
 import numpy as np
 import pytest
 from oracles.frozen_paths import Bundle, follow
@@ -20,10 +21,15 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 from oracles.statistics import assert_z
 from recorded_edges import backward_edges, traced_edges
 
+import mistray
+from mistray.optimize import path_power
+from mistray.optimize.scene_values import changed
 from mistray.trace.backward import BackwardTrace
+from mistray.trace.books import ABSORBED_HERE
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.settings import Settings
 from mistray.trace.sky import CLASS_COUNT, MULTIPLE, SINGLE
+from mistray.trace.tracer import prepare
 
 WRONG = 1.3
 STEP = 1e-5  # mm or degrees, of the central differences of distances
@@ -193,6 +199,39 @@ class TestCorners:
         tied = found["tube.r0"] + found["tube.r1"] + found["mouth.r0"] + found["vane.r1"]
         check("radius", tied, np.cos(self.FIELD) * 4 * r * np.arccos(apart / (2 * r)))
         check("vane.r0", found["vane.r0"], -np.cos(self.FIELD) * 2 * np.pi * 1.0)
+
+
+class TestTotalDerivative:
+    """With what moves on frozen paths: `mistray.gradient` of the detected power of a double Gauss with its stop."""
+
+    SETTINGS: ClassVar = {"max_reflections": 0, "max_scatters": 0}
+    FIELD_DEG = 8.0
+
+    def detected(self, scene: Any, rays: int) -> np.ndarray:
+        """Detected share of the light, by batch."""
+        (run,) = prepare(scene, Settings.of(scene, rays=rays, seed=1, **self.SETTINGS), self.FIELD_DEG)
+        run.execute(ledger=False, progress=None)
+        return np.asarray(run.surfaces[run.table.detector, ABSORBED_HERE] / rays)
+
+    def test_against_new_traces(self) -> None:
+        """Steps small enough for the curvature of the power to stay below the error."""
+        scene = mistray.load("double_gauss_barrel")
+        params = mi.traverse(scene)
+        steps = {"stop_front.r1": 0.1, "L1_front.curvature": 2e-4, "L2_front.z": 0.1}
+        metric = path_power(scene, selection="all", fields_deg=(self.FIELD_DEG,), rays=300_000, **self.SETTINGS)
+        gradient = mistray.gradient(metric, params, keys=list(steps), edge_width=0.1)
+        for key, step in steps.items():
+            before = float(np.array(params[key]).ravel()[0])
+            ends = []
+            for sign in (1, -1):
+                with changed(params, {key: before + sign * step}):
+                    ends.append(self.detected(scene, 400_000))
+            expected, se = sums((ends[0] - ends[1]) / (2 * step))
+            found, found_se = (float(values[key][0]) for values in (gradient.gradient, gradient.standard_error))
+            assert_z(key, found, expected, np.hypot(found_se, se))
+            for factor in (-1.0, WRONG):
+                with pytest.raises(AssertionError):
+                    assert_z(key, factor * found, expected, np.hypot(abs(factor) * found_se, se))
 
 
 TUBE, HOLE, VANE, LENGTH, HALF, ALBEDO = 15.0, 6.0, 20.0, 40.0, 5.0, 0.6

@@ -1,4 +1,4 @@
-"""Hits close to rims: which ones are written down, what the metric gains from them, rays that go on from within a tree."""
+"""Hits close to rims: which are written down, what the metric gains from them, rays that go on from within a tree."""
 
 from __future__ import annotations
 
@@ -171,7 +171,7 @@ class TestBook:
         assert np.median(np.abs(gain - found["gain"]) / scale) < ROUNDING
         for wrong in ({"key": found["key"] + 1}, {"reflections": found["reflections"] + 1}):
             other = walked(run, going_on(found | wrong, mi.PCG32(size=len(found["w"]))), adjoint)
-            assert np.mean(np.abs(other - found["gain"]) < 1e-3 * scale) < 0.9
+            assert np.mean((np.abs(other - found["gain"]) < 1e-3 * scale)[found["gain"] != 0]) < 0.9
 
     def test_light_that_leaves(self, load_scene) -> None:
         """Against the light the totals of the lanes are the derivative times the sums of the sky."""
@@ -242,7 +242,7 @@ class TestPortions:
     )
 
     def coefficients(self, load_scene: Any, **arguments: Any) -> tuple[np.ndarray, np.ndarray]:
-        _, groups = traced_edges(load_scene(self.TEXT), 0.05, rays=10_000, **arguments)
+        _, groups = traced_edges(load_scene(self.TEXT), 0.1, rays=30_000, **arguments)
         return np.concatenate([g.c for g in groups], axis=1), np.concatenate([g.batch for g in groups])
 
     def test_small_portions_find_the_same_hits(self, load_scene, monkeypatch) -> None:
@@ -257,16 +257,23 @@ class TestPortions:
             np.testing.assert_allclose(np.sort(a), np.sort(b), rtol=1e-6, atol=1e-9)
 
     def test_a_ray_with_more_hits_than_can_be_kept(self, load_scene, monkeypatch) -> None:
-        monkeypatch.setattr(edges, "CAPACITY", 0)
-        with pytest.raises(MistrayError, match="a single start ray hits 1 times close to a rim, more than 0; narrow"):
-            self.coefficients(load_scene)
+        half = interface_xml(R=0.0, T=0.5)
+        plates = [shape_xml("asphere", f"plate_{z}", float(z), half, semi_diameter=1.0) for z in (3, 4)]
+        text = scene_text(*plates, shape_xml("asphere", "detector", 5.0, sensor=True, semi_diameter=1.0), radius=1.0)
+        monkeypatch.setattr(edges, "CAPACITY", 2)
+        with pytest.raises(MistrayError, match="a single start ray hits 3 times close to a rim, more than 2; narrow"):
+            traced_edges(load_scene(text), 0.5, rays=32)
+
+    def test_a_metric_that_gains_nothing(self, load_scene) -> None:
+        _, groups = traced_edges(load_scene(self.TEXT), 0.1, pixel=0.0, rays=1000)
+        assert groups == []
 
     def test_another_seed_width_and_radius_compile_nothing(self, load_scene) -> None:
         self.coefficients(load_scene)
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
             dr.kernel_history_clear()
             other = load_scene(self.TEXT.replace('name="r0" value="3.0"', 'name="r0" value="2.8"'))
-            traced_edges(other, 0.04, pixel=2.0, rays=10_000, seed=5)
+            traced_edges(other, 0.08, pixel=2.0, rays=30_000, seed=5)
             kernels = [entry for entry in dr.kernel_history() if entry["type"] == dr.KernelType.JIT]
         assert kernels
         fresh = [entry for entry in kernels if not entry["cache_hit"]]

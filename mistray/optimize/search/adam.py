@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 if TYPE_CHECKING:
+    from mistray.optimize.search.point import Point
     from mistray.optimize.study import Optimizer
 
 # The authors' values
@@ -15,7 +16,7 @@ BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 
 
 def adam(
-    function: Callable[[np.ndarray], tuple[float, np.ndarray]],
+    function: Callable[[np.ndarray], Point],
     y0: np.ndarray,
     optimizer: Optimizer,
     after: Callable[[np.ndarray], None],
@@ -26,7 +27,7 @@ def adam(
     Parameters
     ----------
     function : callable
-        Point in the unit cube, (n,) → value and gradient, (n,); both may have noise.
+        Point in the unit cube, (n,) → what is known there; it may have noise.
     y0 : (n,) float64
     optimizer : Optimizer
         Its `step_size` is α of the first step; every further one is `decay` times the one before.
@@ -40,7 +41,7 @@ def adam(
     """
     y = y0
     first, second = np.zeros_like(y0), np.zeros_like(y0)
-    _, slope = function(y)
+    slope = function(y).slope
     step = 0
     while np.any(slope) or np.any(first):
         step += 1
@@ -49,6 +50,6 @@ def adam(
         mean, square = first / (1 - BETA_1**step), second / (1 - BETA_2**step)
         size = optimizer.step_size * optimizer.decay ** (step - 1)
         y = np.clip(y - size * mean / (np.sqrt(square) + EPSILON), 0.0, 1.0)
-        _, slope = function(y)
+        slope = function(y).slope
         after(y)
     return "the gradient is 0"

@@ -9,13 +9,14 @@ import numpy as np
 from scipy.optimize import minimize
 
 if TYPE_CHECKING:
+    from mistray.optimize.search.point import Point
     from mistray.optimize.study import Optimizer
 
 UNLIMITED = 10**9  # what ends a search is decided after each step
 
 
 def lbfgsb(
-    function: Callable[[np.ndarray], tuple[float, np.ndarray]],
+    function: Callable[[np.ndarray], Point],
     y0: np.ndarray,
     optimizer: Optimizer,
     after: Callable[[np.ndarray], None],
@@ -26,7 +27,7 @@ def lbfgsb(
     Parameters
     ----------
     function : callable
-        Point in the unit cube, (n,) → value and gradient, (n,). It must be the same function at every call.
+        Point in the unit cube, (n,) → what is known there. It must be the same function at every call.
     y0 : (n,) float64
     optimizer : Optimizer
         Its `step_size` is the largest move of a coordinate in the first trial.
@@ -38,7 +39,8 @@ def lbfgsb(
     str
         Why it ended by itself.
     """
-    value, slope = function(y0)
+    first = function(y0)
+    slope = first.slope
     largest = float(np.max(np.abs(np.where(((y0 <= 0) & (slope > 0)) | ((y0 >= 1) & (slope < 0)), 0.0, slope))))
     if largest == 0:
         return "the gradient is 0"
@@ -48,11 +50,11 @@ def lbfgsb(
     def point(z: np.ndarray) -> np.ndarray:
         return np.clip(z * unit, 0.0, 1.0)
 
-    known = {(y0 / unit).tobytes(): (value, slope)}
+    known = {(y0 / unit).tobytes(): first}
 
     def scaled(z: np.ndarray) -> tuple[float, np.ndarray]:
-        found, gradient = known.pop(z.tobytes()) if z.tobytes() in known else function(point(z))
-        return found, gradient * unit
+        found = known.pop(z.tobytes()) if z.tobytes() in known else function(point(z))
+        return found.merit, found.slope * unit
 
     outcome = minimize(
         scaled,

@@ -11,6 +11,7 @@ import numpy as np
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
+    from mistray.optimize.search.point import Point
     from mistray.optimize.study import Optimizer
 
 ALGORITHMS = ("LD_MMA", "LD_CCSAQ", "LD_SLSQP", "LD_LBFGS", "LD_VAR2", "LD_TNEWTON_PRECOND_RESTART")
@@ -34,7 +35,7 @@ def installed() -> Any:
 
 
 def nlopt_search(
-    function: Callable[[np.ndarray], tuple[float, np.ndarray]],
+    function: Callable[[np.ndarray], Point],
     y0: np.ndarray,
     optimizer: Optimizer,
     after: Callable[[np.ndarray], None],
@@ -45,7 +46,7 @@ def nlopt_search(
     Parameters
     ----------
     function : callable
-        Point in the unit cube, (n,) → value and gradient, (n,). It must be the same function at every call.
+        Point in the unit cube, (n,) → what is known there. It must be the same function at every call.
     y0 : (n,) float64
     optimizer : Optimizer
         Its `algorithm` is one of `ALGORITHMS`; `step_size` is the initial step of those that take one.
@@ -74,7 +75,7 @@ def nlopt_search(
         nonlocal count
         here = np.clip(y, 0.0, 1.0)
         try:
-            value, slope = function(here)
+            found = function(here)
             if count:
                 after(here)
         except BaseException as error:  # NLopt would turn it into one of its own
@@ -82,8 +83,8 @@ def nlopt_search(
             raise nlopt.ForcedStop from None
         count += 1
         if gradient.size:
-            gradient[:] = slope
-        return value
+            gradient[:] = found.slope
+        return found.merit
 
     search.set_min_objective(objective)
     try:

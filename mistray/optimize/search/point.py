@@ -1,0 +1,62 @@
+"""What a search learns of the merit at one point."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+
+@dataclass(frozen=True)
+class Pieces:
+    """
+    The merit taken apart: a smooth part, and penalties that are squares of residuals.
+
+    Attributes
+    ----------
+    slope : (n,) float64
+        Gradient of the smooth part.
+    weights : (m,) float64
+        Of the penalties: one adds weight · r², or weight · max(r, 0)² if it is one-sided.
+    residuals : (m,) float64
+        Their r.
+    rows : (m, n) float64
+        Gradients of r.
+    one_sided : (m,) bool
+    """
+
+    slope: np.ndarray
+    weights: np.ndarray
+    residuals: np.ndarray
+    rows: np.ndarray
+    one_sided: np.ndarray
+
+    def penalty(self, residuals: np.ndarray) -> float:
+        """What penalties with other residuals add up to."""
+        counted = np.where(self.one_sided, np.maximum(residuals, 0.0), residuals)
+        return float(np.sum(self.weights * counted**2))
+
+    @property
+    def multipliers(self) -> np.ndarray:
+        """Derivatives of the penalties by their residuals, (m,)."""
+        counted = np.where(self.one_sided, np.maximum(self.residuals, 0.0), self.residuals)
+        return np.asarray(2 * self.weights * counted)
+
+
+@dataclass(frozen=True)
+class Point:
+    """
+    The merit at one point of the unit cube.
+
+    Attributes
+    ----------
+    merit : float
+    slope : (n,) float64
+        Its gradient.
+    pieces : Pieces or None
+        Known if the terms were differentiated one by one.
+    """
+
+    merit: float
+    slope: np.ndarray
+    pieces: Pieces | None = None
