@@ -17,6 +17,7 @@ from mistray.optimize.metrics import (
     transmission,
 )
 from mistray.optimize.observation import Observation, smooth_maximum, smooth_minimum
+from mistray.optimize.parameters import Parameter, groups, match, parameters
 from mistray.optimize.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
 from mistray.optimize.pst_observation import PstObservation
 from mistray.optimize.read_study import read_study
@@ -37,6 +38,7 @@ __all__ = [
     "Observation",
     "Optimization",
     "Optimizer",
+    "Parameter",
     "PstObservation",
     "Sensitivity",
     "Start",
@@ -51,10 +53,13 @@ __all__ = [
     "ghost_rms_irradiance",
     "ghost_to_signal",
     "gradient",
+    "groups",
     "image_metric",
     "log",
+    "match",
     "measure",
     "optimize",
+    "parameters",
     "path_power",
     "peak_irradiance",
     "pst_band",

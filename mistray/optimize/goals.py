@@ -1,10 +1,10 @@
 """
 What the terms of a study add to its merit.
 
-With v the value of a term, v₀ that of the first start, w its weight, t its tolerance and b its limit, the merit is the
-sum of
+With v the value of a term, v₀ that of the first start, w its weight, t its tolerance, b its limit and f its floor as a
+share of v₀, the merit is the sum of
 
-    minimise   w ln(v / v₀)
+    minimise   w ln((v + f v₀) / (v₀ + f v₀))
     at_least   w max(0, r)², r = 1 - (v - b) / (t |b|)
     at_most    w max(0, r)², r = 1 - (b - v) / (t |b|)
     keep       w r²,         r = (v - v₀) / (t |v₀|)
@@ -72,7 +72,8 @@ def contribution(term: Term, value: Any, start: float) -> Any:
         return dr.opaque(type(value), x)
 
     if term.goal == "minimise":
-        return term.weight * dr.log(value / number(start))
+        floor = term.floor_of_start * start
+        return term.weight * dr.log((value + number(floor)) / number(start + floor))
     zero, by_value = residual(term, start)
     r = (value - number(zero)) * number(by_value)
     return term.weight * dr.square(r if term.goal == "keep" else dr.maximum(r, 0))
@@ -81,7 +82,7 @@ def contribution(term: Term, value: Any, start: float) -> Any:
 def by_value(term: Term, value: float, start: float) -> float:
     """Derivative of what a term adds to the merit by its value."""
     if term.goal == "minimise":
-        return term.weight / value
+        return term.weight / (value + term.floor_of_start * start)
     zero, slope = residual(term, start)
     r = (value - zero) * slope
     return 2 * term.weight * slope * (r if term.goal == "keep" else max(r, 0.0))
@@ -107,12 +108,12 @@ def pieces(
     for term in terms:
         value, slope = values[term.name], slopes[term.name]
         if term.goal == "minimise":
-            smooth += term.weight * slope / value
+            smooth += by_value(term, value, start[term.name]) * slope
             continue
-        zero, by_value = residual(term, start[term.name])
+        zero, factor = residual(term, start[term.name])
         weights.append(term.weight)
-        residuals.append((value - zero) * by_value)
-        rows.append(slope * by_value)
+        residuals.append((value - zero) * factor)
+        rows.append(slope * factor)
         one_sided.append(term.goal != "keep")
     return Pieces(
         smooth,
@@ -140,10 +141,10 @@ def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str
         this = f"{where}, term '{term.name}'"
         if not math.isfinite(value):
             raise MistrayError(f"{this}: its value is {value} at {at}; change the bounds or the term")
-        if term.goal == "minimise" and value <= 0:
+        if term.goal == "minimise" and not value + term.floor_of_start * start[term.name] > 0:
             raise MistrayError(
                 f"{this}: its value is {value:g} at {at}; no light goes there, take more rays, another term or other "
-                "bounds"
+                "bounds, or give it a floor_of_start"
             )
         if term.goal == "keep" and start[term.name] == 0:
             raise MistrayError(f"{this}: its value at the start is 0, which cannot be kept within a share of it")

@@ -15,6 +15,7 @@ from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.trace.energy import batch_error
 from mistray.trace.geometry_gradient import geometry_columns
 from mistray.trace.ledger import BATCHES
+from mistray.trace.optics import OPAQUE, TABLED
 from mistray.trace.parameter_gradient import edge_gradient, parameter_gradient
 from mistray.trace.raw_gradient import EDGE_WIDTH, RawGradient, Wanted
 
@@ -76,6 +77,7 @@ EQUAL = np.ones(BATCHES)
 LEFT_OUT = "branches below flux_threshold and children of R = 0 or T = 0, which the trace does not follow"
 NO_EDGES = "what rays gain and lose at rims (edges=False)"
 NO_SILHOUETTES = "silhouettes of curved surfaces, which hide what lies behind them without a rim"
+ONSET = "the onset of total reflection at ideal and tabled coatings, whose T jumps to 0 there"
 INDEX_OF_SCATTER = "the change of what surfaces scatter with the index of the materials beside them"
 
 
@@ -162,6 +164,8 @@ def gradient(
             sums.add(into, edge_gradient(raw, is_chosen, bool(half_width)))
     if wanted.geometry or wanted.indices:
         left_out += [NO_SILHOUETTES] if edges else [NO_EDGES, NO_SILHOUETTES]
+    if (wanted.geometry or wanted.indices) and any(_jumps(raw) for raw in raws.values()):
+        left_out.append(ONSET)
     if wanted.indices and any(raw.scattering.any for raw in raws.values()):
         left_out.append(INDEX_OF_SCATTER)
     result: dict[str, np.ndarray] = {}
@@ -185,6 +189,18 @@ def gradient(
         left_out,
         (sum(o.seconds for o in observations), seconds),
     )
+
+
+def _jumps(raw: RawGradient) -> bool:
+    """Whether the transmittance of a surface does not fall to 0 towards the critical angle."""
+    optics = raw.table.optics
+    differ = np.abs(np.diff(optics.host_indices[:, :2], axis=1))[:, 0] > 0
+    clear = (optics.host_words & OPAQUE) == 0
+    constant = [
+        bsdf.ideal or (kind == TABLED and bsdf.film is None)
+        for bsdf, kind in zip(optics.bsdfs, optics.host_words & 3, strict=True)
+    ]
+    return bool(np.any(differ & clear & np.array(constant)))
 
 
 def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str] | None = None) -> dict[str, Parameter]:

@@ -178,7 +178,7 @@ class Merit:
         total, noise = 0.0, 0.0
         for term in self.study.terms:
             value, at_start = values[term.name], start[term.name]
-            total += float(contribution(term, mi.Float64(value), at_start)[0])
+            total += float(contribution(term, dr.opaque(mi.Float64, value), at_start)[0])
             if term.name in found:
                 noise = math.hypot(noise, by_value(term, value, at_start) * found[term.name].value_se)
         return {
@@ -188,7 +188,7 @@ class Merit:
             "terms": values,
             "slopes": slopes,
             "traced_seconds": sum(o.seconds for o in observations) + sum(r.seconds[1] for r in found.values()),
-            "left_out": list(dict.fromkeys(text for result in found.values() for text in result.left_out)),
+            "left_out": [text for result in found.values() for text in result.left_out],
         }
 
     def _of_traced(self, whole: CombinedMetric, observations: tuple[Any, ...], name: str) -> Gradient:

@@ -80,7 +80,7 @@ def read_optimizer(section: Section, limits: bool, coatings: bool) -> Optimizer:
     ----------
     section : Section
     limits : bool
-        Whether a term has a limit or is kept: terms are then differentiated one by one unless the section says otherwise.
+        Whether a term has a limit or is kept: the method is then "sqp" unless the section says otherwise.
     coatings : bool
         Whether there are coatings, for which there are starts to be found.
     """

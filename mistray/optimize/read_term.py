@@ -10,7 +10,7 @@ from mistray.optimize.section import Section, nearest
 from mistray.optimize.study import GOALS, Term
 from mistray.optimize.terms import KINDS, LIGHT, OF_LAYERS, check_term, of_layers, own_arguments, traced_arguments
 
-TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance")
+TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance", "floor_of_start")
 TRACE_KEYS = traced_arguments("path_power")
 LIMITED = ("at_least", "at_most")
 
@@ -72,6 +72,11 @@ def read_term(section: Section, trace: Mapping[str, Any]) -> Term:
         raise section.fail(given[1] if given else "limit", f'{what}; with goal = "{goal}" give limit or limit_of_start')
     if goal not in LIMITED and given:
         raise section.fail(given[0], f'has no meaning with goal = "{goal}"; remove it')
+    floor = 0.0
+    if "floor_of_start" in section.content:
+        if goal != "minimise":
+            raise section.fail("floor_of_start", f'has no meaning with goal = "{goal}"; remove it')
+        floor = section.positive("floor_of_start", 0.0)
     here = {key: value for key, value in section.content.items() if key in settings and key not in own}
     if "wavelength_nm" in here and "weights" not in here:  # those of [trace] belong to its own wavelengths
         trace = {key: value for key, value in trace.items() if key not in LIGHT}
@@ -85,6 +90,7 @@ def read_term(section: Section, trace: Mapping[str, Any]) -> Term:
         limit,
         limit_of_start,
         section.positive("tolerance", Term.tolerance),
+        floor,
         {key: tuple(v) if isinstance(v := section.content[key], list) else v for key in own if key in section.content},
         {**traced, **read},
     )

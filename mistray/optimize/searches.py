@@ -132,7 +132,9 @@ class Searches:
                 )
             return kept[number]
         result = self.problem.evaluate(y, number)
-        self.state.left_out += [text for text in result.pop("left_out") if text not in self.state.left_out]
+        # What is left out comes with numbers that differ from point to point; the last ones stay
+        told = [*self.state.left_out, *result.pop("left_out")]
+        self.state.left_out = list({text.partition(":")[0]: text for text in told}.values())
         kept.append(Evaluation(y=y.copy(), seconds=time.perf_counter() - self._began, **result))
         if self.file is not None:
             self.file.write(self.state)

@@ -35,6 +35,9 @@ class Term:
     tolerance : float
         Width of the zone inside the limit in which the penalty grows from 0 to `weight`, relative to the limit; for
         "keep" the relative change at which it is `weight`. Greater than 0.
+    floor_of_start : float
+        For "minimise": a value of so many times that at the start is as good as a few times less, and 0 is possible. At
+        least 0.
     own : mapping
         Arguments of the kind, such as `paths` or `coatings`.
     traced : mapping
@@ -48,6 +51,7 @@ class Term:
     limit: float | None = None
     limit_of_start: float | None = None
     tolerance: float = 0.01
+    floor_of_start: float = 0.0
     own: Mapping[str, Any] = field(default_factory=dict)
     traced: Mapping[str, Any] = field(default_factory=dict)
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator
-from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -12,14 +11,13 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import Adjoint
-from mistray.trace.backward import BackwardTrace
+from mistray.trace.backward import BackwardTrace, Band
 from mistray.trace.books import Recorder
 from mistray.trace.edges import Edges
 from mistray.trace.gatherer import Gatherer
 from mistray.trace.raw_gradient import RIM_COLUMNS, RawGradient, Wanted
 from mistray.trace.ray_tree import walk
 from mistray.trace.replay import Exit
-from mistray.trace.replay_surfaces import Vector
 from mistray.trace.start_rays import StartRays
 
 CELL_BORDERS = "light whose direction of arrival moves across the border of a cell of angles"
@@ -55,20 +53,32 @@ def backward_gradient(trace: BackwardTrace, derivative: np.ndarray, wanted: Want
         gatherer = Gatherer(
             band.table, band.scattering, trace.settings, wanted, trace.settings.max_events, band.table.detector
         )
-        scene = band.table, band.scattering, trace.intersector
 
-        def trace_again(start: StartRays, scene: Any = scene, recorder: Recorder = gatherer.recorder) -> None:
-            walk(*scene, start, trace.settings, trace.film, recorder=recorder, sky=trace.make_sky(derivative))
+        def trace_again(start: StartRays, band: Band = band, recorder: Recorder = gatherer.recorder) -> None:
+            walk(
+                band.table,
+                band.scattering,
+                trace.intersector,
+                start,
+                trace.settings,
+                trace.film,
+                recorder=recorder,
+                sky=trace.make_sky(derivative),
+            )
             dr.eval()
             dr.sync_thread()
 
         def end(row: mi.UInt32, keys: np.ndarray, recorder: Recorder = gatherer.recorder) -> Exit:
             gain = dr.gather(mi.Float64, recorder.weight, row)
-            heading = Vector(*(mi.Float64(dr.gather(mi.Float, recorder.heading, 3 * row + k)) for k in range(3)))
-            return Exit(gain, dr.zeros(Vector, dr.width(row)), heading)
+            heading = mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, recorder.heading, 3 * row + k)) for k in range(3)))
+            return Exit(gain, dr.zeros(mi.Vector3d, dr.width(row)), heading)
 
         with dr.suspend_grad():
-            edges = Edges(*scene, trace.settings, trace.film, wanted.edge_width) if gatherer.edges else None
+            edges = None
+            if gatherer.edges:
+                edges = Edges(
+                    band.table, band.scattering, trace.intersector, trace.settings, trace.film, wanted.edge_width
+                )
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
                 if not wanted.only_rims:

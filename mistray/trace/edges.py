@@ -238,13 +238,13 @@ class Edges:
         radial = mi.Vector2f(q.x, q.y) / rho
         outward = mi.Vector2f(circle[2], circle[3])
         direction = mi.Vector2f(dr.dot(radial, mi.Vector2f(along.x, along.y)), along.z)
-        corner = self._corner(place, outward, circle[4], direction)
-        # Beside a circle: just past its point nearest to the hit, or, where another surface begins there, on that
+        before = {name: dr.gather(type(v), v, row) for name, v in book.before.items()}
+        corner = self._corner(place, outward, circle[4], direction, before["depth"] == 0)
+        # Beside a circle: just past its point nearest to the hit, or on the surface that begins there, next to it
         beside = mi.Vector2f(circle[0], circle[1]) + PAST * size * corner.step
         beside = mi.Vector3f(radial.x * beside.x, radial.y * beside.x, beside.y)
         beside = dr.select(circle[4] > 0, beside, self._beside_straight(s, q, rim, PAST * size))
         o = mi.Vector3f(*(dr.dot(rows[k], beside) for k in range(3))) + vertex.xyz
-        before = {name: dr.gather(type(v), v, row) for name, v in book.before.items()}
         key = before["key"]
         # The order of the rows changes from run to run: random numbers go with the ray itself
         bits = dr.reinterpret_array(mi.UInt32, p.x) ^ (dr.reinterpret_array(mi.UInt32, p.y) * 0x85EBCA6B)
@@ -277,8 +277,8 @@ class Edges:
             z = dr.select((word & ASPHERIC) != 0, sag(r2, c, k, coefficients), z)
         return mi.Vector3f(x, y, z)
 
-    def _corner(self, place: mi.UInt32, u: mi.Vector2f, stretch: mi.Float, d: mi.Vector2f) -> _Corner:
-        """What the surfaces that touch a rim mean for a ray along d beside it, see `mistray.trace.rim_joints`."""
+    def _corner(self, place: mi.UInt32, u: mi.Vector2f, stretch: mi.Float, d: mi.Vector2f, starts: mi.Bool) -> _Corner:
+        """What the surfaces that touch a rim mean for rays along d beside it, see `mistray.trace.rim_joints`."""
         found = _Corner(mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.Float64(1), u)
         first = mi.Float(dr.inf)
         for k in range(self._most):
@@ -292,8 +292,8 @@ class Edges:
             beyond = _cross(u, d) * across > 0
             share = mi.Float64(dr.select(ends, 0.5, 1))
             distance = -mi.Float64(stretch / dr.dot(gradient, u))
-            # The ray that hit has just left the other surface. Where that ends here, its own rim tells all; else the
-            # ray beside it starts on its other half
+            # The ray that hit has just left the other surface: light that moves from one to the other is in the events
+            # of rays that arrive there. But on both sides of the rim the surface may emit rays of its own
             left = there & ~beyond & corner & (t > 0)
             near = there & beyond & (t < first)
             concave = corner & (t < 0)
@@ -304,7 +304,7 @@ class Edges:
                 joined=dr.select(left | (near & concave), surface, dr.select(near, NO_SURFACE, found.joined)),
                 factor=dr.select(
                     left,
-                    dr.select(ends, 0, distance),
+                    dr.select(starts & ~ends, distance, 0),
                     dr.select(near, dr.select(concave, share * distance, share), found.factor),
                 ),
                 step=dr.select(left, -along, dr.select(near, along, found.step)),
@@ -326,7 +326,7 @@ class _Corner:
     factor : mi.Float64
         Of the coefficient.
     step : mi.Vector2f
-        From the rim to where it starts, in units of its distance.
+        Direction from the rim to where it starts.
     """
 
     at: mi.UInt32

@@ -21,7 +21,7 @@ from mistray.trace.number_direction import number_direction
 from mistray.trace.path_events import EVENT_MASK
 from mistray.trace.raw_gradient import GEOMETRY, Wanted
 from mistray.trace.replay import Branches, Followed, follow
-from mistray.trace.replay_surfaces import Numbers, ReplaySurfaces, Vector
+from mistray.trace.replay_surfaces import Numbers, ReplaySurfaces
 from mistray.trace.run_gradient import HITS_PER_RAY
 from mistray.trace.tracer import Run
 
@@ -80,8 +80,8 @@ def arrivals(
     count = dr.width(rays.row)
 
     def step(
-        k: mi.UInt32, p: Vector, d: Vector, q: Vector, total: mi.Float64, absorbed: mi.Float64
-    ) -> tuple[mi.UInt32, Vector, Vector, Vector, mi.Float64, mi.Float64]:
+        k: mi.UInt32, p: mi.Vector3d, d: mi.Vector3d, q: mi.Vector3d, total: mi.Float64, absorbed: mi.Float64
+    ) -> tuple[mi.UInt32, mi.Vector3d, mi.Vector3d, mi.Vector3d, mi.Float64, mi.Float64]:
         active = k < rays.length
         code = rays.code(k, active)
         s, what = code >> EVENT_BITS, code & EVENT_MASK
@@ -99,9 +99,9 @@ def arrivals(
         ahead = base.point(k + 1, active & ~last) - here
         heading = dr.select(what >= RANDOM_TRANSMITTED, ahead, heading)
         point = surfaces.world_point(met, s, active)
-        return k + 1, point, dr.normalize(heading), Vector(met.q), total + factor, absorbed
+        return k + 1, point, dr.normalize(heading), mi.Vector3d(met.q), total + factor, absorbed
 
-    start = dr.zeros(mi.UInt32, count), Vector(rays.o), Vector(rays.d), dr.zeros(Vector, count)
+    start = dr.zeros(mi.UInt32, count), mi.Vector3d(rays.o), mi.Vector3d(rays.d), dr.zeros(mi.Vector3d, count)
     _, _, _, q, total, absorbed = dr.while_loop(
         (*start, dr.zeros(mi.Float64, count), dr.zeros(mi.Float64, count)),
         lambda k, *_: k < rays.length,
@@ -182,7 +182,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     direction = number_direction(table, tangents)
     step = step_of(direction, np.array([piece.outer or float(np.hypot(*piece.half_size)) for piece in table.pieces]))
     still = ReplaySurfaces(table, nothing)
-    sides = tuple(ReplaySurfaces(table, nothing, direction.times(sign * step)) for sign in (-1, 1))
+    back, forth = (ReplaySurfaces(table, nothing, direction.times(sign * step)) for sign in (-1, 1))
     image = dr.zeros(mi.Float64, film.width * film.height)
     recorder = gatherer.recorder
     with dr.suspend_grad():
@@ -196,6 +196,6 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
                 rays = branches(recorder, start, np.arange(count))
                 base = follow(still, rays)
                 flux = dr.gather(mi.Float64, recorder.weight, rays.row)
-                add_tangent(image, film, rays, base, sides, step, flux)
+                add_tangent(image, film, rays, base, (back, forth), step, flux)
                 dr.eval(image)
     return np.array(image).reshape(film.height, film.width)

@@ -16,7 +16,7 @@ from mistray.trace.edges import EdgeEvents
 from mistray.trace.ledger import host_keys
 from mistray.trace.raw_gradient import RawGradient, Wanted
 from mistray.trace.replay import Branches, End, Exit, follow, replay_rays
-from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split, Vector
+from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split
 from mistray.trace.scatter_replay import ScatterReplay
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
@@ -203,7 +203,7 @@ def branches(recorder: Recorder, start: StartRays, rows: np.ndarray) -> Branches
     row = mi.UInt32(rows.astype(np.uint32))
     lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
     length = dr.gather(mi.UInt32, recorder.length, row)
-    o, d = (Vector(dr.gather(mi.Vector3f, v, lane)) for v in (start.o, start.d))
+    o, d = (mi.Vector3d(dr.gather(mi.Vector3f, v, lane)) for v in (start.o, start.d))
     d = dr.normalize(d)
     batch = dr.gather(mi.UInt32, start.batch, lane)
     dr.eval(row, length, o, d, batch)

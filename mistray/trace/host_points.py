@@ -61,7 +61,7 @@ def surface_points(
         return p, n
     piece = table.pieces[surface]
     if piece.kind == "cone":
-        r0, slope = np.sqrt(-piece.quadric[3]), piece.slope
+        r0, slope = piece.r0, piece.slope
         low, high = piece.z_range
         rims = r0 + slope * low, r0 + slope * high
         r = np.sqrt(rims[0] ** 2 + u * (rims[1] ** 2 - rims[0] ** 2))

@@ -58,7 +58,7 @@ class Numbers:
             z=opaque(p.z),
             curvature=opaque(a),
             one_plus_conic=opaque(b / a if conic and a else 1.0),
-            r0=opaque(np.sqrt(max(-p.quadric[3], 0.0))),
+            r0=opaque(p.r0),
             slope=opaque(p.slope),
             outer2=opaque(p.outer**2 if p.outer else size**2),
             inner2=opaque(p.inner**2),

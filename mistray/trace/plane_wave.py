@@ -216,7 +216,7 @@ def hull_points(table: SurfaceTable) -> np.ndarray:
     points = []
     for number, piece in enumerate(table.pieces):
         for z in piece.z_range:
-            radius = np.sqrt(-piece.quadric[3]) + piece.slope * z if piece.kind == "cone" else piece.outer
+            radius = piece.r0 + piece.slope * z if piece.kind == "cone" else piece.outer
             flat = corners * piece.half_size if not piece.outer else radius * polygon
             local = np.concatenate([flat, np.full((len(flat), 1), z)], axis=1)
             points.append(local @ table.rotations[number].T + table.vertices[number])

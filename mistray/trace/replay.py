@@ -21,7 +21,7 @@ import mitsuba as mi
 
 from mistray.trace.ledger import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.trace.path_events import EVENT_MASK
-from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split, Vector
+from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split
 from mistray.trace.scatter_replay import ScatterEvent, ScatterReplay
 
 NEWTON_STEPS = 2  # of the first pass, from the recorded float32 point: its error of 1e-6 is squared twice
@@ -35,7 +35,7 @@ class Branches:
 
     Attributes
     ----------
-    o, d : Vector
+    o, d : mi.Vector3d
         Start, mm, and unit direction.
     batch, length : mi.UInt32
         Batch of the start ray, number of events.
@@ -51,8 +51,8 @@ class Branches:
         Floats of a node, and events of the longest ray.
     """
 
-    o: Vector
-    d: Vector
+    o: mi.Vector3d
+    d: mi.Vector3d
     batch: mi.UInt32
     length: mi.UInt32
     row: mi.UInt32
@@ -66,10 +66,10 @@ class Branches:
         """Event k."""
         return dr.gather(mi.UInt32, self.codes, self.row * self.stride + k, active)
 
-    def point(self, k: mi.UInt32, active: mi.Bool) -> Vector:
+    def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """Recorded point of event k, mm."""
         base = (self.row * self.stride + k) * self.node_floats
-        return Vector(*(mi.Float64(dr.gather(mi.Float, self.nodes, base + j, active)) for j in range(3)))
+        return mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, self.nodes, base + j, active)) for j in range(3)))
 
 
 class Followed:
@@ -85,15 +85,15 @@ class Followed:
     def _index(self, k: mi.UInt32) -> mi.UInt32:
         return k * self.rays + dr.arange(mi.UInt32, self.rays[0])
 
-    def write(self, k: mi.UInt32, p: Vector, medium: mi.UInt32, active: mi.Bool) -> None:
+    def write(self, k: mi.UInt32, p: mi.Vector3d, medium: mi.UInt32, active: mi.Bool) -> None:
         """Store the point of event k and the medium of the segment that led to it."""
         for values, value in zip(self.points, p, strict=True):
             dr.scatter(values, value, self._index(k), active)
         dr.scatter(self.media, medium, self._index(k), active)
 
-    def point(self, k: mi.UInt32, active: mi.Bool) -> Vector:
+    def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """Point of event k."""
-        return Vector(*(dr.gather(mi.Float64, values, self._index(k), active) for values in self.points))
+        return mi.Vector3d(*(dr.gather(mi.Float64, values, self._index(k), active) for values in self.points))
 
     def medium(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
         """Medium of the segment that led to event k."""
@@ -113,15 +113,15 @@ class Exit:
     ----------
     gain : mi.Float64
         What the metric gains from each.
-    by_direction : Vector
+    by_direction : mi.Vector3d
         Its derivative by the direction in which they leave.
-    heading : Vector
+    heading : mi.Vector3d
         That direction as it was recorded.
     """
 
     gain: mi.Float64
-    by_direction: Vector
-    heading: Vector
+    by_direction: mi.Vector3d
+    heading: mi.Vector3d
 
 
 def follow(surfaces: ReplaySurfaces, rays: Branches) -> Followed:
@@ -143,8 +143,8 @@ def follow(surfaces: ReplaySurfaces, rays: Branches) -> Followed:
     start = dr.full(mi.UInt32, 0, count)
 
     def step(
-        k: mi.UInt32, p: Vector, d: Vector, medium: mi.UInt32, strayed: mi.Bool
-    ) -> tuple[mi.UInt32, Vector, Vector, mi.UInt32, mi.Bool]:
+        k: mi.UInt32, p: mi.Vector3d, d: mi.Vector3d, medium: mi.UInt32, strayed: mi.Bool
+    ) -> tuple[mi.UInt32, mi.Vector3d, mi.Vector3d, mi.UInt32, mi.Bool]:
         active = k < rays.length
         code = rays.code(k, active)
         s, what = code >> EVENT_BITS, code & EVENT_MASK
@@ -166,7 +166,7 @@ def follow(surfaces: ReplaySurfaces, rays: Branches) -> Followed:
         return k + 1, here, dr.normalize(heading), medium, strayed
 
     _, _, _, _, found.strayed = dr.while_loop(
-        (start, Vector(rays.o), Vector(rays.d), dr.zeros(mi.UInt32, count), dr.full(mi.Bool, False, count)),
+        (start, mi.Vector3d(rays.o), mi.Vector3d(rays.d), dr.zeros(mi.UInt32, count), dr.full(mi.Bool, False, count)),
         lambda k, *_: k < rays.length,
         step,
         mode="symbolic",
@@ -202,9 +202,9 @@ def replay_rays(
         Surface that the rays start from and move with.
     """
     alive = ~found.strayed
-    away = isinstance(end, Exit)
+    away = end if isinstance(end, Exit) else None
 
-    def segment(k: mi.UInt32, active: mi.Bool) -> tuple[Vector, Vector, mi.Float64]:
+    def segment(k: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector3d, mi.Vector3d, mi.Float64]:
         """Origin, direction and length of the segment that leads to event k."""
         first = k == 0
         origin = dr.select(first, rays.o, found.point(dr.maximum(k, 1) - 1, active & ~first))
@@ -213,19 +213,19 @@ def replay_rays(
         return origin, dr.select(first, rays.d, along / length), length
 
     def differentiate(
-        k: mi.UInt32, active: mi.Bool, gain: Callable[[Vector, Vector, mi.Float64], mi.Float64]
-    ) -> tuple[Vector, Vector, mi.Float64]:
+        k: mi.UInt32, active: mi.Bool, gain: Callable[[mi.Vector3d, mi.Vector3d, mi.Float64], mi.Float64]
+    ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Float64]:
         """Derivatives of a function of a segment by its origin and direction; the function's value."""
         origin, along, length = segment(k, active)
         with dr.resume_grad():
-            o, d = Vector(origin), Vector(along)
+            o, d = mi.Vector3d(origin), mi.Vector3d(along)
             dr.enable_grad(o, d)
             value = gain(o, d, length)
             result = mi.Float64(dr.detach(value))
             dr.set_grad(value, dr.select(active, mi.Float64(1), 0))
             dr.enqueue(dr.ADMode.Backward, value)
             dr.traverse(dr.ADMode.Backward)
-            by_o, by_d = Vector(dr.grad(o)), Vector(dr.grad(d))
+            by_o, by_d = mi.Vector3d(dr.grad(o)), mi.Vector3d(dr.grad(d))
         return dr.select(active, by_o, 0), dr.select(active, by_d, 0), dr.select(active, result, 0)
 
     def thin(met: Met, k: mi.UInt32, active: mi.Bool) -> mi.Float64:
@@ -240,13 +240,17 @@ def replay_rays(
 
     if isinstance(end, Exit):
         weight = end.gain
-        by_p, by_d, last = dr.zeros(Vector, dr.width(rays.row)), Vector(end.by_direction), mi.UInt32(rays.length)
+        by_p, by_d, last = (
+            dr.zeros(mi.Vector3d, dr.width(rays.row)),
+            mi.Vector3d(end.by_direction),
+            mi.UInt32(rays.length),
+        )
     else:
         meets = end
         alive &= rays.length > 0
         last = dr.select(alive, rays.length - 1, 0)
 
-        def at_end(o: Vector, d: Vector, t: mi.Float64) -> mi.Float64:
+        def at_end(o: mi.Vector3d, d: mi.Vector3d, t: mi.Float64) -> mi.Float64:
             s, what = event_at(last, alive)
             met = surfaces.meet(o, d, t, s, rays.batch, alive)
             split = surfaces.split(met, s, what, rays.batch, alive)
@@ -256,13 +260,13 @@ def replay_rays(
 
         by_p, by_d, weight = differentiate(last, alive, at_end)
 
-    def step(k: mi.UInt32, by_p: Vector, by_d: Vector) -> tuple[mi.UInt32, Vector, Vector]:
+    def step(k: mi.UInt32, by_p: mi.Vector3d, by_d: mi.Vector3d) -> tuple[mi.UInt32, mi.Vector3d, mi.Vector3d]:
         active = alive & (k > 0)
         k = k - 1
         s, what = event_at(k, active)
         scattered, transmitted = what >= RANDOM_TRANSMITTED, what == TRANSMITTED
 
-        def event(o: Vector, d: Vector, t: mi.Float64) -> mi.Float64:
+        def event(o: mi.Vector3d, d: mi.Vector3d, t: mi.Float64) -> mi.Float64:
             met = surfaces.meet(o, d, t, s, rays.batch, active)
             split = surfaces.split(met, s, what, rays.batch, active)
             p = surfaces.world_point(met, s, active)
@@ -274,8 +278,8 @@ def replay_rays(
             if scatter is not None:
                 reflect = dr.select(scattered, (what & 1) != 0, ~transmitted)
                 ahead = found.point(k + 1, active & (k + 1 < rays.length)) - dr.detach(p)
-                if away:
-                    ahead = dr.select(k + 1 < rays.length, ahead, end.heading)
+                if away is not None:
+                    ahead = dr.select(k + 1 < rays.length, ahead, away.heading)
                 at_surface = surfaces.local_direction(met, dr.normalize(ahead), s, active)
                 here = scatter_event(met, split, s, reflect, rays.batch)
                 coating = surfaces.coating(split, s, rays.batch, active)

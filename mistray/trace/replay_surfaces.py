@@ -38,7 +38,6 @@ from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
 TABLE_CHANNELS = 3  # R from the front, R from the back, T
-Vector = mi.Vector3d
 
 
 @dataclass
@@ -48,20 +47,20 @@ class Met:
 
     Attributes
     ----------
-    q, d, normal : Vector
+    q, d, normal : mi.Vector3d
         Point (mm), direction of arrival, unit normal.
     length : mi.Float64
         Of the segment, mm.
-    frame : tuple of Vector
+    frame : tuple of mi.Vector3d
         Rotation, displacement of the frame, vertex: what leads back to the world.
     """
 
-    q: Vector
-    d: Vector
-    normal: Vector
+    q: mi.Vector3d
+    d: mi.Vector3d
+    normal: mi.Vector3d
     length: mi.Float64
-    turn: Vector
-    shift: Vector
+    turn: mi.Vector3d
+    shift: mi.Vector3d
 
 
 class ReplaySurfaces:
@@ -130,21 +129,21 @@ class ReplaySurfaces:
             return dr.gather(mi.Float64, self._plain_indices, 2 * s + side, active)
         return dr.gather(mi.Float64, self._indices, 2 * (batch * self._surfaces + s) + side, active)
 
-    def _to_world(self, v: Vector, s: mi.UInt32, active: mi.Bool) -> Vector:
+    def _to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
-        return Vector(*(m[3 * k] * v.x + m[3 * k + 1] * v.y + m[3 * k + 2] * v.z for k in range(3)))
+        return mi.Vector3d(*(m[3 * k] * v.x + m[3 * k + 1] * v.y + m[3 * k + 2] * v.z for k in range(3)))
 
-    def _to_local(self, v: Vector, s: mi.UInt32, active: mi.Bool) -> Vector:
+    def _to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         if not self.table.rotated:
             return v
         m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
-        return Vector(*(m[k] * v.x + m[3 + k] * v.y + m[6 + k] * v.z for k in range(3)))
+        return mi.Vector3d(*(m[k] * v.x + m[3 + k] * v.y + m[6 + k] * v.z for k in range(3)))
 
-    def vertex(self, s: mi.UInt32, active: mi.Bool) -> Vector:
+    def vertex(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """Vertices of the surfaces, mm."""
-        return Vector(*(dr.gather(mi.Float64, self._vertices, 3 * s + k, active) for k in range(3)))
+        return mi.Vector3d(*(dr.gather(mi.Float64, self._vertices, 3 * s + k, active) for k in range(3)))
 
     def extinction(self, medium: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """What media absorb, 1/mm."""
@@ -153,14 +152,21 @@ class ReplaySurfaces:
     # ---- geometry
 
     def meet(
-        self, o: Vector, d: Vector, t: mi.Float64, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, steps: int = 1
+        self,
+        o: mi.Vector3d,
+        d: mi.Vector3d,
+        t: mi.Float64,
+        s: mi.UInt32,
+        batch: mi.UInt32,
+        active: mi.Bool,
+        steps: int = 1,
     ) -> Met:
         """
         The hit of a ray with the surfaces s near the distance t.
 
         Parameters
         ----------
-        o, d : Vector
+        o, d : mi.Vector3d
             Origin (mm) and unit direction in the world.
         t : mi.Float64
             Distance of a point near the hit, mm.
@@ -195,14 +201,14 @@ class ReplaySurfaces:
         numbers["aspheric"] = ((word & ASPHERIC) != 0) | mi.Bool(bool(self.wanted.geometry & set(COEFFICIENTS)))
         return numbers
 
-    def _surface(self, q: Vector, n: dict[str, Any]) -> tuple[mi.Float64, Vector]:
+    def _surface(self, q: mi.Vector3d, n: dict[str, Any]) -> tuple[mi.Float64, mi.Vector3d]:
         """F and half its gradient in the surface's own frame; F = 0 is the surface."""
         c, k1 = n["curvature"], 1 + n["conic"]
         r2 = q.x * q.x + q.y * q.y
         radius = n["r0"] + n["slope"] * q.z
         cone = n["cone"]
         value = dr.select(cone, r2 - radius * radius, c * (r2 + k1 * q.z * q.z) - 2 * q.z)
-        gradient = Vector(
+        gradient = mi.Vector3d(
             dr.select(cone, q.x, c * q.x),
             dr.select(cone, q.y, c * q.y),
             dr.select(cone, -n["slope"] * radius, c * k1 * q.z - 1),
@@ -215,10 +221,10 @@ class ReplaySurfaces:
             inside = dr.select(dr.detach(r2) <= dr.detach(inside), r2, inside)
             slope = sag_derivative(inside, c, n["conic"], coefficients)
             value = dr.select(aspheric, 2 * (sag(inside, c, n["conic"], coefficients) - q.z), value)
-            gradient = dr.select(aspheric, Vector(2 * slope * q.x, 2 * slope * q.y, -1), gradient)
+            gradient = dr.select(aspheric, mi.Vector3d(2 * slope * q.x, 2 * slope * q.y, -1), gradient)
         return value, gradient
 
-    def world_point(self, met: Met, s: mi.UInt32, active: mi.Bool) -> Vector:
+    def world_point(self, met: Met, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """The hit in the world, mm."""
         q = met.q
         if self._tilts:
@@ -230,21 +236,16 @@ class ReplaySurfaces:
     def rim_distance(self, met: Met, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Distance of a hit from a rim of its surface, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
         rho = dr.sqrt(dr.maximum(met.q.x * met.q.x + met.q.y * met.q.y, 1e-24))
-        inside = (
-            lambda end: end - rho,
-            lambda end: rho - end,
-            lambda end: end - dr.abs(met.q.x),
-            lambda end: end - dr.abs(met.q.y),
-            lambda end: met.q.z - end,
-            lambda end: end - met.q.z,
-        )
+        x, y, z = dr.abs(met.q.x), dr.abs(met.q.y), met.q.z
+        # Place of the hit along the coordinate, and whether the surface lies below the rim in it
+        places = ((rho, 1), (rho, -1), (x, 1), (y, 1), (z, -1), (z, 1))
         distance = mi.Float64(0)
-        for number, (name, depth) in enumerate(zip(RIM_COLUMNS, inside, strict=True)):
+        for number, (name, (place, sign)) in enumerate(zip(RIM_COLUMNS, places, strict=True)):
             here = active & (rim == number)
-            distance = dr.select(here, depth(self.column(name, s, batch, here)), distance)
+            distance = dr.select(here, sign * (self.column(name, s, batch, here) - place), distance)
         return distance
 
-    def distance_from(self, p: Vector, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
+    def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Distance of points of the world from the surfaces s next to them, mm; positive along the gradient of F."""
         q = self._to_local(p - self.vertex(s, active), s, active)
         shift, turn = self._pose(s, batch, active)
@@ -255,26 +256,33 @@ class ReplaySurfaces:
         value, gradient = self._surface(q, self._numbers(s, batch, active))
         return value / dr.detach(2 * dr.norm(gradient))
 
-    def _pose(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> tuple[Vector, Vector]:
+    def _pose(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector3d, mi.Vector3d]:
         """Displacement and rotation of the frames."""
         shift, turn = (
-            Vector(*(self.column(prefix + axis, s, batch, active) for axis in "xyz")) for prefix in ("", "tilt_")
+            mi.Vector3d(*(self.column(prefix + axis, s, batch, active) for axis in "xyz")) for prefix in ("", "tilt_")
         )
         return shift, turn
 
-    def world_direction(self, met: Met, v: Vector, s: mi.UInt32, active: mi.Bool) -> Vector:
+    def world_direction(self, met: Met, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """A direction of the surface's frame in the world."""
         if self._tilts:
             v = v + dr.cross(met.turn, v)
         return self._to_world(v, s, active)
 
-    def local_direction(self, met: Met, v: Vector, s: mi.UInt32, active: mi.Bool) -> Vector:
+    def local_direction(self, met: Met, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """A direction of the world in the surface's frame."""
         v = self._to_local(v, s, active)
         return v - dr.cross(met.turn, v) if self._tilts else v
 
     def move_start(
-        self, surface: int, o: Vector, d: Vector, by_o: Vector, by_d: Vector, batch: mi.UInt32, active: mi.Bool
+        self,
+        surface: int,
+        o: mi.Vector3d,
+        d: mi.Vector3d,
+        by_o: mi.Vector3d,
+        by_d: mi.Vector3d,
+        batch: mi.UInt32,
+        active: mi.Bool,
     ) -> None:
         """Add derivatives of rays that start from a surface and move with it, given those by their start."""
         s = dr.full(mi.UInt32, surface, dr.width(batch))
@@ -417,12 +425,12 @@ class ReplaySurfaces:
 class Split:
     """What becomes of light at a hit; directions in the surface's frame, see `mistray.trace.interaction`."""
 
-    reflected: Vector
-    transmitted: Vector
+    reflected: mi.Vector3d
+    transmitted: mi.Vector3d
     R: mi.Float64
     T: mi.Float64
     from_front: mi.Bool
-    axis: Vector
+    axis: mi.Vector3d
     cos_i: mi.Float64
     cos_t: mi.Float64
     eta: mi.Float64

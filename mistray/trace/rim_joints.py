@@ -9,7 +9,7 @@ direction d, the ray η u + t d meets the other surface at τ v for
 
 that is, if τ > 0; before it passes the rim (a concave corner) if t < 0, behind it (a convex one) if t > 0. The ray that
 hits at the same distance within the rim has the opposite τ and t: where its τ > 0 and t < 0, it comes from the other
-surface.
+surface. Such rays say nothing about the edge, because their ways begin on one side of it only.
 """
 
 from __future__ import annotations

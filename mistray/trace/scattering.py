@@ -486,8 +486,8 @@ class Scattering:
             second = dr.select(by_cosines, dr.clip(cos_s, 0, 1), second)
         lengths = dr.squared_norm(across) * dr.squared_norm(tangent)
         # At normal incidence there is no azimuth, and no derivative by it; in the plane of incidence it has a kink
-        sloping = lengths > NO_AZIMUTH
-        cosine = dr.select(sloping, dr.dot(across, tangent) * dr.rsqrt(dr.select(sloping, lengths, 1)), 0)
+        cosine = dr.dot(across, tangent) * dr.rsqrt(dr.maximum(lengths, NO_AZIMUTH))
+        cosine = dr.select(lengths > NO_AZIMUTH, cosine, 0)
         angle = dr.acos(dr.clip(cosine, -ONE_LESS, ONE_LESS))
         places = (dr.clip(cos_specular, 0, 1), second, angle / dr.pi)
         return self._tables.ratio(words.y, places, active)

@@ -59,7 +59,7 @@ def double_gauss() -> Case:
 
 def phone_camera() -> Case:
     """Aspheres, ideal coatings, cones and stops that reflect; of its 150 ghosts the strongest."""
-    settings = {"rays": 150, "field_deg": 6.0, "seed": 6, **TRACED, "flux_threshold": 2e-3}
+    settings = {"rays": 150, "field_deg": 6.0, "seed": 6, **TRACED, "flux_threshold": 1e-3}
     return Case(scene_text("phone_camera"), settings)
 
 
@@ -188,13 +188,13 @@ def test_directions(cases: Callable[[str], Case], name: str) -> None:
     groups: dict[str, list[str]] = {}
     for key, p in known.items():
         if key not in fixed:
-            groups.setdefault("asphere" if p.kind == "asphere" else kind_of(key), []).append(key)
-    assert set(groups) >= {*POSE, "curvature", "conic", "asphere", "index"}
+            groups.setdefault(p.kind, []).append(key)
+    assert set(groups) >= {"curvature", "conic", "asphere", "position", "tilt", "index"}
     for kind, keys in groups.items():
-        direction = {key: rng.choice((-1, 1), 1) * step(case.frozen, key) for key in keys}
+        direction = {key: rng.choice((-0.1, 0.1), 1) * step(case.frozen, key) for key in keys}
         parts = np.array([float(direction[key] @ found.gradient[key]) for key in keys])
         (expected,) = case.paths.along([oracle], direction)
         scale = max(abs(expected), np.sqrt(np.sum(parts**2)))
-        assert abs(parts.sum() - expected) < TOLERANCE * scale, (kind, parts.sum(), expected)
-        if kind != "tilt_z":
-            assert abs(1.01 * parts.sum() - expected) > TOLERANCE * scale or abs(expected) < 0.2 * scale
+        assert abs(parts.sum() - expected) <= TOLERANCE * scale, (kind, parts.sum(), expected)
+        if abs(expected) > 0.2 * scale:
+            assert abs(1.01 * parts.sum() - expected) > TOLERANCE * scale

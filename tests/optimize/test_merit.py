@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +16,8 @@ from oracles.small_scenes import plates_text, write
 
 from mistray.errors import MistrayError
 from mistray.optimize import Optimizer, Term, path_power, read_study
-from mistray.optimize.merit import Merit, contribution, holds, limit_of, seed_of
+from mistray.optimize.goals import by_value, contribution, holds, limit_of, pieces
+from mistray.optimize.merit import Merit, seed_of
 from mistray.optimize.study_scene import open_scene, place
 from mistray.optimize.terms import layer_minimum, material_count, total_thickness
 from mistray.optimize.variables import find_variables
@@ -45,23 +47,47 @@ class TestContribution:
     @pytest.mark.parametrize("value", [3.0, 4.4, 4.9, 5.0, 5.2, 5.45, 5.6, 9.0])
     def test_value_and_slope(self, goal: str, value: float) -> None:
         term, formula = self.TERMS[goal]
-        assert float(contribution(term, value, 4.5, 5.0)) == pytest.approx(formula(value, 4.5, 5.0), abs=1e-12)
         v = dr.opaque(mi.Float64, value)
         dr.enable_grad(v)
         with dr.resume_grad():
-            result = contribution(term, v, mi.Float64(4.5), mi.Float64(5.0))
+            result = contribution(term, v, 4.5)
+        assert dr.detach(result)[0] == pytest.approx(formula(value, 4.5, 5.0), abs=1e-12)
         dr.backward(result)
         step = 1e-6
         expected = (formula(value + step, 4.5, 5.0) - formula(value - step, 4.5, 5.0)) / (2 * step)
         assert dr.grad(v)[0] == pytest.approx(expected, rel=1e-6, abs=1e-6)
+        assert by_value(term, value, 4.5) == pytest.approx(expected, rel=1e-6, abs=1e-6)
 
     def test_at_the_limit(self) -> None:
         """A limit that is just met costs the weight; inside of the tolerance it costs nothing."""
+
+        def cost(term: Term, value: float) -> float:
+            return float(contribution(term, mi.Float64(value), 1.0)[0])
+
         least, most = self.TERMS["at_least"][0], self.TERMS["at_most"][0]
-        assert (contribution(least, 5.0, 1.0, 5.0), contribution(least, 5.5, 1.0, 5.0)) == (3.0, 0.0)
-        assert (contribution(most, 5.0, 1.0, 5.0), contribution(most, 4.5, 1.0, 5.0)) == (3.0, 0.0)
+        assert (cost(least, 5.0), cost(least, 5.5)) == pytest.approx((3.0, 0.0))
+        assert (cost(most, 5.0), cost(most, 4.5)) == pytest.approx((3.0, 0.0))
         negative = Term("t", "path_power", "at_most", 1.0, -5.0, None, 0.1)
-        assert (contribution(negative, -5.0, 1.0, -5.0), contribution(negative, -5.5, 1.0, -5.0)) == (1.0, 0.0)
+        assert (cost(negative, -5.0), cost(negative, -5.5)) == pytest.approx((1.0, 0.0))
+
+    def test_pieces(self) -> None:
+        """Taken apart and put together again: value and slope are those of the sum."""
+        values = {goal: 4.9 for goal in self.TERMS}
+        start = {goal: 4.5 for goal in self.TERMS}
+        rng = np.random.default_rng(1)
+        slopes = {goal: rng.standard_normal(3) for goal in self.TERMS}
+        terms = [replace(term, name=goal) for goal, (term, _) in self.TERMS.items()]
+        found = pieces(terms, values, slopes, start)
+        assert found.one_sided.tolist() == [True, True, False]
+        formulas = {goal: formula for goal, (_, formula) in self.TERMS.items()}
+        penalty = sum(formulas[goal](4.9, 4.5, 5.0) for goal in ("at_least", "at_most", "keep"))
+        assert found.penalty(found.residuals) == pytest.approx(penalty)
+        step = 1e-6
+        expected = sum(
+            (formulas[goal](4.9 + step, 4.5, 5.0) - formulas[goal](4.9 - step, 4.5, 5.0)) / (2 * step) * slopes[goal]
+            for goal in self.TERMS
+        )
+        assert found.slope + found.rows.T @ found.multipliers == pytest.approx(expected, rel=1e-6)
 
     def test_limits(self) -> None:
         share = Term("t", "path_power", "at_least", limit_of_start=0.9)
@@ -172,9 +198,11 @@ class TestMerit:
         assert merit.broken(found["terms"]) == ("transmission",)
         assert merit.least == -math.inf
 
-    def test_slope_against_differences(self, plate: Path) -> None:
-        """Of coatings, a term of layers and an ideal R, on a log scale, all at once; with the same seed."""
+    @pytest.mark.parametrize("method", ["lbfgsb", "sqp"])
+    def test_slope_against_differences(self, plate: Path, method: str) -> None:
+        """Of coatings, terms of layers and an ideal R on a log scale; all at once, or term by term; with one seed."""
         study = {
+            "optimizer": {"method": method},
             "trace": LIGHT,
             "term": [
                 {"name": "ghosts", "kind": "path_power", "goal": "minimise"},
@@ -191,14 +219,40 @@ class TestMerit:
         merit.evaluate(merit.variables.shares(merit.variables.start), 0)
         x = np.array([75.0, 45.0, 0.02])
         y = merit.variables.shares(x)
-        slope = merit.evaluate(y, 1)["slope"]
+        found = merit.evaluate(y, 1)
+        assert set(found["slopes"]) == (set() if method == "lbfgsb" else {term.name for term in merit.study.terms})
         for k in range(3):
             ends = []
             for step in (2e-3, -2e-3):
                 moved = y.copy()
                 moved[k] += step
-                ends.append(merit.evaluate(moved, 1)["merit"])
-            assert slope[k] == pytest.approx((ends[0] - ends[1]) / 4e-3, rel=1e-3), merit.variables.names[k]
+                ends.append(merit.evaluate(moved, 1))
+            by_difference = (ends[0]["merit"] - ends[1]["merit"]) / 4e-3
+            assert found["slope"][k] == pytest.approx(by_difference, rel=1e-3), merit.variables.names[k]
+            for name, slope in found["slopes"].items():
+                by_difference = (ends[0]["terms"][name] - ends[1]["terms"][name]) / 4e-3
+                assert slope[k] == pytest.approx(by_difference, rel=1e-3, abs=1e-9), (name, k)
+
+    def test_together_and_one_by_one(self, plate: Path) -> None:
+        """The same merit, slope and noise, but for what the noise of the terms has in common."""
+        found = {}
+        for method in ("lbfgsb", "sqp"):
+            study = {
+                "trace": LIGHT,
+                "term": [
+                    {"kind": "path_power", "goal": "minimise"},
+                    {"kind": "transmission", "goal": "at_least", "limit": 0.85, "tolerance": 0.1, "rays": 300},
+                ],
+                "variable": [{"parameters": "p0_*.bsdf.R", "low": 0.01, "high": 0.1}],
+                "optimizer": {"method": method},
+            }
+            merit = merit_of(plate, study)
+            merit.evaluate(merit.variables.shares(merit.variables.start), 0)
+            found[method] = merit.evaluate(np.array([0.2]), 1)
+        one, other = found.values()
+        assert one["merit"] == pytest.approx(other["merit"], rel=1e-6)
+        assert one["slope"] == pytest.approx(other["slope"], rel=1e-6)
+        assert one["terms"] == pytest.approx(other["terms"], rel=1e-6)
 
     def test_a_function_as_kind(self, plate: Path) -> None:
         def both(scene: Any, **traced: Any) -> Any:

@@ -155,8 +155,11 @@ class TestMethods:
         assert [step.x for step in longer.steps] == [step.x for step in whole.steps]
 
 
+WIDTH = 1e-3
+
+
 class Valley(Bowl):
-    """Minimise -ln v, v = 1 + y0 + 2 y1, between walls: a bowl of residuals 1e4 times as steep, curved or one-sided.
+    """Minimise -ln v, v = 1 + y0 + 2 y1, between walls 1000 times as steep, straight or bent, on one side or on both.
 
     The residual is (y0 + y1 - 1 + bend (y0 - y1)²) / WIDTH; with `one_sided` it counts above 0 only.
     """
@@ -188,7 +191,7 @@ class TestValleys:
     @pytest.mark.parametrize("one_sided", [False, True])
     @pytest.mark.parametrize("bend", [0.0, 0.2])
     def test_along_a_wall(self, bend: float, one_sided: bool) -> None:
-        """The optimum on the wall, from a parametrisation of it; there the penalty is less than 1e-4."""
+        """The optimum on the wall, from a parametrisation of it; the penalty there is less than 1e-3."""
         problem = Valley(bend, one_sided)
         done = searches(problem, Optimizer(method="sqp", tolerance=1e-6), begin([7, 3 if bend == 0 else 2.5]))
         gaps = np.linspace(-1, 1, 200_001)  # y0 - y1 on the wall
@@ -198,10 +201,10 @@ class TestValleys:
         best = wall[:, np.argmax(wall[0] + 2 * wall[1])]
         assert np.array(done.best.x) / 10 == pytest.approx(best, abs=0.02)
         assert done.best.merit == pytest.approx(-np.log(1 + best[0] + 2 * best[1]), abs=1e-3)
-        assert len(problem.calls) < 60
+        assert len(problem.calls) < 100
 
     def test_from_far_beyond_a_limit(self) -> None:
-        """A start that breaks a limit by 3000 widths of its zone comes back first."""
+        """A start that breaks a limit by 300 widths of its zone comes back first."""
         done = searches(Valley(0.0, True), Optimizer(method="sqp", tolerance=1e-6), begin([9, 4]))
         assert done.best.x == pytest.approx([0, 10], abs=0.1)
 

@@ -75,8 +75,7 @@ class TestReading:
         assert (band.limit, band.limit_of_start, band.own) == (None, 0.5, {"low_deg": 20, "high_deg": 80})
         assert "fields_deg" not in band.traced, "a PST has angles of its own"
         assert (layers.own, layers.traced) == ({"coatings": ("a",)}, {})
-        assert study.optimizer == Optimizer(steps=5)
-        assert study.optimizer.stop_after == 2
+        assert study.optimizer == Optimizer("sqp", steps=5, patience=3, starts=4)
         vanes, paint = study.variables
         assert vanes.parameters == (Moved("vane_*.r0"), Moved("edge.r0", None, -1.0))
         assert (vanes.low, vanes.high, vanes.scale, vanes.each) == (5.0, 9.0, "linear", False)
@@ -91,13 +90,17 @@ class TestReading:
         (term, *_) = read_study(changed("term.0.wavelength_nm", [450, 550, 650])).terms
         assert term.traced == {"fields_deg": (0.0, 10.0), "wavelength_nm": (450.0, 550.0, 650.0), "rays": 100}
 
-    def test_starts(self) -> None:
-        """Several with coatings, one otherwise, unless the study says."""
-        assert read_study(GOOD).starts == 4
+    def test_starts_and_methods(self) -> None:
+        """Several starts with coatings, a method for limits with limits, unless the study says."""
+        assert read_study(GOOD).optimizer.starts == 4
+        assert read_study(changed("optimizer.starts", 7)).optimizer.starts == 7
         study = changed("term", GOOD["term"][:1])
+        assert read_study(study).optimizer.method == "lbfgsb"
+        assert read_study(study).optimizer.patience == 2
         del study["coating"]
-        assert read_study(study).starts == 1
-        assert read_study(changed("optimizer.starts", 7)).starts == 7
+        assert read_study(study).optimizer.starts == 1
+        assert read_study(changed("optimizer.method", "lbfgsb")).optimizer.method == "lbfgsb"
+        assert read_study(changed("optimizer.method", "adam")).optimizer.patience == 10
 
     def test_an_entry_of_a_list(self) -> None:
         (group, _) = read_study(changed("variable.0.parameters", ["AR.thickness_nm[2]", "vane_[12].r0"])).variables
@@ -261,8 +264,8 @@ class TestRefusals:
             ("optimizer.starts", 0, r"optimizer\.starts is 0; it must be a number from 1 to 100"),
             ("optimizer.stepps", 0, r"optimizer\.stepps is unknown; did you mean 'steps'\?"),
             ("optimizer.method", "adma", r"optimizer\.method is 'adma'; did you mean 'adam'\?"),
-            ("optimizer.seeds", "fresh", r"optimizer\.seeds is 'fresh', which method = \"lbfgsb\" cannot work with"),
-            ("optimizer.decay", 0.9, r"optimizer\.decay has no meaning with method = \"lbfgsb\"; remove it"),
+            ("optimizer.seeds", "fresh", r"optimizer\.seeds is .fresh., which method = \"sqp\" cannot work with"),
+            ("optimizer.decay", 0.9, r"optimizer\.decay has no meaning with method = \"sqp\"; remove it"),
             ("optimizer.algorithm", "LD_MMA", r"optimizer\.algorithm has no meaning with method"),
             ("optimizer.seed", True, r"optimizer\.seed is True; it must be a number"),
             ("optimizer.tolerance", "small", r"optimizer\.tolerance is 'small'; it must be a number"),

@@ -415,3 +415,39 @@ def test_rays_that_do_not_matter(load_scene: Load) -> None:
         assert all(np.all(np.isfinite(values)) for values in found.values())
         replay.clear()
         assert not any(values.any() for values in replay.derivatives().values())
+
+
+@pytest.mark.parametrize("name", ["ghs", "rayleigh_rice_vector", "ghs_full", "particulate"])
+def test_directions_without_azimuth_or_slope(load_scene: Load, name: str) -> None:
+    """Normal incidence, the specular direction itself, and the plane of incidence: derivatives are finite numbers."""
+    form = FORMS[name]
+    table = table_of(load_scene, model_xml(form))
+    for backward in (False, True):
+        replay, rays = ScatterReplay(table, scattering_of(table, backward)), Rays(True, True, 0.05)
+        angle = np.array([0.0, 0.0, 0.0, 0.3, 0.3, 0.3, 0.3, 0.3])
+        out = np.array([0.0, 0.2, -0.2, 0.3, 0.4, 0.2, -0.1, 0.0])
+        rays.across, rays.beside, rays.axis = (np.tile(row, (RAYS, 1)) for row in np.eye(3))
+        rays.d = np.column_stack([np.sin(angle), np.zeros(RAYS), np.cos(angle)])
+        rays.w = np.column_stack([np.sin(out), np.zeros(RAYS), -np.cos(out)])
+        turns = [dr.zeros(mi.Float64, RAYS) for _ in range(4)]
+        dr.enable_grad(turns)
+        value = replay.log_flux(rays.event(table, *turns), rays.direction, mi.Bool(True))
+        dr.backward(dr.sum(value))
+        found = np.array([dr.grad(turn) for turn in turns])
+        assert np.all(np.isfinite(found))
+        # What scatters is the same on both sides of the plane of incidence
+        np.testing.assert_allclose(found[[1, 3]], 0, atol=1e-3 * np.max(np.abs(found)))
+
+
+@pytest.mark.parametrize("name", ["ghs", "rayleigh_rice_vector"])
+def test_ratios_that_are_called_fixed_are(load_scene: Load, name: str) -> None:
+    form = FORMS[name]
+    table = table_of(load_scene, model_xml(form))
+    (plugin,) = table.optics.bsdfs[table.ids.index("face")].scatterers
+    for key, value in form.values.items():
+        models = (plugin._model_of(**(form.values | {key: changed})) for changed in (value, 1.2 * value))
+        base, moved = ([lobe.ratio for lobe in model.lobes(WAVELENGTH_NM, 1.0, GLASS, True)] for model in models)
+        for one, other in zip(base, moved, strict=True):
+            if one is not None:
+                assert one.fixed
+                np.testing.assert_array_equal(one.values, other.values)

@@ -76,7 +76,7 @@ CASES = {
     ),
     "double_gauss_barrel": Case((1e6, 3e5), {"max_reflections": 1, "max_scatters": 1}, 8),
     "newtonian_scatter": Case((3e6, 2e6), {"max_reflections": 1, "max_scatters": 1}, 9),
-    "phone_camera_scatter": Case((2.5e5, 1e5), {"max_reflections": 1, "max_scatters": 1}, 14),
+    "phone_camera_scatter": Case((2.4e5, 1e5), {"max_reflections": 1, "max_scatters": 1}, 14),
 }
 SLOW = ("baffle_tube", "newtonian_scatter", "phone_camera_scatter")
 

@@ -262,7 +262,7 @@ class TestCavities:
             placed_xml("asphere", "detector", wall, at=(0, 0, 10), radius=-10.0, semi_diameter=cap, pixels=4),
         )
         f = 0.5 * (1 - np.sqrt(1 - (port / 10) ** 2))
-        found = of(load_scene(text), method, (400_000, 200_000), max_scatters=60, aim="none", **EVERYTHING)
+        found = of(load_scene(text), method, (240_000, 200_000), max_scatters=60, aim="none", **EVERYTHING)
         check_sky("sphere", found, f / (1 - rho * (1 - f)), 0.025)
 
 
@@ -312,7 +312,7 @@ class TestWhiteFurnace:
     )
     def test_cavity(self, load_scene: Load, text: str, squared_index: float, method: str) -> None:
         """Nothing absorbs, so that what 64 events cut would have come out; they cut less than 1e-3 here."""
-        found = of(load_scene(text), method, (400_000, 200_000), **ONE_BRANCH)
+        found = of(load_scene(text), method, (240_000, 200_000), **ONE_BRANCH)
         e = source_irradiance(found, Sky(), "total")
         check("furnace", e.value / np.pi, np.hypot(e.se / np.pi, 3e-4), squared_index, 0.01)
 

@@ -68,7 +68,7 @@ class Patches:
             return np.array([_scalar(self.table.shapes[self.surface].surface_area())])
         piece = self.table.pieces[self.surface]
         if piece.kind == "cone":
-            r0 = np.sqrt(-piece.quadric[3])
+            r0 = piece.r0
             low, high = (r0 + piece.slope * z for z in piece.z_range)
             length = np.hypot(high - low, piece.z_range[1] - piece.z_range[0])
             return np.full(self.count, np.pi * (low + high) * length / self.count)
@@ -97,7 +97,7 @@ def _limits(piece: Piece) -> tuple[float, float]:
         return piece.inner**2, piece.outer**2
     if not piece.slope:
         return piece.z_range
-    r0 = np.sqrt(-piece.quadric[3])
+    r0 = piece.r0
     low, high = ((r0 + piece.slope * z) ** 2 for z in piece.z_range)
     return float(low), float(high)
 

@@ -1,0 +1,137 @@
+"""
+`mistray.gradient` by the values of scatter models, and by shapes and coatings that scattered light meets.
+
+Against central differences in float64 on frozen paths: the oracle follows all rays of the trace by itself, keeps the
+directions after scatter events, and lets the flux change with the closed form of the BSDF, with what scatter leaves of
+the specular beams, and with what a scattering detector absorbs. Deviations are relative as in test_geometry_gradient.py
+(a tenth of the largest of the kind, a tenth of what cancels); a gradient that is 5 % too large must fail for each kind.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from functools import cache
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from frozen_cases import Case, step
+from oracles.frozen_paths import Hits, power, rms_radius
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.small_scenes import scene_text, shape_xml
+
+import mistray
+from mistray.optimize import Gradient
+
+TOLERANCE = 1e-2  # of BSDF parameters
+SMALL = 0.1
+TRACED = {"max_reflections": 1, "flux_threshold": 0.0, "scatter_threshold": 0.0, "field_deg": 3.0, "azimuth_deg": 20.0}
+ABG = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
+POLISH = bsdf_xml("harvey_shack", rms_nm=4.0, l=0.01, s=-1.5)
+SHACK = bsdf_xml("harvey_shack", b0=0.4, l=0.03, s=-1.8)
+PAINT = bsdf_xml("paint", reflectance=0.2, b0=0.3, l=0.2, s=-2.5)
+
+
+def lens(front: Sequence[str], rear: Sequence[str], *more: str, detector: str | None = None) -> str:
+    """A lens whose faces scatter, other shapes, and a detector near its focus."""
+    faces = (("front", 0.0, 30.0, "air", "1.6", front), ("rear", 4.0, -40.0, "1.6", "air", rear))
+    shapes = [
+        shape_xml("asphere", name, z, scattering_xml(models, a, b, R=0.1, T=0.8), radius=radius, semi_diameter=8.0)
+        for name, z, radius, a, b, models in faces
+    ]
+    end = shape_xml("asphere", "detector", 30.0, detector, sensor=True, half_width=4.0, half_height=4.0)
+    return scene_text(*shapes, *more, end, radius=4.0)
+
+
+TUBE = shape_xml("frustum", "tube", 0.0, scattering_xml((PAINT,), R=0.3), r0=4.5, z0=8.0, r1=4.0, z1=26.0)
+GLOSS = scattering_xml((bsdf_xml("paint", reflectance=0.1, b0=0.2, l=0.3, s=-2.0),), R=0.2)
+CASES = {
+    "polished lens": lambda: Case(lens((ABG,), (POLISH,)), {**TRACED, "rays": 400, "seed": 1}),
+    "painted tube": lambda: Case(lens((), (), TUBE), {**TRACED, "rays": 400, "seed": 2}),
+    "detector that scatters": lambda: Case(lens((SHACK,), (), detector=GLOSS), {**TRACED, "rays": 400, "seed": 3}),
+    "two scatters": lambda: Case(lens((SHACK,), (ABG,)), {**TRACED, "rays": 150, "seed": 4, "max_scatters": 2}),
+}
+POSE = ("y", "z", "tilt_x")
+KEYS = {
+    "polished lens": [*(f"front.bsdf.abg.{v}" for v in "ABg"), *(f"rear.bsdf.harvey_shack.{v}" for v in ("rms_nm", "l", "s")),
+                      *(f"{face}.{v}" for face in ("front", "rear", "detector") for v in (*POSE, "curvature")),
+                      "front.bsdf.n_back_shift", "rear.bsdf.n_front_shift", "rear.bsdf.T", "front.bsdf.T"],
+    "painted tube": [*(f"tube.bsdf.paint.{v}" for v in ("reflectance", "b0", "l", "s")), "tube.bsdf.R", "tube.r0",
+                     "tube.z1", *(f"tube.{v}" for v in POSE), "rear.curvature"],
+    "detector that scatters": [*(f"front.bsdf.harvey_shack.{v}" for v in ("b0", "l", "s")), "detector.bsdf.R",
+                               *(f"detector.bsdf.paint.{v}" for v in ("reflectance", "b0", "l", "s")), "detector.tilt_x"],
+    "two scatters": [*(f"front.bsdf.harvey_shack.{v}" for v in ("b0", "l", "s")), *(f"rear.bsdf.abg.{v}" for v in "ABg"),
+                     "front.z", "front.tilt_x", "rear.curvature"],
+}  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def cases() -> Callable[[str], Case]:
+    """Name → case, made once."""
+    return cache(lambda name: CASES[name]())
+
+
+def metrics_of(case: Case) -> dict[str, tuple[Callable[[Any], Any], Callable[[Sequence[Hits]], float]]]:
+    """Names → the metric for mistray, of one observation, and for the oracle."""
+    scattered = [bundle.text for bundle in case.paths.bundles if bundle.scatters]
+    straight = [bundle.text for bundle in case.paths.bundles if not bundle.scatters]
+    stray, direct = case.select(scattered), case.select(straight)
+
+    def is_scattered(row: Any) -> bool:
+        return bool(row.scatters > 0)
+
+    return {
+        "scattered": (lambda o: o.power(is_scattered) / o.launched_W, lambda h: power(stray(h)) / case.launched_W),
+        "specular": (
+            lambda o: o.power(lambda row: row.scatters == 0) / o.launched_W,
+            lambda h: power(direct(h)) / case.launched_W,
+        ),
+        "rms radius": (lambda o: o.moments(is_scattered).rms_radius, lambda h: rms_radius(stray(h))),
+    }
+
+
+def kind_of(key: str) -> str:
+    return key if ".bsdf." in key else key.rsplit(".", 1)[-1]
+
+
+def deviations(found: Gradient, gradient: dict[str, np.ndarray], expected: dict[str, float]) -> dict[str, float]:
+    """Largest deviation of each kind."""
+    largest: dict[str, float] = {}
+    for key, value in expected.items():
+        largest[kind_of(key)] = max(largest.get(kind_of(key), 0.0), abs(value))
+    worst: dict[str, float] = {}
+    for key, value in expected.items():
+        cancelling = float(np.abs(found.batches[key]).sum())
+        scale = max(abs(value), SMALL * largest[kind_of(key)], SMALL * cancelling, np.finfo(float).tiny)
+        worst[kind_of(key)] = max(worst.get(kind_of(key), 0.0), abs(float(gradient[key][0]) - value) / scale)
+    return worst
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_against_the_oracle(cases: Callable[[str], Case], name: str) -> None:
+    case, keys = cases(name), KEYS[name]
+    assert any(bundle.scatters for bundle in case.paths.bundles)
+    metrics = metrics_of(case)
+    params = mi.traverse(case.scene)
+    expected: dict[str, dict[str, float]] = {metric: {} for metric in metrics}
+    for key in keys:
+        values = case.paths.derivatives([oracle for _, oracle in metrics.values()], key, step(case.frozen, key))
+        for metric, value in zip(metrics, values, strict=True):
+            expected[metric][key] = float(value)
+    noticed, missed = set(), {}
+    for metric, (function, _) in metrics.items():
+        found = mistray.gradient(case.metric(function), params, keys=keys, edges=False)
+        worst = deviations(found, found.gradient, expected[metric])
+        missed |= {(metric, kind): value for kind, value in worst.items() if value > TOLERANCE}
+        wrong = {key: 1.05 * values for key, values in found.gradient.items()}
+        seen = deviations(found, wrong, expected[metric])
+        there = {
+            kind_of(key)
+            for key in keys
+            if abs(expected[metric][key]) > 0.25 * np.abs(found.batches[key]).sum() and expected[metric][key]
+        }
+        assert {kind for kind, value in seen.items() if value > TOLERANCE} >= there, (metric, seen)
+        noticed |= there
+    assert not missed
+    assert noticed >= {kind_of(key) for key in keys}
