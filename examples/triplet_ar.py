@@ -1,6 +1,6 @@
 """Antireflection coatings of the Cooke triplet, made for its ghosts, against a quarter wave of MgF2 and a preset.
 
-The study is triplet_ar.toml; it starts from the three-layer preset. Run from anywhere, on two cores it takes a minute:
+The study is triplet_ar.toml; it starts from the three-layer preset. Run from anywhere; on two cores it takes minutes:
 python examples/triplet_ar.py [folder for the results]
 """
 

@@ -48,7 +48,7 @@ def files(tmp_path: Path) -> tuple[str, str, str]:
 
 
 def run(capsys: Any, *arguments: str) -> tuple[int, str, str]:
-    code = cli.main(["optimize", *arguments])
+    code = cli.main(["optimize", *arguments, "--verification-seeds", "2"])
     captured = capsys.readouterr()
     return code, captured.out, captured.err
 
@@ -70,7 +70,7 @@ def test_report_and_files(capsys: Any, files: tuple[str, str, str]) -> None:
         "report.html",
         "checkpoint.json",
     } == {path.name for path in Path(out).iterdir()}
-    code, printed, _ = run(capsys, scene, study, "--out", out, "--resume", "--steps", "40", "--quiet")
+    code, printed, _ = run(capsys, scene, study, "--out", out, "--resume", "--steps", "5", "--quiet")
     assert (code, printed) == (0, "")
     assert len((Path(out) / "history.csv").read_text().splitlines()) > 5
 

@@ -35,6 +35,8 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "--steps", type=count, metavar="N", help="most steps of each search (default: as the study says)"
     )
+    parser.add_argument("--verification-seeds", type=count, metavar="N", default=8,
+                        help="seeds on which the result is compared with the given design, at least 2 (8)")  # fmt: skip
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
     parser.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
     add_output(parser, "scene.xml, report.html, tables, pictures and the checkpoint")
@@ -66,7 +68,13 @@ def run(options: argparse.Namespace) -> int:
                 shown(step, start)
 
             result = optimize(
-                options.scene, study, steps=steps, checkpoint=checkpoint, resume=options.resume, progress=progress
+                options.scene,
+                study,
+                steps=steps,
+                checkpoint=checkpoint,
+                resume=options.resume,
+                progress=progress,
+                verification_seeds=options.verification_seeds,
             )
         files = [] if options.out is None else write_optimization(result, options.out, options.command_line)
     except KeyboardInterrupt:

@@ -23,7 +23,7 @@ from mistray.optimize.study import Study
 from mistray.optimize.study_scene import Placed, StudyScene, band, open_scene, place
 from mistray.optimize.terms import UNITS_OF_LAYERS, layer_value, of_layers
 from mistray.optimize.variables import Variables, find_variables
-from mistray.optimize.verify import Comparison, Levels, compare, measure
+from mistray.optimize.verify import SEEDS, Comparison, Levels, compare, measure
 from mistray.scene import load
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating
@@ -124,6 +124,7 @@ def optimize(
     checkpoint: str | Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
+    verification_seeds: int = SEEDS,
 ) -> Optimization:
     """
     Make a merit small by the variables of a study.
@@ -145,6 +146,8 @@ def optimize(
         Go on from the checkpoint; the result is the same as without interruption.
     progress : callable, optional
         Called after each step with the `Step` and the `Start` of its search.
+    verification_seeds : int
+        Number of seeds on which the result is compared with the given design, at least 2.
 
     Returns
     -------
@@ -161,6 +164,8 @@ def optimize(
         if steps < 0:
             raise MistrayError(f"steps is {steps}; it must not be negative")
         read = dataclasses.replace(read, optimizer=dataclasses.replace(read.optimizer, steps=steps))
+    if verification_seeds < 2:
+        raise MistrayError(f"verification_seeds is {verification_seeds}; a standard error needs at least 2")
     if resume and checkpoint is None:
         raise MistrayError("resume needs a checkpoint; name the file of the state to go on from")
     source = find(scene)
@@ -178,7 +183,8 @@ def optimize(
         searches.run()
         best = searches.best
         started = time.perf_counter()
-        levels = [_levels(read, opened, variables, x) for x in (variables.start, np.array(best.x))]
+        designs = variables.start, np.array(best.x)
+        levels = [_levels(read, opened, variables, x, verification_seeds) for x in designs]
     return Optimization(
         read,
         source,
@@ -198,7 +204,7 @@ def optimize(
     )
 
 
-def _levels(study: Study, opened: StudyScene, variables: Variables, x: np.ndarray) -> Levels:
+def _levels(study: Study, opened: StudyScene, variables: Variables, x: np.ndarray, seeds: int) -> Levels:
     """All terms of a study at some values of its variables."""
     variables.apply(x)
     layers = [term for term in study.terms if of_layers(term)]
@@ -206,4 +212,4 @@ def _levels(study: Study, opened: StudyScene, variables: Variables, x: np.ndarra
         term.name: layer_value(term, study.coatings, opened.thickness_keys, variables.parameters(x))[0]
         for term in layers
     }
-    return measure(opened.scene, study).including(numbers, {t.name: UNITS_OF_LAYERS[t.kind] for t in layers})
+    return measure(opened.scene, study, seeds).including(numbers, {t.name: UNITS_OF_LAYERS[t.kind] for t in layers})

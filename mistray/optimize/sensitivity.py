@@ -24,10 +24,6 @@ from mistray.optimize.tolerance_draws import Draws, draw_systems
 if TYPE_CHECKING:
     import pandas as pd
 
-# Floats of Mitsuba's meshes and sensors: no numbers of the optical system
-INTERNAL = ("vertex_positions", "vertex_normals", "vertex_texcoords", "silhouette_sampling_weight", "shutter_open",
-            "shutter_open_time")  # fmt: skip
-
 Progress = Callable[[float, float], None]
 
 
@@ -335,11 +331,11 @@ def _groups(
     return groups
 
 
-def _without_derivative(params: Mapping[str, Any], known: Mapping[str, Parameter]) -> list[str]:
-    """Keys of the numbers that a scene has besides its parameters with a derivative."""
-    found = []
-    for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
-        name = key.rsplit(".", 1)[-1]
-        if key not in known and name not in INTERNAL and isinstance(peek(params, key), mi.Float):
-            found.append(key)
-    return found
+def _without_derivative(params: Any, known: Mapping[str, Parameter]) -> list[str]:
+    """Keys of the numbers of a scene that are no parameters with a derivative."""
+    return [
+        key
+        for key in params.keys()  # noqa: SIM118  SceneParameters iterates over pairs
+        # What plugins in Python hold has no address: buffers of meshes and the like do
+        if key not in known and params.properties[key][1] is None and isinstance(peek(params, key), mi.Float)
+    ]

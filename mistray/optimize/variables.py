@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.parameters import Parameter, match
+from mistray.optimize.parameters import Parameter, groups, match
 from mistray.optimize.scene_values import assign
 from mistray.optimize.study import Moved, Study, VariableGroup
 
@@ -204,9 +204,12 @@ def find_variables(study: Study, params: Any, known: Mapping[str, Parameter], co
         for k, (layer, (low, high)) in enumerate(zip(group.start.layers, group.bounds_nm, strict=True)):
             place = Place(key, k, 1.0, layer.thickness_nm)
             found.append(Variable(f"{group.name}.thickness_nm[{k}]", "nm", low, high, "linear", (place,)))
+    together = groups(known) if study.variables else {}
     for number, section in enumerate(study.variables, start=1):
         where = f"study '{study.name}': variable[{number}]"
-        found += _of_group(section, known, where)
+        of_section = _of_group(section, known, together, where)
+        _check_indices(of_section, known, together, where)
+        found += of_section
     if not found:
         raise MistrayError(f"study '{study.name}': there is no variable; add a section [[variable]] or [[coating]]")
     names: dict[str, int] = {}
@@ -225,11 +228,28 @@ def find_variables(study: Study, params: Any, known: Mapping[str, Parameter], co
     return Variables(params, found)
 
 
-def _of_group(group: VariableGroup, known: Mapping[str, Parameter], where: str) -> list[Variable]:
+def _check_indices(
+    variables: Sequence[Variable], known: Mapping[str, Parameter], together: Mapping[str, list[str]], where: str
+) -> None:
+    """Raise if a variable changes a material on some of its sides only: light is stopped where two sides disagree."""
+    for variable in variables:
+        moved = {place.key for place in variable.places}
+        for name, keys in together.items():
+            left = [key for key in keys if key not in moved]
+            if known[keys[0]].kind == "index" and left and len(left) < len(keys):
+                raise MistrayError(
+                    f"{where}: it changes the index of a material at some surfaces, but not {left[0]}; write "
+                    f'parameters = "{name}"'
+                )
+
+
+def _of_group(
+    group: VariableGroup, known: Mapping[str, Parameter], together: Mapping[str, list[str]], where: str
+) -> list[Variable]:
     """The variables of one section."""
     places: dict[tuple[str, int], tuple[Place, Parameter]] = {}
     for moved in group.parameters:
-        for place, parameter in _places(moved, known, where):
+        for place, parameter in _places(moved, known, together, where):
             places.setdefault((place.key, place.entry), (place, parameter))
     units = {parameter.unit for _, parameter in places.values()}
     if len(units) > 1 and not group.each:
@@ -248,9 +268,11 @@ def _of_group(group: VariableGroup, known: Mapping[str, Parameter], where: str) 
     return variables
 
 
-def _places(moved: Moved, known: Mapping[str, Parameter], where: str) -> Iterator[tuple[Place, Parameter]]:
+def _places(
+    moved: Moved, known: Mapping[str, Parameter], together: Mapping[str, list[str]], where: str
+) -> Iterator[tuple[Place, Parameter]]:
     try:
-        keys = match(known, [moved.key])
+        keys = together.get(moved.key) or match(known, [moved.key])
     except MistrayError as error:
         raise MistrayError(f"{where}.parameters: {error}") from None
     for key in keys:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 
 import drjit as dr
 import mitsuba as mi
@@ -19,13 +19,16 @@ from mistray.trace.raw_gradient import RIM_COLUMNS, RawGradient, Wanted
 from mistray.trace.ray_tree import walk
 from mistray.trace.replay import Exit
 from mistray.trace.start_rays import StartRays
+from mistray.trace.upload import upload
 
 CELL_BORDERS = "light whose direction of arrival moves across the border of a cell of angles"
 DETECTOR_RIMS = "the size of the detector itself, within which rays start"
 EXITS_PER_RAY = 8.0  # a first guess; portions that are too large are halved
 
 
-def backward_gradient(trace: BackwardTrace, derivative: np.ndarray, wanted: Wanted) -> Iterator[RawGradient]:
+def backward_gradient(
+    trace: BackwardTrace, derivative: np.ndarray, wanted: Wanted, groups: np.ndarray | None = None
+) -> Iterator[RawGradient]:
     """
     Derivatives of a metric of a trace against the light, from the same rays traced again and replayed.
 
@@ -35,6 +38,9 @@ def backward_gradient(trace: BackwardTrace, derivative: np.ndarray, wanted: Want
     derivative : (CLASS_COUNT, n, m) float64
         Of the metric by the sums of the weights of each class in each cell.
     wanted : Wanted
+    groups : (n, m) int, optional
+        For each cell a number below BATCHES: the derivatives are those of the parts that the cells of each number have,
+        instead of those that the batches have. Rims know no cells: without `wanted.edges` only.
 
     Yields
     ------
@@ -48,6 +54,8 @@ def backward_gradient(trace: BackwardTrace, derivative: np.ndarray, wanted: Want
     """
     if trace.pass_rays is None:
         raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
+    if groups is not None and wanted.edges:
+        raise MistrayError("derivatives by groups of cells do not know what rays gain and lose at rims; use edges=False")
     for number, band in enumerate(trace.bands):
         started = time.perf_counter()
         gatherer = Gatherer(
@@ -73,6 +81,7 @@ def backward_gradient(trace: BackwardTrace, derivative: np.ndarray, wanted: Want
             heading = mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, recorder.heading, 3 * row + k)) for k in range(3)))
             return Exit(gain, dr.zeros(mi.Vector3d, dr.width(row)), heading)
 
+        group = None if groups is None else _group_of(trace, groups, gatherer.recorder)
         with dr.suspend_grad():
             edges = None
             if gatherer.edges:
@@ -83,7 +92,7 @@ def backward_gradient(trace: BackwardTrace, derivative: np.ndarray, wanted: Want
                 whole = trace.start_pass(number, done, rays)
                 if not wanted.only_rims:
                     for start in gatherer.portions(whole, EXITS_PER_RAY, trace_again):
-                        gatherer.replay(start, lambda keys: np.ones(len(keys), dtype=bool), end)
+                        gatherer.replay(start, lambda keys: np.ones(len(keys), dtype=bool), end, group)
                 if edges is not None:
                     for start, events in edges.events(whole, Adjoint(0), sky=trace.make_sky(derivative)):
                         gatherer.replay_edges(start, events)
@@ -93,3 +102,17 @@ def backward_gradient(trace: BackwardTrace, derivative: np.ndarray, wanted: Want
             raw.left_out.append(DETECTOR_RIMS)
         raw.seconds = time.perf_counter() - started
         yield raw
+
+
+def _group_of(trace: BackwardTrace, groups: np.ndarray, recorder: Recorder) -> Callable[[mi.UInt32], mi.UInt32]:
+    """What tells the groups of recorded rays by the cells in which they leave."""
+    sky = trace.make_sky()
+    numbers = upload(mi.UInt32, np.asarray(groups, dtype=np.uint32))
+
+    def group(row: mi.UInt32) -> mi.UInt32:
+        cell, _ = sky.cell(mi.Vector3f(*(dr.gather(mi.Float, recorder.heading, 3 * row + k) for k in range(3))))
+        found = dr.gather(mi.UInt32, numbers, cell)
+        dr.eval(found)
+        return found
+
+    return group

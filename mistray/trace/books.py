@@ -207,6 +207,8 @@ class Recorder:
         Flux that meets the detector in units of the start ray's; against the light what the metric gains.
     heading : (capacity, 3) mi.Float
         Directions of rays that leave the scene.
+    path : (capacity,) mi.UInt64
+        Keys of the events, see `mistray.trace.ledger.extend_key`.
     """
 
     capacity: int
@@ -224,7 +226,8 @@ class Recorder:
         self.nodes = dr.zeros(mi.Float, size * self.node_floats)
         self.weight = dr.zeros(mi.Float64, self.capacity)
         self.heading = dr.zeros(mi.Float, 3 * self.capacity)
-        dr.eval(self.count, self.lane, self.length, self.codes, self.nodes, self.weight, self.heading)
+        self.path = dr.zeros(mi.UInt64, self.capacity)
+        dr.eval(self.count, self.lane, self.length, self.codes, self.nodes, self.weight, self.heading, self.path)
 
     def clear(self) -> None:
         """Forget all branches."""
@@ -246,6 +249,7 @@ def record_branch(
     last: Sequence[mi.Float],
     depth: mi.UInt32,
     lane: mi.UInt32,
+    key: mi.UInt64,
     weight: mi.Float64,
     heading: mi.Vector3f | None = None,
 ) -> tuple[mi.UInt32, mi.Bool]:
@@ -264,6 +268,8 @@ def record_branch(
         What a node consists of, for the last one.
     depth, lane : mi.UInt32
         Number of the last node, number of the start ray.
+    key : mi.UInt64
+        Of the path, the last event included.
     weight : mi.Float64
     heading : mi.Vector3f, optional
         See `Recorder`.
@@ -279,6 +285,7 @@ def record_branch(
     active = active & (slot < recorder.capacity)
     dr.scatter(recorder.lane, lane, slot, active)
     dr.scatter(recorder.length, depth + 1, slot, active)
+    dr.scatter(recorder.path, key, slot, active)
     dr.scatter(recorder.weight, weight, slot, active)
     if heading is not None:
         for j, component in enumerate(heading):

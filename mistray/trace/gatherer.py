@@ -13,7 +13,6 @@ from mistray.errors import MistrayError
 from mistray.trace.adjoint import CHANNELS
 from mistray.trace.books import Recorder
 from mistray.trace.edges import EdgeEvents
-from mistray.trace.ledger import host_keys
 from mistray.trace.raw_gradient import RawGradient, Wanted
 from mistray.trace.replay import Branches, End, Exit, follow, replay_rays
 from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split
@@ -104,6 +103,7 @@ class Gatherer:
         start: StartRays,
         counts: Callable[[np.ndarray], np.ndarray],
         end: Callable[[mi.UInt32, np.ndarray], End | Exit],
+        group: Callable[[mi.UInt32], mi.UInt32] | None = None,
     ) -> None:
         """
         Replay the recorded rays of a portion.
@@ -116,14 +116,18 @@ class Gatherer:
             Takes the keys of the rays, (n,) uint64, and says which of them matter, (n,) bool.
         end : callable
             What the metric gains from them, given their rows in the recorder in the order of the lanes, and their keys.
+        group : callable, optional
+            Numbers below BATCHES by which sums are kept instead of by batch, given the rows.
         """
-        keys = _keys(self.recorder, np.arange(int(self.recorder.count[0])))
+        keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
         # Neighbours do the same work when they have had the same events
         order = np.argsort(keys, kind="stable")
         order = order[counts(keys)[order]]
         if not len(order):
             return
         rays = branches(self.recorder, start, order)
+        if group is not None:
+            rays = replace(rays, batch=group(rays.row))
         found = follow(self.surfaces, rays)
         replay_rays(self.surfaces, rays, found, end(rays.row, keys[order]), self.scatter, self.start_surface)
         self.strayed += int(dr.count(found.strayed)[0])
@@ -136,7 +140,7 @@ class Gatherer:
             used = np.flatnonzero(np.array(c))
             if not len(used):
                 continue
-            chosen = used[np.argsort(_keys(events.paths, rows[used]), kind="stable")]
+            chosen = used[np.argsort(np.array(events.paths.path)[rows[used]], kind="stable")]
             rays = branches(events.paths, start, rows[chosen])
             picked = mi.UInt32(chosen.astype(np.uint32))
             rim, joined = (dr.gather(mi.UInt32, v, picked) for v in (events.rim, events.joined))
@@ -190,12 +194,6 @@ class RimEnd:
         )
         value = self._c * dr.select(free, distance, apart)
         return value - dr.detach(value)
-
-
-def _keys(recorder: Recorder, rows: np.ndarray) -> np.ndarray:
-    """(n,) uint64 keys of recorded rays."""
-    codes = np.array(recorder.codes).reshape(-1, recorder.max_events)[rows]
-    return host_keys(codes, np.array(recorder.length)[rows])
 
 
 def branches(recorder: Recorder, start: StartRays, rows: np.ndarray) -> Branches:

@@ -285,7 +285,7 @@ def walk(
                 ledger.write_events(slot, depth + 1, event, new)
         if recorder is not None:
             wanted = detected & ((recorder.key == 0) | (recorder.key == key))
-            record_branch(recorder, nodes, event, wanted, (*p, *d, w), depth, lane, mi.Float64(w))
+            record_branch(recorder, nodes, event, wanted, (*p, *d, w), depth, lane, key, mi.Float64(w))
         if adjoint is not None:
             derivative = adjoint.derivative(film, x, y, slot, booked)
             gained = derivative * mi.Float64(w if film.incident else absorbed)
@@ -526,7 +526,9 @@ def walk(
                     total = total + gained
                 if recorder is not None:
                     last_node, counts = (*origin, *d, w), leaving & (gained != 0)
-                    record_branch(recorder, nodes, codes.read, counts, last_node, depth, lane, gained, heading)
+                    record_branch(
+                        recorder, nodes, codes.read, counts, last_node, depth, lane, path_key, gained, heading
+                    )
             else:
                 sky.record(
                     heading, child, bounces, after, aside, batch, start, path_key, depth + 1, codes.read, leaving

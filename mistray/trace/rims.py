@@ -16,6 +16,7 @@ import numpy as np
 
 from mistray.trace.books import Recorder, record_branch
 from mistray.trace.interaction import Interaction
+from mistray.trace.ledger import ABSORBED, EVENT_BITS, extend_key
 from mistray.trace.pieces import Piece
 from mistray.trace.raw_gradient import RIM_COLUMNS
 from mistray.trace.surfaces import SurfaceTable
@@ -163,7 +164,8 @@ class RimBook:
 
         def write(near: mi.Bool) -> mi.UInt32:
             weight = mi.Float64(state["w"])
-            slot, kept = record_branch(self.paths, nodes, event, near, it.p, depth, lane, weight, state["d"])
+            key = extend_key(state["key"], (state["s"] << EVENT_BITS) | ABSORBED)
+            slot, kept = record_branch(self.paths, nodes, event, near, it.p, depth, lane, key, weight, state["d"])
             copies = dr.select(both, mi.Float(2), 1)
             for values, value in ((self.rim, rim), (self.delta, delta), (self.copies, copies)):
                 dr.scatter(values, value, slot, kept)

@@ -16,7 +16,7 @@ from mistray.prescription import (
 )
 
 GLASS = "N-BK7"
-LENS_RADIUS, HOUSING_RADIUS, DETECTOR_Z = 10.0, 30.0, 60.8
+LENS_RADIUS, HOUSING_RADIUS, DETECTOR_Z = 10.0, 30.0, 62.6
 SCREEN_TILT_DEG = 105.0
 
 POLISH = Scatter("harvey_shack", {"rms_nm": 1.5, "l": 0.01, "s": -2.0}, name="polish")
@@ -26,7 +26,7 @@ BLACK = Scatter("paint", {"reflectance": 0.04}, name="black")
 
 def build() -> Prescription:
     """Coated lens, f = 61 mm, in a housing that absorbs all; inside, a tilted Lambertian screen on the +y side."""
-    coating = Coating(R=0.005)
+    coating = Coating(R=0.005, T=0.995)
     front = Surface(
         "lens_front",
         radius=62.0,

@@ -48,22 +48,36 @@ TUBE = shape_xml("frustum", "tube", 0.0, scattering_xml((PAINT,), R=0.3), r0=4.5
 GLOSS = scattering_xml((bsdf_xml("paint", reflectance=0.1, b0=0.2, l=0.3, s=-2.0),), R=0.2)
 CASES = {
     "polished lens": lambda: Case(lens((ABG,), (POLISH,)), {**TRACED, "rays": 400, "seed": 1}),
-    "painted tube": lambda: Case(lens((), (), TUBE), {**TRACED, "rays": 400, "seed": 2}),
+    "painted tube": lambda: Case(lens((), (), TUBE), {**TRACED, "rays": 400, "seed": 2, "field_deg": 12.0}),
     "detector that scatters": lambda: Case(lens((SHACK,), (), detector=GLOSS), {**TRACED, "rays": 400, "seed": 3}),
     "two scatters": lambda: Case(lens((SHACK,), (ABG,)), {**TRACED, "rays": 150, "seed": 4, "max_scatters": 2}),
 }
 POSE = ("y", "z", "tilt_x")
+SHACK_VALUES = [f"front.bsdf.harvey_shack.{value}" for value in ("b0", "l", "s")]
+PAINT_VALUES = ("reflectance", "b0", "l", "s")
 KEYS = {
-    "polished lens": [*(f"front.bsdf.abg.{v}" for v in "ABg"), *(f"rear.bsdf.harvey_shack.{v}" for v in ("rms_nm", "l", "s")),
-                      *(f"{face}.{v}" for face in ("front", "rear", "detector") for v in (*POSE, "curvature")),
-                      "front.bsdf.n_back_shift", "rear.bsdf.n_front_shift", "rear.bsdf.T", "front.bsdf.T"],
-    "painted tube": [*(f"tube.bsdf.paint.{v}" for v in ("reflectance", "b0", "l", "s")), "tube.bsdf.R", "tube.r0",
-                     "tube.z1", *(f"tube.{v}" for v in POSE), "rear.curvature"],
-    "detector that scatters": [*(f"front.bsdf.harvey_shack.{v}" for v in ("b0", "l", "s")), "detector.bsdf.R",
-                               *(f"detector.bsdf.paint.{v}" for v in ("reflectance", "b0", "l", "s")), "detector.tilt_x"],
-    "two scatters": [*(f"front.bsdf.harvey_shack.{v}" for v in ("b0", "l", "s")), *(f"rear.bsdf.abg.{v}" for v in "ABg"),
-                     "front.z", "front.tilt_x", "rear.curvature"],
-}  # fmt: skip
+    "polished lens": [
+        *(f"front.bsdf.abg.{value}" for value in "ABg"),
+        *(f"rear.bsdf.harvey_shack.{value}" for value in ("rms_nm", "l", "s")),
+        *(f"{face}.{name}" for face in ("front", "rear", "detector") for name in (*POSE, "curvature")),
+        *("rear.bsdf.T", "front.bsdf.T"),
+    ],
+    "painted tube": [
+        *(f"tube.bsdf.paint.{value}" for value in PAINT_VALUES),
+        *(f"tube.{name}" for name in (*POSE, "r0", "z1")),
+        *("tube.bsdf.R", "rear.curvature", "front.bsdf.n_back_shift", "rear.bsdf.n_front_shift"),
+    ],
+    "detector that scatters": [
+        *SHACK_VALUES,
+        *(f"detector.bsdf.paint.{value}" for value in PAINT_VALUES),
+        *("detector.bsdf.R", "detector.tilt_x"),
+    ],
+    "two scatters": [
+        *SHACK_VALUES,
+        *(f"rear.bsdf.abg.{value}" for value in "ABg"),
+        *("front.z", "front.tilt_x", "rear.curvature"),
+    ],
+}
 
 
 @pytest.fixture(scope="module")

@@ -16,7 +16,7 @@ from oracles.small_scenes import plates_text, write
 
 from mistray.errors import MistrayError
 from mistray.optimize import Optimizer, Term, path_power, read_study
-from mistray.optimize.goals import by_value, contribution, holds, limit_of, pieces
+from mistray.optimize.goals import by_value, check, contribution, holds, limit_of, pieces
 from mistray.optimize.merit import Merit, seed_of
 from mistray.optimize.study_scene import open_scene, place
 from mistray.optimize.terms import layer_minimum, material_count, total_thickness
@@ -29,6 +29,10 @@ class TestContribution:
 
     TERMS = {
         "minimise": (Term("t", "path_power", "minimise", 2.0), lambda v, v0, b: 2 * math.log(v / v0)),
+        "floor": (
+            Term("t", "path_power", "minimise", 2.0, floor_of_start=0.1),
+            lambda v, v0, b: 2 * math.log((v + 0.1 * v0) / (1.1 * v0)),
+        ),
         "at_least": (
             Term("t", "path_power", "at_least", 3.0, 5.0, None, 0.1),
             lambda v, v0, b: 3 * max(0.0, 1 - (v - b) / (0.1 * abs(b))) ** 2,
@@ -69,6 +73,15 @@ class TestContribution:
         assert (cost(most, 5.0), cost(most, 4.5)) == pytest.approx((3.0, 0.0))
         negative = Term("t", "path_power", "at_most", 1.0, -5.0, None, 0.1)
         assert (cost(negative, -5.0), cost(negative, -5.5)) == pytest.approx((1.0, 0.0))
+
+    def test_a_floor(self) -> None:
+        """With one a term may vanish: darker than so far below the start is dark enough."""
+        term = Term("t", "path_power", floor_of_start=0.01)
+        assert float(contribution(term, mi.Float64(0.0), 4.0)[0]) == pytest.approx(math.log(0.01 / 1.01))
+        assert by_value(term, 0.0, 4.0) == pytest.approx(1 / 0.04)
+        check([term], {"t": 0.0}, {"t": 4.0}, "study 'x'", "y = 1")
+        with pytest.raises(MistrayError, match=r"its value is 0 at y = 1; no light goes there.*floor_of_start"):
+            check([replace(term, floor_of_start=0.0)], {"t": 0.0}, {"t": 4.0}, "study 'x'", "y = 1")
 
     def test_pieces(self) -> None:
         """Taken apart and put together again: value and slope are those of the sum."""

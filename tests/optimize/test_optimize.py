@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -14,10 +15,12 @@ from oracles.small_scenes import plates_text, write
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import Start, Step, measure, optimize
+from mistray.optimize import Start, Step, measure
+from mistray.optimize import optimize as optimize_and_verify
 from mistray.scene.recoat import write_recoated
 
 QUARTER_WAVE = 550 / 4 / 1.38
+optimize = partial(optimize_and_verify, verification_seeds=2)
 
 
 @pytest.fixture
@@ -33,7 +36,7 @@ def study(start: float = 60.0, bounds: Any = (20.0, 180.0), band: Any = 550.0, *
         "coating": [
             {"name": "AR", "surfaces": "all", "layers": f"1.38 {start}", "thickness_nm": [float(b) for b in bounds]}
         ],
-        "optimizer": {"starts": 1, "tolerance": 1e-6, **optimizer},
+        "optimizer": {"starts": 1, "tolerance": 1e-4, "patience": 1, **optimizer},
     }
 
 
@@ -48,21 +51,23 @@ class TestSearch:
     def test_quarter_wave(self, plate: Path) -> None:
         """R has one minimum within the bounds, the quarter wave; the metric there is known.
 
-        Near it the metric is flat: a relative excess of 1e-6, a thousandth of the default tolerance, is 0.04 nm.
+        Near it the metric is flat: a relative excess of 1e-4, the tolerance, is 0.4 nm.
         """
         result = optimize(plate, study())
         assert result.ended[0].startswith("converged")
-        assert result.thickness_nm("AR") == pytest.approx([QUARTER_WAVE], abs=0.1)
+        assert result.thickness_nm("AR") == pytest.approx([QUARTER_WAVE], abs=0.5)
         assert result.before == {"AR.thickness_nm[0]": 60.0}
         assert result.after == {"AR.thickness_nm[0]": result.thickness_nm("AR")[0]}
         row = result.comparison.of("ghosts")
         r0, r1 = reflectance(60.0), reflectance(QUARTER_WAVE)
         assert row.before == pytest.approx((r0 * (1 - r0)) ** 2, rel=1e-5)
-        assert row.after == pytest.approx((r1 * (1 - r1)) ** 2, rel=1e-5)
+        assert row.after == pytest.approx((r1 * (1 - r1)) ** 2, rel=2e-4)
         assert row.ratio == pytest.approx(row.before / row.after)
         assert result.best.merit == pytest.approx(np.log(row.after / row.before), abs=1e-5)
 
-    @pytest.mark.parametrize("how", [{"method": "adam", "steps": 60}, {"method": "nlopt"}])
+    @pytest.mark.parametrize(
+        "how", [{"method": "adam", "steps": 40, "patience": 5}, {"method": "nlopt", "patience": 10}]
+    )
     def test_other_methods(self, plate: Path, how: dict[str, Any]) -> None:
         if how["method"] == "nlopt":
             pytest.importorskip("nlopt")
@@ -77,8 +82,8 @@ class TestSearch:
         given = study()
         given["term"][0]["kind"] = "ghost_to_signal"
         result = optimize(plate, given)
-        assert result.thickness_nm("AR") == pytest.approx([QUARTER_WAVE], abs=0.1)
-        assert result.comparison.total.after == pytest.approx(reflectance(QUARTER_WAVE) ** 2, rel=1e-5)
+        assert result.thickness_nm("AR") == pytest.approx([QUARTER_WAVE], abs=0.5)
+        assert result.comparison.total.after == pytest.approx(reflectance(QUARTER_WAVE) ** 2, rel=2e-4)
 
     def test_first_step_is_small(self, plate: Path) -> None:
         """The first trial moves no layer by more than 2 % of the way from bound to bound."""
@@ -111,7 +116,7 @@ class TestSearch:
         result = optimize(plate, given)
         n = 1.38 + result.after["n"]
         assert result.after["n"] == pytest.approx(-0.1)
-        assert result.after["AR.thickness_nm[0]"] == pytest.approx(550 / 4 / n, abs=0.2)
+        assert result.after["AR.thickness_nm[0]"] == pytest.approx(550 / 4 / n, abs=0.7)
         assert result.parameters == {"AR.n_shift": pytest.approx(np.array([-0.1]))}, "thicknesses go with the coating"
 
     def test_ideal_coatings_without_thin_films(self, tmp_path: Path) -> None:
@@ -150,7 +155,7 @@ class TestSearch:
         ]
         result = optimize(plate, given)
         for name in ("front", "rear"):
-            assert result.thickness_nm(name) == pytest.approx([QUARTER_WAVE], abs=0.3)
+            assert result.thickness_nm(name) == pytest.approx([QUARTER_WAVE], abs=0.7)
 
     def test_no_light(self, plate: Path) -> None:
         given = study()
@@ -245,6 +250,8 @@ class TestCheckpoint:
             file.write_text(damaged)
             with pytest.raises(MistrayError, match="is damaged; remove it"):
                 optimize(plate, study(), checkpoint=file, resume=True)
+        with pytest.raises(MistrayError, match="verification_seeds is 1"):
+            optimize(plate, study(), verification_seeds=1)
         with pytest.raises(MistrayError, match="resume needs a checkpoint"):
             optimize(plate, study(), resume=True)
         with pytest.raises(MistrayError, match="steps is -1"):
@@ -259,16 +266,16 @@ class TestKernels:
 
     @pytest.mark.parametrize("how", [{}, {"method": "adam", "seeds": "fresh"}])
     def test_none_is_compiled_after_the_second_step(self, how: dict[str, Any]) -> None:
-        """Counted on the Cooke triplet: two terms of light, one of layers, two fields and two wavelengths."""
+        """Counted on the Cooke triplet: two terms of light at two fields, one of layers."""
         given = {
-            "trace": {"fields_deg": [0, 15], "wavelength_nm": [480, 620], "rays": 400},
+            "trace": {"fields_deg": [0, 15], "wavelength_nm": [550], "rays": 200},
             "term": [
                 {"kind": "path_power", "goal": "minimise"},
                 {"kind": "transmission", "goal": "at_least", "limit_of_start": 0.9},
                 {"kind": "total_thickness", "goal": "at_most", "limit": 300},
             ],
             "coating": [{"surfaces": "all", "preset": "bbar3", "thickness_nm": [10, 250]}],
-            "optimizer": {"starts": 1, "steps": 6, "tolerance": 0, **how},
+            "optimizer": {"starts": 1, "steps": 4, "tolerance": 0, **how},
         }
         new: list[int] = []
         with dr.scoped_set_flag(dr.JitFlag.KernelHistory, True):
@@ -277,5 +284,5 @@ class TestKernels:
             assert self.compiled() == 1, "the count sees a literal that is baked in"
             optimize("cooke_triplet", given, progress=lambda step, start: new.append(self.compiled()))
             self.compiled()
-        assert len(new) == 7
-        assert new[3:] == [0, 0, 0, 0], new
+        assert len(new) == 5
+        assert new[3:] == [0, 0], new

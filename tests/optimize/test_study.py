@@ -197,6 +197,12 @@ class TestRefusals:
             ("term.1.limit", None, r"term\[2\]\.limit is missing; with goal = \"at_least\" give limit or"),
             ("term.1.limit_of_start", 1, r"term\[2\]\.limit_of_start is one limit too many; with goal"),
             ("term.1.limit", float("nan"), r"term\[2\]\.limit is nan; it must be a finite number"),
+            ("term.0.floor_of_start", -1, r"term\[1\]\.floor_of_start is -1; it must be a number greater than 0"),
+            (
+                "term.1.floor_of_start",
+                0.1,
+                r"term\[2\]\.floor_of_start has no meaning with goal = \"at_least\"; remove",
+            ),
             ("term.1.tolerance", -1, r"term\[2\]\.tolerance is -1; it must be a number greater than 0"),
             ("term.2.low_deg", None, r"term\[3\]\.low_deg is missing; kind = 'pst_band' needs it"),
             ("term.2.low_deg", 80, r"term\[3\]\.\(kind 'pst_band'\): band from 80 to 80°"),

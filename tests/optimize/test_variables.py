@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
+import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import read_study
-from mistray.optimize.parameters import Parameter
+from mistray.optimize.parameters import Parameter, parameters
 from mistray.optimize.variables import Variables, find_variables
 
 VALUES = {
@@ -141,6 +143,37 @@ class TestGroups:
         assert found.names == ("AR.thickness_nm[0]", "AR.thickness_nm[1]", "vane_1.r0")
         assert found.keys == ("AR.thickness_nm", "vane_1.r0")
         assert found.start == pytest.approx([90.0, 120.0, 11.0])
+
+
+class TestTogether:
+    """Parameters of a real scene that belong together."""
+
+    @pytest.fixture
+    def triplet(self) -> tuple[Any, dict[str, Parameter]]:
+        scene = mistray.load("cooke_triplet")
+        params = mi.traverse(scene)
+        return params, parameters(scene, params)
+
+    def found(self, triplet: tuple[Any, dict[str, Parameter]], name: str) -> Variables:
+        variable = {"parameters": name, "low": -0.01, "high": 0.01}
+        study = {"term": [{"kind": "path_power", "goal": "minimise"}], "variable": [variable]}
+        return find_variables(read_study(study), *triplet, {})
+
+    def test_an_index(self, triplet: tuple[Any, dict[str, Parameter]]) -> None:
+        (variable,) = self.found(triplet, "N-SF5.index").variables
+        keys = {place.key for place in variable.places}
+        assert {"L2_front.bsdf.n_back_shift", "L2_rear.bsdf.n_front_shift"} <= keys
+        assert not [key for key in keys if not key.startswith("L2")]
+
+    def test_a_part(self, triplet: tuple[Any, dict[str, Parameter]]) -> None:
+        (variable,) = self.found(triplet, "L1.z").variables
+        assert {"L1_front.z", "L1_rear.z"} <= {place.key for place in variable.places}
+
+    def test_an_index_at_one_surface(self, triplet: tuple[Any, dict[str, Parameter]]) -> None:
+        with pytest.raises(
+            MistrayError, match=r'variable\[1\]: it changes the index .* write parameters = "N-SF5\.index"'
+        ):
+            self.found(triplet, "L2_rear.bsdf.n_front_shift")
 
 
 class TestRefusals:

@@ -41,12 +41,12 @@ class TestRows:
             weights=[1, 3],
             rays=64,
         )
-        comparison = compare(measure(plate(tmp_path, 0.05), read), measure(plate(tmp_path, 0.02), read))
+        comparison = compare(measure(plate(tmp_path, 0.05), read, 2), measure(plate(tmp_path, 0.02), read, 2))
         cells = {(row.term, row.field_deg, row.wavelength_nm): row for row in comparison.rows}
         assert len(cells) == len(comparison.rows) == (1 + 2 + 2 + 4) + (1 + 2)
         assert len(list(comparison.marginals())) == 5 + 3
         assert comparison.total is comparison.of("ghosts") is cells["ghosts", None, None]
-        assert comparison.seeds == tuple(range(1, 9)), "not the seed of the search"
+        assert comparison.seeds == (1, 2), "not the seed of the search"
         for row in comparison.rows:
             assert row.unit == "W/W"
             signal = row.term == "signal"
@@ -57,7 +57,7 @@ class TestRows:
     def test_the_whole_is_the_mean(self) -> None:
         """Of the fields, and of the wavelengths with their weights; the coatings of the triplet are not grey."""
         read = study(
-            GHOSTS, fields_deg=[0, 10], wavelength_nm=[450, 550], weights=[1, 3], rays=2000, flux_threshold=1e-9
+            GHOSTS, fields_deg=[0, 10], wavelength_nm=[450, 550], weights=[1, 3], rays=1000, flux_threshold=1e-9
         )
         levels = measure(mistray.load("cooke_triplet"), read, seeds=2)
 

@@ -16,6 +16,7 @@ from pathlib import Path
 from typing import Protocol
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from .geometry import Array, Asphere, Frustum, Mask, Plane, Sphere, Surface
 from .glass import absorption_per_mm
@@ -26,7 +27,7 @@ from .scene_xml import SceneModel, _rotation, parse_scene
 
 ORDERS = tuple(range(4, 21, 2))
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
-ANGLES = 257  # nodes of a lobe's total over the cosine
+ANGLES = 65  # nodes of a lobe's total over the cosine, for a cubic spline
 
 
 @dataclass(frozen=True)
@@ -54,23 +55,23 @@ class Lobe:
         return c0 + x * (c1 + x * c2)
 
     @cached_property
-    def _totals(self) -> tuple[Array, Array]:
+    def _totals(self) -> CubicSpline:
         cosines = np.linspace(0.0, 1.0, ANGLES)
-        if self.about_normal:
-            return cosines, np.full(ANGLES, total_scatter(self.profile, 0.0))
-        return cosines, np.array([total_scatter(self.profile, float(np.sqrt(1 - c * c))) for c in cosines])
+        sines = np.zeros(ANGLES) if self.about_normal else np.sqrt(1 - cosines**2)
+        totals = {sine: total_scatter(self.profile, sine) for sine in np.unique(sines)}
+        return CubicSpline(cosines, [totals[sine] for sine in sines])
 
     def total(self, cosine: Array) -> Array:
         """Integral of the profile over the projected hemisphere, where the specular direction has these cosines."""
-        return np.interp(cosine, *self._totals)
+        return np.asarray(self._totals(cosine))
 
 
 class LobesOf(Protocol):
     """Lobes of a scatter model from its numbers: wavelength (nm), index on the side of incidence and on the other."""
 
     def __call__(
-        self, numbers: dict[str, float], wavelength_nm: float, n_in: float, n_out: float, side: str
-    ) -> list[Lobe]: ...
+        self, numbers: tuple[float, ...], wavelength_nm: float, n_in: float, n_out: float
+    ) -> tuple[Lobe, ...]: ...
 
 
 @dataclass(frozen=True)
@@ -213,8 +214,8 @@ class FrozenScene:
             n_in, n_out = n_out, n_in
         found = []
         for model in self.scatter.get(shape_id, ()):
-            numbers = {name: self.number(f"{model.key}.{name}") for name in model.names}
-            found += [x for x in model.lobes(numbers, self.wavelength_nm, n_in, n_out, side) if side in x.sides]
+            numbers = tuple(self.number(f"{model.key}.{name}") for name in model.names)
+            found += [lobe for lobe in model.lobes(numbers, self.wavelength_nm, n_in, n_out) if side in lobe.sides]
         return found
 
     def absorption(self, material: str) -> float:
@@ -347,7 +348,7 @@ def _scatter_model(key: str, node: ElementTree.Element, numbers: dict[str, Array
     relative_to = values.pop("relative_to", "incident" if kind == "paint" else "specular")
     side = values.pop("side", "both")
     defaults = {"abg": {}, "harvey_shack": {"l": 0.01, "s": -1.5}, "paint": {"b0": 0.0, "l": 0.1, "s": -2.0}}
-    makers: dict[str, Callable[..., list[tuple[str, Profile, bool]]]] = {
+    makers: dict[str, Callable[..., list[tuple[Profile, bool]]]] = {
         "abg": _abg,
         "harvey_shack": _harvey_shack,
         "paint": _paint,
@@ -367,23 +368,25 @@ def _scatter_model(key: str, node: ElementTree.Element, numbers: dict[str, Array
     shares = (1.0, 0.0, 0.0) if relative_to == "incident" else (0.0, 1.0, 0.0)
     make = makers[kind]
 
-    def lobes(numbers: dict[str, float], wavelength_nm: float, n_in: float, n_out: float, side: str) -> list[Lobe]:
-        return [
+    @lru_cache(maxsize=64)  # a lobe's totals are dear
+    def lobes(numbers: tuple[float, ...], wavelength_nm: float, n_in: float, n_out: float) -> tuple[Lobe, ...]:
+        named = dict(zip(own, numbers, strict=True))
+        return tuple(
             Lobe(event, profile, shares, sides, about_normal)
             for event in events
-            for _, profile, about_normal in make(numbers, event, wavelength_nm, n_in, n_out)
-        ]
+            for profile, about_normal in make(named, event, wavelength_nm, n_in, n_out)
+        )
 
     return ScatterModel(key, tuple(own), lobes)
 
 
-def _abg(v: dict[str, float], event: str, *_: float) -> list[tuple[str, Profile, bool]]:
-    return [(event, abg(v["A"], v["B"], v["g"]), False)]
+def _abg(v: dict[str, float], *_: float | str) -> list[tuple[Profile, bool]]:
+    return [(abg(v["A"], v["B"], v["g"]), False)]
 
 
 def _harvey_shack(
     v: dict[str, float], event: str, wavelength_nm: float, n_in: float, n_out: float
-) -> list[tuple[str, Profile, bool]]:
+) -> list[tuple[Profile, bool]]:
     """b0 is given, or follows from the smooth-surface limit of the total scatter, (2π Δn σ/λ)²."""
     knee, slope = v["l"], v["s"]
     if "rms_nm" in v:
@@ -394,9 +397,9 @@ def _harvey_shack(
         b0 = total / (np.pi * knee**2 * unit)
     else:
         b0 = v["b0"]
-    return [(event, harvey_shack(b0, knee, slope), False)]
+    return [(harvey_shack(b0, knee, slope), False)]
 
 
-def _paint(v: dict[str, float], event: str, *_: float) -> list[tuple[str, Profile, bool]]:
-    lobes = [(event, lambertian(v["reflectance"]), True)]
-    return lobes + ([(event, harvey_shack(v["b0"], v["l"], v["s"]), False)] if v["b0"] else [])
+def _paint(v: dict[str, float], *_: float | str) -> list[tuple[Profile, bool]]:
+    lobes = [(lambertian(v["reflectance"]), True)]
+    return lobes + ([(harvey_shack(v["b0"], v["l"], v["s"]), False)] if v["b0"] else [])

@@ -80,7 +80,9 @@ class Pst:
     extent_mm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     source: BackwardTrace | None = field(default=None, repr=False, compare=False)
 
-    def raw_gradients(self, derivative: np.ndarray, wanted: Wanted) -> Iterator[RawGradient]:
+    def raw_gradients(
+        self, derivative: np.ndarray, wanted: Wanted, groups: np.ndarray | None = None
+    ) -> Iterator[RawGradient]:
         """
         Derivatives of a metric by all that the trace knows, by tracing the same rays again.
 
@@ -89,6 +91,8 @@ class Pst:
         derivative : (c, n, m) float64
             Of the metric by PST_normal of each class in each cell.
         wanted : Wanted
+        groups : (n, m) int, optional
+            Numbers of groups of cells, see `mistray.trace.backward_gradient`.
 
         Yields
         ------
@@ -103,7 +107,7 @@ class Pst:
         if self.source is None:
             raise MistrayError("this PST has no rays to differentiate; compute it with method='adjoint'")
         unit = np.pi / self.grid.solid_angle[None, :, None] / float(self.source.rays.sum())
-        yield from backward_gradient(self.source, unit * np.asarray(derivative), wanted)
+        yield from backward_gradient(self.source, unit * np.asarray(derivative), wanted, groups)
 
     def __post_init__(self) -> None:
         if self.convention not in CONVENTIONS:
