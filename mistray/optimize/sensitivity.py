@@ -18,7 +18,7 @@ from mistray.optimize.metrics import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.optimize.propagation import Spread, propagate
 from mistray.optimize.proposals import SEEDS, free_keys, traced_change
-from mistray.optimize.sensitivity_rows import Line, Row, Table, lines_of, shifted_values
+from mistray.optimize.sensitivity_rows import Line, Row, Table, lines_of, shifted_values, whole_values
 from mistray.optimize.tolerance_draws import Draws, draw_systems
 
 if TYPE_CHECKING:
@@ -241,7 +241,9 @@ def sensitivity(
     changes = tuple((rows[change.number], change) for change in best)
     traced, image = None, None
     if check and changes:
-        values = shifted_values(given, [row.line for row, _ in changes], [change.value for _, change in changes])
+        changed_lines = [row.line for row, _ in changes]
+        values = whole_values(given, changed_lines)
+        values = shifted_values(values, changed_lines, [change.value for _, change in changes])
         traced, image = traced_change(metric, given, values, advance)
     proposal = Together(
         changes, math.prod(change.factor for change in best), any(change.reached for change in best), traced, image

@@ -168,15 +168,22 @@ def _material(params: Any, key: str) -> str | None:
     return str((owner.front, owner.back)[SHIFTS.index(name)])
 
 
-def shifted_values(params: Any, lines: Sequence[Line], numbers: Sequence[float]) -> dict[str, np.ndarray]:
-    """Whole values of all parameters that some lines are about, by key, at new numbers of the lines."""
-    values: dict[str, np.ndarray] = {}
+def whole_values(params: Any, lines: Sequence[Line]) -> dict[str, np.ndarray]:
+    """Values of all parameters that some lines are about as the scene has them, by key."""
+    keys = dict.fromkeys(key for line in lines for key in (*line.keys, *line.silent))
+    return {key: np.ravel(np.array(params[key], dtype=np.float64)) for key in keys}
+
+
+def shifted_values(
+    values: Mapping[str, np.ndarray], lines: Sequence[Line], numbers: Sequence[float]
+) -> dict[str, np.ndarray]:
+    """The same values, from `whole_values`, at new numbers of the lines."""
+    result = {key: value.copy() for key, value in values.items()}
     for line, number in zip(lines, numbers, strict=True):
         change = number - float(np.ravel(line.parameter.value)[line.entry])
         for key in (*line.keys, *line.silent):
-            value = values.setdefault(key, np.ravel(np.array(params[key], dtype=np.float64)))
-            value[line.entry] += change
-    return values
+            result[key][line.entry] += change
+    return result
 
 
 @dataclass(frozen=True)

@@ -12,8 +12,8 @@ import numpy as np
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.optimize.metrics import Metric
-from mistray.optimize.scene_values import changed
-from mistray.optimize.sensitivity_rows import Row, shifted_values
+from mistray.optimize.scene_values import assign
+from mistray.optimize.sensitivity_rows import Row, shifted_values, whole_values
 from mistray.scene.check import check_overlaps
 
 PERCENTILES = (5.0, 50.0, 95.0)
@@ -131,42 +131,47 @@ def draw_systems(
     slope = np.array([row.change.value for row in rows]) / tolerance
     # Of the very rays that all systems are traced with
     nominal = metric.value()
-    ratios, predicted = [], []
+    ratios: list[float] = []
+    predicted: list[float] = []
     rejected = 0
-    for number in range(count):
-        while True:
+    given = whole_values(params, lines)
+    try:
+        while len(ratios) < count:
             drawn = np.clip(value + tolerance * generator.standard_normal(len(rows))[places], low, high)
             drawn = _possible(rows, drawn, params)
-            values = shifted_values(params, lines, drawn.tolist())
-            if _fits(metric.scene, params, values):
-                break
-            rejected += 1
-            if rejected > MOST_REJECTED * (number + 1):
-                raise MistrayError(
-                    f"{rejected} of {rejected + number} perturbed systems have surfaces that cross; give smaller "
-                    "tolerances"
-                )
-        try:
-            with changed(params, values):
-                traced = metric.value()
-        except MistrayError as error:
-            raise MistrayError(f"perturbed system {number + 1}: {error}") from None
-        if not (math.isfinite(traced) and traced > 0):
-            raise MistrayError(f"perturbed system {number + 1}: the metric is {traced:g}; give more rays")
-        ratios.append(traced / nominal)
-        predicted.append(float(slope @ (drawn - value)))
-        advance()
+            try:
+                fits = _put(metric.scene, params, shifted_values(given, lines, drawn.tolist()))
+                traced = metric.value() if fits else math.nan
+            except MistrayError as error:
+                raise MistrayError(f"perturbed system {len(ratios) + 1}: {error}") from None
+            if not fits:
+                rejected += 1
+                if rejected > MOST_REJECTED * (len(ratios) + 1):
+                    raise MistrayError(
+                        f"{rejected} of {rejected + len(ratios)} perturbed systems have surfaces that cross; give "
+                        "smaller tolerances"
+                    )
+                continue
+            if not (math.isfinite(traced) and traced > 0):
+                raise MistrayError(f"perturbed system {len(ratios) + 1}: the metric is {traced:g}; give more rays")
+            ratios.append(traced / nominal)
+            predicted.append(float(slope @ (drawn - value)))
+            advance()
+    finally:
+        assign(params, given)
     return Draws(np.array(ratios), np.array(predicted), nominal, rejected)
 
 
-def _fits(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
-    """Whether no optical surfaces cross, all of them on their axis."""
-    centred = {key: value for key, value in values.items() if key.rsplit(".", 1)[-1] not in OFF_AXIS}
-    with changed(params, centred):
-        try:
-            check_overlaps(scene)
-        except MistrayError:
-            return False
+def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:
+    """Set the parameters, first those that leave surfaces on their axis; whether no optical surfaces cross there."""
+    aside = {key: value for key, value in values.items() if key.rsplit(".", 1)[-1] in OFF_AXIS}
+    assign(params, {**values, **{key: np.zeros_like(value) for key, value in aside.items()}})
+    try:
+        check_overlaps(scene)
+    except MistrayError:
+        return False
+    if aside:
+        assign(params, aside)
     return True
 
 

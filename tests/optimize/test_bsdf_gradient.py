@@ -20,9 +20,10 @@ from frozen_cases import Case, step
 from oracles.frozen_paths import Hits, power, rms_radius
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import scene_text, shape_xml
+from oracles.statistics import z_limit, z_score
 
 import mistray
-from mistray.optimize import Gradient
+from mistray.optimize import Gradient, path_power
 
 TOLERANCE = 1e-2  # of BSDF parameters
 SMALL = 0.1
@@ -149,3 +150,39 @@ def test_against_the_oracle(cases: Callable[[str], Case], name: str) -> None:
         noticed |= there
     assert not missed
     assert noticed >= {kind_of(key) for key in keys}
+
+
+def test_what_is_left_out_is_named(cases: Callable[[str], Case]) -> None:
+    """The roughness lobe of a glass depends on its index; that derivative is not there, and is not silently so."""
+    case = cases("polished lens")
+    metric = case.metric(lambda o: o.power("all"))
+    found = mistray.gradient(metric, mi.traverse(case.scene), ["rear.bsdf.n_front_shift"], edges=False)
+    assert any("scatter with the index" in text for text in found.left_out)
+
+
+def test_cleanliness_level() -> None:
+    """
+    Dust, whose random choices change with its level: two traces with other seeds at levels 6 % apart.
+
+    False-alarm probability 1e-3.
+    """
+    dust = bsdf_xml("particulate", level=400.0)
+    case = Case(lens((dust,), ()), {**TRACED, "rays": 60_000})
+    params, key = mi.traverse(case.scene), "front.bsdf.particulate.level"
+
+    def metric(seed: int) -> Any:
+        settings = {**TRACED, "rays": 60_000, "seed": seed}
+        field = settings.pop("field_deg")
+        return path_power(case.scene, lambda row: row.scatters > 0, fields_deg=field, **settings)
+
+    found = mistray.gradient(metric(5), params, [key], edges=False)
+    values = []
+    for seed, level in ((6, 388.0), (7, 412.0)):
+        params[key] = mi.Float(level)
+        params.update()
+        one = mistray.gradient(metric(seed), params, [key], edges=False)
+        values.append((one.value, one.value_se))
+    expected = (values[1][0] - values[0][0]) / 24.0
+    se = np.hypot(np.hypot(values[0][1], values[1][1]) / 24.0, found.standard_error[key][0])
+    assert se < 0.1 * expected
+    assert abs(z_score(found.gradient[key][0], expected, se)) < z_limit()

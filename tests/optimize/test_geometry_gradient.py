@@ -20,6 +20,7 @@ import pytest
 from frozen_cases import MOVE, Case, coated_text, scene_text, step, with_shape, with_values
 from oracles.frozen_paths import Hits
 from oracles.small_scenes import interface_xml, shape_xml
+from oracles.small_scenes import scene_text as small_text
 
 import mistray
 from mistray.optimize import Gradient
@@ -63,9 +64,31 @@ def phone_camera() -> Case:
     return Case(scene_text("phone_camera"), settings)
 
 
-CASES = {"singlet": singlet, "triplet": triplet, "double Gauss": double_gauss, "phone camera": phone_camera}
+def solid() -> Case:
+    """A detector cemented to glass that absorbs: each mm takes 2 % of the light."""
+    glass = "1.5+1e-6i"
+    front = shape_xml(
+        "asphere", "front", 0.0, interface_xml("air", glass, R=0.2, T=0.7), radius=30.0, semi_diameter=15.0
+    )
+    end = interface_xml(glass, "air", R=0.3)
+    detector = shape_xml("asphere", "detector", 40.0, end, sensor=True, half_width=20.0, half_height=20.0)
+    settings = {"rays": 300, "field_deg": 5.0, "seed": 7, **TRACED, "wavelength_nm": 550.0}
+    return Case(small_text(front, detector, radius=8.0), settings)
+
+
+CASES = {
+    "solid": solid,
+    "singlet": singlet,
+    "triplet": triplet,
+    "double Gauss": double_gauss,
+    "phone camera": phone_camera,
+}
 # The keys that are looked at one by one; all of them together are in `TestDirections`
 KEYS = {
+    "solid": [
+        *(f"{shape}.{name}" for shape in ("front", "detector") for name in (*POSE, "curvature", "conic", "a4")),
+        *("front.bsdf.n_back_shift", "front.bsdf.R", "front.bsdf.T", "detector.bsdf.R"),
+    ],
     "singlet": [
         *(f"L1_{face}.{name}" for face in ("front", "rear") for name in ("curvature", "conic", "a4")),
         *(f"L1_rear.{name}" for name in POSE),

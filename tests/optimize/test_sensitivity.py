@@ -13,7 +13,7 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import path_power
+from mistray.optimize import path_power, tolerance_draws
 from mistray.optimize.parameters import parameters
 from mistray.optimize.proposals import free_keys
 from mistray.optimize.scene_values import changed
@@ -97,12 +97,12 @@ def test_against_differences(load_scene) -> None:
     """The change per tolerance of a lens and its stop is that of traces with the same rays; 4.5 σ, false alarm 3e-5."""
     scene = load_scene(
         scene_text(
-            shape_xml("frustum", "stop", 5.0, r0=0.4, z0=0.0, r1=3.0, z1=0.0),
+            shape_xml("frustum", "stop", 14.0, r0=0.5, z0=0.0, r1=3.0, z1=0.0),
             shape_xml("asphere", "front", 0.0, interface_xml("air", "1.5", R=0.05, T=0.9), curvature=0.02,
                       semi_diameter=5.0),
             shape_xml("asphere", "rear", 3.0, interface_xml("1.5", "air", R=0.05, T=0.9), curvature=-0.02,
                       semi_diameter=5.0),
-            shape_xml("asphere", "detector", 20.0, sensor=True, half_width=1.5, half_height=1.5),
+            shape_xml("asphere", "detector", 20.0, sensor=True, half_width=0.9, half_height=0.9),
         )
     )  # fmt: skip
     metric, params = path_power(scene, "ghost", rays=8000), mi.traverse(scene)
@@ -119,7 +119,7 @@ def test_against_differences(load_scene) -> None:
         assert abs(found[key].change.value - change) < 4.5 * math.sqrt(2) * found[key].change.se + 1e-3 * abs(change), (
             key
         )
-    assert found["stop.r0"].change.value > 5 * found["stop.r0"].change.se
+    assert found["stop.r0"].change.value > 3 * found["stop.r0"].change.se
     assert not np.isnan(found["stop.r0"].edge_check)
 
 
@@ -159,7 +159,7 @@ class TestLines:
         assert not {"plate_front.curvature", "plate_front.bsdf.T", "detector.z", "plate_front.z"} & free
 
 
-def test_systems_that_cross_are_drawn_again(load_scene) -> None:
+def test_systems_that_cross_are_drawn_again(load_scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """Two faces 20 µm apart, which tolerances of 20 µm bring through one another in a quarter of all draws."""
     gap = [interface_xml("air", "1.5", R=0.1, T=0.8), interface_xml("1.5", "air", R=0.1, T=0.8)]
     scene = load_scene(
@@ -170,11 +170,12 @@ def test_systems_that_cross_are_drawn_again(load_scene) -> None:
         )
     )
     metric = path_power(scene, "direct", rays=64)
-    found = sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=20, seed=1)
-    assert 1 <= found.draws.rejected <= 30  # 5 expected … of 20 at 24 %; false alarm below 1 %, with a fixed seed
-    assert found.draws.ratios == pytest.approx(np.ones(20), rel=1e-6)
-    with pytest.raises(MistrayError, match="have surfaces that cross; give smaller tolerances"):
-        sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=2, tolerances={"*.z": 1e4})
+    found = sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=10, seed=1)
+    assert 1 <= found.draws.rejected <= 30  # 3 expected; none in 6 % of all seeds, and this one is fixed
+    assert found.draws.ratios == pytest.approx(np.ones(10), rel=1e-6)
+    monkeypatch.setattr(tolerance_draws, "_put", lambda *_: False)
+    with pytest.raises(MistrayError, match="21 of 21 perturbed systems have surfaces that cross; give smaller tol"):
+        sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=2)
 
 
 def test_a_table_has_all(table: Any) -> None:

@@ -15,7 +15,7 @@ from oracles.small_scenes import plates_text, write
 import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import Optimization, Term, measure, optimize
-from mistray.report.optimization import write_optimization
+from mistray.report.optimization import scene_text, write_optimization
 from mistray.report.optimization_plots import reflectance_figure, search_figure, variables_figure
 from mistray.report.optimization_tables import (
     comparison_table,
@@ -46,13 +46,17 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Optimization:
     return optimize(write(tmp_path_factory.mktemp("plate"), plates_text(1)), STUDY, verification_seeds=2)
 
 
+@pytest.fixture(scope="module")
+def files(result: Optimization, tmp_path_factory: pytest.TempPathFactory) -> list[Path]:
+    return write_optimization(result, tmp_path_factory.mktemp("optimised") / "new" / "out", "mistray optimize <x>")
+
+
 def read(path: Path) -> list[dict[str, str]]:
     with path.open(newline="") as file:
         return list(csv.DictReader(file))
 
 
-def test_files(result: Optimization, tmp_path: Path) -> None:
-    files = write_optimization(result, tmp_path / "new" / "out")
+def test_files(result: Optimization, files: list[Path]) -> None:
     assert [file.name for file in files] == [
         "scene.xml",
         "terms.csv",
@@ -63,7 +67,7 @@ def test_files(result: Optimization, tmp_path: Path) -> None:
         "reflectance.png",
         "report.html",
     ]
-    assert sorted(file.name for file in (tmp_path / "new" / "out").iterdir()) == sorted(file.name for file in files)
+    assert sorted(file.name for file in files[0].parent.iterdir()) == sorted(file.name for file in files)
     for file in files[4:7]:
         assert file.read_bytes().startswith(b"\x89PNG")
     rows = read(files[1])
@@ -90,12 +94,11 @@ def test_files(result: Optimization, tmp_path: Path) -> None:
     assert len(history) == len(result.steps)
     assert float(history[0]["rear.thickness_nm[0]"]) == pytest.approx(60.0)
     assert float(history[0]["price"]) == pytest.approx(150.0)
-    assert write_optimization(result, tmp_path / "new" / "out") == files, "files are replaced"
 
 
-def test_the_scene(result: Optimization, tmp_path: Path) -> None:
+def test_the_scene(result: Optimization, files: list[Path]) -> None:
     """It holds the result: layers, indices, and the terms as they were verified."""
-    scene = mistray.load(write_optimization(result, tmp_path)[0])
+    scene = mistray.load(files[0])
     params = mi.traverse(scene)
     for name in ("front", "rear"):
         assert np.array(params[f"{name}.thickness_nm"]) == pytest.approx(result.thickness_nm(name), rel=1e-6)
@@ -113,9 +116,12 @@ def test_a_scene_that_names_files(tmp_path: Path) -> None:
     assert "glass.csv" in scene.read_text()
     study = {**STUDY, "optimizer": {"starts": 1, "steps": 1}}
     result = optimize(scene, study, verification_seeds=2)
-    (file, *_) = write_optimization(result, tmp_path / "deep" / "out")
+    out = tmp_path / "deep" / "out"
+    out.mkdir(parents=True)
+    text = scene_text(result, out)
+    assert not list(out.iterdir())
+    (file := out / "scene.xml").write_text(text)
     assert np.array(mi.traverse(mistray.load(file))["rear.n_shift"]) == pytest.approx([result.after["n"]], rel=1e-6)
-    assert not [path for path in file.parent.iterdir() if path.name.startswith(".")]
 
 
 def test_without_coatings(tmp_path: Path) -> None:
@@ -134,9 +140,9 @@ def test_without_coatings(tmp_path: Path) -> None:
     assert "Coatings" not in files[-1].read_text(encoding="utf-8")
 
 
-def test_html(result: Optimization, tmp_path: Path) -> None:
+def test_html(result: Optimization, files: list[Path]) -> None:
     """Complete in itself, with every row of the comparison, every variable and layer, and the command."""
-    html = write_optimization(result, tmp_path, "mistray optimize <x>")[-1].read_text(encoding="utf-8")
+    html = files[-1].read_text(encoding="utf-8")
     assert "http" not in html
     assert html.count("data:image/png;base64,") == 3
     assert "mistray optimize &lt;x&gt;" in html

@@ -74,7 +74,7 @@ class TestTent:
         run = executed(load_scene(lens_text('<rfilter type="tent"/>')))
         x, y, w, _ = recorded(run)
         zero = np.zeros((0, len(x), 3))
-        expected = tent_image([Hits(x, y, 0.9 * w, w, zero)], (-1.5, 1.5, -1.0, 1.0), (8, 8))
+        expected = tent_image([Hits(x, y, 0.9 * w, w, zero, [])], (-1.5, 1.5, -1.0, 1.0), (8, 8))
         np.testing.assert_allclose(run.film[0], expected, rtol=2e-4, atol=1e-6 * expected.max())
         np.testing.assert_allclose(run.film[0].sum(), 0.9 * w.sum(), rtol=1e-6)
         assert np.any(np.abs(x) > 1.5 - 1.5 / 8)  # beyond the centres of the outer pixels

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from oracles.scatter_scenes import wall_xml
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
-from recorded_edges import traced_edges
+from recorded_edges import backward_edges, traced_edges
 
 import mistray
 from mistray.errors import MistrayError
@@ -255,6 +255,24 @@ class TestPortions:
         assert whole.shape[1] > 1000
         for a, b in zip(whole, parts, strict=True):
             np.testing.assert_allclose(np.sort(a), np.sort(b), rtol=1e-6, atol=1e-9)
+
+    def test_scattered_rays_past_a_rim_do_not_depend_on_the_order(self, load_scene, monkeypatch) -> None:
+        """Random numbers go with the hit: twice the same, and in portions of another size."""
+        text = scene_text(
+            shape_xml("frustum", "tube", 0.0, wall_xml(0.6), r0=15.0, z0=0.0, r1=15.0, z1=40.0),
+            shape_xml("frustum", "vane", 20.0, r0=6.0, z0=0.0, r1=15.0, z1=0.0),
+            shape_xml("frustum", "detector", 40.0, sensor=True, r0=0.0, z0=0.0, r1=5.0, z1=0.0),
+        )
+        trace = BackwardTrace(load_scene(text), DirectionGrid.of([45.0], cell_deg=90.0), Settings(max_scatters=3))
+        trace.advance(20_000)
+        found = []
+        for capacity in (edges.CAPACITY, edges.CAPACITY, 500):
+            monkeypatch.setattr(edges, "CAPACITY", capacity)
+            groups = backward_edges(trace, np.full((CLASS_COUNT, 1, 1), 1.0), 0.1)
+            found.append(np.sort(np.concatenate([hits.c[0] for hits in groups])))
+        assert len(found[0]) > 1000
+        for other in found[1:]:
+            np.testing.assert_allclose(other, found[0], rtol=1e-9, atol=1e-12)
 
     def test_a_ray_with_more_hits_than_can_be_kept(self, load_scene, monkeypatch) -> None:
         half = interface_xml(R=0.0, T=0.5)

@@ -1,0 +1,221 @@
+"""Budgets of scatter: two surfaces against Lagrange multipliers by hand, limits that cannot be met, bad files."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.small_scenes import scene_text, shape_xml
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.optimize import path_power
+from mistray.optimize.allocation import PowerCost, StepCost
+from mistray.optimize.budget import budget
+from mistray.optimize.read_budget import read_budget
+from mistray.optimize.scene_values import assign
+
+TRACED = {"rays": 4096, "max_reflections": 0, "flux_threshold": 0.0, "scatter_threshold": 0.0}
+AS_GIVEN = 4.0
+KEYS = [f"{side}.bsdf.harvey_shack.rms_nm" for side in ("front", "rear")]
+
+
+@pytest.fixture(scope="module")
+def source(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A window whose faces share a polish, before a small black detector."""
+    polish = bsdf_xml("harvey_shack", rms_nm=AS_GIVEN, l=0.05, s=-2.0, event="transmission")
+    shared = polish.replace("<bsdf ", '<bsdf id="polish" ', 1)
+    text = scene_text(
+        shared,
+        shape_xml("asphere", "front", 0.0, scattering_xml(['<ref id="polish"/>'], "air", "1.5", R=0.04, T=0.96),
+                  semi_diameter=20.0),
+        shape_xml("asphere", "rear", 15.0, scattering_xml(['<ref id="polish"/>'], "1.5", "air", R=0.04, T=0.96),
+                  semi_diameter=20.0),
+        shape_xml("asphere", "detector", 30.0, sensor=True, half_width=5.0, half_height=5.0),
+    )  # fmt: skip
+    path = tmp_path_factory.mktemp("budget") / "scene.xml"
+    path.write_text(text, encoding="utf-8")
+    return path
+
+
+def study(limit: float, **changes: Any) -> dict[str, Any]:
+    choose = [
+        {"surfaces": side, "parameter": "rms_nm", "best": 0.2, "worst": 20.0, "cost": {"weight": weight}}
+        for side, weight in (("front", 1.0), ("rear", 6.0))
+    ]
+    require = {"metric": "path_power", "selection": "single scatter", "limit": limit}
+    return {"require": [require], "choose": choose, "traced": TRACED, "solver": {"sigmas": 0.0, "seeds": 2}} | changes
+
+
+@pytest.fixture(scope="module")
+def parts(source: Path) -> np.ndarray:
+    """Scatter of either surface alone over σ²: traces in which the other one is almost smooth."""
+    text = source.read_text().replace('<ref id="polish"/>', bsdf_xml("harvey_shack", rms_nm=AS_GIVEN, l=0.05, s=-2.0,
+                                                                     event="transmission"))  # fmt: skip
+    path = source.parent / "own.xml"
+    path.write_text(text)
+    scene = mistray.load(path)
+    params, found = mi.traverse(scene), []
+    for rough, smooth in (KEYS, KEYS[::-1]):
+        assign(params, {rough: np.array([AS_GIVEN]), smooth: np.array([1e-3])})
+        found.append(path_power(scene, "single scatter", **TRACED).value() / AS_GIVEN**2)
+    return np.array(found)
+
+
+@pytest.fixture(scope="module")
+def limit(parts: np.ndarray) -> float:
+    return 0.25 * float(parts.sum()) * AS_GIVEN**2
+
+
+@pytest.fixture(scope="module")
+def result(source: Path, limit: float) -> Any:
+    return budget(source, study(limit))
+
+
+def by_hand(parts: np.ndarray, limit: float) -> np.ndarray:
+    """Least Σ w/σ with Σ a σ² = limit: σ ~ (w/a)^(1/3)."""
+    shape = (np.array([1.0, 6.0]) / parts) ** (1 / 3)
+    return shape * np.sqrt(limit / np.sum(parts * shape**2))
+
+
+class TestTwoSurfaces:
+    def test_numbers(self, result: Any, parts: np.ndarray, limit: float) -> None:
+        """To 1 %: what is scattered twice, and the light that scatter takes from the beam, are of second order."""
+        found = np.array([chosen.after for chosen in result.chosen])
+        assert [chosen.key for chosen in result.chosen] == KEYS
+        assert found == pytest.approx(by_hand(parts, limit), rel=1e-2)
+        assert abs(found / by_hand(parts * [1.0, 1.3], limit) - 1).max() > 0.03  # a wrong part is seen
+
+    def test_shares(self, result: Any, parts: np.ndarray) -> None:
+        """At the optimum a share is a σ² over the limit; before, a over the sum."""
+        before = [chosen.shares_before[0] for chosen in result.chosen]
+        after = np.array([chosen.shares_after[0] for chosen in result.chosen])
+        assert before == pytest.approx(parts / parts.sum(), rel=1e-2)
+        found = np.array([chosen.after for chosen in result.chosen])
+        assert after == pytest.approx(parts * found**2 / np.sum(parts * found**2), rel=2e-2)
+
+    def test_requirement(self, result: Any, limit: float) -> None:
+        (met,) = result.requirements
+        assert met.limit == limit
+        assert met.before.value == pytest.approx(4 * limit, rel=0.05)
+        assert met.after.value == pytest.approx(limit, rel=0.05)
+        assert result.gradients <= 3
+        assert met.distance == pytest.approx((limit - met.after.value) / met.after.se)
+
+    def test_cost(self, result: Any) -> None:
+        """Weight at the worst, 20 nm."""
+        assert result.cost[0] == pytest.approx(7 * 20 / AS_GIVEN)
+        expected = sum(w * 20 / chosen.after for w, chosen in zip((1, 6), result.chosen, strict=True))
+        assert result.cost[1] == pytest.approx(expected)
+
+    def test_the_scene_has_the_numbers(self, result: Any, tmp_path: Path) -> None:
+        path = tmp_path / "scene.xml"
+        path.write_text(result.scene_text(tmp_path), encoding="utf-8")
+        params = mi.traverse(mistray.load(path))
+        assert [float(params[key][0]) for key in KEYS] == pytest.approx(
+            [chosen.after for chosen in result.chosen], rel=1e-6
+        )
+
+
+def test_grades(source: Path, parts: np.ndarray, limit: float) -> None:
+    """The cheapest pair of grades that meets the limit, by trying all."""
+    values, costs = [0.5, 1.0, 2.0, 3.0, 4.0, 6.0], [12.0, 6.0, 3.0, 2.0, 1.5, 1.0]
+    choose = [{"surfaces": ["front", "rear"], "parameter": "rms_nm", "values": values, "costs": costs}]
+    found = budget(source, study(limit, choose=choose))
+    allowed = [
+        (costs[i] + costs[j], [values[i], values[j]])
+        for i in range(6)
+        for j in range(6)
+        if parts @ np.square([values[i], values[j]]) <= limit
+    ]
+    assert found.cost[1] == min(cost for cost, _ in allowed)
+    assert [chosen.after for chosen in found.chosen] in [numbers for _, numbers in allowed]
+
+
+def test_a_shared_model_stays_one(source: Path, limit: float) -> None:
+    """σ of both faces is AS_GIVEN · sqrt(limit / value)."""
+    choose = [{"surfaces": "front", "parameter": "rms_nm", "best": 0.2, "worst": 20.0}]
+    found = budget(source, study(limit, choose=choose, solver={"sigmas": 0.0, "seeds": 2, "shared": True}))
+    (chosen,) = found.chosen
+    assert (chosen.key, chosen.surfaces) == ("polish.rms_nm", ("front", "rear"))
+    assert chosen.after == pytest.approx(AS_GIVEN / 2, rel=1e-2)
+
+
+def test_what_cannot_be_met(source: Path, limit: float) -> None:
+    """With both at 3 nm of 4 there is 9/16 of the light left, 2.25 times a limit of a quarter."""
+    choose = [{"surfaces": ["front", "rear"], "parameter": "rms_nm", "best": 3.0, "worst": 20.0}]
+    with pytest.raises(
+        MistrayError, match=r"with every number at its best the path power is .* 2\.2\d times the limit"
+    ):
+        budget(source, study(limit, choose=choose))
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        ({"require": []}, r"require is missing; add at least one section \[\[require\]\]"),
+        ({"choose": []}, r"choose is missing; add at least one section \[\[choose\]\]"),
+        ({"chose": []}, "chose is unknown; did you mean 'choose'"),
+        ({"require": [{"metric": "pst_bond", "limit": 1}]}, "did you mean 'pst_band'"),
+        ({"require": [{"metric": "pst_band", "limit": 1.0}]}, "low_deg is missing; the metric 'pst_band' needs"),
+        ({"require": [{"metric": "path_power"}]}, "limit is missing"),
+        ({"require": [{"metric": "path_power", "limit": -1}]}, "limit is -1; it must be a number greater than 0"),
+        ({"choose": [{"surfaces": "front", "parameter": "rms"}]}, "did you mean 'rms_nm'"),
+        ({"choose": [{"surfaces": [], "parameter": "rms_nm"}]}, "give ids of shapes or patterns"),
+        ({"choose": [{"surfaces": "front", "parameter": "rms_nm", "best": 3, "worst": 2}]}, "less than the worst"),
+        ({"choose": [{"surfaces": "a", "parameter": "level", "values": [2, 1], "costs": [1, 1]}]}, "ascending numbers"),
+        (
+            {"choose": [{"surfaces": "a", "parameter": "level", "values": [1, 2], "costs": [1, 2]}]},
+            "must not cost more",
+        ),
+        ({"choose": [{"surfaces": "a", "parameter": "level", "values": [1, 2], "costs": [1]}]}, "has 1 entries for 2"),
+        ({"choose": [{"surfaces": "a", "parameter": "level", "values": [1, 2]}]}, "costs is missing"),
+        ({"solver": {"seeds": 1}}, "seeds is 1; it must be a number from 2"),
+    ],
+)
+def test_bad_files(change: dict[str, Any], words: str) -> None:
+    with pytest.raises(MistrayError, match=words):
+        read_budget(study(1.0) | change)
+
+
+@pytest.mark.parametrize(
+    ("choose", "words"),
+    [
+        (
+            [{"surfaces": "front", "parameter": "level", "best": 100, "worst": 300}],
+            "no surface 'front' has a level with",
+        ),
+        ([{"surfaces": "side", "parameter": "rms_nm", "best": 1, "worst": 3}], "those that have one are front, rear"),
+        (
+            [{"surfaces": name, "parameter": "rms_nm", "best": 1, "worst": 3} for name in ("front", "*")],
+            "another section",
+        ),
+    ],
+)
+def test_surfaces_that_do_not_fit(source: Path, choose: list[dict[str, Any]], words: str) -> None:
+    with pytest.raises(MistrayError, match=words):
+        budget(source, study(1.0, choose=choose))
+
+
+def test_files(tmp_path: Path) -> None:
+    path = tmp_path / "budget.toml"
+    path.write_text(
+        '[[require]]\nmetric = "pst_band"\nlow_deg = 20\nhigh_deg = 80\nlimit = 1e-6\n'
+        '[[choose]]\nsurfaces = "L*"\nparameter = "level"\nvalues = [100, 300]\ncosts = [3, 1]\n'
+        '[[choose]]\nsurfaces = ["L*"]\nparameter = "rms_nm"\nbest = 1\nworst = 4\ncost = { exponent = 2 }\n'
+        "[traced]\nrays = 1000\n"
+    )
+    found = read_budget(path)
+    assert found.requirements[0].arguments == {"low_deg": 20, "high_deg": 80, "rays": 1000}
+    assert found.choices[0].cost == StepCost((100.0, 300.0), (3.0, 1.0))
+    assert found.choices[1].cost == PowerCost(1.0, 4.0, 2.0)
+    assert read_budget(found) is found
+    with pytest.raises(MistrayError, match="No such file"):
+        read_budget(tmp_path / "no.toml")
+    path.write_text("[[require]\n")
+    with pytest.raises(MistrayError, match="correct the TOML"):
+        read_budget(path)
