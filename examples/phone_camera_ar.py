@@ -1,8 +1,9 @@
 """Antireflection coatings of the phone camera against its ghosts, with the number of layers as the price.
 
-For 1, 2, 3, 4 and 6 layers two designs are sought: one for each glass, and from that one for each surface. All are
-measured with the textbook coatings on the same rays, which no search has seen, at twice as many wavelengths. Run from
-anywhere, on two cores it takes less than five minutes:
+For 1, 2, 3, 4 and 6 layers two designs are sought: one for each glass, and one for each surface. The gradient of the
+ghosts by the reflectances of all surfaces, at all wavelengths and angles, says what every surface is worth; with it the
+designs are found on the host. All are then traced beside the textbook coatings, on rays and at wavelengths that no
+search has seen. Run from anywhere, on two cores it takes some minutes:
 python examples/phone_camera_ar.py [folder for the results]
 """
 
@@ -11,9 +12,8 @@ from __future__ import annotations
 import sys
 import tempfile
 import time
-import tomllib
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,16 +23,15 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import MaxNLocator
 
 import mistray
-from mistray.coatings import layer_text, preset, spectrum
-from mistray.optimize import optimize, path_power
-from mistray.report.optimization import write_optimization
+from mistray.coatings import Stack, parse_layers, preset, spectrum
+from mistray.optimize import Metric, path_power
+from mistray.optimize.reflectance_weights import ReflectanceWeights, best_thicknesses, reflectance_weights
 from mistray.report.output import csv_text, write_files
 from mistray.report.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating, write_recoated
 
 SCENE = "phone_camera"
-STUDY = Path(__file__).with_name("phone_camera_ar.toml")
 GLASSES = {
     "window": ("window_front", "window_rear"),
     "crown": ("L1_front", "L1_rear", "L4_front", "L4_rear"),
@@ -46,13 +45,22 @@ MATERIALS = {
     "flint": "nd=1.632 Vd=23.3 k=0",
     "filter": "nd=1.516 Vd=64.1 k=0",
 }
-PRESETS = {1: "mgf2_quarter_wave", 2: "v_coat", 3: "bbar3", 4: "bbar4"}  # by the number of layers
-# No preset has six: bbar4 with a thin pair between it and the glass
-SIX = "1.38 0.2389w, 2.10 0.5079w, 1.38 0.0834w, 2.10 0.0552w, 1.38 0.015w, 2.10 0.02w"
-LAYERS = (1, 2, 3, 4, 6)
-THICKNESS_NM = (5.0, 260.0)
-STARTS = 3  # of the search for each glass; that for each surface goes on from its result
-SEED, RAYS, STEP_NM = 1000, 1800, 25  # of the measurement
+TEXTBOOK = ("mgf2_quarter_wave", "v_coat", "bbar3", "bbar4")  # presets of 1, 2, 3 and 4 layers
+# By the number of layers, with the materials of the presets; no preset has six
+LAYERS = {
+    1: "1.38 0.25w",
+    2: "1.38 0.318w, 2.10 0.067w",
+    3: "1.38 0.25w, 2.10 0.5w, 1.63 0.25w",
+    4: "1.38 0.2389w, 2.10 0.5079w, 1.38 0.0834w, 2.10 0.0552w",
+    6: "1.38 0.2389w, 2.10 0.5079w, 1.38 0.0834w, 2.10 0.0552w, 1.38 0.05w, 2.10 0.05w",
+}
+STARTS = {count: Stack(parse_layers(text, 550.0)) for count, text in LAYERS.items()}
+LOW_NM, HIGH_NM = 5.0, 260.0  # of a layer
+ROUNDS = 2
+FIELDS_DEG = (0, 5, 10, 15, 20, 25, 26, 27)
+SEARCH_NM, SEARCH_RAYS = (450, 500, 550, 600, 650), 320
+BAND_NM = tuple(range(450, 651, 25))
+SEED, RAYS = 1000, 1800  # of the measurement, the rays at each field
 COLOURS = (SKY, GREEN, ORANGE, PURPLE, BLACK, BLUE)  # by the number of layers
 
 
@@ -97,76 +105,76 @@ def _error(parts: np.ndarray) -> float:
     return float(np.sqrt(parts.shape[1] * parts.var(axis=1, ddof=1).sum()))
 
 
-def measured(
-    kind: str, layers: int, coatings: Sequence[SharedCoating], study: Mapping[str, Any], rays: int = RAYS
-) -> Design:
-    """A design with its ghosts, on rays that no search has seen."""
-    (term,) = study["term"]
-    band = term["wavelength_nm"]
+def ghost_metric(coatings: Sequence[SharedCoating], wavelength_nm: Sequence[float], rays: int) -> Metric:
+    """Ghost power over launched power with some coatings on the camera, mean over the fields."""
     with tempfile.TemporaryDirectory() as folder:
         scene = mistray.load(write_recoated(find(SCENE), coatings, Path(folder) / "scene.xml"))
-        metric = path_power(
-            scene,
-            term["selection"],
-            fields_deg=term["fields_deg"],
-            wavelength_nm=np.arange(band["start"], band["stop"] + 1, STEP_NM).tolist(),
-            rays=rays,
-            max_reflections=term["max_reflections"],
-            flux_threshold=0,
-        )
-        parts = []
-        for seen in metric.observe(seed=SEED):
-            ghosts = np.array([float(path.kind == term["selection"]) for path in seen.trace.paths])
-            parts.append(seen.trace.by_batch(ghosts) / seen.launched_W)
+    traced = {"max_reflections": 2, "flux_threshold": 0, "rays": rays}
+    return path_power(scene, "ghost", fields_deg=FIELDS_DEG, wavelength_nm=wavelength_nm, **traced)
+
+
+def measured(kind: str, layers: int, coatings: Sequence[SharedCoating], rays: int) -> Design:
+    """A design with its ghosts, on rays and at wavelengths that no search has seen."""
+    observations = ghost_metric(coatings, BAND_NM, rays).observe(seed=SEED)
+    parts = []
+    for seen in observations:
+        ghosts = np.array([float(path.kind == "ghost") for path in seen.trace.paths])
+        parts.append(seen.trace.by_batch(ghosts) / seen.launched_W)
     return Design(kind, layers, tuple(coatings), np.array(parts) / len(parts))
 
 
-def search(
-    study: Mapping[str, Any], coatings: Sequence[Mapping[str, Any]], starts: int, folder: Path | None
-) -> tuple[SharedCoating, ...]:
-    """The coatings that a search from some start ends with; its report goes into the folder."""
-    own = {**study, "coating": [{"thickness_nm": list(THICKNESS_NM), **coating} for coating in coatings]}
-    own["optimizer"] = {**study["optimizer"], "starts": starts}
-    result = optimize(SCENE, own, verification_seeds=2)
-    if folder is not None:
-        write_optimization(result, folder)
-    return tuple(result.coatings)
+def search(groups: Mapping[str, Sequence[str]], start: Stack, known: ReflectanceWeights) -> tuple[SharedCoating, ...]:
+    """
+    A design of its own for each group of surfaces: least sum of weight times R, then again with the weights there.
+
+    The ghosts are linear in R but for those between two lens surfaces, so that two rounds suffice; the better counts.
+    """
+    stacks = dict.fromkeys(groups, start)
+    best = np.inf, ()
+    for _ in range(ROUNDS):
+        for name, surfaces in groups.items():
+            cost = known.cost(surfaces, start)
+            given = [
+                np.clip([layer.thickness_nm for layer in stack.layers], LOW_NM, HIGH_NM)
+                for stack in {start, stacks[name]}
+            ]
+            low, high = (np.full(len(start.layers), bound) for bound in (LOW_NM, HIGH_NM))
+            thickness = best_thicknesses(cost, low, high, given)
+            layers = (replace(one, thickness_nm=float(d)) for one, d in zip(start.layers, thickness, strict=True))
+            stacks[name] = replace(start, layers=tuple(layers))
+        coatings = tuple(SharedCoating(name, stacks[name], tuple(surfaces)) for name, surfaces in groups.items())
+        known = reflectance_weights(ghost_metric(coatings, SEARCH_NM, SEARCH_RAYS))
+        best = min(best, (known.value, coatings), key=lambda pair: pair[0])
+    return best[1]
 
 
-def designs(
-    study: Mapping[str, Any], layers: Sequence[int] = LAYERS, rays: int = RAYS, folder: Path | None = None
-) -> list[Design]:
+def designs(layers: Sequence[int] = tuple(STARTS), rays: int = RAYS) -> list[Design]:
     """
     The presets on all surfaces, and designs of so many layers for each glass and for each surface.
 
     Parameters
     ----------
-    study : mapping
-        Term and optimizer.
     layers : sequence of int
+        Keys of `STARTS`.
     rays : int
         Of the measurement, at each field.
-    folder : Path, optional
-        For the reports of the searches.
     """
     found = [
-        measured(name, count, [SharedCoating(name, preset(name), SURFACES)], study, rays)
-        for count, name in PRESETS.items()
+        measured(name, len(stack.layers), [SharedCoating(name, stack, SURFACES)], rays) for name, stack in textbook()
     ]
+    ready = SharedCoating("start", STARTS[3], SURFACES)
+    known = reflectance_weights(ghost_metric([ready], SEARCH_NM, SEARCH_RAYS))
     for count in layers:
-        start = {"preset": PRESETS[count]} if count in PRESETS else {"layers": SIX}
-        glasses = [{"name": glass, "surfaces": list(surfaces), **start} for glass, surfaces in GLASSES.items()]
-        best = search(study, glasses, STARTS, folder and folder / f"glass_{count}")
-        found.append(measured("glass", count, best, study, rays))
-        single = [
-            {"name": surface, "surfaces": [surface], "layers": layer_text(coating.stack.layers)}
-            for coating in best
-            for surface in coating.surfaces
-        ]
-        best = search(study, single, 1, folder and folder / f"surface_{count}")
-        found.append(measured("surface", count, best, study, rays))
-        print(f"{count} layers: {', '.join(f'{d.kind} {d.ghosts[0]:.3g}' for d in found[-2:])}", flush=True)
+        for kind, groups in (("glass", GLASSES), ("surface", {surface: (surface,) for surface in SURFACES})):
+            found.append(measured(kind, count, search(groups, STARTS[count], known), rays))
+            print(f"{count} layers per {kind}: ghosts {found[-1].ghosts[0]:.3g}", flush=True)
     return found
+
+
+def textbook() -> Iterator[tuple[str, Stack]]:
+    """The transparent presets."""
+    for name in TEXTBOOK:
+        yield name, preset(name)
 
 
 def rival(design: Design, found: Sequence[Design]) -> Design:
@@ -241,10 +249,14 @@ def reflectance_figure(found: Sequence[Design]) -> Figure:
 
 
 def main(folder: Path) -> None:
-    """Search all designs, write reports, table and pictures."""
+    """Search all designs, write scenes, table and pictures."""
     started = time.perf_counter()
-    found = designs(tomllib.loads(STUDY.read_text()), folder=folder)
+    found = designs()
     rows = table(found)
+    folder.mkdir(parents=True, exist_ok=True)
+    for design in found:
+        note = f"{design.layers} layers, {design.kind}: ghosts {design.ghosts[0]:.3g} of the launched power"
+        write_recoated(find(SCENE), design.coatings, folder / f"{design.kind}_{design.layers}.xml", note)
     write_files({"layers.csv": csv_text(rows)}, folder)
     curve_figure(found).savefig(folder / "layers.png")
     reflectance_figure(found).savefig(folder / "reflectance.png")

@@ -19,7 +19,7 @@ def add(commands: Any) -> None:
         "stay below their limits at the least cost. BUDGET is a TOML file with the limits, the surfaces and what\n"
         "things cost; docs/sensitivity.md describes it. The result is measured on other random numbers.",
         epilog="examples:\n"
-        "  mistray budget phone_camera_scatter examples/phone_budget.toml --out out/budget\n"
+        "  mistray budget phone_camera_scatter budget.toml --out out/budget\n"
         "  mistray budget scene.xml budget.toml --json",
         formatter_class=RAW,
     )

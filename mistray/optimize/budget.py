@@ -241,6 +241,8 @@ class _Search:
             choices = self.choices(numbers)
             # What aims at a limit itself misses it every other time
             aim = self.limits / (1 + self.study.sigmas * errors / values)
+            if excess(choices, model, aim) > 1:  # no room for noise
+                aim = self.limits
             if excess(choices, model, aim) > 1:
                 new = np.array([choice.grades().min() for choice in choices])
                 if np.allclose(new, numbers, rtol=1e-6) and np.any(values > self.limits):

@@ -14,7 +14,7 @@ from mistray.optimize.pst_model import Modelled
 
 Model = Callable[[np.ndarray], Modelled]
 STEPS = 30
-SETTLED = 0.05  # of a standard deviation, by which the next step would move the estimate
+SETTLED = 1.0  # standard deviations; a shorter step is taken with the derivatives as they are
 LONGEST = np.log(3.0)  # change of the logarithm of a parameter in one step
 DAMPING = 1e-3  # of Levenberg and Marquardt, at the start
 MOST_DAMPING = 1e6
@@ -39,7 +39,7 @@ class Fit:
         Covariance of the residual: noise of the data and of the model.
     chi_square : float
     history : tuple of (k,) float64
-        The values that were accepted, the start first.
+        The values that were accepted, the start first, the estimate last.
     evaluations : int
     """
 
@@ -111,12 +111,13 @@ def fit(
 
     Levenberg and Marquardt's method (D. W. Marquardt, J. SIAM 11, 1963). The weights are the inverse of the covariance
     of the data plus that of the model's own Monte Carlo noise, renewed at every step; the covariance of the estimate is
-    (Jᵀ W J)⁻¹. It ends when the next step would be less than 0.05 standard deviations long.
+    (Jᵀ W J)⁻¹. It ends with the first step that is shorter than a standard deviation, without another evaluation: the
+    noise of the model is then that of one evaluation, which is in the covariance.
 
     Parameters
     ----------
     model : callable
-        Takes values of the parameters, (k,), and returns a `Modelled`, with the same random numbers at each call.
+        Takes values of the parameters, (k,), and returns a `Modelled`, such as a `PstBands`.
     observed : (n,) float
     noise : (n,) or (n, n) float
         Standard errors of the data, or their covariance.
@@ -166,11 +167,18 @@ def fit(
             raise MistrayError(f"the data do not tell {', '.join(names)} apart; fix one of them or add other data")
         ahead = np.linalg.solve(curvature, slope)
         chi_square = float(residual @ cho_solve(weights, residual))
-        if ahead @ curvature @ ahead < SETTLED**2 or np.array_equal(np.clip(x + ahead, *bounds), x):
-            covariance = np.linalg.inv(curvature)
-            noise_of_all = spread + here.covariance
+        ahead = np.clip(x + ahead, *bounds) - x
+        if ahead @ curvature @ ahead < SETTLED**2:
+            left = residual - by_log @ ahead
             return Fit(
-                names, np.exp(x), covariance, residual, noise_of_all, chi_square, tuple(history), evaluations
+                names,
+                np.exp(x + ahead),
+                np.linalg.inv(curvature),
+                left,
+                spread + here.covariance,
+                float(left @ cho_solve(weights, left)),
+                (*history, np.exp(x + ahead)),
+                evaluations,
             )
         while True:
             if evaluations >= steps or damping > MOST_DAMPING:
@@ -185,7 +193,8 @@ def fit(
             there = _evaluate(model, tried, data)
             evaluations += 1
             apart = data - there.value
-            if float(apart @ cho_solve(weights, apart)) < chi_square:
+            # At other values a model may have drawn other rays: χ² has noise of its own
+            if float(apart @ cho_solve(weights, apart)) < chi_square + len(data):
                 x, here, damping = tried, there, damping / 10
                 history.append(np.exp(x))
                 break

@@ -220,10 +220,10 @@ def cloud(
     from scipy.interpolate import CubicSpline
 
     check_distribution(level, slope, min_um, max_um)
-    d, weight = _sizes(min_um, level if max_um is None else max_um)
+    largest = level if max_um is None else max_um
+    d, weight = _sizes(min_um, largest)
     weight = weight * density(d, level, slope) / AREA_UM2
-    angle = 2 * np.arctan(np.exp(_U))
-    cross, area, scattered = _cross_sections(d, wavelength_um, index, immersion, angle)
+    cross, area, scattered = _cross_sections(min_um, largest, wavelength_um, index, immersion)
     f, extinction, scattering = weight @ cross, float(weight @ area), float(weight @ scattered)
     return Cloud(extinction, scattering, CubicSpline(_U, np.log(f)))
 
@@ -242,12 +242,14 @@ def check_distribution(level: float, slope: float, min_um: float, max_um: float 
         )
 
 
+@lru_cache(maxsize=8)
 def _cross_sections(
-    d: np.ndarray, wavelength_um: float, index: complex, immersion: float, angle: np.ndarray
+    min_um: float, max_um: float, wavelength_um: float, index: complex, immersion: float
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of spheres, µm²: per solid angle (m, a), extinction and scattering (m,)."""
+    """Of the spheres of `_sizes`, µm²: per solid angle at the nodes (m, a), extinction and scattering (m,)."""
+    d, _ = _sizes(min_um, max_um)
     k = 2 * np.pi * immersion / wavelength_um
-    answer = spheres(k * d / 2, index / immersion, angle)
+    answer = spheres(k * d / 2, index / immersion, 2 * np.arctan(np.exp(_U)))
     area = np.pi * d**2 / 4
     return answer.intensity / k**2, answer.extinction * area, answer.scattering * area
 

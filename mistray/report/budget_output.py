@@ -10,6 +10,7 @@ from pathlib import Path
 import numpy as np
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from mistray.optimize.budget import Budget
 from mistray.report.budget_tables import (
@@ -52,6 +53,9 @@ def budget_figure(result: Budget, title: str = "") -> Figure:
             right.barh(place + 0.2, 100 * worst[0], height=0.36, color="#c9ced4")
             right.barh(place - 0.2, 100 * worst[1], height=0.36, color=BLUE)
         left.set_xscale("log")
+        left.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
+        left.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
+        left.xaxis.set_minor_formatter(NullFormatter())
         left.set_yticks(places, [surfaces_text(chosen) for chosen in shown], fontsize=8)
         unit = shown[0].unit
         left.set_xlabel(f"{kind}{f' [{unit}]' if unit not in ('', '1') else ''}")

@@ -38,6 +38,7 @@ from mistray.trace.sky import PathBook, Sky, Thrift
 from mistray.trace.sources import spectrum_of
 from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.upload import upload
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the fifth and all that follow
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
@@ -134,7 +135,7 @@ class BackwardTrace:
         for surface, share in found.views.items():
             chance[surface] = np.clip(VIEWS_OF_SKY * share, min(1.0, SCATTERS_OF_RAY / optics), 1.0)
         ghosts = dr.opaque(mi.Float, min(1.0, REFLECTIONS_OF_RAY / optics))
-        self._thrift = Thrift(mi.Float(chance), ghosts)
+        self._thrift = Thrift(upload(mi.Float, chance), ghosts)
         self.bands = []
         for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
             table = first if wavelength == first.wavelength_nm else first.at(wavelength)

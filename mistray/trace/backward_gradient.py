@@ -55,7 +55,7 @@ def backward_gradient(
     if trace.pass_rays is None:
         raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
     if groups is not None and wanted.edges:
-        raise MistrayError("derivatives by groups of cells do not know what rays gain and lose at rims; use edges=False")
+        raise MistrayError("derivatives by groups of cells do not know what rims take and give; use edges=False")
     for number, band in enumerate(trace.bands):
         started = time.perf_counter()
         gatherer = Gatherer(

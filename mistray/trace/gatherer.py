@@ -21,6 +21,7 @@ from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
+from mistray.trace.upload import upload
 
 CAPACITY = 1 << 17  # rays that are recorded at once
 ROOM = 1.3  # of the buffer over what the trace has counted
@@ -142,7 +143,7 @@ class Gatherer:
                 continue
             chosen = used[np.argsort(np.array(events.paths.path)[rows[used]], kind="stable")]
             rays = branches(events.paths, start, rows[chosen])
-            picked = mi.UInt32(chosen.astype(np.uint32))
+            picked = upload(mi.UInt32, chosen)
             rim, joined = (dr.gather(mi.UInt32, v, picked) for v in (events.rim, events.joined))
             end = RimEnd(rim, joined, dr.gather(mi.Float64, c, picked))
             replay_rays(surfaces, rays, follow(surfaces, rays), end, None, self.start_surface)
@@ -198,7 +199,7 @@ class RimEnd:
 
 def branches(recorder: Recorder, start: StartRays, rows: np.ndarray) -> Branches:
     """Recorded rays of a portion."""
-    row = mi.UInt32(rows.astype(np.uint32))
+    row = upload(mi.UInt32, rows)
     lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
     length = dr.gather(mi.UInt32, recorder.length, row)
     o, d = (mi.Vector3d(dr.gather(mi.Vector3f, v, lane)) for v in (start.o, start.d))

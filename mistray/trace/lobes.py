@@ -39,7 +39,7 @@ class RadialSampler:
         cells = [np.column_stack([table.probability, table.alias]) for table in tables]
         self._logs = upload(mi.Float, np.concatenate(logs))
         self._cells = upload(mi.Float, np.concatenate(cells))
-        self.total = mi.Float([table.total for table in tables])
+        self.total = upload(mi.Float, np.array([table.total for table in tables]))
         dr.eval(self._logs, self._cells, self.total)
 
     @property

@@ -336,14 +336,14 @@ class Optics:
             )
         self.host_words = words
         self.one_child = bool(np.any(words & ONE_CHILD))
-        self.words = mi.UInt32(words)
+        self.words = upload(mi.UInt32, words)
         self.indices = upload(mi.Float, self.host_indices)
         self.places = upload(mi.UInt32, self.host_places)
         self.table = upload(mi.Float, np.concatenate(rows))
         extinction = np.array(absorption) + scattering
-        self.extinction = mi.Float(extinction)
-        self.albedo = mi.Float(np.array(scattering) / np.maximum(extinction, np.finfo(float).tiny))
-        self._asymmetry = mi.Float(asymmetry)
+        self.extinction = upload(mi.Float, extinction)
+        self.albedo = upload(mi.Float, np.array(scattering) / np.maximum(extinction, np.finfo(float).tiny))
+        self._asymmetry = upload(mi.Float, np.array(asymmetry))
         self.absorbs, self.scatters = bool(extinction.any()), any(scattering)
         dr.eval(self.words, self.indices, self.places, self.table, self.extinction, self.albedo, self._asymmetry)
 
@@ -361,6 +361,18 @@ class Optics:
         if bsdf.ideal:
             return IDEAL
         return FRESNEL if isinstance(bsdf.coating, Bare) and not metal and not self.stokes else TABLED
+
+    def attenuate(
+        self, flux: mi.Float, medium: mi.UInt32, length: mi.Float, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Float, mi.Float]:
+        """What is left of light at the end of segments (mm), what their media scatter, and what they absorb."""
+        coefficient = dr.gather(mi.Float, self.extinction, medium, active)
+        left = flux * dr.exp(-coefficient * dr.select(active, length, 0))
+        taken, clouded = flux - left, mi.Float(0)
+        if self.scatters:
+            clouded = taken * dr.gather(mi.Float, self.albedo, medium, active)
+            taken = taken - clouded
+        return left, clouded, taken
 
     def scatter_in_bulk(
         self, medium: mi.UInt32, d: mi.Vector3f, length: mi.Float, rng: mi.PCG32, active: mi.Bool

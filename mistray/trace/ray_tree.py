@@ -121,21 +121,16 @@ def walk(
         In an adjoint walk what the metric gains from each lane: derivative × flux, summed over its hits.
     """
     o, d, batch, lane, rng = start.o, start.d, start.batch, start.lane, mi.PCG32(start.rng)
-    n = dr.width(o)
-    max_events = settings.max_events
-    has_stock = table.stock_scene is not None
-    absorbs = table.optics.absorbs
-    threshold = dr.opaque(mi.Float, settings.flux_threshold)
-    max_reflections = dr.opaque(mi.UInt32, settings.max_reflections)
-    bulk = table.optics.scatters
+    n, max_events = dr.width(o), settings.max_events
+    has_stock, bulk = table.stock_scene is not None, table.optics.scatters
     scatters = (scattering.any or bulk) and settings.max_scatters > 0
-    max_generations = dr.opaque(mi.UInt32, settings.max_generations)
-    scatter_limits = [
-        dr.opaque(mi.UInt32, limit)
-        for limit in (settings.max_scatters, settings.max_random_scatters, settings.max_optical_scatters)
-    ]
-    scatter_rays = dr.opaque(mi.UInt32, settings.scatter_rays)
-    scatter_threshold = dr.opaque(mi.Float, settings.scatter_threshold)
+    threshold, scatter_threshold = (
+        dr.opaque(mi.Float, limit) for limit in (settings.flux_threshold, settings.scatter_threshold)
+    )
+    scatter_limits = [dr.opaque(mi.UInt32, limit) for limit in settings.scatter_limits]
+    max_reflections, max_generations, scatter_rays = (
+        dr.opaque(mi.UInt32, v) for v in (settings.max_reflections, settings.max_generations, settings.scatter_rays)
+    )
     recorded_floats = recorder.node_floats if recorder is not None else POINT_FLOATS if rims is not None else 0
     split, roulette = settings.splitting == "split", settings.below_threshold == "roulette"
 
@@ -145,14 +140,9 @@ def walk(
 
     def attenuate(flux: mi.Float, medium: mi.UInt32, length: mi.Float, hit: mi.Bool) -> tuple[mi.Float, mi.Float]:
         """What is left at the end of segments, and what their media scatter; what they absorb is booked."""
-        if not absorbs:
+        if not table.optics.absorbs:
             return flux, mi.Float(0)
-        coefficient = dr.gather(mi.Float, table.optics.extinction, medium, hit)
-        left = flux * dr.exp(-coefficient * dr.select(hit, length, 0))
-        taken, clouded = flux - left, mi.Float(0)
-        if bulk:
-            clouded = taken * dr.gather(mi.Float, table.optics.albedo, medium, hit)
-            taken = taken - clouded
+        left, clouded, taken = table.optics.attenuate(flux, medium, length, hit)
         if tallies is not None:
             tallies.add_medium(medium, batch, taken, hit & (taken > 0))
         return left, clouded
@@ -177,7 +167,7 @@ def walk(
     rim_events = rims.memory(max_events) if rims is not None else ()
 
     # First segment: from the source to the first surface
-    left_behind = full(NO_SURFACE) if start.left is None else start.left
+    left_behind, start_medium = start.given("left", full(NO_SURFACE)), start.given("medium", full())
     first_depth, first_key = start.given("depth", full()), start.given("key", dr.full(mi.UInt64, FIRST_KEY, n))
     first_reflections, first_scatters = start.given("reflections", full()), start.given("scatters", full())
     first_aside = start.given("aside", dr.full(mi.Bool, False, n))
@@ -202,7 +192,6 @@ def walk(
                 *(d, start.w, first_reflections, scattered_before, first_aside),
                 *(batch, start, first_key, first_depth, lambda k, _: k, missed),
             )
-    start_medium = full() if start.medium is None else start.medium
     start_w, start_clouded = attenuate(start.w, start_medium, t, hit)
 
     state = {

@@ -87,26 +87,26 @@ class ReplaySurfaces:
             if name in wanted.geometry:
                 self.columns[name] = _tracked(np.tile(own, BATCHES))
             elif np.any(own):
-                self.columns[name] = mi.Float64(own)
+                self.columns[name] = upload(mi.Float64, own)
         optics = table.optics
         indices, rows, ideal = numbers.indices, numbers.rows, numbers.ideal
         self._indices = _tracked(np.tile(indices.ravel(), BATCHES)) if wanted.indices else None
-        self._plain_indices = mi.Float64(indices.ravel())
+        self._plain_indices = upload(mi.Float64, indices)
         self.rows = len(rows)
         if wanted.rows:
             self._rows, self._ideal = (_tracked(np.tile(v.ravel(), BATCHES)) for v in (rows, ideal))
         else:
-            self._rows, self._ideal = mi.Float64(rows.ravel()), mi.Float64(ideal.ravel())
+            self._rows, self._ideal = upload(mi.Float64, rows), upload(mi.Float64, ideal)
         self._row_stride = dr.opaque(mi.UInt32, rows.size if wanted.rows else 0)
         self._ideal_stride = dr.opaque(mi.UInt32, ideal.size if wanted.rows else 0)
-        self._vertices = mi.Float64(table.vertices.ravel())
-        self._rotations = mi.Float64(table.rotations.ravel())
+        self._vertices = upload(mi.Float64, table.vertices)
+        self._rotations = upload(mi.Float64, table.rotations)
         cones = np.zeros(self.count)
         for piece in table.pieces:
             cones[piece.index] = piece.kind == "cone"
         # F falls along the normal of all but cones, see `_surface`
-        self._signs, self._cones = mi.Float64(2 * cones - 1), mi.Float64(cones)
-        self._extinction = mi.Float64(np.array(optics.extinction, dtype=np.float64))
+        self._signs, self._cones = upload(mi.Float64, 2 * cones - 1), upload(mi.Float64, cones)
+        self._extinction = upload(mi.Float64, np.array(optics.extinction))
         self._polynomial = [name for name in COEFFICIENTS if name in self.columns][-1:]
         self._order = COEFFICIENTS.index(self._polynomial[0]) + 1 if self._polynomial else 0
         self._tilts = any(name in self.columns for name in ("tilt_x", "tilt_y", "tilt_z"))
@@ -442,7 +442,7 @@ class Split:
 
 def _tracked(values: np.ndarray) -> mi.Float64:
     with dr.resume_grad():
-        array = upload(mi.Float64, np.asarray(values, dtype=np.float64))
+        array = upload(mi.Float64, values)
         dr.enable_grad(array)
     return array
 

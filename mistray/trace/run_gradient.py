@@ -54,7 +54,7 @@ class DetectorEnd:
         scatter: ScatterReplay | None,
     ) -> None:
         self._film, self._pixel, self._flux, self._scatter = film, pixel, flux, scatter
-        self._mapped = mi.Bool(maps >= 0)
+        self._mapped = upload(mi.Bool, maps >= 0)
         pixels = film.width * film.height
         self._first = upload(mi.UInt32, (np.maximum(maps, 0) * pixels).astype(np.uint32))
         self._terms = None

@@ -281,7 +281,7 @@ class ScatterTables:
             return
         self.aimed = bool(aim_sets)
         self.sides, self.cases = upload(mi.UInt32, sides), upload(mi.UInt32, cases)
-        self.transmission_rows = mi.UInt32(transmission_rows)
+        self.transmission_rows = upload(mi.UInt32, transmission_rows)
         self.totals = upload(mi.Float, np.concatenate([np.zeros((2, 4)), *(case.rows for case in self.all_cases)]))
         packed = pack(self.all_cases)
         self.flags = packed.flags

@@ -129,6 +129,11 @@ class Settings:
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
     @property
+    def scatter_limits(self) -> tuple[int, int, int]:
+        """Most scatter events along a path: in all, at random, at surfaces that transmit."""
+        return self.max_scatters, self.max_random_scatters, self.max_optical_scatters
+
+    @property
     def stokes(self) -> bool:
         """Whether branches carry their polarisation."""
         return self.polarization == "stokes"

@@ -168,7 +168,7 @@ class SurfaceTable:
         registry = np.array(pointers)
         lookup = np.zeros(int(registry.max()) + 1, dtype=np.uint32)
         lookup[registry] = np.arange(len(shapes), dtype=np.uint32) + len(self.pieces)
-        self.stock_lookup = mi.UInt32(lookup)
+        self.stock_lookup = upload(mi.UInt32, lookup)
         size = float(np.max(np.abs([*self.stock_scene.bbox().min, *self.stock_scene.bbox().max])))
         self.stock_epsilon = 4e-6 * (1.0 + size)
 

@@ -211,7 +211,7 @@ class Run:
         numbers = np.zeros(self.ledger.capacity, dtype=np.uint32)
         for slot, number in number_of_slot.items():
             numbers[slot] = number + 1
-        film.map_of_slot = mi.UInt32(numbers)
+        film.map_of_slot = upload(mi.UInt32, numbers)
         tallies = self.make_tallies(film, count)
         self.launch(film, tallies, self.ledger)
         return np.moveaxis(np.array(tallies.film).reshape(count, film.height, film.width, 2), 3, 1)
@@ -285,7 +285,7 @@ class Run:
             start = self.start_pass(number)
             host_batch = np.array(start.batch)
             for low, high in ((0, 1), (1, 4), (4, BATCHES)) if number == 0 else ((0, BATCHES),):
-                index = mi.UInt32(np.flatnonzero((host_batch >= low) & (host_batch < high)).astype(np.uint32))
+                index = upload(mi.UInt32, np.flatnonzero((host_batch >= low) & (host_batch < high)))
                 if dr.width(index):
                     self.walk(start.take(index), film, recorder=recorder)
                 if int(recorder.count[0]) >= count:

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 from typing import Any
 
-import drjit as dr
 import numpy as np
+
+ALIGNMENT = 128  # bytes
+DTYPES = {
+    "Float": np.float32,
+    "Float64": np.float64,
+    "UInt": np.uint32,
+    "UInt64": np.uint64,
+    "Bool": np.bool_,
+}
 
 
 def upload(kind: Any, values: np.ndarray) -> Any:
     """
-    Copy numbers into a Dr.Jit array whose memory Dr.Jit has allocated.
+    Copy numbers into a Dr.Jit array.
 
-    Dr.Jit's array types adopt the memory of a NumPy array as it lies. Where that is not aligned to 16 bytes or more, it
-    reads vectors element by element, so that the same trace would compile to one kernel or another by chance.
+    Dr.Jit's array types adopt the memory of a NumPy array as it lies, and its alignment becomes part of the kernels
+    that read it: the same trace would compile to one kernel or another by chance. Here it is always the same.
 
     Parameters
     ----------
@@ -22,6 +30,9 @@ def upload(kind: Any, values: np.ndarray) -> Any:
     values : ndarray
         Flattened in C order.
     """
-    array = dr.opaque(kind, 0) + kind(np.ascontiguousarray(values).ravel())
-    dr.eval(array)
-    return array
+    flat = np.ascontiguousarray(values, dtype=DTYPES[kind.__name__]).ravel()
+    room = np.empty(flat.nbytes + ALIGNMENT, dtype=np.uint8)
+    first = -room.ctypes.data % ALIGNMENT
+    aligned = room[first : first + flat.nbytes].view(flat.dtype)
+    aligned[:] = flat
+    return kind(aligned)

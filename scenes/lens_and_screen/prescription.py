@@ -20,7 +20,7 @@ LENS_RADIUS, HOUSING_RADIUS, DETECTOR_Z = 10.0, 30.0, 62.6
 SCREEN_TILT_DEG = 105.0
 
 POLISH = Scatter("harvey_shack", {"rms_nm": 1.5, "l": 0.01, "s": -2.0}, name="polish")
-DUST = Scatter("particulate", {"level": 300.0}, name="dust")
+DUST = Scatter("particulate", {"level": 300.0, "max_um": 100.0}, name="dust")
 BLACK = Scatter("paint", {"reflectance": 0.04}, name="black")
 
 

@@ -102,12 +102,13 @@ class TestGrades:
     def test_against_all_choices(self) -> None:
         variables, parts = self.variables(), np.array([[1.0, 3.0, 0.5]])
         model = Model(np.array([0.1]), parts)
+        ratios = [float(variables[0].ratio(np.array(level))) for level in self.levels]
         for limit in (0.5, 1.0, 2.0, 5.0, 50.0):
             found = allocate(variables, model, np.array([limit]))
             choices = [
                 (sum(self.costs[k] for k in choice), [self.levels[k] for k in choice])
                 for choice in itertools.product(range(5), repeat=3)
-                if model.metrics(variables, np.array([self.levels[k] for k in choice]))[0] <= limit
+                if 0.1 + sum(part * ratios[k] for part, k in zip(parts[0], choice, strict=True)) <= limit
             ]
             least = min(cost for cost, _ in choices)
             assert sum(float(v.cost(p)) for v, p in zip(variables, found, strict=True)) == pytest.approx(least)

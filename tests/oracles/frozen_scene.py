@@ -27,7 +27,7 @@ from .scene_xml import SceneModel, _rotation, parse_scene
 
 ORDERS = tuple(range(4, 21, 2))
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
-ANGLES = 65  # nodes of a lobe's total over the cosine, for a cubic spline
+ANGLES = 33  # nodes of a lobe's total over the cosine, for a cubic spline
 
 
 @dataclass(frozen=True)
