@@ -134,8 +134,12 @@ def main(folder: Path) -> None:
     before, after = (maps(mistray.load(scene)) for scene in (SCENE, folder / "scene.xml"))
     picture(before, after).savefig(folder / "ghost.png", dpi=150)
     ratios = before["ghost peaks"] / after["ghost peaks"]
-    print(f"\npeak irradiance of the ghosts at {FIELD_DEG:g}°, pixels of 20 µm, {len(SEEDS)} seeds of their own [W/mm²]")
-    print(f"before {before['ghost peaks'].round(3)}, after {after['ghost peaks'].round(4)}: {ratios.round(1)} times lower")
+    print(
+        f"\npeak irradiance of the ghosts at {FIELD_DEG:g}°, pixels of 20 µm, {len(SEEDS)} seeds of their own [W/mm²]"
+    )
+    print(
+        f"before {before['ghost peaks'].round(3)}, after {after['ghost peaks'].round(4)}: {ratios.round(1)} times lower"
+    )
     print(f"{time.perf_counter() - started:.0f} s in all; results in {folder}")
 
 

@@ -1,9 +1,9 @@
 """What the walls of the phone camera's barrel are worth: the gradient of the light that they scatter, and a search.
 
-The light comes from 20° to 80° and is scattered once. First the derivatives by the radii of the barrel's cones and by the
-wall of the stop, and what a report on that camera advises (a cylinder instead of the cone behind the stop, a thin stop)
-would change if they held so far; then the study phone_barrel.toml, whose search knows nothing of that advice. Run from
-anywhere; it takes a quarter of an hour or more:
+The light comes from 60° to 80° and is scattered once. First the derivatives by the radii of the barrel's cones and by
+the wall of the stop, and what a report on that camera advises (a cylinder instead of the cone behind the stop, a thin
+stop) would change if they held so far; then the study phone_barrel.toml, whose search knows nothing of that advice. Run
+from anywhere; it takes a quarter of an hour or more:
 python examples/phone_barrel.py [folder for the results]
 """
 
@@ -34,10 +34,10 @@ ADVICE = {
 
 
 def walls(rays: int = RAYS) -> Gradient:
-    """Light from 20° to 80° that is scattered once and nowhere reflected, differentiated by the walls."""
+    """Light from 60° to 80° that is scattered once and nowhere reflected, differentiated by the walls."""
     scene = mistray.load(SCENE)
-    once = {"light": "single_scatter", "max_scatters": 1, "max_reflections": 0}
-    dark = pst_band(scene, 20, 80, quantity="integral", rays=rays, **once)
+    once = {"max_scatters": 1, "max_reflections": 0}
+    dark = pst_band(scene, 60, 80, "single_scatter", quantity="integral", rays=rays, **once)
     return mistray.gradient(dark, mi.traverse(scene), keys=[*CONES, "stop_rear.r1", "stop_wall.z0"])
 
 

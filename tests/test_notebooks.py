@@ -12,6 +12,16 @@ NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 CELL_SECONDS = 300
 # Run after the last cell of a notebook: its claims
 CLAIMS = {
+    "lens_bending": """
+        assert peak_ratio.min() > 10
+        spot = result.comparison.of("spot")
+        assert 0.98 < spot.ratio < 1 / 0.98 and result.comparison.of("ghost").ratio > 10
+        assert np.nanmin(radii[:, 1]) < 0.1 < 0.3 < np.nanmax(radii[:, 1])
+    """,
+    "fit_pst": """
+        assert found.covers(TRUTH) and 1e-3 < found.probability
+        assert np.all(found.relative_error < [0.2, 0.08, 0.1]) and found.correlation[0, 1] < -0.5
+    """,
     "triplet_ar": """
         assert against_mgf2.total.ratio - 4.5 * against_mgf2.total.ratio_se > 3
         assert result.comparison.total.ratio - 4.5 * result.comparison.total.ratio_se > 1

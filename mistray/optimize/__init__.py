@@ -1,6 +1,7 @@
 """Making stray light small: metrics, their gradients, and the designs that follow from them."""
 
 from mistray.optimize.budget import Budget, budget
+from mistray.optimize.fit import Fit, fit
 from mistray.optimize.gradient import Gradient, gradient
 from mistray.optimize.metrics import (
     Metric,
@@ -19,6 +20,7 @@ from mistray.optimize.metrics import (
 from mistray.optimize.observation import Observation, smooth_maximum, smooth_minimum
 from mistray.optimize.parameters import Parameter, groups, match, parameters
 from mistray.optimize.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+from mistray.optimize.pst_model import Modelled, PstBands
 from mistray.optimize.pst_observation import PstObservation
 from mistray.optimize.read_study import read_study
 from mistray.optimize.run import Optimization, optimize
@@ -31,14 +33,17 @@ __all__ = [
     "Budget",
     "CoatingGroup",
     "Comparison",
+    "Fit",
     "Gradient",
     "Levels",
     "Metric",
+    "Modelled",
     "Moved",
     "Observation",
     "Optimization",
     "Optimizer",
     "Parameter",
+    "PstBands",
     "PstObservation",
     "Sensitivity",
     "Start",
@@ -49,6 +54,7 @@ __all__ = [
     "budget",
     "combine",
     "compare",
+    "fit",
     "ghost_focus",
     "ghost_rms_irradiance",
     "ghost_to_signal",

@@ -221,7 +221,10 @@ class _Search:
         assign(self.params, {key: np.array([p]) for key, p in zip(self.keys, numbers, strict=True)})
         values, errors, rows = [], [], []
         for metric in self.metrics:
-            found = gradient(metric, self.params, self.keys, edges=False)
+            try:
+                found = gradient(metric, self.params, self.keys, edges=False)
+            except MistrayError as error:  # of a model that a number does not suit
+                raise MistrayError(f"budget '{self.study.name}': {error}") from None
             self.left_out += [text for text in found.left_out if text not in self.left_out]
             values.append(found.value)
             errors.append(found.value_se)

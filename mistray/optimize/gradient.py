@@ -149,7 +149,10 @@ def gradient(
             left_out += [text for text in raw.left_out if text not in left_out]
             # Fields share their tables: all of them go through the chain rule at once
             shared = raw.table.wavelength_nm, raw.backward, *(id(table) for table in raw.table.optics.tables)
-            raws[shared] = raws[shared].plus(raw) if shared in raws else raw
+            if shared in raws:
+                raws[shared].add(raw)
+            else:
+                raws[shared] = raw
         noise, batches = observation.noise()
         variance += noise
         by_batch += batches

@@ -91,7 +91,12 @@ class PstBands:
     ) -> None:
         edges = np.asarray(edges_deg, dtype=np.float64)
         counts = np.diff(edges) / cell_deg
-        if edges.ndim != 1 or edges.size < 2 or np.any(counts < 0.5) or np.any(np.abs(counts - np.round(counts)) > 1e-6):
+        if (
+            edges.ndim != 1
+            or edges.size < 2
+            or np.any(counts < 0.5)
+            or np.any(np.abs(counts - np.round(counts)) > 1e-6)
+        ):
             raise MistrayError(
                 f"edges_deg is {list(edges_deg)}; give ascending field angles that are multiples of cell_deg = "
                 f"{cell_deg:g} apart"

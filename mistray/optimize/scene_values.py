@@ -10,6 +10,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.upload import upload
 
 
 def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
@@ -29,7 +30,7 @@ def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
     for key, value in values.items():
         if not np.all(np.isfinite(value)):
             raise MistrayError(f"parameter '{key}' would become {np.ravel(value).tolist()}; it must be finite")
-        params[key] = mi.Float(np.ravel(value).astype(np.float32))
+        params[key] = upload(mi.Float, np.ravel(value))
     params.update()
 
 

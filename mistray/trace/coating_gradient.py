@@ -47,7 +47,7 @@ def coating_gradient(
     ------
     owner, name, gradient
         The plugin that owns the parameter, its name (``thickness_nm``, ``n_shift``, ``k_shift``, ``R``, ``T``), and the
-        derivatives by batch, (BATCHES, entries). A coating that several surfaces share comes once for each of them.
+        derivatives by batch, (BATCHES, entries). A coating between several pairs of materials comes once for each.
 
     Raises
     ------
@@ -56,6 +56,8 @@ def coating_gradient(
     """
     if optics.stokes:
         raise MistrayError("gradients need polarization='unpolarized'; the Stokes vector has no derivative yet")
+    # Surfaces with the same coating between the same materials share a table, and its derivatives
+    shared: dict[tuple[int, int], tuple[int, np.ndarray]] = {}
     for i, bsdf in enumerate(optics.bsdfs):
         kind = int(optics.host_words[i]) & 3
         first, _, total_first, total_last = (int(v) for v in optics.host_places[i])
@@ -66,16 +68,18 @@ def coating_gradient(
             for name in IDEAL_PARAMETERS:
                 if wanted(bsdf.film, name):
                     yield bsdf.film, name, found[name][:, None]
-        elif kind == TABLED and bsdf.film is not None:
-            names = [name for name in LAYER_PARAMETERS if wanted(bsdf.film, name)]
-            if not names:
-                continue
+        elif kind == TABLED and bsdf.film is not None and any(wanted(bsdf.film, name) for name in LAYER_PARAMETERS):
             own = sums[:, first : total_first + total_last + 1, :REFLECTION_AND_TRANSMISSION]
-            used = np.flatnonzero(np.any(own.any(axis=0), axis=1))
-            slopes = layer_row_derivatives(optics, i, used, names)
-            gradient = own[:, used].reshape(BATCHES, -1) @ slopes.reshape(len(slopes), -1).T
-            for name, values in zip(names, np.split(gradient, len(names), axis=1), strict=True):
-                yield bsdf.film, name, values
+            key = id(bsdf.film), id(optics.tables[i])
+            shared[key] = i, own + shared[key][1] if key in shared else own
+    for i, own in shared.values():
+        film = optics.bsdfs[i].film
+        names = [name for name in LAYER_PARAMETERS if wanted(film, name)]
+        used = np.flatnonzero(np.any(own.any(axis=0), axis=1))
+        slopes = layer_row_derivatives(optics, i, used, names)
+        gradient = own[:, used].reshape(BATCHES, -1) @ slopes.reshape(len(slopes), -1).T
+        for name, values in zip(names, np.split(gradient, len(names), axis=1), strict=True):
+            yield film, name, values
 
 
 def layer_row_derivatives(optics: Optics, surface: int, used: np.ndarray, names: list[str]) -> np.ndarray:

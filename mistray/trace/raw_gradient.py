@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import TYPE_CHECKING
 
 import numpy as np
@@ -166,13 +166,13 @@ class RawGradient:
     seconds: float = 0.0
     backward: bool = False
 
-    def plus(self, other: RawGradient) -> RawGradient:
-        """Both together; they have the same tables and the same parts."""
-        sums = {
-            name: value + getattr(other, name)
-            for name in ("rows", "geometry", "edges", "indices", "edge_indices")
-            if (value := getattr(self, name)) is not None
-        }
-        scatter = {name: values + other.scatter[name] for name, values in self.scatter.items()}
-        left_out = [*self.left_out, *(text for text in other.left_out if text not in self.left_out)]
-        return replace(self, **sums, scatter=scatter, left_out=left_out, seconds=self.seconds + other.seconds)
+    def add(self, other: RawGradient) -> None:
+        """Add another one, with the same tables and the same parts."""
+        for name in ("rows", "geometry", "edges", "indices", "edge_indices"):
+            value = getattr(self, name)
+            if value is not None:
+                value += getattr(other, name)
+        for name, values in self.scatter.items():
+            values += other.scatter[name]
+        self.left_out += [text for text in other.left_out if text not in self.left_out]
+        self.seconds += other.seconds

@@ -6,6 +6,7 @@ import importlib.metadata
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
+from functools import lru_cache
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
@@ -300,6 +301,12 @@ class Trace:
         return f"Trace({count}, {self.segments:.3g} segments, {detected})"
 
 
+@lru_cache(maxsize=1)
+def _versions() -> dict[str, str]:
+    """Of what a result depends on."""
+    return {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")}
+
+
 def _aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
     """Aimed rays of the surfaces of some runs together, in the scene's order."""
     table = runs[0].table
@@ -436,7 +443,7 @@ def trace(
             "detector": runs[0].table.ids[runs[0].table.detector],
             "ledger": ledger,
             "variant": mi.variant(),
-            "versions": {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")},
+            "versions": dict(_versions()),
             "date": time.strftime("%Y-%m-%d %H:%M:%S"),
         },
     )

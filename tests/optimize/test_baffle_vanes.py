@@ -12,8 +12,9 @@ import pytest
 from mistray.optimize import Optimization, Study, Term, optimize, read_study
 
 EXAMPLES = Path(__file__).parents[2] / "examples"
-RAYS = {"stray 20-80": 10_000, "in field": 3_000}
+RAYS = {"stray 20-80": 10_000, "in field": 8_000}
 STEPS, STEP_SIZE = 5, 0.09
+STOP_LOW_MM = 9.95  # a stop that has closed further would not be open again after so few steps
 SIGMAS = (
     4.5  # with 7 degrees of freedom a ratio that is not there passes with a probability of 1.4e-3; the seeds are fixed
 )
@@ -35,9 +36,11 @@ def reduced() -> Study:
     def fewer(term: Term) -> Term:
         return dataclasses.replace(term, traced={**term.traced, "rays": RAYS[term.name]})
 
+    vanes, stop = full.variables
     return dataclasses.replace(
         full,
         terms=tuple(fewer(term) for term in full.terms),
+        variables=(vanes, dataclasses.replace(stop, low=STOP_LOW_MM)),
         optimizer=dataclasses.replace(full.optimizer, steps=STEPS, step_size=STEP_SIZE),
     )
 
@@ -61,7 +64,6 @@ def test_light_of_the_field_is_kept(result: Optimization) -> None:
 
 
 def test_the_first_vanes_grow(result: Optimization) -> None:
-    """Those that light from outside the field meets; of the last ones it depends on the others."""
+    """Those that light from outside the field meets; what the last ones do depends on the others."""
     grown = [29.0 - result.parameters[key][0] for key in script().VANES]
     assert min(grown[:5]) > 2, grown
-    assert min(grown) >= 0, grown

@@ -145,6 +145,20 @@ def test_a_shared_model_stays_one(source: Path, limit: float) -> None:
     assert chosen.after == pytest.approx(AS_GIVEN / 2, rel=1e-2)
 
 
+def test_a_range_beyond_the_model(source: Path) -> None:
+    choose = [{"surfaces": "front", "parameter": "rms_nm", "best": 1.0, "worst": 500.0}]
+    with pytest.raises(MistrayError, match="^budget 'budget': .*rms roughness 500 nm is not smooth"):
+        budget(source, study(1e3, choose=choose))
+
+
+def test_no_room_for_noise(source: Path, limit: float) -> None:
+    """Where the limit can be met but not with ten standard errors to spare, the limit itself is aimed at."""
+    choose = [{"surfaces": "front", "parameter": "rms_nm", "best": 1.95, "worst": 20.0}]
+    solver = {"sigmas": 10.0, "seeds": 2, "shared": True}
+    (chosen,) = budget(source, study(limit, choose=choose, solver=solver)).chosen
+    assert chosen.after == pytest.approx(AS_GIVEN / 2, rel=1e-2)
+
+
 def test_what_cannot_be_met(source: Path, limit: float) -> None:
     """With both at 3 nm of 4 there is 9/16 of the light left, 2.25 times a limit of a quarter."""
     choose = [{"surfaces": ["front", "rear"], "parameter": "rms_nm", "best": 3.0, "worst": 20.0}]

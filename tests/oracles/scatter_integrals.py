@@ -7,6 +7,7 @@ Directions are written by direction cosines (alpha, beta) along the surface; the
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import cache
 
 import numpy as np
 
@@ -30,9 +31,12 @@ def lambertian(rho: float) -> Profile:
     return lambda r: np.full(np.shape(r), rho / np.pi)
 
 
+_legendre = cache(np.polynomial.legendre.leggauss)
+
+
 def gauss_legendre(edges: Array, nodes: int) -> tuple[Array, Array]:
     """Nodes and weights of a composite rule over the panels between edges (k + 1,), flat."""
-    x, w = np.polynomial.legendre.leggauss(nodes)
+    x, w = _legendre(nodes)
     low, half = edges[:-1, None], 0.5 * np.diff(edges)[:, None]
     return (low + half * (x + 1)).ravel(), (half * w).ravel()
 
