@@ -90,8 +90,8 @@ def picture(before: dict[str, Any], after: dict[str, Any]) -> Figure:
         half = HALF_MM if name == "ghost" else 0.1
         top = max(before[name].max(), after[name].max())
         for axis, when, found in zip(axes[row], ("before", "after"), (before, after), strict=True):
-            x0, x1, y0, y1 = found["extent"]
-            height, width = found[name].shape
+            *_, y0, y1 = found["extent"]
+            height = len(found[name])
             y = y0 + (y1 - y0) * (np.arange(height) + 0.5) / height
             centre = float((found[name].sum(axis=1) * y).sum() / found[name].sum())
             image = axis.imshow(
@@ -134,12 +134,8 @@ def main(folder: Path) -> None:
     before, after = (maps(mistray.load(scene)) for scene in (SCENE, folder / "scene.xml"))
     picture(before, after).savefig(folder / "ghost.png", dpi=150)
     ratios = before["ghost peaks"] / after["ghost peaks"]
-    print(
-        f"\npeak irradiance of the ghosts at {FIELD_DEG:g}°, pixels of 20 µm, {len(SEEDS)} seeds of their own [W/mm²]"
-    )
-    print(
-        f"before {before['ghost peaks'].round(3)}, after {after['ghost peaks'].round(4)}: {ratios.round(1)} times lower"
-    )
+    print(f"\npeak irradiance of the ghosts [W/mm²] at {FIELD_DEG:g}°, pixels of 20 µm, {len(SEEDS)} seeds")
+    print(f"before {before['ghost peaks'].round(3)}, after {after['ghost peaks'].round(4)}: {ratios.round(1)} x lower")
     print(f"{time.perf_counter() - started:.0f} s in all; results in {folder}")
 
 

@@ -36,8 +36,7 @@ ADVICE = {
 def walls(rays: int = RAYS) -> Gradient:
     """Light from 60° to 80° that is scattered once and nowhere reflected, differentiated by the walls."""
     scene = mistray.load(SCENE)
-    once = {"max_scatters": 1, "max_reflections": 0}
-    dark = pst_band(scene, 60, 80, "single_scatter", quantity="integral", rays=rays, **once)
+    dark = pst_band(scene, 60, 80, "single_scatter", quantity="integral", rays=rays, max_scatters=1, max_reflections=0)
     return mistray.gradient(dark, mi.traverse(scene), keys=[*CONES, "stop_rear.r1", "stop_wall.z0"])
 
 

@@ -200,15 +200,15 @@ def curve_figure(found: Sequence[Design]) -> Figure:
     """Ghost power against the number of layers."""
     figure = Figure(figsize=(6.4, 4.2), dpi=110, layout="constrained")
     axes = figure.subplots()
-    for kind, colour, label in (("glass", BLUE, "one design per glass"), ("surface", VERMILION, "one per surface")):
+    lines = ("glass", "o-", BLUE, "one design per glass"), ("surface", "s--", VERMILION, "one per surface")
+    for kind, mark, colour, label in lines:
         chosen = [design for design in found if design.kind == kind]
         power, power_se = np.array([design.ghosts for design in chosen]).T
-        axes.errorbar(
-            [d.layers for d in chosen], power, power_se, fmt="o-", ms=4, lw=1.2, capsize=3, color=colour, label=label
-        )
+        style = {"ms": 8, "mfc": "none", "capsize": 3, "lw": 1.2, "color": colour, "label": label}
+        axes.errorbar([d.layers for d in chosen], power, power_se, fmt=mark, **style)
     for design in found:
         if design.textbook:
-            axes.errorbar(design.layers, *design.ghosts, fmt="s", ms=5, capsize=3, color=BLACK)
+            axes.errorbar(design.layers, *design.ghosts, fmt="D", ms=5, capsize=3, color=BLACK)
             axes.annotate(
                 design.kind, (design.layers, design.ghosts[0]), (6, 4), textcoords="offset points", fontsize=8
             )
@@ -238,7 +238,7 @@ def reflectance_figure(found: Sequence[Design]) -> Figure:
         axes.axvspan(450, 650, color="#f0f0f0", zorder=0)
         axes.set_title(f"{glass}, {material.removesuffix(' k=0')}", fontsize=10)
         axes.set_xlim(wavelengths[0], wavelengths[-1])
-        axes.set_ylim(0, 3)
+        axes.set_ylim(0, 1.8)
         axes.set_xlabel("wavelength [nm]")
         axes.set_ylabel("reflectance at 20° [%]")
         axes.grid(True, color="#dddddd", lw=0.6)

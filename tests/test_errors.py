@@ -79,7 +79,7 @@ def source(inside: str) -> tuple[str, str]:
 
 # What the project promises to catch, each through the command line as a user runs it
 PROMISED = [
-    Case("missing file", words=("scene 'nowhere.xml': no such file", "phone_camera"), scene="nowhere.xml"),
+    Case("missing file", words=("scene 'phone_camra': no such file", "phone_camera"), scene="phone_camra"),
     Case("broken XML", ("</emitter>", "</emiter>"), words=("line 5", "broken XML", "close or correct the tag")),
     Case(
         "unknown parameter",

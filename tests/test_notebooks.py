@@ -32,7 +32,6 @@ CLAIMS = {
         stray, field = (result.comparison.of(name) for name in ("stray 20-80", "in field"))
         assert stray.ratio - 4.5 * stray.ratio_se > 10
         assert field.ratio + 4.5 * field.ratio_se <= 1 / 0.99
-        slope, error = relative.iloc[:, 0], relative["±"]
         assert slope["tube_vane_5.r1"] > 4.5 * error["tube_vane_5.r1"]
         assert (relative["half the width"].abs() < 4.5 * error).all()
     """,

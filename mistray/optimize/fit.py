@@ -74,7 +74,7 @@ class Fit:
 
     @property
     def probability(self) -> float:
-        """That noise alone makes `chi_square` as large as it is or larger; if tiny, the model is not that of the data."""
+        """That noise alone makes `chi_square` as large or larger; if tiny, the model is not that of the data."""
         return float(chi2.sf(self.chi_square, self.degrees))
 
     def distance(self, values: Mapping[str, float]) -> float:

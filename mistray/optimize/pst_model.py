@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import mitsuba as mi
@@ -14,6 +15,7 @@ from mistray.optimize.gradient import chosen_parameters, wanted_of
 from mistray.optimize.pst_observation import Light, PstObservation, named_classes
 from mistray.optimize.scene_values import assign
 from mistray.optimize.views import PstView
+from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES
 from mistray.trace.parameter_gradient import parameter_gradient
 from mistray.trace.raw_gradient import EDGE_WIDTH
@@ -91,12 +93,8 @@ class PstBands:
     ) -> None:
         edges = np.asarray(edges_deg, dtype=np.float64)
         counts = np.diff(edges) / cell_deg
-        if (
-            edges.ndim != 1
-            or edges.size < 2
-            or np.any(counts < 0.5)
-            or np.any(np.abs(counts - np.round(counts)) > 1e-6)
-        ):
+        uneven = np.any(counts < 0.5) or np.any(np.abs(counts - np.round(counts)) > 1e-6)
+        if edges.ndim != 1 or edges.size < 2 or uneven:
             raise MistrayError(
                 f"edges_deg is {list(edges_deg)}; give ascending field angles that are multiples of cell_deg = "
                 f"{cell_deg:g} apart"
@@ -117,7 +115,7 @@ class PstBands:
         azimuths = {} if azimuths_deg is None else {"azimuths_deg": tuple(azimuths_deg)}
         self.bands = [
             (azimuth, float(low), float(high))
-            for low, high in zip(edges[:-1], edges[1:], strict=True)
+            for low, high in pairwise(edges)
             for azimuth in (azimuths_deg if azimuths_deg is not None else [None])
         ]
         view = PstView({"angles_deg": tuple(middles.tolist()), "cell_deg": float(cell_deg), **azimuths, **traced})
@@ -145,7 +143,7 @@ class PstBands:
         -------
         value : (n,) float64
         covariance : (n, n) float64
-            From the spread of the batches.
+            Variances from the spread of the batches; bands are taken for independent.
         """
         return self._noise(self.observe(values, **changes))
 
@@ -180,6 +178,5 @@ class PstBands:
         parts = np.tensordot(self._weights(observation), light, axes=([1, 2], [0, 1]))  # (numbers, batches)
         share = np.asarray(pst.weight, dtype=np.float64)
         value = parts @ share
-        apart = (parts - value[:, None]) * share
-        batches = len(share)
-        return value, np.asarray(batches / (batches - 1) * apart @ apart.T)
+        # The few batches know variances, but not correlations, which are weak: a ray leaves in one band
+        return value, np.diag(np.square(batch_error(parts * share, share)))

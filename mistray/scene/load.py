@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +16,8 @@ from mistray.scene.messages import explain
 # Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it makes
 # one of our shapes would begin the next one inside of that wait, which has crashed the process.
 LOADING = {"optimize": False, "parallel": False}
+
+NAMES_OFFERED = 5  # shipped scenes that are nearest to one that does not exist
 
 
 def load(source: str | Path | dict[str, Any]) -> mi.Scene:
@@ -60,5 +63,6 @@ def find(source: str | Path) -> Path:
         return named
     if path.is_dir() and (path / "scene.xml").is_file():
         return path / "scene.xml"
-    names = ", ".join(sorted(entry.parent.name for entry in shipped.glob("*/scene.xml")))
-    raise MistrayError(f"scene '{source}': no such file; give a scene XML file or one of the shipped scenes: {names}")
+    names = sorted(entry.parent.name for entry in shipped.glob("*/scene.xml"))
+    nearest = ", ".join(difflib.get_close_matches(str(source), names, n=NAMES_OFFERED, cutoff=0.0))
+    raise MistrayError(f"scene '{source}': no such file; give a scene XML file or a shipped scene, such as {nearest}")

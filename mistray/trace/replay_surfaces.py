@@ -108,6 +108,8 @@ class ReplaySurfaces:
         self._signs, self._cones = upload(mi.Float64, 2 * cones - 1), upload(mi.Float64, cones)
         self._extinction = upload(mi.Float64, np.array(optics.extinction))
         self._polynomial = [name for name in COEFFICIENTS if name in self.columns][-1:]
+        moving = () if moved is None else [n for n in COEFFICIENTS if moved.geometry[:, GEOMETRY.index(n)].any()]
+        self._coefficients = bool(wanted.geometry & set(COEFFICIENTS) or moving)
         self._order = COEFFICIENTS.index(self._polynomial[0]) + 1 if self._polynomial else 0
         self._tilts = any(name in self.columns for name in ("tilt_x", "tilt_y", "tilt_z"))
         self._shifts = any(name in self.columns for name in ("x", "y", "z"))
@@ -197,8 +199,8 @@ class ReplaySurfaces:
         numbers = {name: self.column(name, s, batch, active) for name in names}
         numbers["cone"] = dr.gather(mi.Float64, self._cones, s, active) > 0
         word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
-        # A coefficient that is 0 has a derivative as well
-        numbers["aspheric"] = ((word & ASPHERIC) != 0) | mi.Bool(bool(self.wanted.geometry & set(COEFFICIENTS)))
+        # A coefficient that is 0 has a derivative as well, and can be moved
+        numbers["aspheric"] = ((word & ASPHERIC) != 0) | mi.Bool(self._coefficients)
         return numbers
 
     def _surface(self, q: mi.Vector3d, n: dict[str, Any]) -> tuple[mi.Float64, mi.Vector3d]:
@@ -485,4 +487,9 @@ def numbers_of(table: SurfaceTable) -> Numbers:
             geometry[piece.index, GEOMETRY.index(name)] = value
     optics = table.optics
     rows = np.array(optics.table, dtype=np.float64).reshape(-1, 4)[:, :TABLE_CHANNELS]
+    # The kernel's rows are float32; differences of neighbours, which are slopes, need the digits of the host's
+    for known, (first, _, total, _) in zip(optics.tables, optics.host_places, strict=True):
+        if known is not None:
+            for place, part in ((first, known.refraction), (total, known.total)):
+                rows[place : place + len(part)] = part[:, :, 0]
     return Numbers(geometry, optics.host_indices[:, :2].copy(), rows, optics.host_indices[:, 2:].copy())

@@ -30,7 +30,7 @@ def upload(kind: Any, values: np.ndarray) -> Any:
     values : ndarray
         Flattened in C order.
     """
-    flat = np.ascontiguousarray(values, dtype=DTYPES[kind.__name__]).ravel()
+    flat: np.ndarray = np.ascontiguousarray(values, dtype=DTYPES[kind.__name__]).ravel()
     room = np.empty(flat.nbytes + ALIGNMENT, dtype=np.uint8)
     first = -room.ctypes.data % ALIGNMENT
     aligned = room[first : first + flat.nbytes].view(flat.dtype)

@@ -147,7 +147,7 @@ def test_a_shared_model_stays_one(source: Path, limit: float) -> None:
 
 def test_a_range_beyond_the_model(source: Path) -> None:
     choose = [{"surfaces": "front", "parameter": "rms_nm", "best": 1.0, "worst": 500.0}]
-    with pytest.raises(MistrayError, match="^budget 'budget': .*rms roughness 500 nm is not smooth"):
+    with pytest.raises(MistrayError, match=r"^budget 'budget': .*rms roughness 500 nm is not smooth"):
         budget(source, study(1e3, choose=choose))
 
 

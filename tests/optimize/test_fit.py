@@ -31,10 +31,11 @@ class TestFit:
             exponential, exponential(np.array([3.0, 0.7])).value, np.full(12, 0.01), {"height": 30, "decay": 0.05}
         )
         assert found.value == pytest.approx([3.0, 0.7], rel=1e-4)
-        assert found.chi_square < 1e-3 and found.degrees == 10
+        assert found.chi_square < 1e-3
+        assert found.degrees == 10
 
     def test_regions_hold_the_truth_as_often_as_they_say(self):
-        """400 draws at 95 %: 380 ± 4.4 expected; 362 is missed by chance once in 2e4 cases, 5 seeds in all are fixed."""
+        """400 draws at 95 %: 380 ± 4.4 expected, 362 or less with a probability of 1e-4."""
         rng, inside, distances = np.random.default_rng(3), 0, []
         spread = 0.05
         for _ in range(400):
@@ -130,12 +131,13 @@ class TestPstBands:
 def test_truth_lies_in_the_region_in_18_of_20_draws():
     """The example: data and model have rays of their own in each draw.
 
-    The issue asks for 18 of 20 at 95 %; a right covariance fails that with a probability of 7.5 % (binomial), so seeds are
-    fixed. One that is 1.5 times too small in variance has 86 % and fails with 54 %.
+    The issue asks for 18 of 20 at 95 %; a right covariance fails that with a probability of 7.5 % (binomial): seeds
+    are fixed. One that is 1.5 times too small in variance has 86 % and fails with 54 %.
     """
     file = Path(__file__).parents[2] / "examples" / "fit_pst.py"
     spec = importlib.util.spec_from_file_location("fit_pst", file)
-    assert spec is not None and spec.loader is not None
+    assert spec is not None
+    assert spec.loader is not None
     script = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(script)
     fits = [script.estimate(draw) for draw in range(script.DRAWS)]

@@ -189,7 +189,7 @@ class TestRefusals:
         metric = path_power(scene, "ghost", rays=16)
         with pytest.raises(mistray.MistrayError, match=r"no parameter 'p0_front\.curvatur' .*p0_front\.curvature"):
             gradient(metric, params, ["p0_front.curvatur"])
-        with pytest.raises(mistray.MistrayError, match=r"no parameter 'p0_front\.silhouette_sampling_weight' with a deriv"):
+        with pytest.raises(mistray.MistrayError, match=r"no parameter 'p0_front\.silhouette_sampling_weight'"):
             gradient(metric, params, ["p0_front.silhouette_sampling_weight"])
         with pytest.raises(mistray.MistrayError, match="edge_width is 0; it is relative"):
             gradient(metric, params, ["p0_front.curvature"], edge_width=0.0)
