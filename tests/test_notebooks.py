@@ -35,6 +35,10 @@ CLAIMS = {
         assert slope["tube_vane_5.r1"] > 4.5 * error["tube_vane_5.r1"]
         assert (relative["half the width"].abs() < 4.5 * error).all()
     """,
+    "phone_camera_ar": """
+        assert (price.ratio - 4.5 * price.ratio_se > 1).all()
+        assert price.designed.is_monotonic_decreasing
+    """,
     "phone_camera_pst": """
         assert len(large) > 10 and 0.6 < ratio.min() < ratio.max() < 1.5
         assert len(in_both) >= 8

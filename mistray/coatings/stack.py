@@ -239,4 +239,4 @@ def layer_text(layers: Sequence[Layer]) -> str:
                 f"layer {number} ({layer.material}): n_shift = {layer.n_shift:g}, k_shift = {layer.k_shift:g} have no "
                 "place in the text of the layers; give them beside it"
             )
-    return ", ".join(f"{layer.material} {layer.thickness_nm!r}".removesuffix(".0") for layer in layers)
+    return ", ".join(f"{layer.material} {float(layer.thickness_nm)!r}".removesuffix(".0") for layer in layers)
