@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import sys
 import time
+from functools import cache
 from pathlib import Path
+from typing import Any
 
 import matplotlib.pyplot as plt
 import numpy as np
@@ -30,11 +32,15 @@ RAYS, RAYS_OF_DATA = 30_000, 60_000
 DRAWS, SEED_OF_DATA = 20, 1000
 
 
+@cache
+def scene() -> Any:
+    """The scene; what it holds is set by every model."""
+    return mistray.load(SCENE)
+
+
 def curve(rays: int, seed: int) -> PstBands:
     """The PST in bands at both azimuths, by the three parameters."""
-    return PstBands(
-        mistray.load(SCENE), KEYS, EDGES_DEG, azimuths_deg=AZIMUTHS_DEG, rays=rays, seed=seed, max_scatters=1
-    )
+    return PstBands(scene(), KEYS, EDGES_DEG, azimuths_deg=AZIMUTHS_DEG, rays=rays, seed=seed, max_scatters=1)
 
 
 def measurement(draw: int) -> tuple[np.ndarray, np.ndarray]:
