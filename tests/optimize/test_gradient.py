@@ -11,7 +11,7 @@ import pytest
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
 
 import mistray
-from mistray.optimize import ghost_to_signal, gradient, image_metric, path_power
+from mistray.optimize import ghost_to_signal, gradient, image_metric, parameters, path_power
 from mistray.trace import adjoint
 
 FRONT_R, FRONT_T, REAR_R, REAR_T = (f"p0_{face}.bsdf.{what}" for face in ("front", "rear") for what in "RT")
@@ -180,6 +180,20 @@ class TestRender:
         monkeypatch.setattr(adjoint.Adjoint, "leave", wrong)
         g = gradient(path_power(scene, "ghost", rays=256), mi.traverse(scene), [FRONT_T])
         assert abs(g.gradient[FRONT_T][0] / 0.008 - 1) > 0.01
+
+
+class TestTwoWays:
+    def test_walk_in_reverse_and_replay(self, load_scene) -> None:
+        """Coatings alone take the walk in reverse, with anything else the replay: both give the same derivatives."""
+        scene = load_scene(coated_plate(0.2))
+        metric, params = path_power(scene, "ghost", rays=256, max_reflections=4), mi.traverse(scene)
+        coatings = [key for key, p in parameters(scene).items() if p.kind == "share"]
+        alone = gradient(metric, params, coatings)
+        together = gradient(metric, params, [*coatings, "p0_front.curvature"], edges=False)
+        assert len(coatings) > 3
+        for key in coatings:
+            assert together.gradient[key] == pytest.approx(alone.gradient[key], rel=1e-5), key
+            assert together.standard_error[key] == pytest.approx(alone.standard_error[key], rel=1e-3, abs=1e-9), key
 
 
 class TestRefusals:
