@@ -18,13 +18,15 @@ from pathlib import Path
 import drjit as dr
 import mitsuba as mi
 import numpy as np
+from coating_steps import tracing_share
+from gradients import gradient_costs, memory
 from pst import pst_costs
 from rows import Row, alternate
 from scatter import scatter_samples, scattering_camera
 from thinfilm import thin_films
 
 import mistray
-from mistray.optimize import gradient, path_power
+from mistray.optimize import gradient, parameters, path_power
 from mistray.prescription import Coating, from_batoid
 from mistray.trace.books import SEGMENTS
 from mistray.trace.settings import Settings
@@ -176,8 +178,9 @@ def gradient_cost(name: str, rays: int, most: float) -> Row:
     scene = coated(name, "1.38 99.6, 2.10 131.0, 1.63 84.4")
     params = mi.traverse(scene)
     metric = path_power(scene, "ghost", rays=rays, flux_threshold=0.0)
-    count = sum(len(values) for values in gradient(metric, params).gradient.values())
-    t_gradient, t_value = alternate(lambda: gradient(metric, params), metric.value)
+    coatings = [key for key, p in parameters(scene).items() if p.kind in ("coating", "share")]
+    count = sum(len(values) for values in gradient(metric, params, coatings).gradient.values())
+    t_gradient, t_value = alternate(lambda: gradient(metric, params, coatings), metric.value)
     return Row(
         f"`{name}`: ghost power and its {count} derivatives against ghost power (time, small is good)",
         f"{t_gradient:.3f} s",
@@ -247,6 +250,10 @@ def main() -> None:
         stokes_cost("double_gauss", 1 << 17, 0.5),
         gradient_cost("cooke_triplet", 1 << 16, 2.5),
         gradient_cost("phone_camera", 1 << 12, 2.5),
+        *gradient_costs("double_gauss", 200_000),
+        *gradient_costs("phone_camera", 10_000),
+        *memory("double_gauss", 100_000),
+        tracing_share("cooke_triplet", 60_000, steps=20),
         *thin_films(),
         *scattering_camera(1 << 15),
         *scatter_samples(),
