@@ -331,7 +331,7 @@ def test_bad_scenes_are_one_line(capfd, tmp_path, plate, damage, parts):
 @pytest.mark.parametrize(
     ("arguments", "parts"),
     [
-        (("no_such_scene",), ["scene 'no_such_scene': no such file", "plate"]),
+        (("platte",), ["scene 'platte': no such file", "such as plate"]),
         (("plate", "--rays", "0"), ["rays is 0"]),
         (("plate", "--flux-threshold", "2"), ["flux_threshold is 2"]),
         (("plate", "--wavelength-nm", "550", "550"), ["give every wavelength once"]),

@@ -75,9 +75,10 @@ class Gradient:
 # Runs of several fields and wavelengths are added batch by batch; each splits its rays evenly
 EQUAL = np.ones(BATCHES)
 LEFT_OUT = "branches below flux_threshold and children of R = 0 or T = 0, which the trace does not follow"
-NO_EDGES = "what rays gain and lose at rims (edges=False)"
-NO_SILHOUETTES = "silhouettes of curved surfaces, which hide what lies behind them without a rim"
-ONSET = "the onset of total reflection at ideal and tabled coatings, whose T jumps to 0 there"
+NO_EDGES = "what rays gain and lose at rims and silhouettes (edges=False)"
+ONSET = (
+    "silhouettes of surfaces with tabled coatings, and the onset of total reflection at them, where R and T can jump"
+)
 INDEX_OF_SCATTER = "the change of what surfaces scatter with the index of the materials beside them"
 
 
@@ -165,8 +166,8 @@ def gradient(
         sums.add(sums.inner, parameter_gradient(raw, is_chosen))
         for half_width, into in enumerate(sums.edges):
             sums.add(into, edge_gradient(raw, is_chosen, bool(half_width)))
-    if wanted.geometry or wanted.indices:
-        left_out += [NO_SILHOUETTES] if edges else [NO_EDGES, NO_SILHOUETTES]
+    if (wanted.geometry or wanted.indices) and not edges:
+        left_out.append(NO_EDGES)
     if (wanted.geometry or wanted.indices) and any(_jumps(raw) for raw in raws.values()):
         left_out.append(ONSET)
     if wanted.indices and any(raw.scattering.any for raw in raws.values()):
@@ -195,15 +196,13 @@ def gradient(
 
 
 def _jumps(raw: RawGradient) -> bool:
-    """Whether the transmittance of a surface does not fall to 0 towards the critical angle."""
+    """Whether the R and T of a surface come from a table, which does not say what they do at grazing incidence."""
     optics = raw.table.optics
-    differ = np.abs(np.diff(optics.host_indices[:, :2], axis=1))[:, 0] > 0
     clear = (optics.host_words & OPAQUE) == 0
-    constant = [
-        bsdf.ideal or (kind == TABLED and bsdf.film is None)
-        for bsdf, kind in zip(optics.bsdfs, optics.host_words & 3, strict=True)
+    tabled = [
+        kind == TABLED and bsdf.film is None for bsdf, kind in zip(optics.bsdfs, optics.host_words & 3, strict=True)
     ]
-    return bool(np.any(differ & clear & np.array(constant)))
+    return bool(np.any(clear & np.array(tabled)))
 
 
 def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str] | None = None) -> dict[str, Parameter]:

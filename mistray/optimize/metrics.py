@@ -401,7 +401,8 @@ def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, An
 def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
     own = _own(traced)
     settings = {key: value for key, value in traced.items() if key not in own}
-    require_known(settings, [key for key in inspect.signature(trace).parameters if key not in ("scene", "field_deg")])
+    known = [key for key in inspect.signature(trace).parameters if key not in ("scene", "field_deg")]
+    require_known(settings, ["fields_deg", *known])
     return Metric(scene, function, settings=settings, unit=unit, name=name, **own)
 
 

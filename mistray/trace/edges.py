@@ -18,8 +18,10 @@ itself has no part in where it is: Δ follows from the distance D = F/|∇F| of 
 `EdgeEvents.joined` names, Δ = -D s/(n · u) with the gradient's direction n, the direction u in which the rim ends the
 surface and s the part of u along the coordinate in which Δ counts. The coefficient of D takes the place of that of Δ.
 
-What this does not see: outlines of surfaces that are not rims (a lens or tube seen from the side), lines in which
-surfaces cross away from their rims, and rims of meshes and other stock shapes.
+Silhouettes of curved surfaces and the onset of total reflection are treated the same way, with a distance and a kernel
+of their own: see `mistray.trace.grazing`.
+
+What this does not see: lines in which surfaces cross away from their rims, and rims of meshes and other stock shapes.
 """
 
 from __future__ import annotations
@@ -36,6 +38,7 @@ from mistray.errors import MistrayError
 from mistray.physics.sag import sag
 from mistray.trace.adjoint import Adjoint
 from mistray.trace.books import Film, Recorder
+from mistray.trace.grazing import SILHOUETTE, grazing_kernel
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import EVENT_BITS, Ledger
 from mistray.trace.optics import ASPHERIC
@@ -54,6 +57,7 @@ CAPACITY = 1 << 15  # hits that are kept at a time
 ROOM = 0.7  # share of it that the next portion of rays should fill
 FIRST_LANES = 1 << 12
 PAST = 1e-4  # distance from the rim at which rays go past it, in units of its radius or half side
+CLEAR = 1.25  # lift over a silhouette, in units of what a sphere needs
 FLAT = 1e-3  # sine of the angle between surfaces that go on in one another
 CIRCLE_FLOATS, JOINT_FLOATS = 5, 6
 STREAM = 0x3C6EF372  # of the random numbers of rays past rims
@@ -212,7 +216,15 @@ class Edges:
         gain = dr.gather(mi.Float64, book.gain, row) - self._gains(past.start, adjoint, ledger, sky)
         gain *= past.factor * mi.Float64(copies)
         zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
-        c, c_half = (gain * kernel(mi.Float64(delta), mi.Float64(width)) for width in (zone, 0.5 * zone))
+        scale = dr.gather(mi.Float, book.scale, row)
+        jumps, grazes = rim >= SILHOUETTE, rim == SILHOUETTE
+        zone = dr.select(jumps, book.grazing.zone * dr.select(grazes, 0.5 * scale, 1), zone)
+
+        def density(width: mi.Float) -> mi.Float64:
+            distance, width = mi.Float64(delta), mi.Float64(width)
+            return dr.select(jumps, grazing_kernel(distance, width), kernel(distance, width))
+
+        c, c_half = (gain * density(width) for width in (zone, 0.5 * zone))
         counts = dr.compress(c != 0)
         kept = [dr.gather(type(v), v, counts) for v in (row, past.start.batch, rim, past.joined, delta, c, c_half)]
         dr.eval(kept)
@@ -221,6 +233,8 @@ class Edges:
     def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
         """Rays that go past the rims."""
         book, table = self._book, self._table
+        jumps = rim >= SILHOUETTE
+        rim = dr.select(jumps, 0, rim)
         length = dr.gather(mi.UInt32, book.paths.length, row)
         last = row * book.paths.max_events + length - 1
         s = dr.gather(mi.UInt32, book.paths.codes, last) >> EVENT_BITS
@@ -254,9 +268,29 @@ class Edges:
         rng = mi.PCG32()  # whose constructor would add the number of the row to both
         rng.seed(mi.UInt64(state), mi.UInt64(sequence))
         left = dr.select(corner.left == NO_SURFACE, s, corner.left)
-        start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=corner.at, **before)
+        o, d, left, at = self._jump(row, jumps, p, s, (o, d, left, corner.at))
+        start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, **before)
         dr.eval(rng, vars(start))
-        return _Past(start, place, corner.factor, corner.joined)
+        factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)
+        return _Past(start, place, factor, joined)
+
+    def _jump(self, row: mi.UInt32, jumps: mi.Bool, p: mi.Vector3f, s: mi.UInt32, others: tuple[Any, ...]) -> Any:
+        """Start of rays beyond a jump (origin, direction, surface that they leave, surface that they are at)."""
+        book = self._book
+        o, d, left, at = others
+        axis = mi.Vector3f(*(dr.gather(mi.Float, book.axis, 3 * row + j, jumps) for j in range(3)))
+        scale, delta = (dr.gather(mi.Float, v, row, jumps) for v in (book.scale, book.delta))
+        grazes = jumps & (dr.gather(mi.UInt32, book.rim, row) == SILHOUETTE)
+        critical = jumps & ~grazes
+        # Past a silhouette: above the surface by a little where the ray is nearest to it, even if it bends more there
+        depth = scale * (dr.rsqrt(1 - 2 * delta / scale) - 1)
+        o = dr.select(grazes, p - (CLEAR * depth + PAST * scale) * axis, dr.select(critical, p, o))
+        # Beyond the critical angle: in the same plane of incidence, at the same place
+        sine = dr.sqrt(1 + PAST) / scale
+        aside = dr.normalize(d - dr.dot(d, axis) * axis)
+        beyond = dr.sqrt(dr.maximum(1 - dr.square(sine), 0)) * axis + sine * aside
+        d = dr.select(critical, beyond, d)
+        return o, d, dr.select(jumps, NO_SURFACE, left), dr.select(critical, s, dr.select(grazes, NO_SURFACE, at))
 
     def _beside_straight(self, s: mi.UInt32, q: mi.Vector3f, rim: mi.UInt32, step: mi.Float) -> mi.Vector3f:
         """The point past a side of a rectangle, in the frame of the surface, mm."""

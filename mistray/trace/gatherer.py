@@ -13,6 +13,7 @@ from mistray.errors import MistrayError
 from mistray.trace.adjoint import CHANNELS
 from mistray.trace.books import Recorder
 from mistray.trace.edges import EdgeEvents
+from mistray.trace.grazing import SILHOUETTE
 from mistray.trace.raw_gradient import RawGradient, Wanted
 from mistray.trace.replay import Branches, End, Exit, follow, replay_rays
 from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split
@@ -187,8 +188,9 @@ class RimEnd:
         self, surfaces: ReplaySurfaces, met: Met, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
     ) -> mi.Float64:
         """The gain to first order: its value is 0."""
-        free = self._joined == NO_SURFACE
-        distance = surfaces.rim_distance(met, self._rim, s, batch, active & free)
+        free, jumps = self._joined == NO_SURFACE, self._rim >= SILHOUETTE
+        distance = surfaces.rim_distance(met, self._rim, s, batch, active & free & ~jumps)
+        distance = dr.select(jumps, surfaces.jump_distance(met, split, self._rim, s, batch, active & jumps), distance)
         corner = active & ~free
         apart = surfaces.distance_from(
             surfaces.world_point(met, s, corner), dr.select(free, 0, self._joined), batch, corner

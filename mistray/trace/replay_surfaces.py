@@ -18,6 +18,7 @@ import numpy as np
 
 from mistray.physics.fresnel import reflectance
 from mistray.physics.sag import sag, sag_derivative
+from mistray.trace.grazing import SILHOUETTE
 from mistray.trace.ledger import BATCHES, TOTAL
 from mistray.trace.optics import (
     ASPHERIC,
@@ -37,6 +38,7 @@ from mistray.trace.raw_gradient import COEFFICIENTS, GEOMETRY, RIM_COLUMNS, Want
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
+BEND_STEP = 1e-4  # mm, of differences along a ray in float64
 TABLE_CHANNELS = 3  # R from the front, R from the back, T
 
 
@@ -246,6 +248,21 @@ class ReplaySurfaces:
             here = active & (rim == number)
             distance = dr.select(here, sign * (self.column(name, s, batch, here) - place), distance)
         return distance
+
+    def jump_distance(
+        self, met: Met, split: Split, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
+    ) -> mi.Float64:
+        """Distance of a hit from a jump, see `mistray.trace.grazing`."""
+        numbers = self._numbers(s, batch, active)
+        with dr.suspend_grad():
+            still = dr.detach(met.d)
+            (_, before), (_, here), (_, after) = (
+                self._surface(dr.detach(met.q) + t * still, numbers) for t in (-BEND_STEP, 0.0, BEND_STEP)
+            )
+            radius = dr.norm(here) * (2 * BEND_STEP) / dr.abs(dr.dot(after - before, still))
+        cosine = split.cos_i
+        margin = 1 - split.eta * split.eta * (1 - cosine * cosine)
+        return dr.select(rim == SILHOUETTE, 0.5 * radius * cosine * cosine, margin)
 
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Distance of points of the world from the surfaces s next to them, mm; positive along the gradient of F."""

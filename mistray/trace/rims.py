@@ -15,6 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.trace.books import Recorder, record_branch
+from mistray.trace.grazing import Grazing
 from mistray.trace.interaction import Interaction
 from mistray.trace.ledger import ABSORBED, EVENT_BITS, extend_key
 from mistray.trace.pieces import Piece
@@ -88,9 +89,13 @@ class RimBook:
     paths : Recorder
         Paths up to and with the hit; `weight` is the flux that arrives, `heading` the direction of arrival.
     rim : (capacity,) mi.UInt32
-        Place in `RIM_COLUMNS`.
+        Place in `RIM_COLUMNS`, or a jump of `mistray.trace.grazing`.
     delta : (capacity,) mi.Float
-        Distance from the rim, mm.
+        Distance from the rim, mm, or from the jump.
+    axis : (capacity, 3) mi.Float
+        Normal at the hit, on the side that the light goes to.
+    scale : (capacity,) mi.Float
+        See `mistray.trace.grazing.Jump`.
     copies : (capacity,) mi.Float
         How often the hit counts: once, twice where two zones overlap, of which one was chosen at random.
     gain : (capacity,) mi.Float64
@@ -121,8 +126,10 @@ class RimBook:
         self.rim = dr.zeros(mi.UInt32, capacity)
         self.delta, self.copies = dr.zeros(mi.Float, capacity), dr.zeros(mi.Float, capacity)
         self.gain = dr.zeros(mi.Float64, capacity)
+        self.grazing = Grazing(table, width)
+        self.axis, self.scale = dr.zeros(mi.Float, 3 * capacity), dr.zeros(mi.Float, capacity)
         self.before = {name: dr.zeros(getattr(mi, kind), capacity) for name, kind in STATE.items()}
-        dr.eval(self.rim, self.delta, self.copies, self.gain, self.before)
+        dr.eval(self.rim, self.delta, self.copies, self.gain, self.axis, self.scale, self.before)
 
     def memory(self, max_events: int) -> tuple[Any, ...]:
         """Local arrays by depth: slot of the hit, and what the metric had gained before it."""
@@ -161,14 +168,23 @@ class RimBook:
         slots, before = memory
         depth = state["depth"]
         rim, delta, near, both = self._nearest(state["s"], it.local, valid)
+        jump = self.grazing.find(state["s"], it, state["d"], valid)
+        # A hit is written once: where a rim and a jump are close, one of them is chosen by a bit of a coordinate
+        mixed = near & jump.near
+        jumps = jump.near & (~near | ((dr.reinterpret_array(mi.UInt32, it.local.y) & 1) != 0))
+        rim, delta = dr.select(jumps, jump.kind, rim), dr.select(jumps, jump.delta, delta)
+        copies = dr.select(mixed, mi.Float(2), 1) * dr.select(both & ~jumps, mi.Float(2), 1)
+        near |= jump.near
 
         def write(near: mi.Bool) -> mi.UInt32:
             weight = mi.Float64(state["w"])
             key = extend_key(state["key"], (state["s"] << EVENT_BITS) | ABSORBED)
             slot, kept = record_branch(self.paths, nodes, event, near, it.p, depth, lane, key, weight, state["d"])
-            copies = dr.select(both, mi.Float(2), 1)
-            for values, value in ((self.rim, rim), (self.delta, delta), (self.copies, copies)):
+            numbers = (self.rim, rim), (self.delta, delta), (self.copies, copies), (self.scale, jump.scale)
+            for values, value in numbers:
                 dr.scatter(values, value, slot, kept)
+            for j, component in enumerate(it.axis):
+                dr.scatter(self.axis, component, 3 * slot + j, kept)
             for name, values in self.before.items():
                 dr.scatter(values, batch if name == "batch" else state[name], slot, kept)
             return dr.select(kept, slot, NO_EVENT)

@@ -1,7 +1,7 @@
 """Derivatives of scatter along a path: by the models' values, by directions and normals, by R and T.
 
 The tables, their replay and the chain to the values are held against central differences of closed forms in float64,
-`oracles.scatter_forms`, which know nothing of tables. The 32 batches of start rays are 32 rays here, eight for each
+`scatter_forms`, which know nothing of tables. The 32 batches of start rays are 32 rays here, eight for each
 event and side, so that each has a derivative of its own. The limit of the issue is 1e-2; most models have nothing but
 radial tables, good to 1e-4, and a lower limit. A derivative that is 2 % wrong fails everywhere.
 """
@@ -17,9 +17,9 @@ import numpy as np
 import pytest
 from oracles import scatter_integrals as integrals
 from oracles.derivatives import central_differences
-from oracles.scatter_forms import FORMS, WAVELENGTH_NM, Form, Light
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import scene_text, shape_xml
+from scatter_forms import FORMS, WAVELENGTH_NM, Form, Light
 
 from mistray.errors import MistrayError
 from mistray.physics import contamination

@@ -11,11 +11,10 @@ from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from oracles.geometry import Array
 
 from mistray.physics import contamination, diffraction, rayleigh_rice
 from mistray.physics import generalized_harvey_shack as ghs
-
-from .geometry import Array
 
 WAVELENGTH_NM = 550.0
 WAVELENGTH_UM = 1e-3 * WAVELENGTH_NM
