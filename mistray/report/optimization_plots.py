@@ -20,6 +20,8 @@ from mistray.report.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMIL
 
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 STYLES = ("-", "--", ":", "-.")  # a colour comes again with the next of these
+MARKERS = "osD^v"  # hollow, as lines of variables can hide each other
+MARKED = 12  # steps with markers
 NAMED = 16  # lines in a legend
 ANGLES_DEG = (0.0, 30.0)
 POINTS = 201  # of a curve over wavelength
@@ -45,7 +47,7 @@ def search_figure(result: Optimization) -> Figure:
         shares = [step.terms[term.name] / first[term.name] for step in best]
         style = {**_style(number), "marker": "o", "ms": 3.5, "label": term.name}
         middle.plot([step.evaluations for step in best], shares, **style)
-    middle.set_ylabel("terms of the best search over those of the given start")
+    middle.set_ylabel("terms of the best search\nover those of the given start")
     if all(np.min(line.get_ydata()) > 0 for line in middle.lines):
         middle.set_yscale("log")
     right.set_ylabel("|d merit / d share of the bounds|")
@@ -68,8 +70,14 @@ def variables_figure(result: Optimization) -> Figure:
     axes = figure.subplots()
     best = _best_search(result)
     shares = np.array([result.variables.shares(step.x) for step in best])
+    every = -(-len(best) // MARKED)
     for number, variable in enumerate(result.variables.variables):
-        axes.plot([step.step for step in best], shares[:, number], label=variable.name, **_style(number))
+        marker = MARKERS[number % len(MARKERS)]
+        style = {**_style(number), "marker": marker, "mfc": "none", "ms": 4 + 2 * (number % 3)}
+        start = number % every  # so that markers of lines on top of each other take turns
+        axes.plot(
+            [step.step for step in best], shares[:, number], label=variable.name, markevery=(start, every), **style
+        )
     axes.set_ylim(-0.03, 1.03)
     axes.set_ylabel("share of the way from low to high bound")
     _frame(axes, "step")
