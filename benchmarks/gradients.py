@@ -33,6 +33,8 @@ def gradient_costs(name: str, rays: int, **settings: Any) -> list[Row]:
     rows = []
     for what, kinds in KINDS.items():
         chosen = [p for p in known.values() if p.kind in kinds]
+        if not chosen:
+            continue
         wanted = _wanted(what, chosen)
         best = [np.inf, np.inf]
         for repeat in range(REPEATS + 1):

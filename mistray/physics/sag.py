@@ -38,10 +38,7 @@ def sag(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = ()) -
         Sag in mm, in the shape of ``r2``; NaN where the conic has ended.
     """
     conic_term = curvature * r2 / (1 + sqrt(1 - (1 + conic) * curvature * curvature * r2))
-    polynomial: Any = 0
-    for a in reversed(coefficients):
-        polynomial = (polynomial + a) * r2
-    return conic_term + polynomial * r2
+    return conic_term + polynomial(r2, coefficients)
 
 
 def sag_derivative(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[Any] = ()) -> Any:
@@ -51,12 +48,35 @@ def sag_derivative(r2: Any, curvature: Any, conic: Any, coefficients: Sequence[A
     hence exact at the vertex. Parameters as in `sag`.
     """
     conic_term = 0.5 * curvature / sqrt(1 - (1 + conic) * curvature * curvature * r2)
-    polynomial: Any = 0
+    return conic_term + polynomial_derivative(r2, coefficients)
+
+
+def polynomial(r2: Any, coefficients: Sequence[Any]) -> Any:
+    """The polynomial terms of the sag, mm. Parameters as in `sag`."""
+    value: Any = 0
+    for a in reversed(coefficients):
+        value = (value + a) * r2
+    return value * r2
+
+
+def polynomial_derivative(r2: Any, coefficients: Sequence[Any]) -> Any:
+    """Derivative of the polynomial terms with respect to r², 1/mm. Parameters as in `sag`."""
+    value: Any = 0
     power = len(coefficients) + 1
     for a in reversed(coefficients):
-        polynomial = (polynomial + power * a) * r2
+        value = (value + power * a) * r2
         power -= 1
-    return conic_term + polynomial
+    return value
+
+
+def polynomial_second_derivative(r2: Any, coefficients: Sequence[Any]) -> Any:
+    """Second derivative of the polynomial terms with respect to r², mm⁻³. Parameters as in `sag`."""
+    value: Any = 0
+    power = len(coefficients) + 1
+    for a in reversed(coefficients):
+        value = value * r2 + power * (power - 1) * a
+        power -= 1
+    return value
 
 
 def conic_end(curvature: float, conic: float) -> float:

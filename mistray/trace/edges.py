@@ -53,7 +53,7 @@ from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import NO_SURFACE, POLYNOMIAL_VECTORS, SurfaceTable
 from mistray.trace.upload import upload
 
-CAPACITY = 1 << 15  # hits that are kept at a time
+CAPACITY = 1 << 17  # hits that are kept at a time
 ROOM = 0.7  # share of it that the next portion of rays should fill
 FIRST_LANES = 1 << 12
 PAST = 1e-4  # distance from the rim at which rays go past it, in units of its radius or half side

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -124,7 +125,7 @@ class Gatherer:
         keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
         # Neighbours do the same work when they have had the same events
         order = np.argsort(keys, kind="stable")
-        order = order[counts(keys)[order]]
+        order = order[each(counts, keys[order])]
         if not len(order):
             return
         rays = branches(self.recorder, start, order)
@@ -197,6 +198,18 @@ class RimEnd:
         )
         value = self._c * dr.select(free, distance, apart)
         return value - dr.detach(value)
+
+
+def each(function: Callable[[np.ndarray], Any], keys: np.ndarray) -> Any:
+    """An array, or a tuple of them, for rays sorted by key: computed once for all that have had the same events."""
+    if not len(keys):
+        return function(keys)
+    first = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+    times = np.diff(np.append(first, len(keys)))
+    found = function(keys[first])
+    if isinstance(found, tuple):
+        return tuple(np.repeat(values, times, axis=0) for values in found)
+    return np.repeat(found, times)
 
 
 def branches(recorder: Recorder, start: StartRays, rows: np.ndarray) -> Branches:

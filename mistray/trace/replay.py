@@ -24,7 +24,7 @@ from mistray.trace.path_events import EVENT_MASK
 from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split
 from mistray.trace.scatter_replay import ScatterEvent, ScatterReplay
 
-NEWTON_STEPS = 2  # of the first pass, from the recorded float32 point: its error of 1e-6 is squared twice
+NEWTON_STEPS = 1  # of the first pass, from the recorded float32 point: its error of 1e-6 is squared, then again
 FAR_OFF = 1e-3  # a ray that misses its recorded points by more, in units of 1 + their coordinates, is not the same
 
 
@@ -149,7 +149,7 @@ def follow(surfaces: ReplaySurfaces, rays: Branches) -> Followed:
         code = rays.code(k, active)
         s, what = code >> EVENT_BITS, code & EVENT_MASK
         recorded = rays.point(k, active)
-        met = surfaces.meet(p, d, dr.dot(recorded - p, d), s, rays.batch, active, NEWTON_STEPS)
+        met = surfaces.meet(p, d, dr.dot(recorded - p, d), s, rays.batch, active, NEWTON_STEPS, still=True)
         split = surfaces.split(met, s, what, rays.batch, active)
         here = surfaces.world_point(met, s, active)
         off = dr.norm(here - recorded) > FAR_OFF * (1 + dr.norm(recorded))
@@ -204,21 +204,19 @@ def replay_rays(
     alive = ~found.strayed
     away = end if isinstance(end, Exit) else None
 
-    def segment(k: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector3d, mi.Vector3d, mi.Float64]:
-        """Origin, direction and length of the segment that leads to event k."""
+    def differentiate(
+        k: mi.UInt32,
+        here: mi.Vector3d,
+        active: mi.Bool,
+        gain: Callable[[mi.Vector3d, mi.Vector3d, mi.Float64], mi.Float64],
+    ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d, mi.Float64]:
+        """Origin of the segment to event k, here; derivatives of its gain by origin and direction; the gain."""
         first = k == 0
         origin = dr.select(first, rays.o, found.point(dr.maximum(k, 1) - 1, active & ~first))
-        along = found.point(k, active) - origin
+        along = here - origin
         length = dr.norm(along)
-        return origin, dr.select(first, rays.d, along / length), length
-
-    def differentiate(
-        k: mi.UInt32, active: mi.Bool, gain: Callable[[mi.Vector3d, mi.Vector3d, mi.Float64], mi.Float64]
-    ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Float64]:
-        """Derivatives of a function of a segment by its origin and direction; the function's value."""
-        origin, along, length = segment(k, active)
         with dr.resume_grad():
-            o, d = mi.Vector3d(origin), mi.Vector3d(along)
+            o, d = mi.Vector3d(origin), dr.select(first, rays.d, along / length)
             dr.enable_grad(o, d)
             value = gain(o, d, length)
             result = mi.Float64(dr.detach(value))
@@ -226,7 +224,7 @@ def replay_rays(
             dr.enqueue(dr.ADMode.Backward, value)
             dr.traverse(dr.ADMode.Backward)
             by_o, by_d = mi.Vector3d(dr.grad(o)), mi.Vector3d(dr.grad(d))
-        return dr.select(active, by_o, 0), dr.select(active, by_d, 0), dr.select(active, result, 0)
+        return origin, dr.select(active, by_o, 0), dr.select(active, by_d, 0), dr.select(active, result, 0)
 
     def thin(met: Met, k: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Ln of what is left behind the segment that led to event k."""
@@ -245,6 +243,7 @@ def replay_rays(
             mi.Vector3d(end.by_direction),
             mi.UInt32(rays.length),
         )
+        here = found.point(dr.maximum(last, 1) - 1, alive & (last > 0))
     else:
         meets = end
         alive &= rays.length > 0
@@ -258,9 +257,11 @@ def replay_rays(
             left = thin(met, last, alive)  # is in the recorded flux already: only its derivative counts
             return gain + dr.detach(gain) * (left - dr.detach(left))
 
-        by_p, by_d, weight = differentiate(last, alive, at_end)
+        here, by_p, by_d, weight = differentiate(last, found.point(last, alive), alive, at_end)
 
-    def step(k: mi.UInt32, by_p: mi.Vector3d, by_d: mi.Vector3d) -> tuple[mi.UInt32, mi.Vector3d, mi.Vector3d]:
+    def step(
+        k: mi.UInt32, here: mi.Vector3d, by_p: mi.Vector3d, by_d: mi.Vector3d
+    ) -> tuple[mi.UInt32, mi.Vector3d, mi.Vector3d, mi.Vector3d]:
         active = alive & (k > 0)
         k = k - 1
         s, what = event_at(k, active)
@@ -281,18 +282,19 @@ def replay_rays(
                 if away is not None:
                     ahead = dr.select(k + 1 < rays.length, ahead, away.heading)
                 at_surface = surfaces.local_direction(met, dr.normalize(ahead), s, active)
-                here = scatter_event(met, split, s, reflect, rays.batch)
+                hit = scatter_event(met, split, s, reflect, rays.batch)
                 coating = surfaces.coating(split, s, rays.batch, active)
-                factor = factor + scatter.log_kept(here, active & ~scattered)
-                factor = factor + scatter.log_flux(here, at_surface, active & scattered, coating)
+                factor = factor + scatter.log_kept(hit, active & ~scattered)
+                factor = factor + scatter.log_flux(hit, at_surface, active & scattered, coating)
             gain = weight * (factor + thin(met, k, active)) + dr.dot(by_p, p)
             return gain + dr.select(scattered, 0, dr.dot(by_d, heading))
 
-        before_p, before_d, _ = differentiate(k, active, event)
-        return k, dr.select(active, before_p, by_p), dr.select(active, before_d, by_d)
+        before, before_p, before_d, _ = differentiate(k, here, active, event)
+        here = dr.select(active, before, here)
+        return k, here, dr.select(active, before_p, by_p), dr.select(active, before_d, by_d)
 
-    _, by_p, by_d = dr.while_loop(
-        (mi.UInt32(last), by_p, by_d),
+    _, _, by_p, by_d = dr.while_loop(
+        (mi.UInt32(last), here, by_p, by_d),
         lambda k, *_: alive & (k > 0),
         step,
         mode="symbolic",

@@ -17,11 +17,11 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.physics.fresnel import reflectance
-from mistray.physics.sag import sag, sag_derivative
+from mistray.trace.aspheric_terms import AsphericTerms
 from mistray.trace.grazing import SILHOUETTE
 from mistray.trace.ledger import BATCHES, TOTAL
+from mistray.trace.number_rows import NumberRows
 from mistray.trace.optics import (
-    ASPHERIC,
     BACK_MEDIUM_SHIFT,
     FRESNEL,
     FRONT_MEDIUM_SHIFT,
@@ -34,7 +34,7 @@ from mistray.trace.optics import (
     TRANSMISSION,
     total_variable,
 )
-from mistray.trace.raw_gradient import COEFFICIENTS, GEOMETRY, RIM_COLUMNS, Wanted
+from mistray.trace.raw_gradient import COEFFICIENTS, GEOMETRY, RIM_COLUMNS, SHAPE_COLUMNS, Wanted
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
@@ -81,57 +81,41 @@ class ReplaySurfaces:
         self.table, self.wanted = table, wanted
         self.count = table.count
         self._surfaces = dr.opaque(mi.UInt32, self.count)
-        self.columns: dict[str, mi.Float64] = {}
         base = numbers_of(table)
         numbers = base if moved is None else base.plus(moved)
-        for column, name in enumerate(GEOMETRY):
-            own = numbers.geometry[:, column]
-            if name in wanted.geometry:
-                self.columns[name] = _tracked(np.tile(own, BATCHES))
-            elif np.any(own):
-                self.columns[name] = upload(mi.Float64, own)
+        self._still = NumberRows(numbers.geometry, SHAPE_COLUMNS)
+        self._shape = NumberRows(numbers.geometry, SHAPE_COLUMNS, wanted.geometry)
+        self._rims = NumberRows(numbers.geometry, RIM_COLUMNS, wanted.geometry)
         optics = table.optics
         indices, rows, ideal = numbers.indices, numbers.rows, numbers.ideal
-        self._indices = _tracked(np.tile(indices.ravel(), BATCHES)) if wanted.indices else None
+        self._indices = NumberRows.track(np.tile(indices.ravel(), BATCHES)) if wanted.indices else None
         self._plain_indices = upload(mi.Float64, indices)
         self.rows = len(rows)
         if wanted.rows:
-            self._rows, self._ideal = (_tracked(np.tile(v.ravel(), BATCHES)) for v in (rows, ideal))
+            self._rows, self._ideal = (NumberRows.track(np.tile(v.ravel(), BATCHES)) for v in (rows, ideal))
         else:
             self._rows, self._ideal = upload(mi.Float64, rows), upload(mi.Float64, ideal)
         self._row_stride = dr.opaque(mi.UInt32, rows.size if wanted.rows else 0)
         self._ideal_stride = dr.opaque(mi.UInt32, ideal.size if wanted.rows else 0)
-        self._vertices = upload(mi.Float64, table.vertices)
         self._rotations = upload(mi.Float64, table.rotations)
-        cones = np.zeros(self.count)
+        # Vertices, and whether F grows along the normal: it does for cones only, see `_surface`
+        places = np.column_stack([table.vertices, np.full(self.count, -1.0)])
         for piece in table.pieces:
-            cones[piece.index] = piece.kind == "cone"
-        # F falls along the normal of all but cones, see `_surface`
-        self._signs, self._cones = upload(mi.Float64, 2 * cones - 1), upload(mi.Float64, cones)
+            places[piece.index, 3] = 1.0 if piece.kind == "cone" else -1.0
+        self._places = upload(mi.Float64, places)
         self._extinction = upload(mi.Float64, np.array(optics.extinction))
-        self._polynomial = [name for name in COEFFICIENTS if name in self.columns][-1:]
-        moving = () if moved is None else [n for n in COEFFICIENTS if moved.geometry[:, GEOMETRY.index(n)].any()]
-        self._coefficients = bool(wanted.geometry & set(COEFFICIENTS) or moving)
-        self._order = COEFFICIENTS.index(self._polynomial[0]) + 1 if self._polynomial else 0
-        self._tilts = any(name in self.columns for name in ("tilt_x", "tilt_y", "tilt_z"))
-        self._shifts = any(name in self.columns for name in ("x", "y", "z"))
-        dr.eval(self.columns, self._indices, self._plain_indices, self._rows, self._ideal, self._vertices)
-        dr.eval(self._rotations, self._signs, self._cones, self._extinction)
+        self._tilts = bool(self._shape.names & {"tilt_x", "tilt_y", "tilt_z"})
+        self._shifts = bool(self._shape.names & {"x", "y", "z"})
+        dr.eval(self._indices, self._plain_indices, self._rows, self._ideal, self._places)
+        dr.eval(self._rotations, self._extinction)
 
     # ---- numbers
 
-    def column(self, name: str, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> Any:
-        """A column of `GEOMETRY` at the surfaces s."""
-        values = self.columns.get(name)
-        if values is None:
-            return mi.Float64(0)
-        index = batch * self._surfaces + s if name in self.wanted.geometry else s
-        return dr.gather(mi.Float64, values, index, active)
-
-    def _index(self, s: mi.UInt32, side: int, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
+    def _sides(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Vector2d:
+        """Indices in front and behind."""
         if self._indices is None:
-            return dr.gather(mi.Float64, self._plain_indices, 2 * s + side, active)
-        return dr.gather(mi.Float64, self._indices, 2 * (batch * self._surfaces + s) + side, active)
+            return dr.gather(mi.Vector2d, self._plain_indices, s, active)
+        return dr.gather(mi.Vector2d, self._indices, batch * self._surfaces + s, active)
 
     def _to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         if not self.table.rotated:
@@ -147,7 +131,10 @@ class ReplaySurfaces:
 
     def vertex(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """Vertices of the surfaces, mm."""
-        return mi.Vector3d(*(dr.gather(mi.Float64, self._vertices, 3 * s + k, active) for k in range(3)))
+        return mi.Vector3d(*list(self._place(s, active))[:3])
+
+    def _place(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector4d:
+        return dr.gather(mi.Vector4d, self._places, s, active)
 
     def extinction(self, medium: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """What media absorb, 1/mm."""
@@ -164,6 +151,7 @@ class ReplaySurfaces:
         batch: mi.UInt32,
         active: mi.Bool,
         steps: int = 1,
+        still: bool = False,
     ) -> Met:
         """
         The hit of a ray with the surfaces s near the distance t.
@@ -176,15 +164,17 @@ class ReplaySurfaces:
             Distance of a point near the hit, mm.
         steps : int
             Newton steps; one is enough for derivatives at the hit itself.
+        still : bool
+            Without derivatives, and without the work for terms that are 0.
         """
         vertex = self.vertex(s, active)
         p, direction = self._to_local(o - vertex, s, active), self._to_local(d, s, active)
-        shift, turn = self._pose(s, batch, active)
+        numbers = self._numbers(s, batch, active, still)
+        shift, turn = self._pose(numbers)
         if self._shifts:
             p = p - shift
         if self._tilts:  # to first order; the rotation itself is 0
             p, direction = p - dr.cross(turn, p), direction - dr.cross(turn, direction)
-        numbers = self._numbers(s, batch, active)
         for _ in range(steps):
             q = p + t * direction
             value, gradient = self._surface(q, numbers)
@@ -193,39 +183,40 @@ class ReplaySurfaces:
             t = t - dr.select(active & dr.isfinite(step), step, 0)
         q = p + t * direction
         _, gradient = self._surface(q, numbers)
-        normal = dr.normalize(gradient) * dr.gather(mi.Float64, self._signs, s, active)
+        normal = dr.normalize(gradient) * self._place(s, active).w
         return Met(q, direction, normal, t, turn, shift)
 
-    def _numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
-        names = ("curvature", "conic", "r0", "slope", *COEFFICIENTS[: self._order])
-        numbers = {name: self.column(name, s, batch, active) for name in names}
-        numbers["cone"] = dr.gather(mi.Float64, self._cones, s, active) > 0
-        word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
-        # A coefficient that is 0 has a derivative as well, and can be moved
-        numbers["aspheric"] = ((word & ASPHERIC) != 0) | mi.Bool(self._coefficients)
+    def _numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
+        rows = self._still if still else self._shape
+        numbers = rows.read(s, batch, active)
+        numbers["cone"] = self._place(s, active).w > 0
+        for key, some in (("coefficients", rows), ("still", self._still)):
+            known = [order for order, name in enumerate(COEFFICIENTS, 1) if name in some.names]
+            numbers[key] = [numbers[name] for name in COEFFICIENTS[: max(known, default=0)]]
         return numbers
 
     def _surface(self, q: mi.Vector3d, n: dict[str, Any]) -> tuple[mi.Float64, mi.Vector3d]:
-        """F and half its gradient in the surface's own frame; F = 0 is the surface."""
-        c, k1 = n["curvature"], 1 + n["conic"]
+        """
+        F and half its gradient in the surface's own frame; F = 0 is the surface.
+
+        An asphere is its conic with z less the polynomial terms in the place of z, which needs no root.
+        """
+        c, k1, coefficients = n["curvature"], 1 + n["conic"], n["coefficients"]
         r2 = q.x * q.x + q.y * q.y
+        z, bend = q.z, mi.Float64(0)
+        if coefficients:
+            z = z - dr.custom(AsphericTerms, r2, coefficients, n["still"], False)
+            bend = 2 * dr.custom(AsphericTerms, r2, coefficients, n["still"], True)
         radius = n["r0"] + n["slope"] * q.z
         cone = n["cone"]
-        value = dr.select(cone, r2 - radius * radius, c * (r2 + k1 * q.z * q.z) - 2 * q.z)
+        along = c * k1 * z - 1
+        across = c - along * bend
+        value = dr.select(cone, r2 - radius * radius, c * (r2 + k1 * z * z) - 2 * z)
         gradient = mi.Vector3d(
-            dr.select(cone, q.x, c * q.x),
-            dr.select(cone, q.y, c * q.y),
-            dr.select(cone, -n["slope"] * radius, c * k1 * q.z - 1),
+            dr.select(cone, q.x, across * q.x),
+            dr.select(cone, q.y, across * q.y),
+            dr.select(cone, -n["slope"] * radius, along),
         )
-        if self._order:
-            coefficients = [n[name] for name in COEFFICIENTS[: self._order]]
-            aspheric = n["aspheric"] & ~cone
-            # Behind the end of the conic there is no sag; nobody asks there
-            inside = dr.minimum(r2, dr.select(k1 * c * c > 0, 0.999999 / (k1 * c * c), dr.largest(mi.Float64)))
-            inside = dr.select(dr.detach(r2) <= dr.detach(inside), r2, inside)
-            slope = sag_derivative(inside, c, n["conic"], coefficients)
-            value = dr.select(aspheric, 2 * (sag(inside, c, n["conic"], coefficients) - q.z), value)
-            gradient = dr.select(aspheric, mi.Vector3d(2 * slope * q.x, 2 * slope * q.y, -1), gradient)
         return value, gradient
 
     def world_point(self, met: Met, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
@@ -243,18 +234,17 @@ class ReplaySurfaces:
         x, y, z = dr.abs(met.q.x), dr.abs(met.q.y), met.q.z
         # Place of the hit along the coordinate, and whether the surface lies below the rim in it
         places = ((rho, 1), (rho, -1), (x, 1), (y, 1), (z, -1), (z, 1))
-        distance = mi.Float64(0)
+        distance, values = mi.Float64(0), self._rims.read(s, batch, active)
         for number, (name, (place, sign)) in enumerate(zip(RIM_COLUMNS, places, strict=True)):
-            here = active & (rim == number)
-            distance = dr.select(here, sign * (self.column(name, s, batch, here) - place), distance)
+            distance = dr.select(active & (rim == number), sign * (values[name] - place), distance)
         return distance
 
     def jump_distance(
         self, met: Met, split: Split, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
     ) -> mi.Float64:
         """Distance of a hit from a jump, see `mistray.trace.grazing`."""
-        numbers = self._numbers(s, batch, active)
         with dr.suspend_grad():
+            numbers = self._numbers(s, batch, active, still=True)
             still = dr.detach(met.d)
             (_, before), (_, here), (_, after) = (
                 self._surface(dr.detach(met.q) + t * still, numbers) for t in (-BEND_STEP, 0.0, BEND_STEP)
@@ -267,19 +257,19 @@ class ReplaySurfaces:
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Distance of points of the world from the surfaces s next to them, mm; positive along the gradient of F."""
         q = self._to_local(p - self.vertex(s, active), s, active)
-        shift, turn = self._pose(s, batch, active)
+        numbers = self._numbers(s, batch, active)
+        shift, turn = self._pose(numbers)
         if self._shifts:
             q = q - shift
         if self._tilts:
             q = q - dr.cross(turn, q)
-        value, gradient = self._surface(q, self._numbers(s, batch, active))
+        value, gradient = self._surface(q, numbers)
         return value / dr.detach(2 * dr.norm(gradient))
 
-    def _pose(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector3d, mi.Vector3d]:
+    @staticmethod
+    def _pose(numbers: dict[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d]:
         """Displacement and rotation of the frames."""
-        shift, turn = (
-            mi.Vector3d(*(self.column(prefix + axis, s, batch, active) for axis in "xyz")) for prefix in ("", "tilt_")
-        )
+        shift, turn = (mi.Vector3d(*(numbers[prefix + axis] for axis in "xyz")) for prefix in ("", "tilt_"))
         return shift, turn
 
     def world_direction(self, met: Met, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
@@ -306,7 +296,7 @@ class ReplaySurfaces:
         """Add derivatives of rays that start from a surface and move with it, given those by their start."""
         s = dr.full(mi.UInt32, surface, dr.width(batch))
         with dr.resume_grad():
-            shift, turn = self._pose(s, batch, active)
+            shift, turn = self._pose(self._numbers(s, batch, active))
             q = self._to_local(o - self.vertex(s, active), s, active)
             along = self._to_local(d, s, active)
             moved = self._to_world(shift + dr.cross(turn, q), s, active)
@@ -325,7 +315,7 @@ class ReplaySurfaces:
         """R and T of the surfaces s for other light: a function of its side and its cosine of incidence."""
 
         def shares(from_front: mi.Bool, cos_i: mi.Float64) -> tuple[mi.Float64, mi.Float64]:
-            front, back = (self._index(s, side, batch, active) for side in (0, 1))
+            front, back = self._sides(s, batch, active)
             n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
             return self._coated(s, split.word, from_front, cos_i, n_i, n_t, mi.Bool(False), batch, active)[:2]
 
@@ -337,7 +327,7 @@ class ReplaySurfaces:
         from_front = dr.detach(cosine) > 0
         axis = dr.select(from_front, met.normal, -met.normal)
         cos_i = dr.abs(cosine)
-        front, back = (self._index(s, side, batch, active) for side in (0, 1))
+        front, back = self._sides(s, batch, active)
         n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
         word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
         R, T, cos_t, eta, total = self._coated(s, word, from_front, cos_i, n_i, n_t, what == TOTAL, batch, active)
@@ -420,8 +410,9 @@ class ReplaySurfaces:
     def geometry(self) -> np.ndarray:
         """Derivatives that have been gathered, (BATCHES, surfaces, len(GEOMETRY)) float64."""
         found = np.zeros((BATCHES, self.count, len(GEOMETRY)))
-        for name in self.wanted.geometry:
-            found[:, :, GEOMETRY.index(name)] = np.array(dr.grad(self.columns[name])).reshape(BATCHES, self.count)
+        for rows in (self._shape, self._rims):
+            for name, values in rows.gradient().items():
+                found[:, :, GEOMETRY.index(name)] = values
         return found
 
     def index_gradient(self) -> np.ndarray:
@@ -457,13 +448,6 @@ class Split:
     medium_in: mi.UInt32
     medium_out: mi.UInt32
     word: mi.UInt32
-
-
-def _tracked(values: np.ndarray) -> mi.Float64:
-    with dr.resume_grad():
-        array = upload(mi.Float64, values)
-        dr.enable_grad(array)
-    return array
 
 
 @dataclass

@@ -8,7 +8,7 @@ import numpy as np
 
 from mistray.trace.books import HITS, Film
 from mistray.trace.edges import Edges
-from mistray.trace.gatherer import Gatherer
+from mistray.trace.gatherer import Gatherer, each
 from mistray.trace.raw_gradient import MOMENTS, PathDerivative, RawGradient, Wanted
 from mistray.trace.replay import scatter_event
 from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split
@@ -139,7 +139,7 @@ def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | Non
         return np.asarray(coefficients.any(axis=1) | ((maps >= 0) & (image is not None)))
 
     def end(row: mi.UInt32, keys: np.ndarray) -> DetectorEnd:
-        coefficients, maps = paths.of(keys) if paths is not None else (None, np.zeros(len(keys), dtype=np.int64))
+        coefficients, maps = each(paths.of, keys) if paths is not None else (None, np.zeros(len(keys), dtype=np.int64))
         return DetectorEnd(
             film, coefficients, image, maps, dr.gather(mi.Float64, recorder.weight, row), gatherer.scatter
         )
