@@ -142,9 +142,15 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
     surfaces = solid_shapes(scene)
     found = {}
     properties: Any = params.properties  # type: ignore[union-attr]
+    near: dict[int, list[Any]] = {}  # shapes by the plugins that are part of them
+    for shape in surfaces:
+        bsdf = shape.bsdf()
+        parts = [shape, bsdf, getattr(bsdf, "film", None), *getattr(bsdf, "scatterers", ())]
+        for part in {id(part) for part in parts}:
+            near.setdefault(part, []).append(shape)
     for key in params.keys():  # noqa: SIM118  (mi.SceneParameters iterates over pairs)
         owner, name = properties[key][2], key.rsplit(".", 1)[-1]
-        shapes = [shape for shape in surfaces if _has(shape, owner, name)]
+        shapes = [shape for shape in near.get(id(owner), ()) if _has(shape, owner, name)]
         if not shapes:
             continue
         value = np.array(peek(params, key), dtype=np.float64).ravel()

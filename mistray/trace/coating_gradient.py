@@ -7,7 +7,8 @@ one lane for each row that was used and each parameter.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -20,9 +21,9 @@ from mistray.physics.thinfilm import reflectance_transmittance
 from mistray.trace.interaction import REFLECTION_AND_TRANSMISSION
 from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import IDEAL, OPAQUE, REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION, node_cosines
+from mistray.trace.upload import upload
 
 if TYPE_CHECKING:
-    from mistray.coatings import Stack
     from mistray.trace.optics import Optics
 
 IDEAL_PARAMETERS = ("R", "T")
@@ -72,149 +73,156 @@ def coating_gradient(
             own = sums[:, first : total_first + total_last + 1, :REFLECTION_AND_TRANSMISSION]
             key = id(bsdf.film), id(optics.tables[i])
             shared[key] = i, own + shared[key][1] if key in shared else own
+    asked = []
     for i, own in shared.values():
         film = optics.bsdfs[i].film
         names = [name for name in LAYER_PARAMETERS if wanted(film, name)]
-        used = np.flatnonzero(np.any(own.any(axis=0), axis=1))
-        slopes = layer_row_derivatives(optics, i, used, names)
+        asked.append((i, np.flatnonzero(np.any(own.any(axis=0), axis=1)), names))
+    found_rows = layer_row_derivatives(optics, asked)
+    for (_, own), (i, used, names), slopes in zip(shared.values(), asked, found_rows, strict=True):
         gradient = own[:, used].reshape(BATCHES, -1) @ slopes.reshape(len(slopes), -1).T
         for name, values in zip(names, np.split(gradient, len(names), axis=1), strict=True):
-            yield film, name, values
+            yield optics.bsdfs[i].film, name, values
 
 
-def layer_row_derivatives(optics: Optics, surface: int, used: np.ndarray, names: list[str]) -> np.ndarray:
+@dataclass(frozen=True)
+class _Side:
     """
-    Derivatives of rows of a coated surface's table by the parameters of its layers.
+    Light that meets a coating from one side, at rows of a table.
+
+    Attributes
+    ----------
+    indices, thickness : (L,) complex and float
+        Of the layers in the order of incidence, nm.
+    outer : (complex, complex)
+        Indices of the materials before and behind.
+    cosines : (m,) float
+        Of incidence.
+    parts : tuple of int
+        The parameters that are wanted, numbers in `LAYER_PARAMETERS`.
+    put : callable
+        Takes the derivatives of R and T, (parts · L, m) each, in the order of incidence.
+    """
+
+    indices: np.ndarray
+    thickness: np.ndarray
+    outer: tuple[complex, complex]
+    cosines: np.ndarray
+    parts: tuple[int, ...]
+    put: Callable[[np.ndarray, np.ndarray], None]
+
+
+def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray, Sequence[str]]]) -> list[np.ndarray]:
+    """
+    Derivatives of rows of the tables of coated surfaces by the parameters of their layers.
 
     Parameters
     ----------
     optics : Optics
-    surface : int
-    used : (u,) int
-        The rows that are wanted, counted through both parts of the table.
-    names : list of str
-        Of `LAYER_PARAMETERS`.
+    asked : sequence of (int, (u,) int, sequence of str)
+        Surfaces, the rows that are wanted, counted through both parts of the table, and the parameters that are wanted,
+        of `LAYER_PARAMETERS`.
 
     Returns
     -------
-    (names · L, u, 3) float64
+    list of (names · L, u, 3) float64
         By each parameter for all layers, in the coating's own order; columns as in the table.
     """
+    groups: dict[tuple[int, tuple[int, ...]], list[_Side]] = {}
+    results = []
+    for surface, used, names in asked:
+        parts = tuple(LAYER_PARAMETERS.index(name) for name in names)
+        result, sides = _sides(optics, surface, used, parts)
+        results.append(result)
+        for side in sides:
+            groups.setdefault((len(side.indices), parts), []).append(side)
+    for sides in groups.values():  # one kernel for all coatings of as many layers
+        for side, (R, T) in zip(sides, _tangents(sides, optics.wavelength_nm), strict=True):
+            side.put(R, T)
+    return results
+
+
+def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...]) -> tuple[np.ndarray, list[_Side]]:
+    """Where the derivatives of some rows of a table go, at first 0, and what has to be computed for them."""
     _, last, _, total_last = (int(v) for v in optics.host_places[surface])
-    return _row_derivatives(
-        optics.bsdfs[surface].coating,
-        optics.wavelength_nm,
-        *optics.complex_indices[surface],
-        bool(optics.host_words[surface] & OPAQUE),
-        (last + 1, total_last + 1),
-        used,
-        [LAYER_PARAMETERS.index(name) for name in names],
-    )
-
-
-def _row_derivatives(
-    stack: Stack,
-    wavelength_nm: float,
-    n_front: complex,
-    n_back: complex,
-    opaque: bool,
-    counts: tuple[int, int],
-    used: np.ndarray,
-    parts: list[int],
-) -> np.ndarray:
-    """
-    Derivatives of rows of a table by the parameters of each layer.
-
-    Parameters
-    ----------
-    counts : (int, int)
-        Rows of the refraction part and of the total-reflection part.
-    used : (u,) int
-        The rows that are wanted, counted through both parts.
-    parts : list of int
-        The parameters that are wanted, numbers in `LAYER_PARAMETERS`.
-
-    Returns
-    -------
-    (parts · L, u, 3) float64
-        By each parameter for all layers, in the coating's own order; columns as in the table.
-    """
-    indices, thickness, order = stack.front_to_back(wavelength_nm, n_front, n_back)
+    refraction = last + 1
+    n_front, n_back = optics.complex_indices[surface]
+    opaque = bool(optics.host_words[surface] & OPAQUE)
+    indices, thickness, order = optics.bsdfs[surface].coating.front_to_back(optics.wavelength_nm, n_front, n_back)
     layers = len(indices)
-    if not len(used):
-        return np.zeros((len(parts) * layers, 0, 3))
-    refraction = counts[0]
+    result = np.zeros((len(parts) * layers, len(used), 3))
     if opaque:
         front = back = np.linspace(0.0, 1.0, refraction)
-        dense = np.zeros(counts[1])
+        dense = np.zeros(total_last + 1)
     else:
         front, back, _ = node_cosines(n_front.real, n_back.real, np.linspace(0.0, 1.0, refraction))
-        dense = node_cosines(n_front.real, n_back.real, np.linspace(0.0, 1.0, counts[1]))[2]
-    at_front, at_back = np.concatenate([front, dense])[used], np.concatenate([back, dense])[used]
+        dense = node_cosines(n_front.real, n_back.real, np.linspace(0.0, 1.0, total_last + 1))[2]
     total = used >= refraction
-    result = np.zeros((len(parts) * layers, len(used), 3))
-    # Total reflection is seen from the denser side only
-    sides = (
-        (True, at_front, ~total | (n_front.real > n_back.real)),
-        (False, at_back, ~total | (n_back.real > n_front.real)),
-    )
-    for is_front, cosines, rows in sides:
-        if not rows.any() or (n_front if is_front else n_back).imag > METAL_K:  # nothing travels in a metal
+    found = []
+    for is_front, outer in ((True, (n_front, n_back)), (False, (n_back, n_front))):
+        # Total reflection is seen from the denser side only
+        rows = ~total | (outer[0].real > outer[1].real)
+        if not rows.any() or outer[0].imag > METAL_K:  # nothing travels in a metal
             continue
-        ordered = (indices, thickness) if is_front else (indices[::-1], thickness[::-1])
-        outer = (n_front, n_back) if is_front else (n_back, n_front)
-        R, T = _tangents(*ordered, *outer, wavelength_nm, cosines[rows], parts)
-        number = order if is_front else order[::-1]
-        slot = np.concatenate([number + block * layers for block in range(len(parts))])
-        place = np.ix_(slot, np.flatnonzero(rows))
-        result[:, :, REFLECTION_FRONT if is_front else REFLECTION_BACK][place] = R
-        if is_front and not opaque:
-            below = ~total[rows]
-            result[:, :, TRANSMISSION][np.ix_(slot, np.flatnonzero(rows & ~total))] = T[:, below]
-    return result
+        forward = slice(None, None, 1 if is_front else -1)
+        slot = np.concatenate([order[forward] + block * layers for block in range(len(parts))])
+
+        def put(
+            R: np.ndarray, T: np.ndarray, is_front: bool = is_front, rows: np.ndarray = rows, slot: np.ndarray = slot
+        ) -> None:
+            channel = REFLECTION_FRONT if is_front else REFLECTION_BACK
+            result[:, :, channel][np.ix_(slot, np.flatnonzero(rows))] = R
+            if is_front and not opaque:
+                result[:, :, TRANSMISSION][np.ix_(slot, np.flatnonzero(rows & ~total))] = T[:, ~total[rows]]
+
+        cosines = np.concatenate([front if is_front else back, dense])[used][rows]
+        found.append(_Side(indices[forward], thickness[forward], outer, cosines, parts, put))
+    return result, found
 
 
-def _tangents(
-    indices: np.ndarray,
-    thickness: np.ndarray,
-    n_incident: complex,
-    n_substrate: complex,
-    wavelength_nm: float,
-    cosines: np.ndarray,
-    parts: list[int],
-) -> tuple[np.ndarray, np.ndarray]:
-    """Derivatives of the mean R and T by the parameters of each layer, (parts · L, m), in the order of incidence."""
-    layers, nodes = len(indices), len(cosines)
-    lane = dr.arange(mi.UInt32, len(parts) * layers * nodes)
-    stride = dr.opaque(mi.UInt32, nodes)  # a literal would be compiled in, and the count changes with the design
-    parameter = lane // stride
+def _tangents(sides: Sequence[_Side], wavelength_nm: float) -> list[tuple[np.ndarray, np.ndarray]]:
+    """Derivatives of the mean R and T of coatings of as many layers by the same parameters of each layer."""
+    layers, parts = len(sides[0].indices), sides[0].parts
+    blocks = len(parts) * layers
+    # One lane for each row and each parameter of a side
+    number = np.concatenate([np.full(blocks * len(side.cosines), k) for k, side in enumerate(sides)])
+    chosen = np.concatenate([np.repeat(np.arange(blocks), len(side.cosines)) for side in sides])
+    cosine = upload(mi.Float64, np.concatenate([np.tile(side.cosines, blocks) for side in sides]))
+    lane, parameter = upload(mi.UInt32, number), upload(mi.UInt32, chosen)
 
-    def opaque(value: float) -> Any:
-        return dr.opaque(mi.Float64, float(value))
+    def spread(values: Any) -> mi.Float64:
+        return dr.gather(mi.Float64, upload(mi.Float64, np.array(values)), lane)
 
     complex_type = mi.Complex2f64
     n_layers, d_layers = [], []
     with dr.resume_grad():
-        for j, (n, d) in enumerate(zip(indices, thickness, strict=True)):
-            values = [opaque(d), opaque(n.real), opaque(n.imag)]
+        for j in range(layers):
+            n = [side.indices[j] for side in sides]
+            values = ([side.thickness[j] for side in sides], np.real(n), np.imag(n))
             moved = []
             for part, value in enumerate(values):
-                x = value + dr.zeros(mi.Float64, dr.width(lane))
+                x = spread(value)
                 dr.enable_grad(x)
                 mine = parameter == parts.index(part) * layers + j if part in parts else mi.Bool(False)
                 dr.set_grad(x, dr.select(mine, mi.Float64(1), mi.Float64(0)))
                 moved.append(x)
             d_layers.append(moved[0])
             n_layers.append(complex_type(moved[1], moved[2]))
-        outer = [complex_type(opaque(n.real), opaque(n.imag)) for n in (n_incident, n_substrate)]
-        cosine = dr.gather(mi.Float64, mi.Float64(cosines), lane % stride)
+        outer = [
+            complex_type(*(spread(part([side.outer[k] for side in sides])) for part in (np.real, np.imag)))
+            for k in (0, 1)
+        ]
         (r_s, r_p), (t_s, t_p) = reflectance_transmittance(
-            outer[0], n_layers, d_layers, outer[1], opaque(wavelength_nm), cosine
+            outer[0], n_layers, d_layers, outer[1], dr.opaque(mi.Float64, wavelength_nm), cosine
         )
         mean_r, mean_t = 0.5 * (r_s + r_p), 0.5 * (t_s + t_p)
         dr.enqueue(dr.ADMode.Forward, d_layers, n_layers)
         dr.traverse(dr.ADMode.Forward)
         gradients = dr.grad(mean_r), dr.grad(mean_t)
         dr.eval(gradients)
-    shape = (len(parts) * layers, nodes)
-    return np.array(gradients[0]).reshape(shape), np.array(gradients[1]).reshape(shape)
+    both = [np.array(gradient) for gradient in gradients]
+    ends = np.cumsum([blocks * len(side.cosines) for side in sides])[:-1]
+    return [
+        (R.reshape(blocks, -1), T.reshape(blocks, -1))
+        for R, T in zip(*(np.split(values, ends) for values in both), strict=True)
+    ]

@@ -59,6 +59,6 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
             for name in LAYER_PARAMETERS:
                 speed = tangents.get((id(bsdf.film), name))
                 if speed is not None:
-                    slopes = layer_row_derivatives(optics, i, np.arange(len(own)), [name])
+                    (slopes,) = layer_row_derivatives(optics, [(i, np.arange(len(own)), [name])])
                     own += np.tensordot(np.asarray(speed, dtype=np.float64), slopes, axes=1)
     return Numbers(geometry, indices, rows, ideal)

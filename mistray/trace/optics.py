@@ -41,6 +41,7 @@ THIN = 1e-3  # optical depth below which a medium takes the same light everywher
 NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
 FIRST_INTERVALS, LAST_INTERVALS = 256, 1 << 14
+AT_ONCE = 1024  # intervals
 # Channels of a table: R for light from the front and from the back, T; in Stokes mode four numbers for each
 REFLECTION_FRONT, REFLECTION_BACK, TRANSMISSION = range(3)
 
@@ -202,11 +203,16 @@ def unpolarized_shares(
 def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
     """Values at so many uniform nodes that linear interpolation is good enough, and the bound of its error."""
     intervals = FIRST_INTERVALS
-    coarse = values(np.linspace(0.0, 1.0, intervals + 1))
+    # All of the first levels at once: a call costs as much as a thousand values
+    known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
     while True:
-        fine = np.empty((2 * intervals + 1, *coarse.shape[1:]))
-        fine[::2] = coarse
-        fine[1::2] = values((np.arange(intervals) + 0.5) / intervals)
+        if 2 * intervals <= AT_ONCE:
+            fine = known[:: AT_ONCE // (2 * intervals)]
+        else:
+            fine = np.empty((2 * intervals + 1, *known.shape[1:]))
+            fine[::2] = known
+            fine[1::2] = values((np.arange(intervals) + 0.5) / intervals)
+            known = fine
         middle = float(np.max(np.abs(fine[1::2] - 0.5 * (fine[:-1:2] + fine[2::2]))))
         if middle == 0:  # a constant
             return fine[[0, -1]], 0.0
@@ -214,7 +220,7 @@ def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, fl
         error = 0.5 * middle
         if error <= TABLE_ERROR or 2 * intervals >= LAST_INTERVALS:
             return fine, error
-        coarse, intervals = fine, 2 * intervals
+        intervals *= 2
 
 
 class Optics:
