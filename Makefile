@@ -20,10 +20,10 @@ help:
 	@echo "make clean   remove $(VENV), caches and results"
 
 demo: venv
-	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --rays 4e4 --out out/demo
+	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --rays 2e4 --out out/demo
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile -m "not gpu"
+	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not gpu"
 
 lint: venv
 	$(BIN)/ruff check .

@@ -253,7 +253,7 @@ def main() -> None:
         *gradient_costs("double_gauss", 200_000),
         *gradient_costs("phone_camera", 10_000),
         *memory("double_gauss", 100_000),
-        tracing_share("cooke_triplet", 60_000, steps=20),
+        *(tracing_share("cooke_triplet", rays) for rays in (60_000, 200_000)),
         *thin_films(),
         *scattering_camera(1 << 15),
         *scatter_samples(),

@@ -54,5 +54,5 @@ def tracing_share(name: str, rays: int, steps: int = STEPS) -> Row:
 
 
 if __name__ == "__main__":
-    for row in (tracing_share("cooke_triplet", 60_000), tracing_share("phone_camera", 6_000)):
-        print(row)
+    for scene, count in (("cooke_triplet", 60_000), ("cooke_triplet", 200_000), ("phone_camera", 6_000)):
+        print(tracing_share(scene, count))

@@ -35,7 +35,8 @@ class AsphericTerms(dr.CustomOp):
         """
         self.r2, self.still, self.orders = dr.detach(r2), [dr.detach(a) for a in still], len(coefficients)
         self.derivative = derivative
-        return (polynomial_derivative if derivative else polynomial)(self.r2, self.still) + mi.Float64(0)
+        # As wide as r² in any case: a single 0 would get the sum of the adjoints of all lanes
+        return (polynomial_derivative if derivative else polynomial)(self.r2, self.still) + mi.Float64(0) * self.r2
 
     def backward(self) -> None:
         """Pass the adjoint on."""

@@ -5,7 +5,14 @@ import math
 import numpy as np
 import pytest
 
-from mistray.physics.sag import conic_end, sag, sag_derivative
+from mistray.physics.sag import (
+    conic_end,
+    polynomial,
+    polynomial_derivative,
+    polynomial_second_derivative,
+    sag,
+    sag_derivative,
+)
 
 # L2 rear of the phone camera: the steepest surface at hand, slope 2.07 at its rim
 STEEP = (1 / 3.482, 8.701, (0.00521579, 0.0715829, -0.0460926, 0.012431, 0.0332216))
@@ -48,6 +55,17 @@ def test_derivative_against_central_differences(shape):
     r2, h = np.linspace(1e-3, 1.06**2, 40), 1e-6
     expected = (sag(r2 + h, *shape) - sag(r2 - h, *shape)) / (2 * h)
     np.testing.assert_allclose(sag_derivative(r2, *shape), expected, rtol=1e-8)
+
+
+def test_polynomial_derivatives_are_those_of_the_terms():
+    """Against NumPy's polynomials: a term a_i r^(2i) is that of degree i in r²."""
+    coefficients = (0.3, -0.2, 0.15, 0.07)
+    whole = np.polynomial.Polynomial([0.0, 0.0, *coefficients])
+    r2 = np.linspace(0, 1.2, 9)
+    functions = (polynomial, polynomial_derivative, polynomial_second_derivative)
+    for order, function in enumerate(functions):
+        np.testing.assert_allclose(function(r2, coefficients), whole.deriv(order)(r2), rtol=1e-13, atol=1e-15)
+        assert np.all(np.asarray(function(r2, ())) == 0)
 
 
 def test_the_conic_ends():
