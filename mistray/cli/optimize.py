@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import INTERRUPTED, RAW, count
-from mistray.cli.tracing_arguments import add_output, add_scene, show, start_mitsuba
+from mistray.cli.tracing_arguments import add_output, add_scene, show, start_mitsuba, working
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
@@ -76,7 +76,10 @@ def run(options: argparse.Namespace) -> int:
                 progress=progress,
                 verification_seeds=options.verification_seeds,
             )
-        files = [] if options.out is None else write_optimization(result, options.out, options.command_line)
+        files = []
+        if options.out is not None:
+            with working("drawing the report", options.quiet):
+                files = write_optimization(result, options.out, options.command_line)
     except KeyboardInterrupt:
         if not saved:
             raise

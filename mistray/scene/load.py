@@ -11,6 +11,7 @@ import mitsuba as mi
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
 from mistray.scene.check import check_overlaps
+from mistray.scene.depth import check_depth
 from mistray.scene.messages import explain
 
 # Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it makes
@@ -36,10 +37,13 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     Raises
     ------
     MistrayError
-        If the file is missing, Mitsuba cannot read it or surfaces overlap; the message is one line.
+        If the file is missing or nested too deeply, Mitsuba cannot read it or surfaces overlap; the message is one
+        line.
     """
     ensure_variant()
     given = source if isinstance(source, dict) else find(source)
+    if isinstance(given, Path):
+        check_depth(given)
     try:
         scene = mi.load_dict(given, **LOADING) if isinstance(given, dict) else mi.load_file(str(given), **LOADING)
     except Exception as error:  # Mitsuba raises RuntimeError and TypeError with text of many lines
@@ -50,19 +54,22 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     return scene
 
 
+def shipped_scenes() -> dict[str, Path]:
+    """The files of the scenes that come with mistray, by their names."""
+    import mistray.scenes
+
+    return {path.parent.name: path for path in sorted(Path(mistray.scenes.__file__).parent.glob("*/scene.xml"))}
+
+
 def find(source: str | Path) -> Path:
     """File of a scene: an existing path, or the name of a shipped scene."""
     path = Path(source)
     if path.is_file():
         return path
-    import mistray.scenes
-
-    shipped = Path(mistray.scenes.__file__).parent
-    named = shipped / str(source) / "scene.xml"
-    if named.is_file():
-        return named
+    shipped = shipped_scenes()
+    if str(source) in shipped:
+        return shipped[str(source)]
     if path.is_dir() and (path / "scene.xml").is_file():
         return path / "scene.xml"
-    names = sorted(entry.parent.name for entry in shipped.glob("*/scene.xml"))
-    nearest = ", ".join(difflib.get_close_matches(str(source), names, n=NAMES_OFFERED, cutoff=0.0))
+    nearest = ", ".join(difflib.get_close_matches(str(source), shipped, n=NAMES_OFFERED, cutoff=0.0))
     raise MistrayError(f"scene '{source}': no such file; give a scene XML file or a shipped scene, such as {nearest}")

@@ -21,6 +21,8 @@ _SYNTAX = re.compile(
     r"XML file \"(?P<file>[^\n]+?)\" failed: (?P<what>.+?) \(line (?P<line>\d+), col (?P<column>\d+)\)"
 )
 _NODE = re.compile(r"dictionary node \"(?P<path>[^\"]+)\"")
+_TRACEBACK = "Traceback (most recent call last)"
+_RAISED = re.compile(r"^\s*(\w+(?:Error|Warning|Exception): [^\n]*)", re.MULTILINE)  # the last line of a traceback
 _PREFIX = re.compile(r"\[\w+\.cpp:\d+\] |\[\w+\] ")
 _LOADING = re.compile(r"(Error while loading|While loading|At) (XML file )?\S+( \(line \d+, col \d+\))?: ")
 
@@ -112,7 +114,7 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
         match = re.search(pattern, text)
         if match:
             return remedy(match, element)
-    plain = text
+    plain = _RAISED.findall(text)[-1] if _TRACEBACK in text and _RAISED.search(text) else text
     for noise in (_PREFIX, _LOADING):
         plain = noise.sub("", plain)
     subject = "the dict" if isinstance(source, dict) else "the file"
@@ -233,7 +235,7 @@ def _in_file(path: Path, line: int, column: int) -> Element | None:
     parser.EndElementHandler = lambda tag: stack.pop()
     try:
         parser.Parse(path.read_bytes(), True)
-    except (OSError, expat.ExpatError):  # the message then does without the object's name
+    except (OSError, ValueError, LookupError, expat.ExpatError):  # the message then does without the object's name
         return None
     return found[0] if found else None
 

@@ -36,8 +36,9 @@ class Asphere(Revolution):
     a4 … a20                mm^(1-order) ±        0         even aspheric coefficients (differentiable)
     semi_diameter           mm           > 0      required  clear radius (differentiable)
     inner_semi_diameter     mm           ≥ 0      0         radius of a central hole (differentiable)
-    half_width              mm           > 0      none      rectangular clip in x, instead of ``semi_diameter``
-    half_height             mm           > 0      none      rectangular clip in y, instead of ``semi_diameter``
+    half_width              mm           > 0      none      half width in x of a rectangular clip, instead of
+                                                            ``semi_diameter`` (differentiable)
+    half_height             mm           > 0      none      its half height in y (differentiable)
     to_world                mm           rigid    identity  position and orientation of the vertex frame
     x, y, z                 mm           ±        0         displacement along the axes of this frame (differentiable)
     tilt_x, tilt_y, tilt_z  deg          ±        0         right-handed rotations about these axes, through the
@@ -45,8 +46,8 @@ class Asphere(Revolution):
                                                             x (differentiable)
     part                    string                shape id  name of the object the surface belongs to
     space                   integer               -1        optical space, for grouping in reports
-    (nested) bsdf                                 required  an ``interface``
-    (nested) sensor                               none      an ``irradiancemeter``: makes this shape the detector
+    (nested) bsdf           bsdf                  required  an ``interface``
+    (nested) sensor         sensor                none      an ``irradiancemeter``: makes this shape the detector
     ======================= ============ ======== ========= =======================================================
 
     Source of the formula: the usual even asphere (ISO 10110-12), written out in `mistray.physics.sag`.

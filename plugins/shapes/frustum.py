@@ -30,7 +30,7 @@ class Frustum(Revolution):
                                                        (differentiable)
     part                    string           shape id  name of the object the surface belongs to
     space                   integer          -1        optical space, for grouping in reports
-    (nested) bsdf                            required  an ``interface``
+    (nested) bsdf           bsdf             required  an ``interface``
     ======================= ======= ======== ========= ============================================================
 
     .. code-block:: xml

@@ -13,6 +13,7 @@ from mistray.errors import MistrayError
 from mistray.physics.pose import moved
 
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
+FARTHEST_MM = 1e12  # from the origin; single precision goes on to 1e38
 AZIMUTHS = 96  # facets around the axis of the mesh that stock integrators see
 
 
@@ -53,7 +54,7 @@ class Revolution(mi.Mesh):
         self.values = values | {key: float_property(props, key, 0.0) for key in POSE}
         self._check_all()
         self.parameters = {key: mi.Float(value) for key, value in self.values.items()}
-        vertices, faces = self._tessellate()
+        vertices, faces = self._checked_mesh()
         mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
         write_mesh(self, vertices, faces)
 
@@ -89,6 +90,17 @@ class Revolution(mi.Mesh):
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
         return revolve(self.profile(), self.flipped)
 
+    def _checked_mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices in world space, mm, and faces; raises `MistrayError` where numbers leave all measure."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            vertices, faces = self._tessellate()
+            farthest = float(np.abs(vertices).max())
+        if not farthest < FARTHEST_MM:
+            raise MistrayError(
+                f"shape '{self.name}': it reaches {farthest:g} mm from the origin; correct its sizes or its place"
+            )
+        return vertices, faces
+
     def _tessellate(self) -> tuple[np.ndarray, np.ndarray]:
         vertices, faces = self._local_mesh()
         matrix = self.matrix
@@ -118,7 +130,7 @@ class Revolution(mi.Mesh):
             for key in changed:
                 self.parameters[key][0] = before[key]
             raise
-        write_mesh(self, *self._tessellate())
+        write_mesh(self, *self._checked_mesh())
 
     def to_string(self) -> str:
         inside = ", ".join(f"{key} = {value:g}" for key, value in self.values.items() if value)

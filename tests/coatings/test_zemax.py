@@ -220,3 +220,30 @@ def test_encodings(tmp_path: Path) -> None:
     for encoding in ("utf-16", "utf-8-sig", "latin-1"):
         path.write_bytes(f"! Schichten für außen\n{GOOD}COAT A\nL .25\n".encode(encoding))
         assert layers(read_coating_file(path)["A"]) == [("L", 99.6377)]
+
+
+@pytest.mark.parametrize("loop", ["5001", "99999999999999999999"])
+def test_groups_that_are_repeated_without_end_are_refused(tmp_path: Path, loop: str) -> None:
+    path = tmp_path / "coating.dat"
+    path.write_text(f"MATE H\n0.55 2.3 0\nCOAT HR\nH .25 0 {loop}\nH .5 0 {loop}\n")
+    with pytest.raises(
+        MistrayError, match=r"line 5: with its groups repeated the coating has 1.* layers, more than 10000"
+    ):
+        read_coating_file(path)["HR"]
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        ("MATE H\n0.55 2.3 0\nIDEAL2 X 1e308 0 0 0 0 0 0 0\n".encode(), "an amplitude of 1e+308"),
+        (b"MATE H\x00\x01\n", r"line 1: 'MATE H\x00\x01' has characters of no text; save the file as UTF-8"),
+        (("COAT " + "x" * 500 + " y\n").encode(), "line 1: 'COAT " + "x" * 55 + "…'; write COAT and one name"),
+    ],
+)
+def test_damaged_files_are_refused_in_a_short_line(tmp_path: Path, data: bytes, text: str) -> None:
+    path = tmp_path / "coating.dat"
+    path.write_bytes(data)
+    with pytest.raises(MistrayError) as caught:
+        read_coating_file(path)["X"]
+    assert text in str(caught.value)
+    assert len(str(caught.value)) < 400

@@ -1,7 +1,6 @@
 """The HTML report: self-contained, well-formed, complete or absent."""
 
 import re
-import sys
 from html.parser import HTMLParser
 
 import pytest
@@ -39,16 +38,6 @@ class Page(HTMLParser):
     def handle_endtag(self, tag):
         if tag not in VOID:
             assert self.open.pop() == tag
-
-
-@pytest.fixture(scope="module", autouse=True)
-def rays_to_draw():
-    """Rays to draw from the fake trace instead of a new one."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            sys.modules["mistray.analysis.ghosts"], "trace", lambda scene, field_deg, rays: trace_in_colours(field_deg)
-        )
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -124,9 +113,11 @@ def test_report_says(text, words):
 
 
 def test_every_field_has_its_table_and_thumbnails(text):
-    for name in ("t-field-0", "t-field-20"):
+    for name, paths in (("t-field-0", 5), ("t-field-20", 4)):
         table = re.search(rf'<table id="{name}".*?</table>', text, re.DOTALL)[0]
-        assert table.count("data:image/png;base64,") == 4
+        assert table.count("data:image/png;base64,") == paths
+        assert table.count('class="pick"') == paths
+        assert len(re.findall(r"(?:1e-?\d+ … 1e-?\d+|dark)<br>", table)) == paths  # the scale of each
 
 
 def test_a_failure_leaves_nothing(report, tmp_path, monkeypatch):

@@ -1,0 +1,148 @@
+"""`mistray import` of mechanics: STEP, STL, OBJ, PLY."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections import Counter
+from collections.abc import Mapping
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any
+
+from mistray.cli.arguments import finite
+from mistray.cli.tracing_arguments import print_json
+from mistray.errors import MistrayError
+from mistray.replace_file import replace_file
+
+SUFFIXES = (".step", ".stp", ".stl", ".obj", ".ply")
+OPTIONS = ("into", "paint", "space", "unit", "move_mm", "tilt_deg", "most_analytic")
+MOST_SPACE = 1_000_000
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that only mechanics have."""
+    group = parser.add_argument_group("mechanics (STEP, STL, OBJ, PLY)")
+    group.add_argument("--into", metavar="SCENE",
+                       help="scene that the parts are added to (default: a file for <include>)")  # fmt: skip
+    group.add_argument("--paint", nargs="+", metavar="PATTERN=PAINT",
+                       help="paint of parts or faces by name: 'vane*=flat_black', 'tube=paint reflectance=0.05'; black "
+                       "absorbs everything, as what has no paint does; names of the scene count too")  # fmt: skip
+    group.add_argument("--space", nargs="+", metavar="PATTERN=N", help="optical space of parts or faces")
+    group.add_argument("--unit", metavar="UNIT", help="of STL, OBJ, PLY: um, mm, cm, m, inch or ft (mm)")
+    group.add_argument("--move-mm", type=finite, nargs=3, metavar=("X", "Y", "Z"),
+                       help="where the origin of the parts goes after the tilt, mm (0 0 0)")  # fmt: skip
+    group.add_argument("--tilt-deg", type=finite, nargs=3, metavar=("X", "Y", "Z"),
+                       help="turns about x, then y, then z of the scene, degrees (0 0 0)")  # fmt: skip
+    group.add_argument("--most-analytic", type=int, metavar="N",
+                       help="surfaces made exact at most, the largest; 0: all are meshes (64)")  # fmt: skip
+
+
+def refuse(options: argparse.Namespace, what: str) -> None:
+    """Raise if an option of mechanics is given for a file of another kind, which `what` names."""
+    for name in OPTIONS:
+        if getattr(options, name) is not None:
+            raise MistrayError(f"--{name.replace('_', '-')}: {what} files hold no mechanics; leave it out")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Import the parts of `options.lens` into `options.output`."""
+    from mistray.mechanics import read_mechanics
+    from mistray.mechanics.mechanics import MOST_ANALYTIC
+    from mistray.prescription.mesh_structure import MeshStructure
+    from mistray.prescription.model import Placed
+
+    source = Path(options.lens)
+    output = options.output or Path(source.with_suffix(".xml").name)
+    if not output.parent.is_dir():
+        raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
+    paint = dict(_rule(text, "--paint") for text in options.paint or [])
+    spaces = {pattern: _space(pattern, value) for pattern, value in (_rule(t, "--space") for t in options.space or [])}
+    known = _known(options.into) if options.into else {}
+    x, y, z = options.move_mm or (0.0, 0.0, 0.0)
+    most = MOST_ANALYTIC if options.most_analytic is None else options.most_analytic
+    at = Placed(x=x, y=y, z=z, tilt_deg=tuple(options.tilt_deg or (0.0, 0.0, 0.0)))
+    mechanics = read_mechanics(source, unit=options.unit, at=at, most_analytic=most)
+    mechanics = mechanics.painted(paint, space=spaces, known=known)
+    if options.into:
+        from mistray.scene import add_structures
+
+        shapes, meshes = mechanics.beside(output)
+        add_structures(options.into, shapes, output, f"Mechanics of {source.name}")  # first, because it may refuse
+        for path, mesh in meshes.items():
+            replace_file(path, mesh, "mesh")
+    else:
+        shapes = mechanics.to_xml(output)
+    record = _record(mechanics, shapes)
+    if options.json:
+        files = [output.parent / shape.file for shape in shapes if isinstance(shape, MeshStructure)]
+        print_json(record, [output, *files])
+    else:
+        print(_text(record, output, traceable=bool(options.into)))
+    return 0
+
+
+def _rule(text: str, option: str) -> tuple[str, str]:
+    pattern, equals, value = text.partition("=")
+    if not (equals and pattern and value.strip()):
+        raise MistrayError(f"{option} '{text}': write PATTERN=VALUE, such as 'vane*=black'")
+    return pattern, value.strip()
+
+
+def _space(pattern: str, value: str) -> int:
+    if not value.isdecimal() or int(value) > MOST_SPACE:
+        raise MistrayError(f"--space '{pattern}={value}': '{value}' is no optical space; give a number such as 2")
+    return int(value)
+
+
+def _known(scene: str) -> dict[str, Any]:
+    """Coatings and scatter models of a scene, as paints."""
+    from mistray.mechanics import Finish
+    from mistray.prescription.coating import Coating
+    from mistray.scene import find
+    from mistray.scene.add_structures import shared_objects
+    from mistray.scene.xml_file import SceneFile
+
+    shared = shared_objects(SceneFile(find(scene)))
+    return {
+        name: Finish(item) if isinstance(item, Coating) else Finish(scatter=(item,)) for name, item in shared.items()
+    }
+
+
+def _record(mechanics: Any, shapes: Any) -> dict[str, Any]:
+    counts: dict[str, Counter[str]] = {part.name: Counter() for part in mechanics.parts}
+    for shape in shapes:
+        counts[shape.part]["meshes" if hasattr(shape, "file") else "analytic"] += 1
+    return {
+        "parts": [
+            {
+                "name": part.name,
+                "title": part.title,
+                "product": part.product,
+                "path": part.path,
+                "analytic_surfaces": counts[part.name]["analytic"],
+                "meshes": counts[part.name]["meshes"],
+                "triangles": len(part.triangles),
+                "painted": any(shape.scatter or shape.coating is None or shape.coating.R != 0
+                               for shape in shapes if shape.part == part.name),
+            }
+            for part in mechanics.parts
+        ],
+        "unread": [asdict(item) for item in mechanics.unread],
+    }  # fmt: skip
+
+
+def _text(record: Mapping[str, Any], output: Path, traceable: bool) -> str:
+    lines = [
+        f"{part['name']}: {part['analytic_surfaces']} analytic surfaces, {part['meshes']} meshes"
+        + ("" if part["painted"] else ", black")
+        for part in record["parts"]
+    ]
+    lines += [f"not read: {item['text']}: {item['reason']}" for item in record["unread"]]
+    then = (
+        shlex.join(["mistray", "ghosts", str(output)])
+        if traceable
+        else f'<include filename="{output}"/> in a scene, or --into SCENE'
+    )
+    lines.append(f"{output}: {len(record['parts'])} parts; next: {then}")
+    return "\n".join(lines)

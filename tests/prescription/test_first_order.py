@@ -1,0 +1,157 @@
+"""Focal lengths and pupils against hand-written formulas of thick lenses, mirrors and pupils."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mistray import MistrayError
+from mistray.prescription import ClearAperture, Decentre, Row, Sequential
+from mistray.prescription.design_rays import edge_rays, launch
+from mistray.prescription.first_order import first_order
+from mistray.prescription.sequential_rays import trace
+
+N, R1, R2, T = 1.5168, 60.0, -80.0, 9.0
+
+
+def singlet(**system) -> Sequential:
+    """A thick lens, then a stop 12 mm behind it."""
+    rows = (
+        Row(1, radius=R1, thickness=T, material=str(N)),
+        Row(2, radius=R2, thickness=12.0),
+        Row(3, stop=True, thickness=60.0),
+        Row(4, kind="image"),
+    )
+    return Sequential("singlet", rows, **({"aperture": 10.0} | system))
+
+
+def lensmaker() -> tuple[float, float]:
+    """EFL and BFL of the thick lens in air."""
+    power = (N - 1) * (1 / R1 - 1 / R2 + (N - 1) * T / (N * R1 * R2))
+    efl = 1 / power
+    return efl, efl * (1 - (N - 1) * T / (N * R1))
+
+
+def test_focal_lengths_of_a_thick_lens():
+    data, (efl, bfl) = first_order(singlet()), lensmaker()
+    assert data.efl == pytest.approx(efl, rel=1e-13)
+    # From the last surface, which is the stop, 12 mm behind the lens
+    assert data.bfl == pytest.approx(bfl - 12.0, rel=1e-12)
+    assert data.f_number == pytest.approx(efl / 10.0, rel=1e-13)
+
+
+def test_pupil_behind_a_lens():
+    """The stop's image in front of a thick lens: Gauss' formula from the principal planes, light going backwards."""
+    efl, _ = lensmaker()
+    front_principal = -efl * (N - 1) * T / (N * R2)  # from the first vertex, along +z
+    rear_principal = -efl * (N - 1) * T / (N * R1)  # from the second vertex
+    s = 12.0 - rear_principal  # from the rear principal plane to the stop
+    image = 1 / (1 / efl - 1 / s)  # negative: virtual, on the side of the stop
+    magnification = -image / s
+    data = first_order(singlet(aperture_kind="stop_diameter", aperture=6.0))
+    assert data.entrance_pupil_z == pytest.approx(front_principal - image, rel=1e-12)
+    assert data.epd == pytest.approx(6.0 * magnification, rel=1e-12)
+    assert data.stop_radius == pytest.approx(3.0, rel=1e-13)
+    assert data.stop_number == 3
+
+
+def test_f_number_and_object_na_give_the_pupil():
+    efl, _ = lensmaker()
+    assert first_order(singlet(aperture_kind="f_number", aperture=4.0)).epd == pytest.approx(efl / 4, rel=1e-13)
+    near = singlet(aperture_kind="object_na", aperture=0.02, object_distance=300.0)
+    data = first_order(near)
+    assert data.epd / 2 / (300.0 + data.entrance_pupil_z) == pytest.approx(math.tan(math.asin(0.02)), rel=1e-12)
+    start, heading = launch(near, data, (0.0, 0.0), [[0.0, 1.0], [1.0, 0.0]])
+    assert start == pytest.approx(np.tile([0, 0, -300.0], (2, 1)))
+    assert heading[0] == pytest.approx([0, 0.02, math.sqrt(1 - 0.02**2)], rel=1e-12)
+
+
+def test_concave_mirror_and_newtonian():
+    """One mirror: f = R/2. A flat at 45° changes nothing, and the focus lies along the light."""
+    mirror = Row(1, radius=-500.0, mirror=True, stop=True, thickness=-200.0)
+    data = first_order(Sequential("mirror", (mirror, Row(2, kind="image")), aperture=20.0))
+    assert (data.efl, data.bfl) == pytest.approx((250.0, 250.0), rel=1e-14)
+    turn = Decentre(tilt_deg=(45.0, 0.0, 0.0))
+    rows = (
+        mirror,
+        Row(2, kind="coordinate_break", decentre=turn),
+        Row(3, mirror=True),
+        Row(4, kind="coordinate_break", decentre=turn, thickness=50.0),
+        Row(5, kind="image"),
+    )
+    data = first_order(Sequential("newtonian", rows, aperture=20.0))
+    assert (data.efl, data.bfl) == pytest.approx((250.0, 50.0), rel=1e-13)
+
+
+def test_cassegrain():
+    """f = f1 f2 / (f1 + f2 - d), back focus f (f1 - d) / f1, with f2 < 0."""
+    f1, f2, d = 1000.0, -400.0, 700.0
+    rows = (
+        Row(1, radius=-2 * f1, mirror=True, stop=True, thickness=-d),
+        Row(2, radius=2 * f2, mirror=True, thickness=900.0),
+        Row(3, kind="image"),
+    )
+    data = first_order(Sequential("cassegrain", rows, aperture=200.0))
+    efl = f1 * f2 / (f1 + f2 - d)
+    assert data.efl == pytest.approx(efl, rel=1e-12)
+    assert data.bfl == pytest.approx(efl * (f1 - d) / f1, rel=1e-12)
+
+
+def test_magnification_of_a_thin_lens():
+    """At 2f : 2f it is -1."""
+    f = 1 / (0.5 * (2 / 100.0))
+    rows = (
+        Row(1, radius=100.0, thickness=1e-9, material="1.5", stop=True),
+        Row(2, radius=-100.0, thickness=2 * f),
+        Row(3, kind="image"),
+    )
+    data = first_order(Sequential("relay", rows, object_distance=2 * f, aperture=5.0))
+    assert data.magnification == pytest.approx(-1.0, rel=1e-8)
+
+
+def test_edge_rays_meet_the_rim_of_the_stop():
+    """Also at 25°, where the paraxial pupil is far off."""
+    lens = singlet(fields=((0.0, 0.0), (0.0, 15.0), (10.0, 20.0)), wavelengths_nm=(486.1, 587.6, 656.3),
+                   weights=(1.0, 1.0, 1.0), primary=1)  # fmt: skip
+    rays = edge_rays(lens)
+    assert rays.notes == ()
+    stop = np.hypot(rays.positions[2, :, 0], rays.positions[2, :, 1]).reshape(9, 17)
+    assert stop[:, 0] == pytest.approx(0.0, abs=1e-7)
+    assert stop[:, 1:] == pytest.approx(rays.stop_radius, rel=1e-8)
+    # Its radius is that of the real marginal ray
+    hits, _ = trace(lens, [[0.0, 5.0, -1.0]], [[0.0, 0.0, 1.0]])
+    assert rays.stop_radius == pytest.approx(hits[2, 0, 1], rel=1e-12)
+    assert rays.reach[0] == pytest.approx(np.nanmax(np.hypot(rays.positions[0, :, 0], rays.positions[0, :, 1])))
+
+
+def test_vignetting_factors_move_and_squeeze_the_rim():
+    lens = singlet(fields=((0.0, 10.0),), vignetting=((0.0, 0.1, 0.2, 0.4),))
+    rays = edge_rays(lens)
+    y = rays.positions[2, 1:, 1] / rays.stop_radius
+    assert (y.max(), y.min()) == pytest.approx((0.1 + 0.6, 0.1 - 0.6), abs=1e-7)
+    assert np.abs(rays.positions[2, 1:, 0]).max() / rays.stop_radius == pytest.approx(0.8, abs=1e-7)
+    start, _ = launch(lens, rays.data, 0, [[0.0, 1.0]])
+    assert start[0, 1] == pytest.approx(5.0 * 0.7)
+
+
+@pytest.mark.parametrize(
+    ("system", "message"),
+    [
+        ({"aperture": 0.0}, "its aperture .* is 0; it must be greater than 0"),
+        ({"aperture_kind": "object_na", "aperture": 0.1}, "object NA 0.1 needs an object at a finite distance"),
+        ({"field_kind": "object_height", "fields": ((0.0, 5.0),)}, "its object lies at infinity; give angles"),
+        ({"fields": ((0.0, 90.0),)}, "a field of 90°; it must be less than 90°"),
+    ],
+)
+def test_what_has_no_meaning_is_refused(system, message):
+    with pytest.raises(MistrayError, match=message):
+        edge_rays(singlet(**system))
+
+
+def test_no_ray_reaches_the_image():
+    blind = ClearAperture(outer=20.0, obscures=True)
+    rows = (Row(7, radius=20.0, thickness=1.0, material="1.5", stop=True, aperture=blind), Row(8, kind="image"))
+    with pytest.raises(MistrayError, match=r"no ray reaches the image; field .* 17 at surface 7"):
+        edge_rays(Sequential("blind", rows, aperture=3.0))
