@@ -32,7 +32,7 @@ MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 CELLS, CELLS_OF_ALL = 96, 256  # along the longer side of the map of a path in a report, and of that of all light
 MAP_BYTES = 400e6  # of the maps of all paths of a field while they are summed
 BYTES_PER_PIXEL = 16
-RAYS_KEPT = 40  # of a path, to choose those from that are drawn
+RAYS_KEPT = 21  # of a path, to choose those from that are drawn
 NOMINAL_FIELD_DEG = 0.0
 
 Progress = Callable[[float, float], None]

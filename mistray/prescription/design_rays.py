@@ -134,6 +134,7 @@ def edge_rays(lens: Sequential) -> EdgeRays:
     pupil = np.concatenate([[[0.0, 0.0]], np.stack([np.sin(angle), np.cos(angle)], axis=1)])
     wavelengths = sorted({min(lens.wavelengths_nm), lens.wavelength_nm, max(lens.wavelengths_nm)})
     parts: list[tuple[Array, Array, Array, Array]] = []
+    free: list[tuple[Array, Array, Array, Array]] = []  # the same without apertures
     notes: list[str] = []
     chief: Array | None = None
     numbers = _outer_fields(lens)
@@ -146,10 +147,14 @@ def edge_rays(lens: Sequential) -> EdgeRays:
             hits, onward = trace(lens, start, heading, wavelength)
             if chief is None and wavelength == lens.wavelength_nm:
                 chief = onward[:, 0].copy()
+            free.append((hits.copy(), onward.copy(), start, heading))
             lost = _clip(lens, hits, onward)
             parts.append((hits, onward, start, heading))
             if wavelength == lens.wavelength_nm and lost:
                 notes.append(f"field ({field[0]:g}, {field[1]:g}): " + lost)
+    if not any(np.any(np.isfinite(part[0][-1])) for part in parts):
+        parts = free
+        notes.append("these rays all miss the stated apertures: sizes are those of rays that no aperture stops")
     positions, directions = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
     start, heading = (np.concatenate([part[k] for part in parts]) for k in (2, 3))
     if chief is None or not np.any(np.isfinite(positions[-1])):

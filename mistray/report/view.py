@@ -69,10 +69,10 @@ class View:
             '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
             '<meta name="viewport" content="width=device-width, initial-scale=1">'
             f"<title>{escape(self.title)}</title><style>\n"
-            "html, body { margin: 0; height: 100%; } body { display: flex; flex-direction: column; "
+            "html, body { margin: 0; height: 100%; overflow: hidden; } body { display: flex; flex-direction: column; "
             'font: 14px/1.4 system-ui, "Liberation Sans", sans-serif; color: #222; }\n'
             "h1 { font-size: 16px; margin: 8px 12px 0; } p, footer { margin: 0 12px; color: #555; font-size: 12px; }\n"
-            "main { flex: 1; min-height: 300px; } main > div { height: 100%; } footer { font-family: monospace; "
+            "main { flex: 1; min-height: 0; } main > div { height: 100%; } footer { font-family: monospace; "
             "padding-bottom: 4px; }\n</style></head>\n"
             f"<body><h1>{escape(self.title)}</h1><p>{escape(self.note)}</p>\n<main>{body}</main>{foot}</body></html>\n"
         )

@@ -226,17 +226,15 @@ def test_encodings(tmp_path: Path) -> None:
 def test_groups_that_are_repeated_without_end_are_refused(tmp_path: Path, loop: str) -> None:
     path = tmp_path / "coating.dat"
     path.write_text(f"MATE H\n0.55 2.3 0\nCOAT HR\nH .25 0 {loop}\nH .5 0 {loop}\n")
-    with pytest.raises(
-        MistrayError, match=r"line 5: with its groups repeated the coating has 1.* layers, more than 10000"
-    ):
+    with pytest.raises(MistrayError, match=r"line 5: .* repeated the coating has .* layers, more than 10000; correct"):
         read_coating_file(path)["HR"]
 
 
 @pytest.mark.parametrize(
     ("data", "text"),
     [
-        ("MATE H\n0.55 2.3 0\nIDEAL2 X 1e308 0 0 0 0 0 0 0\n".encode(), "an amplitude of 1e+308"),
-        (b"MATE H\x00\x01\n", r"line 1: 'MATE H\x00\x01' has characters of no text; save the file as UTF-8"),
+        (b"MATE H\n0.55 2.3 0\nIDEAL2 X 1e308 0 0 0 0 0 0 0\n", "an amplitude of 1e+308"),
+        (b"MATE H\x02\x01\n", r"line 1: 'MATE H\x02\x01' has characters of no text; save the file as UTF-8"),
         (("COAT " + "x" * 500 + " y\n").encode(), "line 1: 'COAT " + "x" * 55 + "…'; write COAT and one name"),
     ],
 )

@@ -389,6 +389,27 @@ def test_a_detector_before_a_mangin_mirror_gets_no_wall_that_would_shut_it():
     built = build(mangin)
     assert not any(shape.name.startswith(("barrel", "board")) for shape in built.prescription.shapes())
     assert "there is no wall in space 1: it would stand in the beam" in built.notes
+    assert "the detector stands in the beam on its way to surface 1" in built.notes
+
+
+@pytest.mark.parametrize(
+    ("aperture", "ring"),
+    [
+        (ClearAperture(outer=25.0, y=60.0), (35.0, 85.0)),
+        (ClearAperture(kind="rectangle", half_width=10.0, half_height=20.0, x=40.0, y=50.0),
+         (math.hypot(30.0, 30.0), math.hypot(50.0, 70.0))),
+    ],
+)  # fmt: skip
+def test_a_mirror_off_its_axis_is_the_ring_that_holds_its_aperture(aperture, ring):
+    paraboloid = lens(
+        Row(1, radius=-400.0, conic=-1.0, mirror=True, stop=True, thickness=-200.0, aperture=aperture),
+        Row(2, kind="image"),
+        aperture=170.0,
+    )
+    built = build(paraboloid)
+    (mirror,) = built.prescription.surfaces
+    assert (mirror.inner_semi_diameter, mirror.semi_diameter) == pytest.approx(ring, rel=1e-12)
+    assert any("its aperture is centred at" in note for note in built.notes)
 
 
 def test_very_many_fields_and_huge_numbers_end_soon():

@@ -151,7 +151,15 @@ def test_what_has_no_meaning_is_refused(system, message):
 
 
 def test_no_ray_reaches_the_image():
-    blind = ClearAperture(outer=20.0, obscures=True)
-    rows = (Row(7, radius=20.0, thickness=1.0, material="1.5", stop=True, aperture=blind), Row(8, kind="image"))
+    away = Decentre(y=100.0)
+    rows = (Row(7, radius=20.0, thickness=1.0, material="1.5", decentre=away, stop=True), Row(8, kind="image"))
     with pytest.raises(MistrayError, match=r"no ray reaches the image; field .* 17 at surface 7"):
-        edge_rays(Sequential("blind", rows, aperture=3.0))
+        edge_rays(Sequential("away", rows, aperture=3.0))
+
+
+def test_apertures_that_no_sampled_ray_passes_do_not_hide_the_lens():
+    ring = ClearAperture(inner=0.5, outer=1.0)
+    rows = (Row(7, radius=20.0, thickness=1.0, material="1.5", stop=True, aperture=ring), Row(8, kind="image"))
+    rays = edge_rays(Sequential("ring", rows, aperture=3.0))
+    assert np.isfinite(rays.positions[-1]).all()
+    assert rays.notes[-1].startswith("these rays all miss the stated apertures")
