@@ -209,7 +209,7 @@ class View:
             along = self._places.along(gap[there], hits.point[there])
             self._along[:, 0] += np.bincount(number[there], along, minlength=size)
             self._along[:, 1] += np.bincount(number[there], minlength=size)
-        order = np.argsort(number, kind="stable")
+        order = np.argsort(number.astype(np.min_scalar_type(size)), kind="stable")  # few numbers sort ten times as fast
         for part in np.split(order, np.flatnonzero(np.diff(number[order])) + 1):
             k = int(number[part[0]])
             if k in open_objects:
