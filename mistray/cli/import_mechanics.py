@@ -13,7 +13,6 @@ from typing import Any
 from mistray.cli.arguments import finite
 from mistray.cli.tracing_arguments import print_json
 from mistray.errors import MistrayError
-from mistray.replace_file import replace_file
 
 SUFFIXES = (".step", ".stp", ".stl", ".obj", ".ply")
 OPTIONS = ("into", "paint", "space", "unit", "move_mm", "tilt_deg", "most_analytic")
@@ -47,6 +46,8 @@ def refuse(options: argparse.Namespace, what: str) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Import the parts of `options.lens` into `options.output`."""
+    from mistray.replace_file import replace_file
+
     from mistray.mechanics import read_mechanics
     from mistray.mechanics.mechanics import MOST_ANALYTIC
     from mistray.prescription.mesh_structure import MeshStructure
