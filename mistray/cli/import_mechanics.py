@@ -46,12 +46,11 @@ def refuse(options: argparse.Namespace, what: str) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Import the parts of `options.lens` into `options.output`."""
-    from mistray.replace_file import replace_file
-
     from mistray.mechanics import read_mechanics
     from mistray.mechanics.mechanics import MOST_ANALYTIC
     from mistray.prescription.mesh_structure import MeshStructure
     from mistray.prescription.model import Placed
+    from mistray.replace_file import replace_file
 
     source = Path(options.lens)
     output = options.output or Path(source.with_suffix(".xml").name)
