@@ -98,7 +98,8 @@ def _progress(options: argparse.Namespace, steps: int) -> Iterator[Any]:
     from tqdm import tqdm
 
     form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
-    with tqdm(desc="starts", total=max(steps, 1), bar_format=form, leave=False, file=sys.stderr) as bar:
+    total = max(steps, 1)
+    with tqdm(desc="starts", total=total, bar_format=form, leave=False, file=sys.stderr, mininterval=0.0) as bar:
 
         def shown(step: Step, start: Start) -> None:
             bar.write(step_text(step, start), file=sys.stderr)

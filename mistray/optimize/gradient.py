@@ -166,9 +166,9 @@ def gradient(
         sums.add(sums.inner, parameter_gradient(raw, is_chosen))
         for half_width, into in enumerate(sums.edges):
             sums.add(into, edge_gradient(raw, is_chosen, bool(half_width)))
-    if (wanted.geometry or wanted.indices) and not edges:
+    if wanted.moves and not edges:
         left_out.append(NO_EDGES)
-    if (wanted.geometry or wanted.indices) and any(_jumps(raw) for raw in raws.values()):
+    if wanted.moves and any(_jumps(raw) for raw in raws.values()):
         left_out.append(ONSET)
     if wanted.indices and any(raw.scattering.any for raw in raws.values()):
         left_out.append(INDEX_OF_SCATTER)

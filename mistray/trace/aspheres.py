@@ -11,7 +11,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.physics.sag import sag, sag_derivative
-from mistray.trace.surfaces import POLYNOMIAL_VECTORS, SELF_HIT, SurfaceTable
+from mistray.trace.surfaces import SELF_HIT, SurfaceTable
 
 AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
 INTERVALS = 12  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
@@ -147,17 +147,9 @@ class AsphereSearch:
         """
         table = self.table
         vertex = dr.gather(mi.Vector4f, table.vertex, number, active)
-        o = o - vertex.xyz
-        if table.rotated:
-            rows = [dr.gather(mi.Vector4f, table.rotation, 3 * number + k, active) for k in range(3)]
-            o, d = (
-                mi.Vector3f(*(rows[0][k] * v.x + rows[1][k] * v.y + rows[2][k] * v.z for k in range(3))) for v in (o, d)
-            )
-        row = [
-            dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * number + k, active)
-            for k in range(POLYNOMIAL_VECTORS)
-        ]
-        numbers = [row[k // 4][k % 4] for k in range(16)]
+        frame = table.frame(number, active)
+        o, d = frame.inward(o - vertex.xyz), frame.inward(d)
+        numbers = table.asphere_row(number, active)
         curvature, conic, coefficients = numbers[0], numbers[1], numbers[2 : 2 + self.count]
         inner2, z_low, z_high, outer, slope = numbers[11:]
         size = outer

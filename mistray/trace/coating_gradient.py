@@ -98,17 +98,14 @@ class _Side:
         Indices of the materials before and behind.
     cosines : (m,) float
         Of incidence.
-    parts : tuple of int
-        The parameters that are wanted, numbers in `LAYER_PARAMETERS`.
     put : callable
-        Takes the derivatives of R and T, (parts · L, m) each, in the order of incidence.
+        Takes the derivatives of R and T, (parameters that are wanted · L, m) each, in the order of incidence.
     """
 
     indices: np.ndarray
     thickness: np.ndarray
     outer: tuple[complex, complex]
     cosines: np.ndarray
-    parts: tuple[int, ...]
     put: Callable[[np.ndarray, np.ndarray], None]
 
 
@@ -136,8 +133,8 @@ def layer_row_derivatives(optics: Optics, asked: Sequence[tuple[int, np.ndarray,
         results.append(result)
         for side in sides:
             groups.setdefault((len(side.indices), parts), []).append(side)
-    for sides in groups.values():  # one kernel for all coatings of as many layers
-        for side, (R, T) in zip(sides, _tangents(sides, optics.wavelength_nm), strict=True):
+    for (_, parts), sides in groups.items():  # one kernel for all coatings of as many layers
+        for side, (R, T) in zip(sides, _tangents(sides, parts, optics.wavelength_nm), strict=True):
             side.put(R, T)
     return results
 
@@ -176,13 +173,15 @@ def _sides(optics: Optics, surface: int, used: np.ndarray, parts: tuple[int, ...
                 result[:, :, TRANSMISSION][np.ix_(slot, np.flatnonzero(rows & ~total))] = T[:, ~total[rows]]
 
         cosines = np.concatenate([front if is_front else back, dense])[used][rows]
-        found.append(_Side(indices[forward], thickness[forward], outer, cosines, parts, put))
+        found.append(_Side(indices[forward], thickness[forward], outer, cosines, put))
     return result, found
 
 
-def _tangents(sides: Sequence[_Side], wavelength_nm: float) -> list[tuple[np.ndarray, np.ndarray]]:
+def _tangents(
+    sides: Sequence[_Side], parts: tuple[int, ...], wavelength_nm: float
+) -> list[tuple[np.ndarray, np.ndarray]]:
     """Derivatives of the mean R and T of coatings of as many layers by the same parameters of each layer."""
-    layers, parts = len(sides[0].indices), sides[0].parts
+    layers = len(sides[0].indices)
     blocks = len(parts) * layers
     # One lane for each row and each parameter of a side
     number = np.concatenate([np.full(blocks * len(side.cosines), k) for k, side in enumerate(sides)])

@@ -13,6 +13,7 @@ from mistray.trace.host_rays import crossings, first_hit, inside, normals, onwar
 from mistray.trace.sources import Beam, beams
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.targets import Target
+from mistray.trace.upload import upload
 
 PROBES = 256  # rays of a beam that look for the design path
 MOST_STEPS = 64
@@ -179,8 +180,8 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
 
 def _probe(table: SurfaceTable, beam: Beam) -> list[Step] | None:
     """The steps that most probes take to the detector, each with the hit of one of them."""
-    sample = np.random.default_rng(0).random((2, PROBES)).astype(np.float32)
-    x, y = (np.array(v, dtype=np.float64)[:, None] for v in beam.emitter.positions(mi.Point2f(*sample)))
+    sample = mi.Point2f(*(upload(mi.Float, v) for v in np.random.default_rng(0).random((2, PROBES))))
+    x, y = (np.array(v, dtype=np.float64)[:, None] for v in beam.emitter.positions(sample))
     d = np.tile(beam.direction, (PROBES, 1))
     o = beam.pivot + x * beam.u + y * beam.v
     o = o - (beam.distance + (o - beam.pivot) @ beam.direction)[:, None] * d

@@ -50,7 +50,7 @@ from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sky import Sky
 from mistray.trace.start_rays import StartRays
-from mistray.trace.surfaces import NO_SURFACE, POLYNOMIAL_VECTORS, SurfaceTable
+from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
 from mistray.trace.upload import upload
 
 CAPACITY = 1 << 17  # hits that are kept at a time
@@ -82,6 +82,8 @@ class EdgeEvents:
         Surface that meets the rim in a concave edge; `NO_SURFACE` for all others.
     delta : (n,) mi.Float
         Distance from the rim, mm.
+    scale : (n,) mi.Float
+        Of jumps, see `mistray.trace.grazing.Jump`.
     c, c_half : (n,) mi.Float64
         Coefficients of Δ, 1/mm, for the width that was asked for and for half of it; where there is a `joined` surface
         those of the distance F/|∇F| from it. In units of a start ray.
@@ -93,6 +95,7 @@ class EdgeEvents:
     rim: mi.UInt32
     joined: mi.UInt32
     delta: mi.Float
+    scale: mi.Float
     c: mi.Float64
     c_half: mi.Float64
 
@@ -211,12 +214,13 @@ class Edges:
     def _compare(self, hits: int, adjoint: Adjoint, ledger: Ledger | None, sky: Sky | None) -> EdgeEvents:
         """Let rays go past the rims, and compare."""
         book, row = self._book, dr.arange(mi.UInt32, hits)
-        rim, delta, copies = (dr.gather(type(v), v, row) for v in (book.rim, book.delta, book.copies))
+        rim, delta, scale, copies = (
+            dr.gather(type(v), v, row) for v in (book.rim, book.delta, book.scale, book.copies)
+        )
         past = self._past(row, rim)
         gain = dr.gather(mi.Float64, book.gain, row) - self._gains(past.start, adjoint, ledger, sky)
         gain *= past.factor * mi.Float64(copies)
         zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
-        scale = dr.gather(mi.Float, book.scale, row)
         jumps, grazes = rim >= SILHOUETTE, rim == SILHOUETTE
         zone = dr.select(jumps, book.grazing.zone * dr.select(grazes, 0.5 * scale, 1), zone)
 
@@ -226,7 +230,8 @@ class Edges:
 
         c, c_half = (gain * density(width) for width in (zone, 0.5 * zone))
         counts = dr.compress(c != 0)
-        kept = [dr.gather(type(v), v, counts) for v in (row, past.start.batch, rim, past.joined, delta, c, c_half)]
+        found = row, past.start.batch, rim, past.joined, delta, scale, c, c_half
+        kept = [dr.gather(type(v), v, counts) for v in found]
         dr.eval(kept)
         return EdgeEvents(book.paths, *kept)
 
@@ -242,9 +247,8 @@ class Edges:
         d = mi.Vector3f(*(dr.gather(mi.Float, book.paths.heading, 3 * row + j) for j in range(3)))
         w = mi.Float(dr.gather(mi.Float64, book.paths.weight, row))
         vertex = dr.gather(mi.Vector4f, table.vertex, s)
-        rows = [dr.gather(mi.Vector4f, table.rotation, 3 * s + k).xyz for k in range(3)]
-        q = mi.Vector3f(sum(rows[k] * (p - vertex.xyz)[k] for k in range(3)))
-        along = mi.Vector3f(sum(rows[k] * d[k] for k in range(3)))
+        frame = table.frame(s)
+        q, along = frame.inward(p - vertex.xyz), frame.inward(d)
         place = s * len(RIM_COLUMNS) + rim
         size = dr.gather(mi.Float, self._sizes, 2 * place)
         circle = [dr.gather(mi.Float, self._circles, CIRCLE_FLOATS * place + j) for j in range(CIRCLE_FLOATS)]
@@ -258,7 +262,7 @@ class Edges:
         beside = mi.Vector2f(circle[0], circle[1]) + PAST * size * corner.step
         beside = mi.Vector3f(radial.x * beside.x, radial.y * beside.x, beside.y)
         beside = dr.select(circle[4] > 0, beside, self._beside_straight(s, q, rim, PAST * size))
-        o = mi.Vector3f(*(dr.dot(rows[k], beside) for k in range(3))) + vertex.xyz
+        o = frame.outward(beside) + vertex.xyz
         key = before["key"]
         # The order of the rows changes from run to run: random numbers go with the ray itself
         bits = dr.reinterpret_array(mi.UInt32, p.x) ^ (dr.reinterpret_array(mi.UInt32, p.y) * 0x85EBCA6B)
@@ -304,11 +308,7 @@ class Edges:
         z = sag(r2, quadric.x, conic)
         if table.coefficient_count:
             word = dr.gather(mi.UInt32, table.optics.words, s)
-            at = [
-                dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * s + k) for k in range(POLYNOMIAL_VECTORS)
-            ]
-            c, k, *coefficients = (at[j // 4][j % 4] for j in range(2 + table.coefficient_count))
-            z = dr.select((word & ASPHERIC) != 0, sag(r2, c, k, coefficients), z)
+            z = dr.select((word & ASPHERIC) != 0, sag(r2, *table.asphere_sag(s)), z)
         return mi.Vector3f(x, y, z)
 
     def _corner(self, place: mi.UInt32, u: mi.Vector2f, stretch: mi.Float, d: mi.Vector2f, starts: mi.Bool) -> _Corner:

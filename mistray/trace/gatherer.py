@@ -14,7 +14,7 @@ from mistray.errors import MistrayError
 from mistray.trace.adjoint import CHANNELS
 from mistray.trace.books import Recorder
 from mistray.trace.edges import EdgeEvents
-from mistray.trace.grazing import SILHOUETTE
+from mistray.trace.grazing import SILHOUETTE, jump_distance
 from mistray.trace.raw_gradient import RawGradient, Wanted
 from mistray.trace.replay import Branches, End, Exit, follow, replay_rays
 from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split
@@ -67,8 +67,7 @@ class Gatherer:
         self.start_surface = start_surface
         # Rays at rims have only a place that changes; what it costs is in their coefficients
         places = replace(wanted, rows=False, scatter=False)
-        moves = wanted.geometry or wanted.indices
-        self.edges = [ReplaySurfaces(table, places) for _ in range(2)] if wanted.edges and moves else []
+        self.edges = [ReplaySurfaces(table, places) for _ in range(2)] if wanted.edges and wanted.moves else []
         self.strayed = self.rays = 0
 
     def portions(self, start: StartRays, hits_per_ray: float, walk: Callable[[StartRays], None]) -> Iterator[StartRays]:
@@ -146,8 +145,8 @@ class Gatherer:
             chosen = used[np.argsort(np.array(events.paths.path)[rows[used]], kind="stable")]
             rays = branches(events.paths, start, rows[chosen])
             picked = upload(mi.UInt32, chosen)
-            rim, joined = (dr.gather(mi.UInt32, v, picked) for v in (events.rim, events.joined))
-            end = RimEnd(rim, joined, dr.gather(mi.Float64, c, picked))
+            kept = (dr.gather(type(v), v, picked) for v in (events.rim, events.joined, events.scale, c))
+            end = RimEnd(*kept)
             replay_rays(surfaces, rays, follow(surfaces, rays), end, None, self.start_surface)
 
     def result(self) -> RawGradient:
@@ -178,12 +177,14 @@ class RimEnd:
     Parameters
     ----------
     rim, joined : mi.UInt32
+    scale : mi.Float
     c : mi.Float64
         As in `EdgeEvents`.
     """
 
-    def __init__(self, rim: mi.UInt32, joined: mi.UInt32, c: mi.Float64) -> None:
+    def __init__(self, rim: mi.UInt32, joined: mi.UInt32, scale: mi.Float, c: mi.Float64) -> None:
         self._rim, self._joined, self._c = rim, joined, c
+        self._scale = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # that of rims is not set
 
     def __call__(
         self, surfaces: ReplaySurfaces, met: Met, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
@@ -191,7 +192,7 @@ class RimEnd:
         """The gain to first order: its value is 0."""
         free, jumps = self._joined == NO_SURFACE, self._rim >= SILHOUETTE
         distance = surfaces.rim_distance(met, self._rim, s, batch, active & free & ~jumps)
-        distance = dr.select(jumps, surfaces.jump_distance(met, split, self._rim, s, batch, active & jumps), distance)
+        distance = dr.select(jumps, jump_distance(split, self._rim, self._scale), distance)
         corner = active & ~free
         apart = surfaces.distance_from(
             surfaces.world_point(met, s, corner), dr.select(free, 0, self._joined), batch, corner

@@ -24,7 +24,8 @@ from mistray.physics.sag import sag_derivative
 from mistray.trace.interaction import Interaction
 from mistray.trace.optics import ASPHERIC, IDEAL, OPAQUE
 from mistray.trace.raw_gradient import RIM_COLUMNS
-from mistray.trace.surfaces import POLYNOMIAL_VECTORS, SurfaceTable
+from mistray.trace.replay_surfaces import Split
+from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
 SILHOUETTE, CRITICAL = len(RIM_COLUMNS), len(RIM_COLUMNS) + 1  # numbers that follow those of rims
@@ -36,6 +37,13 @@ FLAT = 1e-6  # curvature along the ray in units of that of the aperture, below w
 def grazing_kernel(delta: Any, width: Any) -> Any:
     """The boundary kernel of this module at Δ; 0 beyond its width."""
     return dr.select(delta < width, (9 - 12 * dr.sqrt(delta / width)) / width, 0)
+
+
+def jump_distance(split: Split, kind: mi.UInt32, scale: mi.Float64) -> mi.Float64:
+    """Δ of replayed hits, differentiable by all but the radius of curvature, which is `scale`."""
+    cosine2 = split.cos_i * split.cos_i
+    margin = 1 - split.eta * split.eta * (1 - cosine2)
+    return dr.select(kind == SILHOUETTE, 0.5 * scale * cosine2, margin)
 
 
 @dataclass
@@ -102,7 +110,7 @@ class Grazing:
         """
         ideal, opaque = (it.word & 3) == IDEAL, (it.word & OPAQUE) != 0
         steep = active & (dr.square(it.cos_i) < self.zone) & (ideal | opaque)
-        local = self._local(d, s, steep)
+        local = self._table.frame(s, steep).inward(d)
         extent = dr.gather(mi.Vector4f, self._extents, s, steep)
         along, bend, length = self._second_order(s, it.local, local, it.word, extent.z, steep)
         radius = length / dr.abs(bend)
@@ -121,12 +129,6 @@ class Grazing:
             grazes | critical,
         )
 
-    def _local(self, d: mi.Vector3f, s: mi.UInt32, active: mi.Bool) -> mi.Vector3f:
-        if not self._table.rotated:
-            return d
-        rows = [dr.gather(mi.Vector4f, self._table.rotation, 3 * s + k, active) for k in range(3)]
-        return mi.Vector3f(*(rows[0][k] * d.x + rows[1][k] * d.y + rows[2][k] * d.z for k in range(3)))
-
     def _second_order(
         self, s: mi.UInt32, q: mi.Vector3f, d: mi.Vector3f, word: mi.UInt32, outer: mi.Float, active: mi.Bool
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
@@ -139,11 +141,7 @@ class Grazing:
         length = dr.norm(g)
         if table.coefficient_count:
             aspheric = active & ((word & ASPHERIC) != 0)
-            row = [
-                dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * s + k, aspheric)
-                for k in range(POLYNOMIAL_VECTORS)
-            ]
-            c, k, *coefficients = (row[j // 4][j % 4] for j in range(2 + table.coefficient_count))
+            c, k, coefficients = table.asphere_sag(s, aspheric)
 
             def slope(t: mi.Float) -> tuple[mi.Float, mi.Float]:
                 x, y = dr.fma(t, d.x, q.x), dr.fma(t, d.y, q.y)

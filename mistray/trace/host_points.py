@@ -13,6 +13,7 @@ from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.host_rays import normals
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.targets import Target
+from mistray.trace.upload import upload
 
 AREA_NODES = 128  # of the quadrature over a curved detector
 
@@ -55,7 +56,7 @@ def surface_points(
     """
     u, v = rng.random((2, count))
     if surface >= len(table.pieces):
-        sample = mi.Point2f(u.astype(np.float32), v.astype(np.float32))
+        sample = mi.Point2f(upload(mi.Float, u), upload(mi.Float, v))
         found = table.shapes[surface].sample_position(0.0, sample)
         p, n = (np.broadcast_to(np.array(v, dtype=np.float64).T, (count, 3)).copy() for v in (found.p, found.n))
         return p, n

@@ -10,6 +10,7 @@ from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.optics import IDEAL, MIRROR, OPAQUE
 from mistray.trace.pieces import Piece
 from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, SurfaceTable
+from mistray.trace.upload import upload
 
 NEWTON_STEPS = 8
 SETTLED = 1e-10  # last step of Newton's method, relative, below which it has found a hit
@@ -150,7 +151,8 @@ def _stock_hit(
     """Distance, surface and normal of the nearest hit of the stock shapes; distance inf where there is none."""
     start = o + table.stock_epsilon * d
     assert table.stock_scene is not None
-    ray = mi.Ray3f(mi.Point3f(*start.T.astype(np.float32)), mi.Vector3f(*d.T.astype(np.float32)))
+    origin, direction = ([upload(mi.Float, column) for column in v.T] for v in (start, d))
+    ray = mi.Ray3f(mi.Point3f(*origin), mi.Vector3f(*direction))
     si = table.stock_scene.ray_intersect(ray)
     found = np.array(si.is_valid())
     number = dr.gather(mi.UInt32, table.stock_lookup, dr.reinterpret_array(mi.UInt32, si.shape), si.is_valid())

@@ -26,7 +26,7 @@ from mistray.trace.optics import (
     total_variable,
 )
 from mistray.trace.polarization import Mueller, from_plane, plane_of_incidence, to_plane
-from mistray.trace.surfaces import POLYNOMIAL_VECTORS, SurfaceTable
+from mistray.trace.surfaces import SurfaceTable
 
 # Channel of a gradient: an ideal coating reflects R + T beyond the critical angle
 REFLECTION_AND_TRANSMISSION = 3
@@ -148,11 +148,8 @@ def interact(
     optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
     word = dr.gather(mi.UInt32, table.optics.words, s, active)
     q = p - vertex.xyz
-    dl = d
-    if table.rotated:
-        rows = [dr.gather(mi.Vector4f, table.rotation, 3 * s + k, active) for k in range(3)]
-        q = mi.Vector3f(*(rows[0][k] * q.x + rows[1][k] * q.y + rows[2][k] * q.z for k in range(3)))
-        dl = mi.Vector3f(*(rows[0][k] * d.x + rows[1][k] * d.y + rows[2][k] * d.z for k in range(3)))
+    frame = table.frame(s, active)
+    q, dl = frame.inward(q), frame.inward(d)
 
     # Value and half gradient of F at q; the normal is along the gradient
     a, b, e, g = quadric
@@ -161,11 +158,7 @@ def interact(
     gx, gy, gz = a * q.x, a * q.y, dr.fma(b, q.z, 0.5 * e)
     if table.coefficient_count:
         aspheric = active & ((word & ASPHERIC) != 0)
-        row = [
-            dr.gather(mi.Vector4f, table.polynomial, POLYNOMIAL_VECTORS * s + k, aspheric)
-            for k in range(POLYNOMIAL_VECTORS)
-        ]
-        c, k, *coefficients = (row[j // 4][j % 4] for j in range(2 + table.coefficient_count))
+        c, k, coefficients = table.asphere_sag(s, aspheric)
         slope = sag_derivative(r2, c, k, coefficients)
         # F = 2 (sag - z), to be of the same sign and scale as the quadric
         value = dr.select(aspheric, 2 * (sag(r2, c, k, coefficients) - q.z), value)
@@ -188,7 +181,7 @@ def interact(
 
     normal = mi.Vector3f(gx, gy, gz) * dr.mulsign(dr.rsqrt(gx * gx + gy * gy + gz * gz), vertex.w)
     if table.rotated:
-        rotated = mi.Vector3f(*(rows[k].x * normal.x + rows[k].y * normal.y + rows[k].z * normal.z for k in range(3)))
+        rotated = frame.outward(normal)
         normal = rotated if table.stock_scene is None else dr.select(stock, normal, rotated)
     cosine = dr.dot(d, normal)
     from_front = cosine > 0  # the normal points from front to back

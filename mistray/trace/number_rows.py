@@ -44,16 +44,8 @@ class NumberRows:
         self.names = {*self._tracked, *self._plain}
         self._surfaces = dr.opaque(mi.UInt32, self._count)
         self._plain_values = upload(mi.Float64, _rows(geometry, self._plain))
-        self._tracked_values = self.track(np.tile(_rows(geometry, self._tracked).ravel(), BATCHES))
+        self._tracked_values = tracked_array(np.tile(_rows(geometry, self._tracked).ravel(), BATCHES))
         dr.eval(self._plain_values, self._tracked_values)
-
-    @staticmethod
-    def track(values: np.ndarray) -> mi.Float64:
-        """Numbers whose derivatives are gathered."""
-        with dr.resume_grad():
-            array = upload(mi.Float64, values)
-            dr.enable_grad(array)
-        return array
 
     def read(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> dict[str, Any]:
         """All columns by name at the surfaces s; 0 where they have been left out."""
@@ -72,6 +64,14 @@ class NumberRows:
         """Derivatives that have been gathered, by column, each (BATCHES, surfaces) float64."""
         found = np.array(dr.grad(self._tracked_values)).reshape(BATCHES, self._count, -1)
         return {name: found[:, :, k] for k, name in enumerate(self._tracked)}
+
+
+def tracked_array(values: np.ndarray) -> mi.Float64:
+    """Numbers whose derivatives are gathered."""
+    with dr.resume_grad():
+        array = upload(mi.Float64, values)
+        dr.enable_grad(array)
+    return array
 
 
 def _rows(geometry: np.ndarray, names: Sequence[str]) -> np.ndarray:

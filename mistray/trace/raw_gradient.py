@@ -57,7 +57,12 @@ class Wanted:
     @property
     def replays(self) -> bool:
         """Whether more than factors of coatings is asked for, so that rays are followed again one by one."""
-        return bool(self.geometry) or self.indices or self.scatter
+        return self.moves or self.scatter
+
+    @property
+    def moves(self) -> bool:
+        """Whether places of hits change, and with them what rays gain and lose at rims."""
+        return bool(self.geometry) or self.indices
 
     @property
     def only_rims(self) -> bool:

@@ -18,9 +18,8 @@ import numpy as np
 
 from mistray.physics.fresnel import reflectance
 from mistray.trace.aspheric_terms import AsphericTerms
-from mistray.trace.grazing import SILHOUETTE
 from mistray.trace.ledger import BATCHES, TOTAL
-from mistray.trace.number_rows import NumberRows
+from mistray.trace.number_rows import NumberRows, tracked_array
 from mistray.trace.optics import (
     BACK_MEDIUM_SHIFT,
     FRESNEL,
@@ -38,7 +37,6 @@ from mistray.trace.raw_gradient import COEFFICIENTS, GEOMETRY, RIM_COLUMNS, SHAP
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
-BEND_STEP = 1e-4  # mm, of differences along a ray in float64
 TABLE_CHANNELS = 3  # R from the front, R from the back, T
 
 
@@ -88,11 +86,11 @@ class ReplaySurfaces:
         self._rims = NumberRows(numbers.geometry, RIM_COLUMNS, wanted.geometry)
         optics = table.optics
         indices, rows, ideal = numbers.indices, numbers.rows, numbers.ideal
-        self._indices = NumberRows.track(np.tile(indices.ravel(), BATCHES)) if wanted.indices else None
+        self._indices = tracked_array(np.tile(indices.ravel(), BATCHES)) if wanted.indices else None
         self._plain_indices = upload(mi.Float64, indices)
         self.rows = len(rows)
         if wanted.rows:
-            self._rows, self._ideal = (NumberRows.track(np.tile(v.ravel(), BATCHES)) for v in (rows, ideal))
+            self._rows, self._ideal = (tracked_array(np.tile(v.ravel(), BATCHES)) for v in (rows, ideal))
         else:
             self._rows, self._ideal = upload(mi.Float64, rows), upload(mi.Float64, ideal)
         self._row_stride = dr.opaque(mi.UInt32, rows.size if wanted.rows else 0)
@@ -238,21 +236,6 @@ class ReplaySurfaces:
         for number, (name, (place, sign)) in enumerate(zip(RIM_COLUMNS, places, strict=True)):
             distance = dr.select(active & (rim == number), sign * (values[name] - place), distance)
         return distance
-
-    def jump_distance(
-        self, met: Met, split: Split, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
-    ) -> mi.Float64:
-        """Distance of a hit from a jump, see `mistray.trace.grazing`."""
-        with dr.suspend_grad():
-            numbers = self._numbers(s, batch, active, still=True)
-            still = dr.detach(met.d)
-            (_, before), (_, here), (_, after) = (
-                self._surface(dr.detach(met.q) + t * still, numbers) for t in (-BEND_STEP, 0.0, BEND_STEP)
-            )
-            radius = dr.norm(here) * (2 * BEND_STEP) / dr.abs(dr.dot(after - before, still))
-        cosine = split.cos_i
-        margin = 1 - split.eta * split.eta * (1 - cosine * cosine)
-        return dr.select(rim == SILHOUETTE, 0.5 * radius * cosine * cosine, margin)
 
     def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Distance of points of the world from the surfaces s next to them, mm; positive along the gradient of F."""

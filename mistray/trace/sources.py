@@ -14,6 +14,7 @@ from mistray.errors import MistrayError
 from mistray.trace.ledger import BATCHES
 from mistray.trace.space_filling import curve_points
 from mistray.trace.surfaces import solid_shapes
+from mistray.trace.upload import upload
 
 WAVELENGTH_NM = 550.0  # where a scene has no source
 
@@ -128,7 +129,7 @@ def sorted_points(batch: mi.UInt32, rng: mi.PCG32, closing: np.ndarray) -> mi.Po
     sums = dr.cumsum(mi.Float64(-dr.log(1 - rng.next_float32())))
     first = np.searchsorted(np.array(batch), np.arange(BATCHES + 1))
     totals = np.concatenate([[0.0], np.array(sums)])[first]
-    start, length = mi.Float64(totals[:-1]), mi.Float64(np.diff(totals) + closing)
+    start, length = upload(mi.Float64, totals[:-1]), upload(mi.Float64, np.diff(totals) + closing)
     u = (sums - dr.gather(mi.Float64, start, batch)) / dr.gather(mi.Float64, length, batch)
     return mi.Point2f(*curve_points(u, 2, rng))
 

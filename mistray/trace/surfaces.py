@@ -31,6 +31,33 @@ SAME_FRAME = 1e-9  # by which the directions of axes may differ
 POLYNOMIAL_VECTORS = 4
 
 
+class LocalFrame:
+    """
+    The axes of surfaces, to turn directions into their own frames and back.
+
+    Parameters
+    ----------
+    rows : list of mi.Vector4f, optional
+        Rows of the rotations out of these frames; None: no surface of the scene is turned.
+    """
+
+    def __init__(self, rows: list[mi.Vector4f] | None) -> None:
+        self._rows = rows
+
+    def inward(self, v: mi.Vector3f) -> mi.Vector3f:
+        """A vector of the scene in the frame of the surface."""
+        if self._rows is None:
+            return v
+        rows = self._rows
+        return mi.Vector3f(*(rows[0][k] * v.x + rows[1][k] * v.y + rows[2][k] * v.z for k in range(3)))
+
+    def outward(self, v: mi.Vector3f) -> mi.Vector3f:
+        """A vector of the frame of the surface in the scene."""
+        if self._rows is None:
+            return v
+        return mi.Vector3f(*(row.x * v.x + row.y * v.y + row.z * v.z for row in self._rows))
+
+
 class SurfaceTable:
     """
     All surfaces of a scene at one wavelength.
@@ -97,6 +124,25 @@ class SurfaceTable:
     def event_words(self) -> np.ndarray:
         """Words of the places of events; those of media are 0."""
         return np.concatenate([self.optics.host_words, np.zeros(len(self.optics.media), dtype=np.uint32)])
+
+    def frame(self, s: mi.UInt32, active: mi.Bool | bool = True) -> LocalFrame:
+        """The frames of the surfaces s."""
+        if not self.rotated:
+            return LocalFrame(None)
+        return LocalFrame([dr.gather(mi.Vector4f, self.rotation, 3 * s + k, active) for k in range(3)])
+
+    def asphere_row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> list[mi.Float]:
+        """All numbers of the aspheres s, see `POLYNOMIAL_VECTORS`."""
+        row = [
+            dr.gather(mi.Vector4f, self.polynomial, POLYNOMIAL_VECTORS * s + k, active)
+            for k in range(POLYNOMIAL_VECTORS)
+        ]
+        return [vector[k] for vector in row for k in range(4)]
+
+    def asphere_sag(self, s: mi.UInt32, active: mi.Bool | bool = True) -> tuple[mi.Float, mi.Float, list[mi.Float]]:
+        """Curvature, conic constant and coefficients of the aspheres s, as `mistray.physics.sag` takes them."""
+        curvature, conic, *rest = self.asphere_row(s, active)
+        return curvature, conic, rest[: self.coefficient_count]
 
     def _find_detector(self, wanted: str | None) -> int:
         sensors = [i for i, shape in enumerate(self.shapes) if shape.is_sensor()]

@@ -204,6 +204,12 @@ class Collimated(mi.Emitter):
     def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Mask = True) -> mi.Float:
         return mi.Float(0)
 
+    def eval_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Mask = True) -> mi.Spectrum:
+        return mi.Spectrum(0)
+
+    def pdf_position(self, ps: mi.PositionSample3f, active: mi.Mask = True) -> mi.Float:
+        return mi.Float(0)
+
     def eval(self, si: mi.SurfaceInteraction3f, active: mi.Mask = True) -> mi.Spectrum:
         return mi.Spectrum(0)
 

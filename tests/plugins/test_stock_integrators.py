@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -164,3 +165,41 @@ def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None
     assert error < 4e-4
     # what straylight leaves out beyond 20 reflections, and float32
     assert_z("radiance of the screen", pixels.mean(), passed, error, false_alarm=1e-3, floor=1e-6)
+
+
+@pytest.mark.parametrize("kind", ["prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective"])
+def test_gradients_while_another_scene_lives(kind: str) -> None:
+    """Mitsuba's virtual calls trace every emitter and BSDF of the process, those of other scenes too."""
+    other = mistray.load(
+        {
+            "type": "scene",
+            "beam": {"type": "collimated", "radius": 2.0},
+            "window": {"type": "asphere", "semi_diameter": 5.0, "bsdf": glass("air", "1.5")},
+        }
+    )  # fmt: skip
+    scene = mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": kind},
+            "lamp": {
+                "type": "rectangle", "to_world": T().look_at([4, 0, -4], [0, 0, 0], [0, 1, 0]),
+                "light": {"type": "area", "radiance": 10.0},
+            },
+            "plate": {
+                "type": "rectangle", "to_world": T().rotate([1, 0, 0], 180),
+                "bsdf": glass("air", "air", R=0.9, s={"type": "abg", "A": 0.01, "B": 0.05, "g": 2.0}),
+            },
+            "camera": {
+                "type": "perspective", "fov": 20.0, "to_world": T().look_at([0, 0, -5], [0, 0, 0], [0, 1, 0]),
+                "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}},
+            },
+        },
+        optimize=False, parallel=False,
+    )  # fmt: skip
+    params = mi.traverse(scene)
+    key = next(name for name in params.keys() if name.endswith("abg.A"))  # noqa: SIM118
+    dr.enable_grad(params[key])
+    params.update()
+    dr.backward(dr.mean(mi.render(scene, params, spp=16, seed=1).array))
+    assert float(dr.grad(params[key])[0]) > 0
+    assert len(other.emitters()) == 1
