@@ -15,6 +15,7 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+import peers
 
 from mistray.prescription.sequential import Decentre, Row, Sequential
 from mistray.prescription.to_sequential import to_sequential
@@ -70,15 +71,13 @@ def rays(lens: Sequential) -> tuple[np.ndarray, np.ndarray]:
 
 def optiland_image_points(path: Path, points: np.ndarray, directions: np.ndarray, wavelength_nm: float) -> np.ndarray:
     """Where optiland's rays through a .zmx file meet the image, (n, 3) in the frame of the first surface, mm."""
-    from optiland.fileio import load_zemax_file
-    from optiland.rays import RealRays
-
-    optic = load_zemax_file(str(path))
+    real_rays = peers.optiland("rays").RealRays
+    optic = peers.optiland("fileio").load_zemax_file(str(path))
     for surface in optic.surfaces:
         if hasattr(surface.geometry, "tol"):
             surface.geometry.tol = 1e-14
     count = len(points)
-    start = RealRays(*points.T.copy(), *directions.T.copy(), np.ones(count), np.full(count, wavelength_nm / 1e3))
+    start = real_rays(*points.T.copy(), *directions.T.copy(), np.ones(count), np.full(count, wavelength_nm / 1e3))
     optic.surfaces.trace(start)
     found = optic.surfaces
     return np.stack([np.asarray(getattr(found, axis))[-1] for axis in "xyz"], axis=1)

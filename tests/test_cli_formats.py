@@ -36,6 +36,15 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
     monkeypatch.setattr(sys.modules["mistray.analysis.pst.run"], "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
+
+    def page(report: Any, path: Path, *_: Any) -> Path:
+        path.write_text("")
+        return path
+
+    # Pictures take seconds, and are not asked for here
+    monkeypatch.setattr(sys.modules["mistray.report.output"], "write_html", page)
+    for module in ("output", "pst_output"):
+        monkeypatch.setattr(sys.modules[f"mistray.report.{module}"], "draw", lambda *_: {})
     return traced
 
 

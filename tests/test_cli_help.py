@@ -14,12 +14,10 @@ from mistray.trace import Settings
 from mistray.trace.settings import NO_LIMIT
 
 COMMANDS: dict[str, argparse.ArgumentParser] = program._parser()._subparsers._group_actions[0].choices
-OPTIONS = [
-    pytest.param(parser, action, id=f"{name} {max(action.option_strings or [action.dest], key=len)}")
+OPTIONS = {
+    name: [action for action in parser._actions if not isinstance(action, argparse._HelpAction)]
     for name, parser in COMMANDS.items()
-    for action in parser._actions
-    if not isinstance(action, argparse._HelpAction)
-]
+}
 # The ending of an option → what its metavar or its help must name
 UNITS = {
     "deg": ("DEG", "degree", "°"),
@@ -75,35 +73,39 @@ def test_description_and_summary(name: str) -> None:
     assert not summary.endswith(".")
 
 
-@pytest.mark.parametrize(("parser", "action"), OPTIONS)
-def test_option_is_explained(parser: argparse.ArgumentParser, action: argparse.Action) -> None:
-    assert action.help
-    assert action.help[0] != " "
-    assert not action.help.endswith(".")
-    assert action.help % {} if "%" in action.help else True  # a lone % breaks the help of the whole command
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_are_explained(name: str) -> None:
+    for action in OPTIONS[name]:
+        assert action.help, action.dest
+        assert action.help[0] != " "
+        assert not action.help.endswith("."), action.help
+        assert action.help % {} if "%" in action.help else True  # a lone % breaks the help of the whole command
 
 
-@pytest.mark.parametrize(("parser", "action"), OPTIONS)
-def test_option_names_its_unit(parser: argparse.ArgumentParser, action: argparse.Action) -> None:
-    name = max(action.option_strings or [""], key=len)
-    ending = name.rpartition("-")[2]
-    if ending in UNITS and name != "--R":
-        metavar = action.metavar if isinstance(action.metavar, tuple) else (action.metavar or "",)
-        assert set(metavar) & set(UNITS[ending]) or any(word in action.help for word in UNITS[ending][1:]), action.help
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_name_their_units(name: str) -> None:
+    for action in OPTIONS[name]:
+        option = max(action.option_strings or [""], key=len)
+        ending = option.rpartition("-")[2]
+        if ending in UNITS:
+            metavar = action.metavar if isinstance(action.metavar, tuple) else (action.metavar or "",)
+            named = set(metavar) & set(UNITS[ending]) or any(word in action.help for word in UNITS[ending][1:])
+            assert named, f"{option}: {action.help}"
 
 
-@pytest.mark.parametrize(("parser", "action"), OPTIONS)
-def test_default_is_the_one_that_holds(parser: argparse.ArgumentParser, action: argparse.Action) -> None:
+@pytest.mark.parametrize("name", COMMANDS)
+def test_defaults_are_those_that_hold(name: str) -> None:
     """A setting of the trace: that of `Settings`. Any other number that argparse fills in: that number."""
-    told = bracket(action)
-    if action.dest in SETTINGS and action.default is None and action.dest not in ("rays", "ray_control", "edge_width"):
-        default = SETTINGS[action.dest]
-        if isinstance(default, str):
-            assert told == default
-        elif told != "no limit":
-            assert float(told or "nan") == default
-        else:
-            assert default == NO_LIMIT
-    elif isinstance(action.default, (int, float)) and not isinstance(action.default, bool):
-        assert told is not None, f"the default {action.default:g} is not named"
-        assert action.default in [float(number) for number in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", told)]
+    for action in OPTIONS[name]:
+        told = bracket(action)
+        if action.dest in SETTINGS and action.default is None and action.dest not in ("rays", "ray_control"):
+            default = SETTINGS[action.dest]
+            if isinstance(default, str):
+                assert told == default, action.dest
+            elif told != "no limit":
+                assert float(told or "nan") == default, action.dest
+            else:
+                assert default == NO_LIMIT, action.dest
+        elif isinstance(action.default, (int, float)) and not isinstance(action.default, bool):
+            assert told is not None, f"{action.dest}: the default {action.default:g} is not named"
+            assert action.default in [float(number) for number in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", told)]

@@ -111,6 +111,31 @@ def test_code_v_file_gives_the_same_surfaces(capsys, zmx, tmp_path):
         assert texts[0] == texts[1], name
 
 
+def test_fields_of_a_tilted_lens_keep_their_sign(capsys, zmx, tmp_path):
+    """About one axis -3° is the same as 3°; behind a tilt it is not."""
+    zmx.write_text(
+        ZMX.replace("FTYP 0 0 2", "FTYP 0 0 3").replace("XFLN 0 0", "XFLN 0 0 0").replace("0 3\n", "0 3 -3\n")
+    )
+    assert run(capsys, zmx, "-o", tmp_path / "a.xml")[1].splitlines()[0].endswith("--field-deg 0 3")
+    tilt = "SURF 1\n  TYPE COORDBRK\n  PARM 3 5\n  DISZ 0\nSURF 2\n  STOP"
+    renumbered = zmx.read_text().replace("SURF 3", "SURF 4").replace("SURF 2", "SURF 3")
+    zmx.write_text(renumbered.replace("SURF 1\n  STOP", tilt))
+    code, out, err = run(capsys, zmx, "-o", tmp_path / "a.xml")
+    assert code == 0, err
+    assert out.splitlines()[0].endswith("--field-deg -3 0 3")
+
+
+def test_a_telecentric_lens(capsys, zmx, tmp_path):
+    text = ZMX.replace("ENPD 8", "OBNA 0.05 0").replace("FTYP 0 0 2", "FTYP 1 1 2").replace("DISZ INFINITY", "DISZ 60")
+    zmx.write_text(text)
+    code, out, err = run(capsys, zmx, "-o", tmp_path / "a.xml")
+    assert code == 0, err
+    assert out.splitlines()[1].endswith(", telecentric in object space")
+    near = [line for line in out.splitlines() if line.startswith("note: the object lies 60 mm before the lens, but")]
+    assert len(near) == 1
+    assert json_units.read(run(capsys, zmx, "-o", tmp_path / "a.xml", "--json")[1])["f_number"] is None
+
+
 def test_json(capsys, zmx, tmp_path):
     code, out, _ = run(capsys, zmx, "-o", tmp_path / "a.xml", "--json")
     assert code == 0

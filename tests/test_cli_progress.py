@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import argparse
 import io
+import re
 import sys
 import time
+from types import SimpleNamespace
 
 import pytest
 
@@ -82,12 +84,35 @@ def test_the_bar_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     terminal = on_a_terminal(monkeypatch)
     with progress_bar(argparse.Namespace(quiet=False)) as progress:
         assert progress is not None
-        time.sleep(0.2)  # bars are drawn ten times a second at most
         progress(0.5, 2.0)
-        time.sleep(0.2)
+        progress(0.1, 2.0)  # a bar does not go back
+        progress(0.6, 2.0)
         progress(2.0, 2.0)
-    assert " 25%" in terminal.getvalue()
-    assert "100%" in terminal.getvalue()
+    assert re.findall(r"(\d+)%", terminal.getvalue()) == ["0", "25", "25", "30", "100"]
+
+
+def test_bars_say_at_once_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Right after the start and after each other: the next step may take hours."""
+    from mistray.cli import optimize, pst, study
+
+    terminal, options = on_a_terminal(monkeypatch), argparse.Namespace(quiet=False)
+    with study._progress(options) as progress:
+        assert progress is not None
+        progress(1, "checking", 0.0)
+        progress(2, "finding objects", 0.1)
+    assert "step 1 of 8, checking:   0%" in terminal.getvalue()
+    assert "step 2 of 8, finding objects:  10%" in terminal.getvalue()
+    with pst._progress(options) as draw:
+        draw(SimpleNamespace(share_done=0.25, worst_error=0.031, wanted_error=0.02, seconds_left=83.0))
+    assert "tracing:  25%" in terminal.getvalue()
+    assert "error 3.1 % of 2 %, 01:23 left" in terminal.getvalue()
+    step = SimpleNamespace(
+        start=0, step=1, merit=0.5, merit_se=0.01, terms={}, broken=(), gradient_norm=1.0, seconds=2.0
+    )
+    with optimize._progress(options, 4) as shown:
+        shown(step, SimpleNamespace(name="as it is"))
+    assert "start 1 (as it is), step 1: merit 0.5000" in terminal.getvalue()
+    assert "search from start 1, merit 0.5000:  25%" in terminal.getvalue()
 
 
 def test_the_doctor_is_at_work(monkeypatch: pytest.MonkeyPatch) -> None:

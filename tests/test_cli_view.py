@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import sys
 from dataclasses import fields
 
@@ -10,6 +11,7 @@ import pytest
 from report.fake_trace import paths_at
 from report.view_scene import SCENE, RayTrace
 
+import mistray
 from mistray import cli
 from mistray.report.ray_files import read_rays
 from mistray.trace import Settings
@@ -96,6 +98,16 @@ def test_every_setting_of_the_tracer_is_passed_on(capsys, scene_file, traced, tm
     assert (call["azimuth_deg"], call["wavelength_nm"], call["weights"]) == (30.0, [500.0, 600.0], [1.0, 2.0])
 
 
+def test_a_layout_has_the_paths_and_rays_asked_for(capsys, scene_file, traced, tmp_path, monkeypatch):
+    calls, layout = [], importlib.import_module("mistray.report.layout")
+    drawn = layout.layout_figure(mistray.load(scene_file))
+    monkeypatch.setattr(layout, "layout_figure", lambda scene, trace, *given: calls.append(given) or drawn)
+    for options in ((), ("--paths", 1, "--rays-per-path", 2, "--rays", 0)):
+        assert run(capsys, scene_file, "--layout", tmp_path / "lens.svg", *options)[0] == 0
+    assert calls == [(4, None, 7), (1, None, 2)]
+    assert [call["rays"] for call in traced] == [20_000, 0]  # the tracer says what is wrong with 0
+
+
 def test_the_whole_scene(capsys, scene_file, traced, tmp_path):
     page = tmp_path / "whole.html"
     assert run(capsys, scene_file, "--no-trace", "--cut-deg", "none", "--out", page)[0] == 0
@@ -107,12 +119,15 @@ def test_the_whole_scene(capsys, scene_file, traced, tmp_path):
     [
         (("--layout", "lens.dwg"), "layouts are written as .svg, .pdf, .eps, .png"),
         (("--save-rays", "rays.stl"), "rays are written as .ply, .obj, .json"),
-        (("--no-trace", "--save-rays", "rays.ply"), "--no-trace gives no rays"),
+        (("--no-trace", "--save-rays", "rays.ply"), "--save-rays has no effect with --no-trace"),
+        (("--no-trace", "--field-deg", "3"), "--field-deg has no effect with --no-trace; leave it out"),
+        (("--no-trace", "--seed", "3"), "--seed has no effect with --no-trace"),
+        (("--layout", "lens.svg", "--cut-deg", "none"), "--cut-deg has no effect without a page; give --out"),
         (("--no-trace", "--colour", "flux", "--out", "v.html"), "nothing was traced"),
         (("--weights", "1"), "--weights without --wavelength-nm"),
         (("--path-ids", "77", "--out", "v.html"), "path_id 77 does not exist; this trace has the paths 0 … 4"),
         (("--cut-deg", "left"), "'left' is not a number"),
-        (("--rays-per-path", "0", "--out", "v.html"), "rays is 0; ask for at least one"),
+        (("--rays-per-path", "0", "--out", "v.html"), "0 rays show nothing; give 1 or more"),
     ],
 )
 def test_bad_input_is_one_line(capsys, scene_file, traced, tmp_path, monkeypatch, arguments, message):
@@ -127,6 +142,7 @@ def test_bad_input_is_one_line(capsys, scene_file, traced, tmp_path, monkeypatch
 
 def test_without_plotly(capsys, scene_file, traced, tmp_path, monkeypatch):
     monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
-    code, _, err = run(capsys, scene_file, "--no-trace", "--out", tmp_path / "v.html")
+    code, _, err = run(capsys, scene_file, "--out", tmp_path / "v.html")
     assert code == 2
+    assert not traced  # it says so before
     assert "needs plotly, which is not installed; pip install 'mistray[view]'" in err

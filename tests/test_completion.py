@@ -28,6 +28,7 @@ def bash(commands, tmp_path_factory):
     folder = tmp_path_factory.mktemp("bash")
     (folder / "mistray.bash").write_text(completion.script("bash", commands), encoding="utf-8")
     (folder / "lens.xml").write_text("")
+    (folder / "my lens.zmx").write_text("")
     (folder / "out").mkdir()
 
     def proposals(*words: str) -> list[str]:
@@ -85,6 +86,7 @@ def test_bash_proposes_scenes_models_and_files(bash):
     assert {"abg", "paint"} <= set(bash("bsdf", ""))
     assert "bbar3" in bash("coating", "bb")
     assert bash("import", "len") == ["lens.xml"]
+    assert bash("import", "my") == ["my lens.zmx"]
 
 
 def test_proposals_are_taken(capsys, bash):

@@ -125,7 +125,7 @@ class GhostReport(Mapping[float, Trace]):
         self._frames: dict[Trace, pd.DataFrame] = {}
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
         self._maps: dict[float, _FieldMaps] = {}
-        self._path_maps: dict[float, FieldMaps] = {}
+        self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were asked for
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
         self.arguments = dict(arguments)
@@ -310,10 +310,9 @@ class GhostReport(Mapping[float, Trace]):
         FieldMaps
             The last one that was made is kept for each field.
         """
-        found = self._path_maps.get(field_deg)
-        if found is None or not set(path_ids) <= set(found.paths):
-            found = self._path_maps[field_deg] = self._mapped(field_deg, path_ids)
-        return found
+        if field_deg not in self._path_maps or not set(path_ids) <= self._path_maps[field_deg][0]:
+            self._path_maps[field_deg] = set(path_ids), self._mapped(field_deg, path_ids)
+        return self._path_maps[field_deg][1]
 
     def _mapped(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
         t, table = self[field_deg], self.table(field_deg)

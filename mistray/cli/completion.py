@@ -26,7 +26,7 @@ def add(commands: Any) -> None:
         description="Print a script for bash, zsh or fish that completes commands, options, choices, the names of\n"
         "shipped scenes, scatter models and coatings, and files. It is made from the options of this version.",
         epilog="examples:\n"
-        "  source <(mistray completion bash)    # in ~/.bashrc\n"
+        "  mistray completion bash > ~/.local/share/bash-completion/completions/mistray\n"
         "  mistray completion zsh > ~/.zfunc/_mistray    # a folder of fpath, before compinit\n"
         "  mistray completion fish > ~/.config/fish/completions/mistray.fish",
         formatter_class=RAW,
@@ -145,6 +145,7 @@ _mistray() {{
     esac
     COMPREPLY=($(compgen -W "$names" -- "$current"))
     if [[ $files == yes ]]; then
+        local IFS=$'\\n'  # blanks are a part of names
         compopt -o filenames 2>/dev/null
         COMPREPLY+=($(compgen -f -- "$current"))
     fi

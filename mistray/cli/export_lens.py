@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import argparse
-import json
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 from mistray.cli.arguments import RAW
+from mistray.cli.tracing_arguments import print_json
 from mistray.errors import MistrayError
 
 
@@ -31,7 +31,7 @@ def add(commands: Any) -> None:
     parser.add_argument(
         "-o", "--output", metavar="ZMX", type=Path, help="file to write (default: SCENE with .zmx, in this folder)"
     )
-    parser.add_argument("--json", action="store_true", help="print one JSON object instead of text")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
     parser.set_defaults(run=run)
 
 
@@ -60,9 +60,8 @@ def run(options: argparse.Namespace) -> int:
             "notes": list(lens.notes),
             "approximate": list(lost),
             "left_out": list(left_out),
-            "files": [str(output)],
         }
-        print(json.dumps(shown, indent=2))
+        print_json(shown, [output])
         return 0
     print(f"{output}: {surfaces} surfaces, entrance pupil {lens.aperture:.6g} mm")
     for note in (*lens.notes, *lost):

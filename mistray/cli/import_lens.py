@@ -40,7 +40,7 @@ def add(commands: Any) -> None:
     """Declare the command."""
     parser = commands.add_parser(
         "import",
-        help="turn a lens file into a scene",
+        help="turn a lens file or mechanics into a scene",
         description="Read a lens or mechanics and write them as a scene (Mitsuba XML). Lines of the file that have no "
         "effect are listed.",
         epilog="examples:\n"
@@ -118,7 +118,7 @@ def run(options: argparse.Namespace) -> int:
 
         print_json(plain(record), [output])
     else:
-        print(_text(record, lens, output))
+        print(_text(record, _angles(record, prescription), lens, output))
     return 0
 
 
@@ -204,24 +204,31 @@ def _record(built: Built) -> dict[str, Any]:
         "wavelengths_nm": list(lens.wavelengths_nm),
         "field_kind": lens.field_kind,
         "fields_deg" if lens.field_kind == "angle_deg" else "fields_mm": [list(field) for field in lens.fields],
+        "telecentric": lens.telecentric,
         "notes": list(built.notes),
         "unread": [{"line": item.line, "text": item.text.strip(), "reason": item.reason} for item in lens.unread],
     }
 
 
-def _text(record: Mapping[str, Any], lens: Path, output: Path) -> str:
+def _text(record: Mapping[str, Any], angles: list[float], lens: Path, output: Path) -> str:
     command = ["mistray", "ghosts", str(output)]
-    angles = sorted({_angle(*field) for field in record.get("fields_deg", ())})
     if len(angles) > 1:
         command += ["--field-deg", *(f"{angle:g}" for angle in angles)]
     from mistray.materials.mate import shown
 
     lines = [f"{output}: {record['surfaces']} surfaces; next: {shlex.join(command)}"]
     if "efl_mm" in record:
-        lines.append(
-            f"at {record['wavelength_nm']:g} nm: focal length {record['efl_mm']:.6g} mm, back focus "
-            f"{record['bfl_mm']:.6g} mm, F/{record['f_number']:.4g}, entrance pupil {record['epd_mm']:.6g} mm"
+        pupil = (
+            "telecentric in object space"
+            if math.isinf(record["entrance_pupil_z_mm"])
+            else f"F/{record['f_number']:.4g}, entrance pupil {record['epd_mm']:.6g} mm"
         )
+        focus = (
+            "afocal"
+            if math.isinf(record["efl_mm"])
+            else f"focal length {record['efl_mm']:.6g} mm, back focus {record['bfl_mm']:.6g} mm"
+        )
+        lines.append(f"at {record['wavelength_nm']:g} nm: {focus}, {pupil}")
     lines += [f"note: {note}" for note in record["notes"]]
     unread = record["unread"]
     if unread:
@@ -229,6 +236,18 @@ def _text(record: Mapping[str, Any], lens: Path, output: Path) -> str:
         width = max(len(str(item["line"])) for item in unread)
         lines += [f"  line {item['line']:>{width}}: {shown([item['text']])}  ({item['reason']})" for item in unread]
     return "\n".join(lines)
+
+
+def _angles(record: Mapping[str, Any], prescription: Prescription) -> list[float]:
+    """
+    Field angles to trace, degrees.
+
+    About one axis a field is its angle to that. Otherwise its sign counts, and fields off the yz plane are left out.
+    """
+    fields = record.get("fields_deg", ())
+    if all(surface.coaxial for surface in prescription.surfaces):
+        return sorted({_angle(*field) for field in fields})
+    return sorted({round(y, 6) for x, y in fields if x == 0})
 
 
 def _angle(x_deg: float, y_deg: float) -> float:

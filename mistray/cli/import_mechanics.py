@@ -5,17 +5,23 @@ from __future__ import annotations
 import argparse
 import shlex
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import finite
-from mistray.cli.tracing_arguments import print_json
+from mistray.cli.arguments import count, finite, positive
+from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
 
+if TYPE_CHECKING:
+    from mistray.mechanics import Finish, Mechanics
+    from mistray.prescription import MeshStructure, Structure
+
 SUFFIXES = (".step", ".stp", ".stl", ".obj", ".ply")
-OPTIONS = ("into", "paint", "space", "unit", "move_mm", "tilt_deg", "most_analytic")
+OPTIONS = (
+    "into", "paint", "space", "unit", "move_mm", "tilt_deg", "most_analytic", "tolerance_mm", "time_limit_s",
+)  # fmt: skip
 MOST_SPACE = 1_000_000
 
 
@@ -33,8 +39,12 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                        help="where the origin of the parts goes after the tilt, mm (0 0 0)")  # fmt: skip
     group.add_argument("--tilt-deg", type=finite, nargs=3, metavar=("X", "Y", "Z"),
                        help="turns about x, then y, then z of the scene, degrees (0 0 0)")  # fmt: skip
-    group.add_argument("--most-analytic", type=int, metavar="N",
+    group.add_argument("--most-analytic", type=count, metavar="N",
                        help="surfaces made exact at most, the largest; 0: all are meshes (64)")  # fmt: skip
+    group.add_argument("--tolerance-mm", type=positive, metavar="MM",
+                       help="largest distance of the facets of a STEP file from its surfaces, mm (0.01)")  # fmt: skip
+    group.add_argument("--time-limit-s", type=positive, metavar="S",
+                       help="for reading a STEP file, processor time, seconds (5, and 30 for each MB)")  # fmt: skip
 
 
 def refuse(options: argparse.Namespace, what: str) -> None:
@@ -50,7 +60,6 @@ def run(options: argparse.Namespace) -> int:
     from mistray.mechanics.mechanics import MOST_ANALYTIC
     from mistray.prescription.mesh_structure import MeshStructure
     from mistray.prescription.model import Placed
-    from mistray.replace_file import replace_file
 
     source = Path(options.lens)
     output = options.output or Path(source.with_suffix(".xml").name)
@@ -62,15 +71,21 @@ def run(options: argparse.Namespace) -> int:
     x, y, z = options.move_mm or (0.0, 0.0, 0.0)
     most = MOST_ANALYTIC if options.most_analytic is None else options.most_analytic
     at = Placed(x=x, y=y, z=z, tilt_deg=tuple(options.tilt_deg or (0.0, 0.0, 0.0)))
-    mechanics = read_mechanics(source, unit=options.unit, at=at, most_analytic=most)
+    with working(f"reading {source.name}"):
+        mechanics = read_mechanics(
+            source,
+            unit=options.unit,
+            at=at,
+            most_analytic=most,
+            tolerance_mm=options.tolerance_mm,
+            time_limit_s=options.time_limit_s,
+        )
     mechanics = mechanics.painted(paint, space=spaces, known=known)
     if options.into:
         from mistray.scene import add_structures
 
         shapes, meshes = mechanics.beside(output)
-        add_structures(options.into, shapes, output, f"Mechanics of {source.name}")  # first, because it may refuse
-        for path, mesh in meshes.items():
-            replace_file(path, mesh, "mesh")
+        add_structures(options.into, shapes, output, f"Mechanics of {source.name}", meshes)
     else:
         shapes = mechanics.to_xml(output)
     record = _record(mechanics, shapes)
@@ -95,7 +110,7 @@ def _space(pattern: str, value: str) -> int:
     return int(value)
 
 
-def _known(scene: str) -> dict[str, Any]:
+def _known(scene: str) -> dict[str, Finish]:
     """Coatings and scatter models of a scene, as paints."""
     from mistray.mechanics import Finish
     from mistray.prescription.coating import Coating
@@ -109,10 +124,12 @@ def _known(scene: str) -> dict[str, Any]:
     }
 
 
-def _record(mechanics: Any, shapes: Any) -> dict[str, Any]:
-    counts: dict[str, Counter[str]] = {part.name: Counter() for part in mechanics.parts}
+def _record(mechanics: Mechanics, shapes: Sequence[Structure | MeshStructure]) -> dict[str, Any]:
+    counts: dict[str | None, Counter[str]] = {part.name: Counter() for part in mechanics.parts}
     for shape in shapes:
         counts[shape.part]["meshes" if hasattr(shape, "file") else "analytic"] += 1
+    beyond = mechanics.beyond_limit
+    notes = [f"{beyond} more surfaces could be exact; they stay meshes by --most-analytic {mechanics.most_analytic}"]
     return {
         "parts": [
             {
@@ -128,6 +145,7 @@ def _record(mechanics: Any, shapes: Any) -> dict[str, Any]:
             }
             for part in mechanics.parts
         ],
+        "notes": notes if beyond else [],
         "unread": [asdict(item) for item in mechanics.unread],
     }  # fmt: skip
 
@@ -138,6 +156,7 @@ def _text(record: Mapping[str, Any], output: Path, traceable: bool) -> str:
         + ("" if part["painted"] else ", black")
         for part in record["parts"]
     ]
+    lines += [f"note: {note}" for note in record["notes"]]
     lines += [f"not read: {item['text']}: {item['reason']}" for item in record["unread"]]
     then = (
         shlex.join(["mistray", "ghosts", str(output)])

@@ -25,6 +25,7 @@ from mistray.cli.tracing_arguments import (
     settings_of,
     show,
     start_mitsuba,
+    terminal_bar,
     working,
 )
 from mistray.errors import MistrayError
@@ -232,18 +233,13 @@ def _so_far(passes: list[PstProgress]) -> str:
 @contextlib.contextmanager
 def _progress(options: argparse.Namespace) -> Iterator[Callable[[PstProgress], None]]:
     """A bar on stderr when that is a terminal."""
-    if options.quiet or not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    from tqdm import tqdm
-
-    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}{postfix}"
-    with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
+    with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed}{postfix}") as bar:
 
         def draw(now: PstProgress) -> None:
-            bar.set_postfix_str(_state_of(now), refresh=False)
-            bar.update(max(now.share_done - bar.n, 0.0))
-            bar.refresh()
+            if bar is not None:
+                bar.set_postfix_str(_state_of(now), refresh=False)
+                bar.n = max(now.share_done, bar.n)
+                bar.refresh()
 
         yield draw
 

@@ -23,6 +23,7 @@ from mistray.cli.tracing_arguments import (
     settings_of,
     show,
     start_mitsuba,
+    terminal_bar,
     working,
 )
 from mistray.errors import MistrayError
@@ -130,17 +131,12 @@ def _written(state: Path | None) -> int | None:
 @contextlib.contextmanager
 def _progress(options: argparse.Namespace) -> Iterator[Callable[[int, str, float], None] | None]:
     """A bar over the steps on stderr when that is a terminal."""
-    if options.quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from tqdm import tqdm
-
-    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
-    with tqdm(total=1.0, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
+    with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed}", what="study") as bar:
 
         def draw(step: int, what: str, share: float) -> None:
+            assert bar is not None
             bar.set_description_str(f"step {step} of {STEPS}, {what}", refresh=False)
             bar.n = share
             bar.refresh()
 
-        yield draw
+        yield None if bar is None else draw

@@ -212,17 +212,43 @@ def working(what: str, quiet: bool = False) -> Iterator[None]:
 
 
 @contextlib.contextmanager
-def progress_bar(options: argparse.Namespace) -> Iterator[Callable[[float, float], None] | None]:
-    """A bar on stderr when that is a terminal: a function of what is done and what there is to do."""
+def terminal_bar(
+    options: argparse.Namespace, form: str, what: str = "tracing", total: float = 1.0
+) -> Iterator[Any | None]:
+    """
+    A tqdm bar on stderr; None with --quiet, and where stderr is no terminal.
+
+    Set its ``n`` and its texts, and let it ``refresh``: ``update`` draws nothing within 0.1 s of the time before, so
+    that the step that takes long would stand under the text of the one before it.
+
+    Parameters
+    ----------
+    options : Namespace
+        Has ``quiet``.
+    form : str
+        What tqdm calls bar_format.
+    what : str
+        What is done.
+    total : float
+        ``n`` of a full bar.
+    """
     if options.quiet or not sys.stderr.isatty():
         yield None
         return
     from tqdm import tqdm
 
-    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-    with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr) as bar:
+    with tqdm(desc=what, total=total, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
+        yield bar
+
+
+@contextlib.contextmanager
+def progress_bar(options: argparse.Namespace) -> Iterator[Callable[[float, float], None] | None]:
+    """A bar on stderr when that is a terminal: a function of what is done and what there is to do."""
+    with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}") as bar:
 
         def advance(done: float, total: float) -> None:
-            bar.update(max(done / total - bar.n, 0.0))
+            assert bar is not None
+            bar.n = max(done / total, bar.n)
+            bar.refresh()
 
-        yield advance
+        yield None if bar is None else advance

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+from collections.abc import Sequence
+from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -28,6 +30,8 @@ if TYPE_CHECKING:
 
 RAYS = 20_000
 WHOLE = "none"
+PICTURE = ("colour", "cut_deg", "cut_mm")  # options of the page alone
+OF_A_TRACE = ("field_deg", "azimuth_deg", "wavelength_nm", "weights", "paths", "path_ids", "rays_per_path", "save_rays")
 
 
 def add(commands: Any) -> None:
@@ -57,13 +61,13 @@ def add(commands: Any) -> None:
         "--paths", type=count, metavar="N", help="rows of the path table, strongest first (8; 4 in a layout)"
     )
     picture.add_argument("--path-ids", type=count, nargs="+", metavar="ID", help="these rows instead")
-    picture.add_argument("--rays-per-path", type=count, metavar="N", help="most rays of each path (10)")
+    picture.add_argument("--rays-per-path", type=_rays, metavar="N", help="most rays of each path (10; 7 in a layout)")
     picture.add_argument("--colour", choices=("flux", "absorbed", "role"),
                          help="of surfaces: incident flux, absorbed flux, or what they are (flux)")  # fmt: skip
-    picture.add_argument("--cut-deg", type=_cut, default=180.0, metavar="DEG",
+    picture.add_argument("--cut-deg", type=_cut, metavar="DEG",
                          help="azimuth of the half that is taken away, about z; none: the whole (180)")  # fmt: skip
-    picture.add_argument("--cut-mm", type=finite, default=0.0, metavar="MM",
-                         help="distance of the cut from the z axis (0)")  # fmt: skip
+    picture.add_argument("--cut-mm", type=finite, metavar="MM",
+                         help="distance of the cut from the z axis, mm (0)")  # fmt: skip
     picture.add_argument("--no-trace", action="store_true", help="the scene alone: no rays, no flux")
     output = parser.add_argument_group("output")
     output.add_argument("--out", type=Path, metavar="FILE", help="HTML page (view.html, unless another file is named)")
@@ -79,11 +83,11 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     start_mitsuba(options)
-    from mistray.report.layout import PATHS_DRAWN, layout_figure, layout_format, write_layout
+    from mistray.report.layout import PATHS_DRAWN, RAYS_DRAWN, layout_figure, layout_format, write_layout
     from mistray.report.output import writable_directory
     from mistray.report.path_rays import chosen_rows, rays_of_paths
     from mistray.report.ray_files import format_of, write_rays
-    from mistray.report.view import MOST_PATHS, RAYS_PER_PATH
+    from mistray.report.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
     from mistray.scene import load
     from mistray.trace import trace
 
@@ -91,8 +95,9 @@ def run(options: argparse.Namespace) -> int:
     page = options.out
     if page is None and options.layout is None and not options.save_rays:
         page = Path("view.html")
-    if options.no_trace and (options.save_rays or options.path_ids):
-        raise MistrayError("--no-trace gives no rays; leave it out, or --save-rays and --path-ids")
+    _check(options, page)
+    if page is not None:
+        graph_objects()  # before anything is traced
     if options.layout is not None:
         layout_format(options.layout)
     for file in options.save_rays:
@@ -112,9 +117,10 @@ def run(options: argparse.Namespace) -> int:
                 wavelength_nm=options.wavelength_nm,
                 weights=options.weights,
                 progress=progress,
-                **settings | {"rays": settings["rays"] or RAYS},
+                **settings | {"rays": RAYS if settings["rays"] is None else settings["rays"]},
             )
-    paths = MOST_PATHS if options.paths is None else options.paths
+    most = PATHS_DRAWN if page is None and not options.save_rays else MOST_PATHS
+    paths = most if options.paths is None else options.paths
     rays = RAYS_PER_PATH if options.rays_per_path is None else options.rays_per_path
     files = []
     with working("drawing", options.quiet):
@@ -123,7 +129,9 @@ def run(options: argparse.Namespace) -> int:
             shown = _view(scene, traced, paths, rays, options)
             files.append(shown.write(page, options.command_line))
         if options.layout is not None:
-            figure = layout_figure(scene, traced, PATHS_DRAWN if options.paths is None else paths, options.path_ids)
+            drawn = PATHS_DRAWN if options.paths is None else paths
+            each = RAYS_DRAWN if options.rays_per_path is None else rays
+            figure = layout_figure(scene, traced, drawn, options.path_ids, each)
             files.append(write_layout(figure, options.layout))
         if options.save_rays and traced is not None:
             ids = [row.path_id for row in chosen_rows(traced, paths, options.path_ids)]
@@ -136,20 +144,32 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
+def _check(options: argparse.Namespace, page: Path | None) -> None:
+    """Refuse options that would have no effect."""
+    if page is None:
+        _refuse(options, PICTURE, "without a page; give --out")
+    if options.no_trace:
+        from mistray.trace import Settings
+
+        settings = (setting.name for setting in fields(Settings))
+        _refuse(options, (*OF_A_TRACE, *settings), "with --no-trace; leave it out")
+
+
+def _refuse(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
+    """Raise for the first of these options that is given."""
+    for name in names:
+        if getattr(options, name) not in (None, []):
+            raise MistrayError(f"--{name.replace('_', '-')} has no effect {why}")
+
+
 def _view(scene: Any, traced: Trace | None, paths: int, rays: int, options: argparse.Namespace) -> View:
     from mistray.report.view import view
 
-    return view(
-        scene,
-        traced,
-        paths=paths,
-        path_ids=options.path_ids,
-        rays=rays,
-        colour=options.colour,
-        cut_deg=options.cut_deg,
-        cut_mm=options.cut_mm,
-        title=scene_title(options.scene),
-    )
+    given = {name: getattr(options, name) for name in PICTURE if getattr(options, name) is not None}
+    if given.get("cut_deg") == WHOLE:
+        given["cut_deg"] = None
+    title = scene_title(options.scene)
+    return view(scene, traced, paths=paths, path_ids=options.path_ids, rays=rays, title=title, **given)
 
 
 def _record(traced: Trace | None, paths: int, options: argparse.Namespace) -> dict[str, Any]:
@@ -169,6 +189,14 @@ def _record(traced: Trace | None, paths: int, options: argparse.Namespace) -> di
     return dict(plain(record))
 
 
-def _cut(text: str) -> float | None:
+def _cut(text: str) -> float | str:
     """An azimuth in degrees, or "none"."""
-    return None if text == WHOLE else finite(text)
+    return WHOLE if text == WHOLE else finite(text)
+
+
+def _rays(text: str) -> int:
+    """A whole number above 0."""
+    value = count(text)
+    if value == 0:
+        raise argparse.ArgumentTypeError("0 rays show nothing; give 1 or more")
+    return value

@@ -172,7 +172,7 @@ class CoatingFile(Mapping[str, Coating]):
             else:
                 raise MistrayError(f"{where}: '{shown(words)}'; expected ANGL, then WAVE lines")
         if not rows:
-            raise MistrayError(f"{self._where(section)}: table {section.name} has no data")
+            raise MistrayError(f"{self._where(section)}: table {section.name} has no data; add ANGL and WAVE lines")
         return self._tabled(section, rows)
 
     def _tabled(self, section: _Section, rows: list[dict[str, float]]) -> CoatingTable:
@@ -276,11 +276,11 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
                     f"{where}: coating {current.name} is there already, on line {other.line}; rename one"
                 )
         elif not seen:
-            raise MistrayError(f"{where}: '{shown(words)}' before the first of {', '.join(SECTIONS)}")
+            raise MistrayError(f"{where}: '{shown(words)}' before the first section; begin with {', '.join(SECTIONS)}")
         elif current is not None:
             if current.kind not in ("COAT", "TABLE") or _is_transmission(current.name):
                 raise MistrayError(
-                    f"{where}: '{shown(words)}' follows {current.kind} {current.name}, which is one line"
+                    f"{where}: '{shown(words)}' follows {current.kind} {current.name}, which is one line; remove it"
                 )
             if current.kind == "COAT" and words[0].upper() not in materials and words[0].upper() not in BUILT_IN:
                 raise MistrayError(f"{where}: material {words[0]} has no MATE section in this file; add one")

@@ -78,7 +78,9 @@ def _read_mate(path: str, stamp: int) -> dict[str, Table]:
             current.append((wavelength * 1e3, n, -k))
     for name, rows in materials.items():
         if not rows:
-            raise MistrayError(f"coating file '{path}', line {heads[name.upper()]}: material {name} has no data")
+            raise MistrayError(
+                f"coating file '{path}', line {heads[name.upper()]}: material {name} has no data; add lines"
+            )
     return {name: _columns(rows) for name, rows in materials.items()}
 
 
@@ -116,8 +118,12 @@ def numbered_lines(path: str | Path) -> list[tuple[int, list[str]]]:
 def shown(words: list[str]) -> str:
     """Words of a line for a message: the first `SHOWN` characters, what cannot be printed as codes."""
     text = " ".join(words)
-    clipped = text[:SHOWN] + ("…" if len(text) > SHOWN else "")
-    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in clipped)
+    return printable(text[:SHOWN] + ("…" if len(text) > SHOWN else ""))
+
+
+def printable(text: str) -> str:
+    """A text with what cannot be printed as codes."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def numbers(words: list[str], least: int, most: int, where: str, what: str) -> list[float]:

@@ -68,11 +68,13 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
         return ABSORBER
     if text in PRESETS:
         return Finish(BLACK, (Scatter("paint", {"preset": text}, name=text),))
-    values = dict(word.partition("=")[::2] for word in words[1:]) if words else {}
     if words and words[0] in MODELS and all("=" in word for word in words[1:]):
-        name = re.sub(r"[^\w-]+", "_", text).strip("_")
-        properties = {key: _value(value) for key, value in values.items()}
-        return Finish(BLACK, (Scatter(words[0], properties, name=name),))
+        properties: dict[str, Value] = {}
+        for key, _, value in (word.partition("=") for word in words[1:]):
+            if key in properties:
+                raise MistrayError(f"paint '{text}': {key} stands there twice; keep one")
+            properties[key] = _value(value)
+        return Finish(BLACK, (Scatter(words[0], properties, name=_name(words[0], properties)),))
     if len(words) == 1 and words[0].startswith("R="):
         share = _value(words[0][2:])
         if isinstance(share, float | int) and not isinstance(share, bool):
@@ -81,6 +83,12 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
     close = difflib.get_close_matches(text, offered, n=3)
     hint = f"did you mean {' or '.join(close)}?" if close else f"give {', '.join(offered)}, R=0.05, or a scatter plugin"
     raise MistrayError(f"paint '{text}': there is none of this name; {hint}")
+
+
+def _name(kind: str, properties: Mapping[str, Value]) -> str:
+    """Of a scatter model: by its values, so that .1 and 0.1 have one name, and 1 another."""
+    words = [kind, *(f"{key}_{value}".removesuffix(".0") for key, value in properties.items())]
+    return re.sub(r"[^\w-]+", "_", "_".join(words)).strip("_")
 
 
 def _value(text: str) -> Value:

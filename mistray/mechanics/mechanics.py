@@ -7,6 +7,7 @@ import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
+from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -139,8 +140,7 @@ class Mechanics:
         tuple of Structure or MeshStructure
         """
         shapes, meshes = self.beside(scene)
-        for path, mesh in meshes.items():
-            replace_file(path, mesh, "mesh")
+        write_meshes(meshes)
         return shapes
 
     def beside(self, scene: str | Path) -> tuple[tuple[Structure | MeshStructure, ...], dict[Path, bytes]]:
@@ -163,7 +163,7 @@ class Mechanics:
 
     def to_xml(self, path: str | Path) -> tuple[Structure | MeshStructure, ...]:
         """Write a scene file of the structures alone, with the meshes beside it, for ``<include filename="…"/>``."""
-        shapes = self.write(path)
+        shapes, meshes = self.beside(path)
         lines = [
             "<?xml version='1.0' encoding='utf-8'?>",
             f"<!-- Mechanics of {comment_text(self.source.name)}; include it in a scene. Units: mm. -->",
@@ -172,12 +172,22 @@ class Mechanics:
             "</scene>",
             "",
         ]
+        write_meshes(meshes)
         replace_file(path, "\n".join(lines), "scene file")
         return shapes
 
+    @property
+    def beyond_limit(self) -> int:
+        """How many surfaces could be analytic and stay meshes, because they are more than `most_analytic`."""
+        return max(sum(map(len, self._bands.values())) - max(self.most_analytic, 0), 0)
+
+    @cached_property
+    def _bands(self) -> dict[str, list[Band]]:
+        return {part.name: bands(part) for part in self.parts}
+
     def _built(self) -> list[tuple[Structure | MeshStructure, bytes | None]]:
         """The structures, with the content of their PLY files, which are called ``<shape>.ply``."""
-        found = {part.name: bands(part) for part in self.parts}
+        found = self._bands
         sizes = sorted((band.area for each in found.values() for band in each), reverse=True)
         least = sizes[self.most_analytic - 1] if 0 < self.most_analytic < len(sizes) else 0.0
         if self.most_analytic < 1:
@@ -234,7 +244,7 @@ def read_mechanics(
     *,
     unit: str | None = None,
     at: Placed | None = None,
-    tolerance_mm: float = TOLERANCE_MM,
+    tolerance_mm: float | None = None,
     most_analytic: int = MOST_ANALYTIC,
     time_limit_s: float | None = None,
 ) -> Mechanics:
@@ -249,8 +259,8 @@ def read_mechanics(
         its unit.
     at : Placed, optional
         Where the origin of the file is in the scene, and how it is tilted.
-    tolerance_mm : float
-        Largest distance of facets from the surfaces of a STEP file, mm.
+    tolerance_mm : float, optional
+        Largest distance of facets from the surfaces of a STEP file, mm; default 0.01. Other files hold facets.
     most_analytic : int
         See `Mechanics`; 0: everything stays a mesh.
     time_limit_s : float, optional
@@ -268,15 +278,18 @@ def read_mechanics(
         raise MistrayError(f"mechanics '{path}': files of type '{path.suffix}' cannot be read; give {known}")
     if not path.is_file():
         raise MistrayError(f"mechanics '{path}': no such file; check the path")
-    if not 0 < tolerance_mm < math.inf:
-        raise MistrayError(f"mechanics '{path}': tolerance_mm = {tolerance_mm:g}; it must be greater than 0")
+    for name, value in (("tolerance_mm", tolerance_mm), ("time_limit_s", time_limit_s)):
+        if value is not None and suffix not in STEP_SUFFIXES:
+            raise MistrayError(f"mechanics '{path}': {name} = {value:g}; it is for STEP files, leave it out")
+        if value is not None and not 0 < value < math.inf:
+            raise MistrayError(f"mechanics '{path}': {name} = {value:g}; it must be greater than 0")
     if unit is not None and unit not in UNITS_MM:
         raise MistrayError(f"mechanics '{path}': unit '{unit}' is unknown; give {', '.join(UNITS_MM)}")
     if unit is not None and suffix in STEP_SUFFIXES:
         raise MistrayError(f"mechanics '{path}': unit = '{unit}'; a STEP file states its unit, leave it out")
     try:
         if suffix in STEP_SUFFIXES:
-            parts, unread = read_step(path, tolerance_mm=tolerance_mm, time_limit_s=time_limit_s)
+            parts, unread = read_step(path, tolerance_mm=tolerance_mm or TOLERANCE_MM, time_limit_s=time_limit_s)
         else:
             parts, unread = read_mesh(path, unit_mm=UNITS_MM[unit or "mm"])
     except OSError as error:
@@ -284,6 +297,12 @@ def read_mechanics(
     if at is not None:
         parts = [part.moved(at.to_world()) for part in parts]
     return Mechanics(path, tuple(parts), tuple(unread), most_analytic=most_analytic)
+
+
+def write_meshes(meshes: Mapping[Path, bytes]) -> None:
+    """Write the files of `Mechanics.beside`, each whole or not at all."""
+    for path, mesh in meshes.items():
+        replace_file(path, mesh, "mesh")
 
 
 def _titles(part: Part) -> tuple[str, ...]:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import logging
+import warnings
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -13,6 +14,9 @@ from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.mechanics.part import Part, checked, unique_names
 from mistray.prescription.sequential import Unread
+
+Found = tuple[dict[str, Any], list[Unread]]  # vertices and triangles by title, and what else is in the file
+LOOKS = ("vt", "vn", "s", "mtllib", "usemtl")  # lines of an OBJ file that say nothing about shape
 
 
 def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[Part], list[Unread]]:
@@ -33,6 +37,7 @@ def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[Part], list[Unread]]:
     -------
     parts : list of Part
     unread : list of Unread
+        Lines and elements that hold no polygons, triangles of no area.
 
     Raises
     ------
@@ -40,9 +45,9 @@ def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[Part], list[Unread]]:
         If the file is damaged or empty, or trimesh is missing.
     """
     what = path.suffix.lower()[1:].upper()
-    read: Callable[[Path], dict[str, Any]] = _obj if what == "OBJ" else _trimesh
+    read = _obj if what == "OBJ" else _trimesh
     try:
-        found = read(path)
+        found, unread = read(path)
     except MistrayError:
         raise
     except Exception as error:  # trimesh raises all kinds
@@ -51,35 +56,41 @@ def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[Part], list[Unread]]:
     found = {title: mesh for title, mesh in found.items() if len(mesh[1])}
     if not found:
         raise MistrayError(f"{what} file '{path}': it holds no triangles; export it as a mesh")
-    parts, unread = [], []
+    parts = []
     for name, (title, (vertices, triangles)) in zip(unique_names(found), found.items(), strict=True):
         vertices = unit_mm * np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
         triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
         part = Part(name, title, title, title, vertices, triangles, np.zeros(len(triangles), dtype=np.int64))
         part, empty = checked(part)
         if empty:
-            unread.append(Unread(0, f"part '{title}', {empty} triangles", "they have no area; they are left out"))
+            unread.append(
+                Unread(0, f"part '{shown([title])}', {empty} triangles", "they have no area; they are left out")
+            )
         parts.append(part)
     return parts, unread
 
 
-def _trimesh(path: Path) -> dict[str, Any]:
+def _trimesh(path: Path) -> Found:
     try:
         import trimesh
     except ImportError:
         raise MistrayError("trimesh is not installed; run: pip install 'mistray[cad]'") from None
-    with path.open("rb") as file:
+    log = logging.getLogger("trimesh")
+    if not log.handlers:  # or its warnings, with tracebacks, would go to stderr
+        log.addHandler(logging.NullHandler())
+    with path.open("rb") as file, warnings.catch_warnings():
+        # NumPy warns of text that is no number, and goes on without it
+        warnings.filterwarnings("error", "string or file could not be read")
         scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), process=False)
     named = len(scene.geometry) > 1
-    return {
-        name if named else path.stem: (mesh.vertices, mesh.faces)
-        for name, mesh in scene.geometry.items()
-        if hasattr(mesh, "faces")
-    }
+    meshes = {name: mesh for name, mesh in scene.geometry.items() if hasattr(mesh, "faces")}
+    unread = [Unread(0, f"'{shown([name])}'", "it has no faces") for name in scene.geometry if name not in meshes]
+    return {name if named else path.stem: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}, unread
 
 
-def _obj(path: Path) -> dict[str, Any]:
+def _obj(path: Path) -> Found:
     """Wavefront OBJ: its ``v``, ``f``, ``o`` and ``g`` lines; vertices count from 1, with a minus sign from the end."""
+    others: dict[str, list[tuple[int, str]]] = {}
     vertices: list[list[float]] = []
     triangles: dict[str, list[tuple[int, int, int]]] = {}
     names = {"o": "", "g": ""}
@@ -103,12 +114,17 @@ def _obj(path: Path) -> dict[str, Any]:
                 title = "/".join(filter(None, names.values())) or path.stem
                 mine = triangles.setdefault(title, [])
                 mine += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
+            elif words[0] not in LOOKS and not words[0].startswith("#"):
+                others.setdefault(words[0], []).append((number, shown(words)))
         except ValueError as error:
             reason = shown(str(error).split())
             raise MistrayError(
                 f"OBJ file '{path}', line {number}: '{shown(words)}': {reason}; export it again"
             ) from None
-    return {title: (vertices, faces) for title, faces in triangles.items()}
+    unread = [
+        Unread(*lines[0], f"{len(lines)} '{word}' lines; they hold no polygons") for word, lines in others.items()
+    ]
+    return {title: (vertices, faces) for title, faces in triangles.items()}, unread
 
 
 def _corner(word: str, count: int) -> int:

@@ -22,9 +22,10 @@ SECONDS, SECONDS_PER_MB = 5.0, 30.0
 PATIENCE = 4.0  # times its processor time may pass on a busy machine, or where a system has no limit of that
 ANGLE_RAD = 0.1
 """Largest angle between neighbouring facets of a curved face: a full circle has at least 63."""
-# Names that programs give to instances nobody has named
 OUT_OF_TIME = (-24, 152)  # SIGXCPU, as Python and as shells give it
+# Names that programs give to instances nobody has named
 NAMELESS = re.compile(r"(NAUO|=>\[)?[\d:\]]*|NONE", re.IGNORECASE)
+CRASHED = "OpenCASCADE gives up on it; it is damaged or too large, export the part again"
 STATUS = {
     3: "cascadio is not installed; run: pip install 'mistray[cad]'",
     4: "OpenCASCADE finds no shape in it; export the part again as STEP AP203, AP214 or AP242 with solids",
@@ -113,8 +114,7 @@ def _convert(path: Path, target: Path, tolerance_mm: float, time_limit_s: float)
             f"STEP file '{path}': not read within {time_limit_s:.3g} s; simplify it, or give a larger time_limit_s"
         )
     if done.returncode or not target.is_file():
-        reason = STATUS.get(done.returncode, "OpenCASCADE gives up on it; it is damaged, export the part again")
-        raise MistrayError(f"STEP file '{path}': {reason}")
+        raise MistrayError(f"STEP file '{path}': {STATUS.get(done.returncode, CRASHED)}")
 
 
 def _parts(file: Glb) -> tuple[list[Part], int, list[Unread]]:
@@ -131,12 +131,12 @@ def _parts(file: Glb) -> tuple[list[Part], int, list[Unread]]:
         try:
             part, _ = checked(replace(part, title=title))
         except MistrayError as error:
-            unread.append(Unread(0, f"part '{title}'", str(error)))
+            unread.append(Unread(0, f"part '{shown([title])}'", str(error)))
             continue
         empty = sorted(set(range(count)) - set(part.faces.tolist()))
         if empty:
             numbers = ", ".join(map(str, empty[:10])) + (", …" if len(empty) > 10 else "")
-            what = f"part '{title}', {len(empty)} faces ({numbers})"
+            what = f"part '{shown([title])}', {len(empty)} faces ({numbers})"
             unread.append(Unread(0, what, "OpenCASCADE finds no area in them; they are left out"))
         faces[product, hash(part.vertices.tobytes())] = count
         found.append((instance, part, title, product))

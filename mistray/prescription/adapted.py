@@ -1,14 +1,16 @@
-"""What the adapters of other programs' lenses share: materials, figures, and the cone of an aperture at the image."""
+"""What readers of lens files and adapters of other programs' lenses share: materials, figures, pupils, apertures."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from pathlib import Path
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, refractive_index
+from mistray.materials.agf import glass_names
 from mistray.prescription.first_order import paraxial_system
 from mistray.prescription.sequential import Sequential
 
@@ -43,7 +45,7 @@ def same_material(names: Sequence[str], index_at: Callable[[float], float], wave
                 abs(refractive_index(name, wavelength) - n) < _SAME_INDEX
                 for wavelength, n in zip(wavelengths_nm, indices, strict=True)
             ):
-                return _with_k(name, wavelengths_nm)
+                return with_k(name, wavelengths_nm)
         except MistrayError:
             continue
     if len(set(indices)) == 1:
@@ -52,13 +54,29 @@ def same_material(names: Sequence[str], index_at: Callable[[float], float], wave
     return " ".join(f"n({wavelength!r})={n!r}" for wavelength, n in points) + " k=0"
 
 
-def _with_k(name: str, wavelengths_nm: Sequence[float]) -> str:
+def with_k(material: str, wavelengths_nm: Sequence[float]) -> str:
+    """The material string, with `` k=0`` where its absorption is unknown at one of the wavelengths."""
     try:
         for wavelength in wavelengths_nm:
-            complex_index(name, wavelength)
+            complex_index(material, wavelength)
     except MistrayError:
-        return f"{name} k=0"
-    return name
+        return f"{material} k=0"
+    return material
+
+
+def catalogue_names(file: Path) -> list[str]:
+    """
+    Names of the glasses of an AGF file.
+
+    Raises
+    ------
+    MistrayError
+        If the file cannot be read.
+    """
+    try:
+        return glass_names(file)
+    except OSError as error:
+        raise MistrayError(f"glass catalogue '{file}': {error.strerror}; check the path") from None
 
 
 def figure(
@@ -103,6 +121,11 @@ def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
     )
     x, y, z = (math.degrees(angle) if abs(angle) > _ROUND_OFF else 0.0 for angle in angles)
     return x, y, z
+
+
+def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
+    """(VDX, VDY, VCX, VCY), shift and shrinking of the pupil, of the shares that CODE V takes off its four sides."""
+    return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
 
 
 def object_na(lens: Sequential, image_slope: float) -> float:

@@ -1,8 +1,8 @@
 """From a sequential lens to a closed non-sequential system in the world.
 
 What is added to the table of surfaces, because light does not keep to an order: edges of the lens bodies, walls between
-lenses, a stop that is a plate with a hole, the rear and the rim of mirrors, holes in mirrors where the beam of the
-table passes through them, and a frame around the detector. What that assumes is told in the notes.
+lenses, a stop that is a plate with a hole, the rear and the rim of mirrors, holes in mirrors and lenses where the beam
+of the table passes through them, and a frame around the detector. What that assumes is told in the notes.
 """
 
 from __future__ import annotations
@@ -10,7 +10,6 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from itertools import pairwise
 from typing import Literal
 
 import numpy as np
@@ -19,11 +18,13 @@ from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.physics.crossing import meeting
 from mistray.prescription.build_apertures import aperture_pieces
+from mistray.prescription.build_bores import add_bores
+from mistray.prescription.build_mirrors import cut_holes
 from mistray.prescription.build_shadows import met_at, shadowing_spaces
 from mistray.prescription.build_surfaces import COVER_MM, OpticalSurfaces
 from mistray.prescription.closing import EDGES, Closing, Edges, Item, StopPlane, mirror_back, on_axis, placed
 from mistray.prescription.coating import Coating
-from mistray.prescription.first_order import FirstOrder
+from mistray.prescription.first_order import FirstOrder, field_tangents
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
 from mistray.prescription.sequential import Sequential
@@ -36,6 +37,8 @@ _PIXELS = (512, 512)
 _MIRROR_THICKNESS = 0.05  # of the clear radius
 _POINT = 1e-3  # of the focal length: all fields fall on one point
 _SMALLEST_DETECTOR = 0.01  # of the focal length: half size of the detector then
+_ASIDE = 0.02  # of the pupil's radius: a beam that comes in so far from the axis moves the source
+_SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
 
 
 @dataclass(frozen=True)
@@ -124,6 +127,7 @@ def build(
     if not (math.isfinite(margin) and margin >= 0):
         raise MistrayError(f"margin = {margin:g}; it must be 0 or more")
     table = OpticalSurfaces(sequential, coatings, margin)
+    cut_holes(table)
     return _structured(table, Closing(edges, ground_reflectance), beam, detector_half_mm)
 
 
@@ -136,22 +140,22 @@ def _structured(
     items: list[Item] = []
     ahead: list[bool] = []
     plates: list[Structure | Surface] = []
-    for k, row in enumerate(lens.rows[:-1]):
+    for k in range(len(lens.rows) - 1):
         stop = table.is_stop_plane(k)
         if k in surfaces or stop:
             items.append(surfaces[k] if k in surfaces else _stop(table, k))
             ahead.append(table.aheads[k])
-        if not stop or (row.aperture is not None and row.aperture.obscures):
-            plates += _plates(table, k)
+        plates += _plates(table, k)
     closing.close([*items, detector], [*ahead, table.aheads[-1]])
-    standing = _without_shadows(table, closing.structures, detector)
+    closing.structures = _without_shadows(table, closing.structures, detector)
+    add_bores(table, closing)
     plates += _mirror_backs(table, detector)
     source = _source(table, beam)
     notes = tuple(dict.fromkeys([*table.notes, *closing.notes]))
     prescription = Prescription(
         name=shown([lens.name]),
         surfaces=tuple({surface.name: surface for surface in surfaces.values()}.values()),
-        structures=(*standing, *plates),
+        structures=(*closing.structures, *plates),
         stop=closing.stop,
         detector=detector,
         source=source,
@@ -166,19 +170,18 @@ def _without_shadows(
     """The structures without those walls that a folded beam passes through."""
     if not any(row.mirror for row in table.lens.rows):
         return structures
-    met = [*table.surfaces, len(table.lens.rows) - 1]
-    beam, segments = table.rays.within(), []
-    for begin, end in pairwise([-1, *met]):
-        start, stop = beam[begin + 1], beam[end + 1].copy()
-        ends = [table.surfaces.get(k) for k in (begin, end)]
+    segments = []
+    for begin, end in table.segments():
+        start, stop = table.beam[begin], table.beam[end].copy()
+        ends = [table.surfaces.get(k - 1) for k in (begin, end)]
         for k, surface in table.surfaces.items():
             if surface not in ends:
                 # A lens that stands in the beam shades its own mount
                 stop[np.isfinite(met_at(table.lens.rows[k], surface, start, stop))] = np.nan
         segments.append((start, stop))
-        row = table.lens.rows[end]
-        if end != met[-1] and np.any(
-            np.isfinite(met_at(replace(table.lens.rows[-1], radius=0.0), detector, start, stop))
+        row = table.lens.rows[end - 1]
+        if row.kind != "image" and np.any(
+            np.isfinite(met_at(replace(table.lens.rows[-1], radius=math.inf, coefficients=()), detector, start, stop))
         ):
             table.notes.append(f"the detector stands in the beam on its way to surface {row.number}")
     spaces = shadowing_spaces(structures, segments)
@@ -198,8 +201,13 @@ def _plates(table: OpticalSurfaces, k: int) -> list[Surface | Structure]:
     row = table.lens.rows[k]
     if row.kind == "coordinate_break":
         return []
+    if table.is_stop_plane(k):  # its round opening is that of the stop
+        own = row.aperture
+        if own is not None and own.centred_circle:
+            own = replace(own, outer=math.inf)
+        row = replace(row, semi_diameter_fixed=False, aperture=own)
     widest = max((surface.outer_radius for surface in table.surfaces.values()), default=0.0)
-    pieces, notes = aperture_pieces(row, table.names[k], k in table.surfaces, table.aheads[k], widest)
+    pieces, notes = aperture_pieces(row, table.names[k], k in table.surfaces, table.aheads[k], widest, table.before[k])
     table.notes += notes
     return [placed(piece, table.frames[k]) for piece in pieces]
 
@@ -253,27 +261,62 @@ def _detector(table: OpticalSurfaces, half: tuple[float, float] | None) -> Detec
 
 def _source(table: OpticalSurfaces, beam: Beam) -> Source:
     lens, data = table.lens, table.rays.data
-    if not math.isinf(lens.object_distance):
+    near = not math.isinf(lens.object_distance)
+    if near:
         table.notes.append(
-            f"the object lies {lens.object_distance:.6g} mm before the lens; the source is collimated, as from far away"
+            f"the object lies {lens.object_distance:.6g} mm before the lens, but the source is collimated, as light "
+            "from far away comes: it does not come to a focus on the detector"
         )
     weights = np.array(lens.weights) / (sum(lens.weights) or 1.0)
     lit = [k for k, weight in enumerate(weights) if weight > 0] or [lens.primary]
-    z, radius = data.entrance_pupil_z, data.epd / 2
+    x, y, z, radius = 0.0, 0.0, data.entrance_pupil_z, data.epd / 2
     if table.surfaces and (beam == "front" or math.isinf(z)):
         first = table.surfaces[min(table.surfaces)]
-        z, radius = first.z, first.outer_radius
+        x, y, z, radius = first.x, first.y, first.z, first.outer_radius
+    elif not near:
+        x, y, radius = _entrance(table, z, radius)
+    field_deg, azimuth_deg = (0.0, 0.0) if near else _direction(table)
     return Source(
-        radius=radius,
+        x=x,
+        y=y,
         z=z,
+        radius=radius,
+        field_deg=field_deg,
+        azimuth_deg=azimuth_deg,
         plane="axis",
         wavelength_nm=tuple(lens.wavelengths_nm[k] for k in lit),
         weights=None if len(lit) == 1 else tuple(float(weights[k]) for k in lit),
     )
 
 
+def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, float, float]:
+    """Middle and radius of the first field's beam in the plane of the entrance pupil, where tilts have moved it."""
+    start, heading = table.rays.entering
+    x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T
+    if math.hypot(x[0], y[0]) <= _ASIDE * radius:
+        return 0.0, 0.0, radius
+    centre = round(float(x[0]), _SOURCE_DIGITS) + 0.0, round(float(y[0]), _SOURCE_DIGITS) + 0.0
+    radius = max(radius, float(np.hypot(x - x[0], y - y[0]).max()))
+    table.notes.append(
+        f"the source is centred at ({centre[0]:.6g}, {centre[1]:.6g}) mm, where the beam of the first field comes in"
+    )
+    return *centre, radius
+
+
+def _direction(table: OpticalSurfaces) -> tuple[float, float]:
+    """Field and azimuth of the first field, degrees; the field has a sign where it lies in the yz plane."""
+    x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
+    slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)
+    field = round(math.degrees(math.atan(slope)), _SOURCE_DIGITS)
+    if field:
+        table.notes.append(f"the source shines at the first field, {field:g} degrees off the axis")
+    return field, round(azimuth, _SOURCE_DIGITS) + 0.0
+
+
 def _provenance(lens: Sequential, notes: tuple[str, ...]) -> str:
     lines = [f"From {lens.source or 'a sequential lens'}."]
     lines += [f"Note: {note}." for note in notes]
-    lines += [f"Without effect, line {item.line}: {shown([item.text.strip()])} ({item.reason})" for item in lens.unread]
+    for item in lens.unread:
+        place = f", line {item.line}" if item.line else ""
+        lines.append(f"Without effect{place}: {shown([item.text.strip()])} ({item.reason})")
     return "\n".join(lines)

@@ -59,7 +59,9 @@ def own_clip(row: Row) -> tuple[dict[str, Any], str]:
     return own, note
 
 
-def aperture_pieces(row: Row, name: str, on_surface: bool, ahead: bool, widest: float) -> tuple[list[Shape], list[str]]:
+def aperture_pieces(
+    row: Row, name: str, on_surface: bool, ahead: bool, widest: float, material: str
+) -> tuple[list[Shape], list[str]]:
     """
     Opaque plates in the frame of a row: obscurations, and openings of rows that are no optical surface.
 
@@ -74,6 +76,8 @@ def aperture_pieces(row: Row, name: str, on_surface: bool, ahead: bool, widest: 
         Whether light arrives along +z of the frame.
     widest : float
         Greatest clear radius of the lens, mm, to which plates with an opening reach.
+    material : str
+        In front of the row, in which the plates stand.
 
     Returns
     -------
@@ -89,7 +93,7 @@ def aperture_pieces(row: Row, name: str, on_surface: bool, ahead: bool, widest: 
         disc = replace(row, aperture=replace(aperture, inner=0.0, outer=aperture.inner, obscures=True))
         pieces.append(_patch(disc, f"{name}_obscuration", before if on_surface else 0.0, ahead))
     if on_surface:
-        return pieces, notes
+        return [replace(piece, front=material, back=material) for piece in pieces], notes
     opening, x, y = row.semi_diameter if row.semi_diameter_fixed else None, 0.0, 0.0
     if aperture is not None and not aperture.obscures:
         x, y = aperture.x, aperture.y
@@ -105,7 +109,7 @@ def aperture_pieces(row: Row, name: str, on_surface: bool, ahead: bool, widest: 
         pieces.append(Structure(f"{name}_aperture", outer, 0.0, opening, 0.0, x=x, y=y, part=f"{name}_aperture"))
         if curvature(row) or row.coefficients:
             notes.append(f"surface {row.number}: the plate of its aperture is flat, the surface is not")
-    return pieces, notes
+    return [replace(piece, front=material, back=material) for piece in pieces], notes
 
 
 def _patch(row: Row, name: str, z: float, ahead: bool) -> Surface:

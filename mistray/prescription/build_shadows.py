@@ -11,8 +11,8 @@ from mistray.prescription.model import Structure, Surface
 from mistray.prescription.sequential import Row
 from mistray.prescription.sequential_rays import distance
 
-_SAMPLES = 257
-
+_END = 1e-9  # of a way or of a wall: what touches does not cross
+_TOUCHING_MM = 1e-6  # rays that begin or end on a surface do not pass through it
 
 Array = npt.NDArray[np.float64]
 
@@ -36,10 +36,9 @@ def shadowing_spaces(
     -------
     set of int
     """
-    t = np.linspace(0.0, 1.0, _SAMPLES)[:, None, None]
-    lines = [a + t * (b - a) for a, b in segments]
+    legs = list(segments)
     walls = [piece for piece in pieces if isinstance(piece, Structure) and piece.part == part]
-    return {wall.space for wall in walls if any(_crossed(wall, line) for line in lines)}
+    return {wall.space for wall in walls if any(_crossed(wall, *leg) for leg in legs)}
 
 
 def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
@@ -63,27 +62,43 @@ def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
     frame = surface.to_world()
     a, b = ((point - frame[:3, 3]) @ frame[:3, :3] for point in (start, end))
     length = np.linalg.norm(b - a, axis=1)
-    with np.errstate(invalid="ignore", divide="ignore"):
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
         heading = (b - a) / length[:, None]
         s = distance(row, a, heading)
-        r = np.hypot(*(a + s[:, None] * heading)[:, :2].T)
-        within = (r < surface.outer_radius) & (r >= surface.inner_semi_diameter)
-        result: Array = np.where((s > 0) & (s < length) & within, r, np.nan)
+        x, y = (a + s[:, None] * heading)[:, :2].T
+        r = np.hypot(x, y)
+        if surface.half_width is not None and surface.half_height is not None:
+            within = (np.abs(x) < surface.half_width) & (np.abs(y) < surface.half_height)
+        else:
+            within = (r < surface.outer_radius) & (r >= surface.inner_semi_diameter)
+        result: Array = np.where((s > _TOUCHING_MM) & (s < length - _TOUCHING_MM) & within, r, np.nan)
     return result
 
 
-def _crossed(wall: Structure, line: Array) -> bool:
-    """Whether points (samples, n, 3) along rays change sides of a frustum between its ends."""
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
+def _crossed(wall: Structure, start: Array, end: Array) -> bool:
+    """Whether rays pass through a frustum between its ends; those that begin or end there do not."""
     frame = wall.to_world()
-    local = (line - frame[:3, 3]) @ frame[:3, :3]
-    r, z = np.hypot(local[..., 0], local[..., 1]), local[..., 2]
+    a, b = ((point - frame[:3, 3]) @ frame[:3, :3] for point in (start, end))
+    step = b - a
     if wall.z0 == wall.z1:
-        side = np.sign(z - wall.z0)
-        beside = (r > min(wall.r0, wall.r1)) & (r < max(wall.r0, wall.r1))
-    else:
-        share = (z - wall.z0) / (wall.z1 - wall.z0)
-        side = np.sign(r - wall.r0 - share * (wall.r1 - wall.r0))
-        beside = (share > 0) & (share < 1)
-    with np.errstate(invalid="ignore"):
-        changed = (side[1:] * side[:-1] < 0) & beside[1:] & beside[:-1]
-    return bool(np.any(changed))
+        t = (wall.z0 - a[:, 2]) / step[:, 2]
+        share = (np.hypot(*(a + t[:, None] * step)[:, :2].T) - wall.r0) / (wall.r1 - wall.r0)
+        return bool(np.any(_between(t) & _between(share)))
+    slope = (wall.r1 - wall.r0) / (wall.z1 - wall.z0)
+    # x² + y² = r(z)² with r linear along the ray: (d² - ρ²) t² + 2 (a·d - r ρ) t + a² - r² = 0
+    radius, growth = wall.r0 + slope * (a[:, 2] - wall.z0), slope * step[:, 2]
+    square = (step[:, :2] ** 2).sum(axis=1) - growth**2
+    half = (a[:, :2] * step[:, :2]).sum(axis=1) - radius * growth
+    rest = (a[:, :2] ** 2).sum(axis=1) - radius**2
+    larger = -(half + np.copysign(np.sqrt(half * half - square * rest), half))
+    for t in (larger / square, rest / larger):
+        share = (a[:, 2] + t * step[:, 2] - wall.z0) / (wall.z1 - wall.z0)
+        if np.any(_between(t) & _between(share) & (radius + t * growth > 0)):
+            return True
+    return False
+
+
+def _between(share: Array) -> npt.NDArray[np.bool_]:
+    """Whether numbers lie between 0 and 1, and not at the ends."""
+    return (share > _END) & (share < 1 - _END)

@@ -1,4 +1,4 @@
-"""The optical surfaces of a sequential lens in the world: clips, materials, coatings, holes in mirrors."""
+"""The optical surfaces of a sequential lens in the world: clips, materials, coatings."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from mistray.materials import complex_index, refractive_index
 from mistray.physics.crossing import SAMPLES, meeting
 from mistray.physics.sag import conic_end
 from mistray.prescription.build_apertures import own_clip
-from mistray.prescription.build_shadows import met_at
+from mistray.prescription.build_mirrors import off_axis_piece
 from mistray.prescription.closing import meets_plane, on_axis, placed
 from mistray.prescription.coating import Coating
 from mistray.prescription.design_rays import EdgeRays, edge_rays
@@ -23,7 +23,7 @@ from mistray.prescription.first_order import stop_place
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.model import Surface
 from mistray.prescription.sequential import Row, Sequential
-from mistray.prescription.sequential_rays import curvature, frames, materials_before
+from mistray.prescription.sequential_rays import curvature, frames, materials_before, passes
 
 COVER_MM = 1e-3
 """Between faces that lie on one another in the file."""
@@ -33,8 +33,6 @@ _SMALLEST = 1e-3  # of the pupil: radius of a surface that no ray reaches off it
 _BEYOND = 1e-3  # relative: rays that pass a drawn radius by less are round-off of the file
 _INSIDE_CONIC = 0.999
 _ROUND_OFF_MM = 1e-9
-_OFF_AXIS = 0.02  # of a mirror's radius: rays of all fields stay that far from its vertex
-_FULL_HOLE = 0.9  # of a mirror's radius: a greater hole would leave no mirror
 
 
 class OpticalSurfaces:
@@ -54,6 +52,12 @@ class OpticalSurfaces:
     surfaces : dict of int to Surface
         By the place of the row; a surface that light meets twice stands at both.
     rays : EdgeRays
+    beam : (n_rows + 1, n, 3) float64
+        Rays all over the beams of all fields, see `EdgeRays.within`, NaN from where a stated aperture stops them.
+    beam_and_rim : (n_rows + 1, m, 3) float64
+        These, and the rays of `EdgeRays.world`: where the beam ends.
+    blocked : (n,) bool
+        Those of them that a mirror out of turn blocks, as `cut_holes` finds.
     frames : (n_rows, 4, 4) float64
     before, behind : list of str
         Materials in front of and behind each row, with a k.
@@ -72,6 +76,9 @@ class OpticalSurfaces:
         self.margin = margin
         self.rays: EdgeRays = edge_rays(lens)
         self.frames = frames(lens)
+        self.beam = self._stopped(self.rays.within)
+        self.beam_and_rim = np.concatenate([self.beam, self.rays.world], axis=1)
+        self.blocked = np.zeros(self.beam.shape[1], dtype=bool)
         self.notes: list[str] = [*lens.notes, *self.rays.notes]
         before = materials_before(lens)
         self.before = [self._material(material, row) for material, row in zip(before, lens.rows, strict=True)]
@@ -84,7 +91,6 @@ class OpticalSurfaces:
         self._place_surfaces()
         self._cut_where_they_cross()
         self._cut_at_the_stop()
-        self._holes()
 
     def _place_surfaces(self) -> None:
         part, count = "", 0
@@ -99,6 +105,7 @@ class OpticalSurfaces:
             front, back = (self.before[k], self.behind[k]) if self.aheads[k] else (self.behind[k], self.before[k])
             if row.mirror:
                 front = back = self.before[k]
+            piece = off_axis_piece(row)
             surface = Surface(
                 self.names[k],
                 radius=row.radius,
@@ -109,9 +116,9 @@ class OpticalSurfaces:
                 coating=self._coating(row),
                 mirror=row.mirror,
                 part=own_part,
-                **self._clear(k),
+                **(piece[1] if piece else self._clear(k)),
             )
-            surface = placed(surface, self._off_its_lens(k, surface))
+            surface = placed(surface, self.frames[k] @ piece[0] if piece else self._off_its_lens(k, surface))
             again = next((j for j, other in self.surfaces.items() if _same(other, surface)), None)
             if again is None:
                 self.surfaces[k] = surface
@@ -185,7 +192,7 @@ class OpticalSurfaces:
             return clip
         if "semi_diameter" in clip:
             radius = clip["semi_diameter"]
-        elif k == stop_place(self.lens) and row.stop:
+        elif k == stop_place(self.lens) and row.stop and not self.lens.telecentric:
             radius = self.rays.stop_radius
         elif row.semi_diameter is not None and row.semi_diameter >= reach * (1 - _BEYOND):
             radius = row.semi_diameter
@@ -251,38 +258,19 @@ class OpticalSurfaces:
             if meets_plane(surface, self.frames[k], above) <= self.rays.stop_radius and self.rays.reach[j] > 0:
                 self.surfaces[j] = replace(surface, semi_diameter=float(self.rays.reach[j]))
 
-    def _holes(self) -> None:
-        """A hole in each mirror that a later part of the beam passes through, and a word on what shadows the beam."""
+    def segments(self) -> list[tuple[int, int]]:
+        """Legs of the beam: places in `beam` where it leaves a surface and where it meets the next."""
         met = [*self.surfaces, len(self.lens.rows) - 1]
-        world = self.rays.world
-        segments = list(zip([0, *(k + 1 for k in met)], [k + 1 for k in met], strict=False))
-        for k, mirror in list(self.surfaces.items()):
-            if not mirror.mirror or mirror.semi_diameter is None:
-                continue
-            hole = mirror.inner_semi_diameter
-            # Of a mirror that is used off its axis the middle is free
-            own = np.hypot(*self.rays.positions[k, :, :2].T)
-            unused = float(np.nanmin(own)) * (1 - self.margin) if np.any(np.isfinite(own)) else 0.0
-            unused = unused if unused > _OFF_AXIS * mirror.semi_diameter else 0.0
-            for begin, end in segments:
-                if k + 1 in (begin, end) or any(self.surfaces.get(j) is mirror for j in (begin - 1, end - 1)):
-                    continue
-                r = met_at(self.lens.rows[k], mirror, world[begin], world[end])
-                if np.all(np.isnan(r)):
-                    continue
-                number = self.lens.rows[end - 1].number
-                if end <= k:
-                    self.notes.append(f"mirror '{mirror.name}' stands in the beam on its way to surface {number}")
-                    continue
-                widest = float(np.nanmax(r)) * (1 + self.margin)
-                most = unused if unused > 0 else _FULL_HOLE * mirror.semi_diameter
-                if widest > most:
-                    self.notes.append(f"mirror '{mirror.name}' blocks the beam on its way to surface {number}")
-                if widest <= most or unused > 0:
-                    hole = max(hole, min(widest, most))
-            if hole > mirror.inner_semi_diameter:
-                self.surfaces[k] = replace(mirror, inner_semi_diameter=hole)
-                self.notes.append(f"mirror '{mirror.name}' has a hole of radius {hole:.6g} mm: the beam passes there")
+        return list(pairwise([0, *(k + 1 for k in met)]))
+
+    def _stopped(self, beam: np.ndarray) -> np.ndarray:
+        """The beam with NaN from where a stated aperture stops it; as it is where none of it would be left."""
+        result = beam.copy()
+        for k, (row, frame) in enumerate(zip(self.lens.rows, self.frames, strict=True)):
+            if row.kind != "coordinate_break":
+                local = (beam[k + 1] - frame[:3, 3]) @ frame[:3, :3]
+                result[k + 1 :, ~passes(row, local)] = np.nan
+        return result if np.any(np.isfinite(result[-1])) else beam
 
 
 def _names(lens: Sequential) -> dict[int, str]:

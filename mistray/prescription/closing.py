@@ -158,7 +158,7 @@ class Closing:
                 own_part = (first if forward else second).part
                 faces += wall(f"{own_part}_edge", points, coating=coating, part=own_part, front=first.back)
             self.notes.append(f"part '{part}': its edge is a cone from rim to rim, a cylinder would cut into a surface")
-        self._put(faces, frame, self._scatter())
+        self._put(faces, frame, self.edge_scatter)
 
     def _stops(self, chain: list[tuple[Item, bool]]) -> None:
         for k, (item, ahead) in enumerate(chain):
@@ -214,7 +214,9 @@ class Closing:
             own = replace(face, scatter=scatter) if scatter else face
             self.structures.append(own if np.array_equal(frame, np.eye(4)) else placed(own, frame))
 
-    def _scatter(self) -> tuple[Scatter, ...]:
+    @property
+    def edge_scatter(self) -> tuple[Scatter, ...]:
+        """How the edges of lenses scatter."""
         if self.edges != "ground":
             return ()
         return (Scatter("paint", {"reflectance": self.ground_reflectance}, name="ground_edge"),)
@@ -239,7 +241,7 @@ def mirror_back(
     Returns
     -------
     tuple of Surface or Structure
-        ``<mirror>_rear`` and, of a round mirror, ``<mirror>_rim``.
+        ``<mirror>_rear`` and, of a round mirror, ``<mirror>_rim`` and the wall ``<mirror>_bore`` of its hole.
     """
     step = thickness if ahead else -thickness
     frame = mirror.to_world()
@@ -248,9 +250,15 @@ def mirror_back(
     rear = replace(here, name=f"{mirror.name}_rear", z=step, coating=coating, mirror=False, part=part)
     if mirror.semi_diameter is None:
         return (placed(rear, frame),)
-    r, z = here.rim
-    rim = Structure(f"{mirror.name}_rim", r, z, r, z + step, coating=coating, part=part)
-    return placed(rear, frame), placed(rim, frame)
+    walls = [("rim", here.outer_radius)]
+    if here.inner_semi_diameter > 0:
+        walls.append(("bore", here.inner_semi_diameter))
+    result: list[Surface | Structure] = [placed(rear, frame)]
+    for name, r in walls:
+        z = float(here.z_at(r))
+        wall = Structure(f"{mirror.name}_{name}", r, z, r, z + step, coating=coating, part=part)
+        result.append(placed(wall, frame))
+    return tuple(result)
 
 
 def _behind(surface: Surface, ahead: bool) -> str:

@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.materials import complex_index, refractive_index
-from mistray.materials.agf import glass_names
+from mistray.materials import refractive_index
 from mistray.materials.catalogue import MAKERS, PINNED, glasses
 from mistray.materials.mate import shown
+from mistray.prescription.adapted import catalogue_names, with_k
 from mistray.prescription.zemax_glass import SYNONYMS
 
 _CODE = re.compile(r"(\d{1,12})\.(\d{2,12})|(\d{3})(\d{3})")
@@ -61,7 +61,7 @@ class CodevGlasses:
     ) -> None:
         self.notes: list[str] = []
         self._private = private
-        self._agf = [(file, {_plain(name): name for name in _names(Path(file))}) for file in agf]
+        self._agf = [(file, {_plain(name): name for name in catalogue_names(Path(file))}) for file in agf]
         self._replaced = {name.upper(): material for name, material in replaced.items()}
         self._wavelengths_nm = wavelengths_nm
 
@@ -80,13 +80,10 @@ class CodevGlasses:
                 refractive_index(material, wavelength)
         except MistrayError as error:
             raise MistrayError(f"glass '{shown([word])}': {error}") from None
-        try:
-            for wavelength in self._wavelengths_nm:
-                complex_index(material, wavelength)
-        except MistrayError:
+        known = with_k(material, self._wavelengths_nm)
+        if known != material:
             self._note(f"glass {word}: absorption unknown, taken to be 0")
-            return f"{material} k=0"
-        return material
+        return known
 
     def _named(self, word: str) -> str:
         name = word.upper()
@@ -166,10 +163,3 @@ def _lagrange(x: np.ndarray, y: np.ndarray, at: float) -> float:
 def _plain(name: str) -> str:
     """A name as CODE V writes it: capitals, digits and nothing else."""
     return re.sub(r"[^A-Z0-9]", "", name.upper())
-
-
-def _names(file: Path) -> list[str]:
-    try:
-        return glass_names(file)
-    except OSError as error:
-        raise MistrayError(f"glass catalogue '{file}': {error.strerror}; check the path") from None

@@ -42,7 +42,8 @@ HAS_NO_EFFECT = {
     **dict.fromkeys(
         ("PIM", "PIY", "CUM", "THM", "PIK", "UMY", "HMY"), "a solve or pick-up: the value in the file holds"
     ),
-    **dict.fromkeys(("DER", "DLT", "DLF", "DLR", "TOL", "CLS", "WID", "CA", "POL"), "nothing to trace"),
+    **dict.fromkeys(("DER", "DLT", "DLF", "DLR", "TOL", "CLS", "WID", "POL"), "nothing to trace"),
+    "CA": "whether stated apertures clip rays: here they always do",
     "CUF": "curvature of the Fresnel base: 0 is none",
 }
 """Commands that change no ray, and why."""

@@ -1,7 +1,8 @@
 """The rays that the aperture and the fields of a sequential lens mean, and the sizes that they give its surfaces.
 
 Pupil coordinates (px, py) are 1 at the rim. A ray is aimed at the paraxial entrance pupil, or, as light really comes
-through, so that it meets the stop at (px, py) times its radius; that is what `edge_rays` does.
+through, so that it meets the stop at (px, py) times its radius; that is what `edge_rays` does. Where object space is
+telecentric by order of the file, rays fill the cone about the parallel chief rays and the stop aims none.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ Array = npt.NDArray[np.float64]
 _RIM = 16
 _WITHIN = (0.2, 0.4, 0.6, 0.8, 0.98)
 _MOST_FIELDS = 24
+_INNER_FIELDS = 9  # of these, for the middle of the beams
 _FIELD_STEPS = (0.25, 0.5, 0.75, 1.0)
 _AIMING = 12
 _AIMED = 1e-9  # of the stop's radius
@@ -37,16 +39,24 @@ class EdgeRays:
     ----------
     data : FirstOrder
     stop_radius : float
-        Of the stop as the marginal ray on the axis really meets it, mm.
+        Of the stop as the marginal ray on the axis really meets it, mm; as far as rays reach there if the lens is
+        `telecentric`.
     positions, directions : (n_rows, n, 3) float64
         As from `sequential_rays.trace`; NaN from where a ray is lost, by the surfaces or by a stated aperture.
     world : (n_rows + 1, n, 3) float64
         Where each ray starts, upstream of all it meets, and where it meets each row.
+    entering : (2, 17, 3) float64
+        A point and the direction, in the world before the first row, of the chief ray and the rim of the first field.
     reach : (n_rows,) float64
         Greatest distance of a ray from the axis of each row, mm; 0 where no ray comes.
     chief : (n_rows, 3) float64
         Direction behind each row, in its frame, of the ray through the centre of the stop in the first field, which no
         aperture stops.
+    within : (n_rows + 1, m, 3) float64
+        As `world`, rays at the reference wavelength between the chief ray and the rim of up to nine fields, which no
+        aperture stops.
+    weights : (m,) float64
+        Area of the beam that each of them stands for, in units of their own.
     notes : tuple of str
         Fields whose rays do not all arrive, and where they are lost.
     """
@@ -56,26 +66,12 @@ class EdgeRays:
     positions: Array
     directions: Array
     world: Array
+    entering: Array
     reach: Array
     chief: Array
+    within: Array
+    weights: Array
     notes: tuple[str, ...]
-
-    def within(self) -> Array:
-        """
-        Rays between the rims and the middle of all beams, in the world, mm.
-
-        Returns
-        -------
-        (n_rows + 1, m, 3) float64
-            As `world`; interpolated at each surface.
-        """
-        rims = self.world.reshape(len(self.world), -1, _RIM + 1, 3)[:, :, 1:]
-        arrived = np.isfinite(rims[..., :1])
-        counts = np.maximum(arrived.sum(axis=2, keepdims=True), 1)
-        middle = np.where(arrived, rims, 0.0).sum(axis=2, keepdims=True) / counts
-        return np.concatenate([middle + share * (rims - middle) for share in _WITHIN], axis=1).reshape(
-            len(self.world), -1, 3
-        )
 
 
 def launch(
@@ -142,7 +138,10 @@ def edge_rays(lens: Sequential) -> EdgeRays:
         notes.append(f"of {len(lens.fields)} fields the {len(numbers)} outermost give sizes and vignetting")
     for number in numbers:
         field = lens.fields[number]
-        start, heading = _through_stop(lens, data, radius, field, _vignetted(lens, number, pupil))
+        if lens.telecentric:
+            start, heading = launch(lens, data, number, pupil)
+        else:
+            start, heading = _through_stop(lens, data, radius, field, _vignetted(lens, number, pupil))
         for wavelength in wavelengths:
             hits, onward = trace(lens, start, heading, wavelength)
             if chief is None and wavelength == lens.wavelength_nm:
@@ -152,28 +151,50 @@ def edge_rays(lens: Sequential) -> EdgeRays:
             parts.append((hits, onward, start, heading))
             if wavelength == lens.wavelength_nm and lost:
                 notes.append(f"field ({field[0]:g}, {field[1]:g}): " + lost)
-    if not any(np.any(np.isfinite(part[0][-1])) for part in parts):
+    if not any(np.any(np.isfinite(part[0][-1, 1:])) for part in parts):
         parts = free
-        notes.append("these rays all miss the stated apertures: sizes are those of rays that no aperture stops")
+        notes.append("of these no ray of the rim gets through: sizes are those of rays that no aperture stops")
     positions, directions = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
     start, heading = (np.concatenate([part[k] for part in parts]) for k in (2, 3))
     if chief is None or not np.any(np.isfinite(positions[-1])):
         raise MistrayError(f"lens '{lens.name}': no ray reaches the image; {notes[0] if notes else 'check its fields'}")
     places = to_world(lens, positions)
     upstream = min(0.0, float(np.nanmin(places[..., 2]))) - data.epd
-    begin = start + ((upstream - start[:, 2]) / heading[:, 2])[:, None] * heading
+    some = parts[:: len(wavelengths)]
+    some = [some[k] for k in sorted({round(k) for k in np.linspace(0, len(some) - 1, _INNER_FIELDS)})]
+    inner = [_inner_rays(part[2], part[3]) for part in some]
+    inner_start, inner_heading = (np.concatenate([rays[k] for rays in inner]) for k in (0, 1))
+    inner_places = to_world(lens, trace(lens, inner_start, inner_heading)[0])
     r = np.hypot(positions[..., 0], positions[..., 1])
     reach = np.where(np.isfinite(r), r, 0.0).max(axis=1)
+    if lens.telecentric:
+        radius = float(reach[stop_place(lens)])
+        notes.append("object space is telecentric: the stop is as wide as the beams of all fields and limits none")
     return EdgeRays(
         data=data,
         stop_radius=radius,
         positions=positions,
         directions=directions,
-        world=np.concatenate([begin[None], places]),
+        world=np.concatenate([_upstream(start, heading, upstream)[None], places]),
+        entering=np.array([parts[0][2], parts[0][3]]),
         reach=reach,
         chief=chief,
+        within=np.concatenate([_upstream(inner_start, inner_heading, upstream)[None], inner_places]),
+        weights=np.tile(np.repeat(_WITHIN, _RIM), len(some)),
         notes=tuple(notes),
     )
+
+
+def _inner_rays(start: Array, heading: Array) -> tuple[Array, Array]:
+    """Rays of a field between the first, the chief ray, and the others, its rim."""
+    points = np.concatenate([start[0] + share * (start[1:] - start[0]) for share in _WITHIN])
+    along = np.concatenate([heading[0] + share * (heading[1:] - heading[0]) for share in _WITHIN])
+    return points, along / np.linalg.norm(along, axis=1, keepdims=True)
+
+
+def _upstream(start: Array, heading: Array, z: float) -> Array:
+    """Where rays cross a plane across the axis."""
+    return start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading
 
 
 def _outer_fields(lens: Sequential) -> list[int]:
@@ -193,7 +214,7 @@ def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
 
 def _aimed_at(lens: Sequential, data: FirstOrder, field: tuple[float, float], point: Array) -> tuple[Array, Array]:
     """Rays of a field to points (n, 2) of the plane of the paraxial entrance pupil, in mm from its centre."""
-    z = data.entrance_pupil_z
+    z = data.entrance_pupil_z  # at infinity, points lie in the plane of the first row, from the chief ray
     if math.isinf(lens.object_distance):
         if math.isinf(z):
             raise MistrayError(
@@ -207,7 +228,7 @@ def _aimed_at(lens: Sequential, data: FirstOrder, field: tuple[float, float], po
         origin = np.array([*_object_point(lens, data, field), -lens.object_distance])
         start = np.broadcast_to(origin, (len(point), 3)).copy()
         if math.isinf(z):
-            heading = np.column_stack([point * 2 / data.epd * math.tan(math.asin(lens.aperture)), np.ones(len(point))])
+            heading = np.column_stack([point / lens.object_distance, np.ones(len(point))])
         elif abs(z + lens.object_distance) < _AIMED * data.epd:
             raise MistrayError(f"lens '{lens.name}': its object lies in the entrance pupil; move one of them")
         else:
@@ -234,14 +255,15 @@ def _stop_radius(lens: Sequential, data: FirstOrder) -> float:
     """Where the marginal ray on the axis really meets the stop; its paraxial radius where that ray is lost."""
     stop = stop_place(lens)
     row = lens.rows[stop]
+    stated = row.aperture.outer if row.stop and row.aperture and row.aperture.centred_circle else math.inf
     if row.stop and row.semi_diameter_fixed and row.semi_diameter is not None:
-        return row.semi_diameter
+        return min(stated, row.semi_diameter)
     if lens.aperture_kind == "stop_diameter":
-        return lens.aperture / 2
+        return min(stated, lens.aperture / 2)
     hits, _ = trace(lens, *_aimed_at(lens, data, (0.0, 0.0), np.array([[0.0, 0.0], [0.0, data.epd / 2]])))
     centre, rim = hits[stop, :, :2]
     found = float(np.hypot(*(rim - centre)))
-    return found if np.isfinite(found) and found > 0 else data.stop_radius
+    return min(stated, found if np.isfinite(found) and found > 0 else data.stop_radius)
 
 
 def _through_stop(

@@ -32,11 +32,12 @@ class FirstOrder:
     bfl : float
         From the last surface to the rear focus, along the direction of light there, mm; ``inf`` if afocal.
     f_number : float
-        efl / epd, image-space F-number at infinite conjugates.
+        efl / epd, image-space F-number at infinite conjugates; ``inf`` if afocal or telecentric in object space.
     epd : float
-        Diameter of the entrance pupil, mm.
+        Diameter of the entrance pupil, mm; where that lies at infinity, of the axial beam in the plane of the first
+        row.
     entrance_pupil_z : float
-        Its position from the first surface along +z, mm; ``inf`` if the lens is telecentric there.
+        Its position from the first surface along +z, mm; ``inf`` if object space is telecentric.
     stop_radius : float
         Paraxial radius of the stop, mm.
     stop_number : int
@@ -90,17 +91,17 @@ def first_order(lens: Sequential, wavelength_nm: float | None = None) -> FirstOr
     bfl = math.inf if afocal else -y / u * sign[last + 1]
     stop = stop_place(lens)
     from_height, from_slope = up[stop, 0], down[stop, 0]
-    pupil_z = math.inf if abs(from_height) < _NONE else from_slope / from_height
+    pupil_z = math.inf if lens.telecentric or abs(from_height) < _NONE else from_slope / from_height
     if any(math.isnan(value) for value in (efl, bfl, pupil_z)):
         raise MistrayError(f"lens '{lens.name}': its first-order data are no numbers; look for huge values in it")
-    epd = _entrance_pupil_diameter(lens, efl, from_height, pupil_z)
+    epd, stop_radius = _beam(lens, efl, (from_height, from_slope), pupil_z)
     return FirstOrder(
         efl=float(efl),
         bfl=float(bfl),
-        f_number=float(abs(efl) / epd) if epd else math.inf,
+        f_number=math.inf if math.isinf(pupil_z) else float(abs(efl) / epd),
         epd=float(epd),
         entrance_pupil_z=float(pupil_z),
-        stop_radius=float(abs(from_height) * epd / 2),
+        stop_radius=float(stop_radius),
         stop_number=lens.rows[stop].number,
         magnification=_magnification(lens, up, down),
         wavelength_nm=wavelength,
@@ -173,28 +174,48 @@ def _last_surface(lens: Sequential) -> int:
     return max((k for k, row in enumerate(lens.rows) if row.kind == "surface"), default=0)
 
 
-def _entrance_pupil_diameter(lens: Sequential, efl: float, from_height: float, pupil_z: float) -> float:
-    kind, value = lens.aperture_kind, lens.aperture
+def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: float) -> tuple[float, float]:
+    """
+    Diameter of the entrance pupil, as in `FirstOrder`, and paraxial radius of the stop, mm.
+
+    Parameters
+    ----------
+    lens : Sequential
+    efl, pupil_z : float
+    to_stop : tuple of two float
+        Height in the stop of a ray that comes to the first row at height 1 and slope 0, and at height 0 and slope 1.
+    """
+    kind, value, distance = lens.aperture_kind, lens.aperture, lens.object_distance
     if not 0 < value < math.inf:
         raise MistrayError(
             f"lens '{lens.name}': its aperture ({kind.replace('_', ' ')}) is {value:g}; it must be greater than 0"
         )
-    if kind == "entrance_pupil_diameter":
-        return value
-    if kind == "f_number":
+    if kind == "object_na" and (math.isinf(distance) or value >= 1):
+        raise MistrayError(
+            f"lens '{lens.name}': object NA {value:g} needs an object at a finite distance and a value below 1; give a "
+            "diameter"
+        )
+    # Radius in the stop for each mm of radius in the entrance pupil, or in the first row where that lies at infinity
+    telecentric = math.isinf(pupil_z)
+    scale = abs(to_stop[0] + to_stop[1] / distance) if telecentric else abs(to_stop[0])
+    if kind == "object_na":
+        epd = abs(2 * (distance + (0.0 if telecentric else pupil_z)) * math.tan(math.asin(value)))
+    elif kind == "stop_diameter":
+        if scale < _NONE:
+            raise MistrayError(f"lens '{lens.name}': the stop lies in a focus; give the entrance pupil instead")
+        epd = value / scale
+    elif telecentric and math.isfinite(distance):
+        raise MistrayError(
+            f"lens '{lens.name}': its entrance pupil lies at infinity, so its aperture ({kind.replace('_', ' ')} "
+            f"{value:g}) limits no beam; give the NA of the object"
+        )
+    elif kind == "entrance_pupil_diameter":
+        epd = value
+    else:
         if math.isinf(efl):
             raise MistrayError(f"lens '{lens.name}': it is afocal, so F/{value:g} is no aperture; give a diameter")
-        return abs(efl) / value
-    if kind == "stop_diameter":
-        if abs(from_height) < _NONE:
-            raise MistrayError(f"lens '{lens.name}': the stop lies in a focus; give the entrance pupil instead")
-        return value / abs(from_height)
-    if math.isinf(lens.object_distance) or math.isinf(pupil_z) or value >= 1:
-        raise MistrayError(
-            f"lens '{lens.name}': object NA {value:g} needs an object at a finite distance, an entrance pupil at one, "
-            "and a value below 1; give a diameter"
-        )
-    return abs(2 * (lens.object_distance + pupil_z) * math.tan(math.asin(value)))
+        epd = abs(efl) / value
+    return epd, scale * epd / 2
 
 
 def _magnification(lens: Sequential, up: np.ndarray, down: np.ndarray) -> float:

@@ -7,15 +7,15 @@ is read, not how it was entered. Here each surface is decentred alone, from a fr
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 from typing import Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.prescription.adapted import figure, object_na, same_material, turns_deg
+from mistray.prescription.adapted import figure, same_material, turns_deg
 from mistray.prescription.sequential import ApertureKind, ClearAperture, Decentre, FieldKind, Row, Sequential, Unread
 
+# imageFNO is EFL / EPD, at any distance of the object
 _APERTURES: dict[str, ApertureKind] = {
     "EPD": "entrance_pupil_diameter",
     "imageFNO": "f_number",
@@ -49,6 +49,8 @@ def from_optiland(optic: Any) -> Sequential:
     MistrayError
         If a surface, the aperture or the fields are of a kind that has no counterpart.
     """
+    if not (hasattr(optic, "surfaces") and hasattr(optic, "wavelengths")):
+        raise MistrayError(f"from_optiland was given {type(optic).__name__}; give an Optic of optiland 0.6 or later")
     name = str(optic.name or "optiland lens")
     surfaces = list(optic.surfaces)
     wavelengths = tuple(1e3 * _float(w.value) * _um(w.unit) for w in optic.wavelengths.wavelengths)
@@ -92,7 +94,8 @@ def from_optiland(optic: Any) -> Sequential:
                 unread.append(Unread(0, f"surface {number}: {what} {type(thing).__name__}", "optiland's own: not read"))
     if any(row.decentre for row in rows):
         notes.append(
-            "surfaces are placed one by one along the world's z, where optiland's own thicknesses need not lie"
+            "each surface has a decentre of its own from the world's z axis; first-order data leave decentres out, so "
+            "that they are those of the lens only where light keeps along this axis"
         )
     definition = type(optic.fields.field_definition).__name__
     fields = tuple((_float(field.x), _float(field.y)) for field in optic.fields.fields) or ((0.0, 0.0),)
@@ -102,7 +105,7 @@ def from_optiland(optic: Any) -> Sequential:
         notes.append("real image heights are taken as paraxial ones")
     shrinking = tuple((0.0, 0.0, _float(field.vx), _float(field.vy)) for field in optic.fields.fields)
     distance = math.inf if surfaces[0].is_infinite else float(places[0][2] - _float(surfaces[0].geometry.cs.z))
-    lens = Sequential(
+    return Sequential(
         name,
         tuple(rows),
         source=f"optiland lens '{name}'",
@@ -110,6 +113,7 @@ def from_optiland(optic: Any) -> Sequential:
         object_material=_material(surfaces[0].material_post, wavelengths),
         aperture_kind=_APERTURES[optic.aperture.ap_type],
         aperture=_float(optic.aperture.value),
+        telecentric=bool(optic.obj_space_telecentric) and math.isfinite(distance),
         field_kind=_FIELDS.get(definition, "angle_deg"),
         fields=fields,
         vignetting=shrinking if any(any(field) for field in shrinking) else (),
@@ -119,11 +123,6 @@ def from_optiland(optic: Any) -> Sequential:
         unread=tuple(unread),
         notes=tuple(notes),
     )
-    if lens.aperture_kind != "f_number" or math.isinf(distance):
-        return lens
-    cone = object_na(lens, 1 / (2 * lens.aperture))
-    note = f"F/{lens.aperture:g} at a finite distance is the paraxial cone of object-space NA {cone:.6g}"
-    return replace(lens, aperture_kind="object_na", aperture=cone, notes=(*lens.notes, note))
 
 
 def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:

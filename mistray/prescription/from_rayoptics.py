@@ -11,7 +11,7 @@ from dataclasses import replace
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.prescription.adapted import figure, object_na, same_material
+from mistray.prescription.adapted import figure, object_na, same_material, squeezed
 from mistray.prescription.codev_rows import CodevSurface, rows_of
 from mistray.prescription.sequential import ApertureKind, ClearAperture, FieldKind, Row, Sequential, Unread
 
@@ -45,7 +45,11 @@ def from_rayoptics(model: Any) -> Sequential:
     MistrayError
         If an interface, the pupil or the fields are of a kind that has no counterpart.
     """
-    sequence, specs, system = model["seq_model"], model["optical_spec"], model["system_spec"]
+    try:
+        sequence, specs, system = (model[key] for key in ("seq_model", "optical_spec", "system_spec"))
+    except (KeyError, TypeError):
+        kind = type(model).__name__
+        raise MistrayError(f"from_rayoptics was given {kind}; give an OpticalModel of ray-optics") from None
     name = str(system.title or "ray-optics model")
     what = f"ray-optics model '{name}'"
     if system.dimensions not in _UNITS_MM:
@@ -83,9 +87,7 @@ def from_rayoptics(model: Any) -> Sequential:
     factor = 1.0 if _FIELDS[key] == "angle_deg" else unit
     if key[1] == "real height":
         notes.append("real image heights are taken as paraxial ones")
-    vignetting = tuple(
-        ((f.vlx - f.vux) / 2, (f.vly - f.vuy) / 2, (f.vlx + f.vux) / 2, (f.vly + f.vuy) / 2) for f in view.fields
-    )
+    vignetting = tuple(squeezed(f.vux, f.vlx, f.vuy, f.vly) for f in view.fields)
     distance = float(sequence.gaps[0].thi)
     lens = Sequential(
         name,
@@ -148,9 +150,18 @@ def _surface(what: str, interface: Any) -> CodevSurface:
 
 
 def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -> dict[str, Any]:
-    """The first clear aperture, or the semi-diameter for drawing."""
+    """The first clear aperture, or without one the round edge of the body; the radius for drawing is not used."""
     result: dict[str, Any] = {}
-    for aperture in getattr(interface, "clear_apertures", ()):
+    edges = getattr(interface, "edge_apertures", ())
+    clear = getattr(interface, "clear_apertures", ())
+    for aperture in edges:
+        centred = not (aperture.x_offset or aperture.y_offset)
+        if not clear and not result and centred and type(aperture).__name__ == "Circular":
+            result = {"semi_diameter": float(aperture.radius) * unit}
+        else:
+            reason = "the edge of the body; edges are generated from clear apertures"
+            unread.append(Unread(0, f"interface {number}: edge {type(aperture).__name__}", reason))
+    for aperture in clear:
         kind = type(aperture).__name__
         x, y = float(aperture.x_offset) * unit, float(aperture.y_offset) * unit
         if result or kind not in ("Circular", "Rectangular") or aperture.rotation:

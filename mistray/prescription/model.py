@@ -23,7 +23,7 @@ from mistray.physics.pose import rotation
 from mistray.physics.sag import conic_end, sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.mesh_structure import MeshStructure
-from mistray.prescription.naming import scattering, shared_items
+from mistray.prescription.naming import scattering, shared_coatings, shared_scatter
 from mistray.prescription.scatter import Scatter
 
 if TYPE_CHECKING:
@@ -421,7 +421,7 @@ class Prescription:
         MistrayError
             If two coatings of one name differ, or a shape has that name.
         """
-        return shared_items(self, "coating", lambda shape: (shape.coating,) if shape.coating else ())
+        return shared_coatings(f"prescription '{self.name}'", self.shapes())
 
     def shared_scatter(self) -> dict[str, Scatter]:
         """
@@ -432,12 +432,7 @@ class Prescription:
         MistrayError
             If two models of one name differ, or a shape or a coating has that name.
         """
-        shared = shared_items(self, "scatter model", lambda shape: shape.scatter)
-        for name in shared.keys() & self.shared_coatings().keys():
-            raise MistrayError(
-                f"prescription '{self.name}': a coating and a scatter model are called '{name}'; rename one"
-            )
-        return shared
+        return shared_scatter(f"prescription '{self.name}'", self.shapes())
 
     def with_scatter(self, rules: Mapping[str, Sequence[Scatter]]) -> Prescription:
         """

@@ -1,10 +1,10 @@
 """Reader for CODE V command files (.seq).
 
-Read are the system data (DIM, EPD, FNO, NA, NAO, WL, WTW, REF, XAN YAN, XOB YOB, XIM YIM, XRI YRI, VUX VLX VUY VLY,
-TIT, RDM, PRV … END) and the surfaces: ``S``, ``SO``, ``SI`` with curvature or radius, thickness and glass; RDY, CUY,
-THI, GLA, RMD, STO, SLB; SPH, CON, ASP with K and A … J; CIR, REX, REY, ELX, ELY (clear, EDG, OBS, HOL) with ADX, ADY;
-XDE … CDE with DAR, REV, BEN. Every other command is either refused, because the lens would be another one without it,
-or listed in `Sequential.unread`.
+Read are the system data (DIM, EPD, FNO, NA, NAO, TEL, WL, WTW, REF, XAN YAN, XOB YOB, XIM YIM, XRI YRI, VUX VLX VUY
+VLY, TIT, RDM, PRV … END) and the surfaces: ``S``, ``SO``, ``SI`` with curvature or radius, thickness and glass; RDY,
+CUY, THI, GLA, RMD, STO, SLB; SPH, CON, ASP with K and A … J; CIR, REX, REY, ELX, ELY (clear, EDG, OBS, HOL) with ADX,
+ADY; XDE … CDE with DAR, REV, BEN. Every other command is either refused, because the lens would be another one without
+it, or listed in `Sequential.unread`.
 
 What commands mean, from O'Shea and Bentley (see `codev_lines`), and from designs whose images are known:
 
@@ -26,7 +26,7 @@ from pathlib import Path
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
 from mistray.materials.agf import decode
-from mistray.prescription.adapted import object_na
+from mistray.prescription.adapted import object_na, squeezed
 from mistray.prescription.codev_glass import CodevGlasses, table_material
 from mistray.prescription.codev_lines import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, Command, commands
 from mistray.prescription.codev_rows import CodevSurface, rows_of
@@ -109,6 +109,7 @@ class _Reader:
         self.asked_radius = radius_mode
         self.radius: bool | None = None
         self.first_value: tuple[int, float] | None = None
+        self.telecentric: Command | None = None
         self.title = ""
         self.unit_mm = 1.0
         self.pupil: tuple[str, float] | None = None
@@ -145,7 +146,10 @@ class _Reader:
         elif match := _SURFACE.fullmatch(name):
             self._surface(command, match[1])
         elif name in CHANGES_THE_LENS:
-            raise MistrayError(f"'{command.text}': {CHANGES_THE_LENS[name]}; remove it if the lens is right without")
+            where = "".join(f" on surface {k}" for k, each in enumerate(self.surfaces, 1) if each is self.current)
+            raise MistrayError(
+                f"'{command.text}'{where}: {CHANGES_THE_LENS[name]}; remove it if the lens is right without"
+            )
         elif name == "ZOO" and command.words[1:] != ("1",):
             raise MistrayError(f"'{command.text}': a lens with zoom positions; save one of them as a lens of its own")
         elif name == "CUF" and command.number():
@@ -176,6 +180,8 @@ class _Reader:
             if unit not in _UNITS_MM:
                 raise MistrayError(f"'{command.text}': unknown unit; it is M (mm), C (cm) or I (inch)")
             self.unit_mm = _UNITS_MM[unit]
+        elif name == "TEL":
+            self.telecentric = command if not words or words[0][:1].upper() != "N" else None
         elif name in ("EPD", "FNO", "NA", "NAO"):
             self.pupil = name, command.positive()
         elif name == "WL":
@@ -382,6 +388,8 @@ class _Reader:
         distance = math.inf if abs(distance) >= _INFINITE else distance * self.unit_mm
         object_material = materials.get(id(self.object), "air")
         self._unread_of_ends()
+        if self.telecentric is not None and math.isinf(distance):
+            self._skip(self.telecentric, "telecentric object space: the object lies at infinity")
         fields, vignetting = self._fields()
         lens = Sequential(
             self.title or self.path.stem,
@@ -389,6 +397,7 @@ class _Reader:
             source=f"CODE V file {self.path.name}",
             object_distance=distance,
             object_material=object_material,
+            telecentric=self.telecentric is not None and math.isfinite(distance),
             field_kind=self.field_kind or "angle_deg",
             fields=fields,
             vignetting=vignetting,
@@ -472,7 +481,7 @@ class _Reader:
         if math.isinf(lens.object_distance):
             return "f_number", value if name == "FNO" else 1 / (2 * value)
         image_index = refractive_index(lens.rows[-1].material, lens.wavelength_nm)
-        found = object_na(lens, 1 / (2 * value) if name == "FNO" else value / image_index)
+        found = object_na(lens, (1 / (2 * value) if name == "FNO" else value) / image_index)
         self._note(f"{name} {value:g} at a finite distance is the paraxial cone of object-space NA {found:.6g}")
         return "object_na", found
 
@@ -487,10 +496,7 @@ class _Reader:
         if not any(any(values) for values in self.vignetting.values()):
             return fields, ()
         ux, lx, uy, ly = (self.vignetting.get(key, []) + [0.0] * count for key in ("VUX", "VLX", "VUY", "VLY"))
-        shift_and_shrink = (
-            ((lx[k] - ux[k]) / 2, (ly[k] - uy[k]) / 2, (lx[k] + ux[k]) / 2, (ly[k] + uy[k]) / 2) for k in range(count)
-        )
-        return fields, tuple(shift_and_shrink)
+        return fields, tuple(squeezed(ux[k], lx[k], uy[k], ly[k]) for k in range(count))
 
 
 def _inverse(radius: float) -> float:

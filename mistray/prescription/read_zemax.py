@@ -37,6 +37,8 @@ from pathlib import Path
 from mistray.coatings import read_coating_file
 from mistray.coatings.zemax import CoatingFile
 from mistray.errors import MistrayError
+from mistray.materials import refractive_index
+from mistray.prescription.adapted import object_na
 from mistray.prescription.sequential import ClearAperture, Decentre, Row, Sequential, Unread
 from mistray.prescription.zemax_glass import Glasses
 from mistray.prescription.zemax_lines import Line, Section, read_sections
@@ -44,6 +46,15 @@ from mistray.prescription.zemax_system import System, read_system
 
 _TYPES = ("STANDARD", "EVENASPH", "COORDBRK")
 _EVEN_TERMS = 8
+_FIT = "fit an EVENASPH to it"
+_ROUND = "only surfaces of revolution are read, model it as STANDARD or EVENASPH or leave it out"
+_REMEDIES = {
+    **dict.fromkeys(("ODDASPHE", "XASPHERE", "QED_TYPE"), _FIT),
+    **dict.fromkeys(("TOROIDAL", "BICONICX", "IRREGULA", "XPOLYNOM", "SZERNSAG", "TILTSURF"), _ROUND),
+    **dict.fromkeys(("DGRATING", "BINARY_1", "BINARY_2"), "diffracting surfaces are not traced, leave it out"),
+    "PARAXIAL": "put the real surfaces of that lens in its place",
+    "NONSEQCO": "a non-sequential component has no order of surfaces, bring it in as STEP",
+}
 _APERTURES = ("CLAP", "OBSC", "SQAP", "SQOB", "ELAP", "ELOB", "SPID", "UDAD", "UDOB", "UDAP", "USAP")
 
 
@@ -111,7 +122,10 @@ class _Reader:
         kind, aperture = self.system.aperture_kind, self.system.aperture
         if self.system.floating:
             aperture = 2 * self._stop_semi_diameter(rows)
-        return Sequential(
+        telecentric = self.system.telecentric
+        if telecentric is not None and math.isinf(distance):
+            self.unread.append(telecentric.unread("telecentric object space: the object lies at infinity"))
+        lens = Sequential(
             name=self.system.name,
             rows=tuple(rows),
             source=f"Zemax file {self.path.name}",
@@ -119,6 +133,7 @@ class _Reader:
             object_material=material,
             aperture_kind=kind,
             aperture=aperture,
+            telecentric=telecentric is not None and math.isfinite(distance),
             field_kind=self.system.field_kind,
             fields=self.system.fields,
             vignetting=self.system.vignetting,
@@ -128,11 +143,16 @@ class _Reader:
             unread=tuple(sorted((*self.unread, *self.glasses.unread), key=lambda line: line.line)),
             notes=(*self.notes, *self.glasses.notes),
         )
+        if not self.system.working or math.isinf(distance):
+            return lens
+        cone = object_na(lens, 1 / (2 * aperture * refractive_index(rows[-2].material, lens.wavelength_nm)))
+        note = f"paraxial working F-number {aperture:g} is the paraxial cone of object-space NA {cone:.6g}"
+        return replace(lens, aperture_kind="object_na", aperture=cone, notes=(*lens.notes, note))
 
     def _object(self, section: Section) -> tuple[float, str]:
         """Distance and material of the object."""
         kind = section.take("TYPE")
-        if kind is not None and kind.words[:1] != ("STANDARD",):
+        if kind is not None and kind.word(0).upper() != "STANDARD":
             raise kind.error(f"the object is of type '{kind.word(0)}'; mistray knows STANDARD objects")
         for line in section.take_all("CURV", "CONI"):
             if line.value(0):
@@ -154,9 +174,8 @@ class _Reader:
         name = kind.words[0].upper() if kind and kind.words else "STANDARD"
         if name not in _TYPES:
             assert kind is not None
-            raise kind.error(
-                f"surface {number} is of type '{kind.word(0)}'; mistray knows {', '.join(_TYPES)}, use one of them"
-            )
+            remedy = _REMEDIES.get(name, f"mistray knows {', '.join(_TYPES)}, use one of them")
+            raise kind.error(f"surface {number} is of type '{kind.word(0)}'; {remedy}")
         comment = section.take("COMM")
         label = comment.text[len("COMM") :].strip() if comment else ""
         thickness = self._thickness(section)
@@ -200,7 +219,7 @@ class _Reader:
             if 1 <= place <= count:
                 values[place - 1] = value
             elif value:
-                self.unread.append(line.unread(f"{section.name} has {count} parameters"))
+                self.unread.append(line.unread(f"{section.name} has {count or 'no'} parameters"))
         return values
 
     def _surface(self, number: int, section: Section, before: str, image: bool, name: str) -> Row:
@@ -209,6 +228,8 @@ class _Reader:
         coefficients: tuple[float, ...] = ()
         if name == "EVENASPH":
             curvature, conic, coefficients = self._asphere(number, section, curvature, conic)
+        else:
+            self._parameters(section, 0)
         material, mirror = self._glass(section, before, image)
         semi_diameter, fixed, aperture = self._aperture(section)
         return Row(

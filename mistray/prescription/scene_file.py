@@ -14,6 +14,7 @@ from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
+from mistray.prescription.naming import shared_coatings, shared_scatter
 from mistray.prescription.scatter import Scatter, Value
 from mistray.replace_file import replace_file
 
@@ -219,13 +220,15 @@ def structure_text(structures: Iterable[Structure | Surface | MeshStructure], kn
     structures : iterable of Structure, Surface or MeshStructure
     known : container of str
         Ids that the scene has; shared objects of these names are referred to and not written.
+
+    Raises
+    ------
+    MistrayError
+        If two coatings or two models of one name differ.
     """
     structures = list(structures)
-    nodes: dict[str, _Node] = {}
-    for shape in structures:
-        if shape.coating is not None and shape.coating.name is not None:
-            nodes[shape.coating.name] = _thinfilm(shape.coating)
-        nodes |= {model.name: _scatter(model) for model in shape.scatter if model.name is not None}
+    nodes = {name: _thinfilm(coating) for name, coating in shared_coatings("structures", structures).items()}
+    nodes |= {name: _scatter(model) for name, model in shared_scatter("structures", structures).items()}
     shared = [node for name, node in nodes.items() if name not in known]
     return "\n".join(line for node in [*shared, *map(_shape, structures)] for line in _node_lines(node, 1))
 

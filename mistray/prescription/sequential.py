@@ -96,6 +96,11 @@ class ClearAperture:
     y: float = 0.0
     obscures: bool = False
 
+    @property
+    def centred_circle(self) -> bool:
+        """Whether it is an opening whose rim is a circle about the vertex."""
+        return self.kind == "circle" and self.x == self.y == 0 and not self.obscures
+
 
 @dataclass(frozen=True)
 class Row:
@@ -167,6 +172,8 @@ class Sequential:
     object_material : str
     aperture_kind, aperture : str, float
         What limits the beam: diameter in mm, image-space F-number at infinite conjugates, sine-based object NA.
+    telecentric : bool
+        Chief rays leave the object parallel to the axis, wherever the stop stands, which then aims no ray.
     field_kind : str
     fields : tuple of (float, float)
         (x, y), degrees or mm.
@@ -188,6 +195,7 @@ class Sequential:
     object_material: str = "air"
     aperture_kind: ApertureKind = "entrance_pupil_diameter"
     aperture: float = 0.0
+    telecentric: bool = False
     field_kind: FieldKind = "angle_deg"
     fields: tuple[tuple[float, float], ...] = ((0.0, 0.0),)
     vignetting: tuple[tuple[float, float, float, float], ...] = ()
@@ -203,6 +211,11 @@ class Sequential:
         if sum(row.stop for row in self.rows) > 1:
             numbers = ", ".join(str(row.number) for row in self.rows if row.stop)
             raise MistrayError(f"lens '{self.name}': surfaces {numbers} are all stops; keep one")
+        if self.telecentric and math.isinf(self.object_distance):
+            raise MistrayError(
+                f"lens '{self.name}': its object space is telecentric and its object lies at infinity; give the object "
+                "a distance"
+            )
         if len(self.weights) != len(self.wavelengths_nm) or not 0 <= self.primary < len(self.wavelengths_nm):
             raise MistrayError(
                 f"lens '{self.name}': {len(self.wavelengths_nm)} wavelengths, {len(self.weights)} weights, reference "

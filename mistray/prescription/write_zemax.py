@@ -22,9 +22,11 @@ from mistray.materials.catalogue import MAKERS
 from mistray.materials.spec import AbbeNumber, Constant, Name, Spec, UserFile, parse
 from mistray.prescription.sequential import Decentre, Row, Sequential
 from mistray.prescription.zemax_glass import SYNONYMS
+from mistray.prescription.zemax_system import MOST_WAVELENGTHS
 from mistray.replace_file import replace_file
 
 _EVEN_TERMS = 7  # r⁴ … r¹⁶
+_INFRARED = ("GERMANIUM", "SILICON", "ZNSE")  # these are not in Zemax's catalogue MISC
 # A Vd of 0 means "no dispersion" to OpticStudio and a division by zero to others. In light of the d line alone no
 # program looks at Vd, so that there one stands that all can divide by and that `read_zemax` knows.
 _NO_DISPERSION_VD, _ANY_VD = 0.0, 1e10
@@ -50,9 +52,14 @@ def write_zemax(lens: Sequential, path: str | Path) -> tuple[str, ...]:
     Raises
     ------
     MistrayError
-        If a surface has polynomial terms beyond r¹⁶, a material has no index at the wavelengths of the lens, or the
-        file cannot be written.
+        If a surface has polynomial terms beyond r¹⁶, the lens has more than 24 wavelengths, a material has no index at
+        one of them, or the file cannot be written.
     """
+    if len(lens.wavelengths_nm) > MOST_WAVELENGTHS:
+        raise MistrayError(
+            f"lens '{lens.name}': {len(lens.wavelengths_nm)} wavelengths; .zmx files hold {MOST_WAVELENGTHS}, leave "
+            "some out"
+        )
     writer = _Writer(lens)
     text = writer.text()
     replace_file(path, text if text.isascii() else f"\ufeff{text}".encode("utf-16-le"), "lens")
@@ -100,7 +107,8 @@ class _Writer:
         yield "ENVD 20 1 0"
         if self.catalogues:
             yield f"GCAT {' '.join(self.catalogues)}"
-        yield f"FTYP {_FIELD_TYPES[lens.field_kind]} 0 {len(lens.fields)} {len(lens.wavelengths_nm)} 0 0 0"
+        counts = f"{len(lens.fields)} {len(lens.wavelengths_nm)}"
+        yield f"FTYP {_FIELD_TYPES[lens.field_kind]} {int(lens.telecentric)} {counts} 0 0 0"
         columns = {
             "XFLN": [x for x, _ in lens.fields],
             "YFLN": [y for _, y in lens.fields],
@@ -170,7 +178,10 @@ class _Writer:
         elif row.kind == "surface":
             extra += self._glass(row.material, f"surface {row.number}")
         if row.coating:
-            extra.append(f"COAT {row.coating.rpartition(':')[2].replace(' ', '_')}")
+            name = row.coating.rpartition(":")[2]
+            extra.append(f"COAT {'_'.join(name.split())}")
+            if name.split() != [name]:
+                self._lose(f"coating '{name}': its name is written with '_' for blanks")
         extra += self._aperture(row)
         curvature = 0.0 if row.radius == 0 else 1 / row.radius
         kind = "EVENASPH" if any(terms) else "STANDARD"
@@ -178,22 +189,30 @@ class _Writer:
 
     def _aperture(self, row: Row) -> list[str]:
         lines = []
-        if row.semi_diameter is not None:
-            lines.append(f'DIAM {_number(row.semi_diameter)} {int(row.semi_diameter_fixed)} 0 0 1 ""')
+        floats = row.stop and self.lens.aperture_kind == "stop_diameter"  # FLOA takes the diameter from here
+        size = self.lens.aperture / 2 if floats else row.semi_diameter
+        if size is not None:
+            lines.append(f'DIAM {_number(size)} {int(row.semi_diameter_fixed or floats)} 0 0 1 ""')
         aperture = row.aperture
         if aperture is None:
-            if row.semi_diameter_fixed and row.semi_diameter is not None:
-                lines.append(f"FLAP 0 {_number(row.semi_diameter)} 0")
+            if row.semi_diameter_fixed and size is not None:
+                lines.append(f"FLAP 0 {_number(size)} 0")
             return lines
+        if row.semi_diameter_fixed and aperture.obscures:
+            self._lose(f"surface {row.number}: its edge stops no light, as .zmx files have one aperture a surface")
         if aperture.kind == "circle":
-            outer = aperture.outer if math.isfinite(aperture.outer) else row.semi_diameter
+            outer = aperture.outer if math.isfinite(aperture.outer) else size
             if outer is None:
-                self.losses.append(f"surface {row.number}: its hole of radius {aperture.inner:g} mm, as it has no rim")
+                self._lose(f"surface {row.number}: its hole of radius {aperture.inner:g} mm, as it has no rim")
                 return lines
             lines.append(f"{'OBSC' if aperture.obscures else 'CLAP'} {_number(aperture.inner)} {_number(outer)} 0")
         else:
             key = "SQOB" if aperture.obscures else "SQAP"
-            lines.append(f"{key} {_number(aperture.half_width)} {_number(aperture.half_height)} 0")
+            sides = [half if math.isfinite(half) else size for half in (aperture.half_width, aperture.half_height)]
+            if None in sides:
+                self._lose(f"surface {row.number}: its slit, as it has no rim that ends it")
+                return lines
+            lines.append(f"{key} {' '.join(_number(side) for side in sides if side is not None)} 0")
         if aperture.x or aperture.y:
             lines.append(f"OBDC {_number(aperture.x)} {_number(aperture.y)}")
         return lines
@@ -239,6 +258,8 @@ class _Writer:
                 name, catalogue = glass.replace("star", "*"), maker.upper()  # as `catalogue.find` has it
             else:
                 name = _ZEMAX_NAMES.get(found)
+        if name in _INFRARED:
+            catalogue = "INFRARED"
         if name is not None and catalogue not in self.catalogues:
             self.catalogues.append(catalogue)
         return name

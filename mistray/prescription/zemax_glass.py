@@ -14,10 +14,10 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mistray.errors import MistrayError
-from mistray.materials import complex_index, refractive_index
-from mistray.materials.agf import glass_names
+from mistray.materials import refractive_index
 from mistray.materials.catalogue import MAKERS, PINNED, glasses
 from mistray.materials.mate import shown
+from mistray.prescription.adapted import catalogue_names, with_k
 from mistray.prescription.sequential import Unread
 from mistray.prescription.zemax_lines import Line
 
@@ -81,7 +81,7 @@ class Glasses:
         self.unread: list[Unread] = []
         self._wavelengths_nm = wavelengths_nm
         self._replaced = {name.upper(): material for name, material in replaced.items()}
-        self._agf = [(file, {name.upper() for name in _names(file)}) for file in agf]
+        self._agf = [(file, {name.upper() for name in catalogue_names(file)}) for file in agf]
         self._catalogues = tuple(catalogues)
         self._listed = [maker for word in catalogues for maker in MAKERS if word.lower().startswith(maker)]
         self._found: dict[tuple[str, ...], str] = {}
@@ -182,13 +182,10 @@ class Glasses:
                 refractive_index(material, wavelength)
         except MistrayError as error:
             raise line.error(f"glass '{shown([name])}': {error}") from None
-        try:
-            for wavelength in self._wavelengths_nm:
-                complex_index(material, wavelength)
-        except MistrayError:
+        known = with_k(material, self._wavelengths_nm)
+        if known != material:
             self._note(f"glass {name}: absorption unknown, taken to be 0")
-            return f"{material} k=0"
-        return material
+        return known
 
     def _note(self, text: str) -> None:
         if text not in self.notes:
@@ -198,10 +195,3 @@ class Glasses:
 def _of_maker(maker: str, name: str) -> str | None:
     wanted = name.replace("*", "star").lower()
     return next((entry.name for key, entry in glasses()[maker].items() if key.lower() == wanted), None)
-
-
-def _names(file: Path) -> list[str]:
-    try:
-        return glass_names(file)
-    except OSError as error:
-        raise MistrayError(f"glass catalogue '{file}': {error.strerror}; check the path") from None

@@ -35,7 +35,6 @@ NO_EFFECT = {
     "PICB": "display",
     "POLS": "polarisation of analyses",
     "GLRS": "surface whose frame reports call global",
-    "GFAC": "apodisation of the pupil",
     "GSTD": "Gaussian quadrature of analyses",
     "NSCD": "limits of non-sequential tracing",
     "COFN": "names of the coating, scatter and profile files",
@@ -71,7 +70,7 @@ _OF_SURFACE = {
 }
 _OF_SYSTEM = {
     *("MODE", "NAME", "UNIT", "ENPD", "FNUM", "OBNA", "FLOA", "ENVD", "FTYP", "GCAT", "PWAV", "WAVM", "WAVL", "WAVN"),
-    *("WWGT", "WWGN", "XFLN", "YFLN", "XFLD", "YFLD", "VDXN", "VDYN", "VCXN", "VCYN", "VANN"),
+    *("WWGT", "WWGN", "XFLN", "YFLN", "XFLD", "YFLD", "VDXN", "VDYN", "VCXN", "VCYN", "VANN", "GFAC"),
 }
 # The table of surfaces is over where one of these stands without indentation
 _AFTER = {"TOL", "MNUM", "MOFF", "BLNK"}

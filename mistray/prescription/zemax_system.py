@@ -6,12 +6,13 @@
 ``FNUM f p``            image-space F-number; p = 1: paraxial working F-number
 ``OBNA a p``            object-space NA; p = 1: half angle of the object's cone, degrees
 ``FLOA``                the stop's semi-diameter decides
-``FTYP t c f w …``      t: 0 angle, 1 object height, 2 paraxial and 3 real image height, 4 theodolite angles; c: object
-                        space telecentric; f, w: number of fields and wavelengths that count
+``FTYP t c f w …``      t: 0 angle, 1 object height, 2 paraxial and 3 real image height, 4 theodolite angles; c = 1:
+                        object space is telecentric; f, w: number of fields and wavelengths that count
 ``XFLN``, ``YFLN``      fields, degrees or lens units; ``XFLD``, ``YFLD`` in old files
 ``VDXN`` … ``VANN``     vignetting: decentre, compression, angle
 ``WAVM i λ w``          wavelength i in µm and its weight; ``WAVL``, ``WAVN`` and ``WWGT``, ``WWGN``: lists of them
 ``PWAV i``              the primary wavelength
+``GFAC t f``            apodisation of the pupil, t = 0: none
 ======================  ==========================================================================================
 
 Source: OpticStudio help, "System Explorer", whose entries these lines hold in their order.
@@ -23,7 +24,6 @@ import math
 from dataclasses import dataclass
 from pathlib import Path
 
-from mistray.errors import MistrayError
 from mistray.prescription.sequential import ApertureKind, FieldKind, Unread
 from mistray.prescription.zemax_lines import Line, Section
 
@@ -44,6 +44,10 @@ class System:
         Lens unit in mm.
     floating : bool
         The stop's semi-diameter decides; `aperture` is still 0.
+    working : bool
+        `aperture` is the paraxial F-number at the image of the file's object, not at infinite conjugates.
+    telecentric : Line or None
+        The line that makes object space telecentric.
     catalogues : tuple of str
         Names of glass catalogues.
     """
@@ -53,6 +57,8 @@ class System:
     aperture_kind: ApertureKind
     aperture: float
     floating: bool
+    working: bool
+    telecentric: Line | None
     field_kind: FieldKind
     fields: tuple[tuple[float, float], ...]
     vignetting: tuple[tuple[float, float, float, float], ...]
@@ -81,6 +87,7 @@ class _Reader:
         self.section, self.path = section, path
         self.unread: list[Unread] = []
         self.notes: list[str] = []
+        self.working = False
 
     def system(self) -> System:
         self._mode()
@@ -91,12 +98,15 @@ class _Reader:
         field_kind, fields, vignetting = self._fields(head, unit)
         wavelengths, weights, primary = self._wavelengths(head)
         self._environment()
+        telecentric = head is not None and head.whole(1, "0 or 1", default=0) != 0
         return System(
             name=" ".join(name.words).strip('"') if name and name.words else self.path.stem,
             unit_mm=unit,
             aperture_kind=kind,
             aperture=aperture,
             floating=floating,
+            working=self.working,
+            telecentric=head if telecentric else None,
             field_kind=field_kind,
             fields=fields,
             vignetting=vignetting,
@@ -140,11 +150,7 @@ class _Reader:
             return "entrance_pupil_diameter", value * unit, False
         special = line.whole(1, "0 or 1", default=0) == 1
         if line.key == "FNUM":
-            if special:
-                self.notes.append(
-                    f"paraxial working F-number {value:g} is taken as that of infinite conjugates, which it is for a "
-                    "distant object alone"
-                )
+            self.working = special
             return "f_number", value, False
         if special and value >= 90:
             raise line.error(f"object cone angle {value:g} degrees; it must be below 90")
@@ -156,15 +162,14 @@ class _Reader:
         kind = head.whole(0, "a field type", default=0) if head else 0
         if head is not None and not 0 <= kind < len(_FIELD_KINDS):
             raise head.error(f"field type {kind}; it lies between 0 and {len(_FIELD_KINDS) - 1}")
-        if head is not None and head.whole(1, "0 or 1", default=0):
-            self.unread.append(head.unread("object space is telecentric; here rays are aimed at the stop"))
         columns = {key: self._column(key) for key in ("XFLN", "YFLN", "XFLD", "YFLD")}
         x, y = columns["XFLN"] or columns["XFLD"], columns["YFLN"] or columns["YFLD"]
-        count = head.whole(2, "the number of fields", default=0) if head else 0
-        count = count if count > 0 else max(len(x), len(y), 1)
-        points = [(_at(x, i), _at(y, i)) for i in range(count if count <= max(len(x), len(y), 1) else len(x))]
-        if kind == _THEODOLITE:
-            points = [_field_angles(*point) for point in points]
+        count, listed = head.whole(2, "the number of fields", default=0) if head else 0, max(len(x), len(y), 1)
+        if head is not None and count > listed:
+            raise head.error(f"{count} fields, but the file lists {listed}; correct the number")
+        points = [(_at(x, i), _at(y, i)) for i in range(count if count > 0 else listed)]
+        if head is not None and kind == _THEODOLITE:
+            points = [_field_angles(head, *point) for point in points]
         elif kind:
             points = [(a * unit, b * unit) for a, b in points]
         if kind == 3:
@@ -235,6 +240,9 @@ class _Reader:
         line = self.section.take("ENVD")
         if line is not None and (line.value(0, "a temperature") != 20 or line.value(1, "a pressure") != 1):
             self.unread.append(line.unread("indices and lengths are those at 20 °C and 1 atm"))
+        apodised = self.section.take("GFAC")
+        if apodised is not None and apodised.whole(0, "the kind of apodisation", default=0) != 0:
+            self.unread.append(apodised.unread("the pupil is lit evenly, without apodisation"))
 
 
 def _at(column: tuple[float, ...], place: int) -> float:
@@ -247,9 +255,9 @@ def _nm(line: Line, um: float) -> float:
     return round(um * 1e3, 9)
 
 
-def _field_angles(azimuth: float, elevation: float) -> tuple[float, float]:
+def _field_angles(head: Line, azimuth: float, elevation: float) -> tuple[float, float]:
     """Field angles (of the tangents of a direction) of theodolite angles, degrees."""
     if max(abs(azimuth), abs(elevation)) >= 90:
-        raise MistrayError(f"theodolite angles {azimuth:g}, {elevation:g} degrees; both must be within ±90")
+        raise head.error(f"field of theodolite angles {azimuth:g}, {elevation:g} degrees; both must be within ±90")
     cosine = math.cos(math.radians(azimuth))
     return azimuth, math.degrees(math.atan(math.tan(math.radians(elevation)) / cosine))

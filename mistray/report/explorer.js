@@ -50,6 +50,10 @@ function ticks(low, high, count) {
   for (let k = Math.ceil(low / step - 1e-9); k * step <= high + 1e-9 * step; k += 1) found.push(Number((k * step).toPrecision(12)));
   return found;
 }
+function numberOf(text) {  // with a decimal point or a decimal comma; NaN of anything else
+  const plain = text.trim().replace("−", "-").replace(",", ".");
+  return plain === "" ? Number.NaN : Number(plain);
+}
 function bytesOf(text) {
   return Uint8Array.from(atob(text), (letter) => letter.charCodeAt(0));
 }
@@ -64,6 +68,8 @@ function short(value, digits = 4) {
 const STYLES = { glass: ["#4a6a86", 0.9], structure: ["#7a7a7a", 1.4], mirror: ["#333333", 1.6], detector: ["#000000", 2.4] };
 const MARGIN = { left: 52, right: 74, top: 8, bottom: 36 };
 const DECADES = { light: 12, stray: 12, path: 6 };
+const TURN = "#e69f00";  // of the surfaces where a path turns; no path of the layout has it
+const OTHER_PATH = "#8a6d1d";  // of a path that the layout does not show
 
 function svgPath(points, attributes) {
   const path = document.createElementNS("http://www.w3.org/2000/svg", "path");
@@ -87,6 +93,7 @@ class Explorer {
     this.box = null;
     this.anchor = null;
     this.cursor = null;
+    this.marked = false;  // whether a cross shows the cursor: when it is moved by keys
     this.ready = null;
     panel.hidden = false;
     this.listen();
@@ -111,6 +118,10 @@ class Explorer {
       if (!this.view) return;
       this.cursor = this.place(event);
       this.read();
+      if (this.marked) {
+        this.marked = false;
+        this.draw();
+      }
       if (this.anchor) this.draw([this.anchor[0], this.cursor[0], this.anchor[1], this.cursor[1]]);
     });
     canvas.addEventListener("pointerup", (event) => {
@@ -125,8 +136,8 @@ class Explorer {
     canvas.addEventListener("keydown", (event) => this.press(event));
     this.form.addEventListener("submit", (event) => {
       event.preventDefault();
-      const corners = ["x0", "x1", "y0", "y1"].map((name) => Number.parseFloat(this.form.elements[name].value.replace("−", "-")));
-      if (corners.some(Number.isNaN)) this.panel.querySelector(".found").textContent = "Give all four edges of the box in mm, or drag one on the map.";
+      const corners = ["x0", "x1", "y0", "y1"].map((name) => numberOf(this.form.elements[name].value));
+      if (corners.some(Number.isNaN)) this.say("Give all four edges of the box in mm, or drag one on the map.");
       else this.chooseBox(corners);
     });
     this.form.addEventListener("reset", () => this.clearBox());
@@ -136,6 +147,9 @@ class Explorer {
       button.focus({ preventScroll: true });
       button.scrollIntoView({ block: "center" });
     });
+  }
+  say(text) {
+    this.panel.querySelector(".found").textContent = text;
   }
   load() {
     this.ready ||= (async () => {
@@ -187,6 +201,12 @@ class Explorer {
       pen.lineWidth = 1.5;
       pen.strokeStyle = "#56b4e9";
       pen.strokeRect(x, y, x1 - x, y1 - y);
+    }
+    if (this.marked) {
+      const [x, y] = this.screen(...this.cursor);
+      pen.fillStyle = "#56b4e9";
+      pen.fillRect(x - 9, y - 0.75, 18, 1.5);
+      pen.fillRect(x - 0.75, y - 9, 1.5, 18);
     }
     const name = { light: "all light", stray: "without the direct image", path: `path ${this.path}` }[this.which.value];
     canvas.setAttribute("aria-label", `Irradiance map of field ${this.data.field}°, ${name}${limits ? `, log10 scale 1e${limits[0]} to 1e${limits[1]} W/mm²` : ", dark"}`);
@@ -268,11 +288,15 @@ class Explorer {
     const frame = this.canvas.getBoundingClientRect(), { view, scale, size } = this.view;
     return [view[0] + (event.clientX - frame.left - MARGIN.left) / scale, view[2] + (MARGIN.top + size[1] - event.clientY + frame.top) / scale];
   }
+  onDetector([x, y]) {
+    const [x0, x1, y0, y1] = this.data.extent;
+    return x >= x0 && x <= x1 && y >= y0 && y <= y1;
+  }
   read() {
     const out = this.panel.querySelector(".readout");
     const map = this.current();
     let text = "Drag a box on the map to see which paths light it; arrow keys move a cursor, with Shift a box grows.";
-    if (this.cursor) {
+    if (this.cursor && this.onDetector(this.cursor)) {
       const [x, y] = this.cursor, [x0, x1, y0, y1] = this.mm(map);
       const c = Math.floor((x - x0) / (x1 - x0) * map.width), r = Math.floor((y - y0) / (y1 - y0) * map.height);
       const power = c >= 0 && r >= 0 && c < map.width && r < map.height ? map.power[r * map.width + c] : 0;
@@ -282,18 +306,22 @@ class Explorer {
   }
   press(event) {
     const step = { ArrowLeft: [-1, 0], ArrowRight: [1, 0], ArrowDown: [0, -1], ArrowUp: [0, 1] }[event.key];
-    if (event.key === "Escape") this.form.reset();
+    if (event.key === "Escape") {
+      this.marked = false;
+      this.form.reset();
+    }
     if (!step || !this.view) return;
     event.preventDefault();
-    const { extent, grid } = this.data;
-    const old = this.cursor || [(extent[0] + extent[1]) / 2, (extent[2] + extent[3]) / 2];
+    const { extent, grid } = this.data, { view } = this.view;
+    const old = this.cursor || [(view[0] + view[1]) / 2, (view[2] + view[3]) / 2];
+    this.marked = true;
     this.cursor = old.map((v, k) => Math.min(Math.max(v + step[k] * grid * this.pixel[k], extent[2 * k]), extent[2 * k + 1]));
     if (event.shiftKey) {
       this.held ||= old;
       this.chooseBox([this.held[0], this.cursor[0], this.held[1], this.cursor[1]]);
     } else {
       this.held = null;
-      this.read();
+      this.draw();
     }
   }
   choose(path) {
@@ -329,31 +357,44 @@ class Explorer {
   showRays() {
     const svg = this.panel.querySelector("svg.rays"), [z0, y0, z1, y1] = this.shared.bounds;
     const rays = this.path === null ? [] : this.data.rays[this.path] || [];
-    const margin = 0.05 * Math.max(z1 - z0, y1 - y0);
-    svg.setAttribute("viewBox", [z0 - 2 * margin, -y1 - margin, z1 - z0 + 3 * margin, y1 - y0 + 2 * margin].join(" "));
+    const margin = 0.05 * Math.max(z1 - z0, y1 - y0), wide = z1 - z0 + 3 * margin, high = y1 - y0 + 2 * margin;
+    const below = 0.1 * Math.max(high, 0.55 * wide);  // room for the scale
+    svg.setAttribute("viewBox", [z0 - 2 * margin, -y1 - margin, wide, high + below].join(" "));
     const turns = new Set((this.events || []).filter(([, letter]) => letter !== "T" && letter !== "A").map(([surface]) => surface));
     const parts = this.shared.glass.map((body) => svgPath(body, { fill: "#dbe9f4" }));
     for (const surface of this.shared.surfaces) {
       const [colour, width] = STYLES[surface.kind] || STYLES.structure, marked = turns.has(surface.name);
       for (const line of surface.lines) {
-        const path = svgPath(line, { stroke: marked ? "#d55e00" : colour, "stroke-width": marked ? 2.4 : width });
+        const path = svgPath(line, { stroke: marked ? TURN : colour, "stroke-width": marked ? 3 : width });
         const title = document.createElementNS("http://www.w3.org/2000/svg", "title");
         title.textContent = surface.name;
         path.append(title);
         parts.push(path);
       }
     }
-    for (const ray of rays) parts.push(svgPath(ray, { stroke: "#0072b2", "stroke-width": 0.9, "stroke-opacity": 0.9, class: "ray" }));
-    svg.replaceChildren(...parts);
+    const colour = (this.data.colours || {})[this.path] || OTHER_PATH;
+    for (const ray of rays) parts.push(svgPath(ray, { stroke: colour, "stroke-width": 0.9, "stroke-opacity": 0.9, class: "ray" }));
+    const [, bar] = ticks(0, wide, 5), left = z0 - margin, base = -y0 + margin + 0.3 * below;
+    parts.push(svgPath([left, -base, left + bar, -base], { stroke: "#1b1f24", "stroke-width": 2 }));
+    const text = document.createElementNS("http://www.w3.org/2000/svg", "text");
+    text.textContent = `${short(bar)} mm (z to the right, y up)`;
+    for (const [name, value] of Object.entries({ x: left, y: base + 0.6 * below, "font-size": 0.45 * below, fill: "#1b1f24" })) text.setAttribute(name, value);
+    svg.replaceChildren(...parts, text);
     if (this.path === null) return;
     const label = this.pick().closest("tr").cells[3].textContent;
     const found = rays.length ? `${rays.length} of its rays, projected onto the section x = 0` : "too rare to draw: none of its rays is among those of the sample";
-    this.panel.querySelector(".chosen").textContent = `Path ${this.path}, ${label}: ${found}. Orange: where it turns.`;
+    this.panel.querySelector(".chosen").textContent = `Path ${this.path}, ${label}: ${found}. Thick orange: the surfaces where it turns.`;
   }
   chooseBox(corners) {
     this.panel.classList.add("used");
     return this.load().then(() => {
       const { extent, shape, grid } = this.data;
+      const beyond = [0, 2].some((k) => Math.max(corners[k], corners[k + 1]) <= extent[k] || Math.min(corners[k], corners[k + 1]) >= extent[k + 1]);
+      if (beyond) {
+        const [a, b, c, d] = extent.map((v) => short(v));
+        this.say(`The box lies beside the detector, which has x ${a} … ${b}, y ${c} … ${d} mm.`);
+        return this.draw();
+      }
       this.box = snapBox(corners, extent, shape, grid);
       ["x0", "x1", "y0", "y1"].forEach((name, k) => { this.form.elements[name].value = short(this.box.mm[k], 6); });
       this.form.querySelector('button[type="reset"]').disabled = false;
@@ -366,7 +407,7 @@ class Explorer {
         const cell = row.querySelector("td.inbox");
         row.dataset.aside = power > 0 ? "0" : "1";
         cell.dataset.v = String(power);
-        cell.replaceChildren(power > 0 ? short(power) : "–");
+        cell.replaceChildren(power > 0 ? short(power, 3) : "–");
         if (power > 0) {
           fed += 1;
           const share = document.createElement("small");
@@ -377,9 +418,9 @@ class Explorer {
       this.table.classList.add("boxed");
       sortTable(this.table, [...this.table.tHead.rows[0].cells].findIndex((head) => head.classList.contains("inbox")), true);
       filterTable(this.table);
-      const more = rest > 0 ? `, ${short(100 * rest / total, 3)} % of it from paths that are not in the table` : "";
+      const more = rest > 0 ? `, ${short(100 * rest / total, 3)} % of it from paths that this page has no maps of` : "";
       const [x0, x1, y0, y1] = this.box.mm.map((v) => short(v));
-      this.panel.querySelector(".found").textContent = `Box x ${x0} … ${x1}, y ${y0} … ${y1} mm: ${short(total)} W, ${fed} of ${this.order.length} paths of the table light it${more}.`;
+      this.say(`Box x ${x0} … ${x1}, y ${y0} … ${y1} mm: ${short(total, 3)} W, ${fed} of ${this.order.length} paths of the table light it${more}.`);
       this.draw();
     });
   }
@@ -393,7 +434,7 @@ class Explorer {
     }
     filterTable(this.table);
     this.form.querySelector('button[type="reset"]').disabled = true;
-    this.panel.querySelector(".found").textContent = "";
+    this.say("");
     if (this.data) this.draw();
   }
 }

@@ -15,7 +15,7 @@ import numpy as np
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.path_maps import FieldMaps
 from mistray.report.embedded import MapStore, colour_text, json_script, rounded
-from mistray.report.layout import RAYS_DRAWN, glass_bodies, meridional, section
+from mistray.report.layout import RAYS_DRAWN, glass_bodies, meridional, section, worst_paths
 from mistray.report.markup import cell
 from mistray.trace.path_events import INTERCEPTS, LETTERS
 
@@ -107,6 +107,7 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
         "rest": store.add(maps.rest),
         "paths": {str(path_id): store.add(found) for path_id, found in maps.paths.items()},
         "rays": {str(path_id): rounded(lines, digits) for path_id, lines in drawn.items()},
+        "colours": {str(path_id): colour for path_id, colour, _ in worst_paths(report, field_deg)},
     }
     source = f"data-{table}"
     return PANEL.format(table=table, source=source, field=f"{field_deg:g}") + json_script(

@@ -140,6 +140,12 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
     if len(left_out):
         share = f"{left_out.percent_of_stray.sum():.3g} % of the stray light"
         notes.append(f"{len(left_out)} more paths are in paths.csv; together they hold {share}.")
+    unmapped = int((~shown.path_id.isin(list(maps.paths))).sum())
+    if unmapped:
+        notes.append(
+            f"{unmapped} of these paths have no map, because the detector has too many pixels for maps of all of them; "
+            "in a box they count among the rest."
+        )
     if not shown.well_sampled.all():
         notes.append(f"* fewer than {FEWEST_RAYS} rays: RMS radius and irradiance are unreliable, ranked last.")
     return (

@@ -126,10 +126,8 @@ def _objects(name: str, rows: Sequence[SceneObject]) -> str:
 
 
 def _common(found: Objects) -> str:
-    parts = [
-        "<p>In the order of the light. By one scatter event each of them can send light to the detector.</p>",
-        _both("t-common", found.common),
-    ]
+    text = "In the order of the light. By one scatter event each of them can send light to the detector."
+    parts = [f"<p>{text}</p>{_both('t-common', found.common)}"] if found.common else ["<p>None but the optics.</p>"]
     if found.apart:
         names = ", ".join(row.id for row in found.apart)
         parts.append(f"<p>Lit in one place and seen in another, so not common: {escape(names)}.</p>")

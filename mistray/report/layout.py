@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,8 +19,8 @@ from matplotlib.figure import Figure
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
-from mistray.report.cut_open import role_of, triangles
-from mistray.report.path_rays import chosen_rows, row_name
+from mistray.report.cut_open import CutPlane, clip, role_of, surface_names, triangles
+from mistray.report.path_rays import check_count, chosen_rows, row_name
 from mistray.report.plots import BLACK, BLUE, BROWN, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.trace.path_events import DIRECT
 from mistray.trace.surfaces import solid_shapes
@@ -30,10 +31,12 @@ if TYPE_CHECKING:
 Polyline = npt.NDArray[np.float64]
 
 GLASS, GLASS_EDGE, STRUCTURE, MIRROR, DETECTOR = "#dbe9f4", "#4a6a86", "#7a7a7a", "#333333", "#000000"
-GHOST_COLOURS = (VERMILION, GREEN, PURPLE, ORANGE, SKY)
-RAYS_DRAWN, PATHS_DRAWN = 7, 4
+PATH_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BROWN, BLACK)  # the direct image, if drawn, is first
+LINE_STYLES = ("solid", "dashed", "dotted")  # of paths that have one colour
+RAYS_DRAWN, PATHS_DRAWN, GHOSTS_DRAWN = 7, 4, 3
 CANDIDATES = 40  # rays of a path among which those near the section are chosen, for each that is drawn
 SCREEN_WIDTH, PAPER_WIDTH = 10.4, 6.9  # inch; the second is both columns of a journal
+LEGEND_SIGN, LETTER = 0.6, 0.55 / 72  # inch: beside a label of the legend, and of a letter of one point
 FORMATS = (".svg", ".pdf", ".eps", ".png")
 Chosen = tuple[list[Polyline], str, str]  # rays, colour and label of a path
 
@@ -65,7 +68,7 @@ def section(scene: Any) -> list[SectionLine]:
     Surfaces of revolution whose axis lies in the plane are cut exactly (their profile and its mirror image); all other
     shapes by way of their triangle mesh.
     """
-    return [SectionLine(_name(shape), _cut(shape), role_of(shape)) for shape in solid_shapes(scene)]
+    return [SectionLine(name, _cut(shape, name), role_of(shape)) for name, shape in surface_names(scene)]
 
 
 def glass_bodies(scene: Any) -> list[Polyline]:
@@ -132,7 +135,9 @@ def chain(start: Polyline, end: Polyline, steps: Sequence[Polyline], tolerance: 
     return np.empty((0, 2))
 
 
-def layout(report: GhostReport, field_deg: float, ghosts: int = 3, path_ids: Sequence[int] | None = None) -> Figure:
+def layout(
+    report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN, path_ids: Sequence[int] | None = None
+) -> Figure:
     """
     Section of the system with rays of the direct image and of the worst stray paths of one field, or of chosen paths.
 
@@ -146,7 +151,7 @@ def layout(report: GhostReport, field_deg: float, ghosts: int = 3, path_ids: Seq
     path_ids : sequence of int, optional
         Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
     """
-    chosen = _chosen(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, path_ids)
+    chosen = worst_paths(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, path_ids)
     drawn = [
         (meridional(report.rays_of(field_deg, path_id), RAYS_DRAWN), colour, label) for path_id, colour, label in chosen
     ]
@@ -180,15 +185,22 @@ def layout_figure(
     -------
     Figure
         For `write_layout`, or ``figure.savefig``.
+
+    Raises
+    ------
+    MistrayError
+        For an unknown row, rows without a trace, a number of paths below 0 or of rays below 1.
     """
+    check_count(rays)
+    if trace is None and path_ids is not None:
+        raise MistrayError("path_ids without a trace; give the trace that has these paths")
     drawn: list[Chosen] = []
     title = ""
     if trace is not None:
         lines = len(trace.wavelengths_nm)
-        colours = itertools.cycle((BLUE, *GHOST_COLOURS, BROWN, BLACK))
-        for row in chosen_rows(trace, paths, path_ids):
+        for row, colour in zip(chosen_rows(trace, paths, path_ids), itertools.cycle(PATH_COLOURS), strict=False):
             history = trace.history(row.path_id, CANDIDATES * rays).rays
-            drawn.append((meridional(history, rays), next(colours), row_name(row, lines > 1)))
+            drawn.append((meridional(history, rays), colour, row_name(row, lines > 1)))
         title = f"field {trace.settings['field_deg']:g}°, section x = 0; rays projected onto it"
     return _figure(scene, drawn, title, width=PAPER_WIDTH, size=7.0)
 
@@ -234,7 +246,8 @@ def _figure(scene: Any, chosen: Sequence[Chosen], title: str, width: float, size
     lines = section(scene)
     low, high = _bounds(lines)
     span = np.maximum(high - low, 1e-9)
-    columns = max(1, min(len(chosen), int(width // 2.3)))
+    longest = max((len(label) for _, _, label in chosen), default=0)
+    columns = max(1, min(len(chosen), int(width / (LEGEND_SIGN + LETTER * size * longest))))
     legend = 0.22 * -(-len(chosen) // columns)
     figure = Figure(
         figsize=(width, float(np.clip(0.9 * width * span[1] / span[0] + 0.7 + legend, 2.6, 6.6))),
@@ -244,10 +257,13 @@ def _figure(scene: Any, chosen: Sequence[Chosen], title: str, width: float, size
     axes = figure.subplots()
     weight = width / SCREEN_WIDTH
     _draw_system(axes, scene, lines, weight)
+    used: Counter[str] = Counter()
     for rays, colour, label in chosen:
-        axes.plot([], [], color=colour, lw=0.8, label=label if rays else f"{label}, too rare to draw")
+        style: dict[str, Any] = {"color": colour, "ls": LINE_STYLES[used[colour] % len(LINE_STYLES)]}
+        used[colour] += 1
+        axes.plot([], [], **style, lw=0.8, label=label if rays else f"{label}, too rare to draw")
         for ray in rays:
-            axes.plot(ray[:, 2], ray[:, 1], color=colour, lw=0.8 * weight, alpha=0.9, zorder=4)
+            axes.plot(ray[:, 2], ray[:, 1], **style, lw=0.8 * weight, alpha=0.9, zorder=4)
     margin = 0.06 * span
     axes.set_xlim(low[0] - 2.5 * margin[0], high[0] + margin[0])
     axes.set_ylim(low[1] - margin[1], high[1] + margin[1])
@@ -268,12 +284,12 @@ def _figure(scene: Any, chosen: Sequence[Chosen], title: str, width: float, size
     return figure
 
 
-def _chosen(report: GhostReport, field_deg: float, ghosts: int) -> list[tuple[int, str, str]]:
-    """Path, colour and label of the direct image and of the worst stray paths."""
+def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN) -> list[tuple[int, str, str]]:
+    """Path, colour and label of the direct image and of the worst stray paths of a field, as `layout` draws them."""
     table = report.table(field_deg)
     chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
-    for colour, row in zip(GHOST_COLOURS, report.top(field_deg, ghosts).itertuples(index=False), strict=False):
-        chosen.append((int(row.path_id), colour, f"{row.label} ({row.kind})"))
+    for number, row in enumerate(report.top(field_deg, ghosts).itertuples(index=False), 1):
+        chosen.append((int(row.path_id), PATH_COLOURS[number % len(PATH_COLOURS)], f"{row.label} ({row.kind})"))
     return chosen
 
 
@@ -283,10 +299,9 @@ def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> li
     unknown = [path_id for path_id in path_ids if path_id not in rows.index]
     if unknown:
         raise MistrayError(f"path {unknown[0]} is not in the table of field {field_deg:g} deg; see report.table")
-    colours = itertools.cycle(GHOST_COLOURS)
     return [
-        (int(path_id), BLUE if number == 0 else next(colours), f"path {path_id}: {rows.label[path_id]}")
-        for number, path_id in enumerate(path_ids)
+        (int(path_id), colour, f"path {path_id}: {rows.label[path_id]}")
+        for path_id, colour in zip(path_ids, itertools.cycle(PATH_COLOURS), strict=False)
     ]
 
 
@@ -322,20 +337,16 @@ def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine], weight: f
             axes.plot(line[:, 0], line[:, 1], **style[surface.kind] | {"lw": weight * style[surface.kind]["lw"]})
 
 
-def _name(shape: Any) -> str:
-    return str(shape.name if hasattr(shape, "name") else shape.id())
-
-
 def _in_plane(shape: Any) -> bool:
     """Whether the axis of a surface of revolution lies in a plane x = const that is the plane of the section."""
     return abs(shape.matrix[0, 3]) < 1e-9 and abs(shape.matrix[0, 2]) < 1e-9
 
 
-def _cut(shape: Any) -> list[Polyline]:
+def _cut(shape: Any, name: str) -> list[Polyline]:
     if hasattr(shape, "profile") and _in_plane(shape):
         whole = _mirrored(shape)
         return [whole] if whole is not None else [_placed(shape, shape.profile(), sign) for sign in (1, -1)]
-    return slice_mesh(*triangles(shape, _name(shape)))
+    return slice_mesh(*triangles(shape, name))
 
 
 def _mirrored(shape: Any) -> Polyline | None:
@@ -369,20 +380,8 @@ def slice_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> list[Polyline]:
     list of (2, 2) float
         One segment for each triangle that crosses the plane, columns z and y, mm.
     """
-    corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
-    # A vertex exactly in the plane counts as on its positive side, so that no segment is found twice
-    side = corners[:, :, 0] >= 0
-    segments = []
-    for triangle, positive in zip(corners, side, strict=True):
-        if positive.all() or not positive.any():
-            continue
-        points = []
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            if positive[a] != positive[b]:
-                t = triangle[a, 0] / (triangle[a, 0] - triangle[b, 0])
-                points.append(triangle[a] + t * (triangle[b] - triangle[a]))
-        segments.append(np.array(points)[:, [2, 1]])
-    return segments
+    _, _, lines = clip(np.asarray(vertices, dtype=np.float64), faces, CutPlane())
+    return [line[:, [2, 1]] for line in lines]
 
 
 def _bounds(lines: Sequence[SectionLine]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

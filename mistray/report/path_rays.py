@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 import numpy as np
 import numpy.typing as npt
 
+from mistray.errors import MistrayError
+from mistray.trace.ledger import AIMED_REFLECTED, AIMED_TRANSMITTED
 from mistray.trace.path_events import INTERCEPTS, LETTERS
 
 if TYPE_CHECKING:
@@ -17,6 +19,7 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
+_AIMED = {INTERCEPTS[code] for code in (AIMED_TRANSMITTED, AIMED_REFLECTED)}
 _LETTER = {INTERCEPTS[code]: letter for code, letter in LETTERS.items()}
 
 
@@ -60,12 +63,20 @@ class RayLine:
 
 
 def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int] | None = None) -> list[PathRow]:
-    """The `count` strongest rows of the path table, or those asked for; raises `MistrayError` for an unknown id."""
+    """The `count` strongest rows of the path table, or those asked for; `MistrayError`: count below 0, unknown id."""
+    if count < 0:
+        raise MistrayError(f"paths is {count}; give the number of rows of the path table to draw, 0 or more")
     if path_ids is None:
         return list(trace.paths[:count])
     for path_id in path_ids:
         trace.paths.locate(path_id)
     return [trace.paths[path_id] for path_id in dict.fromkeys(path_ids)]
+
+
+def check_count(rays: int) -> None:
+    """Refuse a number of rays of each path below 1."""
+    if rays < 1:
+        raise MistrayError(f"rays is {rays}; ask for at least one ray of each path")
 
 
 def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 8) -> list[RayLine]:
@@ -84,6 +95,11 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
     -------
     list of RayLine
         Path by path. A path that has fewer rays than `n` has fewer here.
+
+    Raises
+    ------
+    MistrayError
+        For an unknown row, or if `n` is below 1.
     """
     ids = range(len(trace.paths)) if path_ids is None else path_ids
     lines = []
@@ -105,9 +121,14 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
 
 
 def row_name(row: PathRow, wavelength: bool = False) -> str:
-    """A row of the path table in short: id, kind, where it reflects and scatters, power; perhaps the wavelength."""
+    """
+    A row of the path table in short: id, kind, where it reflects and scatters, power; perhaps the wavelength.
+
+    "(aimed)" tells light that was aimed at a target from the row of light that takes the same way by chance.
+    """
     reflects = " ".join(place for place in (row.ghost_1, row.ghost_2) if place != "-")
-    scatters = f"scatters at {row.scatter_1}" if row.scatter_1 != "-" else ""
+    aimed = " (aimed)" if any(intercept in _AIMED for _, intercept in row.event_list) else ""
+    scatters = f"scatters at {row.scatter_1}{aimed}" if row.scatter_1 != "-" else ""
     at = f"{row.wavelength_nm:g} nm" if wavelength else ""
     words = [f"{row.path_id} {row.kind}", reflects, scatters, at, f"{row.power_W:.4g} W"]
     return ", ".join(word for word in words if word)

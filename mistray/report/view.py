@@ -16,7 +16,8 @@ from typing import TYPE_CHECKING, Any
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
 from mistray.report.cut_open import CutPlane, OpenSurface, open_surfaces
-from mistray.report.path_rays import RayLine, chosen_rows, rays_of_paths
+from mistray.report.markup import thousands
+from mistray.report.path_rays import RayLine, check_count, chosen_rows, rays_of_paths
 from mistray.report.view_controls import (
     COLOURINGS,
     add_buttons,
@@ -138,21 +139,19 @@ def view(
     Raises
     ------
     MistrayError
-        If plotly is missing, an argument is out of range, or the trace is of another scene.
+        If plotly is missing, an argument is out of range or needs a trace, or the trace is of another scene.
     """
-    go = _plotly()
-    _check(trace, paths, rays, colour, cut_deg, cut_mm)
+    go = graph_objects()
+    _check(trace, path_ids, colour, cut_deg, cut_mm)
+    check_count(rays)
+    rows: list[PathRow] = [] if trace is None else chosen_rows(trace, paths, path_ids)
     cut = None if cut_deg is None else CutPlane(cut_deg, cut_mm)
     surfaces = open_surfaces(scene, cut)
     shown = [surface for surface in surfaces if len(surface.faces)]
     if not shown:
-        raise MistrayError(f"cut_deg={cut_deg:g}, cut_mm={cut_mm:g} takes every surface away; move the cut")
+        raise MistrayError(f"cut_deg={cut_deg}, cut_mm={cut_mm:g} leaves no surface; move the cut")
     flux = _flux_of(surfaces, trace)
-    lines: list[RayLine] = []
-    rows: list[PathRow] = []
-    if trace is not None:
-        rows = chosen_rows(trace, paths, path_ids)
-        lines = rays_of_paths(trace, [row.path_id for row in rows], rays)
+    lines = [] if trace is None else rays_of_paths(trace, [row.path_id for row in rows], rays)
     by = colour or ("role" if trace is None else "flux")
     box = shown_box(shown, lines, cut)
     figure = go.Figure()
@@ -173,7 +172,8 @@ def view(
     return View(figure, surfaces, lines, title, _note(trace, rows, cut))
 
 
-def _plotly() -> Any:
+def graph_objects() -> Any:
+    """The module of plotly that draws; raises `MistrayError` if plotly is missing."""
     try:
         return importlib.import_module("plotly.graph_objects")
     except ImportError:
@@ -181,16 +181,14 @@ def _plotly() -> Any:
 
 
 def _check(
-    trace: Trace | None, paths: int, rays: int, colour: str | None, cut_deg: float | None, cut_mm: float
+    trace: Trace | None, path_ids: Sequence[int] | None, colour: str | None, cut_deg: float | None, cut_mm: float
 ) -> None:
-    if paths < 0:
-        raise MistrayError(f"paths is {paths}; give the number of rows of the path table to draw, 0 or more")
-    if rays < 1:
-        raise MistrayError(f"rays is {rays}; ask for at least one ray of each path")
     if colour not in (None, "role", *COLOURINGS):
         raise MistrayError(f"colour is '{colour}'; choose {', '.join(COLOURINGS)} or role")
     if trace is None and colour in COLOURINGS:
         raise MistrayError(f"colour is '{colour}' but nothing was traced; give the trace, or colour='role'")
+    if trace is None and path_ids is not None:
+        raise MistrayError("path_ids without a trace; give the trace that has these paths")
     if not math.isfinite(cut_mm) or not math.isfinite(cut_deg or 0.0):
         raise MistrayError(f"cut_deg is {cut_deg}, cut_mm is {cut_mm}; both must be finite")
 
@@ -217,6 +215,9 @@ def _note(trace: Trace | None, rows: Sequence[PathRow], cut: CutPlane | None) ->
     if trace is not None:
         wavelengths = ", ".join(f"{value:g}" for value in trace.wavelengths_nm)
         share = sum(row.percent for row in rows)
-        parts.append(f"field {trace.settings['field_deg']:g}°, {wavelengths} nm, {trace.settings['rays']:,} start rays")
+        azimuth = trace.settings["azimuth_deg"]
+        at = f" at azimuth {azimuth:g}°" if azimuth else ""
+        rays = thousands(trace.settings["rays"])
+        parts.append(f"field {trace.settings['field_deg']:g}°{at}, {wavelengths} nm, {rays} start rays")
         parts.append(f"{len(rows)} of {len(trace.paths)} paths drawn, {share:.4g} % of the light on the detector")
     return "; ".join(parts)

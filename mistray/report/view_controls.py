@@ -26,7 +26,7 @@ COLOUR_AXES = ("coloraxis", "coloraxis2")
 NO_LIGHT = "#d3d3d3"
 DECADES = 8.0  # of the flux scale, at most
 LONGEST, WIDEST = 1.3, 0.95  # sides of the box along z and across, in units of plotly's camera
-NEAR = 1.7  # as much larger without perspective
+NEAR = 1.45  # as much larger without perspective
 BEAM_SHOWN = 0.15  # of the size of the scene, before the first surface
 
 
@@ -67,20 +67,23 @@ def colour_axes(scales: Mapping[str, FluxScale], by: str) -> dict[str, dict[str,
         ticks = [(float(power), f"1e{power}") for power in scale.decades]
         if len(ticks) < 2:
             ticks = [(power, f"{10**power:.3g}") for power in (scale.floor, scale.top)]
+        dark = " (grey: none)" if NO_LIGHT in scale.colours else ""
         axes[name] = {
             "colorscale": "Viridis",
             "cmin": scale.floor,
             "cmax": scale.top,
             "showscale": key == by,
             "colorbar": {
-                "title": {"text": f"{scale.what} flux<br>of a surface, W", "side": "top"},
+                "title": {"text": f"{scale.what} flux of a surface, W{dark}", "side": "top"},
                 "tickvals": [value for value, _ in ticks],
                 "ticktext": [text for _, text in ticks],
-                "len": 0.45,
-                "y": 0.02,
-                "yanchor": "bottom",
-                "x": 1.01,
-                "thickness": 14,
+                "orientation": "h",
+                "len": 0.5,
+                "x": 1.0,
+                "xanchor": "right",
+                "y": 0.0,
+                "yanchor": "top",
+                "thickness": 12,
             },
         }
     return axes
@@ -165,10 +168,10 @@ def arrange(figure: Any, box: Box, cut: CutPlane | None) -> None:
             "camera": cameras(cut)["3-D"],
             "dragmode": "orbit",
         },
-        margin={"l": 0, "r": 0, "t": 36, "b": 0},
+        margin={"l": 0, "r": 0, "t": 36, "b": 64},
         uirevision="view",
         legend={"title": {"text": "paths (click: on or off,<br>double click: only this)"}, "y": 1.0, "x": 1.01},
-        legend2={"orientation": "h", "y": 0.0, "x": 0.0, "yanchor": "bottom", "bgcolor": "rgba(255,255,255,0.7)"},
+        legend2={"orientation": "h", "y": 0.0, "x": 0.0, "yanchor": "top"},
     )
 
 
@@ -190,9 +193,13 @@ def add_buttons(
     ratio = figure.layout.scene.aspectratio
     looks: Menu = []
     for name, camera in cameras(cut).items():
-        near = NEAR if camera["projection"]["type"] == "orthographic" else 1.0  # there the eye's distance has no say
+        flat = camera["projection"]["type"] == "orthographic"
+        near = NEAR if flat else 1.0  # there the eye's distance has no say
         sides = {axis: near * ratio[axis] for axis in "xyz"}
-        looks.append(("relayout", name, [{"scene.camera": camera, "scene.aspectratio": sides}]))
+        along = max("xyz", key=lambda axis: abs(camera["eye"][axis]))
+        # The labels of an axis that points at the viewer would lie upon each other
+        axes = {f"scene.{axis}axis.visible": not (flat and axis == along) for axis in "xyz"}
+        looks.append(("relayout", name, [{"scene.camera": camera, "scene.aspectratio": sides, **axes}]))
     menus = [looks]
     if scales:
         words = {"flux": "incident flux", "absorbed": "absorbed flux", "role": "role"}

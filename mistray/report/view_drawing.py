@@ -9,10 +9,13 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 import numpy.typing as npt
 
+from mistray.analysis.estimate import Estimate
 from mistray.report.cut_open import CutPlane, OpenSurface, triangulate
-from mistray.report.layout import GLASS, glass_bodies
+from mistray.report.layout import GLASS, PATH_COLOURS, glass_bodies
+from mistray.report.markup import thousands
 from mistray.report.path_rays import RayLine, row_name
-from mistray.report.plots import BLACK, BLUE, BROWN, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.report.plots import BLACK
+from mistray.report.text import with_error
 
 if TYPE_CHECKING:
     from mistray.trace.energy import SurfaceFlux
@@ -22,7 +25,6 @@ ROLES = {"glass": "glass", "mirror": "mirrors", "structure": "mechanics", "detec
 ROLE_COLOURS = {"glass": "#8fbbe0", "mirror": "#d9b44a", "structure": "#8d8f92", "detector": "#2b2b2b"}
 ROLE_OPACITY = {"glass": 0.32, "mirror": 1.0, "structure": 1.0, "detector": 1.0}
 EDGE = "#44546a"
-PATH_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BROWN, BLACK)
 DASHES = ("solid", "dash", "dot")
 LIGHT = {"ambient": 0.72, "diffuse": 0.5, "specular": 0.08, "roughness": 0.7, "fresnel": 0.05}
 FLAT_LIGHT = {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0}
@@ -34,8 +36,11 @@ def surface_mesh(go: Any, surface: OpenSurface, flux: SurfaceFlux | None) -> Any
     head = f"<b>{escape(surface.name)}</b>, part {escape(surface.part)}<br>{ROLES[surface.role]}"
     lines = [f"{head} {escape(surface.materials)}".rstrip()]
     if flux is not None:
-        lines.append(f"incident {flux.incident_W:.4g} ± {flux.incident_se_W:.1g} W, {flux.hits} hits")
-        lines.append(f"absorbed {flux.absorbed_W:.4g} ± {flux.absorbed_se_W:.1g} W")
+        incident, absorbed = (
+            with_error(Estimate(*pair))
+            for pair in ((flux.incident_W, flux.incident_se_W), (flux.absorbed_W, flux.absorbed_se_W))
+        )
+        lines += [f"incident {incident} W, {thousands(flux.hits)} hits", f"absorbed {absorbed} W"]
     lines.append("x %{x:.5g}, y %{y:.5g}, z %{z:.5g} mm<extra></extra>")
     return go.Mesh3d(
         **xyz(surface.vertices),
@@ -132,7 +137,7 @@ def path_lines(go: Any, rows: Sequence[PathRow], lines: Sequence[RayLine], wavel
                     "width": 2,
                     "dash": DASHES[number // len(PATH_COLOURS) % len(DASHES)],
                 },
-                name=name if own else f"{name}, too rare to draw",
+                name=name.replace(", scatters", ",<br>scatters") if own else f"{name}, too rare to draw",
                 text=texts,
                 hovertemplate=f"<b>{escape(name)}</b><br>%{{text}}<br>x %{{x:.5g}}, y %{{y:.5g}}, z %{{z:.5g}} mm"
                 "<extra></extra>",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
+from types import MappingProxyType
 
 from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
@@ -20,7 +21,11 @@ COATING_KEYS = {"R", "T", "table", "layers", "preset", "first", "design_nm"}
 
 
 def add_structures(
-    source: str | Path, structures: Iterable[Structure | Surface | MeshStructure], target: str | Path, note: str = ""
+    source: str | Path,
+    structures: Iterable[Structure | Surface | MeshStructure],
+    target: str | Path,
+    note: str = "",
+    files: Mapping[Path, bytes] = MappingProxyType({}),
 ) -> Path:
     """
     Write a scene with further structures, atomically: on an error an old file stays.
@@ -35,6 +40,8 @@ def add_structures(
         May be `source` itself.
     note : str
         Comment before them.
+    files : mapping of Path to bytes
+        What structures refer to, such as the meshes of `Mechanics.beside`; written before the scene, once all fits.
 
     Returns
     -------
@@ -49,11 +56,13 @@ def add_structures(
     """
     file, target, structures = SceneFile(find(source)), Path(target), list(structures)
     known = shared_objects(file)
+    taken = set(file.ids)
     for shape in structures:
-        if shape.name in file.ids:
+        if shape.name in taken:
             raise MistrayError(
                 f"scene '{file.path}': it has an object '{shape.name}' already; rename the part, or that object"
             )
+        taken.add(shape.name)
         for item in (*((shape.coating,) if shape.coating else ()), *shape.scatter):
             if item.name in file.ids and known.get(item.name) != item:
                 raise MistrayError(
@@ -65,7 +74,10 @@ def add_structures(
     at = file.root.close
     start = "" if file.data[:at].endswith(b"\n") else "\n"
     edit = (at, at, f"{start}\n{head}{text}\n".encode())
-    return replace_file(target, file.edited([edit], target.parent), "scene file")
+    content = file.edited([edit], target.parent)
+    for path, data in files.items():
+        replace_file(path, data, "mesh")
+    return replace_file(target, content, "scene file")
 
 
 def shared_objects(file: SceneFile) -> Mapping[str, Shared]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os.path
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ import mitsuba as mi
 
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
+from mistray.materials.mate import shown
 from mistray.scene.check import check_overlaps
 from mistray.scene.depth import check_depth
 from mistray.scene.messages import explain
@@ -18,6 +20,7 @@ from mistray.scene.messages import explain
 # one of our shapes would begin the next one inside of that wait, which has crashed the process.
 LOADING = {"optimize": False, "parallel": False}
 
+LONGEST_NAME = 400  # characters of a path that a message repeats
 NAMES_OFFERED = 5  # shipped scenes that are nearest to one that does not exist
 
 
@@ -62,14 +65,29 @@ def shipped_scenes() -> dict[str, Path]:
 
 
 def find(source: str | Path) -> Path:
-    """File of a scene: an existing path, or the name of a shipped scene."""
-    path = Path(source)
-    if path.is_file():
+    """
+    File of a scene.
+
+    Parameters
+    ----------
+    source : str or Path
+        An existing file, a folder with a scene.xml, or the name of a shipped scene.
+
+    Raises
+    ------
+    MistrayError
+        If it is none of these.
+    """
+    path, text = Path(source), str(source)
+    if os.path.isfile(path):  # that of Path raises for text that is too long for a name
         return path
     shipped = shipped_scenes()
-    if str(source) in shipped:
-        return shipped[str(source)]
-    if path.is_dir() and (path / "scene.xml").is_file():
+    if text in shipped:
+        return shipped[text]
+    if os.path.isfile(path / "scene.xml"):
         return path / "scene.xml"
-    nearest = ", ".join(difflib.get_close_matches(str(source), shipped, n=NAMES_OFFERED, cutoff=0.0))
-    raise MistrayError(f"scene '{source}': no such file; give a scene XML file or a shipped scene, such as {nearest}")
+    if text.lstrip("\ufeff \t\r\n").startswith("<"):
+        raise MistrayError(f"scene '{shown(text.split())}': this is XML text; write it to a file and give its path")
+    name = text if text.isprintable() and len(text) <= LONGEST_NAME else shown([text])
+    nearest = ", ".join(difflib.get_close_matches(text, shipped, n=NAMES_OFFERED, cutoff=0.0))
+    raise MistrayError(f"scene '{name}': no such file; give a scene XML file or a shipped scene, such as {nearest}")

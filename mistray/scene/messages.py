@@ -12,6 +12,7 @@ from typing import Any
 from xml.parsers import expat
 
 from mistray._variant import PLUGIN_ROOT
+from mistray.materials.mate import printable
 
 VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform")
 NUMBERS = {"floating point": "a number", "integer": "a whole number", "boolean": "'true' or 'false'"}
@@ -89,7 +90,7 @@ def explain(error: Exception, source: Path | dict[str, Any]) -> str:
             line, column = int(place["line"]), int(place["column"])
             where = f"scene '{place['file']}', line {line}"
             element = _in_file(Path(place["file"]), line, column) or element
-    return f"{where}: {' '.join(_reason(text, element, source).split())}"
+    return f"{where}: {printable(' '.join(_reason(text, element, source).split()))}"
 
 
 def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
@@ -133,7 +134,8 @@ def _syntax(match: re.Match[str], element: Element) -> str:
 def _number(match: re.Match[str], element: Element) -> str:
     if element.owner.values.get(element.name, match[2]) != match[2]:
         return f"{element.owner}: {element.name} is given twice; keep one of them"
-    return f"{element.owner}: {element.name} is '{match[2]}'; it must be {NUMBERS.get(match[1], 'a ' + match[1])}"
+    subject = f"{element.owner}: {element.name}" if element.name else "a value"
+    return f"{subject} is '{match[2]}'; it must be {NUMBERS.get(match[1], 'a ' + match[1])}"
 
 
 def _plugin(match: re.Match[str], element: Element) -> str:

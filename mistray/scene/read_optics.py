@@ -67,11 +67,18 @@ class _Reader:
         for element in self.file.root.children:
             kind = element.values.get("type")
             if element.tag == "emitter" and kind == "collimated":
+                if light is not None:
+                    raise MistrayError(f"scene '{self.file.path}': it has two collimated sources; remove one to export")
                 light = self._source(element)
             if element.tag != "shape":
                 continue
             label = element.values.get("id", kind or "shape")
             if kind == "asphere" and any(child.tag == "sensor" for child in element.children):
+                if detector is not None:
+                    raise MistrayError(
+                        f"scene '{self.file.path}': detectors '{detector.name}' and '{label}'; a lens has one image, "
+                        "remove one to export"
+                    )
                 detector = self._detector(element, label)
             elif kind == "asphere" and (surface := self._surface(element, label)) is not None:
                 surfaces.append(surface)
@@ -94,8 +101,9 @@ class _Reader:
         return values
 
     def _resolved(self, text: str) -> str:
-        for name, value in self.defaults.items():
-            text = text.replace(f"${name}", value)
+        # The longest names first: one may begin like another
+        for name in sorted(self.defaults, key=len, reverse=True):
+            text = text.replace(f"${name}", self.defaults[name])
         return text
 
     def _number(self, where: str, values: Mapping[str, str], key: str, default: float | None = None) -> float:
@@ -122,18 +130,18 @@ class _Reader:
         return Surface(label, **form, front=front, back=back, coating=coating, mirror=mirror)
 
     def _coating(self, element: Element, values: Mapping[str, str]) -> Coating | None:
-        if "R" in values:
-            share = self._number("an interface", values, "T", 0.0) if "T" in values else None
-            return Coating(R=self._number("an interface", values, "R"), T=share)
-        if "table" in values:
-            return Coating(table=values["table"])
+        if "R" in values or "table" in values:
+            return Coating(**self._recipe("an interface", values))
         for child in element.children:
             film = self.file.meant(child)
             if film is not None and film.values.get("type") == "thinfilm":
-                inner = self._properties(film)
-                recipe: dict[str, Any] = {key: inner[key] for key in ("preset", "layers", "table") if key in inner}
-                return Coating(**recipe, name=film.values.get("id")) if len(recipe) == 1 else None
+                return Coating(**self._recipe("a thinfilm", self._properties(film)), name=film.values.get("id"))
         return None
+
+    def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
+        """What says what a coating is."""
+        recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table") if key in values}
+        return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}
 
     def _form(self, element: Element, label: str) -> dict[str, Any]:
         """Shape, clip and place of a surface."""

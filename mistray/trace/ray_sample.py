@@ -14,9 +14,9 @@ from mistray.trace.tracer import PASS_LANES, Run
 from mistray.trace.upload import upload
 
 START_RAYS = 640  # of the sample
-AT_ONCE = 32  # of them
+FIRST = 32  # of them; each time as many again as before, until all paths have enough
 GOLDEN = (5**0.5 - 1) / 2
-CAPACITY = 1 << 14  # branches that these may have; what there are more of is not in the sample
+CAPACITY = 1 << 17  # branches that these may have at a time; what there are more of is not in the sample
 
 
 def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]]:
@@ -48,8 +48,9 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
         sample = run.start_pass(int(number)).take(upload(mi.UInt32, own))
         origins, directions = (np.array(v).T.astype(np.float64) for v in (sample.o, sample.d))
         place = {int(lane): k for k, lane in enumerate(np.array(sample.lane))}
-        parts = -(-len(own) // AT_ONCE)
-        for part in np.array_split(np.arange(len(own)), parts):
+        for part in np.split(np.arange(len(own)), FIRST * 2 ** np.arange(int(np.log2(START_RAYS / FIRST)) + 1)):
+            if not len(part):
+                continue
             recorder.clear()
             run.walk(sample.take(upload(mi.UInt32, part)), film, recorder=recorder)
             slots = _wanted(recorder, [key for key, rays in found.items() if len(rays) < most], most)

@@ -56,8 +56,8 @@ class StrayLight(mi.CppADIntegrator):
     splitting             string split, one    split       follow both children, or one at random
     below_threshold       string cut, roulette cut         end weak branches, or play Russian roulette (unbiased)
     seed                  1      0 … 2³²-1     0           random numbers; the ``seed`` of ``mi.render`` is added
-    ray_control           string see           allow_all   what surfaces send on: all, transmitted, reflected light,
-                                 `Settings`                nothing
+    ray_control           string               allow_all   what surfaces send on: ``allow_all``, ``transmit_specular``,
+                                                           ``reflect_specular`` or ``halt_all`` (nothing)
     polarization          string unpolarized,  unpolarized average s and p at every hit, or carry the Stokes vector
                                  stokes                    along
     edges                 bool                 true        count in gradients what rays gain and lose at rims

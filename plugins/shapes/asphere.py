@@ -86,7 +86,9 @@ class Asphere(Revolution):
                 f"shape '{self.name}': give either semi_diameter or both half_width and half_height (mm)"
             )
         if rectangular and not (("half_width" in props) and ("half_height" in props)):
-            raise MistrayError(f"shape '{self.name}': a rectangular clip needs half_width and half_height (mm)")
+            raise MistrayError(
+                f"shape '{self.name}': a rectangular clip needs half_width and half_height (mm); give both"
+            )
         values = {"curvature": curvature, "conic": float_property(props, "conic", 0.0)}
         values |= {key: float_property(props, key, 0.0) for key in COEFFICIENTS}
         if rectangular:
@@ -119,7 +121,10 @@ class Asphere(Revolution):
 
     def sag(self, r: np.ndarray) -> np.ndarray:
         """Sag over the vertex plane at the distance r from the axis; both in mm, float64."""
-        return np.asarray(sag(np.square(r), self.values["curvature"], self.values["conic"], self.coefficients))
+        c, k = self.values["curvature"], self.values["conic"]
+        # A hemisphere's rim may lie beyond the end of the sphere by a rounding
+        r2 = np.square(r) if (1 + k) * c == 0 or k < -1 else np.minimum(np.square(r), (1 - 1e-15) / ((1 + k) * c * c))
+        return np.asarray(sag(r2, c, k, self.coefficients))
 
     def check(self) -> None:
         v = self.values

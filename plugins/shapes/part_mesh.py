@@ -8,6 +8,7 @@ import mitsuba as mi
 
 from mistray._mitsuba_compat import mesh_arrays, write_mesh
 from mistray.errors import MistrayError
+from mistray.plugins.shapes.revolution import check_reach, rigid_motion
 
 
 class PartMesh(mi.Mesh):
@@ -51,11 +52,22 @@ class PartMesh(mi.Mesh):
         description: dict[str, Any] = {"type": "ply", "filename": str(file), "face_normals": True}
         if "to_world" in props:
             description["to_world"] = props["to_world"]
+        rigid_motion(props, self.name, "scale the file")
         try:
             vertices, faces = mesh_arrays(mi.load_dict(description))
         except RuntimeError as error:
-            reason = str(error).strip().splitlines()[-1].strip()
-            raise MistrayError(f"shape '{self.name}': filename '{self.filename}': {reason}") from None
+            reason = str(error).rpartition(": ")[2].strip(" !.\n")
+            raise MistrayError(
+                f"shape '{self.name}': filename '{self.filename}': {reason}; check the path, or export it again"
+            ) from None
+        if not len(faces):
+            raise MistrayError(f"shape '{self.name}': filename '{self.filename}' holds no triangles; export it again")
+        if faces.max() >= len(vertices):
+            raise MistrayError(
+                f"shape '{self.name}': filename '{self.filename}': a triangle refers to vertex {faces.max()} of "
+                f"{len(vertices)}; the file is damaged, export it again"
+            )
+        check_reach(vertices, self.name)
         mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
         write_mesh(self, vertices, faces)
 

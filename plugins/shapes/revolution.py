@@ -41,14 +41,7 @@ class Revolution(mi.Mesh):
         self.name = str(props.id())
         self.part = str(props.get("part", self.name))
         self.space = int(props.get("space", -1))
-        to_world = props.get("to_world", mi.ScalarTransform4f())
-        self.base = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)
-        rotation = self.base[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
-            raise MistrayError(
-                f"shape '{self.name}': to_world scales, shears or mirrors; "
-                "use a rigid motion and set the size by parameters"
-            )
+        self.base = rigid_motion(props, self.name, "set the size by parameters")
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
         self.values = values | {key: float_property(props, key, 0.0) for key in POSE}
@@ -94,11 +87,7 @@ class Revolution(mi.Mesh):
         """Vertices in world space, mm, and faces; raises `MistrayError` where numbers leave all measure."""
         with np.errstate(over="ignore", invalid="ignore"):
             vertices, faces = self._tessellate()
-            farthest = float(np.abs(vertices).max())
-        if not farthest < FARTHEST_MM:
-            raise MistrayError(
-                f"shape '{self.name}': it reaches {farthest:g} mm from the origin; correct its sizes or its place"
-            )
+            check_reach(vertices, self.name)
         return vertices, faces
 
     def _tessellate(self) -> tuple[np.ndarray, np.ndarray]:
@@ -178,6 +167,25 @@ def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray,
     b, c, d = a + 1, a + count + 1, a + count + 2
     faces = np.concatenate([np.column_stack([a, b, d]), np.column_stack([a, d, c])]).astype(np.uint32)
     return np.column_stack([x.ravel(), y.ravel()]), faces
+
+
+def rigid_motion(props: mi.Properties, name: str, remedy: str) -> np.ndarray:
+    """``to_world`` of a shape as (4, 4) float64; raises where it scales, shears or mirrors, with the remedy."""
+    to_world = props.get("to_world", mi.ScalarTransform4f())
+    matrix = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)
+    rotation = matrix[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
+        raise MistrayError(f"shape '{name}': to_world scales, shears or mirrors; use a rigid motion and {remedy}")
+    return matrix
+
+
+def check_reach(vertices: np.ndarray, name: str) -> None:
+    """Raise where vertices of a shape, mm in world space, leave all measure."""
+    farthest = float(np.abs(vertices).max())
+    if not farthest < FARTHEST_MM:
+        raise MistrayError(
+            f"shape '{name}': it reaches {farthest:g} mm from the origin; correct its sizes or its place"
+        )
 
 
 def float_property(props: mi.Properties, key: str, default: Any = None) -> float:

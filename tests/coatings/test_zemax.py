@@ -135,7 +135,7 @@ GOOD = "MATE L\n0.55 1.38 0\n"
 @pytest.mark.parametrize(
     ("text", "line", "words"),
     [
-        ("0.55 1.38 0\n", 1, "before the first of MATE"),
+        ("0.55 1.38 0\n", 1, "before the first section; begin with MATE"),
         ("MATE\n", 1, "write MATE and one name"),
         ("MATE A B\n0.5 1 0\n", 1, "write MATE and one name"),
         ("MATE A\n0.55 1.38\n", 2, "'0.55 1.38'; expected wavelength in µm, n, k"),

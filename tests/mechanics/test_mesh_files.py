@@ -15,6 +15,7 @@ from mistray.mechanics import read_mechanics
 from mistray.mechanics.ply import ply_bytes
 from mistray.mechanics.read_mesh import read_mesh
 
+DATA = Path(__file__).parents[1] / "data"
 CORNERS = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 4.0)]
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]  # a tetrahedron of 4 mm³, normals outwards
 OBJ = """\
@@ -102,6 +103,15 @@ class TestFormats:
             "they have no area; they are left out",
         )
 
+    def test_lines_without_polygons_are_listed(self, tmp_path: Path) -> None:
+        """Once for each kind; what says how surfaces look is no shape."""
+        text = "# l 1 2\nmtllib a.mtl\nvn 0 0 1\n" + OBJ + "usemtl black\nl 1 2\ncurv 0 1 1 2\nl 2 3\n"
+        unread = read_mechanics(written(tmp_path, "a.obj", text)).unread
+        assert [(item.line, item.text, item.reason) for item in unread] == [
+            (17, "l 1 2", "2 'l' lines; they hold no polygons"),
+            (18, "curv 0 1 1 2", "1 'curv' lines; they hold no polygons"),
+        ]
+
     def test_what_is_written_is_read(self, tmp_path: Path) -> None:
         """By Mitsuba, with the winding kept and unused vertices gone."""
         path = written(tmp_path, "a.ply", ply_bytes(np.array([(9.0, 9.0, 9.0), *CORNERS]), np.array(FACES) + 1))
@@ -117,6 +127,8 @@ class TestDamage:
             ("a.stl", b"", "STL file"),
             ("a.stl", binary_stl()[:-30], "STL file"),
             ("a.stl", "solid x\n facet normal 0 0 0\n outer loop\n vertex 0 0\n", "STL file"),
+            ("a.stl", ascii_stl("x").replace("vertex 2.0", "vertex 2.0mm", 1), "STL file"),
+            ("a.stl", ascii_stl("x").replace("vertex 2.0 0.0", "vertex x 0.0", 1), "STL file"),
             ("a.ply", b"ply\nformat ascii 1.0\nelement vertex 1000000000000\n", "PLY file"),
             ("a.ply", ply_bytes(np.array(CORNERS), np.array(FACES))[:-9], "PLY file"),
             ("a.ply", b"not a ply", "PLY file"),
@@ -139,6 +151,14 @@ class TestDamage:
             read_mechanics(name)
         assert words in str(caught.value)
         assert "\n" not in str(caught.value)
+
+    def test_options_of_step_files(self, tmp_path: Path) -> None:
+        path = written(tmp_path, "a.obj", OBJ)
+        for name in ("tolerance_mm", "time_limit_s"):
+            with pytest.raises(MistrayError, match=f"{name} = 0.1; it is for STEP files, leave it out"):
+                read_mechanics(path, **{name: 0.1})
+            with pytest.raises(MistrayError, match=f"{name} = 0; it must be greater than 0"):
+                read_mechanics(DATA / "vane_tube.step", **{name: 0.0})
 
     def test_unit(self, tmp_path: Path) -> None:
         path = written(tmp_path, "a.obj", OBJ)

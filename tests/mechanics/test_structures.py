@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 
 import mistray
 from mistray import MistrayError, cli
+from mistray.cli import import_mechanics
 from mistray.mechanics import Finish, Mechanics, finish, read_mechanics
 from mistray.mechanics.ply import ply_bytes
 from mistray.prescription import Coating, MeshStructure, Scatter, Structure
@@ -94,6 +96,10 @@ class TestPaint:
         assert finish("R=0.25") == Finish(Coating(R=0.25))
         (model,) = finish("harvey_shack rms_nm=4 l=0.01 s=-1.5").scatter
         assert dict(model.properties) == {"rms_nm": 4.0, "l": 0.01, "s": -1.5}
+        assert finish("paint reflectance=.1") == finish("paint reflectance=0.10")
+        names = {finish(f"paint reflectance={text}").scatter[0].name for text in (".1", "1", "0.01", "1e-5")}
+        assert len(names) == 4
+        assert finish("paint reflectance=0.05 side=back").scatter[0].name == "paint_reflectance_0_05_side_back"
         assert finish("black", {"black": Finish(None)}) == Finish(None)
         layered = Finish(Coating(layers="MgF2 100", first="back", name="c")).turned()
         assert layered.coating == Coating(layers="MgF2 100", first="front", name="c_turned")
@@ -111,6 +117,10 @@ class TestPaint:
             ({"paint": {"ring": ""}}, "paint '': there is none of this name"),
             ({"paint": {"ring": "R=x"}}, "paint 'R=x'"),
             ({"paint": {"ring": "R=2"}}, "R = 2"),
+            (
+                {"paint": {"ring": "paint reflectance=0.1 reflectance=0.2"}},
+                "paint 'paint reflectance=0.1 reflectance=0.2': reflectance stands there twice; keep one",
+            ),
             ({"paint": {"ring": "paint reflectanc=1"}}, "unexpected keyword argument 'reflectanc'"),
         ],
     )
@@ -152,6 +162,31 @@ class TestScenes:
         other = Scatter("paint", {"reflectance": 0.2}, name="barrel_paint")
         with pytest.raises(MistrayError, match="its object 'barrel_paint' differs from the one of structure 'wall'"):
             add_structures(scene_file, [Structure("wall", 9.0, 0.0, 9.0, 5.0, scatter=(other,))], target)
+
+    def test_one_name_for_two_paints_is_refused(self, scene_file: Path, tmp_path: Path) -> None:
+        """One of them would be lost."""
+        walls = [
+            Structure(f"wall_{k}", 9.0, 0.0, 9.0, 5.0, scatter=(Scatter("paint", {"reflectance": k / 10}, name="p"),))
+            for k in (1, 2)
+        ]
+        target, mesh = tmp_path / "with.xml", tmp_path / "mesh.ply"
+        with pytest.raises(MistrayError, match="two different scatter models are called 'p', that of 'wall_2' is one"):
+            add_structures(scene_file, walls, target, files={mesh: b"ply"})
+        with pytest.raises(MistrayError, match="it has an object 'wall_1' already"):
+            add_structures(scene_file, [walls[0], walls[0]], target, files={mesh: b"ply"})
+        assert [path.name for path in tmp_path.iterdir()] == ["base.xml"]
+        add_structures(scene_file, walls[:1], target, files={mesh: b"ply"})
+        assert mesh.read_bytes() == b"ply"
+
+    def test_long_lists_of_layers(self, scene_file: Path, tmp_path: Path) -> None:
+        """Whether a value is the name of a file is asked where the scene goes to another folder."""
+        layers = ", ".join(30 * ["MgF2 99.64", "TiO2 50"])
+        film = f'<bsdf type="thinfilm" id="stack"><string name="layers" value="{layers}"/></bsdf>'
+        scene_file.write_text(SCENE.replace("</scene>", f"{film}\n</scene>"), encoding="utf-8")
+        (tmp_path / "deeper").mkdir()
+        target = tmp_path / "deeper" / "with.xml"
+        add_structures(scene_file, [Structure("wall", 9.0, 0.0, 9.0, 5.0)], target)
+        assert "<path" not in target.read_text(encoding="utf-8")
 
     def test_included(self, assembly: Mechanics, scene_file: Path, tmp_path: Path) -> None:
         """A file of mechanics alone is part of a scene by <include>."""
@@ -214,11 +249,46 @@ class TestPlugin:
         assert next(row for row in t.surfaces if row.id == "wall").part == "window"
 
     @pytest.mark.parametrize(
+        ("name", "corners", "triangles", "words"),
+        [
+            (
+                "far",
+                [[0, 0, 0], [1e13, 0, 0], [0, 1, 0]],
+                [[0, 1, 2]],
+                "shape 'S': it reaches 1e+13 mm from the origin",
+            ),
+            (
+                "nan",
+                [[0, 0, np.nan], [1, 0, 0], [0, 1, 0]],
+                [[0, 1, 2]],
+                "nan.ply': mesh contains invalid vertex position data; check the path, or export it again",
+            ),
+            ("none", [[0, 0, 0]], np.empty((0, 3), dtype=int), "none.ply' holds no triangles; export it again"),
+        ],
+    )
+    def test_damaged_files(self, name: str, corners: Any, triangles: Any, words: str, tmp_path: Path) -> None:
+        path = tmp_path / f"{name}.ply"
+        path.write_bytes(ply_bytes(np.array(corners), np.array(triangles)))
+        with pytest.raises(MistrayError) as caught:
+            mistray.load({"type": "scene", "S": self.shape(filename=str(path))})
+        assert words in str(caught.value)
+        assert "\n" not in str(caught.value)
+
+    def test_a_triangle_without_its_vertex(self, file: Path) -> None:
+        file.write_bytes(file.read_bytes()[:-4] + (9).to_bytes(4, "little"))
+        with pytest.raises(MistrayError, match="a triangle refers to vertex 9 of 4; the file is damaged"):
+            mistray.load({"type": "scene", "S": self.shape(filename=str(file))})
+
+    @pytest.mark.parametrize(
         ("values", "words"),
         [
             ({}, "shape 'S': filename is None; name a PLY file"),
             ({"filename": 3.0}, "shape 'S': filename is 3.0; name a PLY file"),
-            ({"filename": "none.ply"}, "shape 'S': filename 'none.ply'"),
+            ({"filename": "none.ply"}, "shape 'S': filename 'none.ply': file not found; check the path, or export it"),
+            (
+                {"filename": "none.ply", "to_world": mi.ScalarTransform4f().scale([1, 1, -1])},
+                "shape 'S': to_world scales, shears or mirrors; use a rigid motion and scale the file",
+            ),
         ],
     )
     def test_errors(self, values: dict[str, Any], words: str) -> None:
@@ -229,6 +299,11 @@ class TestPlugin:
 
 
 class TestCommand:
+    @pytest.fixture
+    def read_before(self, assembly: Mechanics, monkeypatch: pytest.MonkeyPatch) -> None:
+        """The file is not read once more."""
+        monkeypatch.setattr(mistray.mechanics, "read_mechanics", lambda *_, **__: assembly)
+
     def run(self, capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
         status = cli.main(["import", str(DATA / "assembly_inch.step"), *arguments])
         out, err = capsys.readouterr()
@@ -260,6 +335,15 @@ class TestCommand:
         assert [part["name"] for part in found["parts"]] == ["ring_front", "ring_side", "bracket"]
         assert all(Path(name).is_file() for name in found["files"])
 
+    def test_the_limit_of_exact_surfaces_is_told(self, assembly: Mechanics, tmp_path: Path) -> None:
+        """The rings have eight, the block none."""
+        few = replace(assembly, most_analytic=3)
+        record = import_mechanics._record(few, few.structures(tmp_path))
+        assert record["notes"] == ["5 more surfaces could be exact; they stay meshes by --most-analytic 3"]
+        assert "\nnote: 5 more surfaces could be exact" in import_mechanics._text(record, tmp_path, True)
+        assert import_mechanics._record(assembly, assembly.structures(tmp_path))["notes"] == []
+
+    @pytest.mark.usefixtures("read_before")
     def test_nothing_is_written_where_a_name_is_taken(
         self, scene_file: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:
@@ -278,10 +362,12 @@ class TestCommand:
             (["--paint", "ring"], "--paint 'ring': write PATTERN=VALUE, such as 'vane*=black'"),
             (["--paint", "ring=blakc"], "paint 'blakc': there is none of this name; did you mean black"),
             (["--space", "ring=x"], "--space 'ring=x': 'x' is no optical space"),
-            (["--unit", "inch"], "a STEP file states its unit"),
+            (["--most-analytic", "-1"], "argument --most-analytic: -1 must be a whole number that is not negative"),
+            (["--time-limit-s", "0"], "argument --time-limit-s: 0 must be positive"),
             (["--into", "plaet"], "scene 'plaet': no such file"),
         ],
     )
+    @pytest.mark.usefixtures("read_before")
     def test_mistakes(
         self, arguments: list[str], words: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     ) -> None:

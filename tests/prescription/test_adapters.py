@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import importlib
 import math
 import warnings
 
 import numpy as np
+import peer_lenses
+import peers
 import pytest
-from oracles import lens_files
 
 from mistray import MistrayError
 from mistray.materials import complex_index, refractive_index
@@ -23,10 +23,8 @@ from mistray.prescription.sequential_rays import motion, trace
 
 def by_name(name: str):
     """A file of the packages; the test is left out where they are not installed."""
-    found = [path for file, path in lens_files.files().items() if file.endswith(f"/{name}")]
-    if not found:
-        pytest.skip("the extra 'peers' is not installed")
-    return found[0]
+    peers.need("rayoptics")
+    return next(path for file, path in peer_lenses.files().items() if file.endswith(f"/{name}"))
 
 
 # What both share
@@ -72,35 +70,64 @@ def test_a_cone_at_the_image_of_a_thin_lens():
 
 
 def model_of(name: str):
-    return lens_files.by_rayoptics(by_name(name)).model
+    return peer_lenses.by_rayoptics(by_name(name)).model
 
 
 @pytest.mark.parametrize(
     "name",
     ["ag_dblgauss.seq", "CODV_49664.seq", "questar35.seq", "threemir.seq", "dec_rev_tilt_test.seq", "singlet.seq",
-     "folded_lenses.seq", "paraboloid_f8.seq", "CODV_65988_noDOE.seq"],
+     "folded_lenses.seq", "paraboloid_f8.seq"],
 )  # fmt: skip
 def test_a_model_of_rayoptics_is_the_lens_of_its_file(name):
     model = model_of(name)
-    model["seq_model"].gaps[-1].thi -= model["optical_spec"]["focus"].focus_shift  # which lens_files adds
-    ours, theirs = lens_files.read(by_name(name)), from_rayoptics(model)
+    model["seq_model"].gaps[-1].thi -= model["optical_spec"]["focus"].focus_shift  # which peer_lenses adds
+    ours, theirs = peer_lenses.read(by_name(name)), from_rayoptics(model)
     assert len(theirs.rows) == len(ours.rows)
     assert [row.kind for row in theirs.rows] == [row.kind for row in ours.rows]
     assert (theirs.field_kind, theirs.wavelengths_nm) == (ours.field_kind, ours.wavelengths_nm)
     assert np.array(theirs.fields) == pytest.approx(np.array(ours.fields))
     wavelength = ours.wavelength_nm
     assert first_order(theirs, wavelength).efl == pytest.approx(first_order(ours, wavelength).efl, rel=1e-6)
-    positions, directions = (values.reshape(-1, 3) for values in lens_files.starts(ours))
+    positions, directions = (values.reshape(-1, 3) for values in peer_lenses.starts(ours))
     theirs_hits, ours_hits = (trace(lens, positions, directions, wavelength)[0][-1] for lens in (theirs, ours))
     assert theirs_hits == pytest.approx(ours_hits, abs=2e-6)
     assert np.isfinite(ours_hits).all()
 
 
 def test_what_rayoptics_has_and_we_do_not():
+    diffracting = model_of("CODV_32327.seq")
+    diffracting["seq_model"].ifcs[1].phase_element = peers.rayoptics("oprops.doe").DiffractiveElement()
     with pytest.raises(MistrayError, match=r"interface 1: diffracting surfaces are not traced"):
-        from_rayoptics(model_of("CODV_65988.seq"))
+        from_rayoptics(diffracting)
     with pytest.raises(MistrayError, match=r"interface \d: \w*Toroid has no counterpart"):
         from_rayoptics(model_of("HoO-V2C18Ex46.zmx"))
+
+
+def test_edges_of_rayoptics_are_drawn_or_listed():
+    model = model_of("CODV_32327.seq")
+    surface = peers.rayoptics("elem.surface")
+    interfaces = model["seq_model"].ifcs
+    for interface in interfaces:
+        interface.clear_apertures, interface.edge_apertures = [], []
+    interfaces[1].edge_apertures = [surface.Circular(radius=7.5)]
+    interfaces[2].clear_apertures = [surface.Circular(radius=6.0)]
+    interfaces[2].edge_apertures = [surface.Circular(radius=8.0)]
+    found = from_rayoptics(model)
+    sizes = [(row.semi_diameter, row.semi_diameter_fixed) for row in found.rows]
+    assert sizes == [(7.5, False), (6.0, True)] + [(None, False)] * (len(sizes) - 2)
+    assert [entry.text for entry in found.unread] == ["interface 2: edge Circular"]
+
+
+# Neither
+
+
+@pytest.mark.parametrize("thing", [None, 3, {}, "lens.zmx"])
+def test_other_objects_are_refused_by_what_they_are(thing):
+    kind = type(thing).__name__
+    with pytest.raises(MistrayError, match=f"from_optiland was given {kind}; give an Optic"):
+        from_optiland(thing)
+    with pytest.raises(MistrayError, match=f"from_rayoptics was given {kind}; give an OpticalModel"):
+        from_rayoptics(thing)
 
 
 # optiland
@@ -108,12 +135,7 @@ def test_what_rayoptics_has_and_we_do_not():
 
 @pytest.fixture(scope="module")
 def optiland():
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        pytest.importorskip("optiland", reason="the extra 'peers' is not installed")
-        from optiland.optic import Optic
-
-    return Optic
+    return peers.optiland("optic").Optic
 
 
 def mirror_and_lens(optic_of):
@@ -139,11 +161,9 @@ def mirror_and_lens(optic_of):
 
 
 def test_a_lens_of_optiland_has_the_same_rays(optiland):
-    from optiland.physical_apertures import RadialAperture
-    from optiland.rays import RealRays
-
     optic = mirror_and_lens(optiland)
-    list(optic.surfaces)[3].aperture = RadialAperture(r_max=20, r_min=0.1)
+    list(optic.surfaces)[3].aperture = peers.optiland("physical_apertures").RadialAperture(r_max=20, r_min=0.1)
+    ray_kind = peers.optiland("rays").RealRays
     found = from_optiland(optic)
     assert (found.name, found.fields, found.aperture) == ("bench", ((0, 0), (-1, 2)), 8)
     assert found.wavelengths_nm == pytest.approx((587.6, 486.1))
@@ -152,9 +172,9 @@ def test_a_lens_of_optiland_has_the_same_rays(optiland):
     assert found.rows[2].aperture == ClearAperture(inner=0.1, outer=20)
     assert found.rows[0].label == "window"
     assert found.rows[0].stop
-    positions, directions = (values.reshape(-1, 3) for values in lens_files.starts(found))
+    positions, directions = (values.reshape(-1, 3) for values in peer_lenses.starts(found))
     for wavelength in found.wavelengths_nm:
-        rays = RealRays(*positions.T, *directions.T, np.ones(len(positions)), np.full(len(positions), wavelength / 1e3))
+        rays = ray_kind(*positions.T, *directions.T, np.ones(len(positions)), np.full(len(positions), wavelength / 1e3))
         optic.surfaces.trace(rays)
         hits, onward = trace(found, positions, directions, wavelength)
         # The image is not tilted and stands on the axis
@@ -174,11 +194,34 @@ def test_a_lens_of_optiland_has_the_same_rays(optiland):
 def test_samples_of_optiland(optiland, module, sample, efl):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        optic = getattr(importlib.import_module(f"optiland.samples.{module}"), sample)()
+        optic = getattr(peers.optiland(f"samples.{module}"), sample)()
         expected = float(np.ravel(optic.paraxial.f2())[0])
     found = first_order(from_optiland(optic))
     assert found.efl == pytest.approx(abs(expected), rel=1e-9)
     assert found.efl == pytest.approx(efl, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["EPD", "imageFNO", "objectNA", "float_by_stop_size"])
+def test_an_aperture_of_optiland_is_as_wide_here(optiland, kind):
+    """An object 150 mm in front of a lens."""
+    optic = optiland("finite")
+    optic.surfaces.add(index=0, thickness=150)
+    optic.surfaces.add(index=1, radius=60, thickness=4, material="N-BK7")
+    optic.surfaces.add(index=2, radius=-80, thickness=5)
+    optic.surfaces.add(index=3, thickness=100, is_stop=True)
+    optic.surfaces.add(index=4)
+    value = {"EPD": 11.0, "imageFNO": 6.0, "objectNA": 0.05, "float_by_stop_size": 9.0}[kind]
+    optic.set_aperture(aperture_type=kind, value=value)
+    optic.fields.set_type("object_height")
+    optic.fields.add(y=3)
+    optic.wavelengths.add(value=0.5876, is_primary=True)
+    found = from_optiland(optic)
+    assert (found.object_distance, found.field_kind, found.fields) == (150, "object_height", ((0, 3),))
+    assert first_order(found).epd == pytest.approx(float(np.ravel(optic.paraxial.EPD())[0]), rel=1e-6)
+    assert not found.telecentric
+    if kind == "objectNA":
+        optic.obj_space_telecentric = True
+        assert from_optiland(optic).telecentric
 
 
 def test_what_optiland_has_and_we_do_not(optiland):

@@ -7,49 +7,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from sequential_lenses import by_name, lens, newtonian, triplet
 
 from mistray import MistrayError
-from mistray.prescription import ClearAperture, Coating, Decentre, Row, Sequential, Structure, Surface, Unread
+from mistray.prescription import ClearAperture, Coating, Decentre, Row, Structure, Surface, Unread
 from mistray.prescription.build import build, to_prescription
 from mistray.prescription.from_files import beside
 from mistray.prescription.sequential_rays import to_world, trace
-
-
-def lens(*rows: Row, **system) -> Sequential:
-    return Sequential("test", rows, **({"aperture": 10.0} | system))
-
-
-def triplet(**system) -> Sequential:
-    return lens(
-        Row(1, radius=22.01359, thickness=3.25896, material="1.62041"),
-        Row(2, radius=-435.76044, thickness=6.00755),
-        Row(3, radius=-22.21328, thickness=0.99998, material="1.62005"),
-        Row(4, radius=20.29192, thickness=2.0),
-        Row(5, stop=True, thickness=2.75041),
-        Row(6, radius=79.6836, thickness=2.95208, material="1.62041"),
-        Row(7, radius=-18.39533, thickness=42.20778),
-        Row(8, kind="image"),
-        **({"fields": ((0.0, 0.0), (0.0, 14.0), (0.0, 20.0))} | system),
-    )
-
-
-TURN = Decentre(tilt_deg=(45.0, 0.0, 0.0))
-
-
-def newtonian(**system) -> Sequential:
-    return lens(
-        Row(1, thickness=1000.0, label="sky"),
-        Row(2, radius=-2000.0, conic=-1.0, mirror=True, stop=True, thickness=-800.0, label="primary"),
-        Row(3, kind="coordinate_break", decentre=TURN),
-        Row(4, mirror=True, label="flat"),
-        Row(5, kind="coordinate_break", decentre=TURN, thickness=200.0),
-        Row(6, kind="image"),
-        **({"aperture": 200.0, "fields": ((0.0, 0.0), (0.0, 0.5))} | system),
-    )
-
-
-def by_name(prescription) -> dict:
-    return {shape.name: shape for shape in prescription.shapes()}
 
 
 def ends(piece: Structure) -> list[tuple[float, float]]:
@@ -150,27 +114,6 @@ def test_cemented_lenses_share_a_rim_and_no_face_stands_twice():
     assert shapes["crown"].part == "L1"
 
 
-def test_a_newtonian_with_coordinate_breaks():
-    """Closed form: the focus 1000 mm before the primary is folded by 90° at 800 mm, to 200 mm beside the axis."""
-    built = build(newtonian())
-    shapes = by_name(built.prescription)
-    assert (shapes["primary"].z, shapes["flat"].z) == (1000.0, 200.0)
-    assert shapes["flat"].tilt_deg == (45.0, 0.0, 0.0)
-    detector = shapes["detector"]
-    assert (detector.x, abs(detector.y), detector.z) == pytest.approx((0.0, 200.0, 200.0), abs=1e-9)
-    assert detector.tilt_deg == (90.0, 0.0, 0.0)
-    assert shapes["primary"].semi_diameter == pytest.approx(100.0)
-    assert built.first_order.efl == pytest.approx(1000.0)
-    assert built.prescription.source.z == pytest.approx(1000.0)
-    assert built.prescription.source.radius == pytest.approx(100.0)
-    # The flat lies 200 mm before the focus: its beam is an ellipse of 1/cos 45° in the plane of the tilt
-    cone = 200.0 / 1000.0 * 100.0
-    assert shapes["flat"].semi_diameter > cone * math.sqrt(2)
-    assert "mirror 'flat' stands in the beam on its way to surface 2" in built.notes
-    # The image of 0.5°: f tan θ, within coma
-    assert detector.half_width == pytest.approx(1.02 * 1000 * math.tan(math.radians(0.5)), rel=0.02)
-
-
 def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
     """Every point of the float64 trace, put into the world, lies on the placed surface."""
     for given in (triplet(), newtonian()):
@@ -187,80 +130,6 @@ def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
             local = places[k] @ own[:3, :3].T + own[:3, 3]
             flat = replace(optical[name], x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0))
             assert local[:, 2] == pytest.approx(flat.z_at(np.hypot(local[:, 0], local[:, 1])), abs=1e-9)
-
-
-def test_a_cassegrain_gets_a_hole_where_the_beam_passes():
-    """The beam comes to the focus 200 mm behind the primary at F/20, from a secondary 700 mm before it."""
-    cassegrain = lens(
-        Row(1, radius=-2000.0, conic=-1.0, mirror=True, stop=True, thickness=-700.0, label="primary"),
-        Row(2, radius=-800.0, conic=-((7 / 3) ** 2), mirror=True, thickness=1000.0, label="secondary"),
-        Row(3, kind="image"),
-        aperture=200.0,
-    )
-    built = build(cassegrain, margin=0.0)
-    shapes = by_name(built.prescription)
-    # Of similar triangles with the paraxial cone; the focus lies 1200 mm behind the secondary
-    beam = 30.0 * (1200 - 700) / 1200
-    assert shapes["primary"].inner_semi_diameter == pytest.approx(beam, rel=0.02)
-    assert any("mirror 'primary' has a hole of radius" in note for note in built.notes)
-    assert "mirror 'secondary' stands in the beam on its way to surface 1" in built.notes
-    # The bodies lie on the side that no light of the design reaches
-    assert shapes["primary_rear"].z > 0
-    assert shapes["secondary_rear"].z < -700
-    assert shapes["primary_rear"].inner_semi_diameter == shapes["primary"].inner_semi_diameter
-
-
-def test_a_mangin_mirror_is_one_lens():
-    glass = "1.5168"
-    mangin = lens(
-        Row(1, radius=-150.0, thickness=5.0, material=glass, stop=True),
-        Row(2, radius=-220.0, thickness=-5.0, mirror=True, material=glass),
-        Row(3, radius=-150.0, thickness=-170.0),
-        Row(4, kind="image"),
-        aperture=40.0,
-    )
-    built = build(mangin)
-    assert [surface.name for surface in built.prescription.surfaces] == ["S1", "S2"]
-    assert "surface 3 is 'S1' on the way back" in built.notes
-    edges = [shape for shape in built.prescription.structures if shape.name == "L1_edge"]
-    assert [edge.front for edge in edges] == [glass]
-
-
-def test_lenses_after_a_mirror_are_closed_though_light_runs_backwards():
-    catadioptric = lens(
-        Row(1, radius=-400.0, mirror=True, stop=True, thickness=-120.0),
-        Row(2, radius=-80.0, thickness=-4.0, material="1.6"),
-        Row(3, radius=200.0, thickness=-40.0),
-        Row(4, kind="image"),
-        aperture=30.0,
-    )
-    shapes = by_name(to_prescription(catadioptric))
-    assert (shapes["S2"].front, shapes["S2"].back) == ("1.6", "air")
-    assert (shapes["S3"].front, shapes["S3"].back) == ("air", "1.6")
-    edge = shapes["L1_edge"]
-    assert edge.front == "1.6"
-    assert edge.z0 < edge.z1 < -120.0
-    assert shapes["barrel_1_wall"].front == "air"
-
-
-def test_a_spot_on_a_lens_and_an_image_on_a_surface_are_moved_by_a_micrometre():
-    gregory = lens(
-        Row(1, radius=-60.0, thickness=5.0, material="1.5168", stop=True),
-        Row(2, radius=-62.0, thickness=100.0),
-        Row(3, radius=-220.0, mirror=True, thickness=-100.0),
-        Row(4, radius=-62.0, mirror=True, thickness=120.0),
-        Row(5, kind="image"),
-        aperture=40.0,
-    )
-    built = build(gregory)
-    shapes = by_name(built.prescription)
-    assert shapes["S4"].z == pytest.approx(5.001)
-    assert "mirror 'S4' is a spot on 'S2': it stands 1 µm before it" in built.notes
-    assert "S4_rear" not in shapes
-    cover = lens(Row(1, thickness=1.0, material="1.5", stop=True), Row(2), Row(3, kind="image"))
-    built = build(cover)
-    assert by_name(built.prescription)["detector"].z == pytest.approx(1.001)
-    assert any("the image lies on surface 2" in note for note in built.notes)
 
 
 def test_stated_apertures_become_plates_and_clips():
@@ -306,12 +175,17 @@ def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):
     given = replace(
         triplet(object_distance=500.0),
         source="Zemax file a.zmx",
-        unread=(Unread(12, "  XDAT 1 2", "extra data are not read"), Unread(40, "TOL -- 3", "a tolerance")),
+        unread=(
+            Unread(12, "  XDAT 1 2", "extra data are not read"),
+            Unread(40, "TOL -- 3", "a tolerance"),
+            Unread(0, "pickups", "values are taken as they are"),
+        ),
     )
     prescription = to_prescription(given)
     lines = prescription.provenance.splitlines()
     assert lines[0] == "From Zemax file a.zmx."
     assert "Without effect, line 12: XDAT 1 2 (extra data are not read)" in lines
+    assert "Without effect: pickups (values are taken as they are)" in lines
     assert any(line.startswith("Note: the object lies 500 mm before the lens") for line in lines)
     prescription.to_xml(tmp_path / "a.xml")
     assert "line 40: TOL - - 3 (a tolerance)" in (tmp_path / "a.xml").read_text(encoding="utf-8")
@@ -377,39 +251,35 @@ def test_a_tilted_group_is_closed_in_its_own_frame():
     assert shapes["detector"].z == pytest.approx(5.0 + 44.0 * math.cos(math.radians(10.0)))
 
 
-def test_a_detector_before_a_mangin_mirror_gets_no_wall_that_would_shut_it():
-    """Light comes past the detector; a wall from it to the lens would stand in the incoming beam."""
-    mangin = lens(
-        Row(1, radius=-150.0, thickness=5.0, material="1.5168", stop=True),
-        Row(2, radius=-220.0, thickness=-5.0, mirror=True, material="1.5168"),
-        Row(3, radius=-150.0, thickness=-170.0),
-        Row(4, kind="image"),
-        aperture=40.0,
-    )
-    built = build(mangin)
-    assert not any(shape.name.startswith(("barrel", "board")) for shape in built.prescription.shapes())
-    assert "there is no wall in space 1: it would stand in the beam" in built.notes
-    assert "the detector stands in the beam on its way to surface 1" in built.notes
+def test_the_stop_has_the_apertures_that_the_file_states():
+    rows = list(triplet().rows)
+    rows[4] = replace(rows[4], aperture=ClearAperture(inner=0.5, outer=3.0))
+    shapes = by_name(to_prescription(triplet().with_rows(rows)))
+    assert shapes["stop_front"].r1 == 3.0
+    disc = shapes["S5_obscuration"]
+    assert (disc.semi_diameter, disc.z) == pytest.approx((0.5, shapes["stop_front"].z0), abs=1e-9)
+    assert "S5_aperture" not in shapes
+    slit = ClearAperture(kind="rectangle", half_width=1.0, half_height=3.0)
+    rows[4] = replace(rows[4], aperture=slit)
+    shapes = by_name(to_prescription(triplet().with_rows(rows)))
+    assert shapes["S5_frame_left"].x + shapes["S5_frame_left"].half_width == pytest.approx(-1.0)
 
 
-@pytest.mark.parametrize(
-    ("aperture", "ring"),
-    [
-        (ClearAperture(outer=25.0, y=60.0), (35.0, 85.0)),
-        (ClearAperture(kind="rectangle", half_width=10.0, half_height=20.0, x=40.0, y=50.0),
-         (math.hypot(30.0, 30.0), math.hypot(50.0, 70.0))),
-    ],
-)  # fmt: skip
-def test_a_mirror_off_its_axis_is_the_ring_that_holds_its_aperture(aperture, ring):
-    paraboloid = lens(
-        Row(1, radius=-400.0, conic=-1.0, mirror=True, stop=True, thickness=-200.0, aperture=aperture),
-        Row(2, kind="image"),
-        aperture=170.0,
-    )
-    built = build(paraboloid)
-    (mirror,) = built.prescription.surfaces
-    assert (mirror.inner_semi_diameter, mirror.semi_diameter) == pytest.approx(ring, rel=1e-12)
-    assert any("its aperture is centred at" in note for note in built.notes)
+def test_an_obscuration_stands_in_the_material_before_its_surface():
+    rows = list(triplet().rows)
+    rows[1] = replace(rows[1], aperture=ClearAperture(outer=1.0, obscures=True))
+    patch = by_name(to_prescription(triplet().with_rows(rows)))["S2_obscuration"]
+    assert (patch.front, patch.back) == ("1.62041", "1.62041")
+
+
+def test_the_source_shines_at_the_first_field():
+    """Slopes tan 3° and tan 4° in x and y: the azimuth turns from +y towards -x."""
+    tangents = [math.tan(math.radians(angle)) for angle in (3.0, 4.0)]
+    source = to_prescription(triplet(fields=((3.0, 4.0), (0.0, 0.0)))).source
+    assert source.field_deg == pytest.approx(math.degrees(math.atan(math.hypot(*tangents))), abs=1e-8)
+    assert source.azimuth_deg == pytest.approx(-math.degrees(math.atan2(*tangents)), abs=1e-8)
+    down = to_prescription(triplet(fields=((0.0, -5.0), (0.0, 5.0)))).source
+    assert (down.field_deg, down.azimuth_deg) == (-5.0, 0.0)
 
 
 def test_very_many_fields_and_huge_numbers_end_soon():

@@ -68,6 +68,46 @@ def test_f_number_and_object_na_give_the_pupil():
     assert heading[0] == pytest.approx([0, 0.02, math.sqrt(1 - 0.02**2)], rel=1e-12)
 
 
+def test_telecentric_object_space_has_parallel_chief_rays():
+    """Cones about rays that leave the object parallel to the axis; the stop aims none and is as wide as they need."""
+    distance, na = 30.0, 0.1
+    system = {"object_distance": distance, "aperture_kind": "object_na", "aperture": na, "telecentric": True}
+    lens = singlet(field_kind="object_height", fields=((0.0, 0.0), (0.0, 4.0)), **system)
+    data = first_order(lens)
+    assert (data.entrance_pupil_z, data.f_number) == (math.inf, math.inf)
+    assert data.epd == pytest.approx(2 * distance * math.tan(math.asin(na)), rel=1e-13)
+    start, heading = launch(lens, data, 1, [[0.0, 0.0], [0.0, 1.0], [-1.0, 0.0]])
+    assert start == pytest.approx(np.tile([0.0, 4.0, -distance], (3, 1)))
+    assert heading == pytest.approx(
+        np.array([[0, 0, 1], [0, na, math.sqrt(1 - na * na)], [-na, 0, math.sqrt(1 - na * na)]]), abs=1e-13
+    )
+    rays = edge_rays(lens)
+    # In the plane of the first vertex the beam of the outer field reaches 4 mm + 30 mm tan(asin 0.1)
+    flat = edge_rays(lens.with_rows([Row(9), *lens.rows]))
+    assert flat.reach[0] == pytest.approx(4.0 + distance * math.tan(math.asin(na)), rel=1e-12)
+    assert rays.stop_radius == pytest.approx(np.hypot(*rays.positions[2, :, :2].T).max(), rel=1e-13)
+    assert any("telecentric" in note for note in rays.notes)
+
+
+def test_a_stop_in_the_rear_focus_is_telecentric_of_itself():
+    """The stop's image lies at infinity; object NA and stop diameter then mean the same cone, u = r/f."""
+    efl, bfl = lensmaker()
+    rows = list(singlet().rows)
+    rows[1] = Row(2, radius=R2, thickness=bfl)
+    near = {"object_distance": 90.0, "fields": ((0.0, 0.0), (0.0, 2.0)), "field_kind": "object_height"}
+    lens = singlet(aperture_kind="stop_diameter", aperture=4.0, **near).with_rows(rows)
+    data = first_order(lens)
+    assert data.entrance_pupil_z == math.inf
+    assert data.epd == pytest.approx(2 * 90.0 * 2.0 / efl, rel=1e-9)
+    by_na = singlet(aperture_kind="object_na", aperture=math.sin(math.atan(2.0 / efl)), **near).with_rows(rows)
+    assert first_order(by_na).stop_radius == pytest.approx(2.0, rel=1e-9)
+    # Here rays are aimed at the real stop
+    rays = edge_rays(lens)
+    assert np.hypot(*rays.positions[2, :, :2].T).max() == pytest.approx(2.0, rel=1e-7)
+    with pytest.raises(MistrayError, match=r"its entrance pupil lies at infinity, so its aperture .* limits no beam"):
+        first_order(singlet(aperture=5.0, **near).with_rows(rows))
+
+
 def test_concave_mirror_and_newtonian():
     """One mirror: f = R/2. A flat at 45° changes nothing, and the focus lies along the light."""
     mirror = Row(1, radius=-500.0, mirror=True, stop=True, thickness=-200.0)
@@ -142,6 +182,7 @@ def test_vignetting_factors_move_and_squeeze_the_rim():
         ({"aperture": 0.0}, "its aperture .* is 0; it must be greater than 0"),
         ({"aperture_kind": "object_na", "aperture": 0.1}, "object NA 0.1 needs an object at a finite distance"),
         ({"field_kind": "object_height", "fields": ((0.0, 5.0),)}, "its object lies at infinity; give angles"),
+        ({"telecentric": True}, "its object space is telecentric and its object lies at infinity"),
         ({"fields": ((0.0, 90.0),)}, "a field of 90°; it must be less than 90°"),
     ],
 )
@@ -159,7 +200,10 @@ def test_no_ray_reaches_the_image():
 
 def test_apertures_that_no_sampled_ray_passes_do_not_hide_the_lens():
     ring = ClearAperture(inner=0.5, outer=1.0)
-    rows = (Row(7, radius=20.0, thickness=1.0, material="1.5", stop=True, aperture=ring), Row(8, kind="image"))
+    rows = (Row(6, stop=True), Row(7, radius=20.0, thickness=1.0, material="1.5", aperture=ring), Row(8, kind="image"))
     rays = edge_rays(Sequential("ring", rows, aperture=3.0))
     assert np.isfinite(rays.positions[-1]).all()
-    assert rays.notes[-1].startswith("these rays all miss the stated apertures")
+    # At the stop itself it is the stop
+    rows = (Row(6, stop=True, aperture=ring), Row(7, radius=20.0, thickness=1.0, material="1.5"), Row(8, kind="image"))
+    assert edge_rays(Sequential("ring", rows, aperture=3.0)).stop_radius == 1.0
+    assert rays.notes[-1].startswith("of these no ray of the rim gets through")

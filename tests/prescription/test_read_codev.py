@@ -295,6 +295,17 @@ def test_a_cone_at_a_finite_image(lens):
     assert lens(system(surfaces, NAO="0.02", SO="0 100").replace("EPD 10\n", "")).aperture == 0.02
 
 
+def test_telecentric_object_space(lens):
+    surfaces = "S 10 1 NBK7_SCHOTT\nS -20 15"
+    for words, telecentric in (("Y", True), ("N", False), ("", True)):
+        found = lens(system(surfaces, SO="0 100", TEL=words))
+        assert found.telecentric is telecentric
+        assert found.unread == ()
+    found = lens(system(surfaces, TEL="Y"))
+    assert not found.telecentric
+    assert [(entry.line, entry.text) for entry in found.unread] == [(6, "TEL Y")]
+
+
 def test_what_a_file_leaves_out_is_noted(lens):
     found = lens("RDM Y\nEPD 5\nWL 650 550 450\nS 10 1 NBK7_SCHOTT\nS -20 15")
     assert [note.split(":")[0] for note in found.notes] == ["no STO", "no SI", "no REF", "no field"]
@@ -311,8 +322,9 @@ def test_what_a_file_leaves_out_is_noted(lens):
         (system("S 10 x"), "line 6: 'S 10 x': 'x' is no number"),
         (system("S 10 nan"), "'nan' is no number"),
         (system("S 10 1\nA 1e999"), "'1e999' is no number"),
-        (system("S 10 1\nCYL"), "cylinders and toroids have no counterpart"),
-        (system("S 10 1\nDIF DOE"), "line 7: 'DIF DOE': diffracting"),
+        (system("S 10 1\nCYL"), "line 7: 'CYL' on surface 1: cylinders and toroids have no counterpart; remove it"),
+        (system("S 10 1\nS 10 1\nSPS ODD"), "line 8: 'SPS ODD' on surface 2: this kind of surface has no counterpart"),
+        (system("S 10 1\nDIF DOE"), "line 7: 'DIF DOE' on surface 1: diffracting"),
         (system("S 10 1\nCUF 0.1"), "Fresnel"),
         (system("ZOO 3\nS 10 1"), "zoom"),
         (system("S 10 1\nRDY S5 3"), "surface 5 is not there; the lens has 1 so far"),

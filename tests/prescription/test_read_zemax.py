@@ -245,7 +245,36 @@ def test_apertures(lines, semi_diameter, fixed, aperture, read):
 def test_system_aperture(lines, expected, read):
     lens = read(SINGLET.replace("ENPD 8", lines).replace("  STOP", "  STOP\n  DIAM 3.5 0"))
     assert (lens.aperture_kind, lens.aperture) == expected
-    assert any("working" in note for note in lens.notes) == (lines == "FNUM 2.8 1")
+
+
+def test_working_f_number_of_an_object_at_a_finite_distance(read):
+    """A thin lens, f = 60 mm, from 90 to 180 mm: F/5 at the image is a slope of 0.1 there and of 0.2 at the object."""
+    rows = [
+        "SURF 1",
+        "  STOP",
+        f"  CURV {1 / 60}",
+        "  GLAS ___BLANK 1 0 1.5 0",
+        "SURF 2",
+        f"  CURV {-1 / 60}",
+        "  DISZ 180",
+    ]
+    text = "\n".join([SYSTEM, OBJECT.replace("INFINITY", "90"), *rows, "SURF 3", "  DISZ 0"])
+    lens = read(text.replace("ENPD 8", "FNUM 5 1"))
+    assert lens.aperture_kind == "object_na"
+    assert math.tan(math.asin(lens.aperture)) == pytest.approx(0.2, rel=1e-12)
+    assert any("working F-number 5 " in note for note in lens.notes)
+    lens = read(text.replace("ENPD 8", "FNUM 5 0"))  # of infinite conjugates, wherever the object is
+    assert first_order(lens).epd == pytest.approx(60 / 5)
+
+
+def test_telecentric_object_space(read):
+    text = SINGLET.replace("FTYP 0 0", "FTYP 1 1").replace("ENPD 8", "OBNA 0.1 0")
+    lens = read(text.replace("DISZ INFINITY", "DISZ 60"))
+    assert lens.telecentric
+    assert lens.unread == ()
+    lens = read(text)
+    assert not lens.telecentric
+    assert [line.text for line in lens.unread] == ["FTYP 1 1 1 1 0 0 0"]
 
 
 def test_theodolite_angles(read):
@@ -306,9 +335,10 @@ def test_coatings(read):
         (surface("TYPE COORDBRK", "PARM 7 1"), ["PARM 7 1"]),
         (SINGLET.replace("DISZ 0", "DISZ 0\n  GLAS N-BK7 0 0"), ["GLAS N-BK7 0 0"]),
         (SINGLET.replace("DISZ INFINITY", "DISZ 9\n  CURV 0.1"), ["CURV 0.1"]),
-        (SINGLET.replace("FTYP 0 0", "FTYP 0 1"), ["FTYP 0 1 1 1 0 0 0"]),
+        (surface("TYPE STANDARD", "PARM 1 0", "PARM 2 3"), ["PARM 2 3"]),
         (SINGLET.replace("PWAV", "VANN 5\nPWAV"), ["VANN 5"]),
         (SINGLET.replace("PWAV", "ENVD 35 1 0\nPWAV"), ["ENVD 35 1 0"]),
+        (SINGLET.replace("PWAV", "GFAC 1 2\nPWAV"), ["GFAC 1 2"]),
         (SINGLET + "\nEFFL 1 2 0\nTOL TOFF\nMNUM 3 1\nTHIC 2 1 5.0", ["MNUM 3 1"]),
         (SINGLET + "\nEFFL 1 2 0\nTOL TOFF\nMNUM 1 1\nMOFF 0", []),
         (SINGLET.replace("\n  ", "\n") + "\nEFFL 1 2 0", ["EFFL 1 2 0"]),  # could belong to the surface
@@ -333,7 +363,7 @@ def test_no_line_gets_lost(read):
 
 
 def test_lines_known_to_have_no_effect(read):
-    extra = "VERS 140124\nNOTE 0 hello\nPOLS 1 0 1\nGLRS 1 0\nENVD 20 1 0\nRAIM 0 1\nCOFN COATING.DAT\nPWAV"
+    extra = "VERS 140124\nGFAC 0 0\nNOTE 0 hello\nPOLS 1 0 1\nGLRS 1 0\nENVD 20 1 0\nRAIM 0 1\nCOFN COATING.DAT\nPWAV"
     text = SINGLET.replace("PWAV", extra).replace(
         "  STOP", "  STOP\n  HIDE 0\n  MIRR 2 0\n  POPS 0\n  MEMA 9\n  VPAR 2"
     )
@@ -351,6 +381,8 @@ def test_lines_known_to_have_no_effect(read):
         (("ENPD 8", "ENPD x"), "'x' in 'ENPD x' is not the aperture"),
         (("ENPD 8", "FLOA"), r"floats by the stop \(FLOA\), but no surface is a STOP with a semi-diameter"),
         (("FTYP 0", "FTYP 9"), "field type 9; it lies between 0 and 4"),
+        (("FTYP 0 0 1", "FTYP 0 0 2"), "line 5: 2 fields, but the file lists 1; correct the number"),
+        (("FTYP 0 0 1 1 0 0 0\nXFLN 0", "FTYP 4 0 1 1 0 0 0\nXFLN 90"), "line 5: field of theodolite angles 90, 0"),
         (("PWAV 1", "PWAV 2"), "primary wavelength 2; the lens has 1 wavelengths"),
         (("WAVM 1 0.58", "WAVM 2 0.58"), "follows wavelength 0"),
         (("WAVM 1 0.5875618", "WAVM 1 -1"), "wavelength -1 µm; it must be greater than 0"),
@@ -366,10 +398,6 @@ def test_lines_known_to_have_no_effect(read):
         (("GLAS N-BK7 0 0", "GLAS ___BLANK 2 7"), "picks up the glass of surface 7, which has none"),
         (("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 1 0 0.5 40"), "index 0.5; a real index is at least 1"),
         (("WAVM 1 0.5875618", "WAVM 1 12"), "glass 'N-BK7': .*12000 nm is outside of its"),
-        (
-            ("TYPE STANDARD\n  CURV 0.02", "TYPE TOROIDAL\n  CURV 0.02"),
-            "surface 1 is of type 'TOROIDAL'; mistray knows",
-        ),
         (("TYPE STANDARD\n  CURV 0.02", "TYPE EVENASPH\n  PARM 1 0.1\n  CURV 0.02"), "term in r² beside radius 50 mm"),
         (("TYPE STANDARD\n  CURV 0.02", "TYPE EVENASPH\n  PARM 2 1\n  PARM 2 2"), "parameter 2 is there already"),
         (("  STOP", "  STOP\n  SCBD 2 0 2 1 0 0 0 0"), "tilts and decentres before a surface are read"),
@@ -387,6 +415,25 @@ def test_errors_are_one_line_with_file_and_place(change, message, read):
         read(SINGLET.replace(*change, 1))
     assert "\n" not in str(error.value)
     assert len(str(error.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("kind", "remedy"),
+    [
+        ("ODDASPHE", "fit an EVENASPH"),
+        ("XASPHERE", "fit an EVENASPH"),
+        ("TOROIDAL", "only surfaces of revolution"),
+        ("BICONICX", "only surfaces of revolution"),
+        ("PARAXIAL", "put the real surfaces of that lens in its place"),
+        ("DGRATING", "diffracting surfaces are not traced"),
+        ("NONSEQCO", "bring it in as STEP"),
+        ("USERSURF", "mistray knows STANDARD, EVENASPH, COORDBRK"),
+    ],
+)
+def test_surfaces_of_other_types_are_refused_by_number(kind, remedy, read):
+    """Also where they stand for a plane, since their parameters are not known."""
+    with pytest.raises(MistrayError, match=rf"line 20: surface 2 is of type '{kind}'; .*{remedy}"):
+        read(SINGLET.replace("SURF 2\n  TYPE STANDARD", f"SURF 2\n  TYPE {kind}"))
 
 
 def test_paraxial_focus_is_where_opticstudio_put_it(read):

@@ -7,6 +7,7 @@ from dataclasses import replace
 import exported_lenses
 import json_units
 import numpy as np
+import peers
 import pytest
 
 from mistray.cli.program import main
@@ -53,7 +54,7 @@ def test_rays_of_exported_file_are_those_of_optiland(name, frozen, tmp_path):
 
 @pytest.mark.parametrize("name", exported_lenses.LENSES)
 def test_optiland_reads_the_exported_lens(name, frozen, tmp_path):
-    pytest.importorskip("optiland")
+    peers.need("optiland")
     lens = exported_lenses.exported(name)
     write_zemax(lens, tmp_path / "lens.zmx")
     start, direction, end = np.hsplit(frozen[name], 3)
@@ -107,6 +108,48 @@ def test_aperture_comes_back(kind, tmp_path):
     assert (back.aperture_kind, back.aperture) == (kind, 4.0)
 
 
+def test_the_size_of_a_floating_stop_is_that_of_the_beam(tmp_path):
+    """OpticStudio takes it from the stop's semi-diameter, whatever the lens draws there."""
+    for size in (None, 9.0):
+        rows = (Row(1, thickness=1.0, semi_diameter=7.0), Row(2, stop=True, semi_diameter=size), IMAGE)
+        back = written(Sequential("lens", rows, aperture_kind="stop_diameter", aperture=4.0), tmp_path)
+        assert (back.aperture, back.rows[1].semi_diameter, back.rows[0].semi_diameter) == (4.0, 2.0, 7.0)
+
+
+def test_telecentric_object_space_comes_back(tmp_path):
+    lens = Sequential("lens", (Row(1), IMAGE), object_distance=50.0, aperture_kind="object_na", aperture=0.1)
+    assert not written(lens, tmp_path).telecentric
+    assert written(replace(lens, telecentric=True), tmp_path).telecentric
+
+
+def test_what_a_file_cannot_say_is_told(tmp_path):
+    slit = ClearAperture(kind="rectangle", half_height=1.0)
+    hole = ClearAperture(inner=1.0)
+    spot = ClearAperture(outer=1.0, obscures=True)
+    cases = (
+        (Row(1, aperture=slit), "surface 1: its slit, as it has no rim", None),
+        (Row(1, aperture=slit, semi_diameter=5.0), None, replace(slit, half_width=5.0)),
+        (Row(1, aperture=hole), "surface 1: its hole of radius 1 mm", None),
+        (Row(1, aperture=hole, semi_diameter=5.0), None, replace(hole, outer=5.0)),
+        (Row(1, aperture=spot, semi_diameter=5.0, semi_diameter_fixed=True), "its edge stops no light", spot),
+        (Row(1, aperture=spot, semi_diameter=5.0), None, spot),
+        (Row(1, coating="FILES/COATING.DAT:my AR"), "coating 'my AR': its name is written with '_'", None),
+        (Row(1, coating="AR"), None, None),
+    )
+    for row, loss, aperture in cases:
+        lost = write_zemax(Sequential("lens", (row, IMAGE), aperture=1.0), tmp_path / "lens.zmx")
+        assert [loss in each for each in lost] == [True] if loss else lost == (), row
+        assert read_zemax(tmp_path / "lens.zmx").rows[0].aperture == aperture
+
+
+def test_more_wavelengths_than_a_file_holds(tmp_path):
+    nm = tuple(range(400, 425))
+    lens = Sequential("lens", (Row(1), IMAGE), aperture=1.0, wavelengths_nm=nm, weights=(1.0,) * 25)
+    with pytest.raises(MistrayError, match=r"lens 'lens': 25 wavelengths; \.zmx files hold 24, leave some out"):
+        write_zemax(lens, tmp_path / "lens.zmx")
+    assert not (tmp_path / "lens.zmx").exists()
+
+
 @pytest.mark.parametrize("tilt_first", [False, True])
 @pytest.mark.parametrize("returns", [False, True])
 @pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (1.0, -2.0, 0.0), (1.0, 2.0, 3.0)])
@@ -154,6 +197,9 @@ def test_glasses(material, wavelengths, line, loss, tmp_path):
     losses = write_zemax(lens, tmp_path / "lens.zmx")
     text = (tmp_path / "lens.zmx").read_text()
     assert line in text
+    catalogues = {"N-BK7": "SCHOTT", "S-BSL7": "OHARA", "SILICA": "MISC", "PMMA": "MISC", "GERMANIUM": "INFRARED"}
+    expected = catalogues.get(line.split()[1])
+    assert (f"\nGCAT {expected}\n" in text) if expected else ("GCAT" not in text)
     assert any(loss in each for each in losses) if loss else losses == ()
     index = [trace(each, [[0, 0, 0]], [[0, 0.5, 1]])[1][0, 0, 1] for each in (lens, read_zemax(tmp_path / "lens.zmx"))]
     if len(wavelengths) == 1 or loss is None:  # the file says the same to its reader

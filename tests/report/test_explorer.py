@@ -17,6 +17,7 @@ from report.test_embedded import stored
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.report.html import html_text
+from mistray.report.html_fields import explored_paths
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="no node to run the scripts of a report; install nodejs")
@@ -104,6 +105,8 @@ def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
     maps = report.path_maps(0.0, list(table.index))
     assert list(maps.paths) == [0, 1]
     assert maps.rest.power_W.sum() == pytest.approx(table.power_W[2:].sum(), rel=1e-12)
+    assert report.path_maps(0.0, list(table.index)) is maps  # made once, also if it has not all of them
+    assert f"{len(table) - 2} of these paths have no map" in explored_paths(report, 0.0, "t")
 
 
 @needs_node

@@ -5,14 +5,20 @@ from __future__ import annotations
 import re
 
 import pytest
+from report.fake_trace import trace_at
 
 import mistray
+from mistray.analysis.ghosts import GhostReport
 from mistray.report.html import html_text
+from mistray.trace.surfaces import SurfaceTable
 
 
 @pytest.fixture(scope="module")
 def text():
-    return html_text(mistray.ghosts(mistray.load("plate"), rays=500), "plate")
+    """The surfaces of a real scene under the light of a fake trace."""
+    scene, t = mistray.load("plate"), trace_at(0.0)
+    t.tables = [SurfaceTable(scene, 550.0)]
+    return html_text(GhostReport(scene, {0.0: t}, t, {}), "plate")
 
 
 def rows(text: str, table: str) -> list[dict[str, str]]:

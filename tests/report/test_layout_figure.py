@@ -6,7 +6,7 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from report.fake_trace import paths_at
+from report.fake_trace import SHARES, paths_at, trace_in_colours
 from report.view_scene import A4, CONIC, RADIUS, SCENE, RayTrace
 
 import mistray
@@ -72,6 +72,21 @@ def test_path_ids_choose_the_rows(scene, trace):
     assert [label.split()[0] for label in labels] == ["3", "0"]
     with pytest.raises(MistrayError, match="path_id 99 does not exist"):
         layout_figure(scene, trace, path_ids=[99])
+    with pytest.raises(MistrayError, match="path_ids without a trace"):
+        layout_figure(scene, path_ids=[1])
+    with pytest.raises(MistrayError, match="rays is 0; ask for at least one ray"):
+        layout_figure(scene, trace, rays=0)
+    with pytest.raises(MistrayError, match="paths is -2; give the number of rows"):
+        layout_figure(scene, trace, paths=-2)
+
+
+def test_more_paths_than_colours_are_told_apart(scene):
+    """Nine paths: the ninth has the colour of the first, in dashes."""
+    nine = RayTrace(trace_in_colours(10.0).fakes, 10.0, shares=SHARES)
+    handles, _ = layout_figure(scene, nine, paths=9, rays=1).axes[0].get_legend_handles_labels()
+    looks = [(handle.get_color(), handle.get_linestyle()) for handle in handles]
+    assert len(set(looks)) == 9
+    assert looks[8] == (looks[0][0], "--")
 
 
 def test_svg_has_lines_and_text(scene, trace, figure, tmp_path):

@@ -6,7 +6,7 @@ import json
 
 import numpy as np
 import pytest
-from report.fake_trace import paths_at
+from report.fake_trace import paths_at, scatter_trace_at
 from report.view_scene import RayTrace
 
 from mistray.errors import MistrayError
@@ -140,3 +140,10 @@ def test_names_of_rows(trace):
     ghost = next(row for row in trace.paths if row.ghost_2 == "window_rear")
     assert row_name(ghost) == f"{ghost.path_id} ghost, detector window_rear, 0.0002 W"
     assert row_name(ghost, wavelength=True) == f"{ghost.path_id} ghost, detector window_rear, 550 nm, 0.0002 W"
+
+
+def test_light_that_is_aimed_has_a_name_of_its_own():
+    names = [row_name(row) for row in scatter_trace_at(0.0).paths if row.kind == "single scatter"]
+    assert sum("scatters at window_rear, " in name for name in names) == 1
+    assert sum("scatters at window_rear (aimed), " in name for name in names) == 1
+    assert len({name.split(maxsplit=1)[1] for name in names}) == len(names)

@@ -104,11 +104,10 @@ def test_wavelengths_are_named_where_there_are_several(scene):
     assert names[0] == "0 direct, 550 nm, 1.5 W"
 
 
-def test_hovering_says_id_part_and_flux(shown, trace):
-    flux = {row.id: row for row in trace.surfaces}
+def test_hovering_says_id_part_and_flux(shown):
     text = of(shown.figure, "surface")["L1_front"].hovertemplate
     assert "<b>L1_front</b>, part L1<br>glass air | 1.6" in text
-    assert f"incident {flux['L1_front'].incident_W:.4g} ± 0.01 W, 1000 hits" in text
+    assert "incident 4.000 ± 0.010 W, 1 000 hits<br>absorbed 0.1000 ± 0.0010 W<br>" in text
     ray = of(shown.figure, "path_id")[0].text
     assert ray[0].startswith("start, 0.6 W")
     assert ray[1].startswith("window_front:T, ")
@@ -128,7 +127,7 @@ def test_colours_follow_the_flux(scene, trace):
     assert [mark.marker.coloraxis for mark in of(figure, "scale").values()] == ["coloraxis", "coloraxis2"]
     bar, other = figure.layout.coloraxis, figure.layout.coloraxis2
     assert (bar.cmin, bar.cmax, bar.showscale, other.showscale) == (scale.floor, scale.top, True, False)
-    assert bar.colorbar.title.text == "incident flux<br>of a surface, W"
+    assert bar.colorbar.title.text == "incident flux of a surface, W"
 
 
 def test_surfaces_without_light_have_a_colour_of_their_own(scene):
@@ -208,6 +207,8 @@ def test_the_buttons_recolour_and_switch(shown):
     for look in looks.buttons:  # axes stay equal
         sides = look.args[0]["scene.aspectratio"]
         assert sides["x"] / ratio.x == pytest.approx(sides["y"] / ratio.y) == pytest.approx(sides["z"] / ratio.z)
+    hidden = [[axis for axis in "xyz" if not look.args[0][f"scene.{axis}axis.visible"]] for look in looks.buttons]
+    assert hidden == [[], ["x"], ["z"]]
     assert list(rays.buttons[1].args[1]) == [
         k for k, drawn in enumerate(shown.figure.data) if "path_id" in (drawn.meta or {})
     ]
@@ -247,11 +248,11 @@ def test_a_trace_of_another_scene(scene, trace):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ({"paths": -1}, "paths is -1"),
+        ({"paths": -1}, "paths is -1; give the number of rows"),
         ({"rays": 0}, "rays is 0; ask for at least one"),
         ({"colour": "red"}, "colour is 'red'; choose flux, absorbed or role"),
         ({"cut_mm": float("nan")}, "both must be finite"),
-        ({"cut_mm": -100.0}, "takes every surface away; move the cut"),
+        ({"cut_mm": -100.0}, "leaves no surface; move the cut"),
     ],
 )
 def test_wrong_arguments(scene, trace, arguments, message):
@@ -262,6 +263,11 @@ def test_wrong_arguments(scene, trace, arguments, message):
 def test_flux_without_a_trace(scene):
     with pytest.raises(MistrayError, match="nothing was traced; give the trace, or colour='role'"):
         view(scene, colour="flux")
+
+
+def test_paths_without_a_trace(scene):
+    with pytest.raises(MistrayError, match="path_ids without a trace"):
+        view(scene, path_ids=[1])
 
 
 def test_without_plotly_one_line_says_what_to_do(scene, monkeypatch):

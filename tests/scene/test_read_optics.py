@@ -109,9 +109,32 @@ def test_what_a_scene_may_say(read):
     assert prescription.name == "camera"
 
 
+def test_coatings_come_with_the_surface(read):
+    films = {
+        '<string name="preset" value="bbar3"/>': Coating(preset="bbar3", name="ar"),
+        '<string name="layers" value="MgF2 100"/>': Coating(layers="MgF2 100", name="ar"),
+        '<string name="table" value="COATING.DAT:AR"/>': Coating(table="COATING.DAT:AR", name="ar"),
+        '<float name="R" value="0.1"/><float name="T" value="0.9"/>': Coating(R=0.1, T=0.9, name="ar"),
+    }
+    for recipe, expected in films.items():
+        film = f'<bsdf type="thinfilm" id="ar">{recipe}</bsdf>'
+        prescription, _ = read(shape(bsdf=f'<bsdf type="interface">{film}</bsdf>'))
+        assert prescription.surfaces[0].coating == expected
+
+
+def test_defaults_whose_names_begin_alike(read):
+    """$R and $R2."""
+    prescription, _ = read(
+        '<default name="R2" value="-70"/>', shape(number("radius", "$R")), shape(number("radius", "$R2"), name="rear")
+    )
+    assert [surface.radius for surface in prescription.surfaces] == [50.0, -70.0]
+
+
 @pytest.mark.parametrize(
     ("part", "message"),
     [
+        ('<emitter type="collimated"/>', "it has two collimated sources; remove one"),
+        (shape("<sensor type='irradiancemeter'/>", name="second"), "detectors 'second' and 'film'; a lens has one"),
         (shape(number("radius", "wide")), r"shape 'front': radius is 'wide'; give a number"),
         (
             shape('<transform name="to_world"><scale value="2"/></transform>'),
@@ -122,6 +145,6 @@ def test_what_a_scene_may_say(read):
     ],
 )
 def test_errors_name_file_and_shape(part, message, read):
-    with pytest.raises(MistrayError, match=rf"scene '.*camera\.xml', .*{message}") as error:
+    with pytest.raises(MistrayError, match=rf"scene '.*camera\.xml'.*{message}") as error:
         read(part)
     assert "\n" not in str(error.value)

@@ -7,6 +7,7 @@ import pytest
 
 import mistray
 from mistray.report.embedded import power_codes
+from mistray.trace import tracer
 from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.path_events import EVENT_MASK, LETTERS
 
@@ -83,3 +84,13 @@ def test_sampled_rays_are_those_of_the_history(report):
     for ray in sample:
         np.testing.assert_allclose(ray.points, every[ray.start_ray].points, rtol=1e-12, atol=1e-12)
         np.testing.assert_allclose(ray.flux_W, every[ray.start_ray].flux_W, rtol=1e-6)
+
+
+def test_history_of_a_large_trace_is_spread_over_the_beam(report, monkeypatch):
+    """A batch of more start rays than the recorder holds: not those of one corner of the beam alone."""
+    t = report[0.0]
+    whole = np.array([ray[0, :2] for ray in t.history(0, RAYS).rays])
+    monkeypatch.setattr(tracer, "RECORD_CAPACITY", 16)  # of 125 start rays of a batch
+    few = np.array([ray[0, :2] for ray in t.history(0, 16).rays])
+    assert len(few) > 10
+    assert (np.ptp(few, axis=0) > 0.6 * np.ptp(whole, axis=0)).all()

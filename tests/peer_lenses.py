@@ -1,8 +1,9 @@
-"""Lens files of the packages optiland and ray-optics as those two programs read them: focal lengths and real rays.
+"""Lens files as the programs optiland and ray-optics read them: focal lengths and real rays.
 
-``python -m tests.oracles.lens_files`` writes tests/data/lens_files.csv and tests/data/lens_file_rays.csv. Lengths there
-are in mm, whatever the unit of the file; both programs compute in the unit of the file. Rays start 10 units in front of
-the first vertex, in the frame of the first surface before its decentre, and end in the frame of the image surface.
+``python tests/peer_lenses.py`` writes tests/data/lens_files.csv and tests/data/lens_file_rays.csv, of every .zmx and
+.seq in the two packages and in tests/data/lenses. Lengths are in mm, whatever the unit of the file; both programs
+compute in the unit of the file. Rays start 10 mm in front of the first vertex, in the frame of the first surface before
+its decentre, and end in the frame of the image surface.
 """
 
 from __future__ import annotations
@@ -22,6 +23,7 @@ from pathlib import Path
 from typing import Any, Protocol
 
 import numpy as np
+import peers
 
 from mistray.errors import MistrayError
 from mistray.materials.agf import decode
@@ -30,12 +32,11 @@ from mistray.prescription.read_codev import read_codev
 from mistray.prescription.read_zemax import read_zemax
 from mistray.prescription.sequential import Sequential
 
-DATA = Path(__file__).parents[1] / "data"
-FIRST_ORDER, RAYS = DATA / "lens_files.csv", DATA / "lens_file_rays.csv"
-PACKAGES = ("optiland", "rayoptics")
-PEERS = PACKAGES
+DATA = Path(__file__).parent / "data"
+FIRST_ORDER, RAYS, OWN = DATA / "lens_files.csv", DATA / "lens_file_rays.csv", DATA / "lenses"
+PEERS = ("optiland", "rayoptics")
 NUMBERS = ("wavelength_nm", "efl", "bfl")
-START_UNITS = 10.0
+START = 10.0
 PUPIL = ((0.0, 0.0), (0.0, 0.7), (0.5, -0.4))  # points of the rays of a field, in radii of the entrance pupil
 
 
@@ -51,14 +52,14 @@ class Lens(Protocol):
 
 
 def files() -> dict[str, Path]:
-    """Every .zmx and .seq of the packages that are installed, by package and path in it; nothing is imported."""
+    """Lens files of the packages that are installed and of the tests, by package and path; nothing is imported."""
+    specs = {package: find_spec(package) for package in PEERS}
+    roots = [(name, root) for name, spec in specs.items() if spec for root in spec.submodule_search_locations or []]
     found: dict[str, Path] = {}
-    for package in PACKAGES:
-        spec = find_spec(package)
-        for root in (spec.submodule_search_locations or []) if spec else []:
-            for file in sorted(Path(root).rglob("*")):
-                if file.suffix.lower() in (".zmx", ".seq"):
-                    found[f"{package}/{file.relative_to(root).as_posix()}"] = file
+    for name, root in (*roots, ("tests", OWN)):
+        for file in sorted(Path(root).rglob("*")):
+            if file.suffix.lower() in (".zmx", ".seq"):
+                found[f"{name}/{file.relative_to(root).as_posix()}"] = file
     return found
 
 
@@ -84,12 +85,11 @@ class ByRayOptics:
     bfl: float
 
     def trace(self, position: np.ndarray, direction: np.ndarray, wavelength_nm: float) -> np.ndarray:
-        from rayoptics.raytr import raytrace
-
+        raytrace = peers.rayoptics("raytr.raytrace")
         sequence = self.model["seq_model"]
-        sequence.gaps[0].thi = START_UNITS
+        sequence.gaps[0].thi = START
         sequence.lcl_tfrms = sequence.compute_local_transforms()
-        start = position / self.unit + np.array([0.0, 0.0, START_UNITS])
+        start = position / self.unit + np.array([0.0, 0.0, START])
         same = min(sequence.wvlns, key=lambda value: abs(value - wavelength_nm))  # it looks its wavelengths up
         if abs(same - wavelength_nm) > 1e-6:
             return np.full(6, np.nan)
@@ -108,12 +108,10 @@ class ByOptiland:
     bfl: float
 
     def trace(self, position: np.ndarray, direction: np.ndarray, wavelength_nm: float) -> np.ndarray:
-        from optiland.rays import RealRays
-
         surfaces = list(self.optic.surfaces)
         first = float(np.ravel(surfaces[1].geometry.cs.z)[0])
         x, y, z = position / self.unit
-        rays = RealRays(x, y, z + first, *direction, 1.0, wavelength_nm / 1e3)
+        rays = peers.optiland("rays").RealRays(x, y, z + first, *direction, 1.0, wavelength_nm / 1e3)
         self.optic.surfaces.trace(rays)
         shift, turn = surfaces[-1].geometry.cs.get_effective_transform()
         end = np.array([float(np.ravel(getattr(rays, key))[0]) for key in "xyzLMN"])
@@ -124,9 +122,7 @@ class ByOptiland:
 def by_rayoptics(path: Path) -> ByRayOptics:
     """A lens file by ray-optics; whatever it raises."""
     with _quietly(), _copy(path) as copy:
-        from rayoptics.codev import cmdproc
-        from rayoptics.zemax import zmxread
-
+        cmdproc, zmxread = peers.rayoptics("codev.cmdproc"), peers.rayoptics("zemax.zmxread")
         for module in (cmdproc, zmxread):
             logger = logging.getLogger(module.__name__)
             logger.handlers.clear()  # they write files
@@ -144,9 +140,9 @@ def by_rayoptics(path: Path) -> ByRayOptics:
 def by_optiland(path: Path) -> ByOptiland:
     """A lens file by optiland; whatever it raises."""
     with _quietly(), _copy(path) as copy:
-        from optiland.fileio import load_codev_file, load_zemax_file
-
-        optic = load_codev_file(str(copy)) if path.suffix.lower() == ".seq" else load_zemax_file(str(copy))
+        fileio = peers.optiland("fileio")
+        load = fileio.load_codev_file if path.suffix.lower() == ".seq" else fileio.load_zemax_file
+        optic = load(str(copy))
     unit = unit_mm(path)
     surfaces = list(optic.surfaces)
     z = float(np.ravel(surfaces[1].geometry.cs.z)[0])
@@ -203,11 +199,13 @@ def starts(lens: Sequential) -> tuple[np.ndarray, np.ndarray]:
                 along = np.array([*slope, 1.0])
             else:
                 scale = 1.0 if lens.field_kind == "object_height" else 1 / data.magnification
-                along = target - np.array([x * scale, y * scale, -lens.object_distance])
+                origin = np.array([x * scale, y * scale, -lens.object_distance])
+                if lens.telecentric:  # the pupil, in the plane of the first surface, is about the chief ray
+                    target[:2] += origin[:2]
+                along = target - origin
                 along *= math.copysign(1.0, along[2])
             along /= np.linalg.norm(along)
-            start = -START_UNITS
-            positions.append(target + (start - target[2]) / along[2] * along)
+            positions.append(target + (-START - target[2]) / along[2] * along)
             directions.append(along)
     shape = (len(lens.fields), len(PUPIL), 3)
     return np.array(positions).reshape(shape), np.array(directions).reshape(shape)
