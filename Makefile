@@ -1,4 +1,4 @@
-# make demo | test | lint | bench | clean; each one sets up what it needs. PYTHON=python3.12 picks another interpreter.
+# make demo | test | test-all | lint | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -7,23 +7,29 @@ STAMPS := $(VENV)/.stamps
 CHECK  := from mistray._variant import find_llvm; from mistray._mitsuba_compat import import_mitsuba; \
           llvm = find_llvm(); import_mitsuba(); print(llvm)
 
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+
 .DEFAULT_GOAL := help
-.PHONY: help demo test lint bench venv clean
+.PHONY: help demo test test-all lint bench venv clean
 .DELETE_ON_ERROR:
 
 help:
-	@echo "make demo    trace the ghosts of the phone camera into out/demo"
-	@echo "make test    lint, types and tests"
-	@echo "make lint    lint and types only"
-	@echo "make bench   measure the speed"
-	@echo "make venv    only set up $(VENV)"
-	@echo "make clean   remove $(VENV), caches and results"
+	@echo "make demo      trace the ghosts of the phone camera into out/demo"
+	@echo "make test      lint, types and tests"
+	@echo "make test-all  the same with the long tests"
+	@echo "make lint      lint and types only"
+	@echo "make bench     measure the speed"
+	@echo "make venv      only set up $(VENV)"
+	@echo "make clean     remove $(VENV), caches and results"
 
 demo: venv
 	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --rays 2e4 --out out/demo
 
 test: lint
-	$(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder -m "not gpu"
+	$(PYTEST) -m "not gpu and not slow"
+
+test-all: lint
+	$(PYTEST) -m "not gpu"
 
 lint: venv
 	$(BIN)/ruff check .
@@ -52,9 +58,13 @@ $(STAMPS)/created:
 	@$(PYTHON) -m venv $(VENV)
 	@mkdir -p $(STAMPS) && touch $@
 
-$(STAMPS)/installed: pyproject.toml | $(STAMPS)/created
+PIP := $(BIN)/python -m pip install -qq --disable-pip-version-check --no-input --prefer-binary
+
+# The programs that tests compare with come without what their windows need
+$(STAMPS)/installed: pyproject.toml tests/peers.txt | $(STAMPS)/created
 	@echo "installing mistray and its dependencies into $(VENV) (minutes the first time)"
-	@$(BIN)/python -m pip install -qq --disable-pip-version-check --no-input --prefer-binary -e '.[dev]'
+	@$(PIP) -e '.[dev]'
+	@$(PIP) --no-deps -r tests/peers.txt
 	@touch $@
 
 # Dr.Jit opens libLLVM and libatomic, which pip does not bring. LLVM 19 is the version the measurements were made with.

@@ -14,7 +14,7 @@ from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
-    from mistray import analysis, coatings, materials, optimize, physics, prescription, report, scene
+    from mistray import analysis, coatings, materials, mechanics, optimize, physics, prescription, report, scene
     from mistray.analysis import (  # type: ignore[no-redef]
         FirstLevel,
         GhostReport,
@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     )
     from mistray.optimize import Metric, gradient, sensitivity  # type: ignore[no-redef]
     from mistray.prescription import Detector, Prescription, Source, Structure, Surface
+    from mistray.report import View, view  # type: ignore[no-redef]
     from mistray.scene import load  # type: ignore[no-redef]
     from mistray.trace import Trace, trace
 
@@ -49,6 +50,8 @@ _HOMES = {
     "study": "mistray.analysis",
     "Study": "mistray.analysis",
     "thermal": "mistray.analysis",
+    "view": "mistray.report",
+    "View": "mistray.report",
     "ThermalReport": "mistray.analysis",
     "Metric": "mistray.optimize",
     "gradient": "mistray.optimize",
@@ -59,7 +62,18 @@ _HOMES = {
     "Structure": "mistray.prescription",
     "Surface": "mistray.prescription",
 }
-_MODULES = ("analysis", "coatings", "materials", "optimize", "physics", "prescription", "report", "scatter", "scene")
+_MODULES = (
+    "analysis",
+    "coatings",
+    "materials",
+    "mechanics",
+    "optimize",
+    "physics",
+    "prescription",
+    "report",
+    "scatter",
+    "scene",
+)
 
 __all__ = [
     "Detector",
@@ -76,6 +90,7 @@ __all__ = [
     "Surface",
     "ThermalReport",
     "Trace",
+    "View",
     "analysis",
     "coatings",
     "ensure_variant",
@@ -84,6 +99,7 @@ __all__ = [
     "gradient",
     "load",
     "materials",
+    "mechanics",
     "objects",
     "optimize",
     "physics",
@@ -96,6 +112,7 @@ __all__ = [
     "study",
     "thermal",
     "trace",
+    "view",
 ]
 
 

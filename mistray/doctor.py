@@ -86,19 +86,24 @@ def report() -> list[Check]:
     return [*checks, *_extras()]
 
 
-def main(as_json: bool = False) -> int:
+def show(checks: list[Check], as_json: bool = False) -> int:
     """
-    Print the report, as a table or as JSON.
+    Print a report, as a table or as JSON.
+
+    Parameters
+    ----------
+    checks : list of Check
+        From `report`.
+    as_json : bool
 
     Returns
     -------
     int
         Exit code: 0, or 1 if something required is missing.
     """
-    checks = report()
     missing = [check.name for check in checks if check.status == "missing"]
     if as_json:
-        print(json.dumps([asdict(check) for check in checks], indent=2))
+        print(json.dumps({"checks": [asdict(check) for check in checks], "missing": missing, "files": []}, indent=2))
     else:
         width = max(len(check.name) for check in checks)
         for check in checks:

@@ -1,13 +1,13 @@
 """The command line: arguments, one-line errors, exit codes, files."""
 
 import ast
-import json
 import re
 import subprocess
 import sys
 from dataclasses import fields
 from pathlib import Path
 
+import json_units
 import pytest
 from report.fake_scene import lens_scene
 from report.fake_trace import trace_at
@@ -148,7 +148,7 @@ def test_ghosts_writes_its_files(capsys, fake, tmp_path):
 
 def test_json_is_json(capsys, fake):
     code, out, _ = run(capsys, "ghosts", "lens.xml", "--field-deg", "0", "20", "--json")
-    answer = json.loads(out)
+    answer = json_units.read(out)
     assert code == 0
     assert [field["field_deg"] for field in answer["fields"]] == [0.0, 20.0]
     assert answer["fields"][1]["ghost_to_signal"] is None
@@ -238,7 +238,7 @@ def test_doctor_answers_in_json(capsys, monkeypatch):
     monkeypatch.setattr(doctor, "report", lambda: [doctor.Check("mitsuba", "ok", "3.9.1")])
     code, out, _ = run(capsys, "doctor", "--json")
     assert code == 0
-    assert json.loads(out)[0]["name"] == "mitsuba"
+    assert json_units.read(out)["checks"][0]["name"] == "mitsuba"
 
 
 @pytest.fixture
@@ -282,9 +282,9 @@ def test_import_that_fails_leaves_nothing(capsys, monkeypatch, lens, tmp_path):
 
 
 def test_import_names_the_types_it_reads(capsys, tmp_path):
-    path = tmp_path / "lens.stl"
+    path = tmp_path / "lens.len"
     path.write_text("")
-    assert "files of type '.stl' cannot be read; give .json or batoid .yaml" in fails(capsys, "import", str(path))
+    assert "files of type '.len' cannot be read; give one of .json, .yaml" in fails(capsys, "import", str(path))
 
 
 def test_import_of_batoid_needs_a_wavelength_and_no_variant(capsys, tmp_path):
@@ -354,7 +354,7 @@ def test_a_real_scene(capfd, tmp_path):
     """The plate between air: R² ghost of 2 rays of light, and a report."""
     out = tmp_path / "out"
     code, text, err = run(capfd, "ghosts", "plate", "--rays", "2000", "--out", str(out), "--json")
-    answer = json.loads(text)
+    answer = json_units.read(text)
     assert (code, err) == (0, "")
     assert abs(answer["fields"][0]["energy"]["closure"]) < 1e-5
     assert answer["fields"][0]["paths_direct"] == 1
@@ -369,7 +369,7 @@ def test_a_real_scene_in_colour(capfd, tmp_path):
     lines = ("--wavelength-nm", "450", "550", "650", "--weights", "1", "2", "1")
     options = ("--rays", "4000", "--out", str(out), "--json", "--per-wavelength", "--colour", "--stops", "1.5")
     code, text, err = run(capfd, "ghosts", "plate", *lines, *options)
-    answer = json.loads(text)
+    answer = json_units.read(text)
     (field,) = answer["fields"]
     parts = field["per_wavelength"]
     assert (code, err) == (0, "")

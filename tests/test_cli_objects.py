@@ -8,6 +8,7 @@ import shlex
 from pathlib import Path
 from typing import Any
 
+import json_units
 import pytest
 from oracles.object_scenes import open_tube_text
 from oracles.small_scenes import write
@@ -75,7 +76,7 @@ def test_options_reach_the_search(capsys, tube):
         "--wavelength-nm", "600", "--stop", "wall", "--detector", "detector", "--json",
     )  # fmt: skip
     assert code == 0
-    record = json.loads(out)
+    record = json_units.read(out)
     assert record["angles_deg"] == [10, 20, 30, 40]
     facts = record["facts"]
     assert {key: facts[key] for key in ("rays", "azimuth_deg", "view_half_angle_deg", "threshold", "ray_control")} == {
@@ -88,7 +89,7 @@ def test_options_reach_the_search(capsys, tube):
 
 def test_a_disc_as_source(capsys, tube):
     code, out, _ = run(capsys, tube, *FEW, "--disc", "-1", "0.5", "--half-angle-deg", "5", "--json")
-    record = json.loads(out)
+    record = json_units.read(out)
     assert code == 0
     assert record["facts"]["source"].startswith("disc")
     detector = record["optics"][0]

@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from pathlib import Path
 from typing import Any
 
+import json_units
 import pytest
 from oracles.small_scenes import plates_text, write
 
@@ -188,7 +188,7 @@ def test_an_empty_study(capsys: Any, files: tuple[str, str, str]) -> None:
 def test_json(capsys: Any, files: tuple[str, str, str]) -> None:
     scene, study, out = files
     code, printed, _ = run(capsys, scene, study, "--out", out, "--json")
-    record = json.loads(printed)
+    record = json_units.read(printed)
     assert code == 0
     assert record["holds"] == {"ghosts": True, "total_thickness": True}
     assert [row["name"] for row in record["variables"]] == ["AR.thickness_nm[0]"]

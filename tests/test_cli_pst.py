@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 import shlex
 import signal
@@ -13,6 +12,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
+import json_units
 import numpy as np
 import pytest
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
@@ -142,7 +142,7 @@ def test_forward_saves_no_state(capsys: Any, fake: list[dict[str, Any]], tmp_pat
 
 def test_json_and_quiet(capsys: Any, fake: list[dict[str, Any]]) -> None:
     code, out, _ = run(capsys, "x", "--json", "--angles-deg", ANGLES, "--convention", "projected")
-    answer = json.loads(out)
+    answer = json_units.read(out)
     assert code == 0
     assert answer["convention"] == "projected"
     assert [row["angle_deg"] for row in answer["curve"]] == [0, 20, 40, 60, 80]
@@ -253,7 +253,7 @@ def test_a_real_plate(capfd: Any, tmp_path: Path) -> None:
         capfd, str(scene), "--angles-deg", "5", "--cell-deg", "10", "--convention", "projected", "--rays", "2e5",
         "--out", str(out), "--json",
     )  # fmt: skip
-    answer = json.loads(text)
+    answer = json_units.read(text)
     assert (code, err) == (0, "")
     assert {Path(file).name for file in answer["files"]} | {"pst_state.npz"} == {file.name for file in out.iterdir()}
     (row,) = answer["curve"]
@@ -299,7 +299,7 @@ class TestSavedRun:
     def numbers(self, capfd: Any, *arguments: str) -> tuple[list[dict[str, Any]], float]:
         code, out, err = run(capfd, *arguments, "--json")
         assert (code, err) == (0, "")
-        answer = json.loads(out)
+        answer = json_units.read(out)
         return answer["curve"], answer["facts"]["rays"]
 
     def goes_on_like_one_run(self, capfd: Any, state: Path) -> None:

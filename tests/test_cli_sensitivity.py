@@ -7,6 +7,7 @@ import sys
 from pathlib import Path
 from typing import Any
 
+import json_units
 import pandas as pd
 import pytest
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
@@ -92,7 +93,7 @@ class TestSensitivity:
     def test_json(self, capsys: Any, plate: str) -> None:
         code, printed, _ = run(capsys, "sensitivity", plate, *FEW, "--no-check", "--tolerance", "*.R=0.01", "--json")
         assert code == 0
-        record = json.loads(printed)
+        record = json_units.read(printed)
         assert record["metric"]["value"] == pytest.approx(0.0064, rel=1e-5)
         first = record["parameters"][0]
         assert (first["tolerance"], first["change_percent"]) == (0.01, pytest.approx(10, rel=1e-4))
@@ -164,7 +165,9 @@ class TestBudget:
         # The scene that was written is the one of the table
         code, printed, _ = run(capsys, "budget", str(out / "scene.xml"), str(study), "--json")
         assert code == 0
-        assert [row["before"] for row in json.loads(printed)["numbers"]] == pytest.approx(list(table.after), rel=1e-6)
+        assert [row["before"] for row in json_units.read(printed)["numbers"]] == pytest.approx(
+            list(table.after), rel=1e-6
+        )
 
     def test_a_limit_that_cannot_be_met(self, capsys: Any, rough: str, tmp_path: Path) -> None:
         study = tmp_path / "budget.toml"

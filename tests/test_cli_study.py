@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import json
 import re
 import sys
 from pathlib import Path
 from typing import Any
 
+import json_units
 import pytest
 
 from mistray import cli
@@ -47,7 +47,7 @@ def test_findings_and_one_report(capsys: Any, tmp_path: Path) -> None:
 def test_json(capsys: Any) -> None:
     code, printed, _ = run(capsys, "plate_and_wall", *FEW, "--json")
     assert code == 0
-    record = json.loads(printed)
+    record = json_units.read(printed)
     assert [step["key"] for step in record["steps"]] == [key for key, _ in STEPS]
     curve = record["steps"][7]["tables"]["pst"]
     assert [row["angle_deg"] for row in curve] == [0, 20, 40, 60]

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
+import json_units
 import pytest
 from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, write
@@ -48,7 +48,7 @@ def test_json(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
         "--rays", "1e5", "--seed", "7", "--json",
     )  # fmt: skip
     assert code == 0
-    record = json.loads(text)
+    record = json_units.read(text)
     assert record["band_um"] == [3, 5]
     assert record["wavelengths_um"] == [4]
     for key, expected in (

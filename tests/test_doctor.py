@@ -16,8 +16,8 @@ def by_name(checks):
 
 
 def test_this_machine_is_complete(capsys):
-    assert doctor.main(as_json=True) == 0
-    checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)}
+    assert doctor.show(doctor.report(), as_json=True) == 0
+    checks = {check["name"]: check for check in json.loads(capsys.readouterr().out)["checks"]}
     required = [line for line in importlib.metadata.requires("mistray") if "extra ==" not in line]
     for line in required:
         name = line.split("=")[0].rstrip("<>!~ ")
@@ -51,7 +51,7 @@ def test_no_llvm(monkeypatch, capsys):
 
     monkeypatch.setattr(doctor, "find_llvm", find_llvm)
     monkeypatch.setattr(doctor, "_variants", lambda with_cuda: [])
-    assert doctor.main() == 1
+    assert doctor.show(doctor.report()) == 1
     printed = capsys.readouterr().out
     assert "missing   libLLVM" in printed
     assert "→ install one" in printed

@@ -224,7 +224,7 @@ def test_one_line_and_nothing_written(capfd, folder, case):
 
 
 def test_the_command_itself(tmp_path):
-    """The same through the real command, as processes of their own."""
+    """The same through the real command, as processes of their own; every third case, as each starts Python anew."""
 
     def run(case):
         place = tmp_path / case.name.replace(" ", "_")
@@ -235,7 +235,7 @@ def test_the_command_itself(tmp_path):
         return case, done, sorted(path.name for path in place.rglob("*"))
 
     with ThreadPoolExecutor(2) as pool:
-        for case, done, left in pool.map(run, PROMISED):
+        for case, done, left in pool.map(run, PROMISED[::3]):
             assert (done.returncode, done.stdout) == (2, ""), case.name
             check_line(done.stderr, case.words)
             assert left == ["out", "scene.xml"], case.name

@@ -19,6 +19,7 @@ LAYERS = [
     {"physics", "materials", "coatings"},
     {"scatter"},
     {"prescription"},
+    {"mechanics"},
     {"scene"},
     {"trace"},
     {"analysis"},
@@ -47,6 +48,7 @@ NO_MITSUBA = {
     "report",
     "doctor",
     "cli",
+    "mechanics",
 }
 # Importing Dr.Jit opens libLLVM, so these do it in functions, once libLLVM is settled or somebody asks for a scene.
 LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
@@ -54,6 +56,7 @@ LATE_MITSUBA = {"_variant", "_mitsuba_compat", "prescription"}
 LAZY = {
     ("prescription", "scene"): "Prescription.to_scene() is a shorthand for mistray.scene.load",
     ("analysis", "report"): "Study.write() is a shorthand for mistray.report.write_study",
+    ("trace", "report"): "PathTable.to_parquet() and Trace.write_irradiance() are shorthands for mistray.report",
 }
 # Names that change between Mitsuba releases live in one file.
 RELEASE_NAMES = {"vertex_positions", "vertex_normals", "vertex_texcoords"}

@@ -23,10 +23,12 @@ def test_shipped_scenes_by_name_file_and_folder(path: Path, tmp_path: Path) -> N
     copy = tmp_path / path.parent.name
     shutil.copytree(path.parent, copy)
     model = scene_xml.read_scene(path)
-    for source in (path.parent.name, path, str(path), copy, copy / "scene.xml"):
-        scene = mistray.load(source)
-        assert isinstance(scene, mi.Scene)
-        assert [shape.id() for shape in scene.shapes()] == [shape.shape_id for shape in model.shapes]
+    found = [find(source) for source in (path.parent.name, path, str(path), copy, copy / "scene.xml")]
+    assert found[1:] == [path, path, copy / "scene.xml", copy / "scene.xml"]
+    assert found[0].samefile(path)
+    scene = mistray.load(copy)
+    assert isinstance(scene, mi.Scene)
+    assert [shape.id() for shape in scene.shapes()] == [shape.shape_id for shape in model.shapes]
     for shape, expected in zip(scene.shapes(), model.shapes, strict=True):
         assert shape.part == expected.part
         assert shape.space == expected.space
@@ -46,6 +48,28 @@ def test_find(tmp_path: Path) -> None:
         find("pancake")
     with pytest.raises(mistray.MistrayError, match="no such file"):
         mistray.load(tmp_path)
+
+
+XML_TEXT = '<scene version="3.0.0">\n    <integrator type="straylight"/>\n</scene>\n'
+
+
+@pytest.mark.parametrize("text", [XML_TEXT, "\n" + 200 * XML_TEXT, f"\ufeff<?xml version='1.0'?>\n{XML_TEXT}"])
+def test_the_text_of_a_scene_is_no_file(text: str) -> None:
+    with pytest.raises(mistray.MistrayError) as caught:
+        mistray.load(text)
+    message = str(caught.value)
+    assert message.startswith("scene '")
+    assert message.endswith("': this is XML text; write it to a file and give its path")
+    assert message.isprintable()
+    assert len(message) < 150
+
+
+@pytest.mark.parametrize("name", ["plate" * 1000, "two\nlines", "zero\0byte"])
+def test_what_is_no_name_is_one_line(name: str) -> None:
+    with pytest.raises(mistray.MistrayError, match=r"no such file; give a scene XML file") as caught:
+        find(name)
+    assert str(caught.value).isprintable()
+    assert len(str(caught.value)) < 250
 
 
 def test_a_file_wins_over_a_shipped_name(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

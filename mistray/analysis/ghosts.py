@@ -19,16 +19,20 @@ import numpy.typing as npt
 import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.irradiance import Map, MapStatistics, mirror_asymmetry, statistics
+from mistray.analysis.irradiance import Map, MapStatistics, mirror_asymmetry, pixel_size, statistics
+from mistray.analysis.path_maps import FieldMaps, PathMap
 from mistray.analysis.pool import by_path
 from mistray.analysis.ranking import DirectImage, direct_image, ranked
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.errors import MistrayError
 from mistray.trace import Settings, Trace, trace
-from mistray.trace.path_events import DIRECT, STRAY_KINDS, way_text
+from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
-DRAWING_RAYS = 576  # start rays of the trace that gives rays to draw
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
+CELLS, CELLS_OF_ALL = 96, 256  # along the longer side of the map of a path in a report, and of that of all light
+MAP_BYTES = 400e6  # of the maps of all paths of a field while they are summed
+BYTES_PER_PIXEL = 16
+RAYS_KEPT = 21  # of a path, to choose those from that are drawn
 NOMINAL_FIELD_DEG = 0.0
 
 Progress = Callable[[float, float], None]
@@ -121,7 +125,7 @@ class GhostReport(Mapping[float, Trace]):
         self._frames: dict[Trace, pd.DataFrame] = {}
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
         self._maps: dict[float, _FieldMaps] = {}
-        self._drawings: dict[float, Trace] = {}
+        self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were asked for
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
         self.arguments = dict(arguments)
@@ -289,35 +293,84 @@ class GhostReport(Mapping[float, Trace]):
         stray = self.stray_statistics(field_deg)
         return Estimate(stray.maximum, stray.maximum_se).over(self._nominal_peak())
 
-    def rays_of(self, field_deg: float, path_id: int) -> list[Polyline]:
+    def path_maps(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
         """
-        Rays of a path to draw, spread over the beam.
+        Maps of many paths of one field, from one more run of the same rays.
 
-        They come from a trace of their own with `DRAWING_RAYS` start rays for each wavelength, because the first rays
-        of a large one fill a corner of the beam only. All are of the wavelength of `path_id`.
+        Parameters
+        ----------
+        field_deg : float
+            Field angle, degrees.
+        path_ids : sequence of int
+            Of the table of this field, the most important ones first. Where the detector has so many pixels that maps
+            of all of them would not fit into `MAP_BYTES`, the last ones stay among the rest.
 
         Returns
         -------
-        list of (k, 3) float
-            Polylines from the source to the detector, mm; empty if the path is too rare to occur in so few rays.
+        FieldMaps
+            The last one that was made is kept for each field.
         """
-        if (field_deg, path_id) not in self._rays:
-            self._rays[field_deg, path_id] = self._draw(field_deg, path_id)
-        return self._rays[field_deg, path_id]
+        if field_deg not in self._path_maps or not set(path_ids) <= self._path_maps[field_deg][0]:
+            self._path_maps[field_deg] = set(path_ids), self._mapped(field_deg, path_ids)
+        return self._path_maps[field_deg][1]
 
-    def _draw(self, field_deg: float, path_id: int) -> list[Polyline]:
-        if field_deg not in self._drawings:
-            few = self.arguments | {"rays": DRAWING_RAYS * len(self.wavelengths_nm)}
-            self._drawings[field_deg] = trace(self.scene, field_deg=field_deg, **few)
-        drawing = self._drawings[field_deg]
-        wanted = self[field_deg].paths[path_id]
-        (events,) = way_text([wanted.events])
-        rows = self._rows(drawing)
-        rows = rows[
-            (rows.source == wanted.source) & (rows.wavelength_nm == wanted.wavelength_nm) & (rows.events == events)
-        ]
-        members = [i for path_ids in rows.path_ids for i in path_ids]
-        return [ray for i in members for ray in drawing.history(i, n=DRAWING_RAYS).rays]
+    def _mapped(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
+        t, table = self[field_deg], self.table(field_deg)
+        width, height = pixel_size(t.irradiance, t.extent)
+        most = max(int(MAP_BYTES / (BYTES_PER_PIXEL * t.irradiance.size)) - 2, 0)
+        chosen = list(path_ids)[:most]
+        members = dict(zip(table.path_id, table.path_ids, strict=True))
+        direct = set(table.path_id[table.kind == DIRECT])
+        others = [path_id for path_id in members if path_id not in set(chosen)]
+        # What is left, direct and stray apart, then path by path
+        groups = [[path_id for path_id in others if (path_id in direct) == wanted] for wanted in (True, False)]
+        groups += [[path_id] for path_id in chosen]
+        ways = [[i for path_id in group for i in members[path_id]] for group in groups]
+        worst = set(self.top(field_deg, MAPPED_PATHS).path_id)
+        sums = {kind: (np.zeros_like(t.irradiance), np.zeros_like(t.irradiance)) for kind in ("direct", "stray")}
+        rest, paths, full = np.zeros_like(t.irradiance), {}, {}
+        for number, (image, se) in enumerate(t.each_map(ways) if len(table) else ()):
+            light, variance = sums["direct" if number == 0 or set(groups[number]) & direct else "stray"]
+            light += image
+            variance += se**2
+            if number < 2:
+                rest += image
+                continue
+            (path_id,) = groups[number]
+            paths[path_id] = PathMap.of(image * (width * height), CELLS)
+            if path_id in worst:
+                full[path_id] = image, se
+        if worst <= set(full):
+            both = ((light, np.sqrt(variance)) for light, variance in sums.values())
+            self._maps.setdefault(field_deg, _FieldMaps(next(both), next(both), full))
+        light, stray, rest = (image * (width * height) for image in (t.irradiance, sums["stray"][0], rest))
+        whole = (PathMap.of(image, CELLS_OF_ALL) for image in (light, stray))
+        return FieldMaps(next(whole), next(whole), paths, PathMap.of(rest, CELLS))
+
+    def rays_of_paths(self, field_deg: float, path_ids: Sequence[int]) -> dict[int, list[Polyline]]:
+        """
+        Rays of paths to draw, from a sample of the start rays of the trace that is spread over the beam.
+
+        Returns
+        -------
+        dict
+            By path, polylines (k, 3) from the source to the detector, mm; all are of the wavelength of the path, and
+            there are none of one that is too rare to occur in the sample.
+        """
+        missing = [path_id for path_id in path_ids if (field_deg, path_id) not in self._rays]
+        if missing:
+            rows = self._rows(self[field_deg]).set_index("path_id").path_ids
+            found = self[field_deg].sampled_rays([i for path_id in missing for i in rows[path_id]], RAYS_KEPT)
+            for path_id in missing:
+                self._rays[field_deg, path_id] = [ray.points for i in rows[path_id] for ray in found[i]]
+        return {path_id: self._rays[field_deg, path_id] for path_id in path_ids}
+
+    def rays_of(self, field_deg: float, path_id: int) -> list[Polyline]:
+        """The rays of one path as from `rays_of_paths`; those of the worst paths are found together."""
+        table = self.table(field_deg)
+        direct = table.path_id[table.kind == DIRECT].head(1)
+        together = dict.fromkeys([path_id, *direct, *self.top(field_deg, MAPPED_PATHS).path_id])
+        return self.rays_of_paths(field_deg, list(together))[path_id]
 
     def _nominal_peak(self) -> Estimate:
         field = next((field for field, t in self.items() if t is self.nominal_trace), None)

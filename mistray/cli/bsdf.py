@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.cli import bsdf_models
 from mistray.cli.arguments import RAW, finite, positive
+from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
@@ -33,7 +34,7 @@ def add(commands: Any) -> None:
         "  mistray bsdf abg --rms-nm 5 --correlation-um 100 --wavelength-nm 500 --R 0.95\n"
         "  mistray bsdf harvey_shack --rms-nm 4 --event transmission --back 1.5333 --plot polished.png\n"
         "  mistray bsdf particulate --level 300 --event transmission --plot dust.png\n"
-        "  mistray bsdf paint --preset flat_black\n"
+        "  mistray bsdf paint --preset flat_black --json\n"
         "  mistray bsdf measured.bsdf --table copy.csv",
         formatter_class=RAW,
     )
@@ -55,6 +56,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the curves in the plane of incidence")
     parser.add_argument("--table", type=Path, metavar="FILE",
                         help="write a table over the hemisphere, for scenes: .bsdf (Zemax) or .csv")  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print JSON instead of the tables, with the curves")
     bsdf_models.declare(parser)
     parser.set_defaults(run=run)
 
@@ -76,7 +78,9 @@ def run(options: argparse.Namespace) -> int:
     if not events:
         raise MistrayError(f"{options.model} scatters nothing from this side; raise its amount or turn --from-back")
     event = options.event or events[0]
-    curves = scan(model, options.angles_deg, event, light)
+    with working("evaluating the model"):
+        curves = scan(model, options.angles_deg, event, light)
+        totals = _total_rows(model, options.angles_deg, events, light)
     title = _title(options, model)
     if options.plot is not None:
         from mistray.report.bsdf_plots import bsdf_figure
@@ -88,13 +92,72 @@ def run(options: argparse.Namespace) -> int:
         _write_curves(curves, options.csv, options.command_line)
     if options.table is not None:
         _write_table(model, options, event, light)
+    written = [path for path in (options.plot, options.plot_particles, options.csv, options.table) if path]
+    if options.json:
+        print_json(_record(options, title, model, totals, curves, light), written)
+        return 0
     print(f"{title}: {options.front} | {options.back}, {light.wavelength_nm:g} nm")
-    blocks = [*_notes(model), *_sheet(options), _totals(model, options.angles_deg, events, light)]
+    blocks = [*_notes(model), *_sheet(options), _totals(totals)]
     print("\n\n".join(blocks))
-    written = [str(path) for path in (options.plot, options.plot_particles, options.csv, options.table) if path]
     if written:
-        print(f"\nwrote {', '.join(written)}")
+        print(f"\nwrote {', '.join(map(str, written))}")
     return 0
+
+
+def _record(
+    options: argparse.Namespace,
+    title: str,
+    model: Scatter,
+    totals: list[dict[str, Any]],
+    curves: list[Scan],
+    light: Light,
+) -> dict[str, Any]:
+    """What --json prints: notes, the way to A, B and g from a roughness, totals of all events, curves of one."""
+    from mistray.report.json_values import plain
+
+    sheet = bsdf_models.roughness_sheet(options)
+    roughness = None
+    if sheet is not None:
+        names = ("psd_amplitude_um4", "psd_length_um", "psd_slope", "tis", "correction", "shortest_wavelength_um")
+        roughness = {name: getattr(sheet, name) for name in names}
+        roughness |= {"bsdf_per_psd_per_um4": sheet.bsdf_per_psd, "bsdf_0_1_sr": sheet.bsdf_0}
+        roughness |= {"A_1_sr": sheet.a, "B": sheet.b, "g": sheet.g}
+    record = {
+        "model": title,
+        "front": options.front,
+        "back": options.back,
+        "from_front": light.from_front,
+        "wavelength_nm": light.wavelength_nm,
+        "notes": _notes(model),
+        "from_roughness": roughness,
+        "totals": totals,
+        "event": curves[0].event,
+        "curves": [
+            {
+                "incidence_deg": one.incidence_deg,
+                "theta_s_deg": one.theta_s_deg,
+                "distance": one.distance,
+                "bsdf_1_sr": one.values,
+            }
+            for one in curves
+        ],
+    }
+    return dict(plain(record))
+
+
+def _total_rows(model: Scatter, angles_deg: list[float], events: list[str], light: Light) -> list[dict[str, Any]]:
+    """What is scattered and what the specular beam loses, by event and angle; None where nothing is transmitted."""
+    from mistray.scatter.scan import scan
+
+    rows = []
+    for event in events:
+        for angle in angles_deg:
+            row = {"event": event, "incidence_deg": angle, "scattered": None, "loss": None, "peak_1_sr": None}
+            if event != "transmission" or not light.is_totally_reflected(angle):
+                (one,) = scan(model, [angle], event, light)
+                row |= {"scattered": one.scattered, "loss": one.loss, "peak_1_sr": one.values[one.distance.argmin()]}
+            rows.append(row)
+    return rows
 
 
 def _light(options: argparse.Namespace) -> Light:
@@ -156,23 +219,21 @@ def _sheet(options: argparse.Namespace) -> list[str]:
     return ["\n".join(f"{name:<24} {value:.9g} {unit}".rstrip() for name, value, unit in rows)]
 
 
-def _totals(model: Scatter, angles_deg: list[float], events: list[str], light: Light) -> str:
+def _totals(found: list[dict[str, Any]]) -> str:
     """Table of what is scattered, and what the specular beams lose."""
     from mistray.report.text import ABSENT, text_table
-    from mistray.scatter.scan import scan
 
-    heads, columns = [("incidence", "deg")], [[f"{angle:g}" for angle in angles_deg]]
-    for event in events:
-        heads += [(event, "TIS %"), ("", "loss %"), ("", "peak 1/sr")]
-        cells = []
-        for angle in angles_deg:
-            if event == "transmission" and light.is_totally_reflected(angle):
-                cells.append([ABSENT] * 3)
-                continue
-            (one,) = scan(model, [angle], event, light)
-            peak = one.values[one.distance.argmin()]
-            cells.append([f"{100 * one.scattered:.4g}", f"{100 * one.loss:.4g}", f"{peak:.4g}"])
-        columns += list(map(list, zip(*cells, strict=True)))
+    angles = dict.fromkeys(row["incidence_deg"] for row in found)
+    heads, columns = [("incidence", "deg")], [[f"{angle:g}" for angle in angles]]
+    for event in dict.fromkeys(row["event"] for row in found):
+        rows = [row for row in found if row["event"] == event]
+        for head, unit, key, scale in (
+            (event, "TIS %", "scattered", 100),
+            ("", "loss %", "loss", 100),
+            ("", "peak 1/sr", "peak_1_sr", 1),
+        ):
+            heads.append((head, unit))
+            columns.append([ABSENT if row[key] is None else f"{scale * row[key]:.4g}" for row in rows])
     text = text_table(heads, list(zip(*columns, strict=True)))
     return f"{text}\nTIS: share of the incident light; loss: share of the specular beam that it loses"
 

@@ -7,7 +7,15 @@ from pathlib import Path
 from typing import Any
 
 from mistray.cli.arguments import RAW
-from mistray.cli.tracing_arguments import add_output, add_scene, progress_bar, scene_title, show, start_mitsuba
+from mistray.cli.tracing_arguments import (
+    add_output,
+    add_scene,
+    progress_bar,
+    scene_title,
+    show,
+    start_mitsuba,
+    working,
+)
 
 
 def add(commands: Any) -> None:
@@ -46,6 +54,7 @@ def run(options: argparse.Namespace) -> int:
         result = budget(options.scene, study, progress=progress)
     files = []
     if options.out is not None:
-        files = write_budget(result, options.out, scene_title(options.scene), options.command_line)
+        with working("drawing the report", options.quiet):
+            files = write_budget(result, options.out, scene_title(options.scene), options.command_line)
     show(options, lambda: budget_record(result), lambda: budget_text(result), files)
     return 0

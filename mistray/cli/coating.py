@@ -7,6 +7,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import RAW, finite, positive
+from mistray.cli.coating_json import as_json
+from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
@@ -31,7 +33,7 @@ def add(commands: Any) -> None:
         "  mistray coating bbar3 --plot bbar3.png\n"
         "  mistray coating protected_al --wavelength-nm 400:1000:10 --angles-deg 0 45\n"
         '  mistray coating "MgF2 99.64, 2.1 0.5w, 1.63 0.25w" --back N-SF6 --csv ar.csv\n'
-        "  mistray coating COATING.DAT:AR --design-nm 587.6\n"
+        "  mistray coating COATING.DAT:AR --design-nm 587.6 --json\n"
         "  mistray coating cooke_triplet --plot surfaces.png",
         formatter_class=RAW,
     )
@@ -52,6 +54,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .svg or .pdf")
     parser.add_argument("--csv", type=Path, metavar="FILE",
                         help="write R, T and phases; its angles are those in the material of lower index")  # fmt: skip
+    parser.add_argument("--json", action="store_true", help="print JSON instead of the tables, with the whole spectrum")
     parser.set_defaults(run=run)
 
 
@@ -73,9 +76,14 @@ def run(options: argparse.Namespace) -> int:
         _save(coating_figure(coating, lam, options.angles_deg, front, back, from_front), options.plot)
     if options.csv is not None:
         write_table(coating, options.csv, lam, options.angles_deg, front, back)
+    files = [path for path in (options.plot, options.csv) if path is not None]
+    if options.json:
+        where = {"coating": coating.name or options.coating, "front": front, "back": back, "from_front": from_front}
+        print_json(where | as_json(coating, values, options.design_nm), files)
+        return 0
     print(f"{coating.name or options.coating}: {front} | {back}, light from {front if from_front else back}")
     print("\n\n".join([*_layers(coating, options.design_nm), _over_band(values), _sample(values)]))
-    _print_files(options.plot, options.csv)
+    _print_files(files)
     return 0
 
 
@@ -141,21 +149,31 @@ def _scene(options: argparse.Namespace, lam: list[float]) -> int:
     from mistray.report.text import text_table
     from mistray.scene import load
 
-    surfaces = coated_surfaces(load(options.coating))
-    if options.plot is not None:
+    with working(f"loading {options.coating}"):
+        surfaces = coated_surfaces(load(options.coating))
+    files = [] if options.plot is None else [options.plot]
+    if files:
         _save(surfaces_figure(surfaces, lam, options.angles_deg), options.plot)
-    rows = []
+    rows, records = [], []
     for surface in surfaces:
         sides = (complex_index(material, lam[0]) for material in (surface.front, surface.back))
         values = spectrum(
             surface.coating, lam, options.angles_deg, surface.front, surface.back, outside_first(*sides)
         ).mean()
-        means = [f"{100 * value:.4f}" for value in values.mean(axis=0)]
-        rows.append([", ".join(surface.names), surface.coating.name or "ideal", surface.front, surface.back, *means])
+        means = values.mean(axis=0)
+        facts = {"coating": surface.coating.name or "ideal", "front": surface.front, "back": surface.back}
+        rows.append([", ".join(surface.names), *facts.values(), *(f"{100 * value:.4f}" for value in means)])
+        by_angle = zip(options.angles_deg, means.tolist(), strict=True)
+        records.append(
+            {"names": list(surface.names), **facts, "angles": [{"angle_deg": a, "R_mean": r} for a, r in by_angle]}
+        )
+    if options.json:
+        print_json({"wavelength_from_nm": lam[0], "wavelength_to_nm": lam[-1], "surfaces": records}, files)
+        return 0
     print(f"mean reflectance from {lam[0]:g} to {lam[-1]:g} nm, unpolarised light from the side of lower index")
     angles = [(f"{angle:g}°", "%") for angle in options.angles_deg]
     print(text_table([(name, "") for name in ("surfaces", "coating", "front", "back")] + angles, rows, left=range(4)))
-    _print_files(options.plot)
+    _print_files(files)
     return 0
 
 
@@ -222,7 +240,6 @@ def _save(figure: Any, path: Path) -> None:
         raise MistrayError(f"picture '{path}': {error.strerror}; check the folder and its permissions") from None
 
 
-def _print_files(*paths: Path | None) -> None:
-    written = [str(path) for path in paths if path is not None]
-    if written:
-        print(f"\nwrote {', '.join(written)}")
+def _print_files(files: list[Path]) -> None:
+    if files:
+        print(f"\nwrote {', '.join(map(str, files))}")

@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from mistray.cli.arguments import RAW
+from mistray.cli.tracing_arguments import working
 
 
 def add(commands: Any) -> None:
@@ -25,4 +26,6 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     from mistray import doctor
 
-    return doctor.main(as_json=options.json)
+    with working("looking at this machine"):
+        checks = doctor.report()
+    return doctor.show(checks, as_json=options.json)

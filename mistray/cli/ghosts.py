@@ -8,21 +8,28 @@ from typing import TYPE_CHECKING, Any
 from mistray.cli.arguments import RAW, count, field, finite
 from mistray.cli.ghosts_json import WORST_SHOWN, as_json
 from mistray.cli.tracing_arguments import (
+    MAP_FORMATS,
+    TABLE_FORMATS,
     add_output,
     add_ray_tree,
     add_scatter,
     add_scene,
     add_spectrum,
+    check_formats,
     check_weights,
     progress_bar,
     scene_title,
     settings_of,
     show,
     start_mitsuba,
+    working,
 )
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
+    from pathlib import Path
+
+    from mistray.analysis import GhostReport
     from mistray.report import Look
 
 
@@ -37,6 +44,7 @@ def add(commands: Any) -> None:
         "  mistray ghosts phone_camera --field-deg 0 5 10 15 20 25 27 --out out\n"
         "  mistray ghosts scene.xml --wavelength-nm 620 --rays 1e7 --json\n"
         "  mistray ghosts scene.xml --max-scatters 2 --max-reflections 1 --aimed-rays 4 --out out\n"
+        "  mistray ghosts scene.xml --out out --formats parquet fits\n"
         "  mistray ghosts scene.xml --wavelength-nm 450 550 650 --weights 1 2 1 --colour --out out",
         formatter_class=RAW,
     )
@@ -47,7 +55,8 @@ def add(commands: Any) -> None:
     add_spectrum(source)
     add_ray_tree(parser, "start rays at each field (1e6)")
     add_scatter(parser)
-    output = add_output(parser, "report.html, CSV, PNG and path-sort files")
+    formats = (*TABLE_FORMATS, *MAP_FORMATS)
+    output = add_output(parser, "report.html, CSV, PNG and path-sort files", formats=formats)
     output.add_argument("--per-wavelength", action="store_true", help="add paths and ledgers at each wavelength")
     colour = parser.add_argument_group("colour pictures (need --out and three wavelengths or more)")
     colour.add_argument("--colour", action="store_true", help="draw the ghosts as a photograph would show them")
@@ -71,10 +80,12 @@ def run(options: argparse.Namespace) -> int:
     from mistray.scene import load
 
     check_weights(options)
+    check_formats(options)
     look = _look(options)
     if options.out is not None:
         writable_directory(options.out)
-    scene = load(options.scene)
+    with working(f"loading {options.scene}", options.quiet):
+        scene = load(options.scene)
     if look is not None:
         check_wavelengths(options.wavelength_nm or _own_wavelengths(scene))
     with progress_bar(options) as progress:
@@ -87,14 +98,24 @@ def run(options: argparse.Namespace) -> int:
             progress=progress,
             **settings_of(options),
         )
+    lines = options.per_wavelength
     files = []
     if options.out is not None:
-        files = write_all(
-            report, options.out, scene_title(options.scene), options.command_line, options.per_wavelength, look
-        )
-    lines = options.per_wavelength
+        with working("drawing the report", options.quiet):
+            files = write_all(report, options.out, scene_title(options.scene), options.command_line, lines, look)
+            files += _write_formats(report, options)
     show(options, lambda: as_json(report, lines), lambda: main_table(report, WORST_SHOWN, lines), files)
     return 0
+
+
+def _write_formats(report: GhostReport, options: argparse.Namespace) -> list[Path]:
+    """The tables as Parquet, and irradiance_<field>deg in the other formats."""
+    from mistray.report import IrradianceMap, write_formats
+    from mistray.report.csv_tables import csv_tables
+
+    tables = csv_tables(report, options.per_wavelength)
+    maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}
+    return write_formats(options.formats, options.out, tables, maps, {"command": options.command_line})
 
 
 def _look(options: argparse.Namespace) -> Look | None:

@@ -3,33 +3,85 @@
 from __future__ import annotations
 
 import argparse
+import math
 import shlex
+from collections.abc import Callable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import RAW, positive
+from mistray.cli import import_mechanics
+from mistray.cli.arguments import RAW, finite, positive
 from mistray.errors import MistrayError
+
+if TYPE_CHECKING:
+    from mistray.prescription import Prescription, Sequential
+    from mistray.prescription.build import Built
+
+# Options that only some formats know: each with the words for it and the formats
+_SEQUENTIAL = ("zmx", "seq")
+_ONLY = {
+    "variant": ("variants", ("json",)),
+    "wavelength_nm": ("wavelength of a source", ("json", "yaml", *_SEQUENTIAL)),
+    "edges": ("edges to choose", _SEQUENTIAL),
+    "coatings": ("coatings by name", ("zmx",)),
+    "glass": ("glass names", _SEQUENTIAL),
+    "glass_catalogue": ("glass names", _SEQUENTIAL),
+    "radius_mode": ("radius mode", ("seq",)),
+    "margin": ("clear radii to choose", _SEQUENTIAL),
+    "beam": ("entrance pupil", _SEQUENTIAL),
+    "detector_half_mm": ("detector to choose", _SEQUENTIAL),
+}
+_FORMATS = {".json": "json", ".yaml": "yaml", ".yml": "yaml", ".zmx": "zmx", ".seq": "seq"}
+_MECHANICS = "mechanics"
+_CALLED = {"json": "JSON", "yaml": "batoid", "zmx": "Zemax", "seq": "CODE V", _MECHANICS: "mechanical"}
 
 
 def add(commands: Any) -> None:
     """Declare the command."""
     parser = commands.add_parser(
         "import",
-        help="turn a lens file into a scene",
-        description="Read a lens and write it as a scene (Mitsuba XML).",
+        help="turn a lens file or mechanics into a scene",
+        description="Read a lens or mechanics and write them as a scene (Mitsuba XML). Lines of the file that have no "
+        "effect are listed.",
         epilog="examples:\n"
+        "  mistray import triplet.zmx -o triplet.xml --edges ground\n"
+        "  mistray import triplet.seq --radius-mode yes\n"
         "  mistray import scenes/phone_camera/prescription.json -o scene.xml\n"
-        "  mistray import LSST_r.yaml -o lsst.xml --wavelength-nm 620",
+        "  mistray import LSST_r.yaml -o lsst.xml --wavelength-nm 620\n"
+        "  mistray import tube.step --into triplet.xml -o both.xml --paint 'vane*=black'",
         formatter_class=RAW,
     )
-    parser.add_argument("lens", metavar="LENS", help="camera lens as JSON (like scenes/phone_camera), or batoid YAML")
     parser.add_argument(
-        "-o", "--output", metavar="XML", type=Path, help="file to write (default: LENS with .xml, in this folder)"
+        "lens",
+        metavar="FILE",
+        help="lens as Zemax .zmx, CODE V .seq, batoid .yaml or .json (like scenes/phone_camera), or mechanics as "
+        ".step, .stl, .obj or .ply",
     )
     parser.add_argument(
-        "--wavelength-nm", type=positive, metavar="NM", help="wavelength of the source, nm (batoid: required)"
+        "-o", "--output", metavar="XML", type=Path, help="file to write (default: FILE with .xml, in this folder)"
     )
-    parser.add_argument("--variant", metavar="NAME", help="design variant that the JSON file holds, such as R13=5.272")
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    group = parser.add_argument_group("lenses")
+    group.add_argument("--wavelength-nm", type=positive, metavar="NM",
+                       help="wavelength of the source, nm (batoid: required; others: as the file says)")  # fmt: skip
+    group.add_argument("--variant", metavar="NAME", help="design variant that a JSON file holds, such as R13=5.272")
+    group = parser.add_argument_group("Zemax and CODE V files (in brackets: the default)")
+    group.add_argument("--edges", metavar="KIND",
+                       help="lens edges: blackened, ground, or open, which are polished and without a barrel "
+                       "(blackened)")  # fmt: skip
+    group.add_argument("--coatings", metavar="FILE", help="COATING.DAT that holds the coatings of a .zmx file")
+    group.add_argument("--glass", nargs="+", metavar="NAME=MATERIAL",
+                       help="material of a glass name, such as 'MYGLASS=nd=1.62 Vd=36.4 k=0'")  # fmt: skip
+    group.add_argument("--glass-catalogue", nargs="+", metavar="AGF", help="further glass catalogues")
+    group.add_argument("--radius-mode", choices=("yes", "no"),
+                       help="a .seq file gives radii (yes) or curvatures (no), where it does not say")  # fmt: skip
+    group.add_argument("--margin", type=finite, metavar="PART",
+                       help="clear radii that the file does not give exceed the rays by this part (0.02)")  # fmt: skip
+    group.add_argument("--beam", metavar="KIND",
+                       help="the source fills the entrance pupil (pupil) or the first surface (front)")  # fmt: skip
+    group.add_argument("--detector-half-mm", type=positive, nargs=2, metavar=("X", "Y"),
+                       help="half width and height of the detector, mm (as the image of all fields)")  # fmt: skip
+    import_mechanics.add_options(parser)
     parser.set_defaults(run=run)
 
 
@@ -38,33 +90,92 @@ def run(options: argparse.Namespace) -> int:
     lens = Path(options.lens)
     if not lens.is_file():
         raise MistrayError(f"lens '{lens}': no such file; check the path")
+    suffix = lens.suffix.lower()
+    kind = _MECHANICS if suffix in import_mechanics.SUFFIXES else _FORMATS.get(suffix)
+    if kind is None:
+        known = ", ".join([*_FORMATS, *import_mechanics.SUFFIXES])
+        raise MistrayError(f"lens '{lens}': files of type '{lens.suffix}' cannot be read; give one of {known}")
+    _check(options, kind)
+    if kind == _MECHANICS:
+        return import_mechanics.run(options)
     output = options.output or Path(lens.with_suffix(".xml").name)
     if not output.parent.is_dir():
         raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
-    if lens.suffix == ".json":
-        prescription = _from_json(lens, options)
-    elif lens.suffix in (".yaml", ".yml"):
-        prescription = _from_batoid(lens, options)
+    if kind in _SEQUENTIAL:
+        built = _from_sequential(lens, kind, options)
+        prescription, record = built.prescription, _record(built)
     else:
-        raise MistrayError(f"lens '{lens}': files of type '{lens.suffix}' cannot be read; give .json or batoid .yaml")
-    prescription.to_xml(output)
-    count = sum(1 for _ in prescription.shapes())
-    print(f"{output}: {count} surfaces; next: {shlex.join(['mistray', 'ghosts', str(output)])}")
+        prescription = _from_json(lens, options) if kind == "json" else _from_batoid(lens, options)
+        record = {"notes": [], "unread": []}
+    from mistray.prescription.from_files import beside
+
+    beside(prescription, output.parent).to_xml(output)
+    shapes = sum(1 for _ in prescription.shapes())
+    record = {"name": prescription.name, "surfaces": shapes, **record}
+    if options.json:
+        from mistray.cli.tracing_arguments import print_json
+        from mistray.report.json_values import plain
+
+        print_json(plain(record), [output])
+    else:
+        print(_text(record, _angles(record, prescription), lens, output))
     return 0
 
 
-def _from_json(lens: Path, options: argparse.Namespace) -> Any:
+def _check(options: argparse.Namespace, kind: str) -> None:
+    """Refuse options that mean nothing for a kind of file."""
+    for name, (words, kinds) in _ONLY.items():
+        value = getattr(options, name)
+        if value is not None and kind not in kinds:
+            shown = " ".join(map(str, value if isinstance(value, list) else [value]))
+            flag = "--" + name.replace("_", "-")
+            raise MistrayError(f"{flag} {shown}: {_CALLED[kind]} files hold no {words}; leave it out")
+    if kind != _MECHANICS:
+        import_mechanics.refuse(options, _CALLED[kind])
+
+
+def _from_sequential(lens: Path, kind: str, options: argparse.Namespace) -> Built:
+    from mistray.prescription.build import build
+    from mistray.prescription.read_codev import read_codev
+    from mistray.prescription.read_zemax import read_zemax
+
+    glasses = dict(_glass(text) for text in options.glass or [])
+    shared: dict[str, Any] = {"glass_catalogues": options.glass_catalogue or (), "glasses": glasses or None}
+    readers: Mapping[str, Callable[[], Sequential]] = {
+        "zmx": lambda: read_zemax(lens, coatings=options.coatings, **shared),
+        "seq": lambda: read_codev(
+            lens, radius_mode=None if options.radius_mode is None else options.radius_mode == "yes", **shared
+        ),
+    }
+    chosen = {name: value for name in ("edges", "margin", "beam") if (value := getattr(options, name)) is not None}
+    half = options.detector_half_mm
+    built = build(readers[kind](), detector_half_mm=None if half is None else (half[0], half[1]), **chosen)
+    if options.wavelength_nm is None:
+        return built
+    from dataclasses import replace
+
+    return replace(built, prescription=_at(built.prescription, options.wavelength_nm))
+
+
+def _glass(text: str) -> tuple[str, str]:
+    name, equals, material = text.partition("=")
+    if not (equals and name.strip() and material.strip()):
+        raise MistrayError(f"--glass '{text}': write NAME=MATERIAL, such as 'MYGLASS=N-BK7'")
+    return name.strip(), material.strip()
+
+
+def _at(prescription: Prescription, wavelength_nm: float) -> Prescription:
+    return prescription.with_source(wavelength_nm=(wavelength_nm,), weights=None)
+
+
+def _from_json(lens: Path, options: argparse.Namespace) -> Prescription:
     from mistray.prescription import from_json
 
     prescription = from_json(lens, variant=options.variant)
-    if options.wavelength_nm is None:
-        return prescription
-    return prescription.with_source(wavelength_nm=(options.wavelength_nm,), weights=None)
+    return prescription if options.wavelength_nm is None else _at(prescription, options.wavelength_nm)
 
 
-def _from_batoid(lens: Path, options: argparse.Namespace) -> Any:
-    if options.variant is not None:
-        raise MistrayError(f"--variant {options.variant}: batoid files hold no variants; leave it out")
+def _from_batoid(lens: Path, options: argparse.Namespace) -> Prescription:
     if options.wavelength_nm is None:
         raise MistrayError(f"lens '{lens}': batoid media depend on the wavelength; give --wavelength-nm")
     try:
@@ -78,3 +189,68 @@ def _from_batoid(lens: Path, options: argparse.Namespace) -> Any:
     except Exception as error:  # yaml and batoid raise all kinds
         raise MistrayError(f"lens '{lens}': {error}; it must be a batoid YAML file") from None
     return from_batoid(optic, wavelength_nm=options.wavelength_nm)
+
+
+def _record(built: Built) -> dict[str, Any]:
+    """What is printed of a sequential lens; infinite numbers are null in JSON."""
+    lens, data = built.lens, built.first_order
+    return {
+        "efl_mm": data.efl,
+        "bfl_mm": data.bfl,
+        "f_number": data.f_number,
+        "epd_mm": data.epd,
+        "entrance_pupil_z_mm": data.entrance_pupil_z,
+        "wavelength_nm": data.wavelength_nm,
+        "wavelengths_nm": list(lens.wavelengths_nm),
+        "field_kind": lens.field_kind,
+        "fields_deg" if lens.field_kind == "angle_deg" else "fields_mm": [list(field) for field in lens.fields],
+        "telecentric": lens.telecentric,
+        "notes": list(built.notes),
+        "unread": [{"line": item.line, "text": item.text.strip(), "reason": item.reason} for item in lens.unread],
+    }
+
+
+def _text(record: Mapping[str, Any], angles: list[float], lens: Path, output: Path) -> str:
+    command = ["mistray", "ghosts", str(output)]
+    if len(angles) > 1:
+        command += ["--field-deg", *(f"{angle:g}" for angle in angles)]
+    from mistray.materials.mate import shown
+
+    lines = [f"{output}: {record['surfaces']} surfaces; next: {shlex.join(command)}"]
+    if "efl_mm" in record:
+        pupil = (
+            "telecentric in object space"
+            if math.isinf(record["entrance_pupil_z_mm"])
+            else f"F/{record['f_number']:.4g}, entrance pupil {record['epd_mm']:.6g} mm"
+        )
+        focus = (
+            "afocal"
+            if math.isinf(record["efl_mm"])
+            else f"focal length {record['efl_mm']:.6g} mm, back focus {record['bfl_mm']:.6g} mm"
+        )
+        lines.append(f"at {record['wavelength_nm']:g} nm: {focus}, {pupil}")
+    lines += [f"note: {note}" for note in record["notes"]]
+    unread = record["unread"]
+    if unread:
+        lines.append(f"{len(unread)} {'line' if len(unread) == 1 else 'lines'} of {lens.name} had no effect:")
+        width = max(len(str(item["line"])) for item in unread)
+        lines += [f"  line {item['line']:>{width}}: {shown([item['text']])}  ({item['reason']})" for item in unread]
+    return "\n".join(lines)
+
+
+def _angles(record: Mapping[str, Any], prescription: Prescription) -> list[float]:
+    """
+    Field angles to trace, degrees.
+
+    About one axis a field is its angle to that. Otherwise its sign counts, and fields off the yz plane are left out.
+    """
+    fields = record.get("fields_deg", ())
+    if all(surface.coaxial for surface in prescription.surfaces):
+        return sorted({_angle(*field) for field in fields})
+    return sorted({round(y, 6) for x, y in fields if x == 0})
+
+
+def _angle(x_deg: float, y_deg: float) -> float:
+    """Angle to the axis of a field whose slopes are tan x and tan y, degrees."""
+    slope = math.hypot(math.tan(math.radians(x_deg)), math.tan(math.radians(y_deg)))
+    return round(math.degrees(math.atan(slope)), 6)

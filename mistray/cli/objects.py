@@ -7,7 +7,17 @@ from functools import partial
 from typing import Any
 
 from mistray.cli.arguments import RAW, add_angles, count, finite, positive
-from mistray.cli.tracing_arguments import add_output, add_scene, progress_bar, scene_title, show, start_mitsuba
+from mistray.cli.tracing_arguments import (
+    TABLE_FORMATS,
+    add_output,
+    add_scene,
+    check_formats,
+    progress_bar,
+    scene_title,
+    show,
+    start_mitsuba,
+    working,
+)
 from mistray.errors import MistrayError
 
 ROWS_SHOWN = 25
@@ -54,7 +64,7 @@ def add(commands: Any) -> None:
     tracing.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one way (64)")
     tracing.add_argument("--seed", type=count, metavar="N", help="seed of the random numbers (0)")
     tracing.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
-    output = add_output(parser, "objects.html, CSV, JSON and PNG files")
+    output = add_output(parser, "objects.html, CSV, JSON and PNG files", formats=TABLE_FORMATS)
     output.add_argument(
         "--rows", type=count, default=ROWS_SHOWN, metavar="N", help=f"rows of each table ({ROWS_SHOWN})"
     )
@@ -64,11 +74,13 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     _check(options)
+    check_formats(options)
     start_mitsuba(options)
     from mistray.analysis.objects.search import objects
     from mistray.analysis.objects.sources import DiskSource
+    from mistray.report.formats import write_formats
     from mistray.report.objects_output import write_objects
-    from mistray.report.objects_tables import objects_record, objects_text
+    from mistray.report.objects_tables import csv_tables, objects_record, objects_text
     from mistray.report.output import writable_directory
     from mistray.scene import load
 
@@ -95,7 +107,8 @@ def run(options: argparse.Namespace) -> int:
         "max_events": options.max_events,
         "seed": options.seed,
     }
-    scene = load(options.scene)
+    with working(f"loading {options.scene}", options.quiet):
+        scene = load(options.scene)
     with progress_bar(options) as progress:
         found = objects(
             scene,
@@ -106,7 +119,10 @@ def run(options: argparse.Namespace) -> int:
         estimates = found.estimates()
     files = []
     if options.out is not None:
-        files = write_objects(found, estimates, options.out, scene_title(options.scene), options.command_line)
+        with working("drawing the report", options.quiet):
+            files = write_objects(found, estimates, options.out, scene_title(options.scene), options.command_line)
+            tables = csv_tables(found, estimates)
+            files += write_formats(options.formats, options.out, tables, {}, {"command": options.command_line})
     text = partial(objects_text, found, estimates, options.rows)
     show(options, partial(objects_record, found, estimates), text, files, "objects.html")
     return 0

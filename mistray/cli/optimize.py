@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import INTERRUPTED, RAW, count
-from mistray.cli.tracing_arguments import add_output, add_scene, show, start_mitsuba
+from mistray.cli.tracing_arguments import add_output, add_scene, show, start_mitsuba, terminal_bar, working
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
@@ -76,7 +76,10 @@ def run(options: argparse.Namespace) -> int:
                 progress=progress,
                 verification_seeds=options.verification_seeds,
             )
-        files = [] if options.out is None else write_optimization(result, options.out, options.command_line)
+        files = []
+        if options.out is not None:
+            with working("drawing the report", options.quiet):
+                files = write_optimization(result, options.out, options.command_line)
     except KeyboardInterrupt:
         if not saved:
             raise
@@ -89,20 +92,16 @@ def run(options: argparse.Namespace) -> int:
 @contextlib.contextmanager
 def _progress(options: argparse.Namespace, steps: int) -> Iterator[Any]:
     """A line for each step and below them a bar over the steps, on stderr when that is a terminal."""
-    if options.quiet or not sys.stderr.isatty():
-        yield lambda step, start: None
-        return
-    from tqdm import tqdm
-
-    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
-    total = max(steps, 1)
-    with tqdm(desc="starts", total=total, bar_format=form, leave=False, file=sys.stderr, mininterval=0.0) as bar:
+    with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed}", "starts", max(steps, 1)) as bar:
 
         def shown(step: Step, start: Start) -> None:
+            if bar is None:
+                return
             bar.write(step_text(step, start), file=sys.stderr)
             if step.step:
                 bar.set_description_str(f"search from start {step.start + 1}, merit {step.merit:.4f}", refresh=False)
-                bar.update(1)
+                bar.n += 1
+                bar.refresh()
 
         yield shown
 

@@ -14,7 +14,9 @@ from mistray.cli import (
     bsdf,
     budget,
     coating,
+    completion,
     doctor,
+    export_lens,
     ghosts,
     import_lens,
     objects,
@@ -23,13 +25,30 @@ from mistray.cli import (
     sensitivity,
     study,
     thermal,
+    view,
 )
 from mistray.cli.arguments import INTERRUPTED, RAW, Parser
 from mistray.errors import MistrayError
 
 BAD_INPUT = 2
 # In the order of the help; each has `add`
-COMMANDS = (doctor, import_lens, ghosts, objects, pst, study, thermal, coating, bsdf, sensitivity, budget, optimize)
+COMMANDS = (
+    doctor,
+    import_lens,
+    export_lens,
+    view,
+    ghosts,
+    objects,
+    pst,
+    study,
+    thermal,
+    coating,
+    bsdf,
+    sensitivity,
+    budget,
+    optimize,
+    completion,
+)
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -77,7 +96,13 @@ def _parser() -> argparse.ArgumentParser:
     parser = Parser(
         prog="mistray",
         description="Stray-light analysis of optical systems. Units: mm, nm (wavelengths), degrees, W.",
-        epilog="example:\n  mistray ghosts phone_camera --field-deg 0 10 20 --out out",
+        epilog="A SCENE is a file, or the name of a shipped scene such as phone_camera. --out writes files, --json\n"
+        "prints JSON for scripts, COMMAND --help explains and has examples.\n\n"
+        "examples:\n"
+        "  mistray import lens.zmx -o lens.xml\n"
+        "  mistray ghosts phone_camera --field-deg 0 10 20 --out out\n"
+        "  mistray pst phone_camera_scatter --out out/pst\n"
+        "  mistray ghosts --help",
         formatter_class=RAW,
     )
     parser.add_argument("--version", action="version", version=f"mistray {importlib.metadata.version('mistray')}")

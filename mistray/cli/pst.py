@@ -12,20 +12,26 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, RAW, add_angles, angles, count, finite, positive
 from mistray.cli.tracing_arguments import (
+    MAP_FORMATS,
+    TABLE_FORMATS,
     add_output,
     add_ray_tree,
     add_scatter,
     add_scene,
     add_spectrum,
+    check_formats,
     check_weights,
     scene_title,
     settings_of,
     show,
     start_mitsuba,
+    terminal_bar,
+    working,
 )
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
+    from mistray.analysis import Pst
     from mistray.analysis.pst.state import PstProgress
     from mistray.trace.directions import DirectionGrid
 
@@ -75,7 +81,8 @@ def add(commands: Any) -> None:
     saved.add_argument("--state", type=Path, metavar="FILE",
                        help=f"what is finished, renewed as the run goes on ({STATE} in --out)")  # fmt: skip
     saved.add_argument("--resume", action="store_true", help="go on from the saved run")
-    output = add_output(parser, "report.html, CSV, JSON and PNG files")
+    formats = (*TABLE_FORMATS, *MAP_FORMATS)
+    output = add_output(parser, "report.html, CSV, JSON and PNG files", formats=formats)
     output.add_argument("--paths-shown", type=count, default=4, metavar="N",
                         help="strongest stray paths of each angle; 0: no paths (4)")  # fmt: skip
     add_angles(output, "--map-angles-deg", "field angles of irradiance maps of the detector (need --out)")
@@ -105,7 +112,8 @@ def run(options: argparse.Namespace) -> int:
     )
     maps_at = _maps_at(options, grid)
     state = _state(options)
-    scene = load(options.scene)
+    with working(f"loading {options.scene}", options.quiet):
+        scene = load(options.scene)
     passes: list[PstProgress] = []
     try:
         with _progress(options) as draw:
@@ -142,7 +150,9 @@ def run(options: argparse.Namespace) -> int:
     files = []
     if options.out is not None:
         title = scene_title(options.scene)
-        files = write_pst(found, options.out, title, options.command_line, options.paths_shown, maps_at)
+        with working("drawing the report", options.quiet):
+            files = write_pst(found, options.out, title, options.command_line, options.paths_shown, maps_at)
+            files += _write_formats(found, options, maps_at)
     shown = options.paths_shown
     show(options, lambda: pst_record(found, shown), lambda: pst_text(found, shown), files)
     return 0
@@ -153,6 +163,10 @@ def _check(options: argparse.Namespace) -> None:
     check_weights(options)
     if options.up_to_deg is not None and options.relative_error is None:
         raise MistrayError("--up-to-deg is about --relative-error; give that too, or leave it out")
+    check_formats(options)
+    pictures = [name for name in options.formats if name in MAP_FORMATS]
+    if pictures and options.map_angles_deg is None:
+        raise MistrayError(f"--formats {pictures[0]} writes irradiance maps; say with --map-angles-deg of which angles")
     if options.map_angles_deg is not None and options.out is None:
         raise MistrayError("--map-angles-deg draws pictures; say with --out where they shall go")
     for name in ("map_pixels", "map_azimuth_deg"):
@@ -165,6 +179,22 @@ def _check(options: argparse.Namespace) -> None:
         raise MistrayError(f"--{given} with --method forward; only the adjoint method can go on from a saved run")
     if options.resume and options.state is None and options.out is None:
         raise MistrayError("--resume needs the saved run; give --state FILE, or the --out DIR of that run")
+
+
+def _write_formats(found: Pst, options: argparse.Namespace, maps_at: list[tuple[float, float]]) -> list[Path]:
+    """The tables as Parquet, and the maps in the other formats: for a source of 1 W/mm² across its beam."""
+    from mistray.report import IrradianceMap, write_formats
+    from mistray.report.pst_output import csv_tables, map_name
+
+    maps = {
+        map_name(found, *at): IrradianceMap(
+            *found.irradiance(*at),
+            found.extent_mm,
+            {"command": options.command_line, "angle_deg": at[0], "azimuth_deg": at[1], "source_W_mm2": 1.0},
+        )
+        for at in maps_at
+    }
+    return write_formats(options.formats, options.out, csv_tables(found), maps, {"command": options.command_line})
 
 
 def _maps_at(options: argparse.Namespace, grid: DirectionGrid) -> list[tuple[float, float]]:
@@ -203,18 +233,13 @@ def _so_far(passes: list[PstProgress]) -> str:
 @contextlib.contextmanager
 def _progress(options: argparse.Namespace) -> Iterator[Callable[[PstProgress], None]]:
     """A bar on stderr when that is a terminal."""
-    if options.quiet or not sys.stderr.isatty():
-        yield lambda _: None
-        return
-    from tqdm import tqdm
-
-    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}{postfix}"
-    with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
+    with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed}{postfix}") as bar:
 
         def draw(now: PstProgress) -> None:
-            bar.set_postfix_str(_state_of(now), refresh=False)
-            bar.update(max(now.share_done - bar.n, 0.0))
-            bar.refresh()
+            if bar is not None:
+                bar.set_postfix_str(_state_of(now), refresh=False)
+                bar.n = max(now.share_done, bar.n)
+                bar.refresh()
 
         yield draw
 

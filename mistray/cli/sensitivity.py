@@ -18,6 +18,7 @@ from mistray.cli.tracing_arguments import (
     settings_of,
     show,
     start_mitsuba,
+    working,
 )
 from mistray.errors import MistrayError
 
@@ -62,7 +63,9 @@ def add(commands: Any) -> None:
     what.add_argument("--field-deg", type=field, nargs="+", metavar="DEG",
                       help="field angles, averaged (the source's own)")  # fmt: skip
     what.add_argument("--angle-deg", type=finite, metavar="DEG", help="of pst_bin: its field angle")
-    what.add_argument("--band-deg", type=finite, nargs=2, metavar=("LOW", "HIGH"), help="of pst_band: its ends")
+    what.add_argument(
+        "--band-deg", type=finite, nargs=2, metavar=("LOW", "HIGH"), help="of pst_band: its ends, degrees"
+    )
     what.add_argument(
         "--patch-deg", type=positive, metavar="DEG", help="of veiling_glare: half-width of the black patch"
     )
@@ -107,7 +110,8 @@ def run(options: argparse.Namespace) -> int:
 
     if options.out is not None:
         writable_directory(options.out)
-    scene = load(options.scene)
+    with working(f"loading {options.scene}", options.quiet):
+        scene = load(options.scene)
     settings = {key: value for key, value in settings_of(options).items() if value is not None}
     settings |= {
         key: getattr(options, key) for key in ("wavelength_nm", "weights") if getattr(options, key) is not None
@@ -137,7 +141,8 @@ def run(options: argparse.Namespace) -> int:
         )
     files = []
     if options.out is not None:
-        files = write_sensitivity(result, options.out, scene_title(options.scene), options.command_line)
+        with working("drawing the report", options.quiet):
+            files = write_sensitivity(result, options.out, scene_title(options.scene), options.command_line)
     show(options, lambda: sensitivity_record(result), lambda: sensitivity_text(result, options.top), files)
     return 0
 

@@ -11,16 +11,20 @@ from typing import Any
 
 from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, RAW, add_angles, field, finite, positive
 from mistray.cli.tracing_arguments import (
+    TABLE_FORMATS,
     add_output,
     add_ray_tree,
     add_scatter,
     add_scene,
     add_spectrum,
+    check_formats,
     check_weights,
     scene_title,
     settings_of,
     show,
     start_mitsuba,
+    terminal_bar,
+    working,
 )
 from mistray.errors import MistrayError
 
@@ -57,7 +61,7 @@ def add(commands: Any) -> None:
     add_spectrum(what)
     add_ray_tree(parser, "start rays of the PST; objects get a fifth at each angle, ghosts a tenth (1e6; quick: 1e5)")
     add_scatter(parser)
-    output = add_output(parser, "report.html and a CSV file of every table", shown="findings")
+    output = add_output(parser, "report.html and a CSV file of every table", shown="findings", formats=TABLE_FORMATS)
     output.add_argument("--resume", action="store_true", help="go on with the PST that was saved in --out")
     parser.set_defaults(run=run)
 
@@ -65,12 +69,14 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     check_weights(options)
+    check_formats(options)
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the saved run; give --out")
     start_mitsuba(options)
     from mistray.analysis.study.run import study
+    from mistray.report.formats import write_formats
     from mistray.report.output import writable_directory
-    from mistray.report.study_output import write_study
+    from mistray.report.study_output import csv_tables, write_study
     from mistray.report.study_tables import study_record, study_text
     from mistray.scene import load
 
@@ -81,7 +87,8 @@ def run(options: argparse.Namespace) -> int:
             raise MistrayError(f"--resume: there is no saved run '{state}'; run without --resume first")
         if not state.parent.exists():
             state.parent.mkdir(parents=True)
-    scene = load(options.scene)
+    with working(f"loading {options.scene}", options.quiet):
+        scene = load(options.scene)
     saved = _written(state)
     try:
         with _progress(options) as progress:
@@ -106,7 +113,12 @@ def run(options: argparse.Namespace) -> int:
             raise
         print(f"mistray: interrupted; the PST so far is in {state}, go on with --resume", file=sys.stderr)
         return INTERRUPTED
-    files = write_study(found, options.out, options.command_line) if options.out is not None else []
+    files = []
+    if options.out is not None:
+        with working("drawing the report", options.quiet):
+            files = write_study(found, options.out, options.command_line)
+            tables = csv_tables(found)
+            files += write_formats(options.formats, options.out, tables, {}, {"command": options.command_line})
     show(options, lambda: study_record(found), lambda: study_text(found), files)
     return 0
 
@@ -119,17 +131,12 @@ def _written(state: Path | None) -> int | None:
 @contextlib.contextmanager
 def _progress(options: argparse.Namespace) -> Iterator[Callable[[int, str, float], None] | None]:
     """A bar over the steps on stderr when that is a terminal."""
-    if options.quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from tqdm import tqdm
-
-    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed}"
-    with tqdm(total=1.0, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
+    with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed}", what="study") as bar:
 
         def draw(step: int, what: str, share: float) -> None:
+            assert bar is not None
             bar.set_description_str(f"step {step} of {STEPS}, {what}", refresh=False)
             bar.n = share
             bar.refresh()
 
-        yield draw
+        yield None if bar is None else draw

@@ -7,15 +7,18 @@ from typing import Any
 
 from mistray.cli.arguments import RAW, finite, positive
 from mistray.cli.tracing_arguments import (
+    TABLE_FORMATS,
     add_output,
     add_ray_tree,
     add_scatter,
     add_scene,
+    check_formats,
     progress_bar,
     scene_title,
     settings_of,
     show,
     start_mitsuba,
+    working,
 )
 
 
@@ -48,21 +51,24 @@ def add(commands: Any) -> None:
     band.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
     add_ray_tree(parser, "rays from the detector, for each wavelength and twice (2e5)")
     add_scatter(parser)
-    add_output(parser, "report.html, CSV, JSON and PNG files")
+    add_output(parser, "report.html, CSV, JSON and PNG files", formats=TABLE_FORMATS)
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    check_formats(options)
     start_mitsuba(options)
     from mistray.analysis.thermal.emission import thermal
+    from mistray.report.formats import write_formats
     from mistray.report.output import writable_directory
-    from mistray.report.thermal import thermal_record, thermal_text, write_thermal
+    from mistray.report.thermal import csv_tables, thermal_record, thermal_text, write_thermal
     from mistray.scene import load
 
     if options.out is not None:
         writable_directory(options.out)
-    scene = load(options.scene)
+    with working(f"loading {options.scene}", options.quiet):
+        scene = load(options.scene)
     with progress_bar(options) as progress:
         report = thermal(
             scene,
@@ -77,7 +83,10 @@ def run(options: argparse.Namespace) -> int:
         )
     files = []
     if options.out is not None:
-        files = write_thermal(report, options.out, scene_title(options.scene), options.command_line)
+        with working("drawing the report", options.quiet):
+            files = write_thermal(report, options.out, scene_title(options.scene), options.command_line)
+            tables = csv_tables(report)
+            files += write_formats(options.formats, options.out, tables, {}, {"command": options.command_line})
     show(options, lambda: thermal_record(report), lambda: thermal_text(report), files)
     return 0
 

@@ -6,6 +6,8 @@ import argparse
 import contextlib
 import json
 import sys
+import threading
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import fields
 from pathlib import Path
@@ -13,6 +15,8 @@ from typing import Any
 
 from mistray.cli.arguments import count, finite, positive
 from mistray.errors import MistrayError
+
+FIRST_SECOND = 1.0  # s, after which what is still at work says so
 
 
 def add_scene(parser: argparse.ArgumentParser) -> None:
@@ -70,10 +74,35 @@ def add_scatter(parser: argparse.ArgumentParser) -> None:
                        help="flux below which hits scatter by chance, relative to the ray's start (0.1)")  # fmt: skip
 
 
-def add_output(parser: argparse.ArgumentParser, files: str, shown: str = "tables") -> Any:
-    """Declare where results go; `files` is what --out writes, `shown` what is printed. Returns the group."""
+TABLE_FORMATS = ("parquet",)
+MAP_FORMATS = ("exr", "fits", "npy")
+
+
+def add_output(
+    parser: argparse.ArgumentParser, files: str, shown: str = "tables", formats: Sequence[str] = ()
+) -> argparse._ArgumentGroup:
+    """
+    Declare where results go.
+
+    Parameters
+    ----------
+    parser : ArgumentParser
+    files : str
+        What --out writes.
+    shown : str
+        What is printed.
+    formats : sequence of str
+        Further formats of the files, from `TABLE_FORMATS` and `MAP_FORMATS`; none: there is no --formats.
+
+    Returns
+    -------
+    argparse._ArgumentGroup
+    """
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar="DIR", help=f"write {files} there")
+    if formats:
+        what = "tables as Parquet too" + ("; irradiance with its error as EXR, FITS, NPY" if len(formats) > 1 else "")
+        group.add_argument("--formats", nargs="+", choices=formats, default=[], help=f"{what} (needs --out)")
     group.add_argument("--json", action="store_true", help=f"print JSON instead of the {shown}")
     group.add_argument("--quiet", action="store_true", help=f"no progress, no {shown}")
     return group
@@ -88,11 +117,27 @@ def show(
 ) -> None:
     """Print a result as `add_output` has it: the record with the names of the files, or the text, or nothing."""
     if options.json:
-        print(json.dumps({**record(), "files": [str(file) for file in files]}, indent=2, allow_nan=False))
+        print_json(record(), files)
     elif not options.quiet:
         print(text())
         if files:
             print(f"\n{len(files)} files in {options.out}; open {options.out / page}")
+
+
+def print_json(record: Mapping[str, Any], files: Sequence[Path] = ()) -> None:
+    """Print one JSON object: the record, and the names of the files that were written; see docs/json.md."""
+    print(json.dumps({**record, "files": [str(file) for file in files]}, indent=2, allow_nan=False))
+
+
+def check_formats(options: argparse.Namespace) -> None:
+    """Refuse --formats without --out, or without the packages that they need, before anything is traced."""
+    if not options.formats:
+        return
+    if options.out is None:
+        raise MistrayError("--formats writes files; say with --out where they shall go")
+    from mistray.report.formats import require_formats
+
+    require_formats(options.formats)
 
 
 def settings_of(options: argparse.Namespace) -> dict[str, Any]:
@@ -131,17 +176,79 @@ def scene_title(scene: str) -> str:
 
 
 @contextlib.contextmanager
-def progress_bar(options: argparse.Namespace) -> Iterator[Callable[[float, float], None] | None]:
-    """A bar on stderr when that is a terminal: a function of what is done and what there is to do."""
+def working(what: str, quiet: bool = False) -> Iterator[None]:
+    """
+    A line on stderr with the time that passes, for what has no steps to count; only on a terminal, after a second.
+
+    Parameters
+    ----------
+    what : str
+        What is done, such as "loading phone_camera".
+    quiet : bool
+        No line.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield
+        return
+    ended, began = threading.Event(), time.time()
+
+    def show_time() -> None:
+        if ended.wait(FIRST_SECOND):
+            return
+        from tqdm import tqdm
+
+        with tqdm(desc=what, bar_format="{desc} … {elapsed}", leave=False, file=sys.stderr) as line:
+            line.start_t = began
+            while not ended.wait(FIRST_SECOND / 2):
+                line.refresh()
+
+    clock = threading.Thread(target=show_time, daemon=True)
+    clock.start()
+    try:
+        yield
+    finally:
+        ended.set()
+        clock.join()
+
+
+@contextlib.contextmanager
+def terminal_bar(
+    options: argparse.Namespace, form: str, what: str = "tracing", total: float = 1.0
+) -> Iterator[Any | None]:
+    """
+    A tqdm bar on stderr; None with --quiet, and where stderr is no terminal.
+
+    Set its ``n`` and its texts, and let it ``refresh``: ``update`` draws nothing within 0.1 s of the time before, so
+    that the step that takes long would stand under the text of the one before it.
+
+    Parameters
+    ----------
+    options : Namespace
+        Has ``quiet``.
+    form : str
+        What tqdm calls bar_format.
+    what : str
+        What is done.
+    total : float
+        ``n`` of a full bar.
+    """
     if options.quiet or not sys.stderr.isatty():
         yield None
         return
     from tqdm import tqdm
 
-    form = "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}"
-    with tqdm(desc="tracing", total=1.0, bar_format=form, leave=False, file=sys.stderr) as bar:
+    with tqdm(desc=what, total=total, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
+        yield bar
+
+
+@contextlib.contextmanager
+def progress_bar(options: argparse.Namespace) -> Iterator[Callable[[float, float], None] | None]:
+    """A bar on stderr when that is a terminal: a function of what is done and what there is to do."""
+    with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}") as bar:
 
         def advance(done: float, total: float) -> None:
-            bar.update(max(done / total - bar.n, 0.0))
+            assert bar is not None
+            bar.n = max(done / total, bar.n)
+            bar.refresh()
 
-        yield advance
+        yield None if bar is None else advance

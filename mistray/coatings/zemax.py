@@ -35,10 +35,11 @@ from mistray.coatings.simple import Ideal
 from mistray.coatings.stack import Layer, Stack, waves
 from mistray.coatings.table import CoatingTable
 from mistray.errors import MistrayError
-from mistray.materials.mate import SECTIONS, numbered_lines, numbers, read_mate
+from mistray.materials.mate import SECTIONS, numbered_lines, numbers, read_mate, shown
 
 # The last layer of a mirror's coating is its substrate in OpticStudio, whatever its thickness; a metal of this is dark
 SUBSTRATE_NM = 1000.0
+MOST_LAYERS = 10_000  # of a stack with its groups repeated
 BUILT_IN = ("AIR", "VACUUM")
 
 
@@ -138,6 +139,11 @@ class CoatingFile(Mapping[str, Coating]):
         where = self._where(section)
         values = numbers(section.words[2:], 8, 9, where, "IDEAL2, a name, 8 parts of amplitudes and the pi flag")
         s_r, s_t, p_r, p_t = (complex(*values[k : k + 2]) for k in (0, 2, 4, 6))
+        largest = max(abs(value) for value in values[:8])
+        if largest > 1:
+            raise MistrayError(
+                f"{where}: an amplitude of {largest:g}; their squares are shares of the light, give -1 … 1"
+            )
         columns = {"R_s": abs(s_r) ** 2, "R_p": abs(p_r) ** 2, "T_s": abs(s_t) ** 2, "T_p": abs(p_t) ** 2}
         phases = _phases(*(math.degrees(math.atan2(z.imag, z.real)) for z in (s_r, p_r, s_t, p_t)))
         return self._tabled(section, [{"wavelength_nm": self.design_nm, "angle_deg": 0.0} | columns | phases])
@@ -164,9 +170,9 @@ class CoatingFile(Mapping[str, Coating]):
                         )
                 rows.append({"wavelength_nm": values[0] * 1e3, "angle_deg": angle} | shares | _phases(*phases))
             else:
-                raise MistrayError(f"{where}: '{' '.join(words)}'; expected ANGL, then WAVE lines")
+                raise MistrayError(f"{where}: '{shown(words)}'; expected ANGL, then WAVE lines")
         if not rows:
-            raise MistrayError(f"{self._where(section)}: table {section.name} has no data")
+            raise MistrayError(f"{self._where(section)}: table {section.name} has no data; add ANGL and WAVE lines")
         return self._tabled(section, rows)
 
     def _tabled(self, section: _Section, rows: list[dict[str, float]]) -> CoatingTable:
@@ -192,6 +198,13 @@ class CoatingFile(Mapping[str, Coating]):
                     "that group first"
                 )
             elif index:
+                assert start is not None
+                count = len(layers) + (len(layers) - start) * (loop - 1)
+                if count > MOST_LAYERS:
+                    raise MistrayError(
+                        f"{where}: with its groups repeated the coating has {count:.6g} layers, more than "
+                        f"{MOST_LAYERS}; correct the loop index"
+                    )
                 layers += layers[start:] * (loop - 1)
                 start = None
         if start is not None:
@@ -206,7 +219,7 @@ class CoatingFile(Mapping[str, Coating]):
     def _layer(self, words: list[str], where: str) -> tuple[Layer, int]:
         """A layer and its loop index."""
         if len(words) > 5 or len(words) < 2:
-            raise MistrayError(f"{where}: '{' '.join(words)}'; expected material thickness is_absolute loop taper")
+            raise MistrayError(f"{where}: '{shown(words)}'; expected material thickness is_absolute loop taper")
         if len(words) == 5:
             raise MistrayError(f"{where}: taper {words[4]}; mistray has no coatings that vary over the aperture")
         value, *flags = numbers(words[1:], 1, 3, where, "material thickness is_absolute loop")
@@ -255,7 +268,7 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
             if key in ("MATE", "TAPR"):
                 continue
             if len(words) < 2 or (key in ("COAT", "TABLE", "ENCRYPTED") and len(words) > 2):
-                raise MistrayError(f"{where}: '{' '.join(words)}'; write {key} and one name")
+                raise MistrayError(f"{where}: '{shown(words)}'; write {key} and one name")
             current = _Section(key, words[1], number, words)
             other = sections.setdefault(current.name.upper(), current)
             if other is not current:
@@ -263,11 +276,11 @@ def read_coating_file(path: str | Path, design_nm: float = 550.0) -> CoatingFile
                     f"{where}: coating {current.name} is there already, on line {other.line}; rename one"
                 )
         elif not seen:
-            raise MistrayError(f"{where}: '{' '.join(words)}' before the first of {', '.join(SECTIONS)}")
+            raise MistrayError(f"{where}: '{shown(words)}' before the first section; begin with {', '.join(SECTIONS)}")
         elif current is not None:
             if current.kind not in ("COAT", "TABLE") or _is_transmission(current.name):
                 raise MistrayError(
-                    f"{where}: '{' '.join(words)}' follows {current.kind} {current.name}, which is one line"
+                    f"{where}: '{shown(words)}' follows {current.kind} {current.name}, which is one line; remove it"
                 )
             if current.kind == "COAT" and words[0].upper() not in materials and words[0].upper() not in BUILT_IN:
                 raise MistrayError(f"{where}: material {words[0]} has no MATE section in this file; add one")

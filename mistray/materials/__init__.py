@@ -9,6 +9,7 @@ string                        n                                                 
 ``1.5168``                    constant                                                                 0
 ``1.5+0.01i``                 constant                                                                 constant
 ``nd=1.544 Vd=56.1``          two-term Cauchy through nd and Vd, see `cauchy_index`                    unknown
+``n(480)=1.52 n(590)=1.51``   linear between these points, wavelengths in nm                           unknown
 ``N-BK7``, ``schott/F2``      formula of the maker's catalogue (see `catalogue.MAKERS`)                from internal
                                                                                                        transmittances
 ``MgF2``, ``Al``, ``PMMA``    pinned page of refractiveindex.info (see `catalogue.PINNED`)             of the page

@@ -64,9 +64,35 @@ def read_glass(path: Path, name: str) -> tuple[Curve, Curve | None]:
     MistrayError
         If the glass is not in the file or one of its lines is not understood; the message names file and line.
     """
+    blocks = _blocks(path)
+    block = blocks.get(name.lower())
+    if block is None:
+        close = difflib.get_close_matches(name.lower(), blocks, n=3, cutoff=0.5)
+        spelt = " or ".join(blocks[key].head.words[0] for key in close)
+        remedy = f"did you mean {spelt}?" if close else f"it holds {len(blocks)} glasses; check the name"
+        raise MistrayError(f"AGF file '{path}': no glass '{name}'; {remedy}")
+    return _index(path, block), _extinction(path, block)
+
+
+def glass_names(path: Path) -> list[str]:
+    """
+    Names of the glasses of an AGF file, as they are spelt there.
+
+    Raises
+    ------
+    OSError
+        If the file cannot be read.
+    MistrayError
+        If an NM line is not understood or a glass is there twice.
+    """
+    return [block.head.words[0] for block in _blocks(path).values()]
+
+
+def _blocks(path: Path) -> dict[str, _Block]:
+    """Glasses by their names in small letters."""
     blocks: dict[str, _Block] = {}
     current, last = None, ""
-    for number, text in enumerate(_decode(path.read_bytes()).splitlines(), 1):
+    for number, text in enumerate(decode(path.read_bytes()).splitlines(), 1):
         words = text.split()
         if not words:
             continue
@@ -84,16 +110,11 @@ def read_glass(path: Path, name: str) -> tuple[Curve, Curve | None]:
             current.lines["CD"].append(_Line(number, words))
             continue
         last = key
-    block = blocks.get(name.lower())
-    if block is None:
-        close = difflib.get_close_matches(name.lower(), blocks, n=3, cutoff=0.5)
-        spelt = " or ".join(blocks[key].head.words[0] for key in close)
-        remedy = f"did you mean {spelt}?" if close else f"it holds {len(blocks)} glasses; check the name"
-        raise MistrayError(f"AGF file '{path}': no glass '{name}'; {remedy}")
-    return _index(path, block), _extinction(path, block)
+    return blocks
 
 
-def _decode(data: bytes) -> str:
+def decode(data: bytes) -> str:
+    """Text of a file of a Windows program: UTF-16 or UTF-8 with or without byte order mark, else Latin-1."""
     if data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return data.decode("utf-16", errors="replace")
     if b"\0" in data[:200]:

@@ -15,7 +15,7 @@ from mistray.materials.curve import Curve, constant, table
 from mistray.materials.formulas import CAUCHY_RANGE_NM, cauchy_index
 from mistray.materials.mate import read_mate
 from mistray.materials.pages import read_page
-from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, Spec, UserFile, parse
+from mistray.materials.spec import AbbeNumber, BulkScatter, Constant, Samples, Spec, UserFile, parse
 
 
 @dataclass(frozen=True)
@@ -201,6 +201,8 @@ def _material(spec: Spec) -> _Material:
         return _Material(constant(form.n), constant(k or 0.0), spec.text, None, "given in the string")
     if isinstance(form, AbbeNumber):
         found = _abbe(form)
+    elif isinstance(form, Samples):
+        found = _Material(table(*zip(*form.points, strict=True)), None, spec.text, None, "a table of n in the string")
     elif isinstance(form, UserFile):
         found = _from_file(form, spec.text)
     else:

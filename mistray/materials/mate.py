@@ -16,7 +16,9 @@ from pathlib import Path
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.materials.agf import decode
 
+SHOWN = 60  # characters of a line that a message quotes
 SECTIONS = ("MATE", "TAPR", "COAT", "IDEAL", "IDEAL2", "TABLE", "ENCRYPTED")
 Table = tuple[np.ndarray, np.ndarray, np.ndarray]
 
@@ -57,7 +59,7 @@ def _read_mate(path: str, stamp: int) -> dict[str, Table]:
             current = None
             if words[0].upper() == "MATE":
                 if len(words) != 2:
-                    raise MistrayError(f"{where}: '{' '.join(words)}'; write MATE and one name")
+                    raise MistrayError(f"{where}: '{shown(words)}'; write MATE and one name")
                 if words[1].upper() in heads:
                     raise MistrayError(
                         f"{where}: material {words[1]} is there already, on line {heads[words[1].upper()]}; rename one"
@@ -76,7 +78,9 @@ def _read_mate(path: str, stamp: int) -> dict[str, Table]:
             current.append((wavelength * 1e3, n, -k))
     for name, rows in materials.items():
         if not rows:
-            raise MistrayError(f"coating file '{path}', line {heads[name.upper()]}: material {name} has no data")
+            raise MistrayError(
+                f"coating file '{path}', line {heads[name.upper()]}: material {name} has no data; add lines"
+            )
     return {name: _columns(rows) for name, rows in materials.items()}
 
 
@@ -92,16 +96,34 @@ def numbered_lines(path: str | Path) -> list[tuple[int, list[str]]]:
     Raises
     ------
     MistrayError
-        If the file cannot be read.
+        If the file cannot be read, or is no text.
     """
     try:
         data = Path(path).read_bytes()
     except OSError as error:
         raise MistrayError(f"coating file '{path}': {error.strerror}; check the path") from None
-    # OpticStudio writes either encoding; names are plain, so that only comments can suffer
-    text = data.decode("utf-16") if data[:2] in (b"\xff\xfe", b"\xfe\xff") else data.decode("utf-8-sig", "replace")
-    lines = ((number, line.partition("!")[0].split()) for number, line in enumerate(text.splitlines(), start=1))
-    return [(number, words) for number, words in lines if words]
+    lines = []
+    for number, line in enumerate(decode(data).splitlines(), start=1):
+        words = line.partition("!")[0].split()
+        if not all(word.isprintable() for word in words):
+            raise MistrayError(
+                f"coating file '{path}', line {number}: '{shown(words)}' has characters of no text; save the file as "
+                "UTF-8"
+            )
+        if words:
+            lines.append((number, words))
+    return lines
+
+
+def shown(words: list[str]) -> str:
+    """Words of a line for a message: the first `SHOWN` characters, what cannot be printed as codes."""
+    text = " ".join(words)
+    return printable(text[:SHOWN] + ("…" if len(text) > SHOWN else ""))
+
+
+def printable(text: str) -> str:
+    """A text with what cannot be printed as codes."""
+    return "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in text)
 
 
 def numbers(words: list[str], least: int, most: int, where: str, what: str) -> list[float]:
@@ -118,5 +140,5 @@ def numbers(words: list[str], least: int, most: int, where: str, what: str) -> l
     except ValueError:
         values = [math.nan]
     if not (least <= len(values) <= most and all(map(math.isfinite, values))):
-        raise MistrayError(f"{where}: '{' '.join(words)}'; expected {what}")
+        raise MistrayError(f"{where}: '{shown(words)}'; expected {what}")
     return values

@@ -13,6 +13,8 @@ _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _REAL = re.compile(rf"[-+]?{_NUMBER}")
 _COMPLEX = re.compile(rf"([-+]?{_NUMBER})\s*([-+])\s*({_NUMBER})\s*[ij]")
 _ND_VD = re.compile(rf"nd\s*=\s*([-+]?{_NUMBER})\s*[,;\s]\s*Vd\s*=\s*([-+]?{_NUMBER})", re.IGNORECASE)
+_SAMPLE = rf"n\(\s*({_NUMBER})\s*\)\s*=\s*({_NUMBER})"
+_SAMPLES = re.compile(rf"{_SAMPLE}(?:[,;\s]\s*{_SAMPLE})*")
 _ENTRY = re.compile(r"(.*\.(?:agf|dat)):(.+)", re.IGNORECASE)
 _SUFFIX = re.compile(r"\s+(?:(extrapolate)|(k|shift|scatter|g)\s*=\s*(\S*))$", re.IGNORECASE)
 
@@ -31,6 +33,13 @@ class AbbeNumber:
 
     nd: float
     vd: float
+
+
+@dataclass(frozen=True)
+class Samples:
+    """A table of n in the string itself: pairs of wavelength (nm) and n, by rising wavelength."""
+
+    points: tuple[tuple[float, float], ...]
 
 
 @dataclass(frozen=True)
@@ -74,7 +83,7 @@ class Spec:
     ----------
     text : str
         The string without outer blanks.
-    form : Constant, AbbeNumber, UserFile or Name
+    form : Constant, AbbeNumber, Samples, UserFile or Name
         What it names.
     suffix : str
         The suffixes as they were written, with the blank before them.
@@ -89,7 +98,7 @@ class Spec:
     """
 
     text: str
-    form: Constant | AbbeNumber | UserFile | Name
+    form: Constant | AbbeNumber | Samples | UserFile | Name
     suffix: str
     k: float | None
     shift: float
@@ -134,7 +143,7 @@ def shifted(material: str, by: float) -> str:
     return f"{spec.text[: len(spec.text) - len(spec.suffix)]}{others}{f' shift={total!r}' if total else ''}"
 
 
-def _form(text: str, body: str) -> Constant | AbbeNumber | UserFile | Name:
+def _form(text: str, body: str) -> Constant | AbbeNumber | Samples | UserFile | Name:
     if body.lower() in ("air", "vacuum"):
         return Constant(1.0, None)
     if _REAL.fullmatch(body):
@@ -153,6 +162,8 @@ def _form(text: str, body: str) -> Constant | AbbeNumber | UserFile | Name:
         if not 0 < vd < math.inf:
             raise MistrayError(f"material '{text}': Vd = {vd:g}; it must be greater than 0")
         return AbbeNumber(nd, vd)
+    if _SAMPLES.fullmatch(body):
+        return _samples(text, body)
     if match := _ENTRY.fullmatch(body):
         return UserFile(match[1].strip(), match[2].strip())
     if body.lower().endswith((".agf", ".dat")):
@@ -160,6 +171,15 @@ def _form(text: str, body: str) -> Constant | AbbeNumber | UserFile | Name:
     if body.lower().endswith(".csv"):
         return UserFile(body, None)
     return Name(body)
+
+
+def _samples(text: str, body: str) -> Samples:
+    points = {float(wavelength): _at_least_one(text, float(n)) for wavelength, n in re.findall(_SAMPLE, body)}
+    if min(points) <= 0:
+        raise MistrayError(f"material '{text}': wavelength {min(points):g} nm; it must be greater than 0")
+    if len(points) < len(re.findall(_SAMPLE, body)):
+        raise MistrayError(f"material '{text}': a wavelength is there twice; give it once")
+    return Samples(tuple(sorted(points.items())))
 
 
 def _at_least_one(text: str, index: float) -> float:

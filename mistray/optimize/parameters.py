@@ -71,6 +71,7 @@ _SCATTER = {
     "n": ("1", 1.0, math.inf, 0.0),
     "width_mm": ("mm", 0.0, math.inf, 0.2),
 }
+OWN_SCATTER = ("1", -math.inf, math.inf, 0.2)  # what is known of a value of a user's scatter plugin
 BINDER = 0.02  # tolerance of the index of a paint's binder
 THICKNESS, LAYER_INDEX, LAYER_K = 0.01, 0.01, 1e-4
 SHARE, LEAST_SHARE = 0.2, 1e-3
@@ -261,7 +262,7 @@ _About = tuple[str, str, float, float, float] | None  # kind, unit, tolerance, l
 def _about_scatter(owner: Any, name: str, value: np.ndarray) -> _About:
     if fixed(owner, name) is not None:
         return None
-    unit, low, high, relative = _SCATTER[name]
+    unit, low, high, relative = _SCATTER.get(name, OWN_SCATTER)
     return "scatter", unit, relative * abs(value[0]) or BINDER, low, high
 
 

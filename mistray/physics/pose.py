@@ -6,6 +6,8 @@ import math
 
 import numpy as np
 
+_ROUND_OFF = 1e-12
+
 
 def moved(frame: np.ndarray, x: float, y: float, z: float, tilt_x: float, tilt_y: float, tilt_z: float) -> np.ndarray:
     """
@@ -44,3 +46,26 @@ def rotation(axis: int, degrees: float) -> np.ndarray:
     result = np.eye(3)
     result[[i, j, i, j], [i, j, j, i]] = c, c, -s, s
     return result
+
+
+def fixed_angles_deg(turn: np.ndarray) -> tuple[float, float, float]:
+    """
+    Angles about the fixed axes x, then y, then z that make a rotation Rz Ry Rx; round-off is cleaned to 0.
+
+    Parameters
+    ----------
+    turn : (3, 3) float64
+        Rotation matrix.
+
+    Returns
+    -------
+    tuple of three float
+        Degrees; where the second is ±90° the third is 0.
+    """
+    y = math.atan2(-turn[2, 0], math.hypot(turn[0, 0], turn[1, 0]))
+    if math.hypot(turn[0, 0], turn[1, 0]) < _ROUND_OFF:
+        x, z = math.copysign(1.0, y) * math.atan2(turn[0, 1], turn[1, 1]), 0.0
+    else:
+        x, z = math.atan2(turn[2, 1], turn[2, 2]), math.atan2(turn[1, 0], turn[0, 0])
+    about_x, about_y, about_z = (math.degrees(a) if abs(a) > _ROUND_OFF else 0.0 for a in (x, y, z))
+    return about_x, about_y, about_z

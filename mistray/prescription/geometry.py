@@ -175,7 +175,7 @@ def barrel(
     space = first_space
     for a, b in pairwise(items):
         material = _shared_material(a, b)
-        if isinstance(a, Surface) and isinstance(b, Surface) and not _is_gas(material):
+        if isinstance(a, Surface) and isinstance(b, Surface) and not is_gas(material):
             result += lens_edge(a, b, coating=edge_coating)
         else:
             result += wall(
@@ -246,7 +246,7 @@ def detector_frame(
     )
 
 
-def _is_gas(material: str) -> bool:
+def is_gas(material: str) -> bool:
     """Whether a material is air, vacuum or a constant index below 1.01, as other programs give air."""
     text = material.strip().lower()
     try:

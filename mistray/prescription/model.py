@@ -22,7 +22,8 @@ from mistray.physics.paraxial import ParaxialSystem
 from mistray.physics.pose import rotation
 from mistray.physics.sag import conic_end, sag
 from mistray.prescription.coating import BLACK, Coating, check_name
-from mistray.prescription.naming import scattering, shared_items
+from mistray.prescription.mesh_structure import MeshStructure
+from mistray.prescription.naming import scattering, shared_coatings, shared_scatter
 from mistray.prescription.scatter import Scatter
 
 if TYPE_CHECKING:
@@ -366,8 +367,9 @@ class Prescription:
         Title.
     surfaces : tuple of Surface
         In the order in which light meets them on the design path.
-    structures : tuple of Structure or Surface
-        Everything mechanical, in any order; a `Surface` for what no frustum describes, such as a board.
+    structures : tuple of Structure, Surface or MeshStructure
+        Everything mechanical, in any order; a `Surface` or a `MeshStructure` for what no frustum describes, such as a
+        board or a bracket.
     stop : Stop or None
         Aperture stop; its faces become part of the scene.
     detector, source
@@ -384,7 +386,7 @@ class Prescription:
 
     name: str
     surfaces: tuple[Surface, ...]
-    structures: tuple[Structure | Surface, ...] = ()
+    structures: tuple[Structure | Surface | MeshStructure, ...] = ()
     stop: Stop | None = None
     detector: Detector | None = None
     source: Source | None = None
@@ -401,7 +403,7 @@ class Prescription:
         for a, b in combinations(optical, 2):
             _check_crossing(a, b)
 
-    def shapes(self) -> Iterator[Surface | Structure]:
+    def shapes(self) -> Iterator[Surface | Structure | MeshStructure]:
         """Surfaces, structures, stop faces, detector: every shape of the scene, in this order."""
         yield from self.surfaces
         yield from self.structures
@@ -419,7 +421,7 @@ class Prescription:
         MistrayError
             If two coatings of one name differ, or a shape has that name.
         """
-        return shared_items(self, "coating", lambda shape: (shape.coating,) if shape.coating else ())
+        return shared_coatings(f"prescription '{self.name}'", self.shapes())
 
     def shared_scatter(self) -> dict[str, Scatter]:
         """
@@ -430,12 +432,7 @@ class Prescription:
         MistrayError
             If two models of one name differ, or a shape or a coating has that name.
         """
-        shared = shared_items(self, "scatter model", lambda shape: shape.scatter)
-        for name in shared.keys() & self.shared_coatings().keys():
-            raise MistrayError(
-                f"prescription '{self.name}': a coating and a scatter model are called '{name}'; rename one"
-            )
-        return shared
+        return shared_scatter(f"prescription '{self.name}'", self.shapes())
 
     def with_scatter(self, rules: Mapping[str, Sequence[Scatter]]) -> Prescription:
         """

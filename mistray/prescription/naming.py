@@ -8,44 +8,63 @@ from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
+from mistray.prescription.coating import Coating
 from mistray.prescription.scatter import Scatter
 
 if TYPE_CHECKING:
     from mistray.prescription.model import Prescription
 
 
-def shared_items(prescription: Prescription, what: str, items: Callable[[Any], Iterable[Any]]) -> dict[str, Any]:
+def shared_coatings(where: str, shapes: Iterable[Any]) -> dict[str, Coating]:
     """
-    The named items of all shapes, by name.
+    The coatings of shapes that have a name, by it.
 
     Parameters
     ----------
-    prescription : Prescription
-    what : str
-        What they are called in messages.
-    items : callable
-        Shape → its items, which have a ``name`` or None.
+    where : str
+        What the shapes belong to, such as "prescription 'lens'", for messages.
+    shapes : iterable of Surface, Structure or MeshStructure
 
     Raises
     ------
     MistrayError
-        If two items of one name differ, or a shape has that name.
+        If two coatings of one name differ, or a shape has that name.
     """
+    return _shared(where, "coating", shapes, lambda shape: (shape.coating,) if shape.coating else ())
+
+
+def shared_scatter(where: str, shapes: Iterable[Any]) -> dict[str, Scatter]:
+    """
+    The scatter models of shapes that have a name, by it; parameters as in `shared_coatings`.
+
+    Raises
+    ------
+    MistrayError
+        If two models of one name differ, or a shape or a coating has that name.
+    """
+    shapes = list(shapes)
+    shared = _shared(where, "scatter model", shapes, lambda shape: shape.scatter)
+    for name in shared.keys() & shared_coatings(where, shapes).keys():
+        raise MistrayError(f"{where}: a coating and a scatter model are called '{name}'; rename one")
+    return shared
+
+
+def _shared(where: str, what: str, shapes: Iterable[Any], items: Callable[[Any], Iterable[Any]]) -> dict[str, Any]:
+    """The items that have a name; `what` they are called in messages."""
+    shapes = list(shapes)
     shared: dict[str, Any] = {}
-    names = {shape.name for shape in prescription.shapes()}
-    for shape in prescription.shapes():
+    names = {shape.name for shape in shapes}
+    for shape in shapes:
         for item in items(shape):
             if item.name is None:
                 continue
             if shared.setdefault(item.name, item) != item:
                 raise MistrayError(
-                    f"prescription '{prescription.name}': two different {what}s are called '{item.name}', that of "
-                    f"'{shape.name}' is one; give each its own name"
+                    f"{where}: two different {what}s are called '{item.name}', that of '{shape.name}' is one; give "
+                    "each its own name"
                 )
             if item.name in names:
-                raise MistrayError(
-                    f"prescription '{prescription.name}': a shape and a {what} are called '{item.name}'; rename one"
-                )
+                raise MistrayError(f"{where}: a shape and a {what} are called '{item.name}'; rename one")
     return shared
 
 

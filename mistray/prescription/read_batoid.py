@@ -13,7 +13,6 @@ example the outside of the camera's tube on its way from the secondary to the te
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
@@ -21,6 +20,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.physics.pose import fixed_angles_deg
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel
 from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
@@ -30,7 +30,6 @@ if TYPE_CHECKING:
 
 M_TO_MM = 1e3
 _PIXELS = (512, 512)
-_ROUND_OFF = 1e-12
 
 
 def from_batoid(
@@ -222,7 +221,7 @@ class _Reader:
 
     def _placing(self, interface: Any) -> dict[str, Any]:
         x, y, z = (float(value) * M_TO_MM for value in interface.coordSys.origin)
-        return {"x": x, "y": y, "z": z, "tilt_deg": _tilts_deg(np.asarray(interface.coordSys.rot))}
+        return {"x": x, "y": y, "z": z, "tilt_deg": fixed_angles_deg(np.asarray(interface.coordSys.rot))}
 
     def _index(self, medium: Any) -> str:
         n = float(medium.getN(self.wavelength_nm * 1e-9))
@@ -294,12 +293,3 @@ def _id(name: str) -> str:
 
 def _same_place(a: Structure, b: Structure) -> bool:
     return all(getattr(a, key) == getattr(b, key) for key in ("r0", "z0", "r1", "z1", "x", "y", "z", "tilt_deg"))
-
-
-def _tilts_deg(rotation: np.ndarray) -> tuple[float, float, float]:
-    """Angles about the fixed axes x, then y, then z of a rotation matrix (3, 3); round-off is cleaned to 0."""
-    x = math.atan2(rotation[2, 1], rotation[2, 2])
-    y = math.asin(max(-1.0, min(1.0, -rotation[2, 0])))
-    z = math.atan2(rotation[1, 0], rotation[0, 0])
-    about_x, about_y, about_z = (math.degrees(a) if abs(a) > _ROUND_OFF else 0.0 for a in (x, y, z))
-    return about_x, about_y, about_z

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Container, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -12,12 +12,16 @@ from xml.sax.saxutils import escape, quoteattr
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
+from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
+from mistray.prescription.naming import shared_coatings, shared_scatter
 from mistray.prescription.scatter import Scatter, Value
 from mistray.replace_file import replace_file
 
 if TYPE_CHECKING:
     from mistray.prescription.model import Prescription
+
+Shape = Surface | Structure | MeshStructure
 
 
 @dataclass(frozen=True)
@@ -32,7 +36,7 @@ class _Node:
     children: tuple[_Node, ...] = ()
 
 
-def _interface(shape: Surface | Structure) -> _Node:
+def _interface(shape: Shape) -> _Node:
     coating = shape.coating
     in_air = shape.front == shape.back == "air"
     properties: dict[str, Value] = {} if in_air else {"front": shape.front, "back": shape.back}
@@ -70,7 +74,7 @@ def _recipe(coating: Coating) -> dict[str, Value]:
     return {key: value for key, value in given.items() if value is not None}
 
 
-def _labels(shape: Surface | Structure) -> dict[str, Value]:
+def _labels(shape: Shape) -> dict[str, Value]:
     labels: dict[str, Value] = {}
     if shape.part is not None:
         labels["part"] = shape.part
@@ -100,7 +104,10 @@ def _surface(s: Surface) -> _Node:
     return _Node("shape", "asphere", s.name, properties | _labels(s), s, children)
 
 
-def _shape(s: Surface | Structure) -> _Node:
+def _shape(s: Shape) -> _Node:
+    if isinstance(s, MeshStructure):
+        properties: dict[str, Value] = {"filename": s.file}
+        return _Node("shape", "part_mesh", s.name, properties | _labels(s), None, (_interface(s),))
     return _surface(s) if isinstance(s, Surface) else _structure(s)
 
 
@@ -202,6 +209,28 @@ def xml_text(prescription: Prescription) -> str:
         for node in nodes:
             lines += _node_lines(node, 1)
     return "\n".join([*lines, "</scene>", ""])
+
+
+def structure_text(structures: Iterable[Structure | Surface | MeshStructure], known: Container[str] = ()) -> str:
+    """
+    XML of structures, after the coatings and scatter models that they share, as it stands within a scene.
+
+    Parameters
+    ----------
+    structures : iterable of Structure, Surface or MeshStructure
+    known : container of str
+        Ids that the scene has; shared objects of these names are referred to and not written.
+
+    Raises
+    ------
+    MistrayError
+        If two coatings or two models of one name differ.
+    """
+    structures = list(structures)
+    nodes = {name: _thinfilm(coating) for name, coating in shared_coatings("structures", structures).items()}
+    nodes |= {name: _scatter(model) for name, model in shared_scatter("structures", structures).items()}
+    shared = [node for name, node in nodes.items() if name not in known]
+    return "\n".join(line for node in [*shared, *map(_shape, structures)] for line in _node_lines(node, 1))
 
 
 def _node_lines(node: _Node, depth: int) -> list[str]:

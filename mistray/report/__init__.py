@@ -3,31 +3,41 @@
 from mistray.report.baffle_plots import baffle_figure, cassegrain_figure
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.csv_tables import write_csv
+from mistray.report.formats import write_formats
 from mistray.report.html import html_text, write_html
-from mistray.report.layout import layout
+from mistray.report.irradiance_files import IrradianceMap, read_irradiance, write_irradiance
+from mistray.report.layout import layout, layout_figure, write_layout
 from mistray.report.objects_output import write_objects
 from mistray.report.objects_plots import objects_layout
 from mistray.report.objects_tables import objects_text
 from mistray.report.output import writable_directory, write_all, write_png
+from mistray.report.parquet import write_parquet
+from mistray.report.path_rays import RayLine, rays_of_paths
 from mistray.report.path_sort import SortedPath, parse_path_sort, path_sort_text
 from mistray.report.plots import ghost_image, levels_against_field, montage
 from mistray.report.pst_output import write_pst
 from mistray.report.pst_tables import pst_text
+from mistray.report.ray_files import read_rays, write_rays
 from mistray.report.study_output import write_study
 from mistray.report.study_tables import study_text
 from mistray.report.tables import main_table, warnings
 from mistray.report.text import with_error
 from mistray.report.thermal import thermal_text, write_thermal
+from mistray.report.view import View, view
 
 __all__ = [
     "ColourPictures",
+    "IrradianceMap",
     "Look",
+    "RayLine",
     "SortedPath",
+    "View",
     "baffle_figure",
     "cassegrain_figure",
     "ghost_image",
     "html_text",
     "layout",
+    "layout_figure",
     "levels_against_field",
     "main_table",
     "montage",
@@ -36,17 +46,26 @@ __all__ = [
     "parse_path_sort",
     "path_sort_text",
     "pst_text",
+    "rays_of_paths",
+    "read_irradiance",
+    "read_rays",
     "study_text",
     "thermal_text",
+    "view",
     "warnings",
     "with_error",
     "writable_directory",
     "write_all",
     "write_csv",
+    "write_formats",
     "write_html",
+    "write_irradiance",
+    "write_layout",
     "write_objects",
+    "write_parquet",
     "write_png",
     "write_pst",
+    "write_rays",
     "write_study",
     "write_thermal",
 ]

@@ -82,12 +82,12 @@ def cassegrain_figure(prescription: Prescription, baffles: CassegrainBaffles, ti
     Parameters
     ----------
     prescription : Prescription
-        All that is drawn, in section; shapes off the axis are left out.
+        All that is drawn, in section; meshes and shapes off the axis are left out.
     baffles : CassegrainBaffles
         Whose rims A and B are marked, with the line from the edge of the detector past them.
     title : str
     """
-    shapes = [shape for shape in prescription.shapes() if shape.coaxial]
+    shapes = [shape for shape in prescription.shapes() if isinstance(shape, Structure | Surface) and shape.coaxial]
     axes = _axes(title, *_extent([point for shape in shapes for point in _profile(shape).tolist()]))
     for shape in shapes:
         optical = isinstance(shape, Surface)

@@ -157,9 +157,8 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
     for name, estimate in estimates.items():
         row |= {name: estimate.value, f"{name}_se": estimate.se}
     row["worst_path_id"] = s.brightest
-    row |= {
-        f"map_{name}": getattr(s.map, name) for name in ("minimum", "maximum", "mean", "rms", "flux_W", "incident_rays")
-    }
+    row |= {f"map_{name}_W_mm2": getattr(s.map, name) for name in ("minimum", "maximum", "mean", "rms")}
+    row |= {f"map_{name}": getattr(s.map, name) for name in ("flux_W", "incident_rays")}
     return row | {"asymmetry": s.asymmetry, "asymmetry_expected": s.asymmetry_expected}
 
 

@@ -11,7 +11,10 @@ from typing import Any
 from mistray.analysis.estimate import UNKNOWN
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.replace_file import replace_file
-from mistray.report.html_fields import field_section
+from mistray.report.html_coatings import coatings
+from mistray.report.html_explorer import page_data
+from mistray.report.html_fields import field_section, mapped_paths
+from mistray.report.html_hover import hover_figure
 from mistray.report.html_ledgers import energy_ledger, surface_ledger
 from mistray.report.html_scatter import scatter_ledger
 from mistray.report.markup import (
@@ -25,7 +28,7 @@ from mistray.report.markup import (
     thousands,
 )
 from mistray.report.page import page
-from mistray.report.plots import as_png, as_svg, levels_against_field, montage
+from mistray.report.plots import as_png, levels_against_field, montage
 from mistray.report.tables import warnings
 from mistray.report.text import ABSENT, with_error
 from mistray.trace.path_events import STRAY_KINDS
@@ -114,9 +117,12 @@ def html_text(
 ) -> str:
     """The report as HTML text; see `write_html`."""
     pictures = pictures or {}
+    for field in report:
+        mapped_paths(report, field)  # first of all: the maps of the summaries come from the same run of the rays
     settings = next(iter(report.values())).settings
     summaries = [report.summary(field) for field in report]
-    fields = [field_section(report, s, pictures, per_wavelength) for s in summaries]
+    fields = [page_data(report.scene), *(field_section(report, s, pictures, per_wavelength) for s in summaries)]
+    with_coatings = bool(report.nominal_trace.tables)
     sections = [
         _head(report, title, settings, summaries),
         _summary(report, summaries, per_wavelength),
@@ -125,9 +131,10 @@ def html_text(
         section("energy", "Energy ledger", energy_ledger(report, per_wavelength)),
         *([section("scatter", "Scattered light", scatter_ledger(report))] if report.scatters else []),
         section("surfaces", "Flux at every surface", surface_ledger(report, per_wavelength)),
+        *([section("coatings", "Coatings and surfaces", coatings(report))] if with_coatings else []),
         section("settings", "Assumptions, definitions and settings", _settings(settings, report, command)),
     ]
-    return page(f"Ghost analysis: {title}", sections)
+    return page(f"Ghost analysis: {title}", sections, ("report", "hover", "explorer"))
 
 
 def _head(report: GhostReport, title: str, settings: dict[str, Any], summaries: Sequence[FieldSummary]) -> str:
@@ -153,6 +160,7 @@ def _head(report: GhostReport, title: str, settings: dict[str, Any], summaries: 
         )
     links = (("summary", "Summary"), ("pictures", "Pictures"), ("fields", "Fields"), ("energy", "Energy"),
              *([("scatter", "Scatter")] if report.scatters else []), ("surfaces", "Surfaces"),
+             *([("coatings", "Coatings")] if report.nominal_trace.tables else []),
              ("settings", "Settings"))  # fmt: skip
     nav = "".join(f'<a href="#{target}">{text}</a>' for target, text in links)
     return (
@@ -221,15 +229,28 @@ def _summary_cells(s: FieldSummary, kinds: Sequence[str]) -> tuple[str, list[str
 
 def _pictures(report: GhostReport, pictures: Mapping[str, bytes]) -> str:
     overview = pictures.get("overview.png") or as_png(montage(report))
-    levels = as_svg(levels_against_field(report))
     parts = [
         figure(
             image(overview, "ghost images of all fields"),
             "Irradiance on the detector at every field, all light, one log10 scale.",
         ),
-        figure(levels, "Power by kind of light, and the ten worst stray paths at every field."),
+        _levels(report),
     ]
     return section("pictures", "Pictures", "".join(parts))
+
+
+def _levels(report: GhostReport) -> str:
+    """Power against field angle, with its values for the pointer."""
+    drawn, fields = levels_against_field(report), sorted(report)
+    values = []
+    for s in (report.summary(field) for field in fields):
+        powers = {"direct image": s.direct.power_W, "stray light": s.stray_W}
+        powers |= {kind: s.stray_of_kind_W[kind] for kind in STRAY_KINDS if s.paths_of_kind[kind]}
+        shown = [(name, f"{with_error(power)} W" if power.value > 0 else ABSENT) for name, power in powers.items()]
+        values.append([*shown, ("worst path, normalised", with_error(s.brightest_normalised))])
+    titles = [f"field {field:g}°" for field in fields]
+    caption = "Power by kind of light, and the ten worst stray paths at every field."
+    return hover_figure("data-levels", drawn, drawn.axes[0], fields, titles, values, caption)
 
 
 def _settings(settings: dict[str, Any], report: GhostReport, command: str) -> str:

@@ -10,18 +10,26 @@ from typing import Any
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import MAPPED_PATHS, FieldSummary, GhostReport
+from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.path_maps import FieldMaps
 from mistray.analysis.ranking import FEWEST_RAYS
+from mistray.report.html_explorer import BOX_CELL, BOX_HEADER, explorer, picture_cell
 from mistray.report.layout import layout
 from mistray.report.markup import cell, data_table, figure, filter_box, image, number_cell, thousands
-from mistray.report.plots import as_png, as_svg, common_range, ghost_image, thumbnail
+from mistray.report.plots import as_png, as_svg, common_range, ghost_image
 from mistray.report.text import ABSENT, number
+from mistray.report.thumbnails import DECADES, thumbnail
 
 ROWS_SHOWN = 60  # the worst paths by RMS irradiance
 STRONGEST_SHOWN = 10  # and by power
 AT_WAVELENGTHS = (
     "Normalised to the on-axis image at the same wavelength. Of all light: at all wavelengths; of stray light: at this "
     "one."
+)
+PICTURES = (
+    '<p class="note">Pictures: log<sub>10</sub> of the irradiance about the centroid of each path, '
+    '<i class="scale"></i> from the floor to the top that stand below it in W/mm², '
+    f"at most {DECADES:g} decades; black: less, or no ray.</p>"
 )
 PATH_NUMBERS = (
     ("power", "W", "power_W", "power_se_W"),
@@ -84,25 +92,43 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
     colour = pictures.get(f"colour_{s.field_deg:g}deg.png")
     anchor = f"field-{s.field_deg:g}".replace(".", "_")
     return (
-        f'<h3 id="{anchor}">Field {s.field_deg:g}°</h3><p>{text}</p>'
+        f'<div class="field"><h3 id="{anchor}">Field {s.field_deg:g}°</h3><p>{text}</p>'
         + figure(image(ghost_map, f"irradiance on the detector, field {s.field_deg:g}°"))
         + (figure(image(colour, f"the detector in colour, field {s.field_deg:g}°")) if colour else "")
         + data_table(f"t-map-{anchor}", header, block, sortable=False)
         + figure(as_svg(layout(report, s.field_deg)))
-        + _paths(report, s.field_deg, f"t-{anchor}")
+        + explored_paths(report, s.field_deg, f"t-{anchor}")
         + (_paths_at_wavelengths(report, s.field_deg, f"t-waves-{anchor}") if per_wavelength else "")
+        + "</div>"
     )
 
 
-def _paths(report: GhostReport, field_deg: float, name: str) -> str:
+def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
+    """Maps of the paths that the table of a field shows; made once, from one more run of its rays."""
+    shown = shown_paths(report.table(field_deg))
+    return report.path_maps(field_deg, list(shown.sort_values("rank_rms_irradiance").path_id))
+
+
+def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
+    """
+    The table of the paths of one field with a picture of each, and the panel that shows what is chosen in it.
+
+    Parameters
+    ----------
+    report : GhostReport
+    field_deg : float
+        Field angle, degrees.
+    name : str
+        Id of the table.
+    """
     table = report.table(field_deg).sort_values("rank_rms_irradiance")
-    shown = _shown(table)
+    shown, maps = shown_paths(table), mapped_paths(report, field_deg)
     ranks = [("rank", "RMS irr."), ("rank", "power")]
-    header = [("image", ""), *_header(shown, False), *ranks, ("path", "T R I t r A", "t")]
-    pictured = set(report.top(field_deg, MAPPED_PATHS).path_id)
+    header = [("image", ""), BOX_HEADER, *_header(shown, False), *ranks, ("path", "T R I t r A", "t")]
     rows = [
         [
-            f"<td>{_thumbnail(report, field_deg, row) if row.path_id in pictured else ''}</td>",
+            _picture(report, field_deg, row, maps),
+            BOX_CELL,
             *_cells(row, shown, False),
             *(cell(str(rank) if rank else ABSENT) for rank in (row.rank_rms_irradiance, row.rank_power)),
             f'<td class="path m"><details><summary>{row.path}</summary>{escape(row.events)}</details></td>',
@@ -114,10 +140,18 @@ def _paths(report: GhostReport, field_deg: float, name: str) -> str:
     if len(left_out):
         share = f"{left_out.percent_of_stray.sum():.3g} % of the stray light"
         notes.append(f"{len(left_out)} more paths are in paths.csv; together they hold {share}.")
+    unmapped = int((~shown.path_id.isin(list(maps.paths))).sum())
+    if unmapped:
+        notes.append(
+            f"{unmapped} of these paths have no map, because the detector has too many pixels for maps of all of them; "
+            "in a box they count among the rest."
+        )
     if not shown.well_sampled.all():
         notes.append(f"* fewer than {FEWEST_RAYS} rays: RMS radius and irradiance are unreliable, ranked last.")
     return (
-        filter_box(name, "filter rows, for example: detector window", f"filter the paths of field {field_deg:g}°")
+        explorer(report, field_deg, maps, name)
+        + filter_box(name, "filter rows, for example: detector window", f"filter the paths of field {field_deg:g}°")
+        + PICTURES
         + data_table(name, header, rows)
         + (f'<p class="note">{" ".join(notes)}</p>' if notes else "")
     )
@@ -125,7 +159,7 @@ def _paths(report: GhostReport, field_deg: float, name: str) -> str:
 
 def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> str:
     """The paths that `_paths` shows, at each of their wavelengths."""
-    shown = _shown(report.table(field_deg).sort_values("rank_rms_irradiance"))
+    shown = shown_paths(report.table(field_deg).sort_values("rank_rms_irradiance"))
     rows = []
     for path_id in shown.path_id:
         spectrum = report.spectrum(field_deg, path_id)
@@ -138,7 +172,8 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> s
     )
 
 
-def _shown(table: pd.DataFrame) -> pd.DataFrame:
+def shown_paths(table: pd.DataFrame) -> pd.DataFrame:
+    """The rows of a table of paths that a report shows, in their order."""
     return table[(table.rank_rms_irradiance <= ROWS_SHOWN) | (table.rank_power <= STRONGEST_SHOWN)]
 
 
@@ -166,8 +201,12 @@ def _cells(row: Any, table: pd.DataFrame, wavelength: bool) -> list[str]:
     ]
 
 
-def _thumbnail(report: GhostReport, field_deg: float, row: Any) -> str:
-    irradiance, _ = report.map(field_deg, row.path_id)
-    picture, width, limits = thumbnail(irradiance, report[field_deg].extent, (row.x_mm, row.y_mm), row.rms_radius_mm)
-    scale = f"log10 scale 1e{limits[0]:g} to 1e{limits[1]:g} W/mm²" if limits else "dark"
-    return f"{image(as_png(picture), f'irradiance of path {row.path_id}', scale)}<small>{width:.2g} mm wide</small>"
+def _picture(report: GhostReport, field_deg: float, row: Any, maps: FieldMaps) -> str:
+    if row.path_id not in maps.paths:
+        return picture_cell(row.path_id, "", ())
+    t = report[field_deg]
+    height, width = t.irradiance.shape
+    found = thumbnail(maps.paths[row.path_id], t.extent, (height, width), (row.x_mm, row.y_mm), row.rms_radius_mm)
+    scale = "1e{:.0f} … 1e{:.0f}".format(*(limit + 0.0 for limit in found.limits)) if found.limits else "dark"
+    content = image(found.png, f"irradiance of path {row.path_id}")
+    return picture_cell(row.path_id, content, (scale, f"{found.width_mm:.2g} mm wide"))

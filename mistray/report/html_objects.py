@@ -19,6 +19,7 @@ from mistray.report.markup import (
     number_cell,
     section,
     setting_text,
+    version_settings,
 )
 from mistray.report.objects_tables import MEANINGS, POWER_UNIT, heading, shot_frame
 from mistray.report.page import page
@@ -55,7 +56,8 @@ def html_text(found: Objects, estimates: pd.DataFrame, png: bytes, title: str = 
         f"{escape(second)}.</p><p>{_finding(found, estimates)}</p>{_warnings(found)}<nav>{nav}</nav></header>"
     )
     facts = "".join(
-        f"<dt>{escape(key)}</dt><dd>{escape(setting_text(value))}</dd>" for key, value in found.facts.items()
+        f"<dt>{escape(key)}</dt><dd>{escape(setting_text(value))}</dd>"
+        for key, value in (found.facts | version_settings()).items()
     )
     ran = f"<h3>Command</h3><pre>{escape(command)}</pre>" if command else ""
     settings = f'{definitions()}<h3>Settings</h3><dl class="settings">{facts}</dl>{ran}'
@@ -124,10 +126,8 @@ def _objects(name: str, rows: Sequence[SceneObject]) -> str:
 
 
 def _common(found: Objects) -> str:
-    parts = [
-        "<p>In the order of the light. By one scatter event each of them can send light to the detector.</p>",
-        _both("t-common", found.common),
-    ]
+    text = "In the order of the light. By one scatter event each of them can send light to the detector."
+    parts = [f"<p>{text}</p>{_both('t-common', found.common)}"] if found.common else ["<p>None but the optics.</p>"]
     if found.apart:
         names = ", ".join(row.id for row in found.apart)
         parts.append(f"<p>Lit in one place and seen in another, so not common: {escape(names)}.</p>")

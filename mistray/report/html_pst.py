@@ -7,8 +7,9 @@ from html import escape
 from typing import Any
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.pst.causes import breaks, field_edge, stray_paths
+from mistray.analysis.pst.causes import breaks, cause_frame, field_edge, stray_paths
 from mistray.analysis.pst.result import Pst
+from mistray.report.html_hover import hover_figure
 from mistray.report.markup import (
     cell,
     data_table,
@@ -19,9 +20,9 @@ from mistray.report.markup import (
     section,
     setting_text,
     thousands,
+    version_settings,
 )
 from mistray.report.page import page
-from mistray.report.plots import as_svg
 from mistray.report.pst_plots import pst_causes, pst_curve
 from mistray.report.pst_tables import (
     DEFINITIONS,
@@ -78,7 +79,7 @@ def html_text(
     has_paths = pst.path_rows is not None and paths_shown > 0
     detector = {name: png for name, png in pictures.items() if name.startswith("irradiance_")}
     parts = [
-        ("curve", "Curve", _curve(pst, title)),
+        ("curve", "Curve", curve_figure(pst, title)),
         *([("causes", "Causes", _causes(pst, title))] if has_paths else []),
         *([("map", "Map", _map(pictures["pst_map.png"]))] if "pst_map.png" in pictures else []),
         *([("detector", "Detector", _detector(detector))] if detector else []),
@@ -88,7 +89,7 @@ def html_text(
     ]
     links = "".join(f'<a href="#{anchor}">{text}</a>' for anchor, text, _ in parts)
     sections = [_head(pst, title, links), *(section(*part) for part in parts)]
-    return page(f"PST: {title}", sections)
+    return page(f"PST: {title}", sections, ("report", "hover"))
 
 
 def _head(pst: Pst, title: str, links: str) -> str:
@@ -123,15 +124,38 @@ def _finding(pst: Pst) -> str:
     return f"{first}. Stray light {where}: {' to '.join(dict.fromkeys(values))}."
 
 
-def _curve(pst: Pst, title: str) -> str:
+def curve_figure(pst: Pst, title: str = "") -> str:
+    """The curve of a PST, with its values for the pointer."""
+    figure = pst_curve(pst, title)
+    curves = {"all light": pst.curve(), "stray light": pst.curve("stray")}
+    curves |= {name_of(group): pst.curve(group) for group in shown_classes(pst)}
+    values = [
+        [
+            (name, with_error(Estimate(float(value[i]), float(se[i]))) if value[i] else ABSENT)
+            for name, (value, se) in curves.items()
+        ]
+        for i in range(len(pst.angles_deg))
+    ]
+    titles = [f"PST at {angle:g}°" for angle in pst.angles_deg]
     caption = "PST of all light, of the stray light and of each class; below, relative standard errors."
-    return figure(as_svg(pst_curve(pst, title)), caption)
+    return hover_figure("data-curve", figure, figure.axes[0], list(pst.angles_deg), titles, values, caption)
+
+
+def causes_figure(pst: Pst, title: str = "") -> str:
+    """The shares of the causes of stray light, with their values for the pointer."""
+    figure, table = pst_causes(pst, title), cause_frame(pst)
+    values = [
+        [(str(name), f"{number(float(share), 3)} %") for name, share in row.items() if share > 0]
+        for _, row in table.iterrows()
+    ]
+    titles = [f"stray light at {angle:g}°" for angle in pst.angles_deg]
+    caption = "Where the stray light comes from: first surface that scatters it; ghosts are light only reflected."
+    return hover_figure("data-causes", figure, figure.axes[0], list(pst.angles_deg), titles, values, caption)
 
 
 def _causes(pst: Pst, title: str) -> str:
-    caption = "Where the stray light comes from: first surface that scatters it; ghosts are light only reflected."
     found = breaks(pst)
-    parts = [figure(as_svg(pst_causes(pst, title)), caption)]
+    parts = [causes_figure(pst, title)]
     if found:
         rows = [
             [
@@ -207,6 +231,7 @@ def _settings(pst: Pst, command: str) -> str:
             shown |= {f"{key}: {name}": item for name, item in value.items()}
         elif key != "notes":
             shown[key] = thousands(value) if key in ("rays", "segments") else value
+    shown |= version_settings()
     pairs = ((escape(str(key)), escape(setting_text(value))) for key, value in shown.items())
     items = "".join(f"<dt>{key}</dt><dd>{value}</dd>" for key, value in pairs)
     ran = f"<h3>Command</h3><pre>{escape(command)}</pre>" if command else ""

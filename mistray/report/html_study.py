@@ -5,9 +5,14 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
+from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.study.run import Study
 from mistray.analysis.study.step import StudyStep
 from mistray.report.html import ASSUMPTIONS, DEFINITIONS, POLARIZATION, SCATTERED
+from mistray.report.html_explorer import page_data
+from mistray.report.html_fields import explored_paths
+from mistray.report.html_ledgers import energy_ledger
+from mistray.report.html_pst import causes_figure, curve_figure
 from mistray.report.markup import figure, filter_box, image, section, setting_text, thousands
 from mistray.report.page import page
 from mistray.report.study_tables import fact_text, step_warnings, study_warnings, table_html
@@ -17,8 +22,6 @@ ROWS_FILTERED = 15  # tables with more rows have a filter
 CAPTIONS = {
     "layout.png": "Section of the system with rays of the direct image on axis.",
     "objects.png": "What the detector sees, what light from outside reaches, and what is both.",
-    "pst.png": "Point source transmittance over field angle.",
-    "pst_causes.png": "Share of the stray light at every angle by its cause.",
     "ghost_images.png": "Irradiance on the detector at the fields of the ghost analysis, one log10 scale.",
     "ghost_levels.png": "Power by kind of light, and the ten worst stray paths at every field.",
     "worst_ghosts.png": "Rays of the worst ghosts, at the field where they are brightest.",
@@ -27,7 +30,7 @@ CAPTIONS = {
 FIGURES = {
     "optical_model": ("layout.png",),
     "common_objects": ("objects.png",),
-    "analysis": ("pst.png", "pst_causes.png", "ghost_images.png", "ghost_levels.png", "worst_ghosts.png"),
+    "analysis": ("ghost_images.png", "ghost_levels.png", "worst_ghosts.png"),
 }
 TABLES = {
     "optical_surfaces": "Surfaces in the order of the light",
@@ -73,7 +76,7 @@ def study_html(study: Study, pictures: Mapping[str, bytes], command: str = "") -
         *(_step(study, step, pictures) for step in study.steps),
         section("settings", "Assumptions, definitions and settings", _settings(study, command)),
     ]
-    return page(f"Stray-light study: {study.name}", sections)
+    return page(f"Stray-light study: {study.name}", sections, ("report", "hover", "explorer"))
 
 
 def _head(study: Study) -> str:
@@ -115,11 +118,26 @@ def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> str:
         f"<p>{escape(step.text)}</p>",
         f'<div class="warnings"><ul>{warnings}</ul></div>' if warnings else "",
         f'<dl class="settings">{facts}</dl>' if facts else "",
+        *(_pst_figures(study) if step.key == "analysis" else ()),
         *(figure(image(pictures[name], caption), caption) for name, caption in shown),
         *(_table(name, frame) for name, frame in step.tables.items()),
+        *(_ghosts(study.ghosts) if step.key == "analysis" else ()),
         f'<p class="note">{step.seconds:.1f} s</p>',
     ]
     return section(step.key, f"{step.number} {escape(step.title)}", "".join(body))
+
+
+def _pst_figures(study: Study) -> list[str]:
+    return [curve_figure(study.pst, study.name), *([] if study.pst.is_dark else [causes_figure(study.pst, study.name)])]
+
+
+def _ghosts(report: GhostReport) -> list[str]:
+    """The paths of every field to explore, and the energy ledger of the fields."""
+    fields = [
+        f"<h3>Paths of the ghosts, field {field:g}°</h3>{explored_paths(report, field, f't-field-{number}')}"
+        for number, field in enumerate(report)
+    ]
+    return [page_data(report.scene), *fields, "<h3>Energy ledger of the ghosts</h3>", energy_ledger(report, False)]
 
 
 def _table(name: str, frame: object) -> str:

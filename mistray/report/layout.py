@@ -1,28 +1,44 @@
-"""Section of the optical system in the y-z plane, with real rays of chosen paths."""
+"""Section of the optical system in the y-z plane, with real rays of chosen paths: for reports and for papers."""
 
 from __future__ import annotations
 
+import io
 import itertools
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import numpy.typing as npt
+from matplotlib import rc_context
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from mistray._mitsuba_compat import mesh_arrays
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
-from mistray.report.plots import BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.replace_file import replace_file
+from mistray.report.cut_open import CutPlane, clip, role_of, surface_names, triangles
+from mistray.report.path_rays import check_count, chosen_rows, row_name
+from mistray.report.plots import BLACK, BLUE, BROWN, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.trace.path_events import DIRECT
+from mistray.trace.surfaces import solid_shapes
+
+if TYPE_CHECKING:
+    from mistray.trace import Trace
 
 Polyline = npt.NDArray[np.float64]
 
 GLASS, GLASS_EDGE, STRUCTURE, MIRROR, DETECTOR = "#dbe9f4", "#4a6a86", "#7a7a7a", "#333333", "#000000"
-GHOST_COLOURS = (VERMILION, GREEN, PURPLE, ORANGE, SKY)
-RAYS_DRAWN = 7
+PATH_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BROWN, BLACK)  # the direct image, if drawn, is first
+LINE_STYLES = ("solid", "dashed", "dotted")  # of paths that have one colour
+RAYS_DRAWN, PATHS_DRAWN, GHOSTS_DRAWN = 7, 4, 3
+CANDIDATES = 40  # rays of a path among which those near the section are chosen, for each that is drawn
+SCREEN_WIDTH, PAPER_WIDTH = 10.4, 6.9  # inch; the second is both columns of a journal
+LEGEND_SIGN, LETTER = 0.6, 0.55 / 72  # inch: beside a label of the legend, and of a letter of one point
+FORMATS = (".svg", ".pdf", ".eps", ".png")
+Chosen = tuple[list[Polyline], str, str]  # rays, colour and label of a path
 
 
 @dataclass(frozen=True)
@@ -52,7 +68,7 @@ def section(scene: Any) -> list[SectionLine]:
     Surfaces of revolution whose axis lies in the plane are cut exactly (their profile and its mirror image); all other
     shapes by way of their triangle mesh.
     """
-    return [SectionLine(_name(shape), _cut(shape), _kind(shape)) for shape in scene.shapes()]
+    return [SectionLine(name, _cut(shape, name), role_of(shape)) for name, shape in surface_names(scene)]
 
 
 def glass_bodies(scene: Any) -> list[Polyline]:
@@ -63,7 +79,7 @@ def glass_bodies(scene: Any) -> list[Polyline]:
     front. Its rim follows the frusta (edges, flanges, bevels) that lead from one surface to the other; where there are
     none the rims are joined by straight lines.
     """
-    shapes = [shape for shape in scene.shapes() if hasattr(shape, "profile") and _in_plane(shape)]
+    shapes = [shape for shape in solid_shapes(scene) if hasattr(shape, "profile") and _in_plane(shape)]
     faces = [shape for shape in shapes if not shape.bsdf().opaque and shape.profile()[0, 0] == 0]
     faces.sort(key=lambda shape: float(shape.matrix[2, 3]))
     bodies = []
@@ -119,7 +135,9 @@ def chain(start: Polyline, end: Polyline, steps: Sequence[Polyline], tolerance: 
     return np.empty((0, 2))
 
 
-def layout(report: GhostReport, field_deg: float, ghosts: int = 3, path_ids: Sequence[int] | None = None) -> Figure:
+def layout(
+    report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN, path_ids: Sequence[int] | None = None
+) -> Figure:
     """
     Section of the system with rays of the direct image and of the worst stray paths of one field, or of chosen paths.
 
@@ -133,42 +151,145 @@ def layout(report: GhostReport, field_deg: float, ghosts: int = 3, path_ids: Seq
     path_ids : sequence of int, optional
         Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
     """
-    lines = section(report.scene)
+    chosen = worst_paths(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, path_ids)
+    drawn = [
+        (meridional(report.rays_of(field_deg, path_id), RAYS_DRAWN), colour, label) for path_id, colour, label in chosen
+    ]
+    title = f"field {field_deg:g}°: section x = 0; rays projected onto it"
+    return _figure(report.scene, drawn, title, width=SCREEN_WIDTH, size=8.0)
+
+
+def layout_figure(
+    scene: Any,
+    trace: Trace | None = None,
+    paths: int = PATHS_DRAWN,
+    path_ids: Sequence[int] | None = None,
+    rays: int = RAYS_DRAWN,
+) -> Figure:
+    """
+    Section of the system in the y-z plane with rays of the strongest paths, as wide as a page of a journal.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    trace : Trace, optional
+        Of this scene; without it the section alone is drawn.
+    paths : int
+        Number of rows of the path table to draw, the strongest first.
+    path_ids : sequence of int, optional
+        Draw these rows instead.
+    rays : int
+        Rays of each path, those nearest to the plane x = 0 and spread over the beam; they are projected onto the plane.
+
+    Returns
+    -------
+    Figure
+        For `write_layout`, or ``figure.savefig``.
+
+    Raises
+    ------
+    MistrayError
+        For an unknown row, rows without a trace, a number of paths below 0 or of rays below 1.
+    """
+    check_count(rays)
+    if trace is None and path_ids is not None:
+        raise MistrayError("path_ids without a trace; give the trace that has these paths")
+    drawn: list[Chosen] = []
+    title = ""
+    if trace is not None:
+        lines = len(trace.wavelengths_nm)
+        for row, colour in zip(chosen_rows(trace, paths, path_ids), itertools.cycle(PATH_COLOURS), strict=False):
+            history = trace.history(row.path_id, CANDIDATES * rays).rays
+            drawn.append((meridional(history, rays), colour, row_name(row, lines > 1)))
+        title = f"field {trace.settings['field_deg']:g}°, section x = 0; rays projected onto it"
+    return _figure(scene, drawn, title, width=PAPER_WIDTH, size=7.0)
+
+
+def write_layout(figure: Figure, path: str | Path) -> Path:
+    """
+    Write a layout as a vector file with text as text, or as PNG.
+
+    Parameters
+    ----------
+    figure : Figure
+    path : str or Path
+        The ending says the format: ``.svg``, ``.pdf``, ``.eps`` or ``.png``.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    MistrayError
+        For another ending, or if the file cannot be written.
+    """
+    kind = layout_format(path)
+    buffer = io.BytesIO()
+    metadata = {"svg": {"Date": None}, "pdf": {"CreationDate": None}}.get(kind, {})
+    with rc_context({"svg.fonttype": "none", "pdf.fonttype": 42, "ps.fonttype": 42, "svg.hashsalt": "mistray"}):
+        figure.savefig(buffer, format=kind, dpi=300, bbox_inches="tight", pad_inches=0.05, metadata=metadata)
+    return replace_file(path, buffer.getvalue(), "layout")
+
+
+def layout_format(path: str | Path) -> str:
+    """Format of a layout by the ending of its file; raises `MistrayError` for another one."""
+    ending = Path(path).suffix.lower()
+    if ending not in FORMATS:
+        raise MistrayError(f"layout '{path}': layouts are written as {', '.join(FORMATS)}; choose one of these endings")
+    return ending[1:]
+
+
+def _figure(scene: Any, chosen: Sequence[Chosen], title: str, width: float, size: float) -> Figure:
+    """The section with rays; `width` in inches, `size` of the text of the legend in points."""
+    lines = section(scene)
     low, high = _bounds(lines)
-    size = np.maximum(high - low, 1e-9)
-    width = 10.4
+    span = np.maximum(high - low, 1e-9)
+    longest = max((len(label) for _, _, label in chosen), default=0)
+    columns = max(1, min(len(chosen), int(width / (LEGEND_SIGN + LETTER * size * longest))))
+    legend = 0.22 * -(-len(chosen) // columns)
     figure = Figure(
-        figsize=(width, float(np.clip(0.9 * width * size[1] / size[0] + 0.9, 2.6, 6.6))), dpi=110, layout="constrained"
+        figsize=(width, float(np.clip(0.9 * width * span[1] / span[0] + 0.7 + legend, 2.6, 6.6))),
+        dpi=110,
+        layout="constrained",
     )
     axes = figure.subplots()
-    _draw_system(axes, report.scene, lines)
-    chosen = _chosen(report, field_deg, ghosts) if path_ids is None else _asked(report, field_deg, path_ids)
-    for path_id, colour, label in chosen:
-        rays = meridional(report.rays_of(field_deg, path_id), RAYS_DRAWN)
-        axes.plot([], [], color=colour, lw=0.8, label=label if rays else f"{label}, too rare to draw")
+    weight = width / SCREEN_WIDTH
+    _draw_system(axes, scene, lines, weight)
+    used: Counter[str] = Counter()
+    for rays, colour, label in chosen:
+        style: dict[str, Any] = {"color": colour, "ls": LINE_STYLES[used[colour] % len(LINE_STYLES)]}
+        used[colour] += 1
+        axes.plot([], [], **style, lw=0.8, label=label if rays else f"{label}, too rare to draw")
         for ray in rays:
-            axes.plot(ray[:, 2], ray[:, 1], color=colour, lw=0.8, alpha=0.9, zorder=4)
-    margin = 0.06 * size
+            axes.plot(ray[:, 2], ray[:, 1], **style, lw=0.8 * weight, alpha=0.9, zorder=4)
+    margin = 0.06 * span
     axes.set_xlim(low[0] - 2.5 * margin[0], high[0] + margin[0])
     axes.set_ylim(low[1] - margin[1], high[1] + margin[1])
     axes.set_aspect("equal")
-    axes.set_xlabel("z [mm]")
-    axes.set_ylabel("y [mm]")
-    axes.set_title(f"field {field_deg:g}°: section x = 0; rays projected onto it", fontsize=10)
+    axes.set_xlabel("z [mm]", fontsize=size + 2)
+    axes.set_ylabel("y [mm]", fontsize=size + 2)
+    axes.tick_params(labelsize=size + 2)
+    axes.set_title(title, fontsize=size + 2)
     axes.spines[["top", "right"]].set_visible(False)
     if chosen:
         figure.legend(
-            *axes.get_legend_handles_labels(), loc="outside lower center", ncols=len(chosen), fontsize=8, frameon=False
+            *axes.get_legend_handles_labels(),
+            loc="outside lower center",
+            ncols=columns,
+            fontsize=size,
+            frameon=False,
         )
     return figure
 
 
-def _chosen(report: GhostReport, field_deg: float, ghosts: int) -> list[tuple[int, str, str]]:
-    """Path, colour and label of the direct image and of the worst stray paths."""
+def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN) -> list[tuple[int, str, str]]:
+    """Path, colour and label of the direct image and of the worst stray paths of a field, as `layout` draws them."""
     table = report.table(field_deg)
     chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
-    for colour, row in zip(GHOST_COLOURS, report.top(field_deg, ghosts).itertuples(index=False), strict=False):
-        chosen.append((int(row.path_id), colour, f"{row.label} ({row.kind})"))
+    for number, row in enumerate(report.top(field_deg, ghosts).itertuples(index=False), 1):
+        chosen.append((int(row.path_id), PATH_COLOURS[number % len(PATH_COLOURS)], f"{row.label} ({row.kind})"))
     return chosen
 
 
@@ -178,10 +299,9 @@ def _asked(report: GhostReport, field_deg: float, path_ids: Sequence[int]) -> li
     unknown = [path_id for path_id in path_ids if path_id not in rows.index]
     if unknown:
         raise MistrayError(f"path {unknown[0]} is not in the table of field {field_deg:g} deg; see report.table")
-    colours = itertools.cycle(GHOST_COLOURS)
     return [
-        (int(path_id), BLUE if number == 0 else next(colours), f"path {path_id}: {rows.label[path_id]}")
-        for number, path_id in enumerate(path_ids)
+        (int(path_id), colour, f"path {path_id}: {rows.label[path_id]}")
+        for path_id, colour in zip(path_ids, itertools.cycle(PATH_COLOURS), strict=False)
     ]
 
 
@@ -203,7 +323,7 @@ def meridional(rays: Sequence[Polyline], count: int) -> list[Polyline]:
     return [rays[min(group, key=lambda k: off_plane[k])] for group in groups]
 
 
-def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine]) -> None:
+def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine], weight: float) -> None:
     for body in glass_bodies(scene):
         axes.fill(body[:, 0], body[:, 1], facecolor=GLASS, edgecolor="none", zorder=1)
     style: dict[str, dict[str, Any]] = {
@@ -214,20 +334,7 @@ def _draw_system(axes: Axes, scene: Any, lines: Sequence[SectionLine]) -> None:
     }
     for surface in lines:
         for line in surface.lines:
-            axes.plot(line[:, 0], line[:, 1], **style[surface.kind])
-
-
-def _name(shape: Any) -> str:
-    return str(shape.name if hasattr(shape, "name") else shape.id())
-
-
-def _kind(shape: Any) -> str:
-    if shape.is_sensor():
-        return "detector"
-    bsdf = shape.bsdf()
-    if bsdf.mirror:
-        return "mirror"
-    return "structure" if bsdf.opaque else "glass"
+            axes.plot(line[:, 0], line[:, 1], **style[surface.kind] | {"lw": weight * style[surface.kind]["lw"]})
 
 
 def _in_plane(shape: Any) -> bool:
@@ -235,12 +342,11 @@ def _in_plane(shape: Any) -> bool:
     return abs(shape.matrix[0, 3]) < 1e-9 and abs(shape.matrix[0, 2]) < 1e-9
 
 
-def _cut(shape: Any) -> list[Polyline]:
+def _cut(shape: Any, name: str) -> list[Polyline]:
     if hasattr(shape, "profile") and _in_plane(shape):
         whole = _mirrored(shape)
         return [whole] if whole is not None else [_placed(shape, shape.profile(), sign) for sign in (1, -1)]
-    vertices, faces = mesh_arrays(shape)
-    return slice_mesh(vertices, faces)
+    return slice_mesh(*triangles(shape, name))
 
 
 def _mirrored(shape: Any) -> Polyline | None:
@@ -274,20 +380,8 @@ def slice_mesh(vertices: npt.ArrayLike, faces: npt.ArrayLike) -> list[Polyline]:
     list of (2, 2) float
         One segment for each triangle that crosses the plane, columns z and y, mm.
     """
-    corners = np.asarray(vertices, dtype=np.float64)[np.asarray(faces)]
-    # A vertex exactly in the plane counts as on its positive side, so that no segment is found twice
-    side = corners[:, :, 0] >= 0
-    segments = []
-    for triangle, positive in zip(corners, side, strict=True):
-        if positive.all() or not positive.any():
-            continue
-        points = []
-        for a, b in ((0, 1), (1, 2), (2, 0)):
-            if positive[a] != positive[b]:
-                t = triangle[a, 0] / (triangle[a, 0] - triangle[b, 0])
-                points.append(triangle[a] + t * (triangle[b] - triangle[a]))
-        segments.append(np.array(points)[:, [2, 1]])
-    return segments
+    _, _, lines = clip(np.asarray(vertices, dtype=np.float64), faces, CutPlane())
+    return [line[:, [2, 1]] for line in lines]
 
 
 def _bounds(lines: Sequence[SectionLine]) -> tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]:

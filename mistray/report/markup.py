@@ -10,6 +10,7 @@ from typing import Any
 
 from mistray.analysis.estimate import Estimate
 from mistray.report.text import ABSENT, with_error
+from mistray.trace.result import versions
 
 
 def section(anchor: str, title: str, body: str) -> str:
@@ -66,6 +67,11 @@ def image(png: bytes, text: str, title: str = "") -> str:
     """An <img> that holds the picture itself."""
     hover = f' title="{escape(title)}"' if title else ""
     return f'<img src="data:image/png;base64,{base64.b64encode(png).decode("ascii")}" alt="{escape(text)}"{hover}>'
+
+
+def version_settings() -> dict[str, str]:
+    """Versions of the packages that made the numbers, as settings of a report."""
+    return {f"version of {name}": version for name, version in versions().items()}
 
 
 def setting_text(value: Any) -> str:

@@ -15,6 +15,7 @@ from mistray.replace_file import replace_file
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.csv_tables import write_csv
 from mistray.report.html import write_html
+from mistray.report.html_fields import mapped_paths
 from mistray.report.layout import layout
 from mistray.report.path_sort import path_sort_text
 from mistray.report.plots import as_png, common_range, ghost_image, levels_against_field, montage
@@ -105,6 +106,8 @@ def write_all(
     target = writable_directory(directory)
     draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=_nearest_directory(target.parent)))
     try:
+        for field in report:
+            mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
         pictures = draw(report, look)
         drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
         for field in report:

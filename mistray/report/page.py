@@ -1,4 +1,4 @@
-"""The frame of an HTML report: style and script inside, nothing from the network."""
+"""The frame of an HTML report: style and scripts inside, nothing from the network."""
 
 from __future__ import annotations
 
@@ -7,14 +7,28 @@ from html import escape
 from importlib.resources import files
 
 
-def page(title: str, sections: Sequence[str]) -> str:
-    """A whole HTML document from its title, which is escaped, and finished sections."""
-    resources = files("mistray.report")
-    css, script = (resources.joinpath(f"report.{kind}").read_text(encoding="utf-8") for kind in ("css", "js"))
+def page(title: str, sections: Sequence[str], scripts: Sequence[str] = ("report",)) -> str:
+    """
+    A whole HTML document.
+
+    Parameters
+    ----------
+    title : str
+        It is escaped.
+    sections : sequence of str
+        Finished HTML.
+    scripts : sequence of {"report", "hover", "explorer"}
+        What the page can do: sort and filter tables, show the values of plots, explore the paths of a field.
+    """
+    code = "\n".join(_resource(f"{name}.js") for name in scripts)
     return (
         '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
         '<meta name="viewport" content="width=device-width, initial-scale=1">'
-        f"<title>{escape(title)}</title><style>\n{css}</style></head>\n<body>\n"
+        f"<title>{escape(title)}</title><style>\n{_resource('report.css')}</style></head>\n<body>\n"
         + "\n".join(sections)
-        + f"\n<script>\n{script}</script></body></html>\n"
+        + f'\n<script>\n"use strict";\n{code}</script></body></html>\n'
     )
+
+
+def _resource(name: str) -> str:
+    return files("mistray.report").joinpath(name).read_text(encoding="utf-8")

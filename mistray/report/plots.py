@@ -17,7 +17,7 @@ from matplotlib.colors import Colormap
 from matplotlib.figure import Figure
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.irradiance import Extent, Map, log10_image, log_range, pixel_size
+from mistray.analysis.irradiance import Extent, Map, log10_image, log_range
 from mistray.errors import MistrayError
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
@@ -122,40 +122,6 @@ def montage(report: GhostReport, columns: int = 4) -> Figure:
         bar.set_label(IRRADIANCE_LABEL)
         _caption(figure, f"floor 1e{limits[0]:g} W/mm²; black: below the floor or no ray")
     return figure
-
-
-def thumbnail(image: Map, extent: Extent, centre: Range, rms_radius_mm: float) -> tuple[Figure, float, Range | None]:
-    """
-    Small square picture of one path, without axes.
-
-    Parameters
-    ----------
-    image : (H, W) float
-        Map of the path, W/mm².
-    extent : (float, float, float, float)
-        x0, x1, y0, y1 of the map, mm.
-    centre : (float, float)
-        Centroid of the path, mm.
-    rms_radius_mm : float
-        RMS radius of the path; the picture is six of them wide, but at least twelve pixels.
-
-    Returns
-    -------
-    Figure
-    width : float
-        Of the picture, mm.
-    (float, float) or None
-        Its own log10 scale, at most four decades.
-    """
-    limits = log_range([image], 4.0)
-    half = max(3 * rms_radius_mm if np.isfinite(rms_radius_mm) else 0.0, 6 * max(pixel_size(image, extent)))
-    figure = Figure(figsize=(1.2, 1.2), dpi=100, facecolor="black")
-    axes = figure.add_axes((0.0, 0.0, 1.0, 1.0))
-    draw_map(axes, image, extent, limits)
-    axes.set_xlim(centre[0] - half, centre[0] + half)
-    axes.set_ylim(centre[1] - half, centre[1] + half)
-    axes.set_axis_off()
-    return figure, 2 * half, limits
 
 
 def levels_against_field(report: GhostReport) -> Figure:
@@ -272,9 +238,9 @@ def as_png(figure: Figure) -> bytes:
 
 
 def as_svg(figure: Figure) -> str:
-    """A figure as an SVG element, to stand inside HTML."""
+    """A figure as an SVG element, to stand inside HTML; without metadata, which names addresses."""
     buffer = io.StringIO()
-    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    figure.savefig(buffer, format="svg", metadata=dict.fromkeys(("Creator", "Date", "Format", "Type")))
     text = buffer.getvalue()
     return text[text.index("<svg") :]
 

@@ -37,13 +37,16 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
     pictures = {"pst.png": as_png(pst_curve(pst, title))}
     if pst.path_rows is not None:
         pictures["pst_causes.png"] = as_png(pst_causes(pst, title))
-    several = pst.grid.shape[1] > 1
-    if several:
+    if pst.grid.shape[1] > 1:
         pictures["pst_map.png"] = as_png(pst_map(pst, title))
     for angle, azimuth in maps_at:
-        name = f"irradiance_{angle:g}deg{f'_{azimuth:g}deg' if several else ''}.png"
-        pictures[name] = as_png(pst_irradiance(pst, angle, azimuth))
+        pictures[f"{map_name(pst, angle, azimuth)}.png"] = as_png(pst_irradiance(pst, angle, azimuth))
     return pictures
+
+
+def map_name(pst: Pst, angle_deg: float, azimuth_deg: float) -> str:
+    """File name without ending of the map of the detector for a source at some field angle and azimuth."""
+    return f"irradiance_{angle_deg:g}deg{f'_{azimuth_deg:g}deg' if pst.grid.shape[1] > 1 else ''}"
 
 
 def csv_tables(pst: Pst) -> dict[str, pd.DataFrame]:

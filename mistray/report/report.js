@@ -1,5 +1,4 @@
-"use strict";
-// Tables of class "sortable": a click or Enter on a header sorts; the field above a table filters its rows.
+// Tables of class "sortable": a click, Enter or Space on a header sorts; the field above a table filters its rows.
 function key(cell) {
   const raw = cell.dataset.v !== undefined ? cell.dataset.v : cell.textContent.trim();
   const n = Number(raw);
@@ -9,31 +8,38 @@ function compare(a, b) {
   if (typeof a === typeof b) return a < b ? -1 : a > b ? 1 : 0;
   return typeof a === "number" ? -1 : 1;
 }
+function sortTable(table, column, down) {
+  const heads = [...table.tHead.rows[0].cells], body = table.tBodies[0];
+  heads.forEach((head) => head.removeAttribute("aria-sort"));
+  heads[column].setAttribute("aria-sort", down ? "descending" : "ascending");
+  [...body.rows]
+    .map((row) => [key(row.cells[column]), row])
+    .sort((a, b) => (down ? -1 : 1) * compare(a[0], b[0]))
+    .forEach((pair) => body.append(pair[1]));
+}
+// A row is shown if it has all words of the filter and is not put aside (by a box on the detector)
+function filterTable(table) {
+  const input = document.querySelector(`input.filter[data-table="${table.id}"]`);
+  const words = input ? input.value.toLowerCase().split(/\s+/).filter(Boolean) : [];
+  for (const row of table.tBodies[0].rows) {
+    // the full list of events is left out: most surfaces occur in every path
+    const text = [...row.cells].filter((cell) => !cell.classList.contains("path")).map((cell) => cell.textContent).join(" ").toLowerCase();
+    row.hidden = row.dataset.aside === "1" || !words.every((word) => text.includes(word));
+  }
+}
 for (const table of document.querySelectorAll("table.sortable")) {
-  const body = table.tBodies[0];
   table.querySelectorAll("thead th").forEach((th, column) => {
     th.tabIndex = 0;
-    const sort = () => {
-      const down = th.getAttribute("aria-sort") === "ascending";
-      table.querySelectorAll("th").forEach((other) => other.removeAttribute("aria-sort"));
-      th.setAttribute("aria-sort", down ? "descending" : "ascending");
-      [...body.rows]
-        .map((row) => [key(row.cells[column]), row])
-        .sort((a, b) => (down ? -1 : 1) * compare(a[0], b[0]))
-        .forEach((pair) => body.append(pair[1]));
-    };
+    const sort = () => sortTable(table, column, th.getAttribute("aria-sort") === "ascending");
     th.addEventListener("click", sort);
-    th.addEventListener("keydown", (event) => { if (event.key === "Enter") sort(); });
+    th.addEventListener("keydown", (event) => {
+      if (event.key !== "Enter" && event.key !== " ") return;
+      event.preventDefault();
+      sort();
+    });
   });
 }
 for (const input of document.querySelectorAll("input.filter")) {
-  const body = document.getElementById(input.dataset.table).tBodies[0];
-  input.addEventListener("input", () => {
-    const words = input.value.toLowerCase().split(/\s+/).filter(Boolean);
-    for (const row of body.rows) {
-      // the full list of events is left out: most surfaces occur in every path
-      const text = [...row.cells].filter((cell) => !cell.classList.contains("path")).map((cell) => cell.textContent).join(" ").toLowerCase();
-      row.hidden = !words.every((word) => text.includes(word));
-    }
-  });
+  const table = document.getElementById(input.dataset.table);
+  input.addEventListener("input", () => filterTable(table));
 }

@@ -5,13 +5,14 @@ from __future__ import annotations
 import math
 from pathlib import Path
 
+import pandas as pd
+
 from mistray.analysis.study.run import Study
 from mistray.report.html_study import study_html
 from mistray.report.layout import layout
 from mistray.report.objects_plots import objects_layout
 from mistray.report.output import csv_text, write_files
 from mistray.report.plots import as_png, levels_against_field, montage
-from mistray.report.pst_plots import pst_causes, pst_curve
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
@@ -21,17 +22,19 @@ def draw_study(study: Study) -> dict[str, bytes]:
     pictures = {
         "layout.png": as_png(layout(report, on_axis, ghosts=0)),
         "objects.png": as_png(objects_layout(study.objects)),
-        "pst.png": as_png(pst_curve(study.pst, study.name)),
         "ghost_images.png": as_png(montage(report)),
         "ghost_levels.png": as_png(levels_against_field(report)),
     }
-    if not study.pst.is_dark:
-        pictures["pst_causes.png"] = as_png(pst_causes(study.pst, study.name))
     rated = {field: report.summary(field).brightest_normalised.value for field in report}
     rated = {field: value for field, value in rated.items() if math.isfinite(value)}
     if rated:
         pictures["worst_ghosts.png"] = as_png(layout(report, max(rated, key=lambda field: rated[field])))
     return pictures
+
+
+def csv_tables(study: Study) -> dict[str, pd.DataFrame]:
+    """Every table of every step by file name: the number of the step, and the name of the table."""
+    return {f"{step.number}_{name}.csv": frame for step in study.steps for name, frame in step.tables.items()}
 
 
 def write_study(study: Study, directory: str | Path, command: str = "") -> list[Path]:
@@ -53,8 +56,6 @@ def write_study(study: Study, directory: str | Path, command: str = "") -> list[
     list of Path
         The files written; report.html is the last.
     """
-    files: dict[str, str | bytes] = {
-        f"{step.number}_{name}.csv": csv_text(frame) for step in study.steps for name, frame in step.tables.items()
-    }
+    files: dict[str, str | bytes] = {name: csv_text(frame) for name, frame in csv_tables(study).items()}
     files["report.html"] = study_html(study, draw_study(study), command)
     return write_files(files, directory)

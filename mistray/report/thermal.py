@@ -245,9 +245,14 @@ def _settings(report: ThermalReport, command: str) -> str:
     )
 
 
+def csv_tables(report: ThermalReport) -> dict[str, pd.DataFrame]:
+    """The tables by file name: thermal.csv, and narcissus.csv where a cold detector sees itself."""
+    return {"thermal.csv": report.to_pandas()} | ({"narcissus.csv": return_frame(report)} if report.returned else {})
+
+
 def write_thermal(report: ThermalReport, directory: str | Path, title: str = "scene", command: str = "") -> list[Path]:
     """
-    Write thermal.csv, thermal.json, thermal.png and report.html; narcissus.csv where a cold detector sees itself.
+    Write the tables of `csv_tables`, thermal.json, thermal.png and report.html.
 
     Parameters
     ----------
@@ -266,11 +271,9 @@ def write_thermal(report: ThermalReport, directory: str | Path, title: str = "sc
     """
     record = {"title": title, "command": command} | thermal_record(report)
     files: dict[str, str | bytes] = {
-        "thermal.csv": csv_text(report.to_pandas()),
+        **{name: csv_text(table) for name, table in csv_tables(report).items()},
         "thermal.json": json.dumps(record, indent=1, allow_nan=False),
         "thermal.png": as_png(thermal_figure(report, title)),
         "report.html": html_text(report, title, command),
     }
-    if report.returned:
-        files["narcissus.csv"] = csv_text(return_frame(report))
     return write_files(files, directory)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os.path
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,16 @@ import mitsuba as mi
 
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
+from mistray.materials.mate import shown
 from mistray.scene.check import check_overlaps
+from mistray.scene.depth import check_depth
 from mistray.scene.messages import explain
 
 # Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it makes
 # one of our shapes would begin the next one inside of that wait, which has crashed the process.
 LOADING = {"optimize": False, "parallel": False}
 
+LONGEST_NAME = 400  # characters of a path that a message repeats
 NAMES_OFFERED = 5  # shipped scenes that are nearest to one that does not exist
 
 
@@ -36,10 +40,13 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     Raises
     ------
     MistrayError
-        If the file is missing, Mitsuba cannot read it or surfaces overlap; the message is one line.
+        If the file is missing or nested too deeply, Mitsuba cannot read it or surfaces overlap; the message is one
+        line.
     """
     ensure_variant()
     given = source if isinstance(source, dict) else find(source)
+    if isinstance(given, Path):
+        check_depth(given)
     try:
         scene = mi.load_dict(given, **LOADING) if isinstance(given, dict) else mi.load_file(str(given), **LOADING)
     except Exception as error:  # Mitsuba raises RuntimeError and TypeError with text of many lines
@@ -50,19 +57,37 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     return scene
 
 
-def find(source: str | Path) -> Path:
-    """File of a scene: an existing path, or the name of a shipped scene."""
-    path = Path(source)
-    if path.is_file():
-        return path
+def shipped_scenes() -> dict[str, Path]:
+    """The files of the scenes that come with mistray, by their names."""
     import mistray.scenes
 
-    shipped = Path(mistray.scenes.__file__).parent
-    named = shipped / str(source) / "scene.xml"
-    if named.is_file():
-        return named
-    if path.is_dir() and (path / "scene.xml").is_file():
+    return {path.parent.name: path for path in sorted(Path(mistray.scenes.__file__).parent.glob("*/scene.xml"))}
+
+
+def find(source: str | Path) -> Path:
+    """
+    File of a scene.
+
+    Parameters
+    ----------
+    source : str or Path
+        An existing file, a folder with a scene.xml, or the name of a shipped scene.
+
+    Raises
+    ------
+    MistrayError
+        If it is none of these.
+    """
+    path, text = Path(source), str(source)
+    if os.path.isfile(path):  # that of Path raises for text that is too long for a name
+        return path
+    shipped = shipped_scenes()
+    if text in shipped:
+        return shipped[text]
+    if os.path.isfile(path / "scene.xml"):
         return path / "scene.xml"
-    names = sorted(entry.parent.name for entry in shipped.glob("*/scene.xml"))
-    nearest = ", ".join(difflib.get_close_matches(str(source), names, n=NAMES_OFFERED, cutoff=0.0))
-    raise MistrayError(f"scene '{source}': no such file; give a scene XML file or a shipped scene, such as {nearest}")
+    if text.lstrip("\ufeff \t\r\n").startswith("<"):
+        raise MistrayError(f"scene '{shown(text.split())}': this is XML text; write it to a file and give its path")
+    name = text if text.isprintable() and len(text) <= LONGEST_NAME else shown([text])
+    nearest = ", ".join(difflib.get_close_matches(text, shipped, n=NAMES_OFFERED, cutoff=0.0))
+    raise MistrayError(f"scene '{name}': no such file; give a scene XML file or a shipped scene, such as {nearest}")

@@ -12,6 +12,7 @@ from typing import Any
 from xml.parsers import expat
 
 from mistray._variant import PLUGIN_ROOT
+from mistray.materials.mate import printable
 
 VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform")
 NUMBERS = {"floating point": "a number", "integer": "a whole number", "boolean": "'true' or 'false'"}
@@ -21,6 +22,8 @@ _SYNTAX = re.compile(
     r"XML file \"(?P<file>[^\n]+?)\" failed: (?P<what>.+?) \(line (?P<line>\d+), col (?P<column>\d+)\)"
 )
 _NODE = re.compile(r"dictionary node \"(?P<path>[^\"]+)\"")
+_TRACEBACK = "Traceback (most recent call last)"
+_RAISED = re.compile(r"^\s*(\w+(?:Error|Warning|Exception): [^\n]*)", re.MULTILINE)  # the last line of a traceback
 _PREFIX = re.compile(r"\[\w+\.cpp:\d+\] |\[\w+\] ")
 _LOADING = re.compile(r"(Error while loading|While loading|At) (XML file )?\S+( \(line \d+, col \d+\))?: ")
 
@@ -87,7 +90,7 @@ def explain(error: Exception, source: Path | dict[str, Any]) -> str:
             line, column = int(place["line"]), int(place["column"])
             where = f"scene '{place['file']}', line {line}"
             element = _in_file(Path(place["file"]), line, column) or element
-    return f"{where}: {' '.join(_reason(text, element, source).split())}"
+    return f"{where}: {printable(' '.join(_reason(text, element, source).split()))}"
 
 
 def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
@@ -112,7 +115,7 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
         match = re.search(pattern, text)
         if match:
             return remedy(match, element)
-    plain = text
+    plain = _RAISED.findall(text)[-1] if _TRACEBACK in text and _RAISED.search(text) else text
     for noise in (_PREFIX, _LOADING):
         plain = noise.sub("", plain)
     subject = "the dict" if isinstance(source, dict) else "the file"
@@ -131,7 +134,8 @@ def _syntax(match: re.Match[str], element: Element) -> str:
 def _number(match: re.Match[str], element: Element) -> str:
     if element.owner.values.get(element.name, match[2]) != match[2]:
         return f"{element.owner}: {element.name} is given twice; keep one of them"
-    return f"{element.owner}: {element.name} is '{match[2]}'; it must be {NUMBERS.get(match[1], 'a ' + match[1])}"
+    subject = f"{element.owner}: {element.name}" if element.name else "a value"
+    return f"{subject} is '{match[2]}'; it must be {NUMBERS.get(match[1], 'a ' + match[1])}"
 
 
 def _plugin(match: re.Match[str], element: Element) -> str:
@@ -233,7 +237,7 @@ def _in_file(path: Path, line: int, column: int) -> Element | None:
     parser.EndElementHandler = lambda tag: stack.pop()
     try:
         parser.Parse(path.read_bytes(), True)
-    except (OSError, expat.ExpatError):  # the message then does without the object's name
+    except (OSError, ValueError, LookupError, expat.ExpatError):  # the message then does without the object's name
         return None
     return found[0] if found else None
 

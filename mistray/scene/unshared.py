@@ -11,6 +11,7 @@ from pathlib import Path
 
 from mistray.errors import MistrayError
 from mistray.scatter.kinds import KINDS
+from mistray.scene.xml_file import names_a_file
 
 # What else says a value in a file; a new value takes its place
 SYNONYMS = {"reflectance": ("preset",)}
@@ -150,9 +151,4 @@ def _replace(parent: ElementTree.Element, shared: Mapping[str, ElementTree.Eleme
 
 def _names_files(root: ElementTree.Element, folder: Path) -> bool:
     """Whether a value of the scene is, or contains, the name of a file relative to a folder."""
-    for node in root.iter():
-        for text in (node.get("value", ""), node.get("filename", "")):
-            words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
-            if any(not Path(word).is_absolute() and (folder / word).is_file() for word in words):
-                return True
-    return False
+    return any(names_a_file(node.get(key, ""), folder) for node in root.iter() for key in ("value", "filename"))

@@ -164,10 +164,15 @@ class SceneFile:
 
     def _names_files(self) -> bool:
         """Whether a value of the scene is, or contains, the name of a file relative to the scene's folder."""
-        folder = self.path.parent
-        for element in self.root.walk():
-            for text in (element.values.get("value", ""), element.values.get("filename", "")):
-                words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
-                if any(not Path(word).is_absolute() and (folder / word).is_file() for word in words):
-                    return True
-        return False
+        return any(
+            names_a_file(element.values.get(key, ""), self.path.parent)
+            for element in self.root.walk()
+            for key in ("value", "filename")
+        )
+
+
+def names_a_file(text: str, folder: Path) -> bool:
+    """Whether a value of a scene is, or contains, the name of a file relative to a folder."""
+    words = {text, *re.split(r"[\s,:]+", text)} - {"", "."}
+    # os.path.isfile, because that of Path raises for a text that is too long for a name, such as a list of layers
+    return any(not os.path.isabs(word) and os.path.isfile(folder / word) for word in words)

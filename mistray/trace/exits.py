@@ -106,14 +106,9 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
         fitted = DetectorImages(back).fitted(0, points, towards, rng)
         start = AimSet((fitted.target.with_share(1.0),), 1) if fitted.landed > LANDED else None
     far = sky_discs(scene, axis)
-    for surface in scatterers:
-        points, normals = surface_points(table, surface, SKY_PROBES, rng)
-        for to_back in (False, True):
-            outward = normals if to_back else -normals
-            if _sees_sky(table, surface, points, lambertian_directions(outward, rng), axis) > OPEN:
-                found[surface, to_back] = far
+    found |= {side: far for side, share in _sky_shares(table, scatterers, axis, rng).items() if share > OPEN}
     words = table.optics.host_words
-    views = {i: _view(table, i, axis, rng) for i in range(table.count) if not words[i] & OPAQUE or words[i] & MIRROR}
+    views = _views(table, [i for i in range(table.count) if not words[i] & OPAQUE or words[i] & MIRROR], axis, rng)
     light = path.steps[-1].before if path is not None else None
     aims = {
         side: AimSet(tuple(target.with_share(1 / len(targets)) for target in targets), 1)
@@ -171,30 +166,44 @@ def _straight(table: SurfaceTable, opening: Target, axis: np.ndarray) -> DesignP
     return DesignPath(table, (out,), opening)
 
 
-def _sees_sky(table: SurfaceTable, surface: int, points: np.ndarray, d: np.ndarray, axis: np.ndarray) -> float:
-    """Share of the rays from points of a surface along d that leave the scene against the light."""
-    hit, _, _ = first_hit(table, points, d, np.full(len(points), surface))
-    return float(np.mean((hit < 0) & (d @ axis < 0)))
+def _lambertian_rays(
+    table: SurfaceTable, surfaces: list[int], count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points and directions of so many rays of each surface, first to its front, then to its back: (s, 2, n, 3)."""
+    o, d = (np.zeros((len(surfaces), 2, count, 3)) for _ in range(2))
+    for row, surface in enumerate(surfaces):
+        o[row], normals = surface_points(table, surface, count, rng)
+        for side, sign in enumerate((-1.0, 1.0)):
+            d[row, side] = lambertian_directions(sign * normals, rng)
+    return o, d
 
 
-def _view(table: SurfaceTable, surface: int, axis: np.ndarray, rng: np.random.Generator) -> float:
-    """Share of Lambertian rays of a surface, to its better side, that leave the scene against the light specularly."""
-    points, normals = surface_points(table, surface, VIEW_PROBES, rng)
-    best = 0.0
-    for side in (-1.0, 1.0):
-        o, d = points, lambertian_directions(side * normals, rng)
-        last = np.full(len(o), surface)
-        gone = 0
-        for _ in range(MOST_STEPS):
-            hit, p, normal = first_hit(table, o, d, last)
-            gone += int(np.count_nonzero((hit < 0) & (d @ axis < 0)))
-            met = hit >= 0
-            if not np.any(met):
-                break
-            after, _ = onward(table, hit[met], d[met], normal[met])
-            goes = np.isfinite(after[:, 0])
-            o, d, last = p[met][goes], after[goes], hit[met][goes]
-            if not len(o):
-                break
-        best = max(best, gone / VIEW_PROBES)
-    return best
+def _sky_shares(
+    table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
+) -> dict[Side, float]:
+    """Shares of the rays of each side of surfaces that leave the scene against the light, at once."""
+    o, d = _lambertian_rays(table, surfaces, SKY_PROBES, rng)
+    last = np.repeat(surfaces, 2 * SKY_PROBES)
+    hit, _, _ = first_hit(table, o.reshape(-1, 3), d.reshape(-1, 3), last)
+    free = (hit.reshape(d.shape[:3]) < 0) & (d @ axis < 0)
+    shares = free.mean(axis=2)
+    return {(surface, bool(side)): shares[row, side] for row, surface in enumerate(surfaces) for side in (0, 1)}
+
+
+def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator) -> dict[int, float]:
+    """Shares of the rays of surfaces, each to its better side, that leave the scene against the light specularly."""
+    start, along = _lambertian_rays(table, surfaces, VIEW_PROBES, rng)
+    o, d, last = start.reshape(-1, 3), along.reshape(-1, 3), np.repeat(surfaces, 2 * VIEW_PROBES)
+    side, gone = np.repeat(np.arange(2 * len(surfaces)), VIEW_PROBES), np.zeros(2 * len(surfaces))
+    for _ in range(MOST_STEPS):
+        if not len(o):
+            break
+        hit, p, normal = first_hit(table, o, d, last)
+        gone += np.bincount(side[(hit < 0) & (d @ axis < 0)], minlength=len(gone))
+        met = np.flatnonzero(hit >= 0)
+        after, _ = onward(table, hit[met], d[met], normal[met])
+        goes = np.isfinite(after[:, 0])
+        on = met[goes]
+        o, d, last, side = p[on], after[goes], hit[on], side[on]
+    best = gone.reshape(-1, 2).max(axis=1) / VIEW_PROBES
+    return dict(zip(surfaces, best.tolist(), strict=True))

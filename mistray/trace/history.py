@@ -135,22 +135,40 @@ class RayHistory:
 def read_rays(run: Run, recorder: Recorder, most: int) -> RayHistory:
     """Read at most `most` rays, spread over the recorded ones; positions are found again in float64."""
     count = min(int(recorder.count[0]), recorder.capacity)
-    lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)
-    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)
-    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS).astype(np.float64)
-    origins, directions = run.start_rays(lanes)
+    lanes = np.array(recorder.lane)[:count]
     # Start rays are numbered along a curve through the beam: every k-th is a fair picture of all
     order = np.argsort(lanes, kind="stable")
     order = order[np.linspace(0, count - 1, min(most, count)).round().astype(int)] if count else order
+    return RayHistory(run, rays_in_slots(run, recorder, order, *run.start_rays(lanes[order])))
+
+
+def rays_in_slots(
+    run: Run, recorder: Recorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
+) -> list[Ray]:
+    """
+    Recorded rays with positions found again in float64.
+
+    Parameters
+    ----------
+    run : Run
+    recorder : Recorder
+    slots : (n,) int
+        Their places in the recorder.
+    origins, directions : (n, 3) float64
+        Their start rays, mm.
+    """
+    lanes, lengths = np.array(recorder.lane)[slots], np.array(recorder.length)[slots]
+    codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[slots]
+    nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)[slots].astype(np.float64)
     alike: dict[bytes, list[int]] = {}  # rays of the same events
-    for slot in order:
-        alike.setdefault(codes[slot, : lengths[slot]].tobytes(), []).append(slot)
+    for number, length in enumerate(lengths):
+        alike.setdefault(codes[number, :length].tobytes(), []).append(number)
     rays = {}
-    for slots in alike.values():
-        length = lengths[slots[0]]
-        events, hits = codes[slots[0], :length].copy(), nodes[slots, :length]
-        exact = retrace(run.table, origins[slots], directions[slots], events, hits[:, :, :3])
-        flux = run.unit * np.concatenate([np.ones((len(slots), 1)), hits[:, :, 6]], axis=1)
-        for slot, own, points, leaving, opl in zip(slots, flux, *exact, strict=True):
-            rays[slot] = Ray(int(lanes[slot]), points, leaving, own, opl, events)
-    return RayHistory(run, [rays[slot] for slot in order])
+    for numbers in alike.values():
+        length = lengths[numbers[0]]
+        events, hits = codes[numbers[0], :length].copy(), nodes[numbers, :length]
+        exact = retrace(run.table, origins[numbers], directions[numbers], events, hits[:, :, :3])
+        flux = run.unit * np.concatenate([np.ones((len(numbers), 1)), hits[:, :, 6]], axis=1)
+        for number, own, points, leaving, opl in zip(numbers, flux, *exact, strict=True):
+            rays[number] = Ray(int(lanes[number]), points, leaving, own, opl, events)
+    return [rays[number] for number in range(len(slots))]

@@ -134,7 +134,7 @@ class PathTable(Sequence[PathRow]):
     """
     Paths to the detector, the strongest first.
 
-    A sequence of `PathRow`; `to_pandas` and `to_csv` give the whole table.
+    A sequence of `PathRow`; `to_pandas`, `to_csv` and `to_parquet` give the whole table.
 
     Parameters
     ----------
@@ -297,6 +297,12 @@ class PathTable(Sequence[PathRow]):
     def to_csv(self, path: str | Path) -> None:
         """Write the table as CSV, numbers with nine digits."""
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
+
+    def to_parquet(self, path: str | Path) -> None:
+        """Write the table as Parquet (extra ``tables``), units in the metadata; see `mistray.report.write_parquet`."""
+        from mistray.report.parquet import write_parquet
+
+        write_parquet(self.to_pandas(), path)
 
     def __str__(self) -> str:
         lines = [

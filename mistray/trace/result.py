@@ -7,6 +7,7 @@ import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
@@ -15,13 +16,15 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.trace.books import AIMED, FIRST_MISS, LANDED, SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
-from mistray.trace.history import RayHistory, read_rays
+from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.ledger import BATCHES
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.raw_gradient import MOMENTS, HitDerivative, PathDerivative, RawGradient, Wanted
+from mistray.trace.ray_sample import sample_rays
 from mistray.trace.run_gradient import run_gradient
 from mistray.trace.settings import Settings
 from mistray.trace.sources import Beam
+from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.tracer import Run, prepare
 
 if TYPE_CHECKING:
@@ -131,6 +134,16 @@ class Trace:
             raise MistrayError(f"{wavelength_nm:g} nm was not traced; this trace has {known} nm")
         return runs
 
+    def write_irradiance(self, path: str | Path) -> None:
+        """
+        Write `irradiance` and `irradiance_se` as .fits, .exr (both extra ``images``) or .npy, as the name ends.
+
+        See `mistray.report.irradiance_files` for what is in the files.
+        """
+        from mistray.report.irradiance_files import IrradianceMap, write_irradiance
+
+        write_irradiance(IrradianceMap.of(self), path)
+
     def irradiance_at(self, wavelength_nm: float) -> tuple[np.ndarray, np.ndarray]:
         """
         Irradiance of one of the wavelengths of the trace; those of all wavelengths add up to `irradiance`.
@@ -182,6 +195,10 @@ class Trace:
         list of (irradiance, standard_error)
             One pair of (height, width) float64 for each group, W/mm².
         """
+        return list(self.each_map(groups))
+
+    def each_map(self, groups: Sequence[Sequence[int]]) -> Iterator[tuple[np.ndarray, np.ndarray]]:
+        """The maps of `maps` one by one: while they are summed a pixel of each takes 16 bytes, afterwards one map."""
         numbers: list[dict[int, int]] = [{} for _ in self._runs]
         for number, group in enumerate(groups):
             for path_id in group:
@@ -193,7 +210,8 @@ class Trace:
             run.maps(slots, len(groups)) if slots else np.zeros(size)
             for run, slots in zip(self._runs, numbers, strict=True)
         ]
-        return [self._map(self._runs, [stack[number] for stack in stacks]) for number in range(len(groups))]
+        for number in range(len(groups)):
+            yield self._map(self._runs, [stack[number] for stack in stacks])
 
     def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
         """
@@ -228,6 +246,37 @@ class Trace:
             raise MistrayError(f"n is {n}; ask for at least one ray")
         number, _, key = self.paths.locate(path_id)
         return read_rays(self._runs[number], self._runs[number].record(key, n), n)
+
+    def sampled_rays(self, path_ids: Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
+        """
+        Rays of many paths at once, from a sample of the start rays that is spread over the beam.
+
+        `history` looks for rays of one path until it has enough; here a path that is rare has few rays or none.
+
+        Parameters
+        ----------
+        path_ids : sequence of int
+        n : int
+            Most rays of each path.
+
+        Returns
+        -------
+        dict
+            Rays by path; see `mistray.trace.ray_sample.sample_rays`.
+        """
+        located = {int(path_id): self.paths.locate(int(path_id)) for path_id in path_ids}
+        found: dict[int, list[Ray]] = {}
+        for number, run in enumerate(self._runs):
+            here = {key: path_id for path_id, (where, _, key) in located.items() if where == number}
+            if here:
+                found |= {here[key]: rays for key, rays in sample_rays(run, list(here), n).items()}
+        return found
+
+    @property
+    def tables(self) -> list[SurfaceTable]:
+        """The surfaces as the kernel has them, at each wavelength, ascending."""
+        tables = {run.beam.wavelength_nm: run.table for run in self._runs}
+        return [tables[wavelength] for wavelength in sorted(tables)]
 
     def incident(self, n: int = 100) -> pd.DataFrame:
         """
@@ -302,8 +351,8 @@ class Trace:
 
 
 @lru_cache(maxsize=1)
-def _versions() -> dict[str, str]:
-    """Of what a result depends on."""
+def versions() -> dict[str, str]:
+    """Versions of the packages that a result depends on."""
     return {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")}
 
 
@@ -443,7 +492,7 @@ def trace(
             "detector": runs[0].table.ids[runs[0].table.detector],
             "ledger": ledger,
             "variant": mi.variant(),
-            "versions": dict(_versions()),
+            "versions": dict(versions()),
             "date": time.strftime("%Y-%m-%d %H:%M:%S"),
         },
     )

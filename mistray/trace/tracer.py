@@ -284,10 +284,15 @@ class Run:
         for number in range(self.passes):
             start = self.start_pass(number)
             host_batch = np.array(start.batch)
-            for low, high in ((0, 1), (1, 4), (4, BATCHES)) if number == 0 else ((0, BATCHES),):
-                index = upload(mi.UInt32, np.flatnonzero((host_batch >= low) & (host_batch < high)))
-                if dr.width(index):
-                    self.walk(start.take(index), film, recorder=recorder)
+            groups = [
+                np.flatnonzero((host_batch >= low) & (host_batch < high))
+                for low, high in (((0, 1), (1, 4), (4, BATCHES)) if number == 0 else ((0, BATCHES),))
+            ]
+            # The recorder keeps what comes first: of a large batch, rays that are spread over it
+            spread = slice(None, None, -(-len(groups[0]) // RECORD_CAPACITY) or 1)
+            for lanes in (groups[0][spread], np.delete(groups[0], spread), *groups[1:]):
+                if len(lanes):
+                    self.walk(start.take(upload(mi.UInt32, lanes)), film, recorder=recorder)
                 if int(recorder.count[0]) >= count:
                     return recorder
         return recorder

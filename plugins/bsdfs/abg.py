@@ -21,10 +21,10 @@ class ABg(Scatterer):
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
     ================= ======= ============ ========== ==========================================================
-    A                 1/sr    ≥ 0                     amplitude (differentiable)
-    B                         > 1e-12                 (r of the knee)^g; 0 is possible with g = 0
+    A                 1/sr    ≥ 0          required   amplitude (differentiable)
+    B                 1       > 1e-12      required   (r of the knee)^g; 0 is possible with g = 0
                                                       (differentiable)
-    g                         ≥ 0                     slope; 0: Lambertian, reflectance π A/(1 + B)
+    g                 1       ≥ 0          required   slope; 0: Lambertian, reflectance π A/(1 + B)
                                                       (differentiable)
     reference_nm      nm      > 0          none       wavelength at which A and B hold; at others the scatter of
                                                       a smooth surface is scaled. None: the same at all
@@ -40,8 +40,8 @@ class ABg(Scatterer):
                                                       with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
     front, back       string               air        by itself only: materials, see ``interface``
-    n_front_shift     1                    0          by itself only; see ``interface``
-    n_back_shift      1                    0          by itself only; see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================

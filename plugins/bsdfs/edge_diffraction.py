@@ -25,7 +25,7 @@ class EdgeDiffraction(Scatterer):
     ================= ======= ============ ============ ========================================================
     parameter         unit    range        default      meaning
     ================= ======= ============ ============ ========================================================
-    width_mm          mm      ≥ 25 λ                    w: area of the ring over the length of the edge,
+    width_mm          mm      ≥ 25 λ       required     w: area of the ring over the length of the edge,
                                                         (r1² - r0²)/(2 r1) where r1 is the edge (differentiable)
     law               string               half_plane   ``half_plane``, or ``heisenberg``: Heisenberg's relation as
                                                         in other programs, 1.25 times as much far from the beam
@@ -38,8 +38,8 @@ class EdgeDiffraction(Scatterer):
                                                         with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0            by itself only: transmittance (differentiable)
     front, back       string               air          by itself only: materials, see ``interface``
-    n_front_shift     1                    0            by itself only; see ``interface``
-    n_back_shift      1                    0            by itself only; see ``interface``
+    n_front_shift     1       ±            0            by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0            by itself only; see ``interface`` (differentiable)
     mirror            bool                 false        by itself only; see ``interface``
     wavelength_nm     nm      > 0          550          by itself only; see ``interface``
     ================= ======= ============ ============ ========================================================

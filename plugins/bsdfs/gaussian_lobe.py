@@ -21,9 +21,9 @@ class GaussianLobe(Scatterer):
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
     ================= ======= ============ ========== ==========================================================
-    total             1       0 … 1                   share of R and T scattered at normal incidence
+    total             1       0 … 1        required   share of R and T scattered at normal incidence
                                                       (differentiable)
-    width                     > 0                     w: the r where the BSDF has fallen to 1/e (differentiable)
+    width             1       > 0          required   w: the r where the BSDF has fallen to 1/e (differentiable)
     event             string               both       what scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
@@ -35,8 +35,8 @@ class GaussianLobe(Scatterer):
                                                       with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
     front, back       string               air        by itself only: materials, see ``interface``
-    n_front_shift     1                    0          by itself only; see ``interface``
-    n_back_shift      1                    0          by itself only; see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================

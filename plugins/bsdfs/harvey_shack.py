@@ -27,8 +27,8 @@ class HarveyShack(Scatterer):
     ================= ======= ============ ========== ==========================================================
     b0                1/sr    ≥ 0          none       BSDF at r = 0 (differentiable)
     rms_nm            nm      ≥ 0          none       RMS roughness instead of b0 (differentiable)
-    l                         > 0          0.01       r of the knee (differentiable)
-    s                         < 0          -1.5       slope beyond the knee (differentiable)
+    l                 1       > 0          0.01       r of the knee (differentiable)
+    s                 1       < 0          -1.5       slope beyond the knee (differentiable)
     reference_nm      nm      > 0          none       wavelength at which b0 and l hold; at others the scatter
                                                       of a smooth surface is scaled. None: l is the same at all
                                                       wavelengths, and so is b0 where it is given
@@ -43,8 +43,8 @@ class HarveyShack(Scatterer):
                                                       with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
     front, back       string               air        by itself only: materials, see ``interface``
-    n_front_shift     1                    0          by itself only; see ``interface``
-    n_back_shift      1                    0          by itself only; see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================

@@ -26,10 +26,10 @@ class KCorrelation(Scatterer):
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
     ================= ======= ============ ========== ==========================================================
-    rms_nm            nm      ≥ 0                     roughness σ: over all frequencies, or over 0 … 1/λ if
+    rms_nm            nm      ≥ 0          required   roughness σ: over all frequencies, or over 0 … 1/λ if
                                                       ``band_limited`` (differentiable)
-    B_um              um      > 0                     1/B is the frequency of the knee (differentiable)
-    slope                     > 2; > 0                S; > 0 if ``band_limited`` (differentiable)
+    B_um              um      > 0          required   1/B is the frequency of the knee (differentiable)
+    slope             1       > 2; > 0     required   S; > 0 if ``band_limited`` (differentiable)
     band_limited      bool                 false      what ``rms_nm`` means
     theory            string               ghs        ``ghs`` (smooth surfaces), ``ghs_full`` (rougher ones, S =
                                                       3), ``rayleigh_rice``, ``rayleigh_rice_vector``
@@ -48,8 +48,8 @@ class KCorrelation(Scatterer):
                                                       with T or with ``relative_to`` ``incident``
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
     front, back       string               air        by itself only: materials, see ``interface``
-    n_front_shift     1                    0          by itself only; see ``interface``
-    n_back_shift      1                    0          by itself only; see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================

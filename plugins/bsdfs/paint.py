@@ -34,9 +34,9 @@ class Paint(Scatterer):
                                                       `mistray.scatter.paint.PRESETS`
     b0                1/sr    ≥ 0          0          peak of the glossy lobe at normal incidence
                                                       (differentiable)
-    l                         > 0          0.1        r of the lobe's knee (differentiable)
-    s                         < 0          -2         slope beyond the knee (differentiable)
-    n                         > 1          none       index of the binder, about 1.5 (differentiable)
+    l                 1       > 0          0.1        r of the lobe's knee (differentiable)
+    s                 1       < 0          -2         slope beyond the knee (differentiable)
+    n                 1       > 1          none       index of the binder, about 1.5 (differentiable)
     event             string               reflection what scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
@@ -48,8 +48,8 @@ class Paint(Scatterer):
                                                       (differentiable)
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
     front, back       string               air        by itself only: materials, see ``interface``
-    n_front_shift     1                    0          by itself only; see ``interface``
-    n_back_shift      1                    0          by itself only; see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================

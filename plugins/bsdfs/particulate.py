@@ -24,16 +24,16 @@ class Particulate(Scatterer):
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
     ================= ======= ============ ========== ==========================================================
-    level                     ≥ 1          none       cleanliness level, such as 400 (differentiable)
+    level             1       ≥ 1          none       cleanliness level, such as 400 (differentiable)
     coverage_percent  %       > 0          none       area that the spheres cover, instead of level
                                                       (differentiable)
-    slope                     > 0          0.926      of the size distribution; 0.383 for fallout
+    slope             1       > 0          0.926      of the size distribution; 0.383 for fallout
                                                       (differentiable)
     particle          string               dust       ``dust``, or a material: ``1.53+0.002i``, a CSV file, …;
                                                       see docs/materials.md
     min_um            um      ≥ 1          1          smallest diameter
     max_um            um      ≤ level      level      largest diameter
-    immersion                 > 0          1          index of the medium around the particles; they lie on the
+    immersion         1       > 0          1          index of the medium around the particles; they lie on the
                                                       side of the surface whose index is nearer to it
     event             string               both       what scatters: ``reflection``, ``transmission`` or
                                                       ``both``
@@ -43,8 +43,8 @@ class Particulate(Scatterer):
                                                       with T
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
     front, back       string               air        by itself only: materials, see ``interface``
-    n_front_shift     1                    0          by itself only; see ``interface``
-    n_back_shift      1                    0          by itself only; see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================

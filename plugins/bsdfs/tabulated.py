@@ -21,7 +21,7 @@ class Tabulated(Scatterer):
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
     ================= ======= ============ ========== ==========================================================
-    file              file                            Zemax tabular BSDF (``.bsdf``) or CSV of angles
+    file              file                 required   Zemax tabular BSDF (``.bsdf``) or CSV of angles
                                                       (``.csv``), see docs/scatter.md
     cosine_corrected  bool                 false      the values are BSDF · cos θs
     beyond            string               error      past the last angle of the table: ``error``, ``hold`` the
@@ -37,8 +37,8 @@ class Tabulated(Scatterer):
                                                       (differentiable)
     T                 1       0 … 1        0          by itself only: transmittance (differentiable)
     front, back       string               air        by itself only: materials, see ``interface``
-    n_front_shift     1                    0          by itself only; see ``interface``
-    n_back_shift      1                    0          by itself only; see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
     mirror            bool                 false      by itself only; see ``interface``
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================

@@ -49,8 +49,8 @@ class ThinFilm(Interface):
     opaque         bool            false    nothing passes: T = 0; of a COAT of a Zemax file the last layer
                                             is then the substrate, as for a mirror there
     front, back    string          air      materials, by itself only; see ``interface``
-    n_front_shift  1               0        by itself only; see ``interface``
-    n_back_shift   1               0        by itself only; see ``interface``
+    n_front_shift  1       ±       0        by itself only; see ``interface`` (differentiable)
+    n_back_shift   1       ±       0        by itself only; see ``interface`` (differentiable)
     mirror         bool            false    by itself only; see ``interface``
     wavelength_nm  nm      > 0     550      by itself only; see ``interface``
     ============== ======= ======= ======== ==============================================================
@@ -65,6 +65,7 @@ class ThinFilm(Interface):
 
         <bsdf type="thinfilm" id="ar"><string name="preset" value="bbar3"/></bsdf>
         <shape type="asphere" id="lens_front">
+            <float name="semi_diameter" value="10"/>
             <bsdf type="interface"><string name="back" value="N-BK7"/><ref id="ar"/></bsdf>
         </shape>
 

@@ -112,9 +112,11 @@ class Collimated(mi.Emitter):
         if self.pattern not in ("random", "grid"):
             fail(f"pattern is '{self.pattern}'; use 'random' or 'grid'")
         if not np.all(self.wavelengths_nm > 0):
-            fail("wavelength_nm must be positive")
+            fail(f"wavelength_nm is {', '.join(f'{value:g}' for value in self.wavelengths_nm)}; it must be positive")
         if len(self.weights) != len(self.wavelengths_nm) or np.any(self.weights < 0) or not self.weights.sum() > 0:
-            fail(f"weights needs {len(self.wavelengths_nm)} values ≥ 0 that are not all 0, one for each wavelength")
+            fail(
+                f"weights needs {len(self.wavelengths_nm)} values ≥ 0 that are not all 0; give one for each wavelength"
+            )
 
     @property
     def area(self) -> float:

@@ -33,36 +33,36 @@ class StrayLight(mi.CppADIntegrator):
     row 0 is at the smallest y of the detector's frame. The properties are also the defaults of `mistray.trace` for the
     scene, which returns the path table, the energy ledger and standard errors as well.
 
-    ================= ======= ============== ========= =================================================================
-    parameter         unit    range          default   meaning
-    ================= ======= ============== ========= =================================================================
-    rays              1       1 … 4.29e9     1e6       start rays; ``spp`` > 0 asks for spp × pixels instead
-    max_reflections   1       ≥ 0            2         reflections along a path, total internal ones and those at
-                                                       surfaces declared ``mirror`` not counted
-    max_scatters      1       ≥ 0            1         scatter events along a path
-    max_optical_      1       ≥ 0            no limit  those at surfaces that transmit
-    scatters
-    max_random_       1       ≥ 0            no limit  those that are not aimed
-    scatters
-    max_generations   1       ≥ 0            no limit  reflections and scatter events together
-    max_events        1       1 … 64         64        surfaces along a path, the detector included
-    scatter_rays      1       1 … 255        1         rays scattered at random at every hit
-    aimed_rays        1       0 … 255        1         rays aimed at automatic targets at every hit, in reflection and
-                                                       transmission each
-    aim               string  auto, targets, auto      aim at automatic targets as well, only at those of the scene,
-                              none                     or not at all
-    flux_threshold    1       0 … 1          1e-8      smallest flux of an unscattered branch relative to its start ray
-    scatter_threshold 1       0 … 1          0.1       below this share of a ray's first flux hits scatter, and branches
-                                                       after a scatter go on, by roulette (unbiased)
-    splitting         string  split, one     split     follow both children, or one at random
-    below_threshold   string  cut, roulette  cut       end weak branches, or play Russian roulette (unbiased)
-    seed              1       0 … 2³²-1      0         random numbers; the ``seed`` of ``mi.render`` is added
-    ray_control       string  see `Settings` allow_all what surfaces send on: all, transmitted, reflected light, nothing
-    polarization      string  unpolarized,   unpolar-  average s and p at every hit, or carry the Stokes vector along
-                              stokes         ized
-    edges             bool                   true      count in gradients what rays gain and lose at rims
-    edge_width        1       0 … 0.5        0.05      width of the zones at rims for that, relative to their radii
-    ================= ======= ============== ========= =================================================================
+    ===================== ====== ============= =========== =============================================================
+    parameter             unit   range         default     meaning
+    ===================== ====== ============= =========== =============================================================
+    rays                  1      1 … 4.29e9    1e6         start rays; ``spp`` > 0 asks for spp × pixels instead
+    max_reflections       1      ≥ 0           2           reflections along a path, total internal ones and those at
+                                                           surfaces declared ``mirror`` not counted
+    max_scatters          1      ≥ 0           1           scatter events along a path
+    max_optical_scatters  1      ≥ 0           no limit    those at surfaces that transmit
+    max_random_scatters   1      ≥ 0           no limit    those that are not aimed
+    max_generations       1      ≥ 0           no limit    reflections and scatter events together
+    max_events            1      1 … 64        64          surfaces along a path, the detector included
+    scatter_rays          1      1 … 255       1           rays scattered at random at every hit
+    aimed_rays            1      0 … 255       1           rays aimed at automatic targets at every hit, in reflection
+                                                           and transmission each
+    aim                   string auto,         auto        aim at automatic targets as well, only at those of the scene,
+                                 targets, none             or not at all
+    flux_threshold        1      0 … 1         1e-8        smallest flux of an unscattered branch relative to its start
+                                                           ray
+    scatter_threshold     1      0 … 1         0.1         below this share of a ray's first flux hits scatter, and
+                                                           branches after a scatter go on, by roulette (unbiased)
+    splitting             string split, one    split       follow both children, or one at random
+    below_threshold       string cut, roulette cut         end weak branches, or play Russian roulette (unbiased)
+    seed                  1      0 … 2³²-1     0           random numbers; the ``seed`` of ``mi.render`` is added
+    ray_control           string               allow_all   what surfaces send on: ``allow_all``, ``transmit_specular``,
+                                                           ``reflect_specular`` or ``halt_all`` (nothing)
+    polarization          string unpolarized,  unpolarized average s and p at every hit, or carry the Stokes vector
+                                 stokes                    along
+    edges                 bool                 true        count in gradients what rays gain and lose at rims
+    edge_width            1      0 … 0.5       0.05        width of the zones at rims for that, relative to their radii
+    ===================== ====== ============= =========== =============================================================
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
     coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.optimize.parameters` lists

@@ -36,8 +36,9 @@ class Asphere(Revolution):
     a4 … a20                mm^(1-order) ±        0         even aspheric coefficients (differentiable)
     semi_diameter           mm           > 0      required  clear radius (differentiable)
     inner_semi_diameter     mm           ≥ 0      0         radius of a central hole (differentiable)
-    half_width              mm           > 0      none      rectangular clip in x, instead of ``semi_diameter``
-    half_height             mm           > 0      none      rectangular clip in y, instead of ``semi_diameter``
+    half_width              mm           > 0      none      half width in x of a rectangular clip, instead of
+                                                            ``semi_diameter`` (differentiable)
+    half_height             mm           > 0      none      its half height in y (differentiable)
     to_world                mm           rigid    identity  position and orientation of the vertex frame
     x, y, z                 mm           ±        0         displacement along the axes of this frame (differentiable)
     tilt_x, tilt_y, tilt_z  deg          ±        0         right-handed rotations about these axes, through the
@@ -45,8 +46,8 @@ class Asphere(Revolution):
                                                             x (differentiable)
     part                    string                shape id  name of the object the surface belongs to
     space                   integer               -1        optical space, for grouping in reports
-    (nested) bsdf                                 required  an ``interface``
-    (nested) sensor                               none      an ``irradiancemeter``: makes this shape the detector
+    (nested) bsdf           bsdf                  required  an ``interface``
+    (nested) sensor         sensor                none      an ``irradiancemeter``: makes this shape the detector
     ======================= ============ ======== ========= =======================================================
 
     Source of the formula: the usual even asphere (ISO 10110-12), written out in `mistray.physics.sag`.
@@ -85,7 +86,9 @@ class Asphere(Revolution):
                 f"shape '{self.name}': give either semi_diameter or both half_width and half_height (mm)"
             )
         if rectangular and not (("half_width" in props) and ("half_height" in props)):
-            raise MistrayError(f"shape '{self.name}': a rectangular clip needs half_width and half_height (mm)")
+            raise MistrayError(
+                f"shape '{self.name}': a rectangular clip needs half_width and half_height (mm); give both"
+            )
         values = {"curvature": curvature, "conic": float_property(props, "conic", 0.0)}
         values |= {key: float_property(props, key, 0.0) for key in COEFFICIENTS}
         if rectangular:
@@ -118,7 +121,10 @@ class Asphere(Revolution):
 
     def sag(self, r: np.ndarray) -> np.ndarray:
         """Sag over the vertex plane at the distance r from the axis; both in mm, float64."""
-        return np.asarray(sag(np.square(r), self.values["curvature"], self.values["conic"], self.coefficients))
+        c, k = self.values["curvature"], self.values["conic"]
+        # A hemisphere's rim may lie beyond the end of the sphere by a rounding
+        r2 = np.square(r) if (1 + k) * c == 0 or k < -1 else np.minimum(np.square(r), (1 - 1e-15) / ((1 + k) * c * c))
+        return np.asarray(sag(r2, c, k, self.coefficients))
 
     def check(self) -> None:
         v = self.values

@@ -30,7 +30,7 @@ class Frustum(Revolution):
                                                        (differentiable)
     part                    string           shape id  name of the object the surface belongs to
     space                   integer          -1        optical space, for grouping in reports
-    (nested) bsdf                            required  an ``interface``
+    (nested) bsdf           bsdf             required  an ``interface``
     ======================= ======= ======== ========= ============================================================
 
     .. code-block:: xml
@@ -52,7 +52,7 @@ class Frustum(Revolution):
         self._start(props)
         missing = [key for key in ("r0", "z0", "r1", "z1") if key not in props]
         if missing:
-            raise MistrayError(f"shape '{self.name}': a frustum needs {', '.join(missing)} (mm)")
+            raise MistrayError(f"shape '{self.name}': a frustum needs {', '.join(missing)} (mm); add them")
         self._finish(props, {key: float_property(props, key) for key in ("r0", "z0", "r1", "z1")})
 
     @property

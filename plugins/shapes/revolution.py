@@ -13,6 +13,7 @@ from mistray.errors import MistrayError
 from mistray.physics.pose import moved
 
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
+FARTHEST_MM = 1e12  # from the origin; single precision goes on to 1e38
 AZIMUTHS = 96  # facets around the axis of the mesh that stock integrators see
 
 
@@ -40,20 +41,13 @@ class Revolution(mi.Mesh):
         self.name = str(props.id())
         self.part = str(props.get("part", self.name))
         self.space = int(props.get("space", -1))
-        to_world = props.get("to_world", mi.ScalarTransform4f())
-        self.base = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)
-        rotation = self.base[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
-            raise MistrayError(
-                f"shape '{self.name}': to_world scales, shears or mirrors; "
-                "use a rigid motion and set the size by parameters"
-            )
+        self.base = rigid_motion(props, self.name, "set the size by parameters")
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
         self.values = values | {key: float_property(props, key, 0.0) for key in POSE}
         self._check_all()
         self.parameters = {key: mi.Float(value) for key, value in self.values.items()}
-        vertices, faces = self._tessellate()
+        vertices, faces = self._checked_mesh()
         mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
         write_mesh(self, vertices, faces)
 
@@ -89,6 +83,13 @@ class Revolution(mi.Mesh):
     def _local_mesh(self) -> tuple[np.ndarray, np.ndarray]:
         return revolve(self.profile(), self.flipped)
 
+    def _checked_mesh(self) -> tuple[np.ndarray, np.ndarray]:
+        """Vertices in world space, mm, and faces; raises `MistrayError` where numbers leave all measure."""
+        with np.errstate(over="ignore", invalid="ignore"):
+            vertices, faces = self._tessellate()
+            check_reach(vertices, self.name)
+        return vertices, faces
+
     def _tessellate(self) -> tuple[np.ndarray, np.ndarray]:
         vertices, faces = self._local_mesh()
         matrix = self.matrix
@@ -118,7 +119,7 @@ class Revolution(mi.Mesh):
             for key in changed:
                 self.parameters[key][0] = before[key]
             raise
-        write_mesh(self, *self._tessellate())
+        write_mesh(self, *self._checked_mesh())
 
     def to_string(self) -> str:
         inside = ", ".join(f"{key} = {value:g}" for key, value in self.values.items() if value)
@@ -166,6 +167,25 @@ def grid(half_width: float, half_height: float, count: int) -> tuple[np.ndarray,
     b, c, d = a + 1, a + count + 1, a + count + 2
     faces = np.concatenate([np.column_stack([a, b, d]), np.column_stack([a, d, c])]).astype(np.uint32)
     return np.column_stack([x.ravel(), y.ravel()]), faces
+
+
+def rigid_motion(props: mi.Properties, name: str, remedy: str) -> np.ndarray:
+    """``to_world`` of a shape as (4, 4) float64; raises where it scales, shears or mirrors, with the remedy."""
+    to_world = props.get("to_world", mi.ScalarTransform4f())
+    matrix = np.array(to_world.matrix, dtype=np.float64).reshape(4, 4)
+    rotation = matrix[:3, :3]
+    if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
+        raise MistrayError(f"shape '{name}': to_world scales, shears or mirrors; use a rigid motion and {remedy}")
+    return matrix
+
+
+def check_reach(vertices: np.ndarray, name: str) -> None:
+    """Raise where vertices of a shape, mm in world space, leave all measure."""
+    farthest = float(np.abs(vertices).max())
+    if not farthest < FARTHEST_MM:
+        raise MistrayError(
+            f"shape '{name}': it reaches {farthest:g} mm from the origin; correct its sizes or its place"
+        )
 
 
 def float_property(props: mi.Properties, key: str, default: Any = None) -> float:

@@ -9,7 +9,7 @@ from report.fake_scene import lens_scene
 from report.fake_trace import LENS, FakePath, FakeTrace, trace_at, trace_in_colours
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import DRAWING_RAYS, GhostReport, ghosts
+from mistray.analysis.ghosts import GhostReport, ghosts
 from mistray.analysis.ranking import direct_image, label
 from mistray.analysis.spectral import spectral_maps
 from mistray.errors import MistrayError
@@ -284,12 +284,16 @@ def test_wavelengths_weights_and_polarisation_are_passed_on(traced):
 
 
 def test_rays_to_draw_are_of_the_wavelength_asked_for(colours, monkeypatch):
-    calls = []
-
-    def trace(scene, field_deg, rays):
-        calls.append(rays)
-        return trace_in_colours(field_deg)
-
-    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
-    assert len(colours.rays_of(10.0, colours.top(10.0, 1).path_id.iloc[0])) > 0
-    assert calls == [3 * DRAWING_RAYS]
+    t = colours[10.0]
+    asked, sampled = [], t.sampled_rays
+    monkeypatch.setattr(t, "sampled_rays", lambda ids, n: asked.append(list(ids)) or sampled(ids, n))
+    worst = int(colours.top(10.0, 1).path_id.iloc[0])
+    rays = colours.rays_of(10.0, worst)
+    assert len(rays) > 0
+    (ids,) = asked  # the worst paths all at once
+    assert worst in ids
+    way = (t.paths[worst].events, t.paths[worst].wavelength_nm)
+    assert [i for i in ids if (t.paths[i].events, t.paths[i].wavelength_nm) == way] == [worst]
+    assert rays[0][-1, :2] == pytest.approx((t.fakes[worst].x, t.fakes[worst].y))
+    assert colours.rays_of(10.0, worst) is rays
+    assert len(asked) == 1

@@ -135,7 +135,7 @@ GOOD = "MATE L\n0.55 1.38 0\n"
 @pytest.mark.parametrize(
     ("text", "line", "words"),
     [
-        ("0.55 1.38 0\n", 1, "before the first of MATE"),
+        ("0.55 1.38 0\n", 1, "before the first section; begin with MATE"),
         ("MATE\n", 1, "write MATE and one name"),
         ("MATE A B\n0.5 1 0\n", 1, "write MATE and one name"),
         ("MATE A\n0.55 1.38\n", 2, "'0.55 1.38'; expected wavelength in µm, n, k"),
@@ -220,3 +220,28 @@ def test_encodings(tmp_path: Path) -> None:
     for encoding in ("utf-16", "utf-8-sig", "latin-1"):
         path.write_bytes(f"! Schichten für außen\n{GOOD}COAT A\nL .25\n".encode(encoding))
         assert layers(read_coating_file(path)["A"]) == [("L", 99.6377)]
+
+
+@pytest.mark.parametrize("loop", ["5001", "99999999999999999999"])
+def test_groups_that_are_repeated_without_end_are_refused(tmp_path: Path, loop: str) -> None:
+    path = tmp_path / "coating.dat"
+    path.write_text(f"MATE H\n0.55 2.3 0\nCOAT HR\nH .25 0 {loop}\nH .5 0 {loop}\n")
+    with pytest.raises(MistrayError, match=r"line 5: .* repeated the coating has .* layers, more than 10000; correct"):
+        read_coating_file(path)["HR"]
+
+
+@pytest.mark.parametrize(
+    ("data", "text"),
+    [
+        (b"MATE H\n0.55 2.3 0\nIDEAL2 X 1e308 0 0 0 0 0 0 0\n", "an amplitude of 1e+308"),
+        (b"MATE H\x02\x01\n", r"line 1: 'MATE H\x02\x01' has characters of no text; save the file as UTF-8"),
+        (("COAT " + "x" * 500 + " y\n").encode(), "line 1: 'COAT " + "x" * 55 + "…'; write COAT and one name"),
+    ],
+)
+def test_damaged_files_are_refused_in_a_short_line(tmp_path: Path, data: bytes, text: str) -> None:
+    path = tmp_path / "coating.dat"
+    path.write_bytes(data)
+    with pytest.raises(MistrayError) as caught:
+        read_coating_file(path)["X"]
+    assert text in str(caught.value)
+    assert len(str(caught.value)) < 400

@@ -43,6 +43,14 @@ def test_nd_and_vd_come_back():
     assert (nd - 1) / (nf - nc) == pytest.approx(23.3, rel=1e-12)
 
 
+def test_a_table_in_the_string_is_linear_between_its_points():
+    text = "n(587.6)=1.53116 n(486.1)=1.5378 k=0"
+    assert complex_index(text, 587.6) == 1.53116
+    assert complex_index(text, 536.85) == pytest.approx((1.53116 + 1.5378) / 2, abs=1e-15)
+    assert refractive_index("n( 550 ) = 1.5", 550.0) == refractive_index("n(550)=1.5 extrapolate", 800.0) == 1.5
+    assert not source(text).page
+
+
 @pytest.mark.parametrize("material", ["nd=1.544 Vd=56.1 k=1e-6", "1.7+1e-4i", "N-BK7 extrapolate", "air", "1.5 k=0"])
 def test_the_oracle_reads_the_same_strings(material):
     assert refractive_index(material, 520.0) == pytest.approx(glass.refractive_index(material, 520.0), abs=1e-12)
@@ -119,6 +127,10 @@ def test_extrapolation_onto_a_pole_is_an_error():
         ("nd=1.5 Vd=0", 550.0, "Vd = 0"),
         ("nd=0.5 Vd=60", 550.0, "at least 1"),
         ("nd=1.5 Vd=60", 250.0, "400 … 1000 nm"),
+        ("n(550)=0.5", 550.0, "at least 1"),
+        ("n(0)=1.5", 550.0, "wavelength 0 nm"),
+        ("n(550)=1.5 n(550)=1.6", 550.0, "is there twice"),
+        ("n(500)=1.5 n(600)=1.4", 650.0, "500 … 600 nm"),
         ("N-BK7", 200.0, "300 … 2500 nm; use a wavelength inside, or append ' extrapolate'"),
         ("glass.agf", 550.0, "Write 'glass.agf:NAME'"),
         ("COATING.DAT", 550.0, "Write 'COATING.DAT:NAME'"),

@@ -86,7 +86,6 @@ def test_scattered_light(column: str) -> None:
     np.testing.assert_allclose(cloud.f(np.radians(table["theta_deg"].to_numpy())), table[column], rtol=VECTORS)
 
 
-@pytest.mark.slow
 def test_scattered_light_of_fallout() -> None:
     table = pd.read_csv(DATA / "contam_F_055um.csv", comment="#")
     cloud = contamination.cloud(WAVELENGTH_UM, DUST, 500.0, 0.383)

@@ -16,6 +16,9 @@ class FakeShape:
         self._bsdf = SimpleNamespace(front=front, back=back, opaque=opaque, mirror=mirror)
         self._sensor = sensor
 
+    def id(self):
+        return self.name
+
     def profile(self):
         return self._profile
 

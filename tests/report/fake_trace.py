@@ -74,6 +74,7 @@ class FakeTrace:
         self.paths = self._path_table()
         self.extent = EXTENT
         self.coating_error = 0.0
+        self.tables = []  # no surfaces: a report of it says nothing of coatings
         self.shares = shares or {550.0: 1.0}
         self.wavelengths_nm = sorted(self.shares)
         self.settings = SETTINGS | {"field_deg": field_deg, "wavelength_nm": self.wavelengths_nm}
@@ -155,6 +156,12 @@ class FakeTrace:
         ids = [path_id for group in groups for path_id in group]
         assert len(ids) == len(set(ids)), "a path belongs to one map"
         return [self.irradiance_of(group) for group in groups]
+
+    def each_map(self, groups):
+        return iter(self.maps(groups))
+
+    def sampled_rays(self, path_ids, n=8):
+        return {path_id: [SimpleNamespace(points=ray) for ray in self.history(path_id, n).rays] for path_id in path_ids}
 
     def history(self, path_id, n=8):
         path = self.fakes[path_id]

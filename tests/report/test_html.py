@@ -1,7 +1,6 @@
 """The HTML report: self-contained, well-formed, complete or absent."""
 
 import re
-import sys
 from html.parser import HTMLParser
 
 import pytest
@@ -39,16 +38,6 @@ class Page(HTMLParser):
     def handle_endtag(self, tag):
         if tag not in VOID:
             assert self.open.pop() == tag
-
-
-@pytest.fixture(scope="module", autouse=True)
-def rays_to_draw():
-    """Rays to draw from the fake trace instead of a new one."""
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            sys.modules["mistray.analysis.ghosts"], "trace", lambda scene, field_deg, rays: trace_in_colours(field_deg)
-        )
-        yield
 
 
 @pytest.fixture(scope="module")
@@ -124,9 +113,11 @@ def test_report_says(text, words):
 
 
 def test_every_field_has_its_table_and_thumbnails(text):
-    for name in ("t-field-0", "t-field-20"):
+    for name, paths in (("t-field-0", 5), ("t-field-20", 4)):
         table = re.search(rf'<table id="{name}".*?</table>', text, re.DOTALL)[0]
-        assert table.count("data:image/png;base64,") == 4
+        assert table.count("data:image/png;base64,") == paths
+        assert table.count('class="pick"') == paths
+        assert len(re.findall(r"(?:1e-?\d+ … 1e-?\d+|dark)<br>", table)) == paths  # the scale of each
 
 
 def test_a_failure_leaves_nothing(report, tmp_path, monkeypatch):
@@ -139,10 +130,18 @@ def test_a_failure_leaves_nothing(report, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
+@pytest.fixture
+def undrawn(monkeypatch):
+    """Reports of one picture and one word, for tests of what happens to the files."""
+    monkeypatch.setattr(output, "draw", lambda report, look: {"overview.png": b"picture"})
+    monkeypatch.setattr(html, "html_text", lambda *_: "text")
+
+
 def test_write_all_writes_every_file(report, tmp_path):
     files = write_all(report, tmp_path / "out", "x", "mistray ghosts x")
     assert sorted(file.name for file in files) == sorted(entry.name for entry in (tmp_path / "out").iterdir())
     names = {file.name for file in files}
+    assert not {name for name in names if name.startswith("colour") or "per_wavelength" in name}
     assert {
         "report.html",
         "paths.csv",
@@ -164,7 +163,7 @@ def test_write_all_of_a_detector_in_the_dark(tmp_path, shares):
     assert "no direct light reaches the detector on axis" in text
 
 
-def test_write_all_fails_without_a_trace(report, tmp_path, monkeypatch):
+def test_write_all_fails_without_a_trace(report, undrawn, tmp_path, monkeypatch):
     def fail(*_):
         raise RuntimeError("out of ink")
 
@@ -174,7 +173,7 @@ def test_write_all_fails_without_a_trace(report, tmp_path, monkeypatch):
     assert list(tmp_path.iterdir()) == []
 
 
-def test_write_all_keeps_files_of_others(report, tmp_path):
+def test_write_all_keeps_files_of_others(report, undrawn, tmp_path):
     (tmp_path / "notes.txt").write_text("mine")
     (tmp_path / "paths.csv").write_text("old")
     write_all(report, tmp_path)
@@ -188,9 +187,10 @@ def test_output_directory_that_is_a_file_is_an_error(tmp_path):
         writable_directory(tmp_path / "out")
 
 
-def test_missing_directories_are_made(report, tmp_path):
+def test_missing_directories_are_made(report, undrawn, tmp_path):
     write_all(report, tmp_path / "a" / "b")
-    assert (tmp_path / "a" / "b" / "report.html").is_file()
+    assert (tmp_path / "a" / "b" / "report.html").read_text() == "text"
+    assert (tmp_path / "a" / "b" / "overview.png").read_bytes() == b"picture"
     assert [path.name for path in tmp_path.iterdir()] == ["a"]
 
 
@@ -213,19 +213,12 @@ def test_a_path_has_one_row_in_its_field_and_one_for_each_wavelength_below(colou
     assert "λ" not in table
 
 
-def test_without_the_flags_there_are_no_colours(text, tmp_path, report):
+def test_without_the_flags_there_are_no_colours(text):
     assert "in colour" not in text
     assert "At each wavelength" not in text
-    names = {file.name for file in write_all(report, tmp_path)}
-    assert not {name for name in names if name.startswith("colour") or "per_wavelength" in name}
 
 
-def test_assumptions_name_the_polarisation(report):
-    assert "Unpolarised light at every surface" in html_text(report)
-    for t in report.values():
-        t.settings["polarization"] = "stokes"
-    try:
-        assert "as a Stokes vector" in html_text(report)
-    finally:
-        for t in report.values():
-            t.settings["polarization"] = "unpolarized"
+def test_assumptions_name_the_polarisation(text, report):
+    assert "Unpolarised light at every surface" in text
+    assert "as a Stokes vector" not in text
+    assert "as a Stokes vector" in html._settings(report[0.0].settings | {"polarization": "stokes"}, report, "")

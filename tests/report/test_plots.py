@@ -1,11 +1,10 @@
 """Pictures: what they show, on which scale, with which labels."""
 
-import sys
-
 import numpy as np
 import pytest
+from matplotlib.figure import Figure
 from report.fake_scene import FakeShape, lens_scene
-from report.fake_trace import FakeTrace, trace_at
+from report.fake_trace import trace_at
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
@@ -18,7 +17,6 @@ from mistray.report.plots import (
     image_colours,
     levels_against_field,
     montage,
-    thumbnail,
 )
 
 
@@ -26,15 +24,6 @@ from mistray.report.plots import (
 def report():
     traces = {field: trace_at(field) for field in (0.0, 10.0, 20.0)}
     return GhostReport(lens_scene(), traces, traces[0.0], {})
-
-
-@pytest.fixture
-def drawable(report, monkeypatch):
-    """The report, with rays to draw from the fake trace instead of a new one."""
-    monkeypatch.setattr(
-        sys.modules["mistray.analysis.ghosts"], "trace", lambda scene, field_deg, rays: trace_at(field_deg)
-    )
-    return report
 
 
 def images(figure):
@@ -75,20 +64,10 @@ def test_colours_grow_lighter_all_the_way():
     assert (np.diff(luminance) > 0).all()
 
 
-def test_a_dark_map_says_so(report):
-    figure, width, limits = thumbnail(np.zeros((4, 4)), (-1.0, 1.0, -1.0, 1.0), (0.0, 0.0), float("nan"))
-    assert limits is None
-    assert width == 6.0
-    assert [text.get_text() for text in figure.axes[0].texts] == ["no light"]
-
-
-def test_thumbnail_frames_its_path(report):
-    row = report.top(10.0, 1).iloc[0]
-    image, _ = report.map(10.0, row.path_id)
-    figure, width, _ = thumbnail(image, report[10.0].extent, (row.x_mm, row.y_mm), 0.2)
-    assert width == pytest.approx(1.2)
-    assert figure.axes[0].get_xlim() == pytest.approx((row.x_mm - 0.6, row.x_mm + 0.6))
-    assert figure.axes[0].get_aspect() == 1.0
+def test_a_dark_map_says_so():
+    axes = Figure().subplots()
+    assert draw_map(axes, np.zeros((4, 4)), (-1.0, 1.0, -1.0, 1.0), None) is None
+    assert [text.get_text() for text in axes.texts] == ["no light"]
 
 
 def test_scale_upside_down_is_an_error(report):
@@ -176,40 +155,40 @@ def test_meridional_rays_spread_over_the_pupil_and_stay_near_the_plane():
     assert len(meridional(rays[:2], 7)) == 2
 
 
-def test_layout_draws_the_direct_image_and_the_worst_ghosts(drawable):
-    figure = layout(drawable, 10.0, ghosts=2)
+def test_layout_draws_the_direct_image_and_the_worst_ghosts(report):
+    figure = layout(report, 10.0, ghosts=2)
     labels = figure.axes[0].get_legend_handles_labels()[1]
     assert labels == ["direct image", "detector → L1_rear (ghost)", "detector → window_rear (ghost)"]
 
 
-def test_layout_says_which_path_is_too_rare(report, monkeypatch):
-    def trace(scene, field_deg, rays):
-        return FakeTrace([path for path in trace_at(field_deg).fakes if "L1_rear:R" in path.events])
-
-    report = GhostReport(report.scene, report, report.nominal_trace, {})
-    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+def test_layout_says_which_path_is_too_rare():
+    t = trace_at(20.0)
+    sampled = t.sampled_rays
+    (kept,) = [k for k, path in enumerate(t.fakes) if "detector:R L1_rear:R" in path.events]
+    t.sampled_rays = lambda ids, n: {i: rays if i == kept else [] for i, rays in sampled(ids, n).items()}
+    report = GhostReport(lens_scene(), {20.0: t}, trace_at(0.0), {})
     labels = layout(report, 20.0, ghosts=2).axes[0].get_legend_handles_labels()[1]
     assert labels == ["detector → L1_rear (ghost)", "detector → window_rear (ghost), too rare to draw"]
 
 
-def test_layout_out_of_field_draws_stray_paths_only(drawable):
-    labels = layout(drawable, 20.0, ghosts=1).axes[0].get_legend_handles_labels()[1]
+def test_layout_out_of_field_draws_stray_paths_only(report):
+    labels = layout(report, 20.0, ghosts=1).axes[0].get_legend_handles_labels()[1]
     assert labels == ["detector → L1_rear (ghost)"]
 
 
-def test_layout_draws_the_paths_asked_for(drawable):
-    table = drawable.table(10.0)
+def test_layout_draws_the_paths_asked_for(report):
+    table = report.table(10.0)
     direct, window = (
         table.path_id[table.kind == "direct"].iloc[0],
         table.path_id[table.ghost_2 == "window_rear"].iloc[0],
     )
-    axes = layout(drawable, 10.0, path_ids=[direct, window]).axes[0]
+    axes = layout(report, 10.0, path_ids=[direct, window]).axes[0]
     handles, labels = axes.get_legend_handles_labels()
     assert labels == [f"path {direct}: direct image", f"path {window}: detector → window_rear"]
     assert handles[0].get_color() != handles[1].get_color()
     with pytest.raises(MistrayError, match="path 99 is not in the table of field 10 deg"):
-        layout(drawable, 10.0, path_ids=[99])
+        layout(report, 10.0, path_ids=[99])
 
 
-def test_layout_without_ghosts_draws_the_direct_image(drawable):
-    assert layout(drawable, 10.0, ghosts=0).axes[0].get_legend_handles_labels()[1] == ["direct image"]
+def test_layout_without_ghosts_draws_the_direct_image(report):
+    assert layout(report, 10.0, ghosts=0).axes[0].get_legend_handles_labels()[1] == ["direct image"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import re
 
 import numpy as np
@@ -11,13 +12,15 @@ from mistray.errors import MistrayError
 from mistray.scatter.lobe import Lobe, RatioTable
 from mistray.scatter.total import check_budget, lobe_total, totals
 
+legendre = functools.cache(np.polynomial.legendre.leggauss)
+
 
 def brute(lobe: Lobe, theta: float, n_in: float, n_out: float) -> float:
     """Sum over a polar grid of directions about the normal; good for lobes that are no narrower than its step."""
-    n = 1500
+    n = 600
     sine_spec = np.sin(theta) * (n_in / n_out if lobe.event == "transmission" else 1)
     centre_tangent = {"specular": sine_spec, "normal": 0.0, "retro": -np.sin(theta)}[lobe.centre]
-    x, w = np.polynomial.legendre.leggauss(n)
+    x, w = legendre(n)
     t = 0.5 * (x + 1)
     polar, wp = 0.5 * np.pi * t[:, None], 0.25 * np.pi * w[:, None]
     phi = (np.arange(n) + 0.5) * np.pi / n

@@ -80,3 +80,21 @@ def test_what_is_not_known_is_passed_on_in_one_line(tmp_path):
     error = RuntimeError("[scene.cpp:12] Something\n  new went wrong")
     assert explain(error, tmp_path / "a.xml") == f"scene '{tmp_path}/a.xml': Something new went wrong; correct the file"
     assert explain(RuntimeError(""), {}) == "scene: RuntimeError; correct the dict"
+
+
+def test_no_traceback_of_a_plugin_reaches_the_user(monkeypatch):
+    """An error in Python inside of a plugin: its last line, not its frames."""
+    text = (
+        'failed to instantiate shape plugin of type "asphere": Traceback (most recent call last):\n'
+        '  File "/x/asphere.py", line 97, in __init__\n    self._finish(props, values)\n'
+        "FloatingPointError: overflow encountered in cast\n"
+    )
+    line = explain(RuntimeError(text), {"type": "scene"})
+    assert line == "scene: FloatingPointError: overflow encountered in cast; correct the dict"
+
+
+@pytest.mark.parametrize("size", [1e15, 1e300])
+def test_shapes_beyond_all_measure_are_refused(size):
+    scene = {"type": "scene", "L1": {"type": "asphere", "semi_diameter": size}}
+    with pytest.raises(MistrayError, match=r"shape 'L1': it reaches .* mm from the origin; correct its sizes"):
+        mistray.load(scene)

@@ -163,7 +163,7 @@ def oracle_lands(images: DetectorImages, name: str, number: int, origins: np.nda
     return landed
 
 
-@pytest.mark.parametrize("name", [*LENS_SCENES, pytest.param("phone_camera", marks=pytest.mark.slow)])
+@pytest.mark.parametrize("name", [*LENS_SCENES, "phone_camera"])
 def test_targets_hold_the_light_that_reaches_the_detector(name):
     """
     From every surface of the design path at least 98 % of the light that would land by it lies within the target, 5 %

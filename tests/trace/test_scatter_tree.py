@@ -62,7 +62,6 @@ class TestAgainstMonteCarlo:
         books = scatter.trace(model, models, beam.origin, beam.direction, beam.power, 550.0, **limits)
         return request.param, books
 
-    @pytest.mark.slow
     @pytest.mark.parametrize("mode", MODES)
     def test_paths_and_books(self, load_scene, oracle: tuple[str, scatter.Books], mode: str) -> None:
         name, books = oracle

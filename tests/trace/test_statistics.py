@@ -44,7 +44,7 @@ def split_trace(name: str, field_deg: float) -> mistray.Trace:
 
 
 @pytest.mark.parametrize("mode", MODES)
-@pytest.mark.parametrize("name", ["plate", "cooke_triplet", "phone_camera"])
+@pytest.mark.parametrize("name", ["plate", "cooke_triplet", pytest.param("phone_camera", marks=pytest.mark.slow)])
 def test_modes_agree_with_splitting(name: str, mode: str) -> None:
     """Totals within 3 standard errors (four totals a case: 1 % false alarm each), strong paths at a joint 1e-3."""
     scene = mistray.load(name)

@@ -11,7 +11,7 @@ from validation.tables import read, value
 import mistray
 from mistray.materials import refractive_index
 
-pytestmark = [pytest.mark.validation, pytest.mark.slow]
+pytestmark = pytest.mark.validation
 
 GHOST_RAYS = {0.0: 30_000, 5.0: 40_000, 10.0: 60_000}
 FAR_GHOST_RAYS = 150_000

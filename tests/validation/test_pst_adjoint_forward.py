@@ -78,7 +78,7 @@ CASES = {
     "newtonian_scatter": Case((3e6, 2e6), {"max_reflections": 1, "max_scatters": 1}, 9),
     "phone_camera_scatter": Case((2.4e5, 1e5), {"max_reflections": 1, "max_scatters": 1}, 14),
 }
-SLOW = ("baffle_tube", "newtonian_scatter", "phone_camera_scatter")
+SLOW = ("phone_camera_scatter",)
 
 
 def both(name: str, case: Case) -> tuple[Pst, Pst]:

@@ -316,6 +316,7 @@ class TestWhiteFurnace:
         e = source_irradiance(found, Sky(), "total")
         check("furnace", e.value / np.pi, np.hypot(e.se / np.pi, 3e-4), squared_index, 0.01)
 
+    @pytest.mark.slow
     def test_phone_camera(self) -> None:
         """The whole camera: its coatings have R + T = 1; its barrel, lens edges and detector scatter everything.
 

@@ -1,0 +1,66 @@
+"""What `mistray coating --json` prints."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from mistray.coatings import Coating, Spectrum
+
+SHARES = ("R", "T", "A")
+
+
+def as_json(coating: Coating, values: Spectrum, design_nm: float) -> dict[str, Any]:
+    """A coating: its layers, R, T and A over the band, and all of the spectrum, as values that JSON knows."""
+    from mistray.coatings import Stack
+    from mistray.report.json_values import plain
+
+    layers = []
+    if isinstance(coating, Stack):
+        for layer, n in zip(coating.layers, coating.indices(design_nm), strict=True):
+            waves = n.real * layer.thickness_nm / design_nm
+            layers.append(
+                {
+                    "material": layer.material,
+                    "thickness_nm": layer.thickness_nm,
+                    "n": n.real,
+                    "k": n.imag,
+                    "waves": waves,
+                }
+            )
+    record = {"design_nm": design_nm, "layers": layers, "band": _band(values), "spectrum": _spectrum(values)}
+    return dict(plain(record))
+
+
+def _band(values: Spectrum) -> list[dict[str, Any]]:
+    """For each angle the means over the wavelengths, and where R is least and greatest, of unpolarised light."""
+    rows = []
+    for k, angle in enumerate(values.angle_deg):
+        r = values.mean()[:, k]
+        least, greatest = r.argmin(), r.argmax()
+        rows.append(
+            {
+                "angle_deg": angle,
+                **{f"{share}_mean": values.mean(share)[:, k].mean() for share in SHARES},
+                "R_least": r[least],
+                "R_least_at_nm": values.wavelength_nm[least],
+                "R_greatest": r[greatest],
+                "R_greatest_at_nm": values.wavelength_nm[greatest],
+            }
+        )
+    return rows
+
+
+def _spectrum(values: Spectrum) -> list[dict[str, Any]]:
+    """A row for each angle and wavelength."""
+    return [
+        {
+            "angle_deg": angle,
+            "wavelength_nm": wavelength,
+            **{f"{share}_{pol}": getattr(values, share)[i, k, p] for share in SHARES for p, pol in enumerate("sp")},
+            "phase_r_rad": values.phase_r[i, k],
+            "phase_t_rad": values.phase_t[i, k],
+        }
+        for k, angle in enumerate(values.angle_deg)
+        for i, wavelength in enumerate(values.wavelength_nm)
+    ]

@@ -1,0 +1,279 @@
+"""`mistray completion`: scripts with which shells complete commands, options and names; made from the parsers."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+from mistray.cli import bsdf_models
+from mistray.cli.arguments import RAW
+
+# Placeholders of file names
+FILES = ("AGF", "BUDGET", "COATING", "DIR", "FILE", "MODEL", "SCENE", "STUDY", "XML", "ZMX")
+MANY = ("*", "+")
+
+
+def add(commands: Any) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "completion",
+        help="print a script with which the shell completes mistray's commands and options",
+        description="Print a script for bash, zsh or fish that completes commands, options, choices, the names of\n"
+        "shipped scenes, scatter models and coatings, and files. It is made from the options of this version.",
+        epilog="examples:\n"
+        "  mistray completion bash > ~/.local/share/bash-completion/completions/mistray\n"
+        "  mistray completion zsh > ~/.zfunc/_mistray    # a folder of fpath, before compinit\n"
+        "  mistray completion fish > ~/.config/fish/completions/mistray.fish",
+        formatter_class=RAW,
+    )
+    parser.add_argument("shell", choices=SHELLS, help="for which shell")
+    parser.set_defaults(run=run, commands=commands)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    print(script(options.shell, described(options.commands)), end="")
+    return 0
+
+
+@dataclass(frozen=True)
+class Value:
+    """
+    What an argument takes.
+
+    Attributes
+    ----------
+    label : str
+        Placeholder of the help; "" for a flag, which takes nothing.
+    help : str
+    flags : tuple of str
+        Empty for a positional argument.
+    names : tuple of str
+        What is proposed.
+    files : bool
+        Files are proposed as well.
+    many : bool
+        It takes several values.
+    """
+
+    label: str
+    help: str
+    flags: tuple[str, ...] = ()
+    names: tuple[str, ...] = ()
+    files: bool = False
+    many: bool = False
+
+
+@dataclass(frozen=True)
+class Command:
+    """A command: its name, its line of help, its options and its positional arguments."""
+
+    name: str
+    help: str
+    options: tuple[Value, ...]
+    positional: tuple[Value, ...]
+
+
+def described(commands: Any) -> list[Command]:
+    """The commands of argparse's subparsers."""
+    names = _names()
+    found = []
+    for action in commands._choices_actions:
+        actions = [_value(item, names) for item in commands.choices[action.dest]._actions]
+        options = tuple(value for value in actions if value.flags)
+        positional = tuple(value for value in actions if not value.flags)
+        found.append(Command(action.dest, action.help or "", options, positional))
+    return found
+
+
+def _names() -> dict[str, tuple[str, ...]]:
+    """Names that are no choices of argparse, because files may stand in their place, by placeholder."""
+    from mistray.coatings import PRESETS
+    from mistray.scene.load import shipped_scenes
+
+    scenes = tuple(shipped_scenes())
+    return {"SCENE": scenes, "MODEL": tuple(bsdf_models.KINDS), "COATING": (*PRESETS, "bare", *scenes)}
+
+
+def _value(action: argparse.Action, names: Mapping[str, tuple[str, ...]]) -> Value:
+    label = str(action.metavar if isinstance(action.metavar, str) else action.dest)
+    text = "" if action.help in (None, argparse.SUPPRESS) else " ".join(str(action.help).split())
+    if action.nargs == 0:
+        return Value("", text, tuple(action.option_strings))
+    proposed = tuple(map(str, action.choices)) if action.choices is not None else names.get(label, ())
+    files = action.type is Path or label in FILES
+    many = action.nargs in MANY or (isinstance(action.nargs, int) and action.nargs > 1)
+    return Value(label, text, tuple(action.option_strings), proposed, files, many)
+
+
+def script(shell: str, commands: list[Command]) -> str:
+    """
+    The script for a shell.
+
+    Parameters
+    ----------
+    shell : {"bash", "zsh", "fish"}
+    commands : list of Command
+    """
+    return SHELLS[shell](commands)
+
+
+_BASH = """\
+# bash completion of mistray, made by `mistray completion bash`
+_mistray() {{
+    local current="${{COMP_WORDS[COMP_CWORD]}}" command="" last="" gap=0 k names="" files=no
+    COMPREPLY=()
+    for ((k = 1; k < COMP_CWORD; k++)); do
+        if [[ -z $command ]]; then
+            [[ ${{COMP_WORDS[k]}} == -* ]] || command=${{COMP_WORDS[k]}}
+        elif [[ ${{COMP_WORDS[k]}} == --* || ${{COMP_WORDS[k]}} == -o ]]; then
+            last=${{COMP_WORDS[k]}} gap=0
+        else
+            gap=$((gap + 1))
+        fi
+    done
+    case "$command" in
+        "")
+            names={commands}
+            ;;
+{cases}
+    esac
+    COMPREPLY=($(compgen -W "$names" -- "$current"))
+    if [[ $files == yes ]]; then
+        local IFS=$'\\n'  # blanks are a part of names
+        compopt -o filenames 2>/dev/null
+        COMPREPLY+=($(compgen -f -- "$current"))
+    fi
+}}
+complete -F _mistray mistray
+"""
+_BASH_CASE = """\
+        {name})
+            if [[ $current == -* ]]; then
+                names={options}
+            else
+                case "$last:$gap" in
+{values}
+                esac
+            fi
+            ;;"""
+
+
+def _bash(commands: list[Command]) -> str:
+    cases = []
+    for command in commands:
+        values = []
+        for value in command.options:
+            if value.label:
+                pattern = "|".join(f"{flag}:{'*' if value.many else '0'}" for flag in value.flags)
+                values.append(f"                    {pattern}) {_bash_value([value])} ;;")
+        values.append(f"                    *) {_bash_value(command.positional)} ;;")
+        options = shlex.quote(" ".join(flag for value in command.options for flag in value.flags))
+        cases.append(_BASH_CASE.format(name=command.name, options=options, values="\n".join(values)))
+    first = ["-h", "--help", "--version", *(command.name for command in commands)]
+    return _BASH.format(commands=shlex.quote(" ".join(first)), cases="\n".join(cases))
+
+
+def _bash_value(values: Iterable[Value]) -> str:
+    values = list(values)
+    names = shlex.quote(" ".join(name for value in values for name in value.names))
+    return f"names={names} files={'yes' if any(value.files for value in values) else 'no'}"
+
+
+def _zsh(commands: list[Command]) -> str:
+    lines = [
+        "#compdef mistray",
+        "# zsh completion of mistray, made by `mistray completion zsh`",
+        "_mistray() {",
+        '    local curcontext="$curcontext" state line',
+        "    local -a commands",
+        "    commands=(",
+        *(f"        {shlex.quote(_escaped(command.name) + ':' + command.help)}" for command in commands),
+        "    )",
+        "    _arguments -C '(-h --help)'{-h,--help}'[show help]' '--version[show the version]' \\",
+        "        '1: :->command' '*:: :->arguments'",
+        "    case $state in",
+        "        command) _describe command commands ;;",
+        "        arguments)",
+        "            case $line[1] in",
+    ]
+    for command in commands:
+        lines.append(f"                {command.name})")
+        specs = [_zsh_option(value, flag) for value in command.options for flag in value.flags]
+        specs += [_zsh_value(value, f"{number}:") for number, value in enumerate(command.positional, start=1)]
+        lines.append("                    _arguments \\")
+        lines += [f"                        {shlex.quote(spec)} \\" for spec in specs[:-1]]
+        lines += [f"                        {shlex.quote(specs[-1])}", "                    ;;"]
+    lines += [
+        "            esac",
+        "            ;;",
+        "    esac",
+        "}",
+        'if [[ $funcstack[1] == _mistray ]]; then _mistray "$@"; else compdef _mistray mistray; fi',
+    ]
+    return "\n".join(lines) + "\n"
+
+
+def _zsh_option(value: Value, flag: str) -> str:
+    head = f"{flag}[{_escaped(value.help)}]"
+    if not value.label:
+        return head
+    return head + _zsh_value(value, ":*-*:" if value.many else ":")
+
+
+def _zsh_value(value: Value, start: str) -> str:
+    """Placeholder and what is proposed; of several kinds `_alternative` takes both."""
+    label, names = _escaped(value.label), " ".join(value.names)
+    if value.files and names:
+        return f"{start}{label}:{{_alternative 'names:name:({names})' 'files:file:_files'}}"
+    if value.files:
+        return f"{start}{label}:_files"
+    return f"{start}{label}:({names})" if names else f"{start}{label}: "
+
+
+def _escaped(text: str) -> str:
+    """Text between brackets or colons of zsh."""
+    for character in "\\[]:":
+        text = text.replace(character, f"\\{character}")
+    return text
+
+
+def _fish(commands: list[Command]) -> str:
+    lines = [
+        "# fish completion of mistray, made by `mistray completion fish`",
+        "complete -c mistray -f",
+        "complete -c mistray -n __fish_use_subcommand -l version -d 'show the version'",
+    ]
+    for command in commands:
+        lines.append(f"complete -c mistray -n __fish_use_subcommand -a {command.name} -d {_fish_text(command.help)}")
+    for command in commands:
+        here = f"complete -c mistray -n '__fish_seen_subcommand_from {command.name}'"
+        for value in command.options:
+            flags = " ".join(f"-l {flag[2:]}" if flag.startswith("--") else f"-s {flag[1:]}" for flag in value.flags)
+            lines.append(f"{here} {flags}{_fish_value(value, ' -x')} -d {_fish_text(value.help)}")
+        for value in command.positional:
+            lines.append(f"{here}{_fish_value(value, '')} -d {_fish_text(value.help)}")
+    return "\n".join(lines) + "\n"
+
+
+def _fish_value(value: Value, exclusive: str) -> str:
+    if not value.label:
+        return ""
+    names = f" -a {_fish_text(' '.join(value.names))}" if value.names else ""
+    if value.files:
+        return f" -r -F{names}" if exclusive else f" -F{names}"
+    return f"{exclusive}{names}"
+
+
+def _fish_text(text: str) -> str:
+    """Text in quotes of fish, in which a backslash escapes."""
+    escaped = text.replace("\\", "\\\\").replace("'", "\\'")
+    return f"'{escaped}'"
+
+
+SHELLS: Mapping[str, Callable[[list[Command]], str]] = MappingProxyType({"bash": _bash, "zsh": _zsh, "fish": _fish})

@@ -1,0 +1,69 @@
+"""`mistray export`."""
+
+from __future__ import annotations
+
+import argparse
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+from mistray.cli.arguments import RAW
+from mistray.cli.tracing_arguments import print_json
+from mistray.errors import MistrayError
+
+
+def add(commands: Any) -> None:
+    """Declare the command."""
+    parser = commands.add_parser(
+        "export",
+        help="write the optical surfaces of a scene as a lens file",
+        description="Write the optical surfaces of a scene, in the order of light, as a sequential lens for Zemax "
+        "OpticStudio and programs that read its files. Structure, scatter and coatings without a name are left out, "
+        "and the command says what was.",
+        epilog="examples:\n"
+        "  mistray export cooke_triplet -o triplet.zmx\n"
+        "  mistray export camera.xml -o camera.zmx --json",
+        formatter_class=RAW,
+    )
+    parser.add_argument(
+        "scene", metavar="SCENE", help="scene XML file, or the name of a shipped scene such as cooke_triplet"
+    )
+    parser.add_argument(
+        "-o", "--output", metavar="ZMX", type=Path, help="file to write (default: SCENE with .zmx, in this folder)"
+    )
+    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    parser.set_defaults(run=run)
+
+
+def run(options: argparse.Namespace) -> int:
+    """Run the command."""
+    from mistray.prescription.to_sequential import to_sequential
+    from mistray.prescription.write_zemax import write_zemax
+    from mistray.scene.read_optics import read_optics
+
+    output = options.output or Path(f"{Path(options.scene).stem}.zmx")
+    if output.suffix.lower() != ".zmx":
+        raise MistrayError(f"output '{output}': files of type '{output.suffix}' cannot be written; end it in .zmx")
+    if not output.parent.is_dir():
+        raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
+    prescription, left_out = read_optics(options.scene)
+    lens = to_sequential(prescription)
+    if left_out:
+        lens = replace(lens, notes=(*lens.notes, f"structure is left out ({len(left_out)} shapes)"))
+    lost = write_zemax(lens, output)
+    surfaces = sum(row.kind == "surface" for row in lens.rows)
+    if options.json:
+        shown = {
+            "surfaces": surfaces,
+            "entrance_pupil_diameter_mm": lens.aperture,
+            "wavelengths_nm": list(lens.wavelengths_nm),
+            "notes": list(lens.notes),
+            "approximate": list(lost),
+            "left_out": list(left_out),
+        }
+        print_json(shown, [output])
+        return 0
+    print(f"{output}: {surfaces} surfaces, entrance pupil {lens.aperture:.6g} mm")
+    for note in (*lens.notes, *lost):
+        print(f"  {note}")
+    return 0

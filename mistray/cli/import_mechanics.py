@@ -1,0 +1,167 @@
+"""`mistray import` of mechanics: STEP, STL, OBJ, PLY."""
+
+from __future__ import annotations
+
+import argparse
+import shlex
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mistray.cli.arguments import count, finite, positive
+from mistray.cli.tracing_arguments import print_json, working
+from mistray.errors import MistrayError
+
+if TYPE_CHECKING:
+    from mistray.mechanics import Finish, Mechanics
+    from mistray.prescription import MeshStructure, Structure
+
+SUFFIXES = (".step", ".stp", ".stl", ".obj", ".ply")
+OPTIONS = (
+    "into", "paint", "space", "unit", "move_mm", "tilt_deg", "most_analytic", "tolerance_mm", "time_limit_s",
+)  # fmt: skip
+MOST_SPACE = 1_000_000
+
+
+def add_options(parser: argparse.ArgumentParser) -> None:
+    """Declare the options that only mechanics have."""
+    group = parser.add_argument_group("mechanics (STEP, STL, OBJ, PLY)")
+    group.add_argument("--into", metavar="SCENE",
+                       help="scene that the parts are added to (default: a file for <include>)")  # fmt: skip
+    group.add_argument("--paint", nargs="+", metavar="PATTERN=PAINT",
+                       help="paint of parts or faces by name: 'vane*=flat_black', 'tube=paint reflectance=0.05'; black "
+                       "absorbs everything, as what has no paint does; names of the scene count too")  # fmt: skip
+    group.add_argument("--space", nargs="+", metavar="PATTERN=N", help="optical space of parts or faces")
+    group.add_argument("--unit", metavar="UNIT", help="of STL, OBJ, PLY: um, mm, cm, m, inch or ft (mm)")
+    group.add_argument("--move-mm", type=finite, nargs=3, metavar=("X", "Y", "Z"),
+                       help="where the origin of the parts goes after the tilt, mm (0 0 0)")  # fmt: skip
+    group.add_argument("--tilt-deg", type=finite, nargs=3, metavar=("X", "Y", "Z"),
+                       help="turns about x, then y, then z of the scene, degrees (0 0 0)")  # fmt: skip
+    group.add_argument("--most-analytic", type=count, metavar="N",
+                       help="surfaces made exact at most, the largest; 0: all are meshes (64)")  # fmt: skip
+    group.add_argument("--tolerance-mm", type=positive, metavar="MM",
+                       help="largest distance of the facets of a STEP file from its surfaces, mm (0.01)")  # fmt: skip
+    group.add_argument("--time-limit-s", type=positive, metavar="S",
+                       help="for reading a STEP file, processor time, seconds (5, and 30 for each MB)")  # fmt: skip
+
+
+def refuse(options: argparse.Namespace, what: str) -> None:
+    """Raise if an option of mechanics is given for a file of another kind, which `what` names."""
+    for name in OPTIONS:
+        if getattr(options, name) is not None:
+            raise MistrayError(f"--{name.replace('_', '-')}: {what} files hold no mechanics; leave it out")
+
+
+def run(options: argparse.Namespace) -> int:
+    """Import the parts of `options.lens` into `options.output`."""
+    from mistray.mechanics import read_mechanics
+    from mistray.mechanics.mechanics import MOST_ANALYTIC
+    from mistray.prescription.mesh_structure import MeshStructure
+    from mistray.prescription.model import Placed
+
+    source = Path(options.lens)
+    output = options.output or Path(source.with_suffix(".xml").name)
+    if not output.parent.is_dir():
+        raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
+    paint = dict(_rule(text, "--paint") for text in options.paint or [])
+    spaces = {pattern: _space(pattern, value) for pattern, value in (_rule(t, "--space") for t in options.space or [])}
+    known = _known(options.into) if options.into else {}
+    x, y, z = options.move_mm or (0.0, 0.0, 0.0)
+    most = MOST_ANALYTIC if options.most_analytic is None else options.most_analytic
+    at = Placed(x=x, y=y, z=z, tilt_deg=tuple(options.tilt_deg or (0.0, 0.0, 0.0)))
+    with working(f"reading {source.name}"):
+        mechanics = read_mechanics(
+            source,
+            unit=options.unit,
+            at=at,
+            most_analytic=most,
+            tolerance_mm=options.tolerance_mm,
+            time_limit_s=options.time_limit_s,
+        )
+    mechanics = mechanics.painted(paint, space=spaces, known=known)
+    if options.into:
+        from mistray.scene import add_structures
+
+        shapes, meshes = mechanics.beside(output)
+        add_structures(options.into, shapes, output, f"Mechanics of {source.name}", meshes)
+    else:
+        shapes = mechanics.to_xml(output)
+    record = _record(mechanics, shapes)
+    if options.json:
+        files = [output.parent / shape.file for shape in shapes if isinstance(shape, MeshStructure)]
+        print_json(record, [output, *files])
+    else:
+        print(_text(record, output, traceable=bool(options.into)))
+    return 0
+
+
+def _rule(text: str, option: str) -> tuple[str, str]:
+    pattern, equals, value = text.partition("=")
+    if not (equals and pattern and value.strip()):
+        raise MistrayError(f"{option} '{text}': write PATTERN=VALUE, such as 'vane*=black'")
+    return pattern, value.strip()
+
+
+def _space(pattern: str, value: str) -> int:
+    if not value.isdecimal() or int(value) > MOST_SPACE:
+        raise MistrayError(f"--space '{pattern}={value}': '{value}' is no optical space; give a number such as 2")
+    return int(value)
+
+
+def _known(scene: str) -> dict[str, Finish]:
+    """Coatings and scatter models of a scene, as paints."""
+    from mistray.mechanics import Finish
+    from mistray.prescription.coating import Coating
+    from mistray.scene import find
+    from mistray.scene.add_structures import shared_objects
+    from mistray.scene.xml_file import SceneFile
+
+    shared = shared_objects(SceneFile(find(scene)))
+    return {
+        name: Finish(item) if isinstance(item, Coating) else Finish(scatter=(item,)) for name, item in shared.items()
+    }
+
+
+def _record(mechanics: Mechanics, shapes: Sequence[Structure | MeshStructure]) -> dict[str, Any]:
+    counts: dict[str | None, Counter[str]] = {part.name: Counter() for part in mechanics.parts}
+    for shape in shapes:
+        counts[shape.part]["meshes" if hasattr(shape, "file") else "analytic"] += 1
+    beyond = mechanics.beyond_limit
+    notes = [f"{beyond} more surfaces could be exact; they stay meshes by --most-analytic {mechanics.most_analytic}"]
+    return {
+        "parts": [
+            {
+                "name": part.name,
+                "title": part.title,
+                "product": part.product,
+                "path": part.path,
+                "analytic_surfaces": counts[part.name]["analytic"],
+                "meshes": counts[part.name]["meshes"],
+                "triangles": len(part.triangles),
+                "painted": any(shape.scatter or shape.coating is None or shape.coating.R != 0
+                               for shape in shapes if shape.part == part.name),
+            }
+            for part in mechanics.parts
+        ],
+        "notes": notes if beyond else [],
+        "unread": [asdict(item) for item in mechanics.unread],
+    }  # fmt: skip
+
+
+def _text(record: Mapping[str, Any], output: Path, traceable: bool) -> str:
+    lines = [
+        f"{part['name']}: {part['analytic_surfaces']} analytic surfaces, {part['meshes']} meshes"
+        + ("" if part["painted"] else ", black")
+        for part in record["parts"]
+    ]
+    lines += [f"note: {note}" for note in record["notes"]]
+    lines += [f"not read: {item['text']}: {item['reason']}" for item in record["unread"]]
+    then = (
+        shlex.join(["mistray", "ghosts", str(output)])
+        if traceable
+        else f'<include filename="{output}"/> in a scene, or --into SCENE'
+    )
+    lines.append(f"{output}: {len(record['parts'])} parts; next: {then}")
+    return "\n".join(lines)

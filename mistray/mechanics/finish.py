@@ -1,0 +1,111 @@
+"""What the faces of a part are painted with, and how one says it in a word."""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from types import MappingProxyType
+
+from mistray.errors import MistrayError
+from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.scatter import MODELS, Scatter, Value
+from mistray.scatter.paint import PRESETS
+
+OTHER_SIDE = {"front": "back", "back": "front"}
+
+
+@dataclass(frozen=True)
+class Finish:
+    """
+    Coating and scatter of a face.
+
+    Attributes
+    ----------
+    coating : Coating or None
+        As in `Structure`; by default a perfect absorber.
+    scatter : tuple of Scatter
+        The ``side`` of a model and the ``first`` layer of a coating are meant as on a body whose outside is the back.
+    """
+
+    coating: Coating | None = BLACK
+    scatter: tuple[Scatter, ...] = ()
+
+    def turned(self) -> Finish:
+        """The same on a surface whose front is the outside of the body."""
+        coating = self.coating
+        if coating is not None and coating.first in OTHER_SIDE:
+            coating = replace(coating, first=OTHER_SIDE[coating.first], name=_turned_name(coating.name))
+        return Finish(coating, tuple(_turned(model) for model in self.scatter))
+
+
+ABSORBER = Finish()
+
+
+def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Finish:
+    """
+    A finish by name or by values.
+
+    Parameters
+    ----------
+    text : str
+        A name in `known`, "black" (absorbs everything), a preset of the plugin `paint` such as "flat_black",
+        "R=0.05" (reflects this share like a mirror), or a scatter plugin with its properties, such as
+        "paint reflectance=0.05 side=back" or "harvey_shack rms_nm=4 l=0.01 s=-1.5".
+    known : mapping of str to Finish
+        Others, such as those of a scene.
+
+    Raises
+    ------
+    MistrayError
+        If the text is none of these, or a model refuses its values.
+    """
+    words = text.split()
+    if text in known:
+        return known[text]
+    if text == "black":
+        return ABSORBER
+    if text in PRESETS:
+        return Finish(BLACK, (Scatter("paint", {"preset": text}, name=text),))
+    if words and words[0] in MODELS and all("=" in word for word in words[1:]):
+        properties: dict[str, Value] = {}
+        for key, _, value in (word.partition("=") for word in words[1:]):
+            if key in properties:
+                raise MistrayError(f"paint '{text}': {key} stands there twice; keep one")
+            properties[key] = _value(value)
+        return Finish(BLACK, (Scatter(words[0], properties, name=_name(words[0], properties)),))
+    if len(words) == 1 and words[0].startswith("R="):
+        share = _value(words[0][2:])
+        if isinstance(share, float | int) and not isinstance(share, bool):
+            return Finish(Coating(R=float(share)))
+    offered = [*known, "black", *PRESETS]
+    close = difflib.get_close_matches(text, offered, n=3)
+    hint = f"did you mean {' or '.join(close)}?" if close else f"give {', '.join(offered)}, R=0.05, or a scatter plugin"
+    raise MistrayError(f"paint '{text}': there is none of this name; {hint}")
+
+
+def _name(kind: str, properties: Mapping[str, Value]) -> str:
+    """Of a scatter model: by its values, so that .1 and 0.1 have one name, and 1 another."""
+    words = [kind, *(f"{key}_{value}".removesuffix(".0") for key, value in properties.items())]
+    return re.sub(r"[^\w-]+", "_", "_".join(words)).strip("_")
+
+
+def _value(text: str) -> Value:
+    if text in ("true", "false"):
+        return text == "true"
+    try:
+        return float(text)
+    except ValueError:
+        return text
+
+
+def _turned(model: Scatter) -> Scatter:
+    side = OTHER_SIDE.get(str(model.properties.get("side")))
+    if side is None:
+        return model
+    return Scatter(model.kind, {**model.properties, "side": side}, name=_turned_name(model.name))
+
+
+def _turned_name(name: str | None) -> str | None:
+    return None if name is None else f"{name}_turned"

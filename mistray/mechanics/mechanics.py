@@ -1,0 +1,327 @@
+"""The mechanics of a system: parts of a file, painted by name, as structures of a scene."""
+
+from __future__ import annotations
+
+import difflib
+import math
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.mechanics.finish import ABSORBER, Finish, finish
+from mistray.mechanics.part import UNITS_MM, Part, unique_names
+from mistray.mechanics.ply import ply_bytes
+from mistray.mechanics.read_mesh import read_mesh
+from mistray.mechanics.read_step import read_step
+from mistray.mechanics.recognise import Band, bands
+from mistray.prescription.mesh_structure import MeshStructure
+from mistray.prescription.model import Placed, Structure
+from mistray.prescription.scene_file import comment_text, structure_text
+from mistray.prescription.sequential import Unread
+from mistray.replace_file import replace_file
+
+STEP_SUFFIXES, MESH_SUFFIXES = (".step", ".stp"), (".stl", ".obj", ".ply")
+MOST_ANALYTIC = 64
+TOLERANCE_MM = 0.01
+TILT_DIGITS = 5  # degrees: the single precision of a rotation
+
+
+@dataclass(frozen=True, eq=False)
+class Mechanics:
+    """
+    Parts in the frame of the scene; `read_mechanics` makes it.
+
+    Attributes
+    ----------
+    source : Path
+    parts : tuple of Part
+    unread : tuple of Unread
+        What the file holds and the parts do not.
+    paint : tuple of (str, Finish)
+        Patterns and what the faces that match are painted with; the last that matches counts.
+    space : tuple of (str, int)
+        The same with optical spaces.
+    most_analytic : int
+        At most so many surfaces are analytic, the largest; each one costs every ray a little time.
+    """
+
+    source: Path
+    parts: tuple[Part, ...]
+    unread: tuple[Unread, ...] = ()
+    paint: tuple[tuple[str, Finish], ...] = ()
+    space: tuple[tuple[str, int], ...] = ()
+    most_analytic: int = MOST_ANALYTIC
+
+    def painted(
+        self,
+        paint: Mapping[str, Finish | str] | None = None,
+        *,
+        space: Mapping[str, int] | None = None,
+        known: Mapping[str, Finish] | None = None,
+    ) -> Mechanics:
+        """
+        A copy with paint and optical spaces on parts and faces.
+
+        Parameters
+        ----------
+        paint : mapping of str to Finish or str
+            Pattern such as ``"vane*"`` → a `Finish`, or what `finish` makes one of, such as ``"flat_black"``. A pattern
+            is compared with the name of a part, its title, product and path in the file, and with the names of faces,
+            ``<part>_face_<number>``; later ones go over earlier ones. What no pattern matches absorbs everything.
+        space : mapping of str to int
+            Pattern → optical space, for grouping in tables.
+        known : mapping of str to Finish
+            Further names for `finish`, such as those of a scene.
+
+        Raises
+        ------
+        MistrayError
+            If a pattern matches nothing, or there is no such paint.
+        """
+        rules = [(p, finish(f, known or {}) if isinstance(f, str) else f) for p, f in (paint or {}).items()]
+        spaces = list((space or {}).items())
+        for pattern, _ in (*rules, *spaces):
+            self._check_pattern(pattern)
+        return replace(self, paint=(*self.paint, *rules), space=(*self.space, *spaces))
+
+    def _check_pattern(self, pattern: str) -> None:
+        part_names = {name: None for part in self.parts for name in _titles(part)}
+        if any(fnmatchcase(name, pattern) for name in part_names):
+            return
+        faces = [part.face_name(int(face)) for part in self.parts for face in np.unique(part.faces)]
+        if any(fnmatchcase(name, pattern) for name in faces):
+            return
+        offered = list(part_names)
+        near = difflib.get_close_matches(pattern.strip("*?"), [*offered, *faces], n=3, cutoff=0.4) or offered[:5]
+        raise MistrayError(f"'{self.source}': no part or face is called '{pattern}'; the nearest are {', '.join(near)}")
+
+    def structures(self, folder: str | Path) -> tuple[Structure | MeshStructure, ...]:
+        """
+        Structures for a `Prescription`; meshes are written to a folder, and named by their whole path.
+
+        Parameters
+        ----------
+        folder : str or Path
+            It must exist.
+
+        Returns
+        -------
+        tuple of Structure or MeshStructure
+            Cylinders, cones, discs and annuli that are complete are `Structure`, named as their first face; the rest of
+            a part is one `MeshStructure` for each paint and space. The normal of meshes points to the outside; where
+            that of a `Structure` does not, paint for one side is put on the other.
+        """
+        folder = Path(folder).resolve()
+        built = self._built()
+        for shape, mesh in built:
+            if mesh is not None:
+                replace_file(folder / f"{shape.name}.ply", mesh, "mesh")
+        return tuple(
+            replace(shape, file=str(folder / shape.file)) if isinstance(shape, MeshStructure) else shape
+            for shape, _ in built
+        )
+
+    def write(self, scene: str | Path) -> tuple[Structure | MeshStructure, ...]:
+        """
+        Write the meshes beside a scene file; the structures name them relative to it.
+
+        Parameters
+        ----------
+        scene : str or Path
+            It need not exist yet; its folder must.
+
+        Returns
+        -------
+        tuple of Structure or MeshStructure
+        """
+        shapes, meshes = self.beside(scene)
+        write_meshes(meshes)
+        return shapes
+
+    def beside(self, scene: str | Path) -> tuple[tuple[Structure | MeshStructure, ...], dict[Path, bytes]]:
+        """
+        What `write` returns, and the files that it writes, ``<scene>_<shape>.ply``, with their contents.
+
+        Parameters
+        ----------
+        scene : str or Path
+        """
+        scene = Path(scene)
+        shapes: list[Structure | MeshStructure] = []
+        meshes: dict[Path, bytes] = {}
+        for shape, mesh in self._built():
+            if isinstance(shape, MeshStructure) and mesh is not None:
+                shape = replace(shape, file=f"{scene.stem}_{shape.file}")
+                meshes[scene.parent / shape.file] = mesh
+            shapes.append(shape)
+        return tuple(shapes), meshes
+
+    def to_xml(self, path: str | Path) -> tuple[Structure | MeshStructure, ...]:
+        """Write a scene file of the structures alone, with the meshes beside it, for ``<include filename="…"/>``."""
+        shapes, meshes = self.beside(path)
+        lines = [
+            "<?xml version='1.0' encoding='utf-8'?>",
+            f"<!-- Mechanics of {comment_text(self.source.name)}; include it in a scene. Units: mm. -->",
+            '<scene version="3.0.0">',
+            structure_text(shapes),
+            "</scene>",
+            "",
+        ]
+        write_meshes(meshes)
+        replace_file(path, "\n".join(lines), "scene file")
+        return shapes
+
+    @property
+    def beyond_limit(self) -> int:
+        """How many surfaces could be analytic and stay meshes, because they are more than `most_analytic`."""
+        return max(sum(map(len, self._bands.values())) - max(self.most_analytic, 0), 0)
+
+    @cached_property
+    def _bands(self) -> dict[str, list[Band]]:
+        return {part.name: bands(part) for part in self.parts}
+
+    def _built(self) -> list[tuple[Structure | MeshStructure, bytes | None]]:
+        """The structures, with the content of their PLY files, which are called ``<shape>.ply``."""
+        found = self._bands
+        sizes = sorted((band.area for each in found.values() for band in each), reverse=True)
+        least = sizes[self.most_analytic - 1] if 0 < self.most_analytic < len(sizes) else 0.0
+        if self.most_analytic < 1:
+            least = math.inf
+        left = self.most_analytic
+        result: list[tuple[Structure | MeshStructure, bytes | None]] = []
+        for part in self.parts:
+            looks = {int(face): self._look(part, int(face)) for face in np.unique(part.faces)}
+            free = np.ones(len(part.triangles), dtype=bool)
+            for band in found[part.name]:
+                if band.area < least or left == 0 or len({looks[face] for face in band.faces}) > 1:
+                    continue
+                left -= 1
+                free[band.triangles] = False
+                result.append((_structure(part, band, *looks[band.faces[0]]), None))
+            result += self._meshes(part, looks, free)
+        names = unique_names(shape.name for shape, _ in result)
+        return [(_renamed(shape, name), mesh) for name, (shape, mesh) in zip(names, result, strict=True)]
+
+    def _look(self, part: Part, face: int) -> tuple[Finish, int]:
+        """Paint and space of a face."""
+        names = (*_titles(part), part.face_name(face))
+
+        def last(rules: Iterable[tuple[str, object]], default: object) -> object:
+            matching = [value for pattern, value in rules if any(fnmatchcase(name, pattern) for name in names)]
+            return matching[-1] if matching else default
+
+        paint, space = last(self.paint, ABSORBER), last(self.space, -1)
+        assert isinstance(paint, Finish)
+        assert isinstance(space, int)
+        return paint, space
+
+    def _meshes(
+        self, part: Part, looks: Mapping[int, tuple[Finish, int]], free: np.ndarray
+    ) -> list[tuple[Structure | MeshStructure, bytes | None]]:
+        """What is left of a part, one mesh for each paint and space."""
+        groups: dict[tuple[Finish, int], list[int]] = {}
+        for face in np.unique(part.faces[free]):
+            groups.setdefault(looks[int(face)], []).append(int(face))
+        whole = len(groups) == 1 and bool(free.all())
+        result: list[tuple[Structure | MeshStructure, bytes | None]] = []
+        for (paint, space), faces in groups.items():
+            name = part.name if whole else f"{part.name}_mesh"
+            chosen = free & np.isin(part.faces, faces)
+            shape = MeshStructure(
+                name, f"{name}.ply", coating=paint.coating, scatter=paint.scatter, part=part.name, space=space
+            )
+            result.append((shape, ply_bytes(part.vertices, part.triangles[chosen])))
+        return result
+
+
+def read_mechanics(
+    path: str | Path,
+    *,
+    unit: str | None = None,
+    at: Placed | None = None,
+    tolerance_mm: float | None = None,
+    most_analytic: int = MOST_ANALYTIC,
+    time_limit_s: float | None = None,
+) -> Mechanics:
+    """
+    Read mechanical parts from a STEP, STL, OBJ or PLY file.
+
+    Parameters
+    ----------
+    path : str or Path
+    unit : str, optional
+        Of lengths in an STL, OBJ or PLY file, which states none: a key of `UNITS_MM`; default "mm". A STEP file states
+        its unit.
+    at : Placed, optional
+        Where the origin of the file is in the scene, and how it is tilted.
+    tolerance_mm : float, optional
+        Largest distance of facets from the surfaces of a STEP file, mm; default 0.01. Other files hold facets.
+    most_analytic : int
+        See `Mechanics`; 0: everything stays a mesh.
+    time_limit_s : float, optional
+        Processor time for reading a STEP file; default 5 s and 30 s for each MB.
+
+    Raises
+    ------
+    MistrayError
+        If the file is missing, damaged, empty or of another type, or a package is missing.
+    """
+    path = Path(path)
+    suffix = path.suffix.lower()
+    if suffix not in (*STEP_SUFFIXES, *MESH_SUFFIXES):
+        known = ", ".join((*STEP_SUFFIXES, *MESH_SUFFIXES))
+        raise MistrayError(f"mechanics '{path}': files of type '{path.suffix}' cannot be read; give {known}")
+    if not path.is_file():
+        raise MistrayError(f"mechanics '{path}': no such file; check the path")
+    for name, value in (("tolerance_mm", tolerance_mm), ("time_limit_s", time_limit_s)):
+        if value is not None and suffix not in STEP_SUFFIXES:
+            raise MistrayError(f"mechanics '{path}': {name} = {value:g}; it is for STEP files, leave it out")
+        if value is not None and not 0 < value < math.inf:
+            raise MistrayError(f"mechanics '{path}': {name} = {value:g}; it must be greater than 0")
+    if unit is not None and unit not in UNITS_MM:
+        raise MistrayError(f"mechanics '{path}': unit '{unit}' is unknown; give {', '.join(UNITS_MM)}")
+    if unit is not None and suffix in STEP_SUFFIXES:
+        raise MistrayError(f"mechanics '{path}': unit = '{unit}'; a STEP file states its unit, leave it out")
+    try:
+        if suffix in STEP_SUFFIXES:
+            parts, unread = read_step(path, tolerance_mm=tolerance_mm or TOLERANCE_MM, time_limit_s=time_limit_s)
+        else:
+            parts, unread = read_mesh(path, unit_mm=UNITS_MM[unit or "mm"])
+    except OSError as error:
+        raise MistrayError(f"mechanics '{path}': {error.strerror}; check the file") from None
+    if at is not None:
+        parts = [part.moved(at.to_world()) for part in parts]
+    return Mechanics(path, tuple(parts), tuple(unread), most_analytic=most_analytic)
+
+
+def write_meshes(meshes: Mapping[Path, bytes]) -> None:
+    """Write the files of `Mechanics.beside`, each whole or not at all."""
+    for path, mesh in meshes.items():
+        replace_file(path, mesh, "mesh")
+
+
+def _titles(part: Part) -> tuple[str, ...]:
+    return part.name, part.title, part.product, part.path
+
+
+def _structure(part: Part, band: Band, paint: Finish, space: int) -> Structure:
+    x, y, z = (float(value) for value in band.foot)
+    ax, ay, az = (float(value) for value in band.axis)
+    tilt = (-math.degrees(math.asin(max(-1.0, min(1.0, ay)))), math.degrees(math.atan2(ax, az)), 0.0)
+    seen = paint if band.outward else paint.turned()
+    return Structure(
+        part.face_name(band.faces[0]), band.r0, band.z0, band.r1, band.z1,
+        x=x, y=y, z=z, tilt_deg=(round(tilt[0], TILT_DIGITS) + 0.0, round(tilt[1], TILT_DIGITS) + 0.0, 0.0),
+        coating=seen.coating, scatter=seen.scatter, part=part.name, space=space,
+    )  # fmt: skip
+
+
+def _renamed(shape: Structure | MeshStructure, name: str) -> Structure | MeshStructure:
+    if isinstance(shape, MeshStructure):
+        return replace(shape, name=name, file=f"{name}.ply")
+    return replace(shape, name=name)

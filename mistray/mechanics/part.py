@@ -1,0 +1,154 @@
+"""What a CAD or mesh file holds: parts, made of triangles that know their face and, from STEP, its surface."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field, replace
+from types import MappingProxyType
+from typing import Literal
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.materials.mate import shown
+
+LARGEST_MM = 1e7  # ten kilometres: beyond it a file is broken, or its unit is wrong
+UNITS_MM: Mapping[str, float] = MappingProxyType(
+    {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "ft": 304.8}
+)
+
+
+@dataclass(frozen=True, eq=False)
+class RoundSurface:
+    """
+    The surface under a face: a plane, a cylinder or a cone.
+
+    Attributes
+    ----------
+    kind : str
+    point : (3,) float64
+        On the axis, of a cone the apex; of a plane any point in it. mm.
+    axis : (3,) float64
+        Unit vector; of a plane its normal.
+    size : float
+        Radius of a cylinder, mm; tangent of the half angle of a cone; 0 of a plane.
+    """
+
+    kind: Literal["plane", "cylinder", "cone"]
+    point: np.ndarray
+    axis: np.ndarray
+    size: float = 0.0
+
+
+@dataclass(frozen=True, eq=False)
+class Part:
+    """
+    A part in the frame of the scene.
+
+    Attributes
+    ----------
+    name : str
+        Unique in its file and fit for a shape id.
+    title, product, path : str
+        What the file calls it: the instance, the product that it is an instance of, and the way to it from the top of
+        the assembly, with "/" between.
+    vertices : (n, 3) float64
+        mm.
+    triangles : (m, 3) int64
+        Vertex numbers, counter-clockwise seen from outside of the body, as far as the file is right.
+    faces : (m,) int64
+        Number of the face of each triangle, from 0 in the order of the file.
+    surfaces : mapping of int to RoundSurface
+        The faces whose surface is known exactly.
+    """
+
+    name: str
+    title: str
+    product: str
+    path: str
+    vertices: np.ndarray
+    triangles: np.ndarray
+    faces: np.ndarray
+    surfaces: Mapping[int, RoundSurface] = field(default_factory=dict)
+
+    def face_name(self, face: int) -> str:
+        """Name of a face, ``<part>_face_<number>``."""
+        return f"{self.name}_face_{face}"
+
+    def moved(self, matrix: np.ndarray) -> Part:
+        """
+        The part in another frame.
+
+        Parameters
+        ----------
+        matrix : (4, 4) float64
+            Affine. If it mirrors, triangles are turned round, so that their normals stay outside; surfaces stay known
+            if it keeps angles.
+        """
+        linear, shift = matrix[:3, :3], matrix[:3, 3]
+        scale = float(np.cbrt(abs(np.linalg.det(linear))))
+        if not scale > 0:
+            raise MistrayError(
+                f"part '{shown([self.title])}': its placement flattens it (determinant 0); correct the file"
+            )
+        mirrors = np.linalg.det(linear) < 0
+        surfaces: dict[int, RoundSurface] = {}
+        if np.allclose(linear @ linear.T, scale**2 * np.eye(3), rtol=0, atol=1e-6 * scale**2):
+            for face, s in self.surfaces.items():
+                axis = linear @ s.axis
+                size = s.size * scale if s.kind == "cylinder" else s.size
+                surfaces[face] = RoundSurface(s.kind, linear @ s.point + shift, axis / np.linalg.norm(axis), size)
+        return replace(
+            self,
+            vertices=self.vertices @ linear.T + shift,
+            triangles=self.triangles[:, ::-1] if mirrors else self.triangles,
+            surfaces=surfaces,
+        )
+
+
+def checked(part: Part) -> tuple[Part, int]:
+    """
+    A part without triangles of no area, and how many they were.
+
+    Raises
+    ------
+    MistrayError
+        If it has no triangles, numbers that are not finite or beyond `LARGEST_MM`, or triangles that refer to vertices
+        that do not exist.
+    """
+    triangles, title = part.triangles, shown([part.title])
+    if not len(triangles):
+        raise MistrayError(f"part '{title}': it has no triangles; export it as a solid or a mesh")
+    if triangles.min() < 0 or triangles.max() >= len(part.vertices):
+        raise MistrayError(
+            f"part '{title}': a triangle refers to vertex {int(triangles.max())} of {len(part.vertices)}; "
+            "the file is damaged, export it again"
+        )
+    corners = part.vertices[triangles]
+    if not np.all(np.isfinite(corners)):
+        raise MistrayError(f"part '{title}': a vertex is not finite; the file is damaged, export it again")
+    largest = float(np.abs(corners).max())
+    if largest > LARGEST_MM:
+        raise MistrayError(
+            f"part '{title}': it reaches to {largest:.3g} mm; the most is {LARGEST_MM:g} mm, check the unit"
+        )
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    good = np.any(cross != 0, axis=1)
+    if not good.any():
+        raise MistrayError(f"part '{title}': all its triangles have no area; export it again")
+    return replace(part, triangles=triangles[good], faces=part.faces[good]), int(np.sum(~good))
+
+
+def unique_names(titles: Iterable[str]) -> list[str]:
+    """Ids for titles: letters, digits, "-" and "_" stay, equal ones are numbered from the second on."""
+    taken: set[str] = set()
+    names = []
+    for title in titles:
+        base = re.sub(r"[^\w-]+", "_", title).strip("_") or "part"
+        name, number = base, 2
+        while name in taken:
+            name, number = f"{base}_{number}", number + 1
+        taken.add(name)
+        names.append(name)
+    return names

@@ -1,0 +1,215 @@
+"""Faces of a part that are complete bands of revolution: cylinders, cones, discs and annuli.
+
+A face counts if its surface is a plane, a cylinder or a cone and its border consists of whole circles about the axis,
+one at each end. That is read off the triangles: the edges that only one triangle has must lie on these circles and go
+round them once, and the triangles must have the area of the band. Faces that share one surface are joined first,
+because many programs cut a cylinder into halves. Whatever is trimmed otherwise, a wall with a hole or a part of a ring,
+stays a mesh.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
+
+from mistray.mechanics.part import Part, RoundSurface
+
+LENGTH_DIGITS = 5  # mm: 10 nm, the single precision of a transform in metres
+LARGEST_STEP_RAD = 0.11  # between corners of a circle; a polygon of fewer than 58 sides is no circle
+AREA_RANGE = (0.99, 1.001)  # triangles inscribed in a band, over its area
+
+
+@dataclass(frozen=True, eq=False)
+class Band:
+    """
+    A complete band of revolution.
+
+    Attributes
+    ----------
+    faces : tuple of int
+        Numbers of the faces that it is made of.
+    triangles : (m,) int64
+        Their places among the triangles of the part.
+    foot : (3,) float64
+        Point of the axis nearest to the origin, mm.
+    axis : (3,) float64
+        Unit vector; its largest component is positive.
+    r0, z0, r1, z1 : float
+        Radii and positions along the axis, from `foot`, of the two ends, mm; z0 ≤ z1, and r0 < r1 of an annulus.
+    outward : bool
+        The outside of the body is where the normal of a `Structure` points: away from the axis, or along it.
+    """
+
+    faces: tuple[int, ...]
+    triangles: np.ndarray
+    foot: np.ndarray
+    axis: np.ndarray
+    r0: float
+    z0: float
+    r1: float
+    z1: float
+    outward: bool
+
+    @property
+    def area(self) -> float:
+        """mm²."""
+        return float(np.pi * (self.r0 + self.r1) * np.hypot(self.r1 - self.r0, self.z1 - self.z0))
+
+
+def bands(part: Part) -> list[Band]:
+    """
+    The complete bands of a part, in the order of their first faces.
+
+    Parameters
+    ----------
+    part : Part
+
+    Returns
+    -------
+    list of Band
+    """
+    if not part.surfaces:
+        return []
+    size = float(np.abs(part.vertices).max())
+    tolerance = min(1e-3, 1e-4 * size) + 1e-6 * size
+    groups: dict[tuple[object, ...], list[int]] = {}
+    for face, surface in part.surfaces.items():
+        groups.setdefault(_key(surface), []).append(face)
+    found = []
+    for faces in groups.values():
+        surface = part.surfaces[faces[0]]
+        chosen = np.flatnonzero(np.isin(part.faces, faces))
+        for piece in _connected(part, chosen, tolerance):
+            band = _band(part, surface, piece, tolerance)
+            if band is not None:
+                found.append(band)
+    return sorted(found, key=lambda band: band.faces)
+
+
+def _axis(axis: np.ndarray) -> np.ndarray:
+    """The axis with its largest component positive, and exactly along a coordinate axis where it is within 1e-7."""
+    axis = axis * np.sign(axis[np.argmax(np.abs(axis))])
+    axis = np.where(np.abs(axis) < 1e-7, 0.0, axis)
+    return np.asarray(axis / np.linalg.norm(axis))
+
+
+def _key(surface: RoundSurface) -> tuple[object, ...]:
+    """Equal for faces of one surface."""
+    axis = _axis(surface.axis)
+    along = float(surface.point @ axis)
+    place: tuple[float, ...] = (along,) if surface.kind == "plane" else tuple(surface.point - along * axis)
+    if surface.kind == "cone":
+        place = (*place, along)
+    rounded = (*np.round(axis, 6), *np.round(place, 4), round(surface.size, 5))
+    return (surface.kind, *(float(value) + 0.0 for value in rounded))
+
+
+def _connected(part: Part, chosen: np.ndarray, tolerance: float) -> Iterator[np.ndarray]:
+    """Triangles that hang together, with their corners: (m, 4) of place, and three numbers of welded vertices."""
+    corners = part.triangles[chosen]
+    used, inverse = np.unique(corners, return_inverse=True)
+    cells = np.round(part.vertices[used] / (0.1 * tolerance)).astype(np.int64)
+    _, welded = np.unique(cells, axis=0, return_inverse=True)
+    corners = welded.ravel()[inverse.reshape(-1, 3)]
+    count = int(corners.max()) + 1
+    links = coo_array(
+        (np.ones(2 * len(corners)), (np.repeat(corners[:, 0], 2), corners[:, 1:].ravel())), shape=(count, count)
+    )
+    _, label = connected_components(links, directed=False)
+    for piece in np.unique(label[corners[:, 0]]):
+        mine = label[corners[:, 0]] == piece
+        yield np.column_stack([chosen[mine], corners[mine]])
+
+
+def _band(part: Part, surface: RoundSurface, piece: np.ndarray, tolerance: float) -> Band | None:
+    """The band that connected triangles of one surface make, None if they make none."""
+    places, welded = piece[:, 0], piece[:, 1:]
+    points = np.zeros((int(welded.max()) + 1, 3))
+    points[welded.ravel()] = part.vertices[part.triangles[places].ravel()]
+    loops = _loops(welded)
+    if loops is None or len(loops) > 2:
+        return None
+    axis = _axis(surface.axis)
+    on_axis = surface.point
+    if surface.kind == "plane":
+        centre = _centre(points[loops[-1]], axis)
+        if centre is None:
+            return None
+        on_axis = centre
+    foot = on_axis - (on_axis @ axis) * axis
+
+    def cylindrical(p: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        z = p @ axis
+        return np.linalg.norm(p - foot - z[:, None] * axis, axis=1), z
+
+    rings = []
+    for loop in loops:
+        r, z = cylindrical(points[loop])
+        if max(np.ptp(r), np.ptp(z)) > 2 * tolerance or not _whole_circle(points[loop] - foot, axis):
+            return None
+        rings.append((round(float(np.mean(r)), LENGTH_DIGITS), round(float(np.mean(z)), LENGTH_DIGITS)))
+    if len(rings) == 1:  # a disc, or a cone with its tip
+        if surface.kind == "cylinder":
+            return None
+        along = surface.point @ axis if surface.kind == "cone" else rings[0][1]
+        rings.append((0.0, round(float(along), LENGTH_DIGITS)))
+    flat = surface.kind == "plane"
+    (r0, z0), (r1, z1) = sorted(rings, key=lambda ring: ring[0] if flat else ring[1])
+    if (not flat and z0 == z1) or (flat and (r0 == r1 or abs(z0 - z1) > 2 * tolerance)):
+        return None
+    corners = part.vertices[part.triangles[places]]
+    cross = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    middle = corners.mean(axis=1) - foot
+    away = middle - (middle @ axis)[:, None] * axis
+    facing = cross @ axis if flat else np.sum(cross * away, axis=1)
+    outward = bool(np.sum(facing) > 0)
+    if not (np.all(facing >= 0) if outward else np.all(facing <= 0)):
+        return None
+    faces = tuple(sorted({int(face) for face in part.faces[places]}))
+    foot = np.round(foot, LENGTH_DIGITS) + 0.0
+    band = Band(faces, places, foot, axis, r0, z0, r1, z0 if flat else z1, outward)
+    share = 0.5 * float(np.linalg.norm(cross, axis=1).sum()) / band.area
+    return band if AREA_RANGE[0] <= share <= AREA_RANGE[1] else None
+
+
+def _loops(triangles: np.ndarray) -> list[np.ndarray] | None:
+    """Border of welded triangles as loops of vertices, unordered, the longest last; None where it is none."""
+    edges = np.sort(triangles[:, [0, 1, 1, 2, 2, 0]].reshape(-1, 2), axis=1)
+    edges = edges[edges[:, 0] != edges[:, 1]]
+    edges, counts = np.unique(edges, axis=0, return_counts=True)
+    border = edges[counts == 1]
+    if not len(border) or counts.max() > 2:
+        return None
+    vertices, degree = np.unique(border, return_counts=True)
+    if np.any(degree != 2):
+        return None
+    index = np.searchsorted(vertices, border)
+    links = coo_array((np.ones(len(index)), (index[:, 0], index[:, 1])), shape=(len(vertices),) * 2)
+    count, label = connected_components(links, directed=False)
+    return sorted((vertices[label == k] for k in range(count)), key=len)
+
+
+def _centre(points: np.ndarray, axis: np.ndarray) -> np.ndarray | None:
+    """Centre of the circle on which points of a plane lie: the linear least squares of |p|² = 2 c·p + const."""
+    mean = points.mean(axis=0)
+    q = points - mean
+    matrix = np.column_stack([2 * q, np.ones(len(q))])
+    solution, _, rank, _ = np.linalg.lstsq(matrix, np.sum(q * q, axis=1), rcond=1e-9)
+    if rank < 3:
+        return None
+    centre = solution[:3] - (solution[:3] @ axis) * axis
+    return np.asarray(mean + centre)
+
+
+def _whole_circle(offset: np.ndarray, axis: np.ndarray) -> bool:
+    """Whether points about an axis leave no gap wider than `LARGEST_STEP_RAD`."""
+    aside = np.eye(3)[int(np.argmin(np.abs(axis)))]
+    x = np.cross(aside, axis)
+    x /= np.linalg.norm(x)
+    angle = np.sort(np.arctan2(offset @ np.cross(axis, x), offset @ x))
+    gaps = np.diff(angle, append=angle[:1] + 2 * np.pi)
+    return bool(gaps.max() <= LARGEST_STEP_RAD)

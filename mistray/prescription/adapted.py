@@ -1,0 +1,151 @@
+"""What readers of lens files and adapters of other programs' lenses share: materials, figures, pupils, apertures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.materials import complex_index, refractive_index
+from mistray.materials.agf import glass_names
+from mistray.prescription.first_order import paraxial_system
+from mistray.prescription.sequential import Sequential
+
+_SAME_INDEX = 2e-6
+_ROUND_OFF = 1e-12
+
+
+def same_material(names: Sequence[str], index_at: Callable[[float], float], wavelengths_nm: Sequence[float]) -> str:
+    """
+    Material string with the indices of another program's medium.
+
+    Parameters
+    ----------
+    names : sequence of str
+        Candidates, the likeliest first; one counts if its n is the same within 2e-6 at all wavelengths.
+    index_at : callable
+        Wavelength in nm → n of the medium.
+    wavelengths_nm : sequence of float
+        Of the lens.
+
+    Returns
+    -------
+    str
+        A name, or else a table of n at these wavelengths; with `` k=0`` where k is unknown.
+    """
+    indices = [float(index_at(wavelength)) for wavelength in wavelengths_nm]
+    if all(abs(n - 1) < _ROUND_OFF for n in indices):
+        return "air"
+    for name in names:
+        try:
+            if all(
+                abs(refractive_index(name, wavelength) - n) < _SAME_INDEX
+                for wavelength, n in zip(wavelengths_nm, indices, strict=True)
+            ):
+                return with_k(name, wavelengths_nm)
+        except MistrayError:
+            continue
+    if len(set(indices)) == 1:
+        return f"{indices[0]!r} k=0"
+    points = sorted(set(zip((float(w) for w in wavelengths_nm), indices, strict=True)))
+    return " ".join(f"n({wavelength!r})={n!r}" for wavelength, n in points) + " k=0"
+
+
+def with_k(material: str, wavelengths_nm: Sequence[float]) -> str:
+    """The material string, with `` k=0`` where its absorption is unknown at one of the wavelengths."""
+    try:
+        for wavelength in wavelengths_nm:
+            complex_index(material, wavelength)
+    except MistrayError:
+        return f"{material} k=0"
+    return material
+
+
+def catalogue_names(file: Path) -> list[str]:
+    """
+    Names of the glasses of an AGF file.
+
+    Raises
+    ------
+    MistrayError
+        If the file cannot be read.
+    """
+    try:
+        return glass_names(file)
+    except OSError as error:
+        raise MistrayError(f"glass catalogue '{file}': {error.strerror}; check the path") from None
+
+
+def figure(
+    what: str, radius: float, conic: float, even_terms: Sequence[float]
+) -> tuple[float, float, tuple[float, ...]]:
+    """
+    Radius, conic and (a4, a6, …) of a surface whose polynomial begins at r².
+
+    A plane with an r² term is the paraboloid of radius 1/(2 a2); with a radius there is no such identity.
+
+    Parameters
+    ----------
+    what : str
+        The surface, for the message.
+    radius, conic : float
+        mm; ``inf`` is a plane.
+    even_terms : sequence of float
+        Coefficients of r², r⁴, …
+
+    Raises
+    ------
+    MistrayError
+        If there is an r² term beside a radius.
+    """
+    terms = [float(term) for term in even_terms]
+    if terms and terms[0]:
+        if math.isfinite(radius):
+            raise MistrayError(f"{what}: its r² term {terms[0]:g} beside a radius has no counterpart; make it 0")
+        radius, conic = 1 / (2 * terms[0]), -1.0
+    higher = terms[1:]
+    while higher and higher[-1] == 0:
+        higher.pop()
+    return radius, conic, tuple(higher)
+
+
+def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Angles of R = Rx Ry Rz, (3, 3): about x, then y, then z, each as turned so far; round-off is cleaned to 0."""
+    angles = (
+        math.atan2(-rotation[1, 2], rotation[2, 2]),
+        math.asin(max(-1.0, min(1.0, rotation[0, 2]))),
+        math.atan2(-rotation[0, 1], rotation[0, 0]),
+    )
+    x, y, z = (math.degrees(angle) if abs(angle) > _ROUND_OFF else 0.0 for angle in angles)
+    return x, y, z
+
+
+def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
+    """(VDX, VDY, VCX, VCY), shift and shrinking of the pupil, of the shares that CODE V takes off its four sides."""
+    return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
+
+
+def object_na(lens: Sequential, image_slope: float) -> float:
+    """
+    Sine-based numerical aperture in object space of the paraxial cone that ends with a slope at the image.
+
+    Parameters
+    ----------
+    lens : Sequential
+        With its object at a finite distance.
+    image_slope : float
+        |dy/dz| of the marginal ray at the image: 1/(2F), or NA/n.
+
+    Raises
+    ------
+    MistrayError
+        If the image lies at infinity.
+    """
+    system, _ = paraxial_system(lens)
+    magnified = abs(system.trace(lens.object_distance, 1.0)[-1, 1])
+    if not magnified > 0:
+        raise MistrayError(f"lens '{lens.name}': an aperture at the image, which lies at infinity; give a diameter")
+    return float(abs(system.index[0]) * math.sin(math.atan(image_slope / magnified)))

@@ -1,0 +1,299 @@
+"""Edges, walls and stops that close a lens whose surfaces stand anywhere in the world.
+
+Neighbours on a common axis are taken into a frame of that axis, closed there by the generators of
+`mistray.prescription.geometry`, and the faces are put back into the world. Lenses in the beam between two mirrors are
+closed in the same way; a space that ends at a mirror stays open.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from itertools import pairwise
+from typing import Literal, TypeVar
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.pose import fixed_angles_deg
+from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.geometry import barrel, detector_frame, is_gas, lens_edge, wall
+from mistray.prescription.model import Detector, Stop, Structure, Surface
+from mistray.prescription.scatter import Scatter
+
+Edges = Literal["blackened", "ground", "open"]
+EDGES: tuple[Edges, ...] = ("blackened", "ground", "open")
+Piece = TypeVar("Piece", bound=Surface | Structure)
+
+_DIGITS_MM, _DIGITS_DEG = 10, 11  # of places in the world
+_ROUND_OFF_MM = 1e-9
+_ROUND_OFF_COSINE = 1e-13
+_FLANGE = 1.02  # radius of a wall outside of both rims, by the larger one
+_STOP_WIDTH = 1.25  # outer by inner radius of a stop that stands alone
+_INSIDE = 0.999  # of the radius at which a stop's plane meets a surface
+_SAMPLES = 513
+
+
+@dataclass(frozen=True)
+class StopPlane:
+    """
+    A stop without glass.
+
+    Attributes
+    ----------
+    radius : float
+        Of the opening, mm.
+    frame : (4, 4) float64
+        From its own frame to the world.
+    material : str
+        In which it stands.
+    """
+
+    radius: float
+    frame: np.ndarray
+    material: str = "air"
+
+
+Item = Surface | StopPlane
+
+
+def placed(piece: Piece, frame: np.ndarray) -> Piece:
+    """A shape that stands in a frame, (4, 4) to the world, as it stands in the world, without round-off."""
+    world = frame @ piece.to_world()
+    x, y, z = (round(float(v), _DIGITS_MM) + 0.0 for v in world[:3, 3])
+    about_x, about_y, about_z = (round(angle, _DIGITS_DEG) + 0.0 for angle in fixed_angles_deg(world[:3, :3]))
+    return replace(piece, x=x, y=y, z=z, tilt_deg=(about_x, about_y, about_z))
+
+
+@dataclass
+class Closing:
+    """
+    Collects the faces.
+
+    Attributes
+    ----------
+    edges : str
+        "blackened": edges and the walls between lenses absorb. "ground": edges return a part of the light diffusely
+        into the glass and absorb the rest, walls absorb. "open": edges are polished, light leaves through them, and
+        there are no walls.
+    ground_reflectance : float
+        Of ground edges, 0 … 1.
+    structures : list of Structure or Surface
+    stop : Stop or None
+        A stop on the world's axis; others are among the structures.
+    notes : list of str
+        What could not be closed as usual.
+    """
+
+    edges: Edges
+    ground_reflectance: float
+    structures: list[Structure | Surface] = field(default_factory=list)
+    stop: Stop | None = None
+    notes: list[str] = field(default_factory=list)
+    spaces: int = 0
+
+    def close(self, items: Sequence[Item], ahead: Sequence[bool]) -> None:
+        """
+        Close everything between neighbours.
+
+        Parameters
+        ----------
+        items : sequence of Surface or StopPlane
+            In the order of light, the detector last.
+        ahead : sequence of bool
+            Whether light arrives at each along +z of its frame.
+        """
+        chain = list(zip(items, ahead, strict=True))
+        self._bodies(chain)
+        self._stops(chain)
+        solids = [link for link in chain if isinstance(link[0], Surface)]
+        for (a, forward), (b, _) in pairwise(solids):
+            assert isinstance(a, Surface)
+            assert isinstance(b, Surface)
+            if self._walled(a, b, forward):
+                self._wall(a, b, forward)
+
+    def _bodies(self, chain: list[tuple[Item, bool]]) -> None:
+        """Edges of lens bodies; cemented ones share a rim."""
+        run: list[Surface] = []
+        forward = True
+        done: set[tuple[str, str]] = set()
+        solids = [(item, ahead) for item, ahead in chain if isinstance(item, Surface)]
+        for k, (item, ahead) in enumerate(solids):
+            follower = solids[k + 1][0] if k + 1 < len(solids) else None
+            linked = follower is not None and not is_gas(_behind(item, ahead))
+            if not run:
+                forward = ahead
+            run.append(item)
+            if linked and follower is not None and _coaxial(item, follower) and not (item.mirror and len(run) > 1):
+                continue
+            if linked and follower is not None and not item.mirror:
+                self.notes.append(
+                    f"glass between '{item.name}' and '{follower.name}' has no common axis: it has no edges"
+                )
+            names = (run[0].name, run[-1].name)
+            if len(run) > 1 and names not in done and names[::-1] not in done:
+                self._body(run if forward else run[::-1], forward)
+                done.add(names)
+            # A mirror on the back of its glass begins the way back through it
+            run = [item] if linked and item.mirror and len(run) > 1 else []
+            forward = ahead if not item.mirror else not ahead
+
+    def _body(self, run: list[Surface], forward: bool) -> None:
+        """Edges of one body or of several that are cemented, in the order of +z; each has the part that light names."""
+        frame, local = _local(run)
+        rim = max(surface.outer_radius for surface in local)
+        coating = None if self.edges == "open" else BLACK
+        part = run[0].part or run[0].name
+        faces: list[Structure] = []
+        try:
+            for k, (first, second) in enumerate(pairwise(local)):
+                own = lens_edge(first, second, rim, part=(first if forward else second).part, coating=coating)
+                # The ring in a cemented plane belongs to the lens before it
+                faces += [face for face in own if k == 0 or not face.name.endswith("_flange_1")]
+        except MistrayError:
+            faces = []
+            for first, second in pairwise(local):
+                points = [first.rim, second.rim]
+                own_part = (first if forward else second).part
+                faces += wall(f"{own_part}_edge", points, coating=coating, part=own_part, front=first.back)
+            self.notes.append(f"part '{part}': its edge is a cone from rim to rim, a cylinder would cut into a surface")
+        self._put(faces, frame, self.edge_scatter)
+
+    def _stops(self, chain: list[tuple[Item, bool]]) -> None:
+        for k, (item, ahead) in enumerate(chain):
+            if not isinstance(item, StopPlane):
+                continue
+            limit, outer = np.inf, item.radius * _STOP_WIDTH
+            for i, above in ((k - 1, not ahead), (k + 1, ahead)):
+                surface = chain[i][0] if 0 <= i < len(chain) else None
+                if isinstance(surface, Surface) and on_axis(surface.to_world(), item.frame):
+                    outer = max(outer, surface.outer_radius)
+                    limit = min(limit, meets_plane(surface, item.frame, above))
+            outer = min(outer, limit * _INSIDE)
+            if outer <= item.radius:
+                self.notes.append("the stop lies inside the bulge of a lens: the clear radius of that surface limits")
+                continue
+            upright = on_axis(np.eye(4), item.frame)
+            if upright and is_gas(item.material):
+                z = float(item.frame[2, 3])
+                self.stop = Stop(item.radius, z, z, outer, outer)
+            else:
+                glass = item.material
+                ring = Structure("stop_front", outer, 0.0, item.radius, 0.0, front=glass, back=glass, part="stop")
+                self.structures.append(placed(ring, item.frame))
+
+    def _walled(self, a: Surface, b: Surface, forward: bool) -> bool:
+        both = self.edges != "open" and not a.mirror and not b.mirror
+        return both and is_gas(_behind(a, forward)) and _coaxial(a, b)
+
+    def _wall(self, a: Surface, b: Surface, forward: bool) -> None:
+        frame, local = _local([a, b] if forward else [b, a])
+        first, second = local
+        self.spaces += 1
+        try:
+            faces = barrel((first, second), first_space=self.spaces)
+        except MistrayError as error:
+            (r_1, z_1), (r_2, z_2) = first.rim, second.rim
+            if z_2 <= z_1:
+                self.notes.append(f"the space between '{a.name}' and '{b.name}' is open: {error}")
+                return
+            outside = max(r_1, r_2) * _FLANGE
+            points = [(r_1, z_1), (outside, z_1), (outside, z_2), (r_2, z_2)]
+            material = first.back
+            name = f"barrel_{self.spaces}_wall"
+            faces = wall(name, points, coating=BLACK, part="barrel", space=self.spaces, front=material)
+        self._put(faces, frame)
+        for surface in local:
+            if isinstance(surface, Detector) and surface.half_width is not None:
+                board = detector_frame(surface, space=self.spaces)
+                self._put(board, frame)
+
+    def _put(self, faces: Sequence[Structure | Surface], frame: np.ndarray, scatter: tuple[Scatter, ...] = ()) -> None:
+        for face in faces:
+            own = replace(face, scatter=scatter) if scatter else face
+            self.structures.append(own if np.array_equal(frame, np.eye(4)) else placed(own, frame))
+
+    @property
+    def edge_scatter(self) -> tuple[Scatter, ...]:
+        """How the edges of lenses scatter."""
+        if self.edges != "ground":
+            return ()
+        return (Scatter("paint", {"reflectance": self.ground_reflectance}, name="ground_edge"),)
+
+
+def mirror_back(
+    mirror: Surface, ahead: bool, thickness: float, coating: Coating = BLACK
+) -> tuple[Surface | Structure, ...]:
+    """
+    Rear face and rim that make a body of a mirror, so that light that comes from behind is absorbed.
+
+    Parameters
+    ----------
+    mirror : Surface
+        In the world.
+    ahead : bool
+        Whether light arrives along +z of its frame, so that the rear lies on the +z side.
+    thickness : float
+        mm, > 0.
+    coating : Coating
+
+    Returns
+    -------
+    tuple of Surface or Structure
+        ``<mirror>_rear`` and, of a round mirror, ``<mirror>_rim`` and the wall ``<mirror>_bore`` of its hole.
+    """
+    step = thickness if ahead else -thickness
+    frame = mirror.to_world()
+    here = replace(mirror, x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0))
+    part = mirror.part or mirror.name
+    rear = replace(here, name=f"{mirror.name}_rear", z=step, coating=coating, mirror=False, part=part)
+    if mirror.semi_diameter is None:
+        return (placed(rear, frame),)
+    walls = [("rim", here.outer_radius)]
+    if here.inner_semi_diameter > 0:
+        walls.append(("bore", here.inner_semi_diameter))
+    result: list[Surface | Structure] = [placed(rear, frame)]
+    for name, r in walls:
+        z = float(here.z_at(r))
+        wall = Structure(f"{mirror.name}_{name}", r, z, r, z + step, coating=coating, part=part)
+        result.append(placed(wall, frame))
+    return tuple(result)
+
+
+def _behind(surface: Surface, ahead: bool) -> str:
+    """Material that light enters at a surface."""
+    return surface.back if ahead or surface.mirror else surface.front
+
+
+def on_axis(a: np.ndarray, b: np.ndarray) -> bool:
+    """Whether the frame b stands on the z axis of the frame a and looks the same way."""
+    turn = a[:3, :3]
+    offset = turn.T @ (b[:3, 3] - a[:3, 3])
+    same_way = turn[:, 2] @ b[:3, 2] > 1 - _ROUND_OFF_COSINE
+    return bool(np.hypot(offset[0], offset[1]) < _ROUND_OFF_MM * (1 + abs(offset[2])) and same_way)
+
+
+def _coaxial(a: Surface, b: Surface) -> bool:
+    return on_axis(a.to_world(), b.to_world())
+
+
+def _local(run: Sequence[Surface]) -> tuple[np.ndarray, list[Surface]]:
+    """A frame of the common axis, the world's where it is that, and the surfaces in it."""
+    if all(surface.coaxial for surface in run):
+        return np.eye(4), list(run)
+    frame = run[0].to_world()
+    back = np.linalg.inv(frame)
+    heights = [float((back @ surface.to_world())[2, 3]) for surface in run]
+    return frame, [
+        replace(surface, x=0.0, y=0.0, z=z, tilt_deg=(0.0, 0.0, 0.0)) for surface, z in zip(run, heights, strict=True)
+    ]
+
+
+def meets_plane(surface: Surface, plane: np.ndarray, above: bool) -> float:
+    """Smallest radius at which a coaxial surface is not above (+z) or below a plane as it must be; inf if it is."""
+    z = float((np.linalg.inv(surface.to_world()) @ plane)[2, 3])
+    r = np.linspace(0.0, surface.outer_radius, _SAMPLES)
+    gap = replace(surface, x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0)).z_at(r) - z
+    wrong = (gap if above else -gap) < -_ROUND_OFF_MM
+    return float(r[np.argmax(wrong)]) if np.any(wrong) else np.inf

@@ -1,0 +1,43 @@
+"""A piece of structure that is a triangle mesh in a file."""
+
+from __future__ import annotations
+
+from dataclasses import KW_ONLY, dataclass
+from pathlib import PurePath
+
+from mistray.errors import MistrayError
+from mistray.prescription.coating import BLACK, Coating, check_name
+from mistray.prescription.scatter import Scatter
+
+
+@dataclass(frozen=True)
+class MeshStructure:
+    """
+    Triangles that no frustum describes, such as a bracket; `mistray.mechanics` makes them from CAD files.
+
+    Attributes
+    ----------
+    name : str
+        Shape id, unique in the prescription, without dots.
+    file : str
+        PLY file, mm in the frame of the scene; relative to the scene file.
+    front, back : str
+        Materials; `back` is where the normals of the triangles point to: the outside of a body.
+    coating, scatter, part, space
+        As in `Structure`.
+    """
+
+    name: str
+    file: str
+    _: KW_ONLY
+    front: str = "air"
+    back: str = "air"
+    coating: Coating | None = BLACK
+    scatter: tuple[Scatter, ...] = ()
+    part: str | None = None
+    space: int = -1
+
+    def __post_init__(self) -> None:
+        check_name(self.name)
+        if PurePath(self.file).suffix.lower() != ".ply":
+            raise MistrayError(f"structure '{self.name}': file '{self.file}'; give a .ply file")

@@ -1,0 +1,394 @@
+"""Surfaces of a scene as triangle meshes, cut open by a plane parallel to the z axis.
+
+Vertices on `asphere`, `frustum` and Mitsuba's rectangle, disk, sphere and cylinder lie on the formula of the surface,
+not on chords of a tessellation; those on other shapes lie on the triangles of the shape.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray._mitsuba_compat import import_mitsuba, mesh_arrays
+from mistray.errors import MistrayError
+from mistray.trace.surfaces import solid_shapes
+
+Points = npt.NDArray[Any]
+Faces = npt.NDArray[np.int64]
+
+TURN_PER_RING = math.radians(4.0)  # of the normal along the generatrix, between two rings of the mesh
+FEWEST_RINGS, MOST_RINGS = 7, 25  # of a curved surface
+GRID = 24  # cells along each side of a curved rectangle
+MOST_STEPS, FEWEST_STEPS = 36, 12  # around half a turn
+VERTICES = 14_000  # of all surfaces of revolution together, so that a page stays small
+
+
+@dataclass(frozen=True)
+class CutPlane:
+    """
+    The plane that opens a scene: what lies beyond it is taken away.
+
+    Parameters
+    ----------
+    azimuth_deg : float
+        Direction of the half that is taken away, degrees about z from x: 180 takes x < 0, 90 takes y > 0.
+    offset_mm : float
+        Distance of the plane from the z axis along that direction.
+    """
+
+    azimuth_deg: float = 180.0
+    offset_mm: float = 0.0
+
+    @property
+    def normal(self) -> npt.NDArray[np.float64]:
+        """Unit vector towards the half that is taken away; exact for multiples of 90 degrees."""
+        turn = math.radians(self.azimuth_deg)
+        normal = np.array([math.cos(turn), math.sin(turn), 0.0])
+        return np.round(normal) if self.azimuth_deg % 90 == 0 else normal
+
+    def height(self, points: npt.ArrayLike) -> npt.NDArray[np.float64]:
+        """Signed distance of points (…, 3) from the plane, mm; what is above 0 is taken away."""
+        return np.asarray(points, dtype=np.float64) @ self.normal - self.offset_mm
+
+
+@dataclass(frozen=True)
+class OpenSurface:
+    """
+    What is left of one surface.
+
+    Attributes
+    ----------
+    name, part : str
+        Shape id and the object that it belongs to.
+    role : {"glass", "structure", "mirror", "detector"}
+    materials : str
+        Front and back, for glass; else empty.
+    vertices : (n, 3) float
+        mm; empty if nothing is left.
+    faces : (m, 3) int
+        Vertex numbers of each triangle.
+    lines : list of (k, 3) float
+        Rims, and where the plane cuts, mm.
+    """
+
+    name: str
+    part: str
+    role: str
+    materials: str
+    vertices: Points
+    faces: Faces
+    lines: list[Points]
+
+
+def surface_names(scene: Any) -> list[tuple[str, Any]]:
+    """Ids and shapes that light meets, as the tracer names them; shapes that are only aimed at are left out."""
+    return [(shape.id() or f"shape_{number}", shape) for number, shape in enumerate(solid_shapes(scene), start=1)]
+
+
+def role_of(shape: Any) -> str:
+    """What a shape is to the light: "detector", "mirror", "structure" (opaque) or "glass" (refracts)."""
+    if shape.is_sensor():
+        return "detector"
+    bsdf = shape.bsdf()
+    if bsdf.mirror:
+        return "mirror"
+    return "structure" if bsdf.opaque else "glass"
+
+
+def open_surfaces(scene: Any, cut: CutPlane | None) -> list[OpenSurface]:
+    """
+    All surfaces of a scene, cut open.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    cut : CutPlane or None
+        None leaves them whole.
+
+    Raises
+    ------
+    MistrayError
+        For a shape that has neither a formula nor triangles.
+    """
+    named = surface_names(scene)
+    rings = {name: _rings(shape) for name, shape in named if _of_revolution(shape)}
+    whole = sum(rings.values()) or 1
+    steps = int(np.clip(VERTICES / whole, FEWEST_STEPS, MOST_STEPS)) * (2 if cut is None else 1)
+    surfaces = []
+    for name, shape in named:
+        if _of_revolution(shape):
+            mesh = turned(_profile(shape, rings[name], cut), np.asarray(shape.matrix), steps, cut)
+        elif getattr(shape, "rectangular", False):
+            mesh = _rectangular(shape, cut)
+        else:
+            mesh = _stock(name, shape, steps, cut)
+        role, bsdf = role_of(shape), shape.bsdf()
+        materials = f"{bsdf.front} | {bsdf.back}" if role == "glass" else ""
+        surfaces.append(OpenSurface(name, getattr(shape, "part", "") or name, role, materials, *mesh))
+    return surfaces
+
+
+def triangles(shape: Any, name: str) -> tuple[Points, Faces]:
+    """Vertices (n, 3), mm, and faces (m, 3) of a whole shape; `name` is for the message if it has none."""
+    if hasattr(shape, "profile"):
+        vertices, faces = mesh_arrays(shape)
+        return vertices, faces.astype(np.int64)
+    vertices, numbers, _ = _stock(name, shape, 2 * MOST_STEPS, None)
+    return vertices, numbers
+
+
+def turned(
+    profile: npt.ArrayLike, matrix: npt.NDArray[np.float64], steps: int, cut: CutPlane | None
+) -> tuple[Points, Faces, list[Points]]:
+    """
+    Mesh of a generatrix turned about the local z axis, without what a plane takes away.
+
+    Every ring of the mesh is the arc that is left of a circle, so that its points lie on the circle and its ends on the
+    plane, whatever the axis.
+
+    Parameters
+    ----------
+    profile : (n, 2) float
+        r and z along the generatrix, mm.
+    matrix : (4, 4) float
+        Rigid transform to the world, mm.
+    steps : int
+        Of the mesh along each arc.
+    cut : CutPlane or None
+
+    Returns
+    -------
+    vertices : (n·(steps + 1), 3) float64
+    faces : (m, 3) int
+    lines : list of (k, 3) float64
+        First and last ring, and the two ends of all arcs where they lie on the plane.
+    """
+    profile = np.asarray(profile, dtype=np.float64)
+    rotation, origin = matrix[:3, :3], matrix[:3, 3]
+    r, z = profile[:, 0], profile[:, 1]
+    centres = origin + z[:, None] * rotation[:, 2]
+    near = 1e-11 * (1.0 + np.abs(centres).max() + r.max())
+    if cut is None:
+        middle, half, touching = 0.0, np.full(len(r), math.pi), np.zeros(len(r), dtype=bool)
+    else:
+        along = cut.normal @ rotation  # the plane's normal in the local frame
+        reach, level = r * math.hypot(along[0], along[1]), -cut.height(centres)
+        middle = math.atan2(along[1], along[0]) + math.pi
+        cosine = np.clip(np.divide(level, reach, out=np.sign(level), where=reach > near), -1.0, 1.0)
+        half = math.pi - np.arccos(cosine)
+        touching = np.abs(reach - np.abs(level)) <= near
+        half[touching & (reach <= near)] = math.pi  # a point on the plane, as every point of its circle
+    turn = middle + half[:, None] * np.linspace(-1.0, 1.0, steps + 1)
+    circle = np.stack([np.cos(turn), np.sin(turn)], axis=-1) * r[:, None, None]
+    grid = centres[:, None] + circle @ rotation[:, :2].T
+    vertices, faces = grid.reshape(-1, 3), _strips(len(r), steps)
+    gone, single = (half <= 0) & ~touching, (half <= 0) | (r <= 0)
+    ring = faces // (steps + 1)
+    flat = ((ring == np.roll(ring, 1, axis=1)) & single[ring]).any(axis=1)  # two corners in one point
+    left = ~flat & ~gone[ring].any(axis=1)
+    lines = [grid[k] for k in (0, -1) if half[k] > 0 and r[k] > 0]
+    ends = touching | ((half > 0) & (half < math.pi))
+    if ends.sum() > 1:
+        lines += [grid[ends, k] for k in (0, -1)]
+    return *_used(vertices, faces[left]), lines
+
+
+def clip(vertices: npt.ArrayLike, faces: npt.ArrayLike, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
+    """
+    Cut a triangle mesh.
+
+    Parameters
+    ----------
+    vertices : (n, 3) float
+        mm; the numbers keep their type.
+    faces : (m, 3) int
+    cut : CutPlane or None
+
+    Returns
+    -------
+    vertices : (k, 3) float
+    faces : (l, 3) int
+    lines : list of (2, 3) float
+        One segment for each triangle that is cut, mm.
+    """
+    vertices, faces = np.asarray(vertices), np.asarray(faces, dtype=np.int64).reshape(-1, 3)
+    if cut is None:
+        return vertices, faces, []
+    height = cut.height(vertices)
+    kept = height <= 0
+    count = kept[faces].sum(axis=1)
+    parts, segments, new = [faces[count == 3]], [], [vertices]
+    for inside in (1, 2):
+        crossed = faces[count == inside]
+        if not len(crossed):
+            continue
+        # The corner that is alone on its side comes first; the winding stays
+        alone = np.argmax(kept[crossed] == (inside == 1), axis=1)
+        a, b, c = np.take_along_axis(crossed, (alone[:, None] + np.arange(3)) % 3, axis=1).T
+        first = sum(map(len, new))
+        for other in (b, c):
+            share = (height[a] / (height[a] - height[other]))[:, None]
+            new.append((vertices[a] + share * (vertices[other] - vertices[a])).astype(vertices.dtype))
+        ab = first + np.arange(len(a))
+        ac = ab + len(a)
+        if inside == 1:
+            parts.append(np.column_stack([a, ab, ac]))
+        else:
+            parts += [np.column_stack([ab, b, c]), np.column_stack([ab, c, ac])]
+        segments.append(np.column_stack([ab, ac]))
+    points = np.concatenate(new)
+    lines = [points[segment] for segment in np.concatenate(segments)] if segments else []
+    return *_used(points, np.concatenate(parts)), lines
+
+
+def _of_revolution(shape: Any) -> bool:
+    return hasattr(shape, "profile") and not getattr(shape, "rectangular", False)
+
+
+def _profile(shape: Any, rings: int, cut: CutPlane | None) -> npt.NDArray[np.float64]:
+    """Generatrix of a surface, with the circle that the plane touches if it lies along the axis and beside it."""
+    profile = np.asarray(shape.profile(rings), dtype=np.float64)
+    if cut is None or abs(cut.normal @ shape.matrix[:3, 2]) > 1e-12:
+        return profile
+    r, aside = profile[:, 0], abs(float(cut.height(shape.matrix[:3, 3])))
+    if not r.min() < aside < r.max() or aside in r:
+        return profile
+    if hasattr(shape, "sag"):
+        z = float(shape.sag(np.array([aside]))[0])
+    else:  # a straight line
+        z = float(profile[0, 1] + (aside - r[0]) * (profile[-1, 1] - profile[0, 1]) / (r[-1] - r[0]))
+    place = int(np.searchsorted(r, aside)) if r[-1] > r[0] else len(r) - int(np.searchsorted(r[::-1], aside))
+    return np.insert(profile, place, [aside, z], axis=0)
+
+
+def _rings(shape: Any) -> int:
+    """Rings that show the curvature of a generatrix; two where it is straight."""
+    steps = np.diff(shape.profile(65), axis=0)
+    turning = float(np.abs(np.diff(np.unwrap(np.arctan2(steps[:, 1], steps[:, 0])))).sum())
+    return 2 if turning < 1e-9 else int(np.clip(1 + math.ceil(turning / TURN_PER_RING), FEWEST_RINGS, MOST_RINGS))
+
+
+def _rectangular(shape: Any, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
+    """An `asphere` with a rectangular aperture: the rectangle is cut, then lifted onto the surface."""
+    half = np.array([shape.values["half_width"], shape.values["half_height"]])
+    cells = 1 if shape.plane else GRID
+    u, v = np.meshgrid(*(np.linspace(-1.0, 1.0, cells + 1),) * 2, indexing="ij")
+    matrix = np.asarray(shape.matrix)
+
+    def lifted(xy: Points) -> Points:
+        local = np.column_stack([xy, shape.sag(np.hypot(xy[:, 0], xy[:, 1]))])
+        return np.asarray(local @ matrix[:3, :3].T + matrix[:3, 3])
+
+    vertices, faces, lines = clip(
+        lifted(np.column_stack([u.ravel(), v.ravel()]) * half), _strips(cells + 1, cells), cut
+    )
+    turn = np.linspace(-1.0, 1.0, cells + 1)
+    ones = np.ones(cells + 1)
+    sides = [lifted(np.column_stack(s) * half) for s in ((turn, -ones), (turn, ones), (-ones, turn), (ones, turn))]
+    rims = sides if cut is None else [side[kept] for side in sides if (kept := cut.height(side) <= 0).sum() > 1]
+    if shape.plane:
+        return vertices, faces, lines + rims
+
+    def onto(points: Points) -> Points:
+        return lifted(((points - matrix[:3, 3]) @ matrix[:3, :3])[:, :2])
+
+    return onto(vertices), faces, [onto(line) for line in lines] + rims
+
+
+def _stock(name: str, shape: Any, steps: int, cut: CutPlane | None) -> tuple[Points, Faces, list[Points]]:
+    """A shape of Mitsuba's own: by its formula where it is turned about an axis, by its triangles otherwise."""
+    kind = str(shape).partition("[")[0].strip()
+    if kind not in ("Rectangle", "Disk", "Sphere", "Cylinder"):
+        if not shape.is_mesh():
+            raise MistrayError(
+                f"shape '{name}' is {kind}, which has no triangles to draw; use a mesh, an 'asphere' or a 'frustum'"
+            )
+        return clip(*mesh_arrays(shape), cut)
+    frame = np.array(import_mitsuba().traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    size = np.linalg.norm(frame[:3, :3], axis=0)
+    rigid = frame.copy()
+    rigid[:3, :3] /= size
+    if kind == "Rectangle":
+        corners = np.array([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0], [-1.0, -1.0]]) * size[:2]
+        corners = np.column_stack([corners, np.zeros(5)]) @ rigid[:3, :3].T + rigid[:3, 3]
+        vertices, faces, lines = clip(corners[:4], [[0, 1, 2], [0, 2, 3]], cut)
+        return vertices, faces, [*lines, *([corners] if cut is None else [])]
+    turn = np.linspace(0.0, math.pi, MOST_RINGS)
+    profile = {
+        "Disk": [[0.0, 0.0], [size[0], 0.0]],
+        "Cylinder": [[size[0], 0.0], [size[0], size[2]]],
+        "Sphere": size[0] * np.column_stack([np.sin(turn), -np.cos(turn)]),
+    }[kind]
+    return turned(profile, rigid, steps, cut)
+
+
+def _strips(rows: int, steps: int) -> Faces:
+    """Triangles of a grid of `rows` rows with `steps` cells each."""
+    i, j = np.meshgrid(np.arange(rows - 1), np.arange(steps), indexing="ij")
+    a = (i * (steps + 1) + j).ravel()
+    b, c, d = a + 1, a + steps + 1, a + steps + 2
+    return np.concatenate([np.column_stack([a, c, d]), np.column_stack([a, d, b])])
+
+
+def _used(vertices: Points, faces: Faces) -> tuple[Points, Faces]:
+    """The vertices that faces need, and the faces with their new numbers."""
+    numbers, renumbered = np.unique(faces, return_inverse=True)
+    return vertices[numbers], renumbered.reshape(-1, 3)
+
+
+def triangulate(outline: npt.ArrayLike) -> Faces:
+    """
+    Triangles of a simple polygon, by cutting off one corner after the other that holds no other corner.
+
+    Parameters
+    ----------
+    outline : (n, 2) float
+        Either way round; the last corner is joined to the first.
+
+    Returns
+    -------
+    (m, 3) int
+        Corner numbers; together of the polygon's area.
+
+    Notes
+    -----
+    G. H. Meisters, "Polygons have ears", Am. Math. Mon. 82 (1975) 648.
+    """
+    points = np.asarray(outline, dtype=np.float64)
+    x, y = points.T
+    if np.sum(x * np.roll(y, -1) - y * np.roll(x, -1)) < 0:
+        return (len(points) - 1 - triangulate(points[::-1]))[:, ::-1]
+    apart = np.linalg.norm(points - np.roll(points, 1, axis=0), axis=1) > 1e-12 * np.ptp(points)
+    ring = np.flatnonzero(apart).tolist()
+    faces = []
+    while len(ring) > 3:
+        corner = next((k for k in range(len(ring)) if _is_ear(points, ring, k)), None)
+        if corner is None:  # what is left has no area beyond rounding
+            break
+        faces.append([ring[corner - 1], ring[corner], ring[(corner + 1) % len(ring)]])
+        del ring[corner]
+        ring = [*ring[corner:], *ring[:corner]]  # go on where the ear was, or slivers fan out from one corner
+    if len(ring) == 3:
+        faces.append(ring)
+    return np.array(faces, dtype=np.int64).reshape(-1, 3)
+
+
+def _is_ear(points: Points, ring: Sequence[int], k: int) -> bool:
+    """Whether the triangle of a corner and its neighbours is convex and holds no other corner of the ring."""
+    a, b, c = (points[ring[i]] for i in (k - 1, k, (k + 1) % len(ring)))
+    size = _side(a, b, c)
+    if size <= 0:
+        return bool(size == 0)
+    others = points[[number for number in ring if number not in (ring[k - 1], ring[k], ring[(k + 1) % len(ring)])]]
+    bound = 1e-12 * size
+    return not np.any((_side(a, b, others) > bound) & (_side(b, c, others) > bound) & (_side(c, a, others) > bound))
+
+
+def _side(a: Points, b: Points, c: Points) -> Any:
+    """Twice the signed area of the triangle a, b, c."""
+    return (b[0] - a[0]) * (c[..., 1] - a[1]) - (b[1] - a[1]) * (c[..., 0] - a[0])

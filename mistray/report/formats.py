@@ -1,0 +1,74 @@
+"""Results in the file formats of other programs, beside the CSV tables and pictures that are always written."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from mistray.report.irradiance_files import FORMATS, IrradianceMap, require_format, write_irradiance
+from mistray.report.parquet import require_parquet, write_parquet
+
+
+def require_formats(formats: Sequence[str]) -> None:
+    """
+    Refuse formats whose packages are not installed, so that a long trace does not end in an error.
+
+    Parameters
+    ----------
+    formats : sequence of str
+        "parquet", "exr", "fits" or "npy".
+
+    Raises
+    ------
+    MistrayError
+        Names the package and the extra.
+    """
+    for name in formats:
+        if name in FORMATS:
+            require_format(name)
+        else:
+            require_parquet()
+
+
+def write_formats(
+    formats: Sequence[str],
+    directory: str | Path,
+    tables: Mapping[str, pd.DataFrame],
+    maps: Mapping[str, IrradianceMap],
+    facts: Mapping[str, Any] | None = None,
+) -> list[Path]:
+    """
+    Write tables as Parquet and irradiance maps as EXR, FITS or NPY.
+
+    Parameters
+    ----------
+    formats : sequence of str
+        "parquet" for the tables, "exr", "fits" and "npy" for the maps.
+    directory : str or Path
+        Must exist.
+    tables : mapping of str to DataFrame
+        By file name; its ending, such as .csv, is replaced.
+    maps : mapping of str to IrradianceMap
+        By file name without ending.
+    facts : mapping, optional
+        Of the tables, see `write_parquet`.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    folder = Path(directory)
+    written = []
+    for name in dict.fromkeys(formats):
+        if name in FORMATS:
+            written += [write_irradiance(one, folder / f"{stem}.{name}") for stem, one in maps.items()]
+        else:
+            written += [
+                write_parquet(table, folder / f"{stem.removesuffix('.csv')}.parquet", facts)
+                for stem, table in tables.items()
+            ]
+    return written

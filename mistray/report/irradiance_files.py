@@ -1,0 +1,278 @@
+"""Irradiance maps with their standard errors in files of other programs: FITS, OpenEXR, NumPy.
+
+All three hold the irradiance (W/mm²), its standard error, the extent of the map in mm, and facts about its origin.
+
+.fits
+    Primary HDU: irradiance, 64-bit floats, BUNIT "W mm-2"; image extension STDERR: standard error. Both carry a linear
+    WCS in mm: the outer edge of the first pixel, FITS coordinate 0.5, lies at CRVAL, a pixel is CDELT wide. Row 0 is
+    at the smallest y, which FITS viewers draw at the bottom. A card has room for 15 digits, to which the extent is
+    rounded. FACTS holds the facts as JSON. Source: FITS standard 4.0, sections 4.3 (units), 4.4.2.5 (EXTNAME) and
+    8.2 (WCS).
+.exr
+    Channels "Y" (irradiance, which viewers show as grey) and "standard_error.Y", 32-bit floats, the widest that OpenEXR
+    has: numbers are rounded to seven digits. Row 0 of the file is at the largest y, because EXR is drawn from the top.
+    Attributes: unit, extent_mm ("x0 x1 y0 y1"), facts (JSON). Source: openexr.com, "Technical Introduction".
+.npy
+    One record with the fields irradiance_W_mm2 and irradiance_se_W_mm2, (height, width) float64, extent_mm (4,), and
+    facts (JSON): ``np.load("map.npy")["irradiance_W_mm2"]``.
+"""
+
+from __future__ import annotations
+
+import io
+import json
+import tempfile
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from types import MappingProxyType
+from typing import Any
+
+import numpy as np
+
+from mistray.analysis.irradiance import Extent, Map
+from mistray.errors import MistrayError
+from mistray.replace_file import replace_file
+from mistray.report.json_values import plain
+
+UNIT_FITS, UNIT_EXR = "W mm-2", "W/mm^2"
+ERROR_HDU, ERROR_CHANNEL = "STDERR", "standard_error.Y"
+AXES = ("x", "y")
+LARGEST = float(np.finfo(np.float32).max)
+
+
+@dataclass(frozen=True)
+class IrradianceMap:
+    """
+    An irradiance map.
+
+    Attributes
+    ----------
+    irradiance, irradiance_se : (height, width) float64
+        Irradiance and its standard error, W/mm², row 0 at the smallest y.
+    extent : tuple of float
+        x0, x1, y0, y1 in the detector's frame, mm.
+    facts : mapping of str to values that JSON knows
+        What the map is of and how it was traced.
+    """
+
+    irradiance: Map
+    irradiance_se: Map
+    extent: Extent
+    facts: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        shapes = np.shape(self.irradiance), np.shape(self.irradiance_se)
+        if len(shapes[0]) != 2 or shapes[0] != shapes[1] or 0 in shapes[0]:
+            raise MistrayError(f"irradiance map: shapes {shapes[0]} and {shapes[1]}; give two arrays (height, width)")
+
+    @classmethod
+    def of(cls, trace: Any) -> IrradianceMap:
+        """The map of a `mistray.Trace` with its settings as facts."""
+        return cls(trace.irradiance, trace.irradiance_se, tuple(trace.extent), plain(dict(trace.settings)))
+
+
+def write_irradiance(irradiance_map: IrradianceMap, path: str | Path) -> Path:
+    """
+    Write a map as .fits, .exr or .npy, as the name of the file ends; see the module for what is in them.
+
+    Parameters
+    ----------
+    irradiance_map : IrradianceMap
+    path : str or Path
+        A file of that name is replaced, whole or not at all.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    MistrayError
+        The ending is another, the package for it is not installed, the file cannot be written, or a number is too
+        large for EXR.
+    """
+    writer, _ = _format(Path(path))
+    return replace_file(path, writer(irradiance_map), "irradiance map")
+
+
+def read_irradiance(path: str | Path) -> IrradianceMap:
+    """
+    Read a map that `write_irradiance` wrote.
+
+    Returns
+    -------
+    IrradianceMap
+        Equal to the one that was written; from EXR rounded to 32-bit floats, from FITS with the extent to 15 digits.
+
+    Raises
+    ------
+    MistrayError
+        The ending is another, the package for it is not installed, or the file is no such map.
+    """
+    path = Path(path)
+    _, reader = _format(path)
+    if not path.is_file():
+        raise MistrayError(f"irradiance map '{path}': no such file; check the path")
+    try:
+        return reader(path)
+    except MistrayError:
+        raise
+    except Exception as error:  # the libraries raise all kinds
+        raise MistrayError(
+            f"irradiance map '{path}': {error or type(error).__name__}; give a file that mistray wrote"
+        ) from None
+
+
+def require_format(name: str) -> None:
+    """
+    Refuse a format whose package is not installed, before a long trace.
+
+    Parameters
+    ----------
+    name : {"fits", "exr", "npy"}
+
+    Raises
+    ------
+    MistrayError
+        Names the package and the extra.
+    """
+    if name == "fits":
+        _fits()
+    elif name == "exr":
+        _openexr()
+
+
+def _format(path: Path) -> tuple[Callable[[IrradianceMap], bytes], Callable[[Path], IrradianceMap]]:
+    try:
+        return FORMATS[path.suffix.lower().removeprefix(".")]
+    except KeyError:
+        endings = ", ".join(f".{name}" for name in FORMATS)
+        raise MistrayError(f"irradiance map '{path}': its name must end in {endings}") from None
+
+
+def _fits() -> Any:
+    try:
+        from astropy.io import fits
+    except ImportError:
+        raise MistrayError(
+            "FITS files need astropy, which is not installed; run: pip install 'mistray[images]'"
+        ) from None
+    return fits
+
+
+def _openexr() -> Any:
+    try:
+        import OpenEXR
+    except ImportError:
+        raise MistrayError(
+            "EXR files need OpenEXR, which is not installed; run: pip install 'mistray[images]'"
+        ) from None
+    return OpenEXR
+
+
+def _facts_text(m: IrradianceMap) -> str:
+    """The facts in ASCII, which is all that FITS takes."""
+    return json.dumps(plain(dict(m.facts)), allow_nan=False)
+
+
+def _write_fits(m: IrradianceMap) -> bytes:
+    fits = _fits()
+    hdus = [fits.PrimaryHDU(np.asarray(m.irradiance, dtype=np.float64))]
+    hdus.append(fits.ImageHDU(np.asarray(m.irradiance_se, dtype=np.float64), name=ERROR_HDU))
+    for hdu, meaning in zip(hdus, ("irradiance", "standard error of the irradiance"), strict=True):
+        header = hdu.header
+        header["BUNIT"] = (UNIT_FITS, meaning)
+        for axis, low, high, name in zip((1, 2), m.extent[::2], m.extent[1::2], AXES, strict=True):
+            pixels = m.irradiance.shape[2 - axis]
+            header[f"CTYPE{axis}"] = (name.upper(), f"{name} in the frame of the detector")
+            header[f"CUNIT{axis}"] = "mm"
+            header[f"CRPIX{axis}"] = (0.5, "outer edge of the first pixel")
+            header[f"CRVAL{axis}"] = (float(low), "[mm]")
+            header[f"CDELT{axis}"] = ((high - low) / pixels, "[mm] per pixel")
+            header[f"{name.upper()}END"] = (float(high), "[mm] outer edge of the last pixel")
+        header["FACTS"] = _facts_text(m)
+    stream = io.BytesIO()
+    fits.HDUList(hdus).writeto(stream, checksum=True)
+    return stream.getvalue()
+
+
+def _read_fits(path: Path) -> IrradianceMap:
+    fits = _fits()
+    with fits.open(path, memmap=False) as hdus:
+        if ERROR_HDU not in hdus:
+            raise MistrayError(f"irradiance map '{path}': no extension {ERROR_HDU}; give a file that mistray wrote")
+        header = hdus[0].header
+        extent = tuple(float(header[key]) for key in ("CRVAL1", "XEND", "CRVAL2", "YEND"))
+        value, se = (np.asarray(hdu.data, dtype=np.float64) for hdu in (hdus[0], hdus[ERROR_HDU]))
+        return IrradianceMap(value, se, (extent[0], extent[1], extent[2], extent[3]), json.loads(header["FACTS"]))
+
+
+def _write_exr(m: IrradianceMap) -> bytes:
+    openexr = _openexr()
+    channels = {}
+    for name, values in (("Y", m.irradiance), (ERROR_CHANNEL, m.irradiance_se)):
+        most = float(np.max(np.abs(values), initial=0.0, where=np.isfinite(values)))
+        if most > LARGEST:
+            raise MistrayError(f"irradiance map: {most:g} W/mm² is too large for EXR; write .fits or .npy")
+        channels[name] = np.ascontiguousarray(np.asarray(values, dtype=np.float64)[::-1].astype(np.float32))
+    header = {
+        "compression": openexr.ZIP_COMPRESSION,
+        "type": openexr.scanlineimage,
+        "unit": UNIT_EXR,
+        "extent_mm": " ".join(repr(float(value)) for value in m.extent),
+        "facts": _facts_text(m),
+    }
+    with tempfile.TemporaryDirectory() as folder:  # OpenEXR writes to names only
+        draft = Path(folder) / "map.exr"
+        with openexr.File(header, channels) as file:
+            file.write(str(draft))
+        return draft.read_bytes()
+
+
+def _read_exr(path: Path) -> IrradianceMap:
+    openexr = _openexr()
+    with openexr.File(str(path), separate_channels=True) as file:
+        header, channels = file.header(), file.channels()
+        missing = [name for name in ("Y", ERROR_CHANNEL) if name not in channels] + [
+            name for name in ("extent_mm", "facts") if name not in header
+        ]
+        if missing:
+            raise MistrayError(f"irradiance map '{path}': no {missing[0]}; give a file that mistray wrote")
+        value, se = (np.array(channels[name].pixels[::-1], dtype=np.float64) for name in ("Y", ERROR_CHANNEL))
+        x0, x1, y0, y1 = (float(word) for word in header["extent_mm"].split())
+        return IrradianceMap(value, se, (x0, x1, y0, y1), json.loads(header["facts"]))
+
+
+def _write_npy(m: IrradianceMap) -> bytes:
+    facts, shape = _facts_text(m), m.irradiance.shape
+    record = np.zeros(
+        (),
+        dtype=[
+            ("irradiance_W_mm2", "<f8", shape),
+            ("irradiance_se_W_mm2", "<f8", shape),
+            ("extent_mm", "<f8", (4,)),
+            ("facts", f"<U{len(facts)}"),
+        ],
+    )
+    record["irradiance_W_mm2"], record["irradiance_se_W_mm2"] = m.irradiance, m.irradiance_se
+    record["extent_mm"], record["facts"] = m.extent, facts
+    stream = io.BytesIO()
+    np.save(stream, record, allow_pickle=False)
+    return stream.getvalue()
+
+
+def _read_npy(path: Path) -> IrradianceMap:
+    record = np.load(path, allow_pickle=False)
+    if not record.dtype.names or "irradiance_se_W_mm2" not in record.dtype.names:
+        raise MistrayError(f"irradiance map '{path}': no field irradiance_se_W_mm2; give a file that mistray wrote")
+    x0, x1, y0, y1 = (float(value) for value in record["extent_mm"])
+    value, se = (np.array(record[name], dtype=np.float64) for name in ("irradiance_W_mm2", "irradiance_se_W_mm2"))
+    return IrradianceMap(value, se, (x0, x1, y0, y1), json.loads(str(record["facts"])))
+
+
+FORMATS: Mapping[str, tuple[Callable[[IrradianceMap], bytes], Callable[[Path], IrradianceMap]]] = MappingProxyType(
+    {"fits": (_write_fits, _read_fits), "exr": (_write_exr, _read_exr), "npy": (_write_npy, _read_npy)}
+)
+"""Writer and reader by the ending of the file's name."""

@@ -1,0 +1,79 @@
+"""Tables as Parquet files: the types of the columns are kept, and each column says its unit.
+
+The field metadata of a numeric column holds ``unit``, taken from the end of its name as everywhere in mistray
+("power_se_W": W, "rms_irradiance_W_mm2": W/mm²), "1" for pure numbers; the metadata of the file holds ``mistray``,
+facts about its origin as JSON. `pandas.read_parquet` gives the same DataFrame back.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import pandas as pd
+
+from mistray.errors import MistrayError
+from mistray.replace_file import replace_file
+from mistray.report.json_values import plain
+from mistray.report.study_tables import unit_of
+
+FACTS = b"mistray"
+
+
+def write_parquet(table: pd.DataFrame, path: str | Path, facts: Mapping[str, Any] | None = None) -> Path:
+    """
+    Write a table as Parquet.
+
+    Parameters
+    ----------
+    table : DataFrame
+        Such as ``trace.paths.to_pandas()``; its index is left out.
+    path : str or Path
+        A file of that name is replaced, whole or not at all.
+    facts : mapping, optional
+        What the table is of: values that JSON knows.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    MistrayError
+        pyarrow is not installed, or the file cannot be written.
+    """
+    arrow = _pyarrow()
+    import pyarrow.parquet
+
+    made = arrow.Table.from_pandas(table, preserve_index=False)
+    fields = [
+        field.with_metadata({"unit": unit(field.name)}) if pd.api.types.is_numeric_dtype(table[field.name]) else field
+        for field in made.schema
+    ]
+    known = {**(made.schema.metadata or {}), FACTS: json.dumps(plain(dict(facts or {})), allow_nan=False).encode()}
+    sink = arrow.BufferOutputStream()
+    pyarrow.parquet.write_table(made.cast(arrow.schema(fields, metadata=known)), sink)
+    return replace_file(path, sink.getvalue().to_pybytes(), "table")
+
+
+def unit(column: str) -> str:
+    """The unit that a column's name ends with, "1" without one; that of a standard error is that of its value."""
+    return unit_of(column)[1] or unit_of(column.removesuffix("_se"))[1] or "1"
+
+
+def require_parquet() -> None:
+    """Refuse Parquet where pyarrow is not installed, before a long trace."""
+    _pyarrow()
+
+
+def _pyarrow() -> Any:
+    try:
+        import pyarrow
+    except ImportError:
+        raise MistrayError(
+            "Parquet files need pyarrow, which is not installed; run: pip install 'mistray[tables]'"
+        ) from None
+    return pyarrow

@@ -1,0 +1,118 @@
+"""Structures put into a scene file; everything that is there stays as it is."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from types import MappingProxyType
+
+from mistray.errors import MistrayError
+from mistray.prescription.coating import Coating
+from mistray.prescription.mesh_structure import MeshStructure
+from mistray.prescription.model import Structure, Surface
+from mistray.prescription.scatter import MODELS, Scatter, Value
+from mistray.prescription.scene_file import comment_text, structure_text
+from mistray.replace_file import replace_file
+from mistray.scene.load import find
+from mistray.scene.xml_file import Element, SceneFile
+
+Shared = Coating | Scatter
+COATING_KEYS = {"R", "T", "table", "layers", "preset", "first", "design_nm"}
+
+
+def add_structures(
+    source: str | Path,
+    structures: Iterable[Structure | Surface | MeshStructure],
+    target: str | Path,
+    note: str = "",
+    files: Mapping[Path, bytes] = MappingProxyType({}),
+) -> Path:
+    """
+    Write a scene with further structures, atomically: on an error an old file stays.
+
+    Parameters
+    ----------
+    source : str or Path
+        Scene XML file, or the name of a shipped scene.
+    structures : iterable of Structure, Surface or MeshStructure
+        Coatings and scatter models with the name of one in the scene refer to that.
+    target : str or Path
+        May be `source` itself.
+    note : str
+        Comment before them.
+    files : mapping of Path to bytes
+        What structures refer to, such as the meshes of `Mechanics.beside`; written before the scene, once all fits.
+
+    Returns
+    -------
+    Path
+        The file.
+
+    Raises
+    ------
+    MistrayError
+        If the scene cannot be read, or has an object of the name of a structure, or another coating or scatter model of
+        the name of theirs.
+    """
+    file, target, structures = SceneFile(find(source)), Path(target), list(structures)
+    known = shared_objects(file)
+    taken = set(file.ids)
+    for shape in structures:
+        if shape.name in taken:
+            raise MistrayError(
+                f"scene '{file.path}': it has an object '{shape.name}' already; rename the part, or that object"
+            )
+        taken.add(shape.name)
+        for item in (*((shape.coating,) if shape.coating else ()), *shape.scatter):
+            if item.name in file.ids and known.get(item.name) != item:
+                raise MistrayError(
+                    f"scene '{file.path}': its object '{item.name}' differs from the one of structure "
+                    f"'{shape.name}'; rename one"
+                )
+    text = structure_text(structures, file.ids)
+    head = f"    <!-- {comment_text(note)} -->\n" if note else ""
+    at = file.root.close
+    start = "" if file.data[:at].endswith(b"\n") else "\n"
+    edit = (at, at, f"{start}\n{head}{text}\n".encode())
+    content = file.edited([edit], target.parent)
+    for path, data in files.items():
+        replace_file(path, data, "mesh")
+    return replace_file(target, content, "scene file")
+
+
+def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
+    """Coatings and scatter models of a scene file that have an id, by it; none with values of other kinds."""
+    found: dict[str, Shared] = {}
+    for element in file.root.children:
+        name, kind = element.values.get("id"), element.values.get("type")
+        values = _values(element)
+        if element.tag != "bsdf" or name is None or values is None or kind is None:
+            continue
+        if kind in MODELS:
+            found[name] = Scatter(kind, values, name=name)
+        elif kind == "thinfilm" and set(values) <= COATING_KEYS:
+            found[name] = Coating(**values, name=name)  # type: ignore[arg-type]
+    return found
+
+
+def _values(element: Element) -> dict[str, Value] | None:
+    """Values of an object that has nothing but numbers, words and truth values; None otherwise."""
+    values: dict[str, Value] = {}
+    for child in element.children:
+        name, text = child.values.get("name"), child.values.get("value")
+        if name is None or text is None or "$" in text:
+            return None
+        try:
+            if child.tag == "float":
+                values[name] = float(text)
+            elif child.tag == "integer":
+                values[name] = int(text)
+            elif child.tag == "boolean":
+                values[name] = text == "true"
+            elif child.tag == "string":
+                values[name] = text
+            else:
+                return None
+        except ValueError:
+            return None
+    return values

@@ -1,0 +1,234 @@
+"""The optical surfaces of a scene file as a prescription, for export; the scene itself is not loaded.
+
+Read are shapes of type `asphere` whose `interface` transmits light or is a mirror, the detector, the aperture stop (the
+frustums whose ``part`` is ``stop``) and the `collimated` source. Everything else is structure and only counted.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.pose import moved, rotation
+from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
+from mistray.prescription.model import MAX_COEFFICIENTS
+from mistray.scene.load import find
+from mistray.scene.xml_file import Element, SceneFile
+
+_SHIFTS = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
+_COEFFICIENTS = tuple(f"a{2 * place}" for place in range(2, 2 + MAX_COEFFICIENTS))
+_STOP_PART = "stop"
+_PIXELS = (1, 1)
+
+
+def read_optics(source: str | Path) -> tuple[Prescription, tuple[str, ...]]:
+    """
+    Read the optical surfaces of a scene.
+
+    Parameters
+    ----------
+    source : str or Path
+        A scene XML file or the name of a shipped scene.
+
+    Returns
+    -------
+    prescription : Prescription
+        Surfaces in the order of the file, without structure.
+    left_out : tuple of str
+        Names of the other shapes.
+
+    Raises
+    ------
+    MistrayError
+        If the file is missing or broken, or a value of an optical surface is not understood.
+    """
+    path = find(source)
+    return _Reader(path, str(source)).read()
+
+
+class _Reader:
+    def __init__(self, path: Path, name: str) -> None:
+        self.file = SceneFile(path)
+        self.name = Path(name).stem if Path(name).suffix else name
+        defaults = (element.values for element in self.file.root.children if element.tag == "default")
+        self.defaults = {values.get("name", ""): values.get("value", "") for values in defaults}
+
+    def read(self) -> tuple[Prescription, tuple[str, ...]]:
+        surfaces: list[Surface] = []
+        left_out: list[str] = []
+        stop: list[Element] = []
+        detector: Detector | None = None
+        light: Source | None = None
+        for element in self.file.root.children:
+            kind = element.values.get("type")
+            if element.tag == "emitter" and kind == "collimated":
+                if light is not None:
+                    raise MistrayError(f"scene '{self.file.path}': it has two collimated sources; remove one to export")
+                light = self._source(element)
+            if element.tag != "shape":
+                continue
+            label = element.values.get("id", kind or "shape")
+            if kind == "asphere" and any(child.tag == "sensor" for child in element.children):
+                if detector is not None:
+                    raise MistrayError(
+                        f"scene '{self.file.path}': detectors '{detector.name}' and '{label}'; a lens has one image, "
+                        "remove one to export"
+                    )
+                detector = self._detector(element, label)
+            elif kind == "asphere" and (surface := self._surface(element, label)) is not None:
+                surfaces.append(surface)
+            elif kind == "frustum" and self._properties(element).get("part") == _STOP_PART:
+                stop.append(element)
+            else:
+                left_out.append(label)
+        prescription = Prescription(
+            name=self.name, surfaces=tuple(surfaces), stop=self._stop(stop), detector=detector, source=light
+        )
+        return prescription, tuple(left_out)
+
+    def _properties(self, element: Element) -> dict[str, str]:
+        """Values of an element by their names, those of `default` put in."""
+        values = {}
+        for child in element.children:
+            text = child.values.get("value")
+            if text is not None and "name" in child.values:
+                values[child.values["name"]] = self._resolved(text)
+        return values
+
+    def _resolved(self, text: str) -> str:
+        # The longest names first: one may begin like another
+        for name in sorted(self.defaults, key=len, reverse=True):
+            text = text.replace(f"${name}", self.defaults[name])
+        return text
+
+    def _number(self, where: str, values: Mapping[str, str], key: str, default: float | None = None) -> float:
+        if key not in values and default is not None:
+            return default
+        try:
+            return float(values[key])
+        except (KeyError, ValueError):
+            found = f"is '{values[key]}'" if key in values else "is missing"
+            raise MistrayError(f"scene '{self.file.path}', {where}: {key} {found}; give a number") from None
+
+    def _surface(self, element: Element, label: str) -> Surface | None:
+        """An optical surface; None for one that is neither a mirror nor lets light through."""
+        found = self.file.surface(element)
+        if found is None or found[1].values.get("type") != "interface":
+            return None
+        values = self._properties(found[1])
+        mirror = values.get("mirror", "false").lower() == "true"
+        coating = self._coating(found[1], values)
+        if not mirror and coating is not None and coating.opaque:
+            return None
+        front, back = values.get("front", "air"), values.get("back", "air")
+        form = self._form(element, label)
+        return Surface(label, **form, front=front, back=back, coating=coating, mirror=mirror)
+
+    def _coating(self, element: Element, values: Mapping[str, str]) -> Coating | None:
+        if "R" in values or "table" in values:
+            return Coating(**self._recipe("an interface", values))
+        for child in element.children:
+            film = self.file.meant(child)
+            if film is not None and film.values.get("type") == "thinfilm":
+                return Coating(**self._recipe("a thinfilm", self._properties(film)), name=film.values.get("id"))
+        return None
+
+    def _recipe(self, where: str, values: Mapping[str, str]) -> dict[str, Any]:
+        """What says what a coating is."""
+        recipe: dict[str, Any] = {key: values[key] for key in ("preset", "layers", "table") if key in values}
+        return recipe | {key: self._number(where, values, key) for key in ("R", "T") if key in values}
+
+    def _form(self, element: Element, label: str) -> dict[str, Any]:
+        """Shape, clip and place of a surface."""
+        where = f"shape '{label}'"
+        values = self._properties(element)
+        radius = self._number(where, values, "radius", 0.0)
+        if curvature := self._number(where, values, "curvature", 0.0):
+            radius = 1 / curvature
+        terms = [self._number(where, values, key, 0.0) for key in _COEFFICIENTS]
+        while terms and not terms[-1]:
+            terms.pop()
+        form: dict[str, Any] = {
+            "radius": radius or math.inf,
+            "conic": self._number(where, values, "conic", 0.0),
+            "coefficients": tuple(terms),
+        }
+        for key in ("semi_diameter", "inner_semi_diameter", "half_width", "half_height"):
+            if key in values:
+                form[key] = self._number(where, values, key)
+        pose = self._to_world(element, where)
+        return form | _placed(moved(pose, *(self._number(where, values, key, 0.0) for key in _SHIFTS)))
+
+    def _detector(self, element: Element, label: str) -> Detector:
+        form = self._form(element, label)
+        return Detector(label, **form, pixels=_PIXELS)
+
+    def _to_world(self, element: Element, where: str) -> np.ndarray:
+        pose = np.eye(4)
+        for transform in (child for child in element.children if child.tag == "transform"):
+            for step in transform.children:
+                values = {key: self._resolved(text) for key, text in step.values.items()}
+                pose = self._step(step.tag, values, where) @ pose
+        return pose
+
+    def _step(self, tag: str, values: Mapping[str, str], where: str) -> np.ndarray:
+        result = np.eye(4)
+        if tag == "translate":
+            vector = values.get("value", "").replace(",", " ").split()
+            places = {**dict(zip("xyz", vector, strict=False)), **values}
+            result[:3, 3] = [self._number(where, places, axis, 0.0) for axis in "xyz"]
+            return result
+        axes = [axis for axis in range(3) if self._number(where, values, "xyz"[axis], 0.0)]
+        if tag == "rotate" and len(axes) == 1:
+            sense = math.copysign(1.0, float(values["xyz"[axes[0]]]))
+            result[:3, :3] = rotation(axes[0], sense * self._number(where, values, "angle"))
+            return result
+        raise MistrayError(
+            f"scene '{self.file.path}', {where}: its to_world has <{tag}>; write rotations about x, y or z and "
+            "translations"
+        )
+
+    def _stop(self, elements: list[Element]) -> Stop | None:
+        if not elements:
+            return None
+        values = [self._properties(element) for element in elements]
+        where = f"the aperture stop (part '{_STOP_PART}')"
+        radii = [self._number(where, row, key) for row in values for key in ("r0", "r1")]
+        places = [self._number(where, row, key) for row in values for key in ("z0", "z1")]
+        poses = [self._to_world(element, where) for element in elements]
+        if any(not np.array_equal(pose, np.eye(4)) for pose in poses):
+            raise MistrayError(f"scene '{self.file.path}', {where}: it is moved by to_world; put its place into z0, z1")
+        outer = max(radii)
+        return Stop(min(radii), min(places), max(places), outer, outer)
+
+    def _source(self, element: Element) -> Source | None:
+        where, values = "source", self._properties(element)
+        lists = {key: values[key].replace(",", " ").split() for key in ("wavelength_nm", "weights") if key in values}
+        numbers = {key: tuple(self._number(where, {key: word}, key) for word in words) for key, words in lists.items()}
+        sizes: dict[str, Any] = {
+            key: self._number(where, values, key) for key in ("radius", "half_width", "half_height") if key in values
+        }
+        return Source(
+            **sizes,
+            field_deg=self._number(where, values, "field_deg", 0.0),
+            azimuth_deg=self._number(where, values, "azimuth_deg", 0.0),
+            wavelength_nm=numbers.get("wavelength_nm", (550.0,)),
+            weights=numbers.get("weights"),
+        )
+
+
+def _placed(pose: np.ndarray) -> dict[str, Any]:
+    """Place of a frame: tilts about the world's x, y, z in this order, then the vertex; see `Placed`."""
+    m = pose[:3, :3]
+    b = -math.asin(min(max(float(m[2, 0]), -1.0), 1.0))
+    if math.hypot(m[0, 0], m[1, 0]) > 1e-12:
+        a, c = math.atan2(m[2, 1], m[2, 2]), math.atan2(m[1, 0], m[0, 0])
+    else:
+        a, c = math.atan2(-m[1, 2], m[1, 1]), 0.0
+    tilt = tuple(round(math.degrees(angle), 10) + 0.0 for angle in (a, b, c))
+    return {"x": float(pose[0, 3]), "y": float(pose[1, 3]), "z": float(pose[2, 3]), "tilt_deg": tilt}

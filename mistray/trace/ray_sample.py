@@ -1,0 +1,74 @@
+"""Rays of many paths at once, from one sample of the start rays."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.trace.books import Recorder
+from mistray.trace.history import Ray, rays_in_slots
+from mistray.trace.tracer import PASS_LANES, Run
+from mistray.trace.upload import upload
+
+START_RAYS = 640  # of the sample
+FIRST = 32  # of them; each time as many again as before, until all paths have enough
+GOLDEN = (5**0.5 - 1) / 2
+CAPACITY = 1 << 17  # branches that these may have at a time; what there are more of is not in the sample
+
+
+def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]]:
+    """
+    Rays of paths, spread over the beam.
+
+    Parameters
+    ----------
+    run : Run
+    keys : sequence of int
+        Of the paths, see `mistray.trace.ledger.extend_key`.
+    most : int
+        Rays of each path after which no more are looked for.
+
+    Returns
+    -------
+    dict
+        Rays by key; none of a path to which no ray of the sample belongs.
+    """
+    found: dict[int, list[Ray]] = {key: [] for key in keys}
+    # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place
+    # of it in every batch. Multiples of the golden ratio are spread over the batches and over the curve, early ones too
+    lanes = (np.arange(START_RAYS) * GOLDEN % 1 * run.rays).astype(np.int64)
+    lanes = np.array(list(dict.fromkeys(lanes.tolist())))
+    recorder = Recorder(CAPACITY, run.settings.max_events, mi.UInt64(dr.opaque(mi.UInt64, 0)))
+    film = run.make_film()
+    for number in np.unique(lanes // PASS_LANES):
+        own = lanes[lanes // PASS_LANES == number] - number * PASS_LANES
+        sample = run.start_pass(int(number)).take(upload(mi.UInt32, own))
+        origins, directions = (np.array(v).T.astype(np.float64) for v in (sample.o, sample.d))
+        place = {int(lane): k for k, lane in enumerate(np.array(sample.lane))}
+        for part in np.split(np.arange(len(own)), FIRST * 2 ** np.arange(int(np.log2(START_RAYS / FIRST)) + 1)):
+            if not len(part):
+                continue
+            recorder.clear()
+            run.walk(sample.take(upload(mi.UInt32, part)), film, recorder=recorder)
+            slots = _wanted(recorder, [key for key, rays in found.items() if len(rays) < most], most)
+            starts = [place[int(lane)] for lane in np.array(recorder.lane)[slots]]
+            rays = rays_in_slots(run, recorder, slots, origins[starts], directions[starts])
+            for key, ray in zip(np.array(recorder.path)[slots].tolist(), rays, strict=True):
+                if len(found[key]) < most:
+                    found[key].append(ray)
+            if all(len(rays) >= most for rays in found.values()):
+                return found
+    return found
+
+
+def _wanted(recorder: Recorder, keys: Sequence[int], most: int) -> np.ndarray:
+    """Places of at most so many recorded branches of each of these paths."""
+    count = min(int(recorder.count[0]), recorder.capacity)
+    paths = np.array(recorder.path)[:count]
+    order = np.argsort(paths, kind="stable")
+    ends = [np.searchsorted(paths[order], np.array(keys, dtype=np.uint64), side) for side in ("left", "right")]
+    parts = [order[first : min(last, first + most)] for first, last in zip(*ends, strict=True)]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *parts])

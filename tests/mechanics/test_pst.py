@@ -1,0 +1,108 @@
+"""A tube with vanes from a STEP file and the same tube typed as frusta: one point source transmittance."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from types import ModuleType
+from typing import Any
+
+import numpy as np
+import pytest
+
+import mistray
+from mistray.mechanics import Mechanics, read_mechanics
+from mistray.prescription import Coating, MeshStructure, Scatter, Structure
+from mistray.prescription.model import Placed
+
+DATA = Path(__file__).parents[1] / "data"
+ANGLES_DEG = (20.0, 30.0, 40.0, 50.0)
+RAYS = 1_500_000
+CLASSES = ("single_scatter", "multiple_scatter")
+BLACK = Coating(R=0.0)
+PAINT = {"reflectance": 0.1}
+# A chamber behind the tube: light that leaves the paint for elsewhere must not come around the tube.
+END_Z, DETECTOR_Z, INNER, DETECTOR_RADIUS = 80.0, 95.0, 20.0, 8.0
+
+
+def scene(tube: tuple[Any, ...]) -> Any:
+    """The tube before a chamber with the detector in its rear wall."""
+    system = mistray.Prescription(
+        name="tube",
+        surfaces=(),
+        structures=(
+            *tube,
+            Structure("chamber", INNER, END_Z, INNER, DETECTOR_Z),
+            Structure("board", DETECTOR_RADIUS, DETECTOR_Z, INNER, DETECTOR_Z),
+        ),
+        detector=mistray.Detector(z=DETECTOR_Z, semi_diameter=DETECTOR_RADIUS, pixels=(8, 8)),
+        source=mistray.Source(radius=INNER),
+    )
+    return system.to_scene()
+
+
+def pst(tube: tuple[Any, ...], seed: int, rays: int = RAYS) -> Any:
+    options = {"max_scatters": 2, "max_reflections": 0, "cell_deg": 4.0, "paths": False}
+    return mistray.pst(scene(tube), ANGLES_DEG, rays=rays, seed=seed, **options)
+
+
+def apart(a: Any, b: Any) -> np.ndarray:
+    """Difference in its standard errors: light scattered once, more than once, and both, at each angle."""
+    rows = []
+    for classes in (*CLASSES, CLASSES):
+        (x, x_se), (y, y_se) = a.curve(classes), b.curve(classes)
+        rows.append(np.abs(x - y) / np.maximum(np.hypot(x_se, y_se), 1e-30))
+    return np.array(rows)
+
+
+@pytest.fixture(scope="module")
+def typed(make_step: ModuleType) -> Any:
+    """The profile as frusta, from its numbers."""
+    profile = make_step.vane_tube_profile()
+    sides = zip(profile, [*profile[1:], profile[0]], strict=True)
+    paint = (Scatter("paint", PAINT, name="tube_paint"),)
+    return pst(
+        tuple(
+            Structure(f"side_{k}", *a, *b, coating=BLACK, scatter=paint, part="tube") for k, (a, b) in enumerate(sides)
+        ),
+        seed=1,
+    )
+
+
+@pytest.fixture(scope="module")
+def drawn() -> Mechanics:
+    return read_mechanics(DATA / "vane_tube.step")
+
+
+def outside(tube: Mechanics, folder: Path) -> tuple[Any, ...]:
+    """Painted on the outside alone: light meets no other side, unless normals are wrong."""
+    return tube.painted({"vane*": "paint reflectance=0.1 side=back"}).structures(folder)
+
+
+def test_exact_surfaces(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
+    tube = outside(drawn, tmp_path)
+    assert all(isinstance(shape, Structure) for shape in tube)
+    assert np.all(apart(pst(tube, seed=2), typed) < 3)
+
+
+def test_mesh(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
+    tube = outside(replace(drawn, most_analytic=0), tmp_path)
+    assert [type(shape) for shape in tube] == [MeshStructure]
+    assert np.all(apart(pst(tube, seed=3), typed) < 3)
+
+
+def test_paint_inside_of_the_body_is_dark(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
+    """The paint on the other side of every surface."""
+    tube = drawn.painted({"vane*": "paint reflectance=0.1 side=front"}).structures(tmp_path)
+    dark = pst(tube, seed=5, rays=RAYS // 10)
+    assert np.all(dark.stray == 0)
+    assert np.all(typed.stray > 0)
+
+
+def test_the_comparison_can_fail(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
+    """The tube 4 mm further in front: a unit or a place that is wrong would show."""
+    value, error = typed.curve("multiple_scatter")
+    assert np.all(error < 0.1 * value)
+    there = Placed(z=-4.0).to_world()
+    tube = outside(replace(drawn, parts=tuple(part.moved(there) for part in drawn.parts)), tmp_path)
+    assert apart(pst(tube, seed=4), typed).max() > 3

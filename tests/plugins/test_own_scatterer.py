@@ -1,0 +1,88 @@
+"""A scatter plugin that is not ours: nested, among the parameters, and refused in one line."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.optimize.parameters import parameters
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter import Lobe, Placement
+
+
+@dataclass(frozen=True)
+class Haze(Placement):
+    """BSDF = share (depth + 1)/π (1 - r²)^depth."""
+
+    share: float
+    depth: float
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        if not 0 <= self.share <= 1:
+            raise MistrayError(f"{self.title}: share is {self.share:g}; give 0 … 1")
+
+    def value(self, r: np.ndarray) -> np.ndarray:
+        inside = np.where(r < 1, 1 - r * r, 0.0)
+        return np.where(r < 1, self.share * (self.depth + 1) / np.pi * inside**self.depth, 0.0)
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        return tuple(Lobe(event, self.value, shares=self.shares) for event in self.events(from_front))
+
+
+class HazePlugin(Scatterer):
+    kind = "haze"
+
+    def _read(self, props: mi.Properties) -> None:
+        self._take(props, "share", "depth")
+
+    def _model_of(self, **values: float) -> Haze:
+        return Haze(**values, name=self.name, **self._placement)
+
+
+mi.register_bsdf("haze", lambda props: HazePlugin(props))
+
+
+def scene(**scatter: Any) -> Any:
+    interface = {"type": "interface", "R": 0.9, "scatter": {"type": "haze", **scatter}}
+    return mistray.load(
+        {
+            "type": "scene",
+            "beam": {"type": "collimated", "radius": 0.5},
+            "panel": {"type": "asphere", "semi_diameter": 5.0, "bsdf": interface},
+            "detector": {
+                "type": "asphere",
+                "semi_diameter": 1.0,
+                "to_world": mi.ScalarTransform4f().translate([0, 20, -20]),
+                "bsdf": {"type": "interface", "R": 0.0},
+                "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "rfilter": {"type": "box"}}},
+            },
+        }
+    )
+
+
+def test_its_values_are_parameters() -> None:
+    """Of a number that nobody has described, the unit is 1 and the tolerance 20 %."""
+    known = parameters(scene(share=0.3, depth=2.0))
+    found = {key: p for key, p in known.items() if p.kind == "scatter"}
+    assert set(found) == {"panel.bsdf.haze.share", "panel.bsdf.haze.depth"}
+    depth = found["panel.bsdf.haze.depth"]
+    assert (depth.unit, depth.value[0], depth.shapes) == ("1", 2.0, ("panel",))
+    assert depth.tolerance == pytest.approx(0.4)
+    assert depth.low == -np.inf
+
+
+def test_its_errors_are_one_line() -> None:
+    with pytest.raises(MistrayError, match=r"share is 1\.5; give 0 … 1") as error:
+        scene(share=1.5, depth=2.0)
+    assert "\n" not in str(error.value)
+    with pytest.raises(MistrayError, match="depth is missing; give share, depth"):
+        scene(share=0.5)
+    with pytest.raises(MistrayError, match="deepness"):
+        scene(share=0.5, depth=1.0, deepness=2.0)

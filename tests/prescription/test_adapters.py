@@ -1,0 +1,235 @@
+"""Lenses of optiland and ray-optics, objects in memory; their files are in tests/validation/test_lens_files.py."""
+
+from __future__ import annotations
+
+import math
+import warnings
+
+import numpy as np
+import peer_lenses
+import peers
+import pytest
+
+from mistray import MistrayError
+from mistray.materials import complex_index, refractive_index
+from mistray.physics.sag import sag
+from mistray.prescription.adapted import figure, object_na, same_material, turns_deg
+from mistray.prescription.first_order import first_order
+from mistray.prescription.from_optiland import from_optiland
+from mistray.prescription.from_rayoptics import from_rayoptics
+from mistray.prescription.sequential import ClearAperture, Decentre, Row, Sequential
+from mistray.prescription.sequential_rays import motion, trace
+
+
+def by_name(name: str):
+    """A file of the packages; the test is left out where they are not installed."""
+    peers.need("rayoptics")
+    return next(path for file, path in peer_lenses.files().items() if file.endswith(f"/{name}"))
+
+
+# What both share
+
+
+def test_a_plane_with_an_r2_term_is_a_paraboloid():
+    radius, conic, coefficients = figure("x", math.inf, 0.0, [2e-3, 1e-6, 0.0])
+    assert (radius, conic, coefficients) == (250, -1, (1e-6,))
+    assert sag(100.0, 1 / radius, conic, coefficients) == pytest.approx(2e-3 * 100 + 1e-6 * 100**2, rel=1e-14)
+    assert figure("x", 50.0, -0.3, [0.0, 1e-6]) == (50, -0.3, (1e-6,))
+    assert figure("x", 50.0, -0.3, []) == (50, -0.3, ())
+    with pytest.raises(MistrayError, match=r"x: its r² term 0.002 beside a radius"):
+        figure("x", 50.0, 0.0, [2e-3])
+
+
+@pytest.mark.parametrize("angles", [(0, 0, 0), (10, 20, 30), (-170, 60, 5), (45, 0, 0)])
+def test_turns_come_back(angles):
+    turn = motion(Decentre(tilt_deg=angles))[:3, :3]
+    assert turns_deg(turn) == pytest.approx(angles, abs=1e-12)
+
+
+def test_materials_are_named_only_where_their_index_is_the_same():
+    def bk7(wavelength):
+        return refractive_index("N-BK7", wavelength)
+
+    lines = (486.13, 587.56, 656.27)
+    assert same_material(["schott/BK7", "N-BK7"], bk7, lines) == "N-BK7"
+    table = same_material(["F2"], bk7, lines)
+    assert [complex_index(table, line) for line in lines] == [bk7(line) for line in lines]
+    assert same_material(["N-BK7"], lambda wavelength: 1.0, lines) == "air"
+    assert same_material(["N-BK7"], lambda wavelength: 1.7, lines) == "1.7 k=0"
+    assert same_material(["PMMA"], lambda w: refractive_index("PMMA", w), lines).startswith("PMMA")
+
+
+def test_a_cone_at_the_image_of_a_thin_lens():
+    """n = 1.5, R = ±100: f = 100; from 150 to 300 mm, so slopes are halved."""
+    rows = (Row(1, radius=100, material="1.5"), Row(2, radius=-100, thickness=300), Row(3, kind="image"))
+    thin = Sequential("thin", rows, object_distance=150.0, aperture=1.0)
+    assert object_na(thin, 0.05) == pytest.approx(math.sin(math.atan(0.1)), rel=1e-12)
+
+
+# ray-optics
+
+
+def model_of(name: str):
+    return peer_lenses.by_rayoptics(by_name(name)).model
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["ag_dblgauss.seq", "CODV_49664.seq", "questar35.seq", "threemir.seq", "dec_rev_tilt_test.seq", "singlet.seq",
+     "folded_lenses.seq", "paraboloid_f8.seq"],
+)  # fmt: skip
+def test_a_model_of_rayoptics_is_the_lens_of_its_file(name):
+    model = model_of(name)
+    model["seq_model"].gaps[-1].thi -= model["optical_spec"]["focus"].focus_shift  # which peer_lenses adds
+    ours, theirs = peer_lenses.read(by_name(name)), from_rayoptics(model)
+    assert len(theirs.rows) == len(ours.rows)
+    assert [row.kind for row in theirs.rows] == [row.kind for row in ours.rows]
+    assert (theirs.field_kind, theirs.wavelengths_nm) == (ours.field_kind, ours.wavelengths_nm)
+    assert np.array(theirs.fields) == pytest.approx(np.array(ours.fields))
+    wavelength = ours.wavelength_nm
+    assert first_order(theirs, wavelength).efl == pytest.approx(first_order(ours, wavelength).efl, rel=1e-6)
+    positions, directions = (values.reshape(-1, 3) for values in peer_lenses.starts(ours))
+    theirs_hits, ours_hits = (trace(lens, positions, directions, wavelength)[0][-1] for lens in (theirs, ours))
+    assert theirs_hits == pytest.approx(ours_hits, abs=2e-6)
+    assert np.isfinite(ours_hits).all()
+
+
+def test_what_rayoptics_has_and_we_do_not():
+    diffracting = model_of("CODV_32327.seq")
+    diffracting["seq_model"].ifcs[1].phase_element = peers.rayoptics("oprops.doe").DiffractiveElement()
+    with pytest.raises(MistrayError, match=r"interface 1: diffracting surfaces are not traced"):
+        from_rayoptics(diffracting)
+    with pytest.raises(MistrayError, match=r"interface \d: \w*Toroid has no counterpart"):
+        from_rayoptics(model_of("HoO-V2C18Ex46.zmx"))
+
+
+def test_edges_of_rayoptics_are_drawn_or_listed():
+    model = model_of("CODV_32327.seq")
+    surface = peers.rayoptics("elem.surface")
+    interfaces = model["seq_model"].ifcs
+    for interface in interfaces:
+        interface.clear_apertures, interface.edge_apertures = [], []
+    interfaces[1].edge_apertures = [surface.Circular(radius=7.5)]
+    interfaces[2].clear_apertures = [surface.Circular(radius=6.0)]
+    interfaces[2].edge_apertures = [surface.Circular(radius=8.0)]
+    found = from_rayoptics(model)
+    sizes = [(row.semi_diameter, row.semi_diameter_fixed) for row in found.rows]
+    assert sizes == [(7.5, False), (6.0, True)] + [(None, False)] * (len(sizes) - 2)
+    assert [entry.text for entry in found.unread] == ["interface 2: edge Circular"]
+
+
+# Neither
+
+
+@pytest.mark.parametrize("thing", [None, 3, {}, "lens.zmx"])
+def test_other_objects_are_refused_by_what_they_are(thing):
+    kind = type(thing).__name__
+    with pytest.raises(MistrayError, match=f"from_optiland was given {kind}; give an Optic"):
+        from_optiland(thing)
+    with pytest.raises(MistrayError, match=f"from_rayoptics was given {kind}; give an OpticalModel"):
+        from_rayoptics(thing)
+
+
+# optiland
+
+
+@pytest.fixture(scope="module")
+def optiland():
+    return peers.optiland("optic").Optic
+
+
+def mirror_and_lens(optic_of):
+    """A window, a tilted mirror with a hole, a lens off the axis with an asphere."""
+    optic = optic_of("bench")
+    optic.surfaces.add(index=0, thickness=np.inf)
+    optic.surfaces.add(index=1, radius=np.inf, thickness=3, material="N-BK7", is_stop=True, comment="window")
+    optic.surfaces.add(index=2, radius=-400, conic=-0.5, thickness=60)
+    optic.surfaces.add(index=3, radius=-300, thickness=-40, material="mirror", rx=np.radians(4), dy=1.5)
+    optic.surfaces.add(
+        index=4, surface_type="even_asphere", radius=-50, conic=0.3, coefficients=[0.0, 1e-6], thickness=-4,
+        material="N-SF5", rx=np.radians(8), ry=np.radians(-3),
+    )  # fmt: skip
+    optic.surfaces.add(index=5, radius=np.inf, thickness=-30)
+    optic.surfaces.add(index=6)
+    optic.set_aperture(aperture_type="EPD", value=8)
+    optic.fields.set_type("angle")
+    optic.fields.add(y=0)
+    optic.fields.add(y=2, x=-1)
+    optic.wavelengths.add(value=0.5876, is_primary=True)
+    optic.wavelengths.add(value=0.4861)
+    return optic
+
+
+def test_a_lens_of_optiland_has_the_same_rays(optiland):
+    optic = mirror_and_lens(optiland)
+    list(optic.surfaces)[3].aperture = peers.optiland("physical_apertures").RadialAperture(r_max=20, r_min=0.1)
+    ray_kind = peers.optiland("rays").RealRays
+    found = from_optiland(optic)
+    assert (found.name, found.fields, found.aperture) == ("bench", ((0, 0), (-1, 2)), 8)
+    assert found.wavelengths_nm == pytest.approx((587.6, 486.1))
+    assert [row.material for row in found.rows[:3]] == ["N-BK7", "air", "air"]
+    assert found.rows[2].mirror
+    assert found.rows[2].aperture == ClearAperture(inner=0.1, outer=20)
+    assert found.rows[0].label == "window"
+    assert found.rows[0].stop
+    positions, directions = (values.reshape(-1, 3) for values in peer_lenses.starts(found))
+    for wavelength in found.wavelengths_nm:
+        rays = ray_kind(*positions.T, *directions.T, np.ones(len(positions)), np.full(len(positions), wavelength / 1e3))
+        optic.surfaces.trace(rays)
+        hits, onward = trace(found, positions, directions, wavelength)
+        # The image is not tilted and stands on the axis
+        last = sum(row.thickness for row in found.rows)
+        assert np.stack([rays.x, rays.y, rays.z - last], axis=1) == pytest.approx(hits[-1], abs=1e-9)
+        assert np.stack([rays.L, rays.M, rays.N], axis=1) == pytest.approx(onward[-1], abs=1e-10)
+    assert np.ptp(hits[-1][:, 1]) > 0.1
+
+
+@pytest.mark.parametrize(
+    ("module", "sample", "efl"),
+    [
+        ("objectives", "CookeTriplet", 50.0),
+        ("telescopes", "HubbleTelescope", 57600.0),
+    ],
+)
+def test_samples_of_optiland(optiland, module, sample, efl):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        optic = getattr(peers.optiland(f"samples.{module}"), sample)()
+        expected = float(np.ravel(optic.paraxial.f2())[0])
+    found = first_order(from_optiland(optic))
+    assert found.efl == pytest.approx(abs(expected), rel=1e-9)
+    assert found.efl == pytest.approx(efl, rel=0.01)
+
+
+@pytest.mark.parametrize("kind", ["EPD", "imageFNO", "objectNA", "float_by_stop_size"])
+def test_an_aperture_of_optiland_is_as_wide_here(optiland, kind):
+    """An object 150 mm in front of a lens."""
+    optic = optiland("finite")
+    optic.surfaces.add(index=0, thickness=150)
+    optic.surfaces.add(index=1, radius=60, thickness=4, material="N-BK7")
+    optic.surfaces.add(index=2, radius=-80, thickness=5)
+    optic.surfaces.add(index=3, thickness=100, is_stop=True)
+    optic.surfaces.add(index=4)
+    value = {"EPD": 11.0, "imageFNO": 6.0, "objectNA": 0.05, "float_by_stop_size": 9.0}[kind]
+    optic.set_aperture(aperture_type=kind, value=value)
+    optic.fields.set_type("object_height")
+    optic.fields.add(y=3)
+    optic.wavelengths.add(value=0.5876, is_primary=True)
+    found = from_optiland(optic)
+    assert (found.object_distance, found.field_kind, found.fields) == (150, "object_height", ((0, 3),))
+    assert first_order(found).epd == pytest.approx(float(np.ravel(optic.paraxial.EPD())[0]), rel=1e-6)
+    assert not found.telecentric
+    if kind == "objectNA":
+        optic.obj_space_telecentric = True
+        assert from_optiland(optic).telecentric
+
+
+def test_what_optiland_has_and_we_do_not(optiland):
+    optic = mirror_and_lens(optiland)
+    optic.set_aperture(aperture_type="imageFNO", value=5)
+    assert from_optiland(optic).aperture_kind == "f_number"
+    list(optic.surfaces)[4].geometry.coefficients[0] = 1e-3
+    with pytest.raises(MistrayError, match=r"optiland lens 'bench', surface 4: its r² term 0.001 beside a radius"):
+        from_optiland(optic)
+    with pytest.raises(MistrayError, match="it needs a surface, a wavelength and an aperture"):
+        from_optiland(optiland("empty"))

@@ -1,0 +1,300 @@
+"""From a table of surfaces to a closed system in the world."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from sequential_lenses import by_name, lens, newtonian, triplet
+
+from mistray import MistrayError
+from mistray.prescription import ClearAperture, Coating, Decentre, Row, Structure, Surface, Unread
+from mistray.prescription.build import build, to_prescription
+from mistray.prescription.from_files import beside
+from mistray.prescription.sequential_rays import to_world, trace
+
+
+def ends(piece: Structure) -> list[tuple[float, float]]:
+    return [(piece.r0, piece.z0), (piece.r1, piece.z1)]
+
+
+def test_a_triplet_is_closed_from_the_first_rim_to_the_detector():
+    prescription = to_prescription(triplet())
+    shapes = by_name(prescription)
+    assert [s.name for s in prescription.surfaces] == ["S1", "S2", "S3", "S4", "S6", "S7"]
+    assert [s.part for s in prescription.surfaces] == ["L1", "L1", "L2", "L2", "L3", "L3"]
+    assert shapes["S6"].z == pytest.approx(3.25896 + 6.00755 + 0.99998 + 2.0 + 2.75041)
+    # Each rim is the end of a wall and of an edge or its flange
+    pieces = [shape for shape in shapes.values() if isinstance(shape, Structure)]
+    profile = [end for piece in pieces for end in ends(piece)]
+    for surface in prescription.surfaces:
+        met = sum(math.dist(surface.rim, end) < 1e-9 for end in profile)
+        assert met == (1 if surface.name == "S1" else 2), surface.name
+    detector = prescription.detector
+    assert any(math.dist(end, detector.rim) < 1e-9 for end in profile)
+    assert {name for name in shapes if name.startswith("board")} == {
+        "board_left", "board_right", "board_bottom", "board_top"
+    }  # fmt: skip
+
+
+def test_edges_lie_in_the_glass_of_their_lens():
+    shapes = by_name(to_prescription(triplet()))
+    for lens_name, glass in (("L1", "1.62041"), ("L2", "1.62005"), ("L3", "1.62041")):
+        edge = shapes[f"{lens_name}_edge"]
+        assert (edge.front, edge.coating) == (glass, Coating(R=0.0))
+        assert edge.r0 == edge.r1
+
+
+def test_the_stop_is_a_plate_with_the_hole_of_the_real_marginal_ray():
+    prescription = to_prescription(triplet())
+    hits, _ = trace(triplet(), [[0.0, 5.0, -1.0]], [[0.0, 0.0, 1.0]])
+    stop = prescription.stop
+    assert stop.radius == pytest.approx(hits[4, 0, 1], rel=1e-12)
+    assert stop.z_front == stop.z_rear == pytest.approx(3.25896 + 6.00755 + 0.99998 + 2.0)
+    # It closes the tube: outside of the wall that it pierces
+    wall = next(s for s in prescription.structures if s.name == "barrel_2_wall")
+    at_stop = np.interp(stop.z_front, [wall.z0, wall.z1], [wall.r0, wall.r1])
+    assert stop.outer_front > at_stop
+
+
+def test_clear_radii_are_those_of_rays_with_a_margin_unless_the_file_gives_them():
+    given = triplet()
+    rows = list(given.rows)
+    rows[1] = replace(rows[1], semi_diameter=12.0)
+    rows[5] = replace(rows[5], semi_diameter=5.0, semi_diameter_fixed=True)
+    built = build(given.with_rows(rows), margin=0.1)
+    shapes = by_name(built.prescription)
+    assert shapes["S2"].semi_diameter == 12.0
+    assert shapes["S6"].semi_diameter == 5.0
+    assert any("of 17 rays" in note and "at surface 6" in note for note in built.notes)
+    # The rays of 20° fill the stop; its upper and lower rims bound the first surface
+    assert shapes["S1"].semi_diameter > 1.1 * 5.0
+    narrow = by_name(to_prescription(given, margin=0.0))["S1"].semi_diameter
+    assert by_name(to_prescription(given, margin=0.1))["S1"].semi_diameter == pytest.approx(1.1 * narrow, rel=1e-12)
+
+
+def test_a_drawn_radius_that_rays_exceed_is_made_larger_and_told():
+    rows = list(triplet().rows)
+    rows[0] = replace(rows[0], semi_diameter=6.0)
+    built = build(triplet().with_rows(rows))
+    assert by_name(built.prescription)["S1"].semi_diameter > 9.0
+    assert any("drawn clear radii" in note and note.endswith("surfaces 1") for note in built.notes)
+
+
+def test_edges_can_be_ground_or_open():
+    ground = by_name(to_prescription(triplet(), edges="ground", ground_reflectance=0.3))
+    (model,) = ground["L2_edge"].scatter
+    assert (model.kind, dict(model.properties), model.name) == ("paint", {"reflectance": 0.3}, "ground_edge")
+    assert ground["barrel_1_wall"].scatter == ()
+    open_ = by_name(to_prescription(triplet(), edges="open"))
+    assert open_["L2_edge"].coating is None
+    assert not any(name.startswith(("barrel", "board")) for name in open_)
+    with pytest.raises(MistrayError, match="edges = 'shiny'; they are blackened, ground or open"):
+        to_prescription(triplet(), edges="shiny")
+
+
+def test_cemented_lenses_share_a_rim_and_no_face_stands_twice():
+    doublet = lens(
+        Row(1, radius=61.0, thickness=6.0, material="1.5168", stop=True, label="crown"),
+        Row(2, radius=-44.0, thickness=2.5, material="1.6727"),
+        Row(3, radius=-130.0, thickness=95.0),
+        Row(4, kind="image"),
+        aperture=20.0,
+        fields=((0.0, 0.0), (0.0, 3.0)),
+    )
+    prescription = to_prescription(doublet)
+    shapes = by_name(prescription)
+    edges = [shapes["L1_edge"], shapes["L2_edge"]]
+    assert len({edge.r0 for edge in edges} | {edge.r1 for edge in edges}) == 1
+    assert edges[0].z1 == edges[1].z0
+    rings = [ends(piece) for piece in prescription.structures if isinstance(piece, Structure) and piece.z0 == piece.z1]
+    assert len(rings) == len({tuple(ring) for ring in rings})
+    assert shapes["crown"].part == "L1"
+
+
+def test_rays_of_the_table_meet_the_surfaces_of_the_prescription():
+    """Every point of the float64 trace, put into the world, lies on the placed surface."""
+    for given in (triplet(), newtonian()):
+        shapes = [*to_prescription(given).surfaces, to_prescription(given).detector]
+        starts = np.array([[x, y, -10.0] for x, y in ((0, 0), (1, 2), (-3, 1), (0, -4))], dtype=float)
+        hits, _ = trace(given, starts, np.tile([0.0, 0.0, 1.0], (4, 1)))
+        places = to_world(given, hits)
+        rows = [k for k, row in enumerate(given.rows) if row.mirror or row.material != "air" or row.kind == "image"]
+        optical = {shape.name: shape for shape in shapes}
+        for k in rows:
+            row = given.rows[k]
+            name = "detector" if row.kind == "image" else row.label or f"S{row.number}"
+            own = np.linalg.inv(optical[name].to_world())
+            local = places[k] @ own[:3, :3].T + own[:3, 3]
+            flat = replace(optical[name], x=0.0, y=0.0, z=0.0, tilt_deg=(0.0, 0.0, 0.0))
+            assert local[:, 2] == pytest.approx(flat.z_at(np.hypot(local[:, 0], local[:, 1])), abs=1e-9)
+
+
+def test_stated_apertures_become_plates_and_clips():
+    rows = list(newtonian().rows)
+    rows[0] = replace(rows[0], aperture=ClearAperture(outer=30.0, obscures=True))
+    rows[1] = replace(rows[1], aperture=ClearAperture(inner=20.0, outer=110.0))
+    rows[3] = replace(rows[3], aperture=ClearAperture(kind="rectangle", half_width=25.0, half_height=40.0))
+    shapes = by_name(to_prescription(newtonian().with_rows(rows)))
+    assert (shapes["sky_obscuration"].semi_diameter, shapes["sky_obscuration"].coating) == (30.0, Coating(R=0.0))
+    assert (shapes["primary"].semi_diameter, shapes["primary"].inner_semi_diameter) == (110.0, 20.0)
+    assert (shapes["flat"].half_width, shapes["flat"].half_height) == (25.0, 40.0)
+    assert "flat_rim" not in shapes
+    rows = [replace(triplet().rows[0], aperture=ClearAperture(outer=2.0, y=1.0, obscures=True)), *triplet().rows[1:]]
+    patch = by_name(to_prescription(triplet().with_rows(rows)))["S1_obscuration"]
+    # Flat, before the deepest point of the surface below it, at r = 0
+    assert (patch.y, patch.z) == pytest.approx((1.0, -1e-3))
+
+
+def test_coatings_come_by_name():
+    rows = list(triplet().rows)
+    rows[0] = replace(rows[0], coating="AR")
+    rows[1] = replace(rows[1], coating="lib/COATING.DAT:HEAR1")
+    rows[2] = replace(rows[2], coating="unknown")
+    given = triplet().with_rows(rows)
+    built = build(given, coatings={"ar": Coating(preset="mgf2_quarter_wave")})
+    shapes = by_name(built.prescription)
+    assert shapes["S1"].coating == Coating(preset="mgf2_quarter_wave")
+    assert shapes["S2"].coating == Coating(table="lib/COATING.DAT:HEAR1")
+    assert shapes["S3"].coating is None
+    assert "coating 'unknown' of surface 3 is not given (coatings=): it is bare" in built.notes
+    moved = by_name(beside(built.prescription, "out"))
+    assert moved["S2"].coating.table == "../lib/COATING.DAT:HEAR1"
+
+
+def test_absorption_that_is_unknown_is_told():
+    rows = [replace(triplet().rows[0], material="nd=1.62 Vd=60"), *triplet().rows[1:]]
+    built = build(triplet().with_rows(rows))
+    assert by_name(built.prescription)["S1"].back == "nd=1.62 Vd=60 k=0"
+    assert "material 'nd=1.62 Vd=60': its absorption is unknown and taken for 0" in built.notes
+
+
+def test_provenance_lists_notes_and_every_line_without_effect(tmp_path):
+    given = replace(
+        triplet(object_distance=500.0),
+        source="Zemax file a.zmx",
+        unread=(
+            Unread(12, "  XDAT 1 2", "extra data are not read"),
+            Unread(40, "TOL -- 3", "a tolerance"),
+            Unread(0, "pickups", "values are taken as they are"),
+        ),
+    )
+    prescription = to_prescription(given)
+    lines = prescription.provenance.splitlines()
+    assert lines[0] == "From Zemax file a.zmx."
+    assert "Without effect, line 12: XDAT 1 2 (extra data are not read)" in lines
+    assert "Without effect: pickups (values are taken as they are)" in lines
+    assert any(line.startswith("Note: the object lies 500 mm before the lens") for line in lines)
+    prescription.to_xml(tmp_path / "a.xml")
+    assert "line 40: TOL - - 3 (a tolerance)" in (tmp_path / "a.xml").read_text(encoding="utf-8")
+
+
+def test_the_source_fills_the_pupil_or_the_front():
+    weighted = triplet(wavelengths_nm=(486.1, 587.6, 656.3), weights=(1.0, 2.0, 0.0), primary=1)
+    source = to_prescription(weighted).source
+    assert (source.radius, source.plane) == (5.0, "axis")
+    assert source.wavelength_nm == (486.1, 587.6)
+    assert source.weights == pytest.approx((1 / 3, 2 / 3))
+    built = build(triplet(), beam="front")
+    front = by_name(built.prescription)["S1"].semi_diameter
+    assert built.prescription.source.radius == front
+    with pytest.raises(MistrayError, match="beam = 'all'; it is 'pupil' or 'front'"):
+        build(triplet(), beam="all")
+
+
+def test_surfaces_that_would_cross_end_where_they_meet():
+    """An equiconvex lens of R = 50, t = 2: the faces meet where 2 sag = 2, r² = 2 R - 1."""
+    biconvex = lens(
+        Row(1, stop=True, thickness=8.0),
+        Row(2, radius=50.0, thickness=2.0, material="1.5", semi_diameter=15.0),
+        Row(3, radius=-50.0, thickness=49.0, semi_diameter=15.0),
+        Row(4, kind="image"),
+    )
+    built = build(biconvex)
+    shapes = by_name(built.prescription)
+    knife = math.sqrt(2 * 50.0 * 1.0 - 1.0)
+    for name in ("S2", "S3"):
+        assert shapes[name].semi_diameter == pytest.approx(knife, rel=0.01)
+        assert shapes[name].semi_diameter < knife
+    assert any("'S2' and 'S3' cross" in note for note in built.notes)
+
+
+def test_names_are_kept_where_they_can_be():
+    rows = [
+        replace(row, label=label)
+        for row, label in zip(
+            triplet().rows, ["front lens", "a.b", "twin", "twin", "iris", "stop_front", "", ""], strict=True
+        )
+    ]
+    prescription = to_prescription(triplet().with_rows(rows))
+    assert [s.name for s in prescription.surfaces] == ["front_lens", "a_b", "S3", "S4", "S6", "S7"]
+
+
+def test_a_tilted_group_is_closed_in_its_own_frame():
+    tilted = lens(
+        Row(1, thickness=5.0, stop=True),
+        Row(2, kind="coordinate_break", decentre=Decentre(y=1.0, tilt_deg=(10.0, 0.0, 0.0))),
+        Row(3, radius=50.0, thickness=4.0, material="1.5"),
+        Row(4, radius=-50.0, thickness=40.0),
+        Row(5, kind="image"),
+        aperture=8.0,
+    )
+    shapes = by_name(to_prescription(tilted))
+    edge, surface = shapes["L1_edge"], shapes["S3"]
+    assert edge.tilt_deg == surface.tilt_deg == (10.0, 0.0, 0.0)
+    assert (edge.x, edge.y, edge.z) == (surface.x, surface.y, surface.z) == (0.0, 1.0, 5.0)
+    assert isinstance(surface, Surface)
+    assert shapes["board_left"].tilt_deg == (10.0, 0.0, 0.0)
+    # Its place along the tilted axis
+    assert shapes["detector"].z == pytest.approx(5.0 + 44.0 * math.cos(math.radians(10.0)))
+
+
+def test_the_stop_has_the_apertures_that_the_file_states():
+    rows = list(triplet().rows)
+    rows[4] = replace(rows[4], aperture=ClearAperture(inner=0.5, outer=3.0))
+    shapes = by_name(to_prescription(triplet().with_rows(rows)))
+    assert shapes["stop_front"].r1 == 3.0
+    disc = shapes["S5_obscuration"]
+    assert (disc.semi_diameter, disc.z) == pytest.approx((0.5, shapes["stop_front"].z0), abs=1e-9)
+    assert "S5_aperture" not in shapes
+    slit = ClearAperture(kind="rectangle", half_width=1.0, half_height=3.0)
+    rows[4] = replace(rows[4], aperture=slit)
+    shapes = by_name(to_prescription(triplet().with_rows(rows)))
+    assert shapes["S5_frame_left"].x + shapes["S5_frame_left"].half_width == pytest.approx(-1.0)
+
+
+def test_an_obscuration_stands_in_the_material_before_its_surface():
+    rows = list(triplet().rows)
+    rows[1] = replace(rows[1], aperture=ClearAperture(outer=1.0, obscures=True))
+    patch = by_name(to_prescription(triplet().with_rows(rows)))["S2_obscuration"]
+    assert (patch.front, patch.back) == ("1.62041", "1.62041")
+
+
+def test_the_source_shines_at_the_first_field():
+    """Slopes tan 3° and tan 4° in x and y: the azimuth turns from +y towards -x."""
+    tangents = [math.tan(math.radians(angle)) for angle in (3.0, 4.0)]
+    source = to_prescription(triplet(fields=((3.0, 4.0), (0.0, 0.0)))).source
+    assert source.field_deg == pytest.approx(math.degrees(math.atan(math.hypot(*tangents))), abs=1e-8)
+    assert source.azimuth_deg == pytest.approx(-math.degrees(math.atan2(*tangents)), abs=1e-8)
+    down = to_prescription(triplet(fields=((0.0, -5.0), (0.0, 5.0)))).source
+    assert (down.field_deg, down.azimuth_deg) == (-5.0, 0.0)
+
+
+def test_very_many_fields_and_huge_numbers_end_soon():
+    many = triplet(fields=tuple((0.0, 0.1 * k) for k in range(200)))
+    built = build(many)
+    assert "of 200 fields the 24 outermost give sizes and vignetting" in built.notes
+    rows = [replace(triplet().rows[0], radius=1e-300), *triplet().rows[1:]]
+    with pytest.raises(MistrayError):
+        build(triplet().with_rows(rows))
+
+
+def test_what_cannot_be_printed_does_not_break_the_scene(tmp_path):
+    given = replace(triplet(), name="a\x00b", unread=(Unread(3, "\x01\x02 bad", "not understood"),))
+    prescription = to_prescription(given)
+    prescription.to_xml(tmp_path / "a.xml")
+    text = (tmp_path / "a.xml").read_text(encoding="utf-8")
+    assert "\\x01\\x02 bad" in text
+    assert not set(map(chr, range(32))) - {"\n"} & set(text)

@@ -1,0 +1,219 @@
+"""Mirrors, pieces of them, holes and bores: systems whose light does not run along one axis in one sense."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from sequential_lenses import BORED, by_name, lens, newtonian
+
+from mistray.physics.sag import sag
+from mistray.prescription import ClearAperture, Coating, Decentre, Row, Sequential
+from mistray.prescription.build import build, to_prescription
+
+
+def test_a_newtonian_with_coordinate_breaks():
+    """Closed form: the focus 1000 mm before the primary is folded by 90° at 800 mm, to 200 mm beside the axis."""
+    built = build(newtonian())
+    shapes = by_name(built.prescription)
+    assert (shapes["primary"].z, shapes["flat"].z) == (1000.0, 200.0)
+    assert shapes["flat"].tilt_deg == (45.0, 0.0, 0.0)
+    detector = shapes["detector"]
+    assert (detector.x, abs(detector.y), detector.z) == pytest.approx((0.0, 200.0, 200.0), abs=1e-9)
+    assert detector.tilt_deg == (90.0, 0.0, 0.0)
+    assert shapes["primary"].semi_diameter == pytest.approx(100.0)
+    assert built.first_order.efl == pytest.approx(1000.0)
+    assert built.prescription.source.z == pytest.approx(1000.0)
+    assert built.prescription.source.radius == pytest.approx(100.0)
+    # The flat lies 200 mm before the focus: its beam is an ellipse of 1/cos 45° in the plane of the tilt
+    cone = 200.0 / 1000.0 * 100.0
+    assert shapes["flat"].semi_diameter > cone * math.sqrt(2)
+    (shadow,) = [note for note in built.notes if note.startswith("mirror 'flat' stands in the beam on its way to sur")]
+    # Its own area across the beam, of rays that sample the beam in five rings
+    share = shapes["flat"].semi_diameter ** 2 * math.cos(math.radians(45.0)) / 100.0**2
+    assert float(shadow.split("about ")[1].split(" %")[0]) == pytest.approx(100 * share, abs=5.0)
+    # The image of 0.5°: f tan θ, within coma
+    assert detector.half_width == pytest.approx(1.02 * 1000 * math.tan(math.radians(0.5)), rel=0.02)
+
+
+def test_a_cassegrain_gets_a_hole_where_the_beam_passes():
+    """The beam comes to the focus 200 mm behind the primary at F/20, from a secondary 700 mm before it."""
+    cassegrain = lens(
+        Row(1, radius=-2000.0, conic=-1.0, mirror=True, stop=True, thickness=-700.0, label="primary"),
+        Row(2, radius=-800.0, conic=-((7 / 3) ** 2), mirror=True, thickness=1000.0, label="secondary"),
+        Row(3, kind="image"),
+        aperture=200.0,
+    )
+    built = build(cassegrain, margin=0.0)
+    shapes = by_name(built.prescription)
+    # Of similar triangles with the paraxial cone; the focus lies 1200 mm behind the secondary
+    beam = 30.0 * (1200 - 700) / 1200
+    assert shapes["primary"].inner_semi_diameter == pytest.approx(beam, rel=0.02)
+    assert any("mirror 'primary' has a hole of radius" in note for note in built.notes)
+    assert any("mirror 'secondary' stands in the beam on its way to surface 1" in note for note in built.notes)
+    # The bodies lie on the side that no light of the design reaches
+    assert shapes["primary_rear"].z > 0
+    assert shapes["secondary_rear"].z < -700
+    hole = shapes["primary"].inner_semi_diameter
+    assert shapes["primary_rear"].inner_semi_diameter == hole
+    bore, sag = shapes["primary_bore"], -(hole**2) / 4000.0
+    assert (bore.r0, bore.r1) == (hole, hole)
+    assert (bore.z0, bore.z1 - bore.z0) == pytest.approx((sag, 5.0), abs=1e-9)
+
+
+def test_a_mangin_mirror_is_one_lens():
+    glass = "1.5168"
+    mangin = lens(
+        Row(1, radius=-150.0, thickness=5.0, material=glass, stop=True),
+        Row(2, radius=-220.0, thickness=-5.0, mirror=True, material=glass),
+        Row(3, radius=-150.0, thickness=-170.0),
+        Row(4, kind="image"),
+        aperture=40.0,
+    )
+    built = build(mangin)
+    assert [surface.name for surface in built.prescription.surfaces] == ["S1", "S2"]
+    assert "surface 3 is 'S1' on the way back" in built.notes
+    edges = [shape for shape in built.prescription.structures if shape.name == "L1_edge"]
+    assert [edge.front for edge in edges] == [glass]
+
+
+def test_lenses_after_a_mirror_are_closed_though_light_runs_backwards():
+    catadioptric = lens(
+        Row(1, radius=-400.0, mirror=True, stop=True, thickness=-120.0),
+        Row(2, radius=-80.0, thickness=-4.0, material="1.6"),
+        Row(3, radius=200.0, thickness=-40.0),
+        Row(4, kind="image"),
+        aperture=30.0,
+    )
+    built = build(catadioptric)
+    shapes = by_name(built.prescription)
+    # It stands in the light that comes to the mirror: 0.41² of it, of five rings
+    assert "the lens between 'S3' and 'S2' stands in the beam on its way to surface 1 and takes about 20 % of it" in (
+        built.notes
+    )
+    assert (shapes["S2"].front, shapes["S2"].back) == ("1.6", "air")
+    assert (shapes["S3"].front, shapes["S3"].back) == ("air", "1.6")
+    edge = shapes["L1_edge"]
+    assert edge.front == "1.6"
+    assert edge.z0 < edge.z1 < -120.0
+    assert shapes["barrel_1_wall"].front == "air"
+
+
+def test_a_spot_on_a_lens_and_an_image_on_a_surface_are_moved_by_a_micrometre():
+    gregory = lens(
+        Row(1, radius=-60.0, thickness=5.0, material="1.5168", stop=True),
+        Row(2, radius=-62.0, thickness=100.0),
+        Row(3, radius=-220.0, mirror=True, thickness=-100.0),
+        Row(4, radius=-62.0, mirror=True, thickness=120.0),
+        Row(5, kind="image"),
+        aperture=40.0,
+    )
+    built = build(gregory)
+    shapes = by_name(built.prescription)
+    assert shapes["S4"].z == pytest.approx(5.001)
+    assert "mirror 'S4' is a spot on 'S2': it stands 1 µm before it" in built.notes
+    assert "S4_rear" not in shapes
+    cover = lens(Row(1, thickness=1.0, material="1.5", stop=True), Row(2), Row(3, kind="image"))
+    built = build(cover)
+    assert by_name(built.prescription)["detector"].z == pytest.approx(1.001)
+    assert any("the image lies on surface 2" in note for note in built.notes)
+
+
+def test_a_detector_before_a_mangin_mirror_gets_no_wall_that_would_shut_it():
+    """Light comes past the detector; a wall from it to the lens would stand in the incoming beam."""
+    mangin = lens(
+        Row(1, radius=-150.0, thickness=5.0, material="1.5168", stop=True),
+        Row(2, radius=-220.0, thickness=-5.0, mirror=True, material="1.5168"),
+        Row(3, radius=-150.0, thickness=-170.0),
+        Row(4, kind="image"),
+        aperture=40.0,
+    )
+    built = build(mangin)
+    assert not any(shape.name.startswith(("barrel", "board")) for shape in built.prescription.shapes())
+    assert "there is no wall in space 1: it would stand in the beam" in built.notes
+    assert any(note.startswith("the detector stands in the beam on its way to surface 1") for note in built.notes)
+
+
+@pytest.mark.parametrize(
+    ("aperture", "ring"),
+    [
+        (ClearAperture(outer=25.0, y=60.0), (35.0, 85.0)),
+        (ClearAperture(kind="rectangle", half_width=10.0, half_height=20.0, x=40.0, y=50.0),
+         (math.hypot(30.0, 30.0), math.hypot(50.0, 70.0))),
+    ],
+)  # fmt: skip
+def test_a_mirror_off_its_axis_is_the_ring_that_holds_its_aperture(aperture, ring):
+    paraboloid = lens(
+        Row(1, radius=-400.0, conic=-1.0, mirror=True, stop=True, thickness=-200.0, aperture=aperture),
+        Row(2, kind="image"),
+        aperture=170.0,
+    )
+    built = build(paraboloid)
+    (mirror,) = built.prescription.surfaces
+    assert (mirror.inner_semi_diameter, mirror.semi_diameter) == pytest.approx(ring, rel=1e-12)
+    assert any("its aperture is centred at" in note for note in built.notes)
+
+
+def test_a_mirror_off_its_axis_that_blocks_its_own_beam_says_so():
+    """A paraboloid used at y = 60, 25 in radius, whose focus lies behind a whole paraboloid of the same axis."""
+    piece = ClearAperture(outer=25.0, y=60.0)
+    rows = (
+        Row(1, stop=True, thickness=150.0, decentre=Decentre(y=60.0, returns=True)),
+        Row(2, radius=-400.0, conic=-1.0, mirror=True, thickness=-140.0, aperture=piece),
+        Row(3, radius=-150.0, conic=-1.0, mirror=True, thickness=90.0, aperture=ClearAperture(outer=40.0, y=45.0)),
+        Row(4, kind="image"),
+    )
+    built = build(Sequential("gregory", rows, aperture=40.0))
+    assert built.notes[0] == (
+        "NO LIGHT of the table reaches the image: only a piece beside the axis of 'S3' is meant, but the whole ring or "
+        "disc about it stands here and blocks the rest"
+    )
+    # The stop is 60 mm off the axis, and so is the source
+    source = built.prescription.source
+    assert (source.x, source.y, source.radius) == pytest.approx((0.0, 60.0, 20.0), abs=1e-9)
+    assert "the source is centred at (0, 60) mm, where the beam of the first field comes in" in built.notes
+
+
+@pytest.mark.parametrize("radius", [math.inf, -400.0, 250.0])
+def test_a_piece_of_a_plane_or_a_sphere_stands_off_the_axis_as_it_is(radius):
+    """Its own vertex lies in the middle of the aperture; its points have the height that the table gives them."""
+    aperture = ClearAperture(outer=25.0, x=-40.0, y=60.0)
+    row = Row(1, radius=radius, mirror=True, stop=True, thickness=-100.0, aperture=aperture)
+    prescription = to_prescription(Sequential("piece", (row, Row(2, kind="image")), aperture=180.0))
+    (mirror,) = prescription.surfaces
+    curvature = 1 / radius
+    assert (mirror.x, mirror.y, mirror.z) == pytest.approx((-40.0, 60.0, sag(5200.0, curvature, 0.0)), abs=1e-9)
+    assert mirror.inner_semi_diameter == 0.0
+    # A circle seen along the axis is an ellipse on a tilted sphere, and the disc about it a little too large
+    tilt = math.asin(abs(curvature) * math.hypot(40.0, 60.0))
+    assert 25.0 - 1e-9 <= mirror.semi_diameter < 25.0 / math.cos(tilt) * 1.02
+    azimuth = np.linspace(0, 2 * math.pi, 50)
+    x, y = -40.0 + 25.0 * np.cos(azimuth), 60.0 + 25.0 * np.sin(azimuth)
+    points = np.column_stack([x, y, sag(x * x + y * y, curvature, 0.0)])
+    local = (points - mirror.to_world()[:3, 3]) @ mirror.to_world()[:3, :3]
+    r2 = local[:, 0] ** 2 + local[:, 1] ** 2
+    assert local[:, 2] == pytest.approx(sag(r2, curvature, 0.0), abs=1e-9)
+    assert np.sqrt(r2).max() <= mirror.semi_diameter + 1e-9
+
+
+def test_a_rectangular_piece_of_a_plane_keeps_its_sides():
+    aperture = ClearAperture(kind="rectangle", half_width=10.0, half_height=5.0, x=3.0, y=-20.0)
+    row = Row(1, mirror=True, stop=True, thickness=-100.0, aperture=aperture)
+    (mirror,) = to_prescription(Sequential("piece", (row, Row(2, kind="image")), aperture=60.0)).surfaces
+    assert (mirror.x, mirror.y, mirror.half_width, mirror.half_height) == (3.0, -20.0, 10.0, 5.0)
+
+
+def test_a_lens_that_another_stands_in_is_bored():
+    """A field lens within the Mangin mirror; the bore reaches from face to face, 2 % wider than the field lens."""
+    built = build(BORED)
+    shapes = by_name(built.prescription)
+    front, rear, guest, bore = shapes["S2"], shapes["S3"], shapes["S6"], shapes["L1_bore"]
+    radius = 1.02 * max(guest.semi_diameter, shapes["S7"].semi_diameter)
+    assert front.inner_semi_diameter == rear.inner_semi_diameter == bore.r0 == bore.r1 == pytest.approx(radius)
+    assert (bore.z + bore.z0, bore.z + bore.z1) == pytest.approx((front.z_at(radius), rear.z_at(radius)), abs=1e-9)
+    assert (bore.front, bore.back, bore.coating, bore.part) == ("air", "1.5168", Coating(R=0.0), "L1")
+    assert f"the lens between 'S2' and 'S3' has a bore of radius {radius:.6g} mm for 'S6', 'S7'" in built.notes
+    assert by_name(to_prescription(BORED, edges="open"))["L1_bore"].coating is None
+    (model,) = by_name(to_prescription(BORED, edges="ground"))["L1_bore"].scatter
+    assert model.name == "ground_edge"

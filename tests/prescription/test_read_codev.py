@@ -1,0 +1,354 @@
+"""CODE V files made by hand, command by command; those of other programs: tests/validation/test_lens_files.py."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from mistray import MistrayError
+from mistray.materials import refractive_index
+from mistray.prescription.codev_glass import table_material
+from mistray.prescription.codev_lines import commands
+from mistray.prescription.first_order import first_order, paraxial_system
+from mistray.prescription.read_codev import read_codev
+from mistray.prescription.sequential import ClearAperture, Sequential
+from mistray.prescription.sequential_rays import to_world, trace
+
+DOUBLET = """
+RDM;LEN "VERSION: 11.2; not a command"
+TITLE 'A doublet, 3.5" ! of two glasses; air spaced'
+EPD 25.0
+DIM M
+WL 656.3 587.6 486.1 ; REF 3; WTW 1 2 1
+YAN 0.0 2.0
+XAN 0.5 0.0
+VUY 0.0 0.2 ; VLY 0.0 0.3
+SO 0.0 0.1e14
+S 60.0 6.0 &
+NBK7_SCHOTT
+  SLB "front"
+  CIR 12.5
+S -45.0 0.5 ! a comment; EPD 99
+  STO
+S -44.0 2.5 NSF5_SCHOTT
+  CIR EDG 12.6
+S -130.0 93.0
+  ASP
+  K -0.5
+  A 0.1e-5; B -0.2e-8
+SI 0.0 -0.25
+GO
+"""
+
+
+@pytest.fixture
+def lens(tmp_path):
+    def read(text: str, **options) -> Sequential:
+        path = tmp_path / "lens.seq"
+        path.write_text(text, encoding="utf-8")
+        return read_codev(path, **options)
+
+    return read
+
+
+def system(surfaces: str, **changes: str) -> str:
+    """A file with these surfaces."""
+    lines = {"RDM": "Y", "DIM": "M", "EPD": "10", "WL": "550", "SO": "0 1e13"} | changes
+    return "\n".join([*(f"{key} {value}" for key, value in lines.items()), surfaces, "SI 0 0"])
+
+
+def test_a_doublet(lens):
+    found = lens(DOUBLET)
+    assert found.name == 'A doublet, 3.5" ! of two glasses; air spaced'
+    assert found.source == "CODE V file lens.seq"
+    assert [row.radius for row in found.rows] == [60, -45, -44, -130, math.inf]
+    assert [row.thickness for row in found.rows] == [6, 0.5, 2.5, 92.75, 0]
+    assert [row.material for row in found.rows] == ["schott/N-BK7", "air", "schott/N-SF5", "air", "air"]
+    assert [row.kind for row in found.rows] == ["surface"] * 4 + ["image"]
+    assert [row.number for row in found.rows] == [1, 2, 3, 4, 5]
+    assert [row.stop for row in found.rows] == [False, True, False, False, False]
+    assert found.rows[0].label == "front"
+    assert (found.rows[0].semi_diameter, found.rows[0].semi_diameter_fixed) == (12.5, True)
+    assert (found.rows[2].semi_diameter, found.rows[2].semi_diameter_fixed) == (12.6, False)
+    assert (found.rows[3].conic, found.rows[3].coefficients) == (-0.5, (1e-6, -2e-9))
+    assert (found.aperture_kind, found.aperture) == ("entrance_pupil_diameter", 25)
+    assert math.isinf(found.object_distance)
+    assert (found.field_kind, found.fields) == ("angle_deg", ((0.5, 0), (0, 2)))
+    assert found.vignetting == ((0, 0, 0, 0), (0, pytest.approx(0.05), 0, 0.25))
+    assert (found.wavelengths_nm, found.weights, found.primary) == ((656.3, 587.6, 486.1), (1, 2, 1), 2)
+    assert (found.unread, found.notes) == ((), ())
+    assert [row.line for row in found.rows] == [11, 15, 17, 19, 23]
+
+
+def test_every_command_has_an_effect_or_is_listed(lens):
+    text = DOUBLET.replace("GO\n", "THC 0; PIM\nTEM 20.0\nINI 'XYZ'\nABC 1 2\nDER VAL I1 -0.6\nGO\nVIE\n")
+    whole = lens(text)
+    listed = {entry.text: entry for entry in whole.unread}
+    assert set(listed) == {"THC 0", "PIM", "TEM 20.0", "INI 'XYZ'", "ABC 1 2", "DER VAL I1 -0.6", "VIE"}
+    assert "unknown" in listed["ABC 1 2"].reason
+    restates = ("LEN", "DIM", "ASP", "GO", "SO", "RDM")  # what they say is so without them, RDM see below
+    checked = 0
+    for command in commands(text):
+        if command.name in restates:
+            continue
+        checked += 1
+        place = sum(len(line) + 1 for line in text.splitlines()[: command.line - 1])
+        head, tail = text[:place], text[place:]
+        if command.line == 11:
+            tail = tail.replace("S 60.0 6.0 &\nNBK7_SCHOTT\n", "", 1)
+        else:
+            assert command.text in tail
+            tail = tail.replace(command.text, "", 1)
+        try:
+            less = lens(head + tail)
+        except MistrayError:
+            assert command.text not in listed
+            continue
+        same = bare(less) == bare(whole)
+        assert same == (command.text in listed), command
+    assert checked == 28
+
+
+def bare(found: Sequential) -> Sequential:
+    """A lens without what tells where things stood."""
+    return replace(found.with_rows([replace(row, line=0) for row in found.rows]), unread=(), notes=())
+
+
+@pytest.mark.parametrize("unit", ["I", "C", "in", "CM"])
+def test_units(lens, unit):
+    mm = {"I": 25.4, "C": 10.0}[unit[0].upper()]
+    found = lens(
+        system(
+            "S 2 0.5 NBK7_SCHOTT\nCIR 0.4\nASP\nA 0.01;J 0.5\nS 0 3\nXDE 0.1", DIM=unit, EPD="0.5", YOB="1", SO="0 8"
+        )
+    )
+    row = found.rows[0]
+    assert (row.radius, row.thickness, row.semi_diameter) == pytest.approx((2 * mm, 0.5 * mm, 0.4 * mm))
+    assert row.coefficients == pytest.approx((0.01 / mm**3, *[0] * 7, 0.5 / mm**19))
+    assert found.rows[1].decentre.x == pytest.approx(0.1 * mm)
+    assert (found.aperture, found.object_distance, found.fields[0][1]) == pytest.approx((0.5 * mm, 8 * mm, mm))
+
+
+def test_without_rdm_both_readings_are_named(lens):
+    text = system("S 0 1 NBK7_SCHOTT\nSTO\nS -0.05 15").replace("RDM Y\n", "")
+    found = lens(text)
+    assert found.rows[1].radius == -20
+    assert found.notes[:1] == (
+        "no RDM: -0.05 of surface 2 is read as curvature -0.05 /mm (radius -20 mm), the default of CODE V; "
+        "radius_mode=True reads it as radius -0.05 mm",
+    )
+    as_radius = lens(text, radius_mode=True)
+    assert as_radius.rows[1].radius == -0.05
+    assert as_radius.notes[:1] == ("no RDM: -0.05 of surface 2 is read as radius -0.05 mm",)
+    assert lens(text, radius_mode=False).rows[1].radius == -20
+    for mode in ("RDM N", "RDM"):
+        assert not any("RDM" in note for note in lens(f"{mode}\n{text}").notes)
+        with pytest.raises(MistrayError, match=r"against radius_mode=.*leave radius_mode out"):
+            lens(f"{mode}\n{text}", radius_mode=mode == "RDM N")
+    # A number in radius mode holds as it was given, RDY is always a radius and CUY a curvature
+    found = lens(f"RDM N\n{text}\nRDY S1 30\nCUY S2 -0.01\nTHI S1 2;GLA S1 1.5168:64.17")
+    assert (found.rows[0].radius, found.rows[1].radius, found.rows[0].thickness) == (30, -100, 2)
+    assert found.rows[0].material == "nd=1.5168 Vd=64.17 k=0"
+
+
+# Moves. A ray along the axis goes on along the axis behind a mirror that bends it, whatever its angles
+
+
+@pytest.mark.parametrize("angles", [(30, 0, 0), (0, -20, 0), (25, 15, 0), (-10, 35, 50), (0, 0, 20)])
+def test_ben_follows_the_reflected_axis(lens, angles):
+    a, b, c = angles
+    found = lens(system(f"S 0 40\nS 0 -30 REFL\nBEN;ADE {a};BDE {b};CDE {c}\nS 0 -20\nS 0 0"))
+    hits, onward = trace(found, [(0, 0, -5)], [(0, 0, 1)])
+    assert hits[-1, 0] == pytest.approx([0, 0, 0], abs=1e-12)
+    assert onward[-1, 0] == pytest.approx([0, 0, -1], abs=1e-12)
+
+
+def test_signs_of_the_angles(lens):
+    """ADE tilts the axis to +y, BDE to -x (left-handed both), CDE turns x to y."""
+    normals = {"ADE": (0, math.sin(0.1), math.cos(0.1)), "BDE": (-math.sin(0.1), 0, math.cos(0.1))}
+    for name, normal in normals.items():
+        found = lens(system(f"S 0 40\nS 0 -40 REFL\n{name} {math.degrees(0.1)};DAR\n"))
+        _, onward = trace(found, [(0, 0, -5)], [(0, 0, 1)])
+        expected = np.array([0, 0, 1]) - 2 * normal[2] * np.array(normal)
+        assert onward[1, 0] @ [0, 0, 1] == pytest.approx(expected @ normal, abs=1e-12)
+        assert onward[-1, 0] == pytest.approx(expected, abs=1e-12)
+    found = lens(system("S 0 10\nCDE 90\nS 0 10\n"))
+    hits, _ = trace(found, [(1, 0, 0)], [(0, 0, 1)])
+    assert hits[-1, 0] == pytest.approx([0, -1, 0], abs=1e-12)
+
+
+def test_shift_comes_before_the_turn_and_stays(lens):
+    found = lens(system("S 0 10\nYDE 2;ADE 90\nS 0 0\n"))
+    places = to_world(found, np.zeros((3, 1, 3)))[:, 0]
+    assert places == pytest.approx(np.array([[0, 2, 0], [0, 12, 0], [0, 12, 0]]), abs=1e-12)
+
+
+def test_dar_returns_and_rev_undoes(lens):
+    move = "XDE 1;YDE 2;ZDE 3;ADE 10;BDE 20;CDE 30"
+    found = lens(system(f"S 0 10\n{move};DAR\nS 0 10\nS 0 0\n"))
+    assert to_world(found, np.zeros((4, 1, 3)))[1:, 0, :] == pytest.approx(
+        np.array([[0, 0, 10], [0, 0, 20], [0, 0, 20]]), abs=1e-12
+    )
+    found = lens(system(f"S 0 10\n{move}\nS 0 -10\n{move};REV\nS 0 0\n"))
+    assert [row.kind for row in found.rows] == ["surface", "surface", "coordinate_break", "surface", "image"]
+    assert [row.number for row in found.rows] == [1, 2, 2, 3, 4]
+    points = np.array([(0, 0, 0), (1, 0, 0), (0, 1, 0)], dtype=float)
+    placed = to_world(found, np.tile(points, (5, 1, 1)))
+    # 10 along the turned axis, the inverse of the move, 10 back: only the shift along the two axes is left
+    turned = placed[1][0] - placed[0][0]
+    assert placed[3] == pytest.approx(points + turned - [0, 0, 10], abs=1e-12)
+
+
+# Apertures
+
+
+@pytest.mark.parametrize(
+    ("text", "expected", "unread"),
+    [
+        ("CIR 3", {"semi_diameter": 3, "semi_diameter_fixed": True}, 0),
+        ("CIR CLR 3; CIR EDG 4", {"semi_diameter": 3, "semi_diameter_fixed": True}, 1),
+        ("CIR EDG 4", {"semi_diameter": 4}, 0),
+        ("CIR 3; CIR 4", {"semi_diameter": 4, "semi_diameter_fixed": True}, 1),
+        ("CIR 3; ADY 1", {"aperture": ClearAperture(outer=3, y=1)}, 0),
+        ("REX 2; REY 1; ADX -1", {"aperture": ClearAperture(kind="rectangle", half_width=2, half_height=1, x=-1)}, 0),
+        ("REY 1; ARO 10", {"aperture": ClearAperture(kind="rectangle", half_height=1)}, 1),
+        ("ELX 2; ELY 2", {"semi_diameter": 2, "semi_diameter_fixed": True}, 0),
+        ("ELX 2; ELY 1", {}, 2),
+        ("CIR 3; CIR HOL 1", {"semi_diameter": 3, "semi_diameter_fixed": True,
+                              "aperture": ClearAperture(inner=1, outer=3)}, 0),
+        ("CIR 3; CIR OBS L'A' 1", {"semi_diameter": 3, "semi_diameter_fixed": True,
+                                   "aperture": ClearAperture(outer=1, obscures=True)}, 0),
+        ("CIR HOL 1; CIR OBS 2", {"aperture": ClearAperture(inner=1)}, 1),
+        ("REX EDG 3; REY EDG 2", {}, 2),
+    ],
+)  # fmt: skip
+def test_apertures(lens, text, expected, unread):
+    found = lens(system(f"S 10 2\n{text}\nS 0 5"))
+    row = found.rows[0]
+    given = {key: getattr(row, key) for key in ("semi_diameter", "semi_diameter_fixed", "aperture")}
+    assert given == {"semi_diameter": None, "semi_diameter_fixed": False, "aperture": None} | expected
+    assert len(found.unread) == unread
+
+
+# Glasses
+
+
+@pytest.mark.parametrize(
+    ("word", "material"),
+    [
+        ("NBK7_SCHOTT", "schott/N-BK7"),
+        ("nbk7_schott", "schott/N-BK7"),
+        ("SLAL8_OHARA", "ohara/S-LAL8"),
+        ("N-SF5", "schott/N-SF5"),
+        ("517642", "nd=1.517 Vd=64.2 k=0"),
+        ("517000.520000", "nd=1.517 Vd=52 k=0"),
+        ("569.631", "nd=1.569 Vd=63.1 k=0"),
+        ("1.7:30", "nd=1.7 Vd=30 k=0"),
+        ("BK7", "schott/N-BK7"),
+        ("SILICA", "fused silica"),
+        ("'MINE'", "1.5"),
+    ],
+)
+def test_glasses(lens, word, material):
+    found = lens(system(f"S 10 2 {word}\nS 0 5"), glasses={"mine": "1.5"})
+    assert found.rows[0].material == material
+
+
+def test_a_private_catalogue_is_exact_at_its_points_and_smooth_between(lens):
+    def index(wavelength):
+        return 1.5 + 6e3 / wavelength**2
+
+    nodes = [404.7, 435.8, 486.1, 546.1, 587.6, 650.0, 700.0]
+    table = f"PRV\nPWL {' '.join(map(str, nodes[:4]))}&\n{' '.join(map(str, nodes[4:]))}\n'E 48' " + " ".join(
+        repr(index(wavelength)) for wavelength in reversed(nodes)
+    )
+    # PWL and the indices in the same order; the reader need not find them rising
+    table = table.replace("PWL " + " ".join(map(str, nodes[:4])), "PWL " + " ".join(map(str, nodes[:2:-1])))
+    table = table.replace(" ".join(map(str, nodes[4:])), " ".join(map(str, nodes[2::-1])))
+    found = lens(system(f"{table}\nEND\nS 10 2 'E 48'\nS 0 5", WL="656.27 587.56 486.13", REF="2"))
+    material = found.rows[0].material
+    for wavelength in (*nodes, 656.27, 587.56, 486.13):
+        assert refractive_index(material, wavelength) == pytest.approx(index(wavelength), abs=2e-7)
+    assert abs(refractive_index(material, 519.0) - index(519.0)) > 2e-5  # linear there, see `table_material`
+    assert table_material([500.0], [1.5], [600.0]) == "n(500.0)=1.5"
+
+
+# Apertures of the beam
+
+
+def test_a_cone_at_a_finite_image(lens):
+    surfaces = "S 10 1 NBK7_SCHOTT\nS -20 15"
+    for key, value, slope in (("FNO", "5", 0.1), ("NA", "0.1", 0.1)):
+        found = lens(system(surfaces, **{key: value}, SO="0 100").replace("EPD 10\n", ""))
+        assert found.aperture_kind == "object_na"
+        start = math.tan(math.asin(found.aperture))
+        rays, _ = paraxial_system(found)
+        assert abs(rays.trace(start * 100, start)[-1, 1]) == pytest.approx(slope, rel=1e-12)
+        assert any(key in note for note in found.notes)
+    found = lens(system(surfaces, FNO="5").replace("EPD 10\n", ""))
+    assert (found.aperture_kind, found.aperture) == ("f_number", 5)
+    assert first_order(found).epd == pytest.approx(first_order(found).efl / 5)
+    assert lens(system(surfaces, NA="0.1").replace("EPD 10\n", "")).aperture == 5
+    assert lens(system(surfaces, NAO="0.02", SO="0 100").replace("EPD 10\n", "")).aperture == 0.02
+
+
+def test_telecentric_object_space(lens):
+    surfaces = "S 10 1 NBK7_SCHOTT\nS -20 15"
+    for words, telecentric in (("Y", True), ("N", False), ("", True)):
+        found = lens(system(surfaces, SO="0 100", TEL=words))
+        assert found.telecentric is telecentric
+        assert found.unread == ()
+    found = lens(system(surfaces, TEL="Y"))
+    assert not found.telecentric
+    assert [(entry.line, entry.text) for entry in found.unread] == [(6, "TEL Y")]
+
+
+def test_what_a_file_leaves_out_is_noted(lens):
+    found = lens("RDM Y\nEPD 5\nWL 650 550 450\nS 10 1 NBK7_SCHOTT\nS -20 15")
+    assert [note.split(":")[0] for note in found.notes] == ["no STO", "no SI", "no REF", "no field"]
+    assert found.wavelength_nm == 550
+    assert found.rows[0].stop
+    assert found.rows[-2].thickness == 15
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("", "no surface"),
+        ("S 1 2", "no wavelength"),
+        (system("S 10 x"), "line 6: 'S 10 x': 'x' is no number"),
+        (system("S 10 nan"), "'nan' is no number"),
+        (system("S 10 1\nA 1e999"), "'1e999' is no number"),
+        (system("S 10 1\nCYL"), "line 7: 'CYL' on surface 1: cylinders and toroids have no counterpart; remove it"),
+        (system("S 10 1\nS 10 1\nSPS ODD"), "line 8: 'SPS ODD' on surface 2: this kind of surface has no counterpart"),
+        (system("S 10 1\nDIF DOE"), "line 7: 'DIF DOE' on surface 1: diffracting"),
+        (system("S 10 1\nCUF 0.1"), "Fresnel"),
+        (system("ZOO 3\nS 10 1"), "zoom"),
+        (system("S 10 1\nRDY S5 3"), "surface 5 is not there; the lens has 1 so far"),
+        (system("S7 10 1"), "there are 0 surfaces so far"),
+        ("ADE 10", "before the first surface"),
+        (system("S 10 1 SK19_Schott"), "line 6: glass 'SK19_Schott' is not in the catalogue of schott .*--glass"),
+        (system("S 10 1 BLA7"), "glass 'BLA7' is not in the catalogues of schott"),
+        (system("S 10 1\nCIR -3"), "must be greater than 0"),
+        (system("S 10 1", DIM="X"), "unknown unit"),
+        (system("S 10 1", REF="4"), "REF 4 of 1 wavelengths"),
+        (system("S 10 1", YAN="0 1", YOB="0 1"), "use one kind"),
+        (system("S 10 1").replace("EPD 10", ""), "none of EPD, FNO, NA and NAO"),
+        (system("S 10 1 NBK7_SCHOTT", WL="100"), "glass 'NBK7_SCHOTT': .*100 nm is outside"),
+        (system("PRV\nPWL 500 600\n'X' 1.5\nEND\nS 10 1 'X'"), "1 indices for 2 wavelengths"),
+        (system("S -100 -50 REFL", SO="0 50", FNO="5").replace("EPD 10", ""), "image, which lies at infinity"),
+    ],
+)
+def test_errors_are_one_line(lens, text, message):
+    with pytest.raises(MistrayError, match=message) as caught:
+        lens(text)
+    assert "\n" not in str(caught.value)
+    assert str(caught.value).startswith("CODE V file 'lens.seq'")
+
+
+def test_a_missing_file(tmp_path):
+    with pytest.raises(MistrayError, match=r"nothing\.seq': No such file.*check the path"):
+        read_codev(tmp_path / "nothing.seq")

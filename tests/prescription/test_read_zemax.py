@@ -1,0 +1,464 @@
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.materials import refractive_index
+from mistray.prescription.first_order import first_order
+from mistray.prescription.read_zemax import read_zemax
+from mistray.prescription.sequential import ClearAperture, Decentre, Sequential
+from mistray.prescription.sequential_rays import frames, to_world, trace
+
+COATINGS = Path(__file__).parents[1] / "data" / "coating_sample.dat"
+SYSTEM = """MODE SEQ
+NAME Singlet
+UNIT MM X W X CM MR CPMM
+ENPD 8
+FTYP 0 0 1 1 0 0 0
+XFLN 0
+YFLN 0
+WAVM 1 0.5875618 1
+PWAV 1"""
+OBJECT = "SURF 0\n  TYPE STANDARD\n  DISZ INFINITY"
+FRONT = "SURF 1\n  STOP\n  TYPE STANDARD\n  CURV 0.02\n  DISZ 5\n  GLAS N-BK7 0 0 1.5 40"
+REAR = 'SURF 2\n  TYPE STANDARD\n  CURV -0.02 0 0 0 0 ""\n  DISZ 45'
+IMAGE = "SURF 3\n  TYPE STANDARD\n  DISZ 0"
+SINGLET = "\n".join([SYSTEM, OBJECT, FRONT, REAR, IMAGE])
+
+
+@pytest.fixture
+def read(tmp_path):
+    """Reads a text as a .zmx file."""
+
+    def reader(text: str | bytes, **options) -> Sequential:
+        path = tmp_path / "lens.zmx"
+        path.write_bytes(text if isinstance(text, bytes) else text.encode())
+        return read_zemax(path, **options)
+
+    return reader
+
+
+def surface(*lines: str, after: str = "") -> str:
+    """The singlet with one more surface, of these lines, in front of it."""
+    body = "\n".join(["SURF 1", *(f"  {line}" for line in lines)])
+    moved = [part.replace(f"SURF {k}", f"SURF {k + 1}") for k, part in ((1, FRONT), (2, REAR), (3, IMAGE))]
+    return "\n".join([SYSTEM, OBJECT, body, *moved, after])
+
+
+def test_singlet(read):
+    lens = read(SINGLET)
+    front, rear, image = lens.rows
+    assert (lens.name, lens.source) == ("Singlet", "Zemax file lens.zmx")
+    assert (front.radius, front.thickness, front.material, front.stop) == (50.0, 5.0, "schott/N-BK7", True)
+    assert (rear.radius, rear.thickness, rear.material, rear.stop) == (-50.0, 45.0, "air", False)
+    assert (image.kind, image.radius, image.semi_diameter) == ("image", math.inf, None)
+    assert (lens.object_distance, lens.object_material) == (math.inf, "air")
+    assert (lens.aperture_kind, lens.aperture) == ("entrance_pupil_diameter", 8.0)
+    assert (lens.wavelengths_nm, lens.weights, lens.primary) == ((587.5618,), (1.0,), 0)
+    assert [row.number for row in lens.rows] == [1, 2, 3]
+    assert [SINGLET.splitlines()[row.line - 1] for row in lens.rows] == ["SURF 1", "SURF 2", "SURF 3"]
+    assert lens.unread == ()
+    assert any("catalogues" in note or "not decide" in note for note in lens.notes)  # there is no GCAT
+
+
+@pytest.mark.parametrize(
+    "encoding", ["utf-16", "utf-16-le", "utf-16-be", "utf-8", "utf-8-sig", "latin-1"]
+)  # utf-16 has a byte order mark
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+def test_encodings(encoding, end, read):
+    text = SINGLET.replace("Singlet", "Ø = 8 mm").replace("\n", end)
+    lens = read(text.encode(encoding))
+    assert lens.name == "Ø = 8 mm"
+    assert lens.rows[1].radius == -50.0
+
+
+@pytest.mark.parametrize(("unit", "mm"), [("MM", 1.0), ("CM", 10.0), ("IN", 25.4), ("METER", 1000.0)])
+def test_units(unit, mm, read):
+    asphere = surface("TYPE EVENASPH", "CURV 0.05", "CONI -2", "PARM 2 3e-4", "PARM 4 -2e-7", "DISZ 2", "DIAM 3 0")
+    text = asphere.replace("UNIT MM", f"UNIT {unit}").replace("DISZ INFINITY", "DISZ 7")
+    lens = read(text.replace("FTYP 0 0 1 1", "FTYP 1 0 1 1").replace("YFLN 0", "YFLN 0.5"))
+    row = lens.rows[0]
+    assert (row.radius, row.conic, row.thickness, row.semi_diameter) == pytest.approx((20 * mm, -2, 2 * mm, 3 * mm))
+    # The sag at 1 lens unit is that many lens units, whatever the unit
+    heights = [a * mm ** (2 * place) for place, a in enumerate(row.coefficients, 2)]
+    assert heights == pytest.approx([3e-4 * mm, 0.0, -2e-7 * mm], rel=1e-12)
+    assert (lens.object_distance, lens.aperture, lens.fields) == (7 * mm, 8 * mm, ((0.0, 0.5 * mm),))
+
+
+def turned(*tilts: float, order: int = 0, x: float = 0.0, thickness: float = 0.0) -> str:
+    values = enumerate((x, 0.0, *tilts, order), 1)
+    return surface("TYPE COORDBRK", *(f"PARM {place} {value}" for place, value in values), f"DISZ {thickness}")
+
+
+@pytest.mark.parametrize(
+    ("text", "x_axis", "z_axis", "origin"),
+    [
+        (turned(90, 0, 0), (1, 0, 0), (0, -1, 0), (0, 0, 0)),
+        (turned(0, 90, 0), (0, 0, -1), (1, 0, 0), (0, 0, 0)),
+        (turned(0, 0, 90), (0, 1, 0), (0, 0, 1), (0, 0, 0)),
+        # About x first, then about the new y, which is the old z: z goes to -y, then x
+        (turned(90, 90, 0), (0, 1, 0), (1, 0, 0), (0, 0, 0)),
+        # The other order: about y first, then about the new x, which is the old -z: z goes to x, then -y … of the world
+        (turned(90, 90, 0, order=1), (0, 0, -1), (0, -1, 0), (0, 0, 0)),
+        (turned(0, 90, 0, x=2, thickness=5), (0, 0, -1), (1, 0, 0), (7, 0, 0)),
+        (turned(0, 90, 0, order=1, x=2, thickness=5), (0, 0, -1), (1, 0, 0), (5, 0, -2)),
+    ],
+)
+def test_sense_and_order_of_tilts_by_hand(text, x_axis, z_axis, origin, read):
+    """Right-handed rotations about the frame's own axes; the thickness runs along the last z axis."""
+    frame = frames(read(text))[1]
+    np.testing.assert_allclose(frame[:3, 0], x_axis, atol=1e-15)
+    np.testing.assert_allclose(frame[:3, 2], z_axis, atol=1e-15)
+    np.testing.assert_allclose(frame[:3, 3], origin, atol=1e-14)
+
+
+def test_fold_mirror_by_hand(read):
+    """A mirror turned by 45° about x sends +z to +y, and a second break by 45° with a negative thickness follows it."""
+    lines = ["SURF 1", "  TYPE COORDBRK", "  PARM 3 45", "  DISZ 0", "SURF 2", "  GLAS MIRROR 0 0 1.5 40", "  DISZ 0"]
+    lines += ["SURF 3", "  TYPE COORDBRK", "  PARM 3 45", "  DISZ -30", "SURF 4", "  DISZ 0"]
+    lens = read("\n".join([SYSTEM, OBJECT, *lines]))
+    assert [row.kind for row in lens.rows] == ["coordinate_break", "surface", "coordinate_break", "image"]
+    assert lens.rows[1].mirror
+    points, _ = trace(lens, [[0, 0, -5], [1, 0, -5], [0, 1, -5]], [0.0, 0.0, 1.0] * np.ones((3, 1)))
+    np.testing.assert_allclose(to_world(lens, points)[-1], [[0, 30, 0], [1, 30, 0], [0, 30, 1]], atol=1e-12)
+
+
+def test_materials_around_breaks_and_mirrors(read):
+    lines = ["SURF 1", "  DISZ 5", "  GLAS N-BK7 0 0", "SURF 2", "  TYPE COORDBRK", "  PARM 1 1", "  DISZ 3", "SURF 3"]
+    lines += ["  GLAS MIRROR 0 0", "  DISZ -8", "SURF 4", "  DISZ -9", "SURF 5", "  DISZ 0"]
+    rows = read("\n".join([SYSTEM, OBJECT, *lines])).rows
+    assert [row.material for row in rows] == ["schott/N-BK7"] * 3 + ["air"] * 2
+    assert rows[1].decentre == Decentre(x=1.0)
+
+
+def test_tilt_before_a_surface(read):
+    row = read(surface("SCBD 1 1 0 0.5 -0.25 10 20 30", "SCBD 2 0 0 0 0 0 0 0", "DISZ 2")).rows[0]
+    assert row.decentre == Decentre(x=0.5, y=-0.25, tilt_deg=(10.0, 20.0, 30.0), tilt_first=True)
+
+
+@pytest.mark.parametrize(("curvature", "conic"), [("0", "3"), ("0.02", "-1")])
+def test_term_in_r2_is_a_paraboloid_where_that_is_exact(curvature, conic, read):
+    row = read(surface("TYPE EVENASPH", f"CURV {curvature}", f"CONI {conic}", "PARM 1 0.01", "PARM 2 1e-6")).rows[0]
+    r = np.array([1.0, 5.0])
+    expected = (float(curvature) / 2 + 0.01) * r**2 + 1e-6 * r**4
+    assert row.conic == -1
+    np.testing.assert_allclose(r**2 / (2 * row.radius) + row.coefficients[0] * r**4, expected, rtol=1e-14)
+
+
+def glass(line: str, system: str = "", **options) -> tuple[str, dict]:
+    return f"{SYSTEM}\n{system}\n{OBJECT}\n{FRONT}\n{REAR}\n{IMAGE}".replace("GLAS N-BK7 0 0 1.5 40", line), options
+
+
+@pytest.mark.parametrize(
+    ("line", "catalogues", "material", "note"),
+    [
+        ("GLAS N-BK7 0 0 1.5 40", "GCAT SCHOTT", "schott/N-BK7", None),
+        ("GLAS SF5 0 0 1.7 20", "GCAT HIKARI SCHOTT", "hikari/SF5", None),
+        ("GLAS SF5 0 0 1.7 20", "GCAT MISC SCHOTT HIKARI", "schott/SF5", None),
+        ("GLAS K-FK5 0 0", "GCAT SUMITA_AUG2011", "sumita/K-FK5", None),
+        ("GLAS S-LAL10", "GCAT SCHOTT", "ohara/S-LAL10", "catalogues SCHOTT do not decide"),
+        ("GLAS BK7 0 0 1.5 40", "GCAT SCHOTT", "schott/N-BK7", "BK7: taken to be schott/N-BK7"),
+        ("GLAS SILICA 0 0 1.5 40", "GCAT MISC", "fused silica", "SILICA: taken to be fused silica"),
+        ("GLAS N-BK7 3 0 1.5 40", "GCAT SCHOTT", "schott/N-BK7", None),
+        ("GLAS ___BLANK 1 0 1.6 38.5 0 0 0 0", "", "nd=1.6 Vd=38.5 k=0", "two-term Cauchy"),
+        ("GLAS ___BLANK 1 0 1,6 38,5 0,01", "", "nd=1.6 Vd=38.5 k=0", "dPgF = 0.01 is not used"),
+        ("GLAS MODEL 1 0 1.6 38.5", "", "nd=1.6 Vd=38.5 k=0", "two-term Cauchy"),
+        ("GLAS ___BLANK 1 0 1.6 0", "", "1.6", None),
+        ("GLAS AIR 0 0 1 0", "", "air", None),
+    ],
+)
+def test_glasses(line, catalogues, material, note, read):
+    text, _ = glass(line, catalogues)
+    lens = read(text)
+    assert lens.rows[0].material == material
+    notes = [each for each in lens.notes if "absorption" not in each]
+    assert any(note in each for each in notes) if note else notes == []
+
+
+def test_absorption_that_is_unknown_is_said_to_be_zero(read):
+    lens = read(glass("GLAS B270 0 0", "GCAT SCHOTT")[0])
+    assert lens.rows[0].material == "schott/B270 k=0"
+    assert "glass B270: absorption unknown, taken to be 0" in lens.notes
+
+
+def test_offset_of_a_glass_is_listed(read):
+    lens = read(glass("GLAS N-BK7 4 0 0.001 0.2", "GCAT SCHOTT")[0])
+    assert [line.text for line in lens.unread] == ["GLAS N-BK7 4 0 0.001 0.2"]
+
+
+def test_model_glass_that_is_picked_up(read):
+    text = surface("GLAS ___BLANK 1 0 1.6 40", "DISZ 1").replace("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 2 1 1.5 30")
+    assert [row.material for row in read(text).rows[:2]] == ["nd=1.6 Vd=40 k=0"] * 2
+
+
+def test_agf_file_and_replacements_go_first(read, tmp_path):
+    agf = tmp_path / "own.agf"
+    agf.write_text("NM N-BK7 1 0 1.6 40\nCD 2.56 0 0 0 0 0\nLD 0.3 2.5\nIT 0.3 0.9 10\nIT 2.5 0.9 10\n")
+    material = read(glass("GLAS n-bk7 0 0", "GCAT SCHOTT")[0], glass_catalogues=[agf]).rows[0].material
+    assert material == f"{agf}:n-bk7"
+    assert refractive_index(material, 587.56) == pytest.approx(1.6)
+    lens = read(glass("GLAS SECRET 0 0")[0], glass_catalogues=[agf], glasses={"secret": "1.75"})
+    assert lens.rows[0].material == "1.75"
+    assert "glass SECRET: replaced by 1.75, as asked" in lens.notes
+
+
+@pytest.mark.parametrize(
+    ("lines", "semi_diameter", "fixed", "aperture"),
+    [
+        (["DIAM 4 0 0 0 1"], 4.0, False, None),
+        (["DIAM 0 0"], None, False, None),
+        (["DIAM 4 1 0 0 1"], 4.0, False, None),
+        (["DIAM 4 1", "FLAP 0 4 0"], 4.0, True, None),
+        (["DIAM 4 0", "CLAP 0 3 0"], 3.0, True, ClearAperture(outer=3.0)),
+        (["CLAP 1 3 0"], 3.0, False, ClearAperture(inner=1.0, outer=3.0)),
+        (["DIAM 9 0", "CLAP 0 3 0", "OBDC 6 8"], 13.0, False, ClearAperture(outer=3.0, x=6.0, y=8.0)),
+        (["DIAM 4 0", "OBSC 0 1 0"], 4.0, False, ClearAperture(outer=1.0, obscures=True)),
+        (["SQAP 3 4 0"], 5.0, False, ClearAperture(kind="rectangle", half_width=3.0, half_height=4.0)),
+        (["DIAM 4 0", "SQOB 1 2 0", "OBDC 0 1"], 4.0, False,
+         ClearAperture(kind="rectangle", half_width=1.0, half_height=2.0, y=1.0, obscures=True)),
+        (["ELAP 3 3"], 3.0, True, ClearAperture(outer=3.0)),
+    ],
+)  # fmt: skip
+def test_apertures(lines, semi_diameter, fixed, aperture, read):
+    lens = read(surface(*lines, "DISZ 1"))
+    row = lens.rows[0]
+    assert (row.semi_diameter, row.semi_diameter_fixed, row.aperture) == (semi_diameter, fixed, aperture)
+    assert lens.unread == ()
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        ("ENPD 8", ("entrance_pupil_diameter", 8.0)),
+        ("FNUM 2.8 0", ("f_number", 2.8)),
+        ("FNUM 2.8 1", ("f_number", 2.8)),
+        ("OBNA 0.25 0", ("object_na", 0.25)),
+        ("OBNA 30 1", ("object_na", pytest.approx(0.5))),
+        ("FLOA", ("stop_diameter", 7.0)),
+    ],
+)
+def test_system_aperture(lines, expected, read):
+    lens = read(SINGLET.replace("ENPD 8", lines).replace("  STOP", "  STOP\n  DIAM 3.5 0"))
+    assert (lens.aperture_kind, lens.aperture) == expected
+
+
+def test_working_f_number_of_an_object_at_a_finite_distance(read):
+    """A thin lens, f = 60 mm, from 90 to 180 mm: F/5 at the image is a slope of 0.1 there and of 0.2 at the object."""
+    rows = [
+        "SURF 1",
+        "  STOP",
+        f"  CURV {1 / 60}",
+        "  GLAS ___BLANK 1 0 1.5 0",
+        "SURF 2",
+        f"  CURV {-1 / 60}",
+        "  DISZ 180",
+    ]
+    text = "\n".join([SYSTEM, OBJECT.replace("INFINITY", "90"), *rows, "SURF 3", "  DISZ 0"])
+    lens = read(text.replace("ENPD 8", "FNUM 5 1"))
+    assert lens.aperture_kind == "object_na"
+    assert math.tan(math.asin(lens.aperture)) == pytest.approx(0.2, rel=1e-12)
+    assert any("working F-number 5 " in note for note in lens.notes)
+    lens = read(text.replace("ENPD 8", "FNUM 5 0"))  # of infinite conjugates, wherever the object is
+    assert first_order(lens).epd == pytest.approx(60 / 5)
+
+
+def test_telecentric_object_space(read):
+    text = SINGLET.replace("FTYP 0 0", "FTYP 1 1").replace("ENPD 8", "OBNA 0.1 0")
+    lens = read(text.replace("DISZ INFINITY", "DISZ 60"))
+    assert lens.telecentric
+    assert lens.unread == ()
+    lens = read(text)
+    assert not lens.telecentric
+    assert [line.text for line in lens.unread] == ["FTYP 1 1 1 1 0 0 0"]
+
+
+def test_theodolite_angles(read):
+    """Azimuth 30°, elevation 40°: the direction (cos 40° sin 30°, sin 40°, cos 40° cos 30°) has the same tangents."""
+    text = SINGLET.replace("FTYP 0", "FTYP 4").replace("XFLN 0", "XFLN 30").replace("YFLN 0", "YFLN 40")
+    ((x, y),) = read(text).fields
+    azimuth, elevation = math.radians(30), math.radians(40)
+    z = math.cos(elevation) * math.cos(azimuth)
+    assert math.tan(math.radians(x)) == pytest.approx(math.cos(elevation) * math.sin(azimuth) / z)
+    assert math.tan(math.radians(y)) == pytest.approx(math.sin(elevation) / z)
+
+
+@pytest.mark.parametrize(("kind", "name"), [(0, "angle_deg"), (1, "object_height"), (2, "image_height")])
+def test_fields_and_vignetting(kind, name, read):
+    text = SINGLET.replace("FTYP 0 0 1", f"FTYP {kind} 0 2").replace("XFLN 0", "XFLN 1 2 9 9").replace(
+        "YFLN 0", "YFLN 3 4 9 9\nVDXN 0 0.1 9\nVDYN 0 0.2 9\nVCXN 0 0.3 9\nVCYN 0 0.4 9\nVANN 0 0 0"
+    )  # fmt: skip
+    lens = read(text)
+    assert (lens.field_kind, lens.fields) == (name, ((1.0, 3.0), (2.0, 4.0)))
+    assert lens.vignetting == ((0.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3, 0.4))
+
+
+@pytest.mark.parametrize(
+    ("lines", "expected"),
+    [
+        ("FTYP 0 0 1 2\nWAVM 1 0.4861 1\nWAVM 2 0.6563 0.5\nWAVM 3 0.55 1\nPWAV 2", ((486.1, 656.3), (1.0, 0.5), 1)),
+        # Old files without the number fill the list up with one value
+        ("WAVM 1 0.4861 1\nWAVM 2 0.55 1\nWAVM 3 0.55 1\nWAVM 4 0.55 1\nPWAV 2", ((486.1, 550.0), (1.0, 1.0), 1)),
+        ("WAVL 0.4861 0.5876\nWWGT 1 0.25\nPWAV 1", ((486.1, 587.6), (1.0, 0.25), 0)),
+        ("", ((587.56,), (1.0,), 0)),
+    ],
+)
+def test_wavelengths(lines, expected, read):
+    text = SINGLET.replace("FTYP 0 0 1 1 0 0 0\n", "").replace("WAVM 1 0.5875618 1\nPWAV 1", lines)
+    lens = read(text)
+    assert (lens.wavelengths_nm, lens.weights, lens.primary) == expected
+
+
+def test_coatings(read):
+    text = SINGLET.replace("  STOP", "  STOP\n  COAT HR")
+    lens = read(text)
+    assert lens.rows[0].coating == "HR"
+    assert [(line.text, line.line) for line in lens.unread] == [("COAT HR", text.splitlines().index("  COAT HR") + 1)]
+    lens = read(text, coatings=COATINGS)
+    assert lens.rows[0].coating == f"{COATINGS}:HR"
+    assert lens.unread == ()
+    with pytest.raises(MistrayError, match=r"line 15: coating file .*no coating 'HRX'; did you mean 'HR'"):
+        read(text.replace("HR", "HRX"), coatings=COATINGS)
+
+
+@pytest.mark.parametrize(
+    ("text", "lines"),
+    [
+        (surface("ELAP 3 4", "DIAM 5 0"), ["ELAP 3 4"]),
+        (surface("SPID 0.5 4", "DIAM 5 0"), ["SPID 0.5 4"]),
+        (surface("UDAD mask", "DIAM 5 0"), ["UDAD mask"]),
+        (surface("OBDC 1 2", "DIAM 5 0"), ["OBDC 1 2"]),
+        (surface("TYPE COORDBRK", "PARM 7 1"), ["PARM 7 1"]),
+        (SINGLET.replace("DISZ 0", "DISZ 0\n  GLAS N-BK7 0 0"), ["GLAS N-BK7 0 0"]),
+        (SINGLET.replace("DISZ INFINITY", "DISZ 9\n  CURV 0.1"), ["CURV 0.1"]),
+        (surface("TYPE STANDARD", "PARM 1 0", "PARM 2 3"), ["PARM 2 3"]),
+        (SINGLET.replace("PWAV", "VANN 5\nPWAV"), ["VANN 5"]),
+        (SINGLET.replace("PWAV", "ENVD 35 1 0\nPWAV"), ["ENVD 35 1 0"]),
+        (SINGLET.replace("PWAV", "GFAC 1 2\nPWAV"), ["GFAC 1 2"]),
+        (SINGLET + "\nEFFL 1 2 0\nTOL TOFF\nMNUM 3 1\nTHIC 2 1 5.0", ["MNUM 3 1"]),
+        (SINGLET + "\nEFFL 1 2 0\nTOL TOFF\nMNUM 1 1\nMOFF 0", []),
+        (SINGLET.replace("\n  ", "\n") + "\nEFFL 1 2 0", ["EFFL 1 2 0"]),  # could belong to the surface
+    ],
+)
+def test_lines_without_effect_are_listed(text, lines, read):
+    assert [line.text for line in read(text).unread] == lines
+    for line in read(text).unread:
+        assert text.splitlines()[line.line - 1].strip() == line.text
+        assert line.reason
+
+
+def test_no_line_gets_lost(read):
+    """An unknown keyword is listed wherever it stands, and so is one between two surfaces."""
+    lines = SINGLET.splitlines()
+    for place in range(len(lines) + 1):
+        for stray in ("QQQQ 1 2", "  QQQQ 1 2"):
+            if place == len(lines) and stray[0] == "Q":
+                continue  # the merit function of an indented file
+            lens = read("\n".join([*lines[:place], stray, *lines[place:]]))
+            assert [(line.line, line.text) for line in lens.unread] == [(place + 1, "QQQQ 1 2")], place
+
+
+def test_lines_known_to_have_no_effect(read):
+    extra = "VERS 140124\nGFAC 0 0\nNOTE 0 hello\nPOLS 1 0 1\nGLRS 1 0\nENVD 20 1 0\nRAIM 0 1\nCOFN COATING.DAT\nPWAV"
+    text = SINGLET.replace("PWAV", extra).replace(
+        "  STOP", "  STOP\n  HIDE 0\n  MIRR 2 0\n  POPS 0\n  MEMA 9\n  VPAR 2"
+    )
+    assert read(text).unread == ()
+    assert [replace(row, line=0) for row in read(text).rows] == [replace(row, line=0) for row in read(SINGLET).rows]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("MODE SEQ", "MODE NSC"), "line 1: 'MODE NSC': mistray reads sequential lenses"),
+        (("UNIT MM", "UNIT FT"), "line 3: unit 'FT'; it is one of MM, CM"),
+        (("ENPD 8", "ENPD -8"), "aperture -8; it must be greater than 0"),
+        (("ENPD 8", "ENPD 8\nFNUM 4 0"), "'FNUM 4 0' beside 'ENPD 8'"),
+        (("ENPD 8", "ENPD x"), "'x' in 'ENPD x' is not the aperture"),
+        (("ENPD 8", "FLOA"), r"floats by the stop \(FLOA\), but no surface is a STOP with a semi-diameter"),
+        (("FTYP 0", "FTYP 9"), "field type 9; it lies between 0 and 4"),
+        (("FTYP 0 0 1", "FTYP 0 0 2"), "line 5: 2 fields, but the file lists 1; correct the number"),
+        (("FTYP 0 0 1 1 0 0 0\nXFLN 0", "FTYP 4 0 1 1 0 0 0\nXFLN 90"), "line 5: field of theodolite angles 90, 0"),
+        (("PWAV 1", "PWAV 2"), "primary wavelength 2; the lens has 1 wavelengths"),
+        (("WAVM 1 0.58", "WAVM 2 0.58"), "follows wavelength 0"),
+        (("WAVM 1 0.5875618", "WAVM 1 -1"), "wavelength -1 µm; it must be greater than 0"),
+        (("FTYP 0 0 1 1", "FTYP 0 0 1 3"), "3 wavelengths, but the file lists 1"),
+        (("CURV 0.02", "CURV nan"), "'nan' in 'CURV nan' is not a number"),
+        (("CURV 0.02", "CURV"), "'CURV' ends before a number"),
+        (("CURV 0.02", "CURV 0.02\n  CURV 1"), "CURV of surface 1 is there already, on line 16"),
+        (("DISZ 5", "DISZ INFINITY"), "only that of the object may be infinite"),
+        (("SURF 2", "SURF 7"), "'SURF 7' where surface 2 should stand; they are numbered"),
+        (("GLAS N-BK7", "GLAS N-BAK7"), "glass 'N-BAK7' is unknown; like it: .*give its AGF file"),
+        (("GLAS N-BK7", "GLAS BAK1"), "like it: schott/N-BAK1"),
+        (("GLAS N-BK7 0", "GLAS ___BLANK 0"), "its flag 0 says it is no model glass"),
+        (("GLAS N-BK7 0 0", "GLAS ___BLANK 2 7"), "picks up the glass of surface 7, which has none"),
+        (("GLAS N-BK7 0 0 1.5 40", "GLAS ___BLANK 1 0 0.5 40"), "index 0.5; a real index is at least 1"),
+        (("WAVM 1 0.5875618", "WAVM 1 12"), "glass 'N-BK7': .*12000 nm is outside of its"),
+        (("TYPE STANDARD\n  CURV 0.02", "TYPE EVENASPH\n  PARM 1 0.1\n  CURV 0.02"), "term in r² beside radius 50 mm"),
+        (("TYPE STANDARD\n  CURV 0.02", "TYPE EVENASPH\n  PARM 2 1\n  PARM 2 2"), "parameter 2 is there already"),
+        (("  STOP", "  STOP\n  SCBD 2 0 2 1 0 0 0 0"), "tilts and decentres before a surface are read"),
+        (("  STOP", "  STOP\n  CLAP 0 3\n  SQAP 2 2"), "surface 1 has two apertures"),
+        (("  STOP", "  STOP\n  CLAP 3 2"), "radii 3 and 2 mm; the second must be the greater"),
+        (("  STOP", "  STOP\n  SQAP 3"), "ends before two lengths"),
+        (("SURF 0", "SURV 0"), "'SURF 1' where surface 0 should stand"),
+        (("CURV -0.02", "STOP\n  CURV -0.02"), "surfaces 1, 2 are all stops"),
+        ((IMAGE, "SURF 3\n  TYPE COORDBRK"), "surface 3, the image, is a coordinate break"),
+        ((f"{FRONT}\n{REAR}\n{IMAGE}", IMAGE.replace("3", "1")), "it needs one at least, and an image"),
+    ],
+)
+def test_errors_are_one_line_with_file_and_place(change, message, read):
+    with pytest.raises(MistrayError, match=message) as error:
+        read(SINGLET.replace(*change, 1))
+    assert "\n" not in str(error.value)
+    assert len(str(error.value)) < 400
+
+
+@pytest.mark.parametrize(
+    ("kind", "remedy"),
+    [
+        ("ODDASPHE", "fit an EVENASPH"),
+        ("XASPHERE", "fit an EVENASPH"),
+        ("TOROIDAL", "only surfaces of revolution"),
+        ("BICONICX", "only surfaces of revolution"),
+        ("PARAXIAL", "put the real surfaces of that lens in its place"),
+        ("DGRATING", "diffracting surfaces are not traced"),
+        ("NONSEQCO", "bring it in as STEP"),
+        ("USERSURF", "mistray knows STANDARD, EVENASPH, COORDBRK"),
+    ],
+)
+def test_surfaces_of_other_types_are_refused_by_number(kind, remedy, read):
+    """Also where they stand for a plane, since their parameters are not known."""
+    with pytest.raises(MistrayError, match=rf"line 20: surface 2 is of type '{kind}'; .*{remedy}"):
+        read(SINGLET.replace("SURF 2\n  TYPE STANDARD", f"SURF 2\n  TYPE {kind}"))
+
+
+def test_paraxial_focus_is_where_opticstudio_put_it(read):
+    """Pair of achromats, Edmund Optics 55278: OpticStudio's own solve (MAZH) put the image into the paraxial focus."""
+    table = [
+        (7.695859627520400432e-3, 2.5, "SF5"),
+        (2.240143369175629992e-2, 6.0, "BK7"),
+        (-1.626809825931349943e-2, 5.63, ""),
+    ]
+    table += [(-c, t, g) for c, t, g in ((-1.626809825931349943e-2, 6.0, "BK7"), (2.240143369175629992e-2, 2.5, "SF5"))]
+    table.append((-7.695859627520400432e-3, 43.707716717029655, ""))
+    lines = ["UNIT MM", "ENPD 22", "GCAT SCHOTT INFRARED MISC", "FTYP 0 0 1 3 0 0 0 1", "XFLN 0", "YFLN 0"]
+    lines += ["WAVM 1 0.4861 1", "WAVM 2 0.5876 1", "WAVM 3 0.6563 1", "PWAV 2", "SURF 0", "  DISZ INFINITY"]
+    for number, (curvature, thickness, name) in enumerate(table, 1):
+        lines += [f"SURF {number}", f"  CURV {curvature!r}", f"  DISZ {thickness!r}"]
+        lines += [f"  GLAS {name}"] * bool(name)
+    data = first_order(read("\n".join([*lines, "SURF 7", "  DISZ 0"])))
+    assert data.bfl == pytest.approx(43.707716717029655, abs=1e-11)
+    assert data.efl == pytest.approx(52.24, abs=5e-3)  # as its vendor states
+
+
+def test_files_that_are_none(read, tmp_path):
+    with pytest.raises(MistrayError, match="No such file"):
+        read_zemax(tmp_path / "none.zmx")
+    with pytest.raises(MistrayError, match=r"no line 'SURF 0'; give a Zemax .zmx file"):
+        read(bytes(range(256)))
+    with pytest.raises(MistrayError, match=r"glass catalogue .*No such file"):
+        read(SINGLET, glass_catalogues=[tmp_path / "none.agf"])

@@ -1,0 +1,226 @@
+"""The float64 trace of a table of surfaces against closed forms, Snell's law and batoid."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from mistray import MistrayError
+from mistray.physics.sag import sag
+from mistray.prescription import ClearAperture, Decentre, Row, Sequential
+from mistray.prescription.sequential_rays import frames, passes, to_world, trace
+
+ALONG = (0.0, 0.0, 1.0)
+
+
+def lens(*rows: Row, **system) -> Sequential:
+    return Sequential("test", (*rows, Row(99, kind="image")), aperture=10.0, **system)
+
+
+def parallel(*heights):
+    """Rays along +z at heights y, from z = -5 mm."""
+    return np.array([[0.0, y, -5.0] for y in heights]), np.tile(ALONG, (len(heights), 1))
+
+
+def test_a_refracting_sphere_has_the_textbook_aberration():
+    """A ray parallel to the axis at height h: sin I = h/R, n' sin I' = sin I, L' = R + R sin I' / sin(I - I')."""
+    radius, n, h = 50.0, 1.5, 20.0
+    incidence = math.asin(h / radius)
+    refracted = math.asin(h / radius / n)
+    crossing = radius + radius * math.sin(refracted) / math.sin(incidence - refracted)
+    hits, onward = trace(lens(Row(1, radius=radius, thickness=crossing, material="1.5")), *parallel(h))
+    assert hits[0, 0] == pytest.approx([0, h, radius - math.sqrt(radius**2 - h**2)], abs=1e-13)
+    assert hits[1, 0] == pytest.approx([0, 0, 0], abs=1e-12)
+    assert math.asin(-onward[0, 0, 1]) == pytest.approx(incidence - refracted, abs=1e-14)
+
+
+def test_a_paraboloid_focuses_exactly():
+    rows = lens(Row(1, radius=-200.0, conic=-1.0, mirror=True, thickness=-100.0))
+    hits, onward = trace(rows, *parallel(0.0, 10.0, -30.0, 80.0))
+    assert np.abs(hits[1, :, :2]).max() < 1e-12
+    assert (onward[0, :, 2] < 0).all()
+
+
+def test_a_hyperbolic_rear_face_focuses_exactly():
+    """A plano-convex lens whose rear is a hyperboloid of conic -n² has no spherical aberration."""
+    n, radius = 1.6, -30.0
+    rows = lens(
+        Row(1, thickness=8.0, material="1.6"),
+        Row(2, radius=radius, conic=-(n**2), thickness=-radius / (n - 1)),
+    )
+    hits, _ = trace(rows, *parallel(1.0, 6.0, 12.0))
+    assert np.abs(hits[2, :, :2]).max() < 1e-12
+
+
+def test_an_ellipsoid_joins_its_foci():
+    """Semi-axes a, b: the foci lie at a ± e; R = b²/a, conic = -(e/a)²."""
+    a, b = 100.0, 80.0
+    e = math.sqrt(a * a - b * b)
+    rows = lens(Row(1, radius=-b * b / a, conic=-((e / a) ** 2), mirror=True, thickness=-(a - e)))
+    start = np.tile([0.0, 0.0, -(a + e)], (3, 1))
+    hits, _ = trace(rows, start, [[0.0, 0.1, 1.0], [0.2, -0.1, 1.0], [0.0, 0.3, 1.0]])
+    assert np.abs(hits[1, :, :2]).max() < 1e-11
+
+
+def test_aspheres_are_met_where_their_sag_is_and_obey_snell():
+    row = Row(1, radius=25.0, conic=-0.7, coefficients=(2e-5, -3e-8, 1e-11), material="1.7", thickness=10.0)
+    rng = np.random.default_rng(1)
+    positions = np.column_stack([rng.uniform(-6, 6, (50, 2)), np.full(50, -3.0)])
+    directions = np.column_stack([rng.uniform(-0.2, 0.2, (50, 2)), np.ones(50)])
+    hits, onward = trace(lens(row), positions, directions)
+    inward = directions / np.linalg.norm(directions, axis=1, keepdims=True)
+    r2 = hits[0, :, 0] ** 2 + hits[0, :, 1] ** 2
+    assert np.abs(hits[0, :, 2] - sag(r2, 1 / 25.0, -0.7, row.coefficients)).max() < 1e-13
+    # On the ray: the cross product with its direction vanishes
+    assert np.abs(np.cross(hits[0] - positions, inward)).max() < 1e-12
+    # The normal from differences of the sag, not from its derivative
+    step = 1e-5
+    x, y = hits[0, :, 0], hits[0, :, 1]
+    slopes = [
+        (sag((x + dx) ** 2 + (y + dy) ** 2, 1 / 25.0, -0.7, row.coefficients)
+         - sag((x - dx) ** 2 + (y - dy) ** 2, 1 / 25.0, -0.7, row.coefficients)) / (2 * step)
+        for dx, dy in ((step, 0.0), (0.0, step))
+    ]  # fmt: skip
+    normal = np.column_stack([-slopes[0], -slopes[1], np.ones(50)])
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    assert np.abs(np.cross(inward, normal) - 1.7 * np.cross(onward[0], normal)).max() < 1e-9
+    assert np.linalg.norm(onward[0], axis=1) == pytest.approx(1.0, abs=1e-15)
+
+
+def test_rays_that_miss_or_are_totally_reflected_are_nan_from_there():
+    rows = lens(Row(1, thickness=5.0, material="1.5"), Row(2, radius=-10.0, thickness=5.0))
+    hits, _ = trace(rows, *parallel(1.0, 8.0, 11.0))
+    assert np.isfinite(hits[:, 0]).all()
+    # sin I = 0.8, 1.5 · 0.8 > 1: it meets the sphere and does not get out
+    assert np.isfinite(hits[1, 1]).all()
+    assert np.isnan(hits[2, 1]).all()
+    assert np.isnan(hits[1:, 2]).all()
+
+
+def test_two_mirrors_at_45_degrees_offset_the_beam():
+    """A periscope: up by 30 mm and onward along +z."""
+    fold = Decentre(tilt_deg=(-45.0, 0.0, 0.0))
+    rows = lens(
+        Row(1, thickness=20.0),
+        Row(2, kind="coordinate_break", decentre=fold),
+        Row(3, mirror=True),
+        Row(4, kind="coordinate_break", decentre=fold, thickness=-30.0),
+        Row(5, kind="coordinate_break", decentre=Decentre(tilt_deg=(45.0, 0.0, 0.0))),
+        Row(6, mirror=True),
+        Row(7, kind="coordinate_break", decentre=Decentre(tilt_deg=(45.0, 0.0, 0.0)), thickness=15.0),
+    )
+    hits, onward = trace(rows, *parallel(0.0, 1.0))
+    world = to_world(rows, hits)
+    assert np.isnan(world[1]).all()
+    mirrors, image = world[[2, 5]], world[-1]
+    assert mirrors[0, 0] == pytest.approx([0, 0, 20], abs=1e-12)
+    assert abs(mirrors[1, 0, 1]) == pytest.approx(30, abs=1e-12)
+    assert image[0] == pytest.approx([0, mirrors[1, 0, 1], 35], abs=1e-12)
+    assert (image[1] - image[0]) == pytest.approx([0, 1, 0], abs=1e-12)
+    assert onward[-1, 0] == pytest.approx(ALONG, abs=1e-12)
+
+
+def test_a_decentre_shifts_then_turns_or_turns_then_shifts():
+    """Turned by 90° about x, the new y axis is the old z and the new z the old -y."""
+    turn = {"y": 2.0, "z": 3.0, "tilt_deg": (90.0, 0.0, 0.0)}
+    rows = [Row(1, decentre=Decentre(**turn), thickness=7.0), Row(2)]
+    first = frames(lens(*rows))
+    assert first[0][:3, 3] == pytest.approx([0, 2, 3])
+    assert first[0][:3, 2] == pytest.approx([0, -1, 0])
+    assert first[1][:3, 3] == pytest.approx([0, 2 - 7, 3])
+    rows[0] = Row(1, decentre=Decentre(**turn, tilt_first=True), thickness=7.0)
+    # y = 2 along the old z, z = 3 along the old -y
+    assert frames(lens(*rows))[0][:3, 3] == pytest.approx([0, -3, 2])
+    rows[0] = Row(1, decentre=Decentre(**turn, returns=True), thickness=7.0)
+    after = frames(lens(*rows))
+    assert after[0][:3, 3] == pytest.approx([0, 2, 3])
+    assert after[1] == pytest.approx(np.array([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 7], [0, 0, 0, 1]]))
+
+
+def test_turns_are_about_x_then_y_then_z_of_the_frame_as_turned_so_far():
+    """x by 90°, then the new y by 90°: the z axis goes to +x, which the turn about x left alone."""
+    (frame, *_) = frames(lens(Row(1, decentre=Decentre(tilt_deg=(90.0, 90.0, 0.0)))))
+    assert frame[:3, 2] == pytest.approx([1, 0, 0])
+    # In the other order z goes to -y, and the turn about y, which is done first, takes nothing of it along
+    (frame, *_) = frames(lens(Row(1, decentre=Decentre(tilt_deg=(90.0, 90.0, 0.0), tilt_first=True))))
+    assert frame[:3, 2] == pytest.approx([0, -1, 0])
+
+
+@pytest.mark.parametrize(
+    ("aperture", "through"),
+    [
+        (ClearAperture(outer=2.0), [True, True, False, False]),
+        (ClearAperture(inner=1.0, outer=2.0), [False, True, False, False]),
+        # A ray that touches a rim passes
+        (ClearAperture(outer=2.0, obscures=True), [False, True, True, True]),
+        (ClearAperture(outer=1.5, y=3.0), [False, True, True, False]),
+        (ClearAperture(kind="rectangle", half_width=1.0, half_height=3.5), [True, True, True, False]),
+    ],
+)
+def test_stated_apertures_stop_rays(aperture, through):
+    points = np.array([[0.0, 0.0, 0.0], [0.0, 2.0, 0.0], [0.0, 3.0, 0.0], [0.0, 5.0, 0.0]])
+    assert passes(Row(1, aperture=aperture), points).tolist() == through
+
+
+def test_a_drawn_radius_stops_no_ray_and_a_fixed_one_does():
+    points = np.array([[0.0, 1.0, 0.0], [0.0, 1.1, 0.0], [np.nan, 0.0, 0.0]])
+    assert passes(Row(1, semi_diameter=1.0), points).tolist() == [True, True, False]
+    assert passes(Row(1, semi_diameter=1.0, semi_diameter_fixed=True), points).tolist() == [True, False, False]
+
+
+def test_unknown_glass_names_the_surface():
+    with pytest.raises(MistrayError, match=r"lens 'test', surface 1: .*NOGLASS"):
+        trace(lens(Row(1, material="NOGLASS")), *parallel(1.0))
+
+
+def test_batoid_traces_the_same_rays():
+    """A triplet with an asphere and a tilted, decentred middle lens; batoid works in metres."""
+    batoid = pytest.importorskip("batoid")
+    tilt = Decentre(y=0.3, x=-0.1, tilt_deg=(2.0, -1.5, 0.0))
+    rows = lens(
+        Row(1, radius=22.0, conic=-0.4, coefficients=(1e-6, 2e-9), thickness=3.2, material="1.62"),
+        Row(2, radius=-435.0, thickness=6.0),
+        Row(3, kind="coordinate_break", decentre=tilt),
+        Row(4, radius=-22.2, thickness=1.0, material="1.617"),
+        Row(5, radius=20.3, thickness=4.7),
+        Row(6, radius=79.7, thickness=2.9, material="1.62"),
+        Row(7, radius=-18.4, thickness=40.0),
+    )
+    rng = np.random.default_rng(3)
+    positions = np.column_stack([rng.uniform(-4, 4, (40, 2)), np.full(40, -5.0)])
+    directions = np.column_stack([rng.uniform(-0.1, 0.1, (40, 2)), np.ones(40)])
+    directions /= np.linalg.norm(directions, axis=1, keepdims=True)
+    hits, onward = trace(rows, positions, directions)
+    index, medium = [1.0], 1.0
+    for row in rows.rows:
+        medium = float(row.material) if row.material != "air" else 1.0
+        index.append(index[-1] if row.kind != "surface" else medium)
+    elements = []
+    # By hand: the frame of row 3 holds for all later ones, and batoid's rotation is RotX · RotY as well
+    turn = batoid.RotX(math.radians(2.0)) @ batoid.RotY(math.radians(-1.5))
+    break_z, along = 3.2 + 6.0, 0.0
+    for k, (row, z) in enumerate(zip(rows.rows, [0.0, 3.2, 9.2, 0.0, 1.0, 5.7, 8.6, 48.6], strict=True)):
+        if row.kind == "coordinate_break":
+            continue
+        if k < 2:
+            system = batoid.CoordSys().shiftGlobal([0, 0, z * 1e-3])
+        else:
+            along = np.array([-0.1, 0.3, break_z]) + turn @ np.array([0.0, 0.0, z])
+            system = batoid.CoordSys(origin=along * 1e-3, rot=turn)
+        if math.isinf(row.radius):
+            figure = batoid.Plane()
+        elif row.coefficients:
+            figure = batoid.Asphere(row.radius * 1e-3, row.conic, [1e-6 * 1e9, 2e-9 * 1e15])
+        else:
+            figure = batoid.Quadric(row.radius * 1e-3, row.conic)
+        kind = batoid.Detector if row.kind == "image" else batoid.RefractiveInterface
+        media = {"inMedium": batoid.ConstMedium(index[k]), "outMedium": batoid.ConstMedium(index[k + 1])}
+        elements.append(kind(figure, name=str(k), coordSys=system, **media))
+    optic = batoid.CompoundOptic(elements, inMedium=batoid.ConstMedium(1.0), outMedium=batoid.ConstMedium(1.0))
+    rays = batoid.RayVector(*(positions.T * 1e-3), *directions.T, t=0.0, wavelength=5e-7)
+    optic.trace(rays)
+    assert not rays.failed.any()
+    assert np.abs(rays.r * 1e3 - hits[-1]).max() < 1e-10
+    assert np.abs(rays.v - onward[-1]).max() < 1e-12

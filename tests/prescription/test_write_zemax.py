@@ -1,0 +1,347 @@
+from __future__ import annotations
+
+import csv
+import math
+from dataclasses import replace
+
+import exported_lenses
+import json_units
+import numpy as np
+import peers
+import pytest
+
+from mistray.cli.program import main
+from mistray.errors import MistrayError
+from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
+from mistray.prescription.read_zemax import read_zemax
+from mistray.prescription.sequential import ClearAperture, Decentre, Row, Sequential
+from mistray.prescription.sequential_rays import frames, to_world, trace
+from mistray.prescription.to_sequential import to_sequential
+from mistray.prescription.write_zemax import write_zemax
+from mistray.scenes.newtonian.prescription import build as newtonian
+
+IMAGE = Row(9, kind="image")
+
+
+@pytest.fixture(scope="module")
+def frozen() -> dict[str, np.ndarray]:
+    """Rays of optiland through the exported files: start, direction, end; (n, 9) by lens."""
+    with exported_lenses.CSV.open(newline="") as file:
+        rows = list(csv.DictReader(file))
+    return {
+        name: np.array(
+            [[float(row[key]) for key in exported_lenses.COLUMNS[2:]] for row in rows if row["lens"] == name]
+        )
+        for name in exported_lenses.LENSES
+    }
+
+
+def written(lens: Sequential, folder) -> Sequential:
+    """The lens as its file says it."""
+    write_zemax(lens, folder / "lens.zmx")
+    return read_zemax(folder / "lens.zmx")
+
+
+@pytest.mark.parametrize("name", exported_lenses.LENSES)
+def test_rays_of_exported_file_are_those_of_optiland(name, frozen, tmp_path):
+    lens = exported_lenses.exported(name)
+    start, direction, end = np.hsplit(frozen[name], 3)
+    assert len(start) == 6
+    for each in (lens, written(lens, tmp_path)):
+        points, _ = trace(each, start, direction)
+        np.testing.assert_allclose(to_world(each, points)[-1], end, atol=1e-9)
+
+
+@pytest.mark.parametrize("name", exported_lenses.LENSES)
+def test_optiland_reads_the_exported_lens(name, frozen, tmp_path):
+    peers.need("optiland")
+    lens = exported_lenses.exported(name)
+    write_zemax(lens, tmp_path / "lens.zmx")
+    start, direction, end = np.hsplit(frozen[name], 3)
+    found = exported_lenses.optiland_image_points(tmp_path / "lens.zmx", start, direction, lens.wavelength_nm)
+    np.testing.assert_allclose(found, end, atol=1e-9)
+
+
+def test_everything_of_a_lens_comes_back(tmp_path):
+    rows = (
+        Row(1, label="Öffnung front", radius=51.5, conic=-0.7, coefficients=(1e-6, 0.0, 3e-12), thickness=4.0,
+            material="schott/SF5", semi_diameter=11.0, semi_diameter_fixed=True, coating="AR"),
+        Row(2, radius=-80.0, thickness=3.0, material="nd=1.53 Vd=56 k=0", semi_diameter=10.5),
+        Row(3, thickness=1.0, stop=True, semi_diameter=5.0, aperture=ClearAperture(inner=1.5, outer=5.0)),
+        Row(4, radius=-200.0, mirror=True, thickness=-30.0, semi_diameter=math.hypot(9.0, 11.0),
+            aperture=ClearAperture(kind="rectangle", half_width=8.0, half_height=9.0, x=1.0, y=-2.0)),
+        Row(5, thickness=-2.0, material="1.5", semi_diameter=6.0, aperture=ClearAperture(outer=2.0, obscures=True)),
+        Row(6, kind="image", radius=90.0, semi_diameter=7.0),
+    )  # fmt: skip
+    lens = Sequential(
+        "Ø 22 mm",
+        rows,
+        object_distance=120.0,
+        aperture_kind="object_na",
+        aperture=0.06,
+        field_kind="object_height",
+        fields=((0.0, 0.0), (3.0, -4.0)),
+        vignetting=((0.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3, 0.4)),
+        wavelengths_nm=(486.1, 587.6, 656.2),
+        weights=(0.5, 1.0, 0.25),
+        primary=1,
+    )
+    back = written(lens, tmp_path)
+    rows = tuple(replace(row, line=0) for row in back.rows)
+    rows = (
+        *rows[:3],
+        replace(rows[3], semi_diameter=lens.rows[3].semi_diameter),
+        *rows[4:],
+    )  # the reach of its corners
+    assert back.rows[3].semi_diameter == pytest.approx(lens.rows[3].semi_diameter, rel=1e-15)
+    assert replace(back, rows=rows, source="", notes=(), unread=()) == replace(
+        lens, rows=(rows[0], *lens.rows[1:]), source=""
+    )
+    assert replace(rows[0], radius=51.5) == lens.rows[0]
+    assert [line.text for line in back.unread] == ["COAT AR"]  # there is no coating file
+
+
+@pytest.mark.parametrize("kind", ["entrance_pupil_diameter", "f_number", "stop_diameter"])
+def test_aperture_comes_back(kind, tmp_path):
+    lens = Sequential("lens", (Row(1, stop=True, semi_diameter=2.0), IMAGE), aperture_kind=kind, aperture=4.0)
+    back = written(lens, tmp_path)
+    assert (back.aperture_kind, back.aperture) == (kind, 4.0)
+
+
+def test_the_size_of_a_floating_stop_is_that_of_the_beam(tmp_path):
+    """OpticStudio takes it from the stop's semi-diameter, whatever the lens draws there."""
+    for size in (None, 9.0):
+        rows = (Row(1, thickness=1.0, semi_diameter=7.0), Row(2, stop=True, semi_diameter=size), IMAGE)
+        back = written(Sequential("lens", rows, aperture_kind="stop_diameter", aperture=4.0), tmp_path)
+        assert (back.aperture, back.rows[1].semi_diameter, back.rows[0].semi_diameter) == (4.0, 2.0, 7.0)
+
+
+def test_telecentric_object_space_comes_back(tmp_path):
+    lens = Sequential("lens", (Row(1), IMAGE), object_distance=50.0, aperture_kind="object_na", aperture=0.1)
+    assert not written(lens, tmp_path).telecentric
+    assert written(replace(lens, telecentric=True), tmp_path).telecentric
+
+
+def test_what_a_file_cannot_say_is_told(tmp_path):
+    slit = ClearAperture(kind="rectangle", half_height=1.0)
+    hole = ClearAperture(inner=1.0)
+    spot = ClearAperture(outer=1.0, obscures=True)
+    cases = (
+        (Row(1, aperture=slit), "surface 1: its slit, as it has no rim", None),
+        (Row(1, aperture=slit, semi_diameter=5.0), None, replace(slit, half_width=5.0)),
+        (Row(1, aperture=hole), "surface 1: its hole of radius 1 mm", None),
+        (Row(1, aperture=hole, semi_diameter=5.0), None, replace(hole, outer=5.0)),
+        (Row(1, aperture=spot, semi_diameter=5.0, semi_diameter_fixed=True), "its edge stops no light", spot),
+        (Row(1, aperture=spot, semi_diameter=5.0), None, spot),
+        (Row(1, coating="FILES/COATING.DAT:my AR"), "coating 'my AR': its name is written with '_'", None),
+        (Row(1, coating="AR"), None, None),
+    )
+    for row, loss, aperture in cases:
+        lost = write_zemax(Sequential("lens", (row, IMAGE), aperture=1.0), tmp_path / "lens.zmx")
+        assert [loss in each for each in lost] == [True] if loss else lost == (), row
+        assert read_zemax(tmp_path / "lens.zmx").rows[0].aperture == aperture
+
+
+def test_more_wavelengths_than_a_file_holds(tmp_path):
+    nm = tuple(range(400, 425))
+    lens = Sequential("lens", (Row(1), IMAGE), aperture=1.0, wavelengths_nm=nm, weights=(1.0,) * 25)
+    with pytest.raises(MistrayError, match=r"lens 'lens': 25 wavelengths; \.zmx files hold 24, leave some out"):
+        write_zemax(lens, tmp_path / "lens.zmx")
+    assert not (tmp_path / "lens.zmx").exists()
+
+
+@pytest.mark.parametrize("tilt_first", [False, True])
+@pytest.mark.parametrize("returns", [False, True])
+@pytest.mark.parametrize("shift", [(0.0, 0.0, 0.0), (1.0, -2.0, 0.0), (1.0, 2.0, 3.0)])
+@pytest.mark.parametrize("tilt", [(0.0, 0.0, 0.0), (0.0, 20.0, 0.0), (10.0, -20.0, 30.0)])
+def test_frames_of_decentres_come_back(tilt_first, returns, shift, tilt, tmp_path):
+    x, y, z = shift
+    decentre = Decentre(x=x, y=y, z=z, tilt_deg=tilt, tilt_first=tilt_first, returns=returns)
+    rows = (Row(1, thickness=5.0), Row(2, thickness=7.0, decentre=decentre), Row(3, thickness=1.0), IMAGE)
+    lens = Sequential("lens", rows, aperture=1.0)
+    back = written(lens, tmp_path)
+    places = [frame for frame, row in zip(frames(back), back.rows, strict=True) if row.kind != "coordinate_break"]
+    np.testing.assert_allclose(places, frames(lens), atol=1e-12)
+
+
+def test_each_break_turns_about_one_axis_after_its_decentre(tmp_path):
+    """Programs disagree about several tilts in one break, and some know no order."""
+    write_zemax(exported_lenses.tilted(), tmp_path / "lens.zmx")
+    for row in read_zemax(tmp_path / "lens.zmx").rows:
+        if row.decentre is not None:
+            assert sum(map(bool, row.decentre.tilt_deg)) <= 1
+            assert not row.decentre.tilt_first
+            assert row.decentre.z == 0
+
+
+@pytest.mark.parametrize(
+    ("material", "wavelengths", "line", "loss"),
+    [
+        ("N-BK7", (550.0,), "GLAS N-BK7 0 0 1.5168", None),
+        ("ohara/S-BSL7", (550.0,), "GLAS S-BSL7 0 0 1.5163", None),
+        ("fused silica", (550.0,), "GLAS SILICA 0 0 1.4584", None),
+        ("1.7", (587.56,), "GLAS ___BLANK 1 0 1.7 10000000000 ", None),
+        ("1.7", (632.8,), "GLAS ___BLANK 1 0 1.7 0 ", "no dispersion"),
+        ("nd=1.6 Vd=40 k=0", (587.56,), "GLAS ___BLANK 1 0 1.6 40 ", None),
+        ("nd=1.6 Vd=40 k=0", (500.0,), "GLAS ___BLANK 1 0 1.6 40 ", "formulas of their own"),
+        ("nd=1.6 Vd=40 k=1e-6", (587.56,), "GLAS ___BLANK 1 0 1.6 40 ", "absorption"),
+        ("PMMA k=0", (486.1, 587.6), "GLAS PMMA 0 0 1.4", None),
+        ("N-BK7 shift=0.001", (587.5618,), "GLAS ___BLANK 1 0 1.5178", "alone"),
+        ("Ge", (1500.0,), "GLAS GERMANIUM 0 0 ", None),
+        ("MgF2", (486.1, 587.6), "GLAS ___BLANK 1 0 1.38", "approximate"),
+    ],
+)
+def test_glasses(material, wavelengths, line, loss, tmp_path):
+    rows = (Row(1, thickness=1.0, material=material), IMAGE)
+    lens = Sequential("lens", rows, aperture=1.0, wavelengths_nm=wavelengths, weights=(1.0,) * len(wavelengths))
+    losses = write_zemax(lens, tmp_path / "lens.zmx")
+    text = (tmp_path / "lens.zmx").read_text()
+    assert line in text
+    catalogues = {"N-BK7": "SCHOTT", "S-BSL7": "OHARA", "SILICA": "MISC", "PMMA": "MISC", "GERMANIUM": "INFRARED"}
+    expected = catalogues.get(line.split()[1])
+    assert (f"\nGCAT {expected}\n" in text) if expected else ("GCAT" not in text)
+    assert any(loss in each for each in losses) if loss else losses == ()
+    index = [trace(each, [[0, 0, 0]], [[0, 0.5, 1]])[1][0, 0, 1] for each in (lens, read_zemax(tmp_path / "lens.zmx"))]
+    if len(wavelengths) == 1 or loss is None:  # the file says the same to its reader
+        assert index[0] == pytest.approx(index[1], rel=1e-9)
+
+
+def test_terms_beyond_r16_are_refused(tmp_path):
+    rows = (Row(1, label="front", coefficients=(0.0,) * 7 + (1e-20,)), IMAGE)
+    with pytest.raises(MistrayError, match=r"surface 1 'front'.*r\^18.*fit it again"):
+        write_zemax(Sequential("lens", rows, aperture=1.0), tmp_path / "lens.zmx")
+    assert not (tmp_path / "lens.zmx").exists()
+
+
+def test_newtonian_by_hand():
+    """A paraboloid and a mirror at 45° bring a beam along the axis to one point at the image's centre."""
+    lens = to_sequential(newtonian())
+    primary, diagonal, turn, image = lens.rows
+    assert (primary.radius, primary.conic, primary.thickness, primary.mirror, primary.stop) == (
+        -2540.0, -1.0, -1143.0, True, True,
+    )  # fmt: skip
+    assert (diagonal.decentre, diagonal.mirror, diagonal.thickness) == (Decentre(tilt_deg=(45.0, 0.0, 0.0)), True, 0.0)
+    assert (turn.kind, turn.decentre) == ("coordinate_break", Decentre(tilt_deg=(45.0, 0.0, 0.0)))
+    assert turn.thickness == pytest.approx(127.0)
+    assert (image.kind, image.decentre) == ("image", None)
+    assert lens.aperture == pytest.approx(190.5)
+    heights = np.array([[20.0, 30.0, 0.0], [-60.0, 60.0, 0.0], [90.0, 0.0, 0.0]])
+    points, _ = trace(lens, heights, [0.0, 0.0, 1.0] * np.ones((3, 1)))
+    np.testing.assert_allclose(points[-1], 0.0, atol=1e-9)
+
+
+def test_stop_is_put_where_its_rim_stands():
+    """A front surface that bulges through the plane of the stop lies behind the stop at the stop's rim."""
+    lens = Surface("front", radius=10.0, semi_diameter=5.0, back="1.5")
+    rear = Surface("rear", z=4.0, radius=-10.0, semi_diameter=5.0, front="1.5")
+    sag = 10 - math.sqrt(10**2 - 4**2)
+    detector = Detector(z=12.0, semi_diameter=3.0)
+    for z, labels in ((sag - 0.1, ["stop", "front"]), (sag + 0.1, ["front", "stop"])):
+        p = Prescription(
+            name="x",
+            surfaces=(lens, rear),
+            stop=Stop(4.0, z, z, 8.0, 8.0),
+            detector=detector,
+            source=Source(radius=9.0),
+        )
+        rows = to_sequential(p).rows
+        assert [row.label for row in rows[:2]] == labels
+        np.testing.assert_allclose(sum(row.thickness for row in rows), 12.0 - (z if labels[0] == "stop" else 0.0))
+
+
+def test_surfaces_that_light_meets_from_behind():
+    """A lens in the way back from a mirror keeps its materials and bends the same way."""
+    mirror = Surface("mirror", z=50.0, semi_diameter=20.0, coating=Coating(R=1.0), mirror=True)
+    front = Surface("near", z=20.0, radius=30.0, semi_diameter=10.0, front="1.5")
+    rear = Surface("far", z=16.0, semi_diameter=10.0, back="1.5")
+    p = Prescription(
+        name="x",
+        surfaces=(mirror, front, rear),
+        detector=Detector(z=-10.0, semi_diameter=9.0),
+        source=Source(radius=4.0),
+    )
+    lens = to_sequential(p)
+    assert [row.thickness for row in lens.rows] == [-30.0, -4.0, -26.0, 0.0]
+    assert [row.material for row in lens.rows[:3]] == ["air", "1.5", "air"]
+    # Along the light, -z, the first radius is -30 mm: s' = 1.5·(-30)/0.5 = -90 mm, and behind the plane, 4 mm on,
+    # (s' - 4)/1.5: light seems to come from 94/1.5 mm before it
+    points, directions = trace(lens, [[1e-4, 0.0, 0.0]], [[0.0, 0.0, 1.0]])
+    point, direction = to_world(lens, points)[2, 0], directions[2, 0]
+    assert lens.rows[1].radius == 30.0
+    crossing = 50.0 + point[2] - direction[2] * point[0] / direction[0]  # the table begins at the mirror
+    assert crossing == pytest.approx(16.0 + 94.0 / 1.5, abs=1e-5)
+
+
+def test_decentred_lens_gets_a_decentre_and_no_tilt():
+    front = Surface("front", radius=30.0, semi_diameter=10.0, back="1.5")
+    rear = Surface("rear", y=0.5, z=4.0, radius=-30.0, semi_diameter=10.0, front="1.5")
+    p = Prescription(name="x", surfaces=(front, rear), detector=Detector(y=0.5, z=30.0, semi_diameter=9.0))
+    rows = to_sequential(p).rows
+    assert rows[1].decentre == Decentre(y=0.5)
+    assert rows[2].decentre is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"detector": None}, "it has no detector"),
+        ({"surfaces": ()}, "it has no optical surface"),
+        ({"order": (1, 0)}, "light comes to surface 'front' in 'air', but the surface stands in '1.5'|order of light"),
+        ({"far": 60.0}, "light behind surface 'rear' runs away from surface 'image'"),
+        ({"glass": "1.6"}, "light comes to surface 'rear' in '1.5', but the surface stands in '1.6'"),
+        ({"black": True}, "surface 'rear' is opaque and no mirror"),
+    ],
+)
+def test_what_is_no_sequence_is_refused_in_one_line(changes, message):
+    far, glass = changes.get("far", 4.0), changes.get("glass", "1.5")
+    coating = Coating(R=0.1) if "black" in changes else None
+    surfaces = (
+        Surface("front", semi_diameter=5.0, back="1.5"),
+        Surface("rear", z=far, semi_diameter=5.0, front=glass, coating=coating),
+    )
+    surfaces = tuple(surfaces[k] for k in changes.get("order", (0, 1)))
+    detector = changes.get("detector", Detector("image", z=20.0, semi_diameter=9.0))
+    p = Prescription(name="camera", surfaces=changes.get("surfaces", surfaces), detector=detector)
+    with pytest.raises(MistrayError, match=message) as error:
+        to_sequential(p)
+    assert "\n" not in str(error.value)
+    assert "camera" in str(error.value)
+
+
+@pytest.mark.parametrize("name", exported_lenses.SCENES)
+def test_command_writes_the_lens_of_the_scene_file(name, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", name, "-o", "lens.zmx"]) == 0
+    assert "lens.zmx: " in capsys.readouterr().out
+    found = read_zemax("lens.zmx")
+    lens = to_sequential(exported_lenses.importlib.import_module(f"mistray.scenes.{name}.prescription").build())
+    write_zemax(lens, "expected.zmx")
+    expected = read_zemax("expected.zmx")
+    assert found.rows == tuple(
+        replace(row, line=other.line) for row, other in zip(expected.rows, found.rows, strict=True)
+    )
+    assert (found.aperture, found.wavelengths_nm) == (expected.aperture, expected.wavelengths_nm)
+
+
+def test_command_prints_one_json_object(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", "newtonian", "-o", "n.zmx", "--json"]) == 0
+    shown = json_units.read(capsys.readouterr().out)
+    assert shown["surfaces"] == 2
+    assert shown["files"] == ["n.zmx"]
+    assert shown["entrance_pupil_diameter_mm"] == pytest.approx(190.5)
+    assert "vane_1" in shown["left_out"]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (["newtonian", "-o", "lens.txt"], "files of type '.txt' cannot be written"),
+        (["newtonian", "-o", "no/lens.zmx"], "the folder 'no' does not exist"),
+        (["newtonion", "-o", "lens.zmx"], "such as newtonian"),
+    ],
+)
+def test_command_says_what_is_wrong(arguments, message, tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    assert main(["export", *arguments]) == 2
+    assert message in capsys.readouterr().err

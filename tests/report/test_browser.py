@@ -1,0 +1,298 @@
+"""Every control of a report in a browser: headless Chromium runs the page and a driver that uses them."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+from report.fake_pst import fake_pst
+from report.fake_scene import lens_scene
+from report.fake_trace import trace_at
+
+from mistray.analysis.ghosts import GhostReport
+from mistray.report import html_pst
+from mistray.report.embedded import palette_png
+from mistray.report.html import html_text
+from mistray.report.layout import worst_paths
+
+CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
+FLAGS = (
+    "--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run", "--disable-component-update",
+    "--disable-background-networking", "--disable-sync", "--window-size=1300,1000", "--enable-logging=stderr",
+    "--virtual-time-budget=20000", "--dump-dom",
+)  # fmt: skip
+DRAWN = ("overview.png", "ghosts_0deg.png")  # pictures that nothing is done with
+pytestmark = pytest.mark.skipif(CHROMIUM is None, reason="no Chromium to open a report; install chromium")
+
+DRIVER = """
+<script>
+const found = { errors: [] };
+window.addEventListener("error", (event) => found.errors.push(event.message));
+window.addEventListener("unhandledrejection", (event) => found.errors.push(String(event.reason)));
+const pause = () => new Promise((done) => setTimeout(done, 50));
+const until = async (test) => { for (let k = 0; k < 100 && !test(); k += 1) await pause(); };
+const press = (target, key, more) =>
+  target.dispatchEvent(new KeyboardEvent("keydown", { key, bubbles: true, ...more }));
+window.addEventListener("load", async () => {
+  try { await drive(); } catch (error) { found.errors.push(String(error)); }
+  parent.postMessage({ page: location.pathname.split("/").pop(), found }, "*");
+});
+</script>
+"""
+# All pages in one browser, each as large as the window; it tells the results when all have come
+FRAMES = """<!DOCTYPE html>
+<html><head><meta charset="utf-8"><title>reports</title>
+<style>iframe { position: absolute; left: 0; top: 0; width: 1300px; height: 1000px; border: 0; }</style></head><body>
+<script>
+const found = {};
+window.addEventListener("message", (event) => {
+  found[event.data.page] = event.data.found;
+  if (Object.keys(found).length === document.querySelectorAll("iframe").length)
+    document.documentElement.dataset.found = JSON.stringify(found);
+});
+</script>
+%s
+</body></html>
+"""
+FRAME = (
+    '<iframe src="%s" style="position: absolute; left: 0; top: 0; width: 1300px; height: 1000px; border: 0"></iframe>'
+)
+GHOSTS = """
+<script>
+async function drive() {
+  const panel = document.querySelector("div.explorer"), canvas = panel.querySelector("canvas");
+  const table = document.getElementById(panel.dataset.table), which = panel.querySelector("select.which");
+  const rows = () => [...table.tBodies[0].rows].filter((row) => !row.hidden);
+  const ids = () => rows().map((row) => row.querySelector("button.pick").dataset.path);
+  canvas.setPointerCapture = () => {};  // there is no pointer behind the events below
+  panel.scrollIntoView();
+  await until(() => panel.classList.contains("ready"));
+  found.drawn_when_near = panel.classList.contains("ready");
+  const light = () => {
+    const copy = document.createElement("canvas");
+    [copy.width, copy.height] = [canvas.width, canvas.height];
+    const pen = copy.getContext("2d", { willReadFrequently: true });
+    pen.drawImage(canvas, 0, 0);
+    const { data } = pen.getImageData(0, 0, canvas.width, canvas.height);
+    let sum = 0; for (let k = 0; k < data.length; k += 4) sum += data[k]; return sum; };
+  found.paths = ids();
+  found.all_light = light();
+  // A path by the keyboard
+  const pick = [...table.querySelectorAll("button.pick")].find((button) => button.dataset.path === "1");
+  pick.focus(); pick.click();
+  await until(() => which.value === "path");
+  await pause();
+  found.path = which.selectedOptions[0].textContent;
+  found.pressed = pick.getAttribute("aria-pressed");
+  found.label = canvas.getAttribute("aria-label");
+  found.turns = panel.querySelectorAll('svg.rays path[stroke="#e69f00"]').length;
+  found.ray_colour = panel.querySelector("svg.rays path.ray").getAttribute("stroke");
+  found.scale = panel.querySelector("svg.rays text").textContent;
+  found.events = [...panel.querySelectorAll("ol.events li")].map((item) => item.textContent);
+  found.rays = panel.querySelectorAll("svg.rays path.ray").length;
+  found.chosen = panel.querySelector(".chosen").textContent;
+  found.path_light = light();
+  panel.querySelector("input.whole").click();
+  await pause();
+  found.path_alone = light();
+  panel.querySelector("input.whole").click();
+  await pause();
+  pick.blur();
+  panel.querySelector("button.back").click();
+  found.back = document.activeElement === pick;
+  which.value = "stray"; which.dispatchEvent(new Event("change"));
+  await pause();
+  found.stray_label = canvas.getAttribute("aria-label");
+  found.stray_light = light();
+  // A box by the pointer: the upper right quarter of the picture of all light
+  which.value = "light"; which.dispatchEvent(new Event("change"));
+  await pause();
+  const frame = canvas.getBoundingClientRect(), width = frame.width - 52 - 74, height = frame.height - 8 - 36;
+  const wide = Math.min(width, height * 4 / 3);
+  const drag = (kind, x, y) => canvas.dispatchEvent(new PointerEvent(kind, { pointerId: 1, button: 0, bubbles: true,
+    clientX: frame.left + 52 + x * wide, clientY: frame.top + 8 + (1 - y) * wide * 3 / 4 }));
+  drag("pointerdown", 0.5, 0.5); drag("pointerup", 0.5, 0.5);
+  found.clicked = table.classList.contains("boxed");
+  drag("pointermove", 1.1, 0.5);
+  found.beside = panel.querySelector(".readout").textContent;
+  drag("pointerdown", 0.5, 0.5); drag("pointermove", 0.8, 0.7);
+  found.readout = panel.querySelector(".readout").textContent;
+  drag("pointerup", 1, 1);
+  await until(() => table.classList.contains("boxed"));
+  found.dragged = ["x0", "x1", "y0", "y1"].map((name) => Number(panel.querySelector("form").elements[name].value));
+  found.box = panel.querySelector(".found").textContent;
+  found.box_column = rows().map((row) => row.querySelector("td.inbox").textContent);
+  found.box_paths = ids();
+  found.in_box = rows().map((row) => Number(row.querySelector("td.inbox").dataset.v));
+  panel.querySelector('button[type="reset"]').click();
+  await pause();
+  found.cleared = ids();
+  // A box by its edges, then by the keyboard
+  const fields = panel.querySelector("form").elements;
+  fields.x0.value = "none"; panel.querySelector("form").requestSubmit();
+  await pause();
+  found.refused = panel.querySelector(".found").textContent;
+  const enter = (...values) => {
+    ["x0", "x1", "y0", "y1"].forEach((name, k) => { fields[name].value = values[k]; });
+    panel.querySelector("form").requestSubmit();
+    return pause();
+  };
+  await enter(3, 4, -1, 1);
+  found.outside = panel.querySelector(".found").textContent;
+  found.boxed_outside = table.classList.contains("boxed");
+  await enter("−2,0", "2", "-1.5", "1,5");
+  found.whole = rows().map((row) => Number(row.querySelector("td.inbox").dataset.v));
+  press(canvas, "Escape");
+  await pause();
+  found.escaped = table.classList.contains("boxed");
+  const dim = light();
+  press(canvas, "ArrowRight");
+  found.cross = light() - dim;
+  found.read_by_keys = panel.querySelector(".readout").textContent;
+  press(canvas, "ArrowUp", { shiftKey: true });
+  await pause();
+  found.by_keys = panel.querySelector(".found").textContent;
+  panel.querySelector('button[type="reset"]').click();
+  await pause();
+  // Filter, sort, values of the plot
+  const filter = document.querySelector(`input.filter[data-table="${table.id}"]`);
+  filter.value = "window"; filter.dispatchEvent(new Event("input"));
+  found.filtered = rows().length;
+  filter.value = ""; filter.dispatchEvent(new Event("input"));
+  const head = [...table.tHead.rows[0].cells].find((cell) => cell.textContent.startsWith("power"));
+  const column = () => rows().map((row) => Number(row.cells[[...head.parentNode.cells].indexOf(head)].dataset.v));
+  press(head, "Enter");
+  found.sorted = column();
+  head.click();
+  found.sorted_down = column();
+  found.hover = values();
+}
+</script>
+"""
+PLOT = """
+<script>
+function values() {
+  const plot = document.querySelector("div.hover"), svg = plot.querySelector("svg"), tip = plot.querySelector(".tip");
+  const before = tip.hidden;
+  press(plot, "ArrowRight");
+  const first = tip.querySelector("caption").textContent;
+  press(plot, "ArrowRight");
+  const second = tip.querySelector("caption").textContent;
+  const box = svg.getBoundingClientRect();
+  svg.dispatchEvent(new PointerEvent("pointermove", { clientX: box.right, clientY: box.top + 50 }));
+  const last = tip.querySelector("caption").textContent, rows = tip.querySelectorAll("tr").length;
+  press(plot, "Escape");
+  return { before, first, second, last, rows, after: tip.hidden };
+}
+</script>
+"""
+
+
+def opened(pages: dict[str, tuple[str, str]], folder: Path) -> dict[str, dict]:
+    """What the driver of each page found, by name; anything on the console makes it fail."""
+    for name, (text, driver) in pages.items():
+        page = text.replace("</body>", PLOT + driver + DRIVER + "</body>")
+        (folder / name).write_text(page, encoding="utf-8")
+    index = folder / "index.html"
+    index.write_text(FRAMES % "\n".join(FRAME % name for name in pages), encoding="utf-8")
+    command = [str(CHROMIUM), *FLAGS, f"--user-data-dir={folder / 'profile'}", index.as_uri()]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120)
+    found = re.search(r'<html[^>]* data-found="([^"]*)"', done.stdout)
+    assert found, f"a driver did not finish:\n{done.stderr[-3000:]}"
+    assert "CONSOLE" not in done.stderr, done.stderr
+    return json.loads(html.unescape(found[1]))
+
+
+@pytest.fixture(scope="module")
+def report():
+    t = trace_at(0.0)
+    return GhostReport(lens_scene(), {0.0: t}, t, {})
+
+
+@pytest.fixture(scope="module")
+def found(report, tmp_path_factory):
+    dot = palette_png(np.zeros((1, 1), dtype=np.uint8), np.zeros((1, 3), dtype=np.uint8))
+    pst = "<script>async function drive() { found.hover = values(); }</script>"
+    pages = {
+        "ghosts.html": (html_text(report, "lens", pictures={name: dot for name in DRAWN}), GHOSTS),
+        "pst.html": (html_pst.html_text(fake_pst(), "camera"), pst),
+    }
+    return opened(pages, tmp_path_factory.mktemp("pages"))
+
+
+def test_no_errors(found):
+    assert {page: result["errors"] for page, result in found.items()} == {"ghosts.html": [], "pst.html": []}
+
+
+def test_a_path_is_chosen(report, found):
+    found = found["ghosts.html"]
+    table = report.table(0.0).sort_values("rank_rms_irradiance")
+    assert found["drawn_when_near"]
+    assert found["paths"] == [str(path_id) for path_id in table.path_id]
+    assert (found["path"], found["pressed"]) == ("path 1", "true")
+    events = table.events[table.path_id == 1].iloc[0].split()
+    assert [item.split(":")[0] for item in found["events"]] == [event.split(":")[0] for event in events]
+    assert found["events"][-1] == "detector: absorbed"
+    assert found["turns"] == 2  # the detector and the window
+    assert found["rays"] == 7
+    assert found["ray_colour"] == dict((path_id, colour) for path_id, colour, _ in worst_paths(report, 0.0))[1]
+    assert found["scale"] == "2 mm (z to the right, y up)"
+    assert found["back"]
+
+
+def test_maps(found):
+    found = found["ghosts.html"]
+    assert "path 1, log10 scale 1e" in found["label"]
+    assert "without the direct image, log10 scale 1e" in found["stray_label"]
+    assert found["all_light"] > 0
+    assert found["stray_light"] not in (0, found["all_light"])
+    assert found["path_alone"] > found["path_light"] > 0  # larger in its own frame
+    assert "W/mm²" in found["readout"]
+    assert found["beside"].startswith("Drag a box")  # no irradiance beside the detector
+
+
+def test_boxes(report, found):
+    found, t = found["ghosts.html"], report[0.0]
+    assert found["dragged"] == pytest.approx([0, 2, 0, 1.5], abs=0.051)  # a pixel is 0.05 mm
+    x0, x1, y0, y1 = found["dragged"]
+    expected = {}
+    for path_id, path in enumerate(t.fakes):
+        x, y = path.points.T
+        share = float(((x >= x0) & (x < x1) & (y >= y0) & (y < y1)).mean())
+        if share > 0:
+            expected[str(path_id)] = path.power * share
+    assert dict(zip(found["box_paths"], found["in_box"], strict=True)) == pytest.approx(expected, rel=2e-3)
+    assert found["in_box"] == sorted(found["in_box"], reverse=True)
+    assert f"{len(expected)} of {len(t.fakes)} paths of the table light it" in found["box"]
+    assert "% of it" in found["box_column"][0]
+    assert found["clicked"] is False
+    assert found["cleared"] == found["paths"]
+    assert "Give all four edges" in found["refused"]
+    assert found["outside"] == "The box lies beside the detector, which has x -2 … 2, y -1.5 … 1.5 mm."
+    assert found["boxed_outside"] is False
+    assert sum(found["whole"]) == pytest.approx(t.irradiance.sum() * 0.05**2, rel=2e-3)
+    assert found["escaped"] is False
+    assert found["cross"] > 0
+    assert found["read_by_keys"].startswith("x ")
+    assert found["by_keys"].startswith("Box x ")
+
+
+def test_tables(report, found):
+    found = found["ghosts.html"]
+    assert 0 < found["filtered"] < len(report.table(0.0))
+    assert found["sorted"] == sorted(found["sorted"])
+    assert found["sorted_down"] == sorted(found["sorted"], reverse=True)
+
+
+def test_values_of_plots(found):
+    assert found["ghosts.html"]["hover"]["first"] == "field 0°"
+    values = found["pst.html"]["hover"]
+    assert (values["before"], values["after"]) == (True, True)
+    assert (values["first"], values["second"], values["last"]) == ("PST at 0°", "PST at 2°", "PST at 80°")
+    assert values["rows"] >= 4

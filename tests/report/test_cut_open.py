@@ -1,0 +1,199 @@
+"""Surfaces cut open: points lie on the formulas, cuts in the plane, areas are right."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from report.view_scene import EXACT, FORMULAS, SCENE, mm, tilted
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.report.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
+
+ZERO = 1e-12
+
+
+def area(vertices, faces):
+    a, b, c = np.asarray(vertices, dtype=float)[np.asarray(faces)].transpose(1, 0, 2)
+    return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("view") / "scene.xml"
+    path.write_text(SCENE, encoding="utf-8")
+    return mistray.load(path)
+
+
+@pytest.mark.parametrize("cut", [None, CutPlane(), CutPlane(90.0), CutPlane(37.0, 0.4)], ids=str)
+def test_points_lie_on_the_surfaces_and_on_the_kept_side(scene, cut):
+    surfaces = {surface.name: surface for surface in open_surfaces(scene, cut)}
+    assert set(surfaces) == set(FORMULAS)
+    for name, surface in surfaces.items():
+        assert len(surface.faces) > 0
+        assert FORMULAS[name](surface.vertices).max() < EXACT, name
+        assert all(FORMULAS[name](line).max() < EXACT for line in surface.lines), name
+        if cut is not None:
+            # a curved rectangle is lifted along its own axis, which lies in these planes
+            assert cut.height(surface.vertices).max() < EXACT, name
+            on_plane = [line for line in surface.lines if np.abs(cut.height(line)).max() < EXACT]
+            assert on_plane, name
+
+
+@pytest.mark.parametrize("name", ["L1_front", "stop_wall", "window_front", "window_rear"])
+def test_the_two_halves_have_the_area_of_the_whole(scene, name):
+    def of(cut):
+        (surface,) = (surface for surface in open_surfaces(scene, cut) if surface.name == name)
+        return area(surface.vertices, surface.faces)
+
+    whole = of(None)
+    assert of(CutPlane(0.0)) + of(CutPlane(180.0)) == pytest.approx(whole, rel=2e-3)
+    exact = {"stop_wall": np.pi * 5.0 * np.hypot(1.0, 4.0), "window_front": 24.0}.get(name)
+    if exact is not None:
+        assert whole == pytest.approx(exact, rel=2e-3)
+
+
+def test_roles_parts_and_materials(scene):
+    surfaces = {surface.name: surface for surface in open_surfaces(scene, CutPlane())}
+    assert {name: surface.role for name, surface in surfaces.items()} == {
+        "window_front": "glass",
+        "window_rear": "glass",
+        "L1_front": "glass",
+        "L1_rear": "glass",
+        "stop_wall": "structure",
+        "detector": "detector",
+    }
+    assert surfaces["L1_front"].part == "L1"
+    assert (surfaces["L1_front"].materials, surfaces["stop_wall"].materials) == ("air | 1.6", "")
+
+
+def test_what_lies_beyond_the_cut_is_gone(scene):
+    assert all(len(surface.faces) == 0 for surface in open_surfaces(scene, CutPlane(180.0, -50.0)))
+
+
+def test_what_the_cut_does_not_reach_is_whole(scene):
+    far = {surface.name: surface for surface in open_surfaces(scene, CutPlane(180.0, 50.0))}
+    wall = far["stop_wall"]
+    assert area(wall.vertices, wall.faces) == pytest.approx(np.pi * 5.0 * np.hypot(1.0, 4.0), rel=5e-3)
+
+
+def test_cut_cylinder_in_closed_form():
+    """A tube of radius 2 cut at x = 1: the arc that is left spans 240 degrees."""
+    vertices, faces, lines = turned([[2.0, 0.0], [2.0, 5.0]], np.eye(4), 400, CutPlane(0.0, 1.0))
+    assert area(vertices, faces) == pytest.approx(5.0 * 2.0 * np.radians(240.0), rel=1e-4)
+    ends = [line for line in lines if np.ptp(line[:, 2]) > 1.0]
+    np.testing.assert_allclose(
+        sorted(end[0, :2].tolist() for end in ends), [[1.0, -np.sqrt(3)], [1.0, np.sqrt(3)]], atol=1e-12
+    )
+
+
+def test_tilted_disc_keeps_its_area():
+    """A disc whose plane is not that of any ring of the cut: half of it is left whatever its tilt."""
+    matrix = tilted(25.0)
+    r = np.linspace(0.0, 3.0, 33)
+    vertices, faces, _ = turned(np.column_stack([r, 0.0 * r]), matrix, 200, CutPlane(180.0))
+    assert area(vertices, faces) == pytest.approx(np.pi * 9.0 / 2, rel=1e-3)
+    assert np.abs(vertices @ matrix[:3, 2]).max() < ZERO * 10
+
+
+CORNERS = np.array([[x, y, z] for x in (-1, 1) for y in (0, 2) for z in (5, 6)], dtype=float)
+BOX = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1], [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4],
+       [1, 5, 7], [1, 7, 3]]  # fmt: skip
+
+
+@pytest.mark.parametrize("offset", [-0.5, 0.0, 0.25])
+def test_clipped_box(offset):
+    """2 × 2 × 1 mm: what is left of it lies at x ≤ offset; its walls keep their winding."""
+    vertices, faces, lines = clip(CORNERS, BOX, CutPlane(0.0, offset))
+    depth = 1.0 + offset
+    assert area(vertices, faces) == pytest.approx(2.0 * 1.0 + depth * 2 * (2.0 + 1.0), rel=1e-12)
+    assert sum(np.linalg.norm(line[1] - line[0]) for line in lines) == pytest.approx(2 * (2.0 + 1.0))
+    normals = np.cross(*(np.diff(vertices[faces], axis=1)).transpose(1, 0, 2))
+    outward = vertices[faces].mean(axis=1) - [(offset - 1) / 2, 1.0, 5.5]
+    assert (np.einsum("ij,ij->i", normals, outward) > 0).all()
+
+
+def test_clip_keeps_single_precision():
+    vertices, _, _ = clip(CORNERS.astype(np.float32), BOX, CutPlane(0.0, 0.25))
+    assert vertices.dtype == np.float32
+
+
+def test_right_angles_are_exact():
+    np.testing.assert_array_equal(CutPlane(90.0).normal, [0.0, 1.0, 0.0])
+    np.testing.assert_array_equal(CutPlane(-180.0).normal, [-1.0, 0.0, 0.0])
+
+
+OUTLINES = {
+    "L": ([[0, 0], [3, 0], [3, 1], [1, 1], [1, 3], [0, 3]], 5.0),
+    "L the other way round": ([[0, 3], [1, 3], [1, 1], [3, 1], [3, 0], [0, 0]], 5.0),
+    "corners twice and on edges": ([[0, 0], [1, 0], [1, 0], [2, 0], [2, 2], [0, 2], [0, 1]], 4.0),
+    "comb": ([[0, 0], [5, 0], [5, 2], [4, 2], [4, 1], [3, 1], [3, 2], [2, 2], [2, 1], [1, 1], [1, 2], [0, 2]], 8.0),
+}
+
+
+@pytest.mark.parametrize("name", OUTLINES)
+def test_triangles_of_a_polygon(name):
+    outline, exact = OUTLINES[name]
+    points = np.column_stack([np.array(outline, dtype=float), np.zeros(len(outline))])
+    assert area(points, triangulate(outline)) == pytest.approx(exact, rel=1e-12)
+
+
+def test_triangles_of_a_meniscus():
+    """Between two arcs of sagitta 0.5 and 0.2: the area is the difference of the two parabolas' segments."""
+    y = np.linspace(-1.0, 1.0, 129)
+    outline = np.concatenate([np.column_stack([0.5 * y**2, y]), np.column_stack([0.3 + 0.2 * y**2, y])[::-1]])
+    points = np.column_stack([outline, np.zeros(len(outline))])
+    crossing = 0.3 * 2 - 0.3 * 2 / 3
+    assert area(points, triangulate(outline)) == pytest.approx(crossing, rel=2e-4)
+
+
+STOCK = {
+    "rectangle": ('<transform name="to_world"><scale x="2" y="1"/><translate z="5"/></transform>', 8.0),
+    "disk": ('<transform name="to_world"><scale value="2"/><translate z="5"/></transform>', np.pi * 4),
+    "sphere": ('<float name="radius" value="2"/><point name="center" x="0" y="0" z="5"/>', 4 * np.pi * 4),
+    "cylinder": (
+        '<float name="radius" value="2"/><point name="p0" x="0" y="0" z="4"/><point name="p1" x="0" y="0" z="7"/>',
+        2 * np.pi * 2 * 3,
+    ),
+    "cube": (mm(z=5.0), 24.0),
+}
+
+
+@pytest.mark.parametrize("kind", STOCK)
+def test_shapes_of_mitsuba(kind, tmp_path):
+    inside, exact = STOCK[kind]
+    surface = '<bsdf type="interface"><string name="back" value="1.5"/></bsdf>'
+    text = f'<scene version="3.0.0"><shape type="{kind}" id="it">{inside}{surface}</shape></scene>'
+    path = tmp_path / "scene.xml"
+    path.write_text(text, encoding="utf-8")
+    scene = mistray.load(path)
+    for cut, share in ((None, 1.0), (CutPlane(), 0.5)):
+        (it,) = open_surfaces(scene, cut)
+        assert area(it.vertices, it.faces) == pytest.approx(exact * share, rel=5e-3)
+        if kind == "sphere":
+            np.testing.assert_allclose(np.linalg.norm(it.vertices - [0, 0, 5.0], axis=1), 2.0, atol=EXACT)
+
+
+def test_a_shape_without_triangles_is_refused():
+    class Shape:
+        def id(self):
+            return "dust"
+
+        def is_sensor(self):
+            return False
+
+        def is_mesh(self):
+            return False
+
+        def bsdf(self):
+            return None
+
+        def __str__(self):
+            return "SDFGrid[\n]"
+
+    class Scene:
+        def shapes(self):
+            return [Shape()]
+
+    with pytest.raises(MistrayError, match="shape 'dust' is SDFGrid, which has no triangles to draw; use a mesh"):
+        open_surfaces(Scene(), None)

@@ -1,0 +1,177 @@
+"""The panel of a field: what the page holds of its paths, and the script that adds up the light in a box."""
+
+from __future__ import annotations
+
+import json
+import re
+import shutil
+import subprocess
+import sys
+from importlib.resources import files
+
+import numpy as np
+import pytest
+from report.fake_scene import lens_scene
+from report.fake_trace import EXTENT, SHAPE, trace_at
+from report.test_embedded import stored
+
+from mistray.analysis.ghosts import GhostReport
+from mistray.report.html import html_text
+from mistray.report.html_fields import explored_paths
+
+NODE = shutil.which("node")
+needs_node = pytest.mark.skipif(NODE is None, reason="no node to run the scripts of a report; install nodejs")
+# The scripts find nothing to work on, and what they define is at hand
+STUB = """
+const document = { querySelectorAll: () => [], getElementById: () => null };
+%s
+const given = JSON.parse(require("fs").readFileSync(0, "utf-8"));
+(async () => { const run = async () => { %s }; console.log(JSON.stringify(await run())); })();
+"""
+
+
+def javascript(code: str, given: object, *scripts: str) -> object:
+    """Run code with the scripts of a report; `given` is its data, what it returns is the answer."""
+    sources = "\n".join(files("mistray.report").joinpath(f"{name}.js").read_text(encoding="utf-8") for name in scripts)
+    done = subprocess.run(
+        [str(NODE), "-e", STUB % (sources, code)], input=json.dumps(given), capture_output=True, text=True, timeout=60
+    )
+    assert done.returncode == 0, done.stderr
+    return json.loads(done.stdout)
+
+
+def data_of(text: str, name: str) -> dict:
+    """The JSON with this id in a page."""
+    return json.loads(re.search(rf'<script type="application/json" id="{name}">(.*?)</script>', text)[1])
+
+
+@pytest.fixture(scope="module")
+def report():
+    traces = {field: trace_at(field) for field in (0.0, 20.0)}
+    report = GhostReport(lens_scene(), traces, traces[0.0], {})
+    report.text = html_text(report, "lens")
+    return report
+
+
+@pytest.fixture(scope="module")
+def data(report):
+    return data_of(report.text, "data-t-field-0")
+
+
+def maps_of(data: dict) -> dict[str, tuple[list[int], np.ndarray]]:
+    powers = stored(data["codes"])
+    entries = data["paths"] | {name: data[name] for name in ("light", "stray", "rest")}
+    return {
+        name: (entry, powers[entry[5] : entry[5] + entry[3] * entry[4]].reshape(entry[4], entry[3]))
+        for name, entry in entries.items()
+    }
+
+
+def test_page_holds_the_power_of_every_path(report, data):
+    table = report.table(0.0).set_index("path_id")
+    maps = maps_of(data)
+    assert set(map(int, data["paths"])) == set(table.index)
+    for path_id, power in table.power_W.items():
+        assert maps[str(path_id)][1].sum() == pytest.approx(power, rel=2e-3)
+    assert maps["rest"][1].size == 0
+    assert maps["light"][1].sum() == pytest.approx(table.power_W.sum(), rel=2e-3)
+    assert maps["stray"][1].sum() == pytest.approx(table.power_W[table.kind != "direct"].sum(), rel=2e-3)
+
+
+def test_summaries_are_those_of_maps_asked_for_one_by_one(report):
+    alone = GhostReport(lens_scene(), {20.0: trace_at(20.0), 0.0: trace_at(0.0)}, trace_at(0.0), {})
+    for field in (0.0, 20.0):
+        for found, expected in zip(report.stray_map(field), alone.stray_map(field), strict=True):
+            np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-18)
+    assert report.peak_to_nominal(20.0) == pytest.approx(alone.peak_to_nominal(20.0))
+
+
+def test_rays_and_events_of_a_path(report, data):
+    """The knots of the fake rays: start at z = -2, at the detector z = 5."""
+    for lines in data["rays"].values():
+        assert 1 <= len(lines) <= 7
+        assert all((line[0], line[-2]) == (-2, 5) for line in lines)
+    shared = data_of(report.text, "data-page")
+    assert shared["events"]["R"] == "reflected"
+    assert {"L1_front", "detector"} <= {surface["name"] for surface in shared["surfaces"]}
+    assert shared["bounds"][2] >= 5
+
+
+def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
+    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "MAP_BYTES", 16.0 * SHAPE[0] * SHAPE[1] * (2 + 2))
+    t = trace_at(0.0)
+    report = GhostReport(lens_scene(), {0.0: t}, t, {})
+    table = report.table(0.0).set_index("path_id")
+    maps = report.path_maps(0.0, list(table.index))
+    assert list(maps.paths) == [0, 1]
+    assert maps.rest.power_W.sum() == pytest.approx(table.power_W[2:].sum(), rel=1e-12)
+    assert report.path_maps(0.0, list(table.index)) is maps  # made once, also if it has not all of them
+    assert f"{len(table) - 2} of these paths have no map" in explored_paths(report, 0.0, "t")
+
+
+@needs_node
+def test_box_of_the_script_holds_the_hits_within_it(report, data):
+    """The same box from the points of the fake trace, one by one."""
+    t = report[0.0]
+    x0, x1, y0, y1 = EXTENT
+    boxes = [[-0.5, 0.5, -0.4, 0.6], [0.21, 0.19, 1.4, -1.3], [1.0, 5.0, 1.0, 5.0], [0.001, 0.002, 0.0, 0.0001]]
+    found = javascript(
+        """
+        const powers = powersOf(await inflated(bytesOf(given.data.codes)));
+        return given.boxes.map((corners) => {
+          const box = snapBox(corners, given.data.extent, given.data.shape, given.data.grid);
+          const power = Object.fromEntries(Object.entries(given.data.paths).map(
+            ([id, entry]) => [id, powerWithin(readMap(entry, powers), box.pixels)]));
+          return { mm: box.mm, pixels: box.pixels, power };
+        });
+        """,
+        {"data": data, "boxes": boxes},
+        "report",
+        "explorer",
+    )
+    for box, corners in zip(found, boxes, strict=True):
+        a, b, c, d = box["mm"]
+        size = data["grid"] * (x1 - x0) / SHAPE[1]
+        inside = sorted(corners[:2]) + sorted(corners[2:])
+        clipped = np.clip(inside, [x0, x0, y0, y0], [x1, x1, y1, y1])
+        assert a <= clipped[0] + 1e-9
+        assert b >= clipped[1] - 1e-9
+        assert c <= clipped[2] + 1e-9
+        assert d >= clipped[3] - 1e-9
+        assert b - a < clipped[1] - clipped[0] + 2 * size
+        for path_id, path in enumerate(t.fakes):
+            x, y = path.points.T
+            share = np.mean((x >= a) & (x < b) & (y >= c) & (y < d))
+            assert box["power"][str(path_id)] == pytest.approx(path.power * share, rel=2e-3, abs=1e-30)
+    assert any(value == 0 for value in found[0]["power"].values())
+    assert found[0]["power"]["0"] > 0
+
+
+@needs_node
+def test_scale_of_the_script_is_that_of_the_thumbnails():
+    from mistray.analysis.irradiance import log_range
+
+    values = 10.0 ** np.random.default_rng(2).uniform(-9, 2.5, 500)
+    values[::5] = 0
+    maps = [values, values[:3], np.array([1e-4]), np.zeros(4)]
+    found = javascript("return given.map((v) => logRange(v, 6));", [list(v) for v in maps], "report", "explorer")
+    assert [None if limits is None else tuple(limits) for limits in found] == [log_range([v], 6.0) for v in maps]
+
+
+@needs_node
+def test_script_sorts_numbers_by_value_and_text_last():
+    cells = [{"dataset": {}, "textContent": text} for text in ("10", "9", "–", "1e-3", "barrel")]
+    found = javascript("return given.map(key).sort(compare);", cells, "report")
+    assert found == [1e-3, 9, 10, "barrel", "–"]
+
+
+@needs_node
+def test_nearest_place_of_a_plot():
+    found = javascript("return given.map((x) => nearest([1, 5, 6], x));", [-3, 2.9, 3.1, 5.4, 99], "hover")
+    assert found == [0, 0, 1, 1, 2]
+
+
+@needs_node
+def test_ticks_are_round_numbers_within_the_axis():
+    assert javascript("return ticks(...given);", [-2.1, 2.1, 5], "explorer") == [-2, -1, 0, 1, 2]
+    assert javascript("return ticks(...given);", [0.0012, 0.0031, 4], "explorer") == [0.0015, 0.002, 0.0025, 0.003]

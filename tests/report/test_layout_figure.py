@@ -1,0 +1,127 @@
+"""The layout for papers: the section is that of the scene, the rays are those of the history."""
+
+from __future__ import annotations
+
+import xml.etree.ElementTree as ET
+
+import numpy as np
+import pytest
+from report.fake_trace import SHARES, paths_at, trace_in_colours
+from report.view_scene import A4, CONIC, RADIUS, SCENE, RayTrace
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.report.layout import CANDIDATES, layout_figure, meridional, section, write_layout
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("layout") / "scene.xml"
+    path.write_text(SCENE, encoding="utf-8")
+    return mistray.load(path)
+
+
+@pytest.fixture(scope="module")
+def trace():
+    return RayTrace(paths_at(10.0), 10.0)
+
+
+@pytest.fixture(scope="module")
+def figure(scene, trace):
+    return layout_figure(scene, trace, paths=2, rays=4)
+
+
+def test_rays_are_those_of_the_history_near_the_section(figure, trace):
+    axes = figure.axes[0]
+    handles, labels = axes.get_legend_handles_labels()
+    assert labels == ["0 direct, 3 W", "1 ghost, detector window_rear, 0.0002 W"]
+    for path_id, handle in enumerate(handles):
+        drawn = [line for line in axes.lines if line.get_color() == handle.get_color() and len(line.get_xdata())]
+        wanted = meridional(trace.history(path_id, CANDIDATES * 4).rays, 4)
+        assert len(drawn) == 4
+        for line, ray in zip(drawn, wanted, strict=True):
+            np.testing.assert_array_equal(line.get_xydata(), ray[:, [2, 1]])
+
+
+def test_axes_are_in_mm_and_equal(figure):
+    axes = figure.axes[0]
+    assert (axes.get_xlabel(), axes.get_ylabel(), axes.get_aspect()) == ("z [mm]", "y [mm]", 1.0)
+    assert "field 10°" in axes.get_title()
+    assert figure.get_figwidth() == pytest.approx(6.9)
+
+
+def test_section_of_a_surface_of_revolution_is_exact(scene):
+    """A window on the axis; the lens beside the plane is cut through its triangles, which are chords of it."""
+    lines = {surface.name: surface.lines for surface in section(scene)}
+    (rear,) = lines["window_rear"]
+    np.testing.assert_allclose(rear[:, 0], 1.0 - 20.0 + np.sqrt(20.0**2 - rear[:, 1] ** 2), atol=1e-12)
+    lens = np.concatenate(lines["L1_front"])
+    r2 = 0.3**2 + lens[:, 1] ** 2
+    sag = (r2 / RADIUS) / (1 + np.sqrt(1 - (1 + CONIC) * r2 / RADIUS**2)) + A4 * r2**2
+    assert np.abs(lens[:, 0] - 3.0 - sag).max() < 2e-3
+
+
+def test_the_scene_alone(scene):
+    axes = layout_figure(scene).axes[0]
+    assert axes.get_legend_handles_labels() == ([], [])
+    assert axes.get_title() == ""
+
+
+def test_path_ids_choose_the_rows(scene, trace):
+    labels = layout_figure(scene, trace, path_ids=[3, 0], rays=1).axes[0].get_legend_handles_labels()[1]
+    assert [label.split()[0] for label in labels] == ["3", "0"]
+    with pytest.raises(MistrayError, match="path_id 99 does not exist"):
+        layout_figure(scene, trace, path_ids=[99])
+    with pytest.raises(MistrayError, match="path_ids without a trace"):
+        layout_figure(scene, path_ids=[1])
+    with pytest.raises(MistrayError, match="rays is 0; ask for at least one ray"):
+        layout_figure(scene, trace, rays=0)
+    with pytest.raises(MistrayError, match="paths is -2; give the number of rows"):
+        layout_figure(scene, trace, paths=-2)
+
+
+def test_more_paths_than_colours_are_told_apart(scene):
+    """Nine paths: the ninth has the colour of the first, in dashes."""
+    nine = RayTrace(trace_in_colours(10.0).fakes, 10.0, shares=SHARES)
+    handles, _ = layout_figure(scene, nine, paths=9, rays=1).axes[0].get_legend_handles_labels()
+    looks = [(handle.get_color(), handle.get_linestyle()) for handle in handles]
+    assert len(set(looks)) == 9
+    assert looks[8] == (looks[0][0], "--")
+
+
+def test_svg_has_lines_and_text(scene, trace, figure, tmp_path):
+    """Text as text, so that a paper's own font and a search find it; the same file every time."""
+    path = write_layout(figure, tmp_path / "layout.svg")
+    text = path.read_text(encoding="utf-8")
+    assert "".join(ET.fromstring(text).itertext()).count("0 direct, 3 W") == 1
+    assert "<image" not in text
+    assert (
+        write_layout(layout_figure(scene, trace, paths=2, rays=4), tmp_path / "again.svg").read_text(encoding="utf-8")
+        == text
+    )
+
+
+@pytest.mark.parametrize(("ending", "start"), [("pdf", b"%PDF"), ("eps", b"%!PS"), ("png", b"\x89PNG")])
+def test_other_formats(figure, ending, start, tmp_path):
+    assert write_layout(figure, tmp_path / f"layout.{ending}").read_bytes().startswith(start)
+
+
+def test_an_unknown_ending(figure, tmp_path):
+    with pytest.raises(MistrayError, match=r"layout.dwg': layouts are written as .svg, .pdf, .eps, .png; choose one"):
+        write_layout(figure, tmp_path / "layout.dwg")
+
+
+STOCK = """<scene version="3.0.0"><shape type="rectangle" id="screen">
+<transform name="to_world"><scale x="2" y="3"/><translate z="5"/></transform>
+<bsdf type="interface"><float name="R" value="0"/></bsdf></shape>
+<shape type="sphere" id="ball"><float name="radius" value="2"/>
+<bsdf type="interface"><string name="back" value="1.5"/></bsdf></shape></scene>"""
+
+
+def test_shapes_of_mitsuba(tmp_path):
+    path = tmp_path / "scene.xml"
+    path.write_text(STOCK, encoding="utf-8")
+    lines = {surface.name: np.concatenate(surface.lines) for surface in section(mistray.load(path))}
+    np.testing.assert_allclose(lines["screen"][:, 0], 5.0)
+    assert (lines["screen"][:, 1].min(), lines["screen"][:, 1].max()) == (-3.0, 3.0)
+    assert np.abs(np.hypot(*lines["ball"].T) - 2.0).max() < 5e-3

@@ -1,0 +1,287 @@
+"""The 3-D view: what stands in the figure is what the scene and the trace have."""
+
+from __future__ import annotations
+
+import importlib
+import re
+import sys
+
+import numpy as np
+import pytest
+from report.fake_trace import SHARES, paths_at, trace_in_colours
+from report.view_scene import EXACT, FORMULAS, SCENE, RayTrace
+
+import mistray
+from mistray.errors import MistrayError
+from mistray.report.cut_open import CutPlane, open_surfaces
+from mistray.report.view_controls import NO_LIGHT, FluxScale
+
+view = mistray.view
+
+
+@pytest.fixture(scope="module")
+def scene(tmp_path_factory):
+    path = tmp_path_factory.mktemp("view") / "scene.xml"
+    path.write_text(SCENE, encoding="utf-8")
+    return mistray.load(path)
+
+
+@pytest.fixture(scope="module")
+def trace():
+    return RayTrace(paths_at(10.0), 10.0)
+
+
+@pytest.fixture(scope="module")
+def shown(scene, trace):
+    return view(scene, trace, paths=3, rays=5, title="<plate> & lens")
+
+
+def points(drawn):
+    return np.column_stack([drawn.x, drawn.y, drawn.z])
+
+
+def split(drawn):
+    """The polylines between the gaps."""
+    xyz = points(drawn)
+    gaps = np.flatnonzero(np.isnan(xyz).any(axis=1))
+    return [part[~np.isnan(part).any(axis=1)] for part in np.split(xyz, gaps) if not np.isnan(part).all()]
+
+
+def of(figure, key):
+    return {drawn.meta[key]: drawn for drawn in figure.data if key in (drawn.meta or {})}
+
+
+def test_every_surface_is_a_mesh_with_its_points_on_the_formula(shown):
+    meshes = of(shown.figure, "surface")
+    assert set(meshes) == set(FORMULAS)
+    for name, mesh in meshes.items():
+        assert FORMULAS[name](points(mesh)).max() < EXACT, name
+        assert points(mesh)[:, 0].min() > -EXACT
+        assert max(np.max(mesh.i), np.max(mesh.j), np.max(mesh.k)) == len(mesh.x) - 1
+
+
+def test_outlines_lie_on_the_surfaces(shown):
+    for role, drawn in of(shown.figure, "outlines").items():
+        names = [surface.name for surface in shown.surfaces if surface.role == role]
+        for line in split(drawn):
+            assert min(FORMULAS[name](line).max() for name in names) < EXACT
+
+
+def test_rays_are_those_of_the_history(shown, trace):
+    drawn = of(shown.figure, "path_id")
+    assert list(drawn) == [0, 1, 2]
+    for path_id, lines in drawn.items():
+        for line, exact in zip(split(lines), trace.history(path_id, 5).rays, strict=True):
+            np.testing.assert_array_equal(line, exact)
+    assert [ray.path_id for ray in shown.rays] == [0] * 5 + [1] * 5 + [2] * 5
+
+
+def test_legend_rows_are_the_rows_of_the_path_table(shown, trace):
+    drawn = of(shown.figure, "path_id")
+    rows = [(lines.name, lines.showlegend) for lines in drawn.values()]
+    assert rows == [
+        ("0 direct, 3 W", True),
+        ("1 ghost, detector window_rear, 0.0002 W", True),
+        ("2 ghost, detector L1_rear, 0.0001 W", True),
+    ]
+    assert len({lines.line.color for lines in drawn.values()}) == 3
+    # one row of the other legend for each role, which switches all of its surfaces, outlines and cut faces
+    roles = [drawn for drawn in shown.figure.data if drawn.showlegend and drawn.legend == "legend2"]
+    assert [drawn.name for drawn in roles] == ["glass", "mechanics", "detector"]
+    for surface in shown.surfaces:
+        assert of(shown.figure, "surface")[surface.name].legendgroup == surface.role
+
+
+def test_path_ids_choose_the_rows(scene, trace):
+    assert list(of(view(scene, trace, path_ids=[3, 1], rays=1).figure, "path_id")) == [3, 1]
+    with pytest.raises(MistrayError, match="path_id 99 does not exist"):
+        view(scene, trace, path_ids=[99])
+
+
+def test_wavelengths_are_named_where_there_are_several(scene):
+    several = RayTrace(trace_in_colours(0.0).fakes, shares=SHARES)
+    names = [lines.name for lines in of(view(scene, several, paths=2, rays=1).figure, "path_id").values()]
+    assert names[0] == "0 direct, 550 nm, 1.5 W"
+
+
+def test_hovering_says_id_part_and_flux(shown):
+    text = of(shown.figure, "surface")["L1_front"].hovertemplate
+    assert "<b>L1_front</b>, part L1<br>glass air | 1.6" in text
+    assert "incident 4.000 ± 0.010 W, 1 000 hits<br>absorbed 0.1000 ± 0.0010 W<br>" in text
+    ray = of(shown.figure, "path_id")[0].text
+    assert ray[0].startswith("start, 0.6 W")
+    assert ray[1].startswith("window_front:T, ")
+
+
+def test_colours_follow_the_flux(scene, trace):
+    surfaces = open_surfaces(scene, None)
+    flux = {row.id: row for row in trace.surfaces}
+    scale = FluxScale(surfaces, flux, "incident")
+    assert scale.top == pytest.approx(np.log10(5.0))
+    assert scale.floor == pytest.approx(np.log10(min(row.incident_W for row in trace.surfaces)))
+    by_name = dict(zip([surface.name for surface in surfaces], scale.colours, strict=True))
+    brightest = max(flux.values(), key=lambda row: row.incident_W).id
+    assert by_name[brightest] == "#fde725"  # the upper end of viridis
+    figure = view(scene, trace, rays=1).figure
+    assert of(figure, "surface")[brightest].color == "#fde725"
+    assert [mark.marker.coloraxis for mark in of(figure, "scale").values()] == ["coloraxis", "coloraxis2"]
+    bar, other = figure.layout.coloraxis, figure.layout.coloraxis2
+    assert (bar.cmin, bar.cmax, bar.showscale, other.showscale) == (scale.floor, scale.top, True, False)
+    assert bar.colorbar.title.text == "incident flux of a surface, W"
+
+
+def test_surfaces_without_light_have_a_colour_of_their_own(scene):
+    class Row:
+        def __init__(self, value):
+            self.incident_W = value
+
+    surfaces = open_surfaces(scene, None)
+    values = [0.0, 1.0, 1e-3, 1e-30, 1e-5, 0.0]
+    scale = FluxScale(surfaces, {s.name: Row(v) for s, v in zip(surfaces, values, strict=True)}, "incident")
+    assert (scale.floor, scale.top, scale.decades) == (-8.0, 0.0, list(range(-8, 1)))
+    assert [colour == NO_LIGHT for colour in scale.colours] == [True, False, False, False, False, True]
+    dark = FluxScale(surfaces, {s.name: Row(0.0) for s in surfaces}, "incident")
+    assert set(dark.colours) == {NO_LIGHT}
+
+
+def test_axes_are_equal_and_hold_the_scene(shown):
+    axes = shown.figure.layout.scene
+    assert axes.aspectmode == "manual"
+    spans = [axis.range[1] - axis.range[0] for axis in (axes.xaxis, axes.yaxis, axes.zaxis)]
+    ratios = np.array([axes.aspectratio.x, axes.aspectratio.y, axes.aspectratio.z]) / spans
+    assert np.ptp(ratios) < 1e-12 * ratios.max()
+    for mesh in of(shown.figure, "surface").values():
+        for axis, column in zip((axes.xaxis, axes.yaxis, axes.zaxis), points(mesh).T, strict=True):
+            assert axis.range[0] < column.min()
+            assert column.max() < axis.range[1]
+    assert [axis.title.text for axis in (axes.xaxis, axes.yaxis, axes.zaxis)] == ["x, mm", "y, mm", "z, mm"]
+
+
+@pytest.mark.parametrize("cut_deg", [0.0, 90.0, 180.0, 270.0, 30.0])
+def test_the_camera_looks_into_the_open_side_and_light_goes_to_the_right(scene, cut_deg):
+    camera = view(scene, cut_deg=cut_deg).figure.layout.scene.camera
+    eye, up = (np.array([side.x, side.y, side.z]) for side in (camera.eye, camera.up))
+    assert eye @ CutPlane(cut_deg).normal > 1.0
+    right = np.cross(-eye, up)
+    assert right[2] / np.linalg.norm(right) > 0.8
+
+
+def test_glass_has_faces_where_it_is_cut(scene):
+    """The plane x = 0 cuts the window; its rear surface is a cap of 0.1001 mm sagitta at 2 mm."""
+    figure = view(scene).figure
+    (face,) = [drawn for drawn in figure.data if "face" in (drawn.meta or {})]
+    assert np.abs(face.x).max() == 0.0
+    corners = points(face)[np.column_stack([face.i, face.j, face.k])]
+    areas = 0.5 * np.linalg.norm(np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]), axis=1)
+    half = 2.0
+    segment = 20.0**2 * np.arcsin(half / 20.0) - half * np.sqrt(20.0**2 - half**2)  # between arc and chord
+    sagitta = 20.0 - np.sqrt(20.0**2 - half**2)
+    assert areas.sum() == pytest.approx(2 * half * (1.0 - sagitta) + segment, rel=1e-4)
+
+
+def test_a_plane_that_glass_is_not_known_in_has_no_faces(scene):
+    assert not [drawn for drawn in view(scene, cut_deg=40.0).figure.data if "face" in (drawn.meta or {})]
+
+
+def test_without_a_trace(scene):
+    shown = view(scene)
+    assert not of(shown.figure, "path_id")
+    assert not of(shown.figure, "scale")
+    assert not shown.rays
+    assert len(shown.figure.layout.updatemenus) == 1
+    assert of(shown.figure, "surface")["L1_front"].opacity < 1
+    assert of(shown.figure, "surface")["stop_wall"].opacity == 1
+
+
+def test_the_buttons_recolour_and_switch(shown):
+    looks, colours, rays = shown.figure.layout.updatemenus
+    assert [button.label for button in looks.buttons] == ["3-D", "side", "from the light"]
+    _, absorbed, by_role = colours.buttons
+    values, bars, targets = by_role.args
+    meshes = [shown.figure.data[k] for k in targets]
+    assert [mesh.meta["surface"] for mesh in meshes] == [surface.name for surface in shown.surfaces]
+    assert len(values["color"]) == len(targets)
+    assert bars == {"coloraxis.showscale": False, "coloraxis2.showscale": False}
+    assert absorbed.args[1] == {"coloraxis.showscale": False, "coloraxis2.showscale": True}
+    ratio = shown.figure.layout.scene.aspectratio
+    for look in looks.buttons:  # axes stay equal
+        sides = look.args[0]["scene.aspectratio"]
+        assert sides["x"] / ratio.x == pytest.approx(sides["y"] / ratio.y) == pytest.approx(sides["z"] / ratio.z)
+    hidden = [[axis for axis in "xyz" if not look.args[0][f"scene.{axis}axis.visible"]] for look in looks.buttons]
+    assert hidden == [[], ["x"], ["z"]]
+    assert list(rays.buttons[1].args[1]) == [
+        k for k, drawn in enumerate(shown.figure.data) if "path_id" in (drawn.meta or {})
+    ]
+
+
+def test_the_page_holds_everything_and_needs_no_network(shown, tmp_path):
+    path = shown.write(tmp_path / "view.html", command="mistray view <scene>")
+    text = path.read_text(encoding="utf-8")
+    assert path.stat().st_size < 6_000_000
+    assert text.startswith("<!DOCTYPE html>")
+    assert "<title>&lt;plate&gt; &amp; lens</title>" in text
+    assert "mistray view &lt;scene&gt;" in text
+    assert not re.findall(r"<(?:script|link|img|iframe)[^>]+(?:src|href)\s*=", text.replace(_plotly_js(), ""))
+    assert text.count(_plotly_js()[:2000]) == 1
+
+
+def _plotly_js():
+    return importlib.import_module("plotly.offline").get_plotlyjs()
+
+
+def test_jupyter_shows_the_page_in_a_frame(shown):
+    frame = shown._repr_html_()
+    assert frame.startswith("<iframe srcdoc=")
+    assert "<!DOCTYPE" not in frame  # everything is quoted
+    assert repr(shown) == "View('<plate> & lens', 6 surfaces, 15 rays)"
+
+
+def test_a_trace_of_another_scene(scene, trace):
+    class Other:
+        def shapes(self):
+            return [shape for shape in scene.shapes() if shape.id() != "stop_wall"]
+
+    with pytest.raises(MistrayError, match="surface 'stop_wall' is not both in scene and trace; give the scene"):
+        view(Other(), trace)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"paths": -1}, "paths is -1; give the number of rows"),
+        ({"rays": 0}, "rays is 0; ask for at least one"),
+        ({"colour": "red"}, "colour is 'red'; choose flux, absorbed or role"),
+        ({"cut_mm": float("nan")}, "both must be finite"),
+        ({"cut_mm": -100.0}, "leaves no surface; move the cut"),
+    ],
+)
+def test_wrong_arguments(scene, trace, arguments, message):
+    with pytest.raises(MistrayError, match=message):
+        view(scene, trace, **arguments)
+
+
+def test_flux_without_a_trace(scene):
+    with pytest.raises(MistrayError, match="nothing was traced; give the trace, or colour='role'"):
+        view(scene, colour="flux")
+
+
+def test_paths_without_a_trace(scene):
+    with pytest.raises(MistrayError, match="path_ids without a trace"):
+        view(scene, path_ids=[1])
+
+
+def test_without_plotly_one_line_says_what_to_do(scene, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    with pytest.raises(MistrayError, match=r"needs plotly, which is not installed; pip install 'mistray\[view\]'"):
+        view(scene)
+
+
+def test_a_path_that_no_ray_is_found_of_says_so(scene):
+    class Rare(RayTrace):
+        def history(self, path_id, n=8):
+            found = super().history(path_id, n)
+            table = found.to_pandas()
+            return found if path_id else type(found)(rays=[], to_pandas=lambda: table[:0])
+
+    shown = view(scene, Rare(paths_at(0.0)), paths=2, rays=1)
+    assert of(shown.figure, "path_id")[0].name == "0 direct, 3 W, too rare to draw"

@@ -1,0 +1,150 @@
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.physics.pose import moved
+from mistray.prescription import Coating, Stop
+from mistray.scene.read_optics import read_optics
+from mistray.scenes.newtonian.prescription import build as newtonian
+from mistray.scenes.phone_camera.prescription import build as phone_camera
+
+GLASS = '<bsdf type="interface"><string name="back" value="N-BK7"/></bsdf>'
+SCENE = """<scene version="3.0.0">
+    <default name="R" value="50"/>
+    <emitter type="collimated"><float name="radius" value="4"/><string name="wavelength_nm" value="486.1, 656.3"/>
+        <string name="weights" value="1 3"/><float name="field_deg" value="10"/></emitter>
+    <bsdf type="thinfilm" id="AR"><string name="preset" value="bbar3"/></bsdf>
+    {shapes}
+    <shape type="asphere" id="film"><float name="half_width" value="2"/><float name="half_height" value="1"/>
+        <transform name="to_world"><translate z="60"/></transform>
+        <bsdf type="interface"><float name="R" value="0"/></bsdf>
+        <sensor type="irradiancemeter"/></shape>
+</scene>"""
+
+
+@pytest.fixture
+def read(tmp_path):
+    def reader(*shapes: str):
+        (tmp_path / "camera.xml").write_text(SCENE.format(shapes="\n".join(shapes)))
+        return read_optics(tmp_path / "camera.xml")
+
+    return reader
+
+
+def shape(*properties: str, name: str = "front", bsdf: str = GLASS, kind: str = "asphere") -> str:
+    return (
+        f'<shape type="{kind}" id="{name}"><float name="semi_diameter" value="5"/>{"".join(properties)}{bsdf}</shape>'
+    )
+
+
+def number(name: str, value: float | str) -> str:
+    return f'<float name="{name}" value="{value}"/>'
+
+
+@pytest.mark.parametrize(("name", "build"), [("newtonian", newtonian), ("phone_camera", phone_camera)])
+def test_surfaces_of_a_shipped_scene_are_those_of_its_prescription(name, build):
+    found, left_out = read_optics(name)
+    expected = build()
+    for ours, theirs in zip((*found.surfaces, found.detector), (*expected.surfaces, expected.detector), strict=True):
+        for key in (
+            "name",
+            "conic",
+            "coefficients",
+            "semi_diameter",
+            "half_width",
+            "front",
+            "back",
+            "mirror",
+            "coating",
+        ):
+            if key != "coating" or theirs is not expected.detector:
+                assert getattr(ours, key) == getattr(theirs, key), (theirs.name, key)
+        assert ours.curvature == theirs.curvature
+        np.testing.assert_allclose(ours.to_world(), theirs.to_world(), atol=1e-12)
+    assert {shape.name for shape in expected.structures} == set(left_out)
+    if expected.stop is not None:
+        assert (found.stop.radius, found.stop.z_front, found.stop.z_rear) == (
+            expected.stop.radius, expected.stop.z_front, expected.stop.z_rear,
+        )  # fmt: skip
+    assert found.source.radius == expected.source.radius
+    assert found.source.wavelength_nm == expected.source.wavelength_nm
+
+
+def test_what_a_scene_may_say(read):
+    steps = '<rotate x="-1" angle="20"/><rotate z="1" angle="30"/><translate value="1 2 3"/>'
+    shifted = (number("x", 0.5), number("tilt_y", 5), f'<transform name="to_world">{steps}</transform>')
+    frustum = "".join(number(key, value) for key, value in {"r0": 3, "z0": 9, "r1": 8, "z1": 9}.items())
+    prescription, left_out = read(
+        shape(number("radius", "$R"), number("a4", 1e-6), number("a8", 2e-9), *shifted),
+        shape(number("curvature", -0.02), name="rear", bsdf='<bsdf type="interface"><ref id="AR"/></bsdf>'),
+        shape(name="board", bsdf='<bsdf type="interface"><float name="R" value="0.1"/></bsdf>'),
+        shape(frustum, '<string name="part" value="stop"/>', name="stop_front", kind="frustum"),
+        shape(name="wall", kind="frustum"),
+    )  # fmt: skip
+    front, rear = prescription.surfaces
+    assert (front.radius, front.coefficients, front.back) == (50.0, (1e-6, 0.0, 2e-9), "N-BK7")
+    expected = (
+        moved(np.eye(4), 1, 2, 3, 0, 0, 30)
+        @ moved(np.eye(4), 0, 0, 0, -20, 0, 0)
+        @ moved(np.eye(4), 0.5, 0, 0, 0, 5, 0)
+    )
+    np.testing.assert_allclose(front.to_world(), expected, atol=1e-12)
+    assert (rear.radius, rear.coating) == (-50.0, Coating(preset="bbar3", name="AR"))
+    assert left_out == ("board", "wall")
+    assert prescription.stop == Stop(3.0, 9.0, 9.0, 8.0, 8.0)
+    assert (prescription.detector.half_width, prescription.detector.half_height, prescription.detector.z) == (
+        2.0,
+        1.0,
+        60.0,
+    )
+    source = prescription.source
+    assert (source.radius, source.field_deg, source.wavelength_nm, source.weights) == (
+        4.0,
+        10.0,
+        (486.1, 656.3),
+        (1.0, 3.0),
+    )
+    assert prescription.name == "camera"
+
+
+def test_coatings_come_with_the_surface(read):
+    films = {
+        '<string name="preset" value="bbar3"/>': Coating(preset="bbar3", name="ar"),
+        '<string name="layers" value="MgF2 100"/>': Coating(layers="MgF2 100", name="ar"),
+        '<string name="table" value="COATING.DAT:AR"/>': Coating(table="COATING.DAT:AR", name="ar"),
+        '<float name="R" value="0.1"/><float name="T" value="0.9"/>': Coating(R=0.1, T=0.9, name="ar"),
+    }
+    for recipe, expected in films.items():
+        film = f'<bsdf type="thinfilm" id="ar">{recipe}</bsdf>'
+        prescription, _ = read(shape(bsdf=f'<bsdf type="interface">{film}</bsdf>'))
+        assert prescription.surfaces[0].coating == expected
+
+
+def test_defaults_whose_names_begin_alike(read):
+    """$R and $R2."""
+    prescription, _ = read(
+        '<default name="R2" value="-70"/>', shape(number("radius", "$R")), shape(number("radius", "$R2"), name="rear")
+    )
+    assert [surface.radius for surface in prescription.surfaces] == [50.0, -70.0]
+
+
+@pytest.mark.parametrize(
+    ("part", "message"),
+    [
+        ('<emitter type="collimated"/>', "it has two collimated sources; remove one"),
+        (shape("<sensor type='irradiancemeter'/>", name="second"), "detectors 'second' and 'film'; a lens has one"),
+        (shape(number("radius", "wide")), r"shape 'front': radius is 'wide'; give a number"),
+        (
+            shape('<transform name="to_world"><scale value="2"/></transform>'),
+            r"shape 'front': its to_world has <scale>",
+        ),
+        (shape('<transform name="to_world"><rotate y="1"/></transform>'), r"shape 'front': angle is missing"),
+        (shape('<string name="part" value="stop"/>', kind="frustum"), r"aperture stop \(part 'stop'\): r0 is missing"),
+    ],
+)
+def test_errors_name_file_and_shape(part, message, read):
+    with pytest.raises(MistrayError, match=rf"scene '.*camera\.xml'.*{message}") as error:
+        read(part)
+    assert "\n" not in str(error.value)

@@ -1,0 +1,120 @@
+"""`--formats`: commands write the same results for other programs, and ask for what is missing before they trace."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from report.fake_pst import fake_pst
+from report.fake_scene import lens_scene
+from report.fake_trace import EXTENT, trace_at
+
+import mistray.analysis
+import mistray.scene
+from mistray import cli
+from mistray.report import formats, read_irradiance
+
+
+@pytest.fixture
+def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Replaces scene, tracer and PST; holds what was traced."""
+    traced: list[Any] = []
+
+    def trace(scene: Any, field_deg: float | None = None, progress: Any = None, **settings: Any) -> Any:
+        traced.append(trace_at(field_deg or 0.0))
+        return traced[-1]
+
+    def pst(scene: Any, angles_deg: Any, *, map_pixels: int = 0, **given: Any) -> Any:
+        traced.append(fake_pst(angles_deg=angles_deg, map_pixels=map_pixels))
+        return traced[-1]
+
+    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+    monkeypatch.setattr(sys.modules["mistray.analysis.pst.run"], "pst", pst)
+    monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
+
+    def page(report: Any, path: Path, *_: Any) -> Path:
+        path.write_text("")
+        return path
+
+    # Pictures take seconds, and are not asked for here
+    monkeypatch.setattr(sys.modules["mistray.report.output"], "write_html", page)
+    for module in ("output", "pst_output"):
+        monkeypatch.setattr(sys.modules[f"mistray.report.{module}"], "draw", lambda *_: {})
+    return traced
+
+
+def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> tuple[int, str, str]:
+    code = cli.main(arguments)
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def test_ghosts_in_all_formats(capsys: pytest.CaptureFixture[str], fake: list[Any], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = ("ghosts", "lens.xml", "--field-deg", "0", "--out", str(out), "--json")
+    code, text, err = run(capsys, *command, "--formats", "parquet", "exr", "fits", "npy")
+    assert (code, err) == (0, "")
+    assert {Path(file).name for file in json.loads(text)["files"]} == {file.name for file in out.iterdir()}
+    for ending in ("exr", "fits", "npy"):
+        back = read_irradiance(out / f"irradiance_0deg.{ending}")
+        wanted = fake[0].irradiance.astype(np.float32) if ending == "exr" else fake[0].irradiance
+        assert np.array_equal(back.irradiance, wanted)
+        assert back.extent == EXTENT
+        assert back.facts["field_deg"] == 0
+    for name in ("paths", "energy", "surfaces", "summary"):
+        table = pd.read_csv(out / f"{name}.csv", dtype={"path_ids": str})
+        pd.testing.assert_frame_equal(pd.read_parquet(out / f"{name}.parquet"), table, check_dtype=False, rtol=1e-12)
+
+
+def test_pst_in_all_formats(capsys: pytest.CaptureFixture[str], fake: list[Any], tmp_path: Path) -> None:
+    out = tmp_path / "out"
+    command = ("pst", "lens.xml", "--angles-deg", "0:40:20", "--map-angles-deg", "20", "--out", str(out), "--quiet")
+    assert run(capsys, *command, "--formats", "parquet", "fits") == (0, "", "")
+    back = read_irradiance(out / "irradiance_20deg.fits")
+    value, se = fake[0].irradiance(20.0)
+    assert np.array_equal(back.irradiance, value)
+    assert np.array_equal(back.irradiance_se, se)
+    assert back.facts["source_W_mm2"] == 1.0
+    assert len(pd.read_parquet(out / "pst.parquet")) == 3
+    assert (out / "pst_paths.parquet").is_file()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("ghosts", "x", "--formats", "fits"), "--formats writes files; say with --out where they shall go"),
+        (("objects", "x", "--formats", "parquet"), "--formats writes files; say with --out where they shall go"),
+        (("thermal", "x", "--formats", "fits"), "argument --formats: invalid choice: 'fits'"),
+        (
+            ("pst", "x", "--out", "out", "--formats", "npy"),
+            "--formats npy writes irradiance maps; say with --map-angles-deg of which angles",
+        ),
+        (("ghosts", "x", "--out", "out", "--formats", "tiff"), "argument --formats: invalid choice: 'tiff'"),
+    ],
+)
+def test_wrong_arguments(
+    capsys: pytest.CaptureFixture[str], fake: list[Any], arguments: tuple[str, ...], message: str
+) -> None:
+    code, out, err = run(capsys, *arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    assert message in err
+    assert not fake
+
+
+def test_a_missing_package_is_told_before_the_trace(
+    capsys: pytest.CaptureFixture[str], fake: list[Any], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def missing(name: str) -> None:
+        raise mistray.MistrayError(f"{name} is not installed; run: pip install 'mistray[images]'")
+
+    monkeypatch.setattr(formats, "require_format", missing)
+    code, out, err = run(capsys, "ghosts", "x", "--out", str(tmp_path / "out"), "--formats", "fits")
+    assert (code, out) == (2, "")
+    assert err == "mistray: error: fits is not installed; run: pip install 'mistray[images]'\n"
+    assert not fake
+    assert not (tmp_path / "out").exists()

@@ -1,0 +1,111 @@
+"""What `--help` says is true: examples are commands, units stand there, defaults are those that hold."""
+
+from __future__ import annotations
+
+import argparse
+import re
+import shlex
+from dataclasses import fields
+
+import pytest
+
+from mistray.cli import program
+from mistray.trace import Settings
+from mistray.trace.settings import NO_LIMIT
+
+COMMANDS: dict[str, argparse.ArgumentParser] = program._parser()._subparsers._group_actions[0].choices
+OPTIONS = {
+    name: [action for action in parser._actions if not isinstance(action, argparse._HelpAction)]
+    for name, parser in COMMANDS.items()
+}
+# The ending of an option → what its metavar or its help must name
+UNITS = {
+    "deg": ("DEG", "degree", "°"),
+    "nm": ("NM", ", nm", " nm"),
+    "um": ("UM", "µm"),
+    "mm": ("MM", "mm"),
+    "K": ("T", " K"),
+    "percent": ("PERCENT", "percent", "%"),
+}
+SETTINGS = {setting.name: setting.default for setting in fields(Settings)}
+
+
+def examples(parser: argparse.ArgumentParser) -> list[str]:
+    """Commands in the epilog, without remarks."""
+    lines = (parser.epilog or "").splitlines()
+    return [line.partition("    #")[0].strip() for line in lines if line.startswith("  ")]
+
+
+def bracket(action: argparse.Action) -> str | None:
+    """The default that the help names: the last text in brackets."""
+    found = re.findall(r"\(([^()]+)\)", action.help or "")
+    return found[-1] if found else None
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_examples_are_commands(name: str) -> None:
+    lines = examples(COMMANDS[name])
+    assert lines
+    for line in lines:
+        inner = re.search(r"<\((.*)\)", line)  # the shell reads what a command prints
+        words = shlex.split(inner[1] if inner else line)
+        assert words[:2] == ["mistray", name], line
+        program._parser().parse_args(words[1 : words.index(">") if ">" in words else None])
+
+
+def test_examples_of_the_program() -> None:
+    lines = examples(program._parser())
+    assert lines
+    for line in lines:
+        assert shlex.split(line)[0] == "mistray"
+        if "--help" not in line:
+            program._parser().parse_args(shlex.split(line)[1:])
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_description_and_summary(name: str) -> None:
+    """A sentence or more on what it does, and the line in the list of commands without a full stop."""
+    parser = COMMANDS[name]
+    assert (parser.description or "").strip().endswith((".", ")"))
+    listed = program._parser()._subparsers._group_actions[0]._choices_actions
+    (summary,) = [item.help for item in listed if item.dest == name]
+    assert summary[0].islower() or summary.split()[0].isupper()  # BSDF
+    assert not summary.endswith(".")
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_are_explained(name: str) -> None:
+    for action in OPTIONS[name]:
+        assert action.help, action.dest
+        assert action.help[0] != " "
+        assert not action.help.endswith("."), action.help
+        assert action.help % {} if "%" in action.help else True  # a lone % breaks the help of the whole command
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_options_name_their_units(name: str) -> None:
+    for action in OPTIONS[name]:
+        option = max(action.option_strings or [""], key=len)
+        ending = option.rpartition("-")[2]
+        if ending in UNITS:
+            metavar = action.metavar if isinstance(action.metavar, tuple) else (action.metavar or "",)
+            named = set(metavar) & set(UNITS[ending]) or any(word in action.help for word in UNITS[ending][1:])
+            assert named, f"{option}: {action.help}"
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_defaults_are_those_that_hold(name: str) -> None:
+    """A setting of the trace: that of `Settings`. Any other number that argparse fills in: that number."""
+    for action in OPTIONS[name]:
+        told = bracket(action)
+        if action.dest in SETTINGS and action.default is None and action.dest not in ("rays", "ray_control"):
+            default = SETTINGS[action.dest]
+            if isinstance(default, str):
+                assert told == default, action.dest
+            elif told != "no limit":
+                assert float(told or "nan") == default, action.dest
+            else:
+                assert default == NO_LIMIT, action.dest
+        elif isinstance(action.default, (int, float)) and not isinstance(action.default, bool):
+            assert told is not None, f"{action.dest}: the default {action.default:g} is not named"
+            assert action.default in [float(number) for number in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", told)]

@@ -1,0 +1,208 @@
+"""`mistray import` of sequential lens files: what it writes, prints and refuses."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from xml.etree import ElementTree
+
+import json_units
+import pytest
+
+from mistray import cli
+
+SHARED = Path(__file__).parent / "data"
+# f = 50 · 50 / 100 / (n - 1) about, n of N-BK7 at the d line
+ZMX = """MODE SEQ
+NAME Singlet
+UNIT MM X W X CM MR CPMM
+ENPD 8
+GCAT SCHOTT
+FTYP 0 0 2 1 0 0 0
+XFLN 0 0
+YFLN 0 3
+WAVM 1 0.5875618 1
+PWAV 1
+XYZZY 1 2 3
+SURF 0
+  TYPE STANDARD
+  DISZ INFINITY
+SURF 1
+  STOP
+  TYPE STANDARD
+  CURV 0.02
+  DISZ 5
+  GLAS N-BK7 0 0 1.5168 64.17
+SURF 2
+  TYPE STANDARD
+  CURV -0.02
+  DISZ 46
+SURF 3
+  TYPE STANDARD
+  DISZ 0
+"""
+SEQ = """RDM Y
+LEN
+TITLE 'Singlet'
+EPD 8
+DIM M
+WL 587.5618
+REF 1
+XAN 0 0
+YAN 0 3
+SO 0 1E20
+S 50 5 NBK7_SCHOTT
+  STO
+S -50 46
+SI 0 0
+GO
+"""
+
+
+@pytest.fixture
+def zmx(tmp_path):
+    path = tmp_path / "singlet.zmx"
+    path.write_text(ZMX)
+    return path
+
+
+def run(capsys, *arguments) -> tuple[int, str, str]:
+    code = cli.main(["import", *map(str, arguments)])
+    out, err = capsys.readouterr()
+    return code, out, err
+
+
+def fails(capsys, *arguments) -> str:
+    code, out, err = run(capsys, *arguments)
+    assert (code, out, err.count("\n")) == (2, "", 1)
+    return err
+
+
+def shapes(path: Path) -> dict[str, ElementTree.Element]:
+    return {node.get("id", ""): node for node in ElementTree.parse(path).getroot().iter("shape")}
+
+
+def test_zemax_file(capsys, zmx, tmp_path):
+    output = tmp_path / "a.xml"
+    code, out, _ = run(capsys, zmx, "-o", output)
+    assert code == 0
+    lines = out.splitlines()
+    assert lines[0] == f"{output}: {len(shapes(output))} surfaces; next: mistray ghosts {output} --field-deg 0 3"
+    # By hand: 1/f = (n-1)(1/R1 - 1/R2 + (n-1) t/(n R1 R2)), n = 1.5168 → 49.0 mm, back focus f (1 - (n-1) t/(n R1))
+    assert "at 587.562 nm: focal length 49.2" in lines[1]
+    assert ", F/6.1" in lines[1]
+    assert lines[1].endswith("entrance pupil 8 mm")
+    assert "1 line of singlet.zmx had no effect:" in lines
+    assert any(line.startswith("  line 11: XYZZY 1 2 3  (") for line in lines)
+    assert {"S1", "S2", "L1_edge", "barrel_1_wall", "detector"} <= set(shapes(output))
+    assert "XYZZY" in output.read_text(encoding="utf-8")
+
+
+def test_code_v_file_gives_the_same_surfaces(capsys, zmx, tmp_path):
+    seq = tmp_path / "singlet.seq"
+    seq.write_text(SEQ)
+    for path in (zmx, seq):
+        assert run(capsys, path, "-o", path.with_suffix(".xml"), "--json")[0] == 0
+    assert run(capsys, seq, "-o", tmp_path / "seq.xml")[0] == 0
+    assert run(capsys, zmx, "-o", tmp_path / "zmx.xml")[0] == 0
+    both = [shapes(tmp_path / name) for name in ("seq.xml", "zmx.xml")]
+    assert list(both[0]) == list(both[1])
+    for name in both[0]:
+        texts = [ElementTree.tostring(tree[name]) for tree in both]
+        assert texts[0] == texts[1], name
+
+
+def test_fields_of_a_tilted_lens_keep_their_sign(capsys, zmx, tmp_path):
+    """About one axis -3° is the same as 3°; behind a tilt it is not."""
+    zmx.write_text(
+        ZMX.replace("FTYP 0 0 2", "FTYP 0 0 3").replace("XFLN 0 0", "XFLN 0 0 0").replace("0 3\n", "0 3 -3\n")
+    )
+    assert run(capsys, zmx, "-o", tmp_path / "a.xml")[1].splitlines()[0].endswith("--field-deg 0 3")
+    tilt = "SURF 1\n  TYPE COORDBRK\n  PARM 3 5\n  DISZ 0\nSURF 2\n  STOP"
+    renumbered = zmx.read_text().replace("SURF 3", "SURF 4").replace("SURF 2", "SURF 3")
+    zmx.write_text(renumbered.replace("SURF 1\n  STOP", tilt))
+    code, out, err = run(capsys, zmx, "-o", tmp_path / "a.xml")
+    assert code == 0, err
+    assert out.splitlines()[0].endswith("--field-deg -3 0 3")
+
+
+def test_a_telecentric_lens(capsys, zmx, tmp_path):
+    text = ZMX.replace("ENPD 8", "OBNA 0.05 0").replace("FTYP 0 0 2", "FTYP 1 1 2").replace("DISZ INFINITY", "DISZ 60")
+    zmx.write_text(text)
+    code, out, err = run(capsys, zmx, "-o", tmp_path / "a.xml")
+    assert code == 0, err
+    assert out.splitlines()[1].endswith(", telecentric in object space")
+    near = [line for line in out.splitlines() if line.startswith("note: the object lies 60 mm before the lens, but")]
+    assert len(near) == 1
+    assert json_units.read(run(capsys, zmx, "-o", tmp_path / "a.xml", "--json")[1])["f_number"] is None
+
+
+def test_json(capsys, zmx, tmp_path):
+    code, out, _ = run(capsys, zmx, "-o", tmp_path / "a.xml", "--json")
+    assert code == 0
+    record = json_units.read(out)
+    n, r, t = 1.5168, 50.0, 5.0
+    power = (n - 1) * (2 / r - (n - 1) * t / (n * r * r))
+    assert record["efl_mm"] == pytest.approx(1 / power, rel=1e-5)
+    assert record["bfl_mm"] == pytest.approx((1 - (n - 1) * t / (n * r)) / power, rel=1e-5)
+    assert record["fields_deg"] == [[0.0, 0.0], [0.0, 3.0]]
+    assert [(item["line"], item["text"]) for item in record["unread"]] == [(11, "XYZZY 1 2 3")]
+    assert record["files"] == [str(tmp_path / "a.xml")]
+
+
+def test_json_of_a_camera_lens(capsys, tmp_path):
+    import mistray.scenes
+
+    lens = Path(mistray.scenes.__file__).parent / "phone_camera" / "prescription.json"
+    code, out, _ = run(capsys, lens, "-o", tmp_path / "a.xml", "--json")
+    record = json_units.read(out)
+    assert code == 0
+    assert record["surfaces"] == len(shapes(tmp_path / "a.xml"))
+    assert record["unread"] == []
+
+
+def test_options_reach_the_scene(capsys, zmx, tmp_path):
+    output = tmp_path / "a.xml"
+    code, _, _ = run(capsys, zmx, "-o", output, "--edges", "ground", "--margin", "0.1", "--beam", "front",
+                     "--detector-half-mm", "3", "2", "--wavelength-nm", "600",
+                     "--glass", "N-BK7=1.7")  # fmt: skip
+    text = output.read_text(encoding="utf-8")
+    assert code == 0
+    assert "ground_edge" in text
+    assert 'name="half_height" value="2"' in text
+    assert 'value="1.7"' in text
+    assert 'name="wavelength_nm" value="600"' in text
+
+
+def test_coating_file_is_found_from_the_scene(capsys, zmx, tmp_path, monkeypatch):
+    """A path in a scene is relative to it, that on the command line to the current folder."""
+    zmx.write_text(ZMX.replace("  CURV 0.02\n", "  CURV 0.02\n  COAT AR\n"))
+    (tmp_path / "lib").mkdir()
+    (tmp_path / "out").mkdir()
+    (tmp_path / "lib" / "COATING.DAT").write_bytes((SHARED / "coating_sample.dat").read_bytes())
+    monkeypatch.chdir(tmp_path)
+    code, _, err = run(capsys, zmx, "-o", "out/a.xml", "--coatings", "lib/COATING.DAT")
+    assert code == 0, err
+    assert "../lib/COATING.DAT:AR" in Path("out/a.xml").read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("name", "options", "message"),
+    [
+        ("a.zmx", ("--variant", "b"), "--variant b: Zemax files hold no variants; leave it out"),
+        ("a.json", ("--edges", "open"), "--edges open: JSON files hold no edges to choose; leave it out"),
+        ("a.zmx", ("--radius-mode", "yes"), "Zemax files hold no radius mode; leave it out"),
+        ("a.seq", ("--coatings", "C.DAT"), "CODE V files hold no coatings by name; leave it out"),
+        ("a.stl", ("--wavelength-nm", "500"), "mechanical files hold no wavelength of a source; leave it out"),
+        ("a.zmx", ("--paint", "x=black"), "--paint: Zemax files hold no mechanics; leave it out"),
+        ("a.zmx", ("--glass", "BK7"), "--glass 'BK7': write NAME=MATERIAL"),
+        ("a.zmx", ("--edges", "shiny"), "edges = 'shiny'; they are blackened, ground or open"),
+        ("a.zmx", ("--margin", "-1"), "margin = -1; it must be 0 or more"),
+        ("a.len", (), "files of type '.len' cannot be read; give one of .json, .yaml, .yml, .zmx, .seq, .step"),
+        ("a.zmx", ("-o", "nowhere/a.xml"), "the folder 'nowhere' does not exist; make it first"),
+    ],
+)
+def test_what_makes_no_sense_is_refused(capsys, tmp_path, monkeypatch, name, options, message):
+    monkeypatch.chdir(tmp_path)
+    Path(name).write_text(ZMX)
+    assert message in fails(capsys, name, *options)
+    assert [path.name for path in tmp_path.iterdir()] == [name]

@@ -1,0 +1,137 @@
+"""Progress on stderr: a line or a bar on a terminal after a second, nothing where there is none or with --quiet."""
+
+from __future__ import annotations
+
+import argparse
+import io
+import re
+import sys
+import time
+from types import SimpleNamespace
+
+import pytest
+
+from mistray import cli
+from mistray.cli import program, tracing_arguments
+from mistray.cli.tracing_arguments import progress_bar, working
+
+
+class Terminal(io.StringIO):
+    def isatty(self) -> bool:
+        return True
+
+
+def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
+    """Within the test, because pytest puts its own stream in place after the fixtures."""
+    stream = Terminal()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(tracing_arguments, "FIRST_SECOND", 0.05)
+    return stream
+
+
+def test_what_takes_long_says_so(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_a_terminal(monkeypatch)
+    with working("loading phone_camera"):
+        time.sleep(0.3)
+    assert "loading phone_camera … 00:00" in terminal.getvalue()
+    # and leaves nothing behind
+    assert terminal.getvalue().rstrip(" ").endswith("\r")
+
+
+def test_what_is_quick_says_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_a_terminal(monkeypatch)
+    with working("loading plate"):
+        pass
+    assert terminal.getvalue() == ""
+
+
+def test_errors_end_the_line_as_well(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_a_terminal(monkeypatch)
+
+    def fails() -> None:
+        with working("loading plate"):
+            time.sleep(0.2)
+            raise ValueError("broken")
+
+    with pytest.raises(ValueError, match="broken"):
+        fails()
+    written = terminal.getvalue()
+    time.sleep(0.2)
+    assert terminal.getvalue() == written
+
+
+def test_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_a_terminal(monkeypatch)
+    with working("loading plate", quiet=True):
+        time.sleep(0.2)
+    with progress_bar(argparse.Namespace(quiet=True)) as progress:
+        assert progress is None
+    assert terminal.getvalue() == ""
+
+
+def test_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    monkeypatch.setattr(tracing_arguments, "FIRST_SECOND", 0.02)
+    with working("loading plate"):
+        time.sleep(0.1)
+    with progress_bar(argparse.Namespace(quiet=False)) as progress:
+        assert progress is None
+    assert stream.getvalue() == ""
+
+
+def test_the_bar_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    terminal = on_a_terminal(monkeypatch)
+    with progress_bar(argparse.Namespace(quiet=False)) as progress:
+        assert progress is not None
+        progress(0.5, 2.0)
+        progress(0.1, 2.0)  # a bar does not go back
+        progress(0.6, 2.0)
+        progress(2.0, 2.0)
+    assert re.findall(r"(\d+)%", terminal.getvalue()) == ["0", "25", "25", "30", "100"]
+
+
+def test_bars_say_at_once_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Right after the start and after each other: the next step may take hours."""
+    from mistray.cli import optimize, pst, study
+
+    terminal, options = on_a_terminal(monkeypatch), argparse.Namespace(quiet=False)
+    with study._progress(options) as progress:
+        assert progress is not None
+        progress(1, "checking", 0.0)
+        progress(2, "finding objects", 0.1)
+    assert "step 1 of 8, checking:   0%" in terminal.getvalue()
+    assert "step 2 of 8, finding objects:  10%" in terminal.getvalue()
+    with pst._progress(options) as draw:
+        draw(SimpleNamespace(share_done=0.25, worst_error=0.031, wanted_error=0.02, seconds_left=83.0))
+    assert "tracing:  25%" in terminal.getvalue()
+    assert "error 3.1 % of 2 %, 01:23 left" in terminal.getvalue()
+    step = SimpleNamespace(
+        start=0, step=1, merit=0.5, merit_se=0.01, terms={}, broken=(), gradient_norm=1.0, seconds=2.0
+    )
+    with optimize._progress(options, 4) as shown:
+        shown(step, SimpleNamespace(name="as it is"))
+    assert "start 1 (as it is), step 1: merit 0.5000" in terminal.getvalue()
+    assert "search from start 1, merit 0.5000:  25%" in terminal.getvalue()
+
+
+def test_the_doctor_is_at_work(monkeypatch: pytest.MonkeyPatch) -> None:
+    from mistray import doctor
+
+    terminal = on_a_terminal(monkeypatch)
+
+    def report() -> list[doctor.Check]:
+        time.sleep(0.3)
+        return [doctor.Check("mitsuba", "ok", "3.9.1")]
+
+    monkeypatch.setattr(doctor, "report", report)
+    assert cli.main(["doctor"]) == 0
+    assert "looking at this machine … " in terminal.getvalue()
+
+
+def test_commands_that_write_reports_can_be_quiet() -> None:
+    """Whatever has --out takes long and has --quiet."""
+    for name, parser in program._parser()._subparsers._group_actions[0].choices.items():
+        flags = parser._option_string_actions
+        if "--out" in flags:
+            assert "--quiet" in flags, name

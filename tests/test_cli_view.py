@@ -1,0 +1,148 @@
+"""`mistray view`: files, options, one-line errors."""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from dataclasses import fields
+
+import json_units
+import pytest
+from report.fake_trace import paths_at
+from report.view_scene import SCENE, RayTrace
+
+import mistray
+from mistray import cli
+from mistray.report.ray_files import read_rays
+from mistray.trace import Settings
+
+
+def run(capsys, *arguments):
+    code = cli.main(["view", *map(str, arguments)])
+    captured = capsys.readouterr()
+    return code, captured.out, captured.err
+
+
+@pytest.fixture
+def scene_file(tmp_path):
+    path = tmp_path / "lens.xml"
+    path.write_text(SCENE, encoding="utf-8")
+    return path
+
+
+@pytest.fixture
+def traced(monkeypatch):
+    """Replaces the tracer; notes its arguments."""
+    calls = []
+
+    def trace(scene, field_deg=None, progress=None, **settings):
+        calls.append({"field_deg": field_deg, **settings})
+        return RayTrace(paths_at(field_deg or 0.0), field_deg or 0.0)
+
+    monkeypatch.setattr(sys.modules["mistray.trace"], "trace", trace)
+    return calls
+
+
+def test_writes_the_page(capsys, scene_file, traced, tmp_path):
+    page = tmp_path / "out.html"
+    code, out, err = run(capsys, scene_file, "--field-deg", 10, "--out", page)
+    assert (code, err) == (0, "")
+    assert out.split() == [str(page)]
+    text = page.read_text(encoding="utf-8")
+    assert "<title>lens</title>" in text
+    assert f"mistray view {scene_file} --field-deg 10" in text
+    assert traced[0]["rays"] == 20_000
+
+
+def test_the_page_has_a_name_of_its_own(capsys, scene_file, traced, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert run(capsys, scene_file, "--no-trace")[0] == 0
+    assert (tmp_path / "view.html").is_file()
+    assert not traced
+
+
+def test_other_files_without_a_page(capsys, scene_file, traced, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    arguments = (
+        "--layout",
+        "lens.svg",
+        "--save-rays",
+        "rays.ply",
+        "rays.json",
+        "--path-ids",
+        2,
+        0,
+        "--rays-per-path",
+        3,
+    )
+    code, out, _ = run(capsys, scene_file, *arguments, "--json")
+    assert code == 0
+    record = json_units.read(out)
+    assert not json_units.wrong(record)
+    assert record["files"] == ["lens.svg", "rays.ply", "rays.json"]
+    assert [row["path_id"] for row in record["paths"]] == [2, 0]
+    rays = read_rays("rays.ply")
+    assert [ray.path_id for ray in rays] == [2, 2, 2, 0, 0, 0]
+    assert rays == read_rays("rays.json")
+    assert not (tmp_path / "view.html").exists()
+
+
+def test_every_setting_of_the_tracer_is_passed_on(capsys, scene_file, traced, tmp_path):
+    wanted = {"rays": 500, "max_reflections": 3, "seed": 4, "splitting": "one", "aim": "none"}
+    options = [word for name, value in wanted.items() for word in (f"--{name.replace('_', '-')}", value)]
+    options += ["--azimuth-deg", 30, "--wavelength-nm", 500, 600, "--weights", 1, 2]
+    assert run(capsys, scene_file, *options, "--quiet", "--out", tmp_path / "v.html") == (0, "", "")
+    (call,) = traced
+    assert {name: call[name] for name in wanted} == wanted
+    assert {field.name for field in fields(Settings)} <= set(call)
+    assert (call["azimuth_deg"], call["wavelength_nm"], call["weights"]) == (30.0, [500.0, 600.0], [1.0, 2.0])
+
+
+def test_a_layout_has_the_paths_and_rays_asked_for(capsys, scene_file, traced, tmp_path, monkeypatch):
+    calls, layout = [], importlib.import_module("mistray.report.layout")
+    drawn = layout.layout_figure(mistray.load(scene_file))
+    monkeypatch.setattr(layout, "layout_figure", lambda scene, trace, *given: calls.append(given) or drawn)
+    for options in ((), ("--paths", 1, "--rays-per-path", 2, "--rays", 0)):
+        assert run(capsys, scene_file, "--layout", tmp_path / "lens.svg", *options)[0] == 0
+    assert calls == [(4, None, 7), (1, None, 2)]
+    assert [call["rays"] for call in traced] == [20_000, 0]  # the tracer says what is wrong with 0
+
+
+def test_the_whole_scene(capsys, scene_file, traced, tmp_path):
+    page = tmp_path / "whole.html"
+    assert run(capsys, scene_file, "--no-trace", "--cut-deg", "none", "--out", page)[0] == 0
+    assert "equal axes; whole" in page.read_text(encoding="utf-8")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        (("--layout", "lens.dwg"), "layouts are written as .svg, .pdf, .eps, .png"),
+        (("--save-rays", "rays.stl"), "rays are written as .ply, .obj, .json"),
+        (("--no-trace", "--save-rays", "rays.ply"), "--save-rays has no effect with --no-trace"),
+        (("--no-trace", "--field-deg", "3"), "--field-deg has no effect with --no-trace; leave it out"),
+        (("--no-trace", "--seed", "3"), "--seed has no effect with --no-trace"),
+        (("--layout", "lens.svg", "--cut-deg", "none"), "--cut-deg has no effect without a page; give --out"),
+        (("--no-trace", "--colour", "flux", "--out", "v.html"), "nothing was traced"),
+        (("--weights", "1"), "--weights without --wavelength-nm"),
+        (("--path-ids", "77", "--out", "v.html"), "path_id 77 does not exist; this trace has the paths 0 … 4"),
+        (("--cut-deg", "left"), "'left' is not a number"),
+        (("--rays-per-path", "0", "--out", "v.html"), "0 rays show nothing; give 1 or more"),
+    ],
+)
+def test_bad_input_is_one_line(capsys, scene_file, traced, tmp_path, monkeypatch, arguments, message):
+    monkeypatch.chdir(tmp_path)
+    code, out, err = run(capsys, scene_file, *arguments)
+    assert (code, out) == (2, "")
+    assert err.startswith("mistray: error: ")
+    assert err.count("\n") == 1
+    assert message in err
+    assert [path.name for path in tmp_path.iterdir()] == ["lens.xml"]
+
+
+def test_without_plotly(capsys, scene_file, traced, tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "plotly.graph_objects", None)
+    code, _, err = run(capsys, scene_file, "--out", tmp_path / "v.html")
+    assert code == 2
+    assert not traced  # it says so before
+    assert "needs plotly, which is not installed; pip install 'mistray[view]'" in err

@@ -1,0 +1,202 @@
+"""The plugin pages are those of the docstrings, their examples load, and their tables tell the truth."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import pytest
+
+import mistray  # registers the plugins
+from mistray._variant import plugin_modules
+from mistray.scene.messages import parameters as names_for_messages
+
+ROOT = Path(__file__).parents[1]
+SCRIPT = ROOT / "docs" / "make_plugin_pages.py"
+# Zemax' table of scatter, one angle of incidence: what the example of `tabulated` refers to
+BLACK_BSDF = """Source Measured
+Symmetry PlaneSymmetrical
+SpectralContent Monochrome
+ScatterType BRDF
+SampleRotation 1
+0
+AngleOfIncidence 1
+0
+ScatterAzimuth 2
+0 180
+ScatterRadial 3
+0 45 90
+Monochrome
+DataBegin
+TIS 0.05
+0.016 0.016 0.016
+0.016 0.016 0.016
+DataEnd
+"""
+# A triangle: what the examples of `part_mesh` refer to
+BRACKET_PLY = """ply
+format ascii 1.0
+element vertex 3
+property float x
+property float y
+property float z
+element face 1
+property list uchar int vertex_indices
+end_header
+0 0 0
+1 0 0
+0 1 0
+3 0 1 2
+"""
+FILES = {"black.bsdf": BLACK_BSDF, "bracket.ply": BRACKET_PLY, "camera_bracket.ply": BRACKET_PLY}
+
+
+def script() -> Any:
+    spec = importlib.util.spec_from_file_location("make_plugin_pages", SCRIPT)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules[spec.name] = module  # its dataclasses look their own module up
+    spec.loader.exec_module(module)
+    return module
+
+
+PAGES = script()
+MANUALS = PAGES.manuals()
+BY_NAME = {manual.plugin: manual for manual in MANUALS}
+every_plugin = pytest.mark.parametrize("manual", MANUALS, ids=lambda manual: manual.plugin)
+
+
+@pytest.fixture
+def files(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A working folder with the files that the examples name."""
+    for name, text in FILES.items():
+        (tmp_path / name).write_text(text)
+    monkeypatch.chdir(tmp_path)
+
+
+def loaded(xml: str) -> Any:
+    """A scene of an example; a BSDF without an id gets a shape, because Mitsuba passes it over otherwise."""
+    if xml.startswith("<bsdf") and " id=" not in xml.split(">")[0]:
+        xml = f'<shape type="asphere"><float name="semi_diameter" value="1"/>{xml}</shape>'
+    return mi.load_string(f'<scene version="3.0.0">{xml}</scene>')
+
+
+def own_part(recipe: dict[str, Any]) -> dict[str, Any]:
+    """The plugin in a recipe of an example: itself, or the BSDF of a stock shape."""
+    return recipe if recipe["type"] in BY_NAME else recipe["bsdf"]
+
+
+def test_pages_are_current() -> None:
+    """After a change of a docstring: python docs/make_plugin_pages.py."""
+    written = {page.name: page.read_text(encoding="utf-8") for page in PAGES.PAGES.glob("*.md")}
+    assert written == PAGES.pages()
+
+
+def test_every_plugin_has_a_page() -> None:
+    helpers = {"glasses", "lobe_pair", "lobe_sum", "scatterer", "revolution"}
+    assert {manual.plugin for manual in MANUALS} == {name.rpartition(".")[2] for name in plugin_modules()} - helpers
+    assert all(manual.file.stem == manual.plugin for manual in MANUALS)
+
+
+@pytest.mark.parametrize("name", sorted(PAGES.pages()))
+def test_links_and_markup(name: str) -> None:
+    text = (PAGES.PAGES / name).read_text(encoding="utf-8")
+    for target in re.findall(r"\]\(([^)#]+)", text):
+        assert (PAGES.PAGES / target).resolve().is_file(), target
+    assert "``" not in text.replace("```", "")
+    assert ".. " not in text
+    assert ":monosp:" not in text
+
+
+@every_plugin
+def test_table_is_complete(manual: Any) -> None:
+    for row in manual.parameters:
+        assert row.default, f"{row.name}: no default; 'required' where there is none"
+        assert row.unit, f"{row.name}: no unit; 1 for a number"
+        assert row.range or row.unit not in ("mm", "nm", "um", "W/mm²", "1/sr", "%", "1"), f"{row.name}: no range"
+        assert row.meaning or "…" in row.name, f"{row.name}: no meaning"
+
+
+@every_plugin
+def test_messages_know_the_same_parameters(manual: Any) -> None:
+    """What is suggested for a misspelt property are the names of the table."""
+    told = [name for row in manual.parameters for name in row.names]
+    assert set(told) <= set(names_for_messages(manual.plugin))
+    assert len(told) == len(set(told))
+
+
+@every_plugin
+def test_examples_load(manual: Any, files: None) -> None:
+    assert loaded(manual.example("xml")) is not None
+    assert f'type="{manual.plugin}"' in manual.example("xml")
+    recipe = eval(manual.example("python"))
+    assert own_part(recipe)["type"] == manual.plugin
+    assert mi.load_dict(recipe, optimize=False) is not None
+
+
+@every_plugin
+def test_examples_use_what_the_table_names(manual: Any, files: None) -> None:
+    told = {name for row in manual.parameters for name in row.names}
+    recipe = own_part(eval(manual.example("python")))
+    assert {key for key, value in recipe.items() if not isinstance(value, dict)} - {"type"} <= told
+
+
+# Recipes beside those of the pages, for parameters that exclude each other
+OTHER_RECIPES = [
+    {"type": "asphere", "half_width": 2.0, "half_height": 1.0, "bsdf": {"type": "interface"}},
+    {"type": "interface", "R": 0.5},
+    {"type": "harvey_shack", "rms_nm": 2.0},
+    {"type": "particulate", "level": 300},
+    {"type": "thinfilm", "R": 0.5, "T": 0.25},
+]
+
+
+@pytest.mark.parametrize(
+    "recipe", [eval(manual.example("python")) for manual in MANUALS] + OTHER_RECIPES, ids=lambda recipe: recipe["type"]
+)
+def test_table_knows_what_is_differentiable(recipe: dict[str, Any], files: None) -> None:
+    """What `mi.traverse` offers with a gradient is marked in the table, and the other way round."""
+    recipe = own_part(recipe)
+    rows = BY_NAME[recipe["type"]].parameters
+    marked = {name for row in rows if row.differentiable for name in row.names}
+    named = {name for row in rows for name in row.names}
+    made = mi.load_dict(recipe, optimize=False)
+    if not isinstance(made, (mi.BSDF, mi.Shape)):
+        assert not marked
+        return
+    offered = mi.traverse(made)
+    with_gradient = {key for key in offered.keys() if differentiable(offered, key)}  # noqa: SIM118
+    assert with_gradient & named <= marked, "not marked"
+    assert {key for key in marked if key in offered} <= with_gradient, "marked, but it has no gradient"
+    own = {key for key in with_gradient if "." not in key and not key.startswith("vertex_")}
+    assert own <= named | {"thickness_nm"}, "not in the table"  # thickness_nm: of layers, described below the table
+
+
+def differentiable(offered: Any, key: str) -> bool:
+    """Whether Mitsuba may put a gradient on a parameter."""
+    return not offered.flags(key) & mi.ParamFlags.NonDifferentiable.value
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (("default   meaning", "standard  meaning"), "the columns of a table"),
+        ((".. code-block:: xml", ".. code-block:: text"), "has no xml"),
+    ],
+)
+def test_a_docstring_that_cannot_be_read_is_named(change: tuple[str, str], message: str, tmp_path: Path) -> None:
+    source = (ROOT / "plugins" / "shapes" / "asphere.py").read_text(encoding="utf-8")
+    assert source.count(change[0]) == 1
+    wrong = tmp_path / "asphere.py"
+    wrong.write_text(source.replace(*change), encoding="utf-8")
+    with pytest.raises(ValueError, match=message):
+        PAGES._manual("shapes", wrong)
+
+
+def test_variant_is_one_with_gradients() -> None:
+    assert "ad" in mistray.ensure_variant()
