@@ -133,7 +133,8 @@ def first_hit(
             some = np.flatnonzero(nearer)
             some = some[inside(table, piece.index, o[some] + t[some, k, None] * d[some])]
             best[some], surface[some] = t[some, k], piece.index
-    stock = _stock_hit(table, o, d, best) if table.stock_scene is not None else None
+    # Mitsuba aborts the process when it is asked for the hits of no rays
+    stock = _stock_hit(table, o, d, best) if table.stock_scene is not None and len(o) else None
     if stock is not None:
         nearer = stock[0] < best
         best, surface = np.where(nearer, stock[0], best), np.where(nearer, stock[1], surface)
