@@ -165,6 +165,18 @@ class Cloud:
     scattering: float
     _log_f: CubicSpline
 
+    @classmethod
+    def of_nodes(cls, extinction: float, scattering: float, log_f: ArrayLike) -> Cloud:
+        """From ln f at the nodes, see `nodes`."""
+        from scipy.interpolate import CubicSpline
+
+        return cls(extinction, scattering, CubicSpline(_U, np.asarray(log_f, dtype=np.float64)))
+
+    @property
+    def nodes(self) -> np.ndarray:
+        """(a,) ln f at the angles between which it is a spline; with the other attributes all that a cloud is."""
+        return np.asarray(self._log_f(self._log_f.x))
+
     def f(self, angle: ArrayLike) -> np.ndarray:
         """
         Scattered share of the light per solid angle, 1/sr.
@@ -217,15 +229,13 @@ def cloud(
         Good to 1e-3 at every angle for particles that absorb like dust; without absorption the sharp resonances of the
         spheres leave 1 % beyond 90° and 1e-4 of the total.
     """
-    from scipy.interpolate import CubicSpline
-
     check_distribution(level, slope, min_um, max_um)
     largest = level if max_um is None else max_um
     d, weight = _sizes(min_um, largest)
     weight = weight * density(d, level, slope) / AREA_UM2
     cross, area, scattered = _cross_sections(min_um, largest, wavelength_um, index, immersion)
     f, extinction, scattering = weight @ cross, float(weight @ area), float(weight @ scattered)
-    return Cloud(extinction, scattering, CubicSpline(_U, np.log(f)))
+    return Cloud.of_nodes(extinction, scattering, np.log(f))
 
 
 def check_distribution(level: float, slope: float, min_um: float, max_um: float | None) -> None:

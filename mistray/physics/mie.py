@@ -19,7 +19,7 @@ SMALLEST, LARGEST = 1e-2, 2e4
 """Range of the size parameter x: below, the recurrence loses the digits that Rayleigh's formula has; above, arrays
 become too large."""
 
-_BLOCK = 512
+_BLOCK, _ORDERS = 512, 32  # spheres, and orders, that are worked on at once
 
 
 @dataclass(frozen=True, eq=False)
@@ -98,28 +98,50 @@ def _coefficients(x: np.ndarray, index: complex) -> tuple[np.ndarray, np.ndarray
 
     They are 0 beyond order x + 4 x^(1/3) + 4, two more than W. J. Wiscombe asks for (Appl. Opt. 19, 1505 (1980)); what
     is left out is less than 1e-7 of the intensity even at 180°, where most of the orders cancel.
+
+    With real ψ and χ, ξ = ψ - iχ, both are p/(p - iq): p = r ψ_n - ψ_(n-1), q = r χ_n - χ_(n-1), where r is D_n/m + n/x
+    for a_n and m D_n + n/x for b_n.
     """
     orders = _orders(x)
     count = int(orders[-1])
+    psi, chi = _riccati_bessel(x, orders)
     derivative = _log_derivative(count, index * x)
     a, b = np.zeros((2, count, len(x)), dtype=np.complex128)
-    psi_before, psi = np.sin(x), np.sin(x) / x - np.cos(x)  # Riccati-Bessel functions of orders 0 and 1
-    chi_before, chi = np.cos(x), np.cos(x) / x + np.sin(x)
-    done = 0
-    for n in range(1, count + 1):
-        drop = int(np.searchsorted(orders[done:], n))  # spheres that need no further orders: χ would overflow
-        if drop:
-            done += drop
-            psi_before, psi, chi_before, chi = (v[drop:] for v in (psi_before, psi, chi_before, chi))
-        size, slope = x[done:], derivative[n, done:]
-        xi, xi_before = psi - 1j * chi, psi_before - 1j * chi_before
-        for result, ratio in ((a, slope / index), (b, slope * index)):
-            ratio = ratio + n / size
-            result[n - 1, done:] = (ratio * psi - psi_before) / (ratio * xi - xi_before)
-        step = (2 * n + 1) / size
-        psi_before, psi = psi, step * psi - psi_before
-        chi_before, chi = chi, step * chi - chi_before
+    for first in range(0, count, _ORDERS):  # so few orders that the arrays stay in the cache
+        last = min(first + _ORDERS, count)
+        need = int(np.searchsorted(orders, first + 1))  # the spheres before have all their orders
+        n = np.arange(first + 1, last + 1)[:, None]
+        slope, over = derivative[first + 1 : last + 1, need:], n / x[need:]
+        low, high = slice(first, last), slice(first + 1, last + 1)
+        for result, ratio in ((a, slope / index + over), (b, slope * index + over)):
+            p = ratio * psi[high, need:] - psi[low, need:]
+            q = ratio * chi[high, need:] - chi[low, need:]
+            p[n > orders[need:]] = 0
+            result[low, need:] = p / (p - 1j * q)
     return a.T, b.T
+
+
+def _riccati_bessel(x: np.ndarray, orders: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    ψ_n(x) and χ_n(x), n = 0, 1, … of ascending x, (orders + 1, m).
+
+    Beyond the orders that each x needs χ is 1, because it would overflow.
+    """
+    count = int(orders[-1])
+    psi, chi = np.ones((2, count + 1, len(x)))
+    psi[0], psi[1] = np.sin(x), np.sin(x) / x - np.cos(x)
+    chi[0], chi[1] = np.cos(x), np.cos(x) / x + np.sin(x)
+    done, over = 0, 1 / x
+    ends = np.searchsorted(orders, np.arange(count + 1))  # of each order: spheres that do not need it
+    for n in range(1, count):
+        if ends[n + 1] > done:
+            done = int(ends[n + 1])
+            over = 1 / x[done:]
+        step = (2 * n + 1) * over
+        for v in (psi, chi):
+            np.multiply(step, v[n, done:], out=v[n + 1, done:])
+            v[n + 1, done:] -= v[n - 1, done:]
+    return psi, chi
 
 
 def _orders(x: ArrayLike) -> np.ndarray:
@@ -132,9 +154,10 @@ def _log_derivative(count: int, z: np.ndarray) -> np.ndarray:
     """ψ'_n(z)/ψ_n(z), n = 0 … count, downward from where the start is forgotten."""
     start = int(max(count, 1.02 * np.abs(z).max()) + 80)
     result = np.empty((count + 1, len(z)), dtype=np.complex128)
-    value = np.zeros(len(z), dtype=np.complex128)
+    over, value = 1 / z, np.zeros(len(z), dtype=np.complex128)
     for n in range(start, 0, -1):
-        value = n / z - 1 / (value + n / z)
+        ratio = n * over
+        value = ratio - 1 / (value + ratio)
         if n <= count + 1:
             result[n - 1] = value
     return result

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,8 +11,9 @@ from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.physics import contamination
 from mistray.physics.contamination import CLEANED_SLOPE, SMALLEST_UM, Cloud
-from mistray.scatter.lobe import Lobe, Placement
+from mistray.scatter.lobe import Lobe, Placement, Scatter
 from mistray.scatter.numbers import need_positive
+from mistray.scatter.particle_clouds import kept_cloud
 
 DUST = "dust"
 GREATEST_LOSS = 0.5
@@ -105,7 +107,7 @@ class Particulate(Placement):
         MistrayError
             If the index is not known there, or the particles are too large or too small for Mie's series.
         """
-        return contamination.cloud(
+        return kept_cloud(
             wavelength_nm * 1e-3,
             self.index(wavelength_nm),
             self.cleanliness,
@@ -191,3 +193,12 @@ def _backward(cloud: Cloud, deflection: np.ndarray) -> np.ndarray:
 def _angle(r: np.ndarray) -> np.ndarray:
     """Angle between two unit vectors at the distance r."""
     return np.asarray(2 * np.arcsin(np.minimum(r / 2, 1)))
+
+
+def particle_indices(models: Iterable[Scatter], wavelength_nm: float) -> tuple[complex, ...]:
+    """
+    Indices n + ik of the particles among some models, at a vacuum wavelength, nm.
+
+    What is remembered of models needs them: two that are equal name the same file, which may have been changed.
+    """
+    return tuple(model.index(wavelength_nm) for model in models if isinstance(model, Particulate))

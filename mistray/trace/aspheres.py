@@ -11,6 +11,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.physics.sag import sag, sag_derivative
+from mistray.trace.extrema import larger, smaller
 from mistray.trace.surfaces import SELF_HIT, SurfaceTable
 
 AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
@@ -35,11 +36,11 @@ def stretch(
 ) -> tuple[mi.Float, mi.Float]:
     """Part of a ray within a cylinder and a slab, empty if its end is not beyond its start."""
     discriminant = dr.fma(od, od, -dd * (oo - outer2))
-    root, inv = dr.sqrt(dr.maximum(discriminant, 0)), dr.rcp(dd)
+    root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(dd)
     axial = dd < AXIAL  # such a ray never leaves the cylinder
     z0, z1 = (z_low - oz) * inv_dz, (z_high - oz) * inv_dz
-    start = dr.maximum(dr.maximum(dr.select(axial, 0, (-od - root) * inv), dr.minimum(z0, z1)), 0)
-    end = dr.minimum(dr.select(axial, dr.inf, (-od + root) * inv), dr.maximum(z0, z1))
+    start = larger(larger(dr.select(axial, 0, (-od - root) * inv), smaller(z0, z1)), 0)
+    end = smaller(dr.select(axial, dr.inf, (-od + root) * inv), larger(z0, z1))
     inside = dr.select(axial, oo <= outer2, discriminant >= 0)
     return start, dr.select(inside, end, -1)
 

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
+import contextlib
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.backward_parts import Ahead, BackwardTask
 from mistray.trace.books import (
     ABSORBED_HERE,
     ESCAPED,
@@ -28,8 +29,10 @@ from mistray.trace.detector_start import DetectorStart
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.energy import CUTS, batch_error
 from mistray.trace.exits import exits
+from mistray.trace.fingerprint import fingerprint, kernel_arrays
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES
+from mistray.trace.path_books import join_books
 from mistray.trace.ray_tree import walk
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
@@ -39,6 +42,7 @@ from mistray.trace.sources import spectrum_of
 from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
+from mistray.trace.workers import current_workers
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the fifth and all that follow
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
@@ -123,6 +127,10 @@ class BackwardTrace:
                 "another thing against the light: use max_scatters"
             )
         self.grid, self.settings = grid, settings
+        self._scene = scene
+        self._elsewhere: Ahead | None = None
+        self._arguments = (grid, settings, wavelength_nm, weights, detector, map_pixels, paths, both_sides)
+        self._paths_elsewhere: dict[str, np.ndarray] = {}
         wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
         self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
         first = SurfaceTable(scene, self.wavelength_nm[0], detector)
@@ -170,37 +178,68 @@ class BackwardTrace:
 
     @property
     def next_pass(self) -> int:
-        """Rays of the next pass: few at first, so that there is a result after seconds."""
-        return min(FIRST_PASS << self.passes, PASS_LANES)
+        """Rays of the next pass."""
+        return self.pass_size(self.passes)
+
+    @staticmethod
+    def pass_size(number: int) -> int:
+        """Rays of a pass: few at first, so that there is a result after seconds."""
+        return min(FIRST_PASS << number, PASS_LANES)
 
     def advance(self, rays: int | None = None) -> None:
         """Trace one more pass of about so many rays, by default `next_pass`; `sums` grow."""
         rays = self.next_pass if rays is None else rays
         started = time.perf_counter()
-        new: list[dict[str, np.ndarray]] = []  # what an interrupt leaves out is a whole pass
-        for number, one in enumerate(self.bands):
-            sky = self.make_sky(maps=True)
-            tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
-            start = self.start_pass(number, self.passes, rays)
-            walk(one.table, one.scattering, self.intersector, start, self.settings, self.film, tallies, sky=sky)
-            dr.eval()
-            dr.sync_thread()
-            new.append(sky.read())
-            # Sums by surface are in the order of the first wavelength's media
-            new.append(
-                {
-                    "surfaces": np.array(tallies.surfaces).reshape(one.table.count, SURFACE_SUMS, BATCHES),
-                    "media": self._by_medium(one.table, np.array(tallies.media).reshape(-1, BATCHES)),
-                    "reasons": np.array(tallies.reasons).reshape(REASONS, BATCHES),
-                    "rays": np.full(BATCHES, rays * one.share / BATCHES),
-                }
-            )
+        books: list[dict[str, np.ndarray]] = []
+        # What an interrupt leaves out is a whole pass
+        if self._elsewhere is None:
+            new = [self.band_sums(number, self.passes, rays) for number in range(len(self.bands))]
+        else:
+            new, books = self._elsewhere.whole_pass(self.passes, rays)
         for sums in new:
             self._add(sums)
+        for book in books:
+            self._paths_elsewhere = join_books(self._paths_elsewhere, book) if self._paths_elsewhere else book
         self.passes += 1
         if self.pass_rays is not None:
             self.pass_rays.append(rays)
         self.seconds += time.perf_counter() - started
+
+    def band_sums(self, number: int, done: int, rays: int) -> dict[str, np.ndarray]:
+        """What a pass of so many rays, after so many passes, adds to `sums` at one wavelength."""
+        one = self.bands[number]
+        sky = self.make_sky(maps=True)
+        tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
+        start = self.start_pass(number, done, rays)
+        walk(one.table, one.scattering, self.intersector, start, self.settings, self.film, tallies, sky=sky)
+        dr.eval()
+        dr.sync_thread()
+        # Sums by surface are in the order of the first wavelength's media
+        return sky.read() | {
+            "surfaces": np.array(tallies.surfaces).reshape(one.table.count, SURFACE_SUMS, BATCHES),
+            "media": self._by_medium(one.table, np.array(tallies.media).reshape(-1, BATCHES)),
+            "reasons": np.array(tallies.reasons).reshape(REASONS, BATCHES),
+            "rays": np.full(BATCHES, rays * one.share / BATCHES),
+        }
+
+    def forget_paths(self) -> None:
+        """Empty the table of the paths."""
+        if self._book is not None:
+            self._book = PathBook(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
+
+    @contextlib.contextmanager
+    def shared(self, rays: int) -> Iterator[None]:
+        """Let other processes, if there are any, trace the passes of the block, which take so many rays in all."""
+        workers = current_workers()
+        if workers is None:
+            yield
+            return
+        with workers.job(BackwardTask(self._scene, self._arguments, self.kernel_arrays())) as job:
+            self._elsewhere = Ahead(self, job, workers.count(), rays)
+            try:
+                yield
+            finally:
+                self._elsewhere = None
 
     def make_sky(self, derivative: np.ndarray | None = None, maps: bool = False) -> Sky:
         """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `Sky`."""
@@ -247,20 +286,18 @@ class BackwardTrace:
     @property
     def fingerprint(self) -> str:
         """Hash of all that the kernel reads: geometry, coatings, media, scatter, of every wavelength."""
-        digest = hashlib.sha256(repr(self.table.ids).encode())
-        for one in self.bands:
-            optics, table = one.table.optics, one.table
-            arrays = [table.quadric, table.vertex, table.polynomial, table.rotation, table.half_size, optics.words]
-            arrays += [optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
-            arrays += one.scattering.arrays
-            for values in arrays:
-                digest.update(np.array(values).tobytes())
-            digest.update(repr([str(shape) for shape in table.shapes[len(table.pieces) :]]).encode())
-        return digest.hexdigest()
+        return fingerprint((one.table, one.scattering) for one in self.bands)
+
+    def kernel_arrays(self) -> list[list[np.ndarray]]:
+        """What the kernel reads, for each wavelength."""
+        return [kernel_arrays(one.table, one.scattering) for one in self.bands]
 
     def paths(self) -> dict[str, np.ndarray] | None:
         """The path table so far, see `PathBook.read`."""
-        return self._book.read() if self._book is not None else None
+        if self._book is None:
+            return None
+        here = self._book.read()
+        return join_books(self._paths_elsewhere, here) if self._paths_elsewhere else here
 
     @property
     def rays(self) -> np.ndarray:

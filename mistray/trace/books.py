@@ -11,6 +11,7 @@ import mitsuba as mi
 
 from mistray.errors import MistrayError
 from mistray.trace.ledger import BATCHES
+from mistray.trace.packets import add_packet
 
 # Rows of the tally: what is not tied to a surface
 ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)
@@ -43,53 +44,63 @@ class Tallies:
         self.largest = dr.zeros(mi.UInt32, 1)
         dr.eval(self.surfaces, self.media, self.reasons, self.film, self.largest)
 
-    def add_reason(self, reason: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
-        """Book flux (or a count) under a reason."""
-        dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, mi.Float64(value), reason * BATCHES + batch, active)
-
     def add_surface(self, s: mi.UInt32, what: int, batch: mi.UInt32, value: Any, active: mi.Bool) -> None:
         """Book one of the sums of a surface."""
         index = (s * SURFACE_SUMS + what) * BATCHES + batch
         dr.scatter_reduce(dr.ReduceOp.Add, self.surfaces, mi.Float64(value), index, active)
 
-    def hit_memory(self) -> Any:
-        """Sums of a lane's hits by surface, in local memory: sums that lanes share cost a fifth of the time."""
-        return dr.alloc_local(mi.Float64, self.count * HIT_SUMS, mi.Float64(0))
+    def lane_sums(self) -> tuple[Any, ...]:
+        """
+        Sums of a lane of its own, in local memory: sums that lanes share would cost a fifth of the time.
+
+        Returns
+        -------
+        tuple of dr.Local
+            The first `HIT_SUMS` of `SURFACE_SUMS` of each surface, and last those of the reasons.
+        """
+        return tuple(dr.alloc_local(mi.Float64, size, mi.Float64(0)) for size in (*(self.count,) * HIT_SUMS, REASONS))
 
     @staticmethod
-    def add_hit(memory: Any, s: mi.UInt32, incident: mi.Float, absorbed: mi.Float, active: mi.Bool) -> None:
-        """Book a hit of a surface in a lane's own sums."""
-        for what, value in (
-            (HITS, mi.Float64(1)),
-            (INCIDENT, mi.Float64(incident)),
-            (ABSORBED_HERE, mi.Float64(absorbed)),
-        ):
-            place = s * HIT_SUMS + what
-            memory.write(memory.read(place, active) + value, place, active)
+    def add_reason(sums: tuple[Any, ...], reason: int | mi.UInt32, value: Any, active: mi.Bool) -> None:
+        """Book flux (or a count) under a reason."""
+        sums[-1].write(sums[-1].read(reason, active) + mi.Float64(value), reason, active)
 
-    def collect_hits(self, memory: Any, batch: mi.UInt32) -> None:
-        """Add the sums of all lanes to those of the surfaces."""
+    @staticmethod
+    def add_hit(sums: tuple[Any, ...], s: mi.UInt32, incident: mi.Float, absorbed: mi.Float, active: mi.Bool) -> None:
+        """Book a hit of a surface."""
+        values = {HITS: 1.0, INCIDENT: incident, ABSORBED_HERE: absorbed}
+        for what, value in values.items():
+            sums[what].write(sums[what].read(s, active) + mi.Float64(value), s, active)
 
-        def step(s: mi.UInt32, memory: Any) -> tuple[mi.UInt32, Any]:
+    def collect(self, sums: tuple[Any, ...], batch: mi.UInt32) -> None:
+        """Add the sums of all lanes."""
+
+        def step(k: mi.UInt32, sums: tuple[Any, ...]) -> tuple[mi.UInt32, tuple[Any, ...]]:
             for what in range(HIT_SUMS):
-                value = memory.read(s * HIT_SUMS + what)
-                self.add_surface(s, what, batch, value, value != 0)
-            return s + 1, memory
+                value = sums[what].read(k, k < self.count)
+                self.add_surface(k, what, batch, value, value != 0)
+            value = sums[-1].read(k, k < REASONS)
+            dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, value, k * BATCHES + batch, value != 0)
+            return k + 1, sums
 
-        count = dr.opaque(mi.UInt32, self.count)
+        count = dr.opaque(mi.UInt32, max(self.count, REASONS))
         dr.while_loop(
-            (dr.zeros(mi.UInt32, dr.width(batch)), memory),
-            lambda s, memory: s < count,
+            (dr.zeros(mi.UInt32, dr.width(batch)), sums),
+            lambda k, sums: k < count,
             step,
             mode="symbolic",
-            label="collect hits",
+            label="collect",
         )
 
-    def add_scattered(self, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
+    def add_to_film(self, pixel: mi.UInt32, flux: mi.Float64, active: mi.Bool) -> None:
+        """Add flux and its square to a pixel."""
+        add_packet(self.film, [flux, flux * flux], pixel, active)
+
+    def add_scattered(self, sums: tuple[Any, ...], flux: mi.Float, active: mi.Bool) -> None:
         """Book a hit of the detector by a ray that has been scattered."""
-        self.add_reason(SCATTERED_HITS, batch, 1.0, active)
-        self.add_reason(SCATTERED_FLUX, batch, flux, active)
-        self.add_reason(SCATTERED_SQUARES, batch, dr.square(mi.Float64(flux)), active)
+        self.add_reason(sums, SCATTERED_HITS, 1.0, active)
+        self.add_reason(sums, SCATTERED_FLUX, flux, active)
+        self.add_reason(sums, SCATTERED_SQUARES, dr.square(mi.Float64(flux)), active)
         # The bits of positive floats are in the order of the floats
         bits = dr.reinterpret_array(mi.UInt32, flux)
         dr.scatter_reduce(dr.ReduceOp.Max, self.largest, bits, mi.UInt32(0), active)
@@ -235,12 +246,6 @@ class Recorder:
         dr.eval(self.count)
 
 
-def read_node(memory: Any, k: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
-    """Point, direction of arrival and weight of node k."""
-    v = [memory.read(k * NODE_FLOATS + j, active) for j in range(NODE_FLOATS)]
-    return mi.Vector3f(*v[:3]), mi.Vector3f(*v[3:6]), v[6]
-
-
 def record_branch(
     recorder: Recorder,
     nodes: Any,
@@ -259,8 +264,8 @@ def record_branch(
     Parameters
     ----------
     recorder : Recorder
-    nodes : dr.Local
-        Nodes before the last.
+    nodes : sequence of dr.Local
+        What the nodes before the last consist of.
     event : callable
         `event(k, mask)` gives event k.
     active : mi.Bool
@@ -297,7 +302,7 @@ def record_branch(
         row = slot * recorder.max_events + k
         dr.scatter(recorder.codes, event(k, going), row, going)
         for j in range(recorder.node_floats):
-            value = dr.select(here, last[j], nodes.read(k * NODE_FLOATS + j, going & ~here))
+            value = dr.select(here, last[j], nodes[j].read(k, going & ~here))
             dr.scatter(recorder.nodes, value, row * recorder.node_floats + j, going)
         return (k + 1,)
 

@@ -58,6 +58,9 @@ class Energy:
         limits of scatter events), "max_events", "ray_control", "roulette" (0 on average: what Russian roulette removed
         less what it added), "scatter_sampling" (0 on average: what surfaces scatter less what the scattered rays carry)
         and "medium" (a ray met a surface from a material that is not there: a gap or an overlap in the geometry).
+
+        Where `max_random_scatters` leaves a hit nothing but its aimed rays, "max_scatters" holds what it scatters less
+        what these carry: right on average, but with the noise of the aimed rays, so that it can be below 0.
     """
 
     launched_W: float

@@ -59,17 +59,23 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
 def _onto_polynomial(piece: Piece, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
     """Newton's method from crossings of the conic to crossings of the asphere; NaN where it does not settle."""
     (c, k), coefficients = piece.conic, piece.coefficients
+    found = np.full(t.shape, np.nan)
+    going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
+    ray, t = going // t.shape[1], t.ravel()[going]
     for _ in range(NEWTON_STEPS):
-        p = o[:, None, :] + t[:, :, None] * d[:, None, :]
-        r2 = p[:, :, 0] ** 2 + p[:, :, 1] ** 2
+        (x, y, z), (dx, dy, dz) = o[ray].T, d[ray].T
+        x, y = x + t * dx, y + t * dy
+        r2 = x * x + y * y
         slope = 2 * sag_derivative(r2, c, k, coefficients)
-        along = slope * (p[:, :, 0] * d[:, None, 0] + p[:, :, 1] * d[:, None, 1]) - d[:, None, 2]
-        step = (sag(r2, c, k, coefficients) - p[:, :, 2]) / along
+        step = (sag(r2, c, k, coefficients) - z - t * dz) / (slope * (x * dx + y * dy) - dz)
         t = t - step
         settled = np.abs(step) < SETTLED * (1 + np.abs(t))
-        if np.all(settled | np.isnan(step)):
+        found.flat[going[settled]] = t[settled]
+        on = ~settled & np.isfinite(step)
+        going, ray, t = going[on], ray[on], t[on]
+        if not len(going):
             break
-    return np.where(settled, t, np.nan)
+    return found
 
 
 def inside(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:

@@ -9,6 +9,7 @@ import mitsuba as mi
 
 from mistray.physics.fresnel import reflectance
 from mistray.physics.sag import sag, sag_derivative
+from mistray.trace.extrema import larger, smaller
 from mistray.trace.optics import (
     ASPHERIC,
     BACK_MEDIUM_SHIFT,
@@ -26,6 +27,7 @@ from mistray.trace.optics import (
     total_variable,
 )
 from mistray.trace.polarization import Mueller, from_plane, plane_of_incidence, to_plane
+from mistray.trace.surface_rows import LaneRows, gathered_row
 from mistray.trace.surfaces import SurfaceTable
 
 # Channel of a gradient: an ideal coating reflects R + T beyond the critical angle
@@ -125,6 +127,7 @@ def interact(
     stock_normal: mi.Vector3f | None,
     stokes: mi.Vector3f | None,
     active: mi.Bool,
+    rows: LaneRows | None = None,
 ) -> Interaction:
     """
     Evaluate the surfaces s at the points p for light that travels along d.
@@ -142,17 +145,17 @@ def interact(
         Stokes vector of the light; None: unpolarised everywhere.
     active : mi.Bool
         Lanes that matter.
+    rows : LaneRows, optional
+        Copies of the table's rows.
     """
-    quadric = dr.gather(mi.Vector4f, table.quadric, s, active)
-    vertex = dr.gather(mi.Vector4f, table.vertex, s, active)
-    optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
-    word = dr.gather(mi.UInt32, table.optics.words, s, active)
+    row = gathered_row(table, s, active) if rows is None else rows.row(s, active)
+    vertex, optics, word = row.vertex, row.optics, row.word
     q = p - vertex.xyz
     frame = table.frame(s, active)
     q, dl = frame.inward(q), frame.inward(d)
 
     # Value and half gradient of F at q; the normal is along the gradient
-    a, b, e, g = quadric
+    a, b, e, g = row.quadric
     r2 = dr.fma(q.x, q.x, q.y * q.y)
     value = dr.fma(a, r2, dr.fma(dr.fma(b, q.z, e), q.z, g))
     gx, gy, gz = a * q.x, a * q.y, dr.fma(b, q.z, 0.5 * e)
@@ -176,7 +179,7 @@ def interact(
     # One Newton step along the ray removes the rounding of a distant origin
     along = 2 * (gx * dl.x + gy * dl.y + gz * dl.z)
     step = -value / along
-    step = dr.select(dr.isfinite(step) & (dr.abs(step) < 1e-3 * (1 + dr.sqrt(r2))), step, 0)
+    step = dr.select(step * step < 1e-6 * (1 + r2), step, 0)
     p, q = dr.fma(step, d, p), dr.fma(step, dl, q)
 
     normal = mi.Vector3f(gx, gy, gz) * dr.mulsign(dr.rsqrt(gx * gx + gy * gy + gz * gz), vertex.w)
@@ -186,13 +189,13 @@ def interact(
     cosine = dr.dot(d, normal)
     from_front = cosine > 0  # the normal points from front to back
     along_d = dr.mulsign(normal, cosine)
-    cos_i = dr.minimum(dr.abs(cosine), 1)
+    cos_i = smaller(dr.abs(cosine), 1)
     n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
     eta = n_i / n_t
     sin2_t = eta * eta * (1 - cos_i * cos_i)
     opaque = (word & OPAQUE) != 0
     tir = (sin2_t >= 1) & ~opaque
-    cos_t = dr.sqrt(dr.maximum(0, 1 - sin2_t))
+    cos_t = dr.sqrt(larger(1 - sin2_t, 0))
     reflected = dr.normalize(d - 2 * cos_i * along_d)
     transmitted = dr.normalize(eta * d + (cos_t - eta * cos_i) * along_d)
     kind = word & 3
@@ -238,7 +241,7 @@ def shares_at(
     eta, kind, opaque = n_i / n_t, word & 3, (word & OPAQUE) != 0
     sin2_t = eta * eta * (1 - cos_i * cos_i)
     tir = (sin2_t >= 1) & ~opaque
-    cos_t = dr.sqrt(dr.maximum(0, 1 - sin2_t))
+    cos_t = dr.sqrt(larger(1 - sin2_t, 0))
     place = _place(table, s, kind, tir, cos_i, cos_t, sin2_t, eta, active)
     R, T = _unpolarized(table, kind, optics, place, cos_i, cos_t, n_i, n_t, from_front, active)
     return dr.select(tir, R + T, R), dr.select(tir | opaque, 0, T), cos_t
@@ -257,7 +260,7 @@ def _place(
 ) -> Place:
     """Where the angle of incidence stands in the surface's table, see `mistray.trace.optics`."""
     places = dr.gather(mi.Vector4u, table.optics.places, s, active)
-    x = dr.select(tir, total_variable(sin2_t, eta, cos_i), dr.minimum(cos_i, cos_t))
+    x = dr.select(tir, total_variable(sin2_t, eta, cos_i), smaller(cos_i, cos_t))
     start, last = dr.select(tir, places.z, places.x), dr.select(tir, places.w, places.y)
     x = dr.select(kind == TABLED, x * mi.Float(last), 0)
     node = dr.minimum(mi.UInt32(x), last - 1)

@@ -6,7 +6,10 @@ recompilation when a parameter changes) and its loads broadcast over the lanes.
 
 from __future__ import annotations
 
+from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -15,11 +18,13 @@ import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.aspheres import AsphereSearch, stretch
+from mistray.trace.extrema import larger, smaller
 from mistray.trace.pieces import MILD_MARGIN, Piece
 from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, SurfaceTable
 
-GROUP = 6  # walls that are looked at together
+GROUP = 8  # walls that are looked at together
 ONE_STEP = 1e-6  # error after one Newton step that is small enough, in units of the aperture
+SLACK = 1e-5  # of the sizes of a group of walls, for rounding
 FAR = 1e30  # stands for infinity where it may be multiplied by zero
 
 
@@ -84,8 +89,14 @@ class Intersector:
         walls = [k for k, p in enumerate(self.pieces) if p.wall]
         if len(walls) <= GROUP:
             walls = []
+        aspheres = [k for k, p in enumerate(self.pieces) if p.kind == "asphere"]
         self.singles = [k for k, p in enumerate(self.pieces) if k not in walls and p.kind != "asphere"]
         self.groups = _groups(self.pieces, walls)
+        self.stacks = _stacks(self.pieces, self.singles)
+        self.main_axes = {self.pieces[k].axis for k in walls + aspheres}
+        self.main_axes |= {group.axis for stack in self.stacks for group in stack.groups if len(group.members) == 1}
+        self.bounds = {k: _Group.of(self.pieces, [k]) for k in aspheres}
+        self.along_axis = sorted(aspheres, key=lambda k: self.pieces[k].z)
         self.frames = [[dr.opaque(mi.Float, float(x)) for x in frame.ravel()] for frame in table.frames]
         self.axes = [(frame, dr.opaque(mi.Float, x), dr.opaque(mi.Float, y), x == y == 0) for frame, x, y in table.axes]
 
@@ -113,42 +124,97 @@ class Intersector:
         for p in self.pieces:
             if p.frame not in frames:
                 frames[p.frame] = self._rotate(o, p.frame), self._rotate(d, p.frame)
-            if p.axis not in rays:
+            if p.axis not in rays and p.axis in self.main_axes:
                 rays[p.axis] = self._axis_ray(*frames[p.frame], p.axis)
 
-        def test(k: int, best: mi.Float, surface: mi.UInt32) -> tuple[mi.Float, mi.UInt32]:
-            p = self.pieces[k]
-            t = _CROSSINGS[p.kind](rays[p.axis], p, self.numbers[k], last == p.index)
-            nearer = t < best
-            return dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
+        def test(members: Sequence[int], best: mi.Float, surface: mi.UInt32) -> tuple[mi.Float, mi.UInt32]:
+            here: dict[int, _AxisRay] = {}
+            for k in members:
+                p = self.pieces[k]
+                ray = rays.get(p.axis) or here.get(p.axis)
+                if ray is None:  # made where it is needed, see `_stacks`
+                    ray = here[p.axis] = self._axis_ray(*frames[p.frame], p.axis)
+                t = _CROSSINGS[p.kind](ray, p, self.numbers[k], last == p.index)
+                nearer = t < best
+                best, surface = dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
+            return best, surface
 
-        for k in self.singles:
-            best, surface = test(k, best, surface)
-        entries = []
-        for k, p in enumerate(self.pieces):
-            if p.kind != "asphere":
+        def follow(
+            stack: _Stack, backward: bool, here: mi.Bool, best: mi.Float, surface: mi.UInt32
+        ) -> tuple[mi.Float, mi.UInt32]:
+            """Test the pieces of a stack one after the other, as long as they may be nearer than the nearest hit."""
+            o, d = frames[stack.frame]
+            far = _z_at(o, d, best)
+            for group in reversed(stack.groups) if backward else stack.groups:
+
+                def search(
+                    best: mi.Float, surface: mi.UInt32, far: mi.Float, members: Sequence[int] = group.members
+                ) -> tuple[mi.Float, mi.UInt32, mi.Float]:
+                    best, surface = test(members, best, surface)
+                    return best, surface, _z_at(o, d, best)
+
+                if backward:
+                    between = (far <= group.z_high) & (o.z >= group.z_low)
+                else:
+                    between = (far >= group.z_low) & (o.z <= group.z_high)
+                best, surface, far = dr.if_stmt(
+                    (best, surface, far),
+                    here & between,
+                    search,
+                    lambda *state: state,
+                    arg_labels=("best", "surface", "far"),
+                    mode="symbolic",
+                )
+            return best, surface
+
+        for stack in self.stacks:
+            forward = frames[stack.frame][1].z >= 0
+            for backward in (False, True):
+                here = active & (~forward if backward else forward)
+                best, surface = dr.if_stmt(
+                    (best, surface),
+                    here,
+                    partial(follow, stack, backward, here),
+                    lambda *state: state,
+                    arg_labels=("best", "surface"),
+                    mode="symbolic",
+                )
+        entries: dict[int, mi.Float] = {}
+        for k in self.along_axis:  # a ray along the axis passes by all aspheres behind the first that it meets
+            p = self.pieces[k]
+            if not p.departure:
+                entries[k] = _asphere_entry(rays[p.axis], self.numbers[k], last == p.index)
                 continue
-            if p.departure:
+
+            def search_asphere(
+                best: mi.Float, surface: mi.UInt32, entry: mi.Float, k: int = k
+            ) -> tuple[mi.Float, mi.UInt32, mi.Float]:
+                p = self.pieces[k]
                 t, unsure = _mild_asphere(rays[p.axis], p, self.numbers[k], last == p.index)
                 nearer = t < best
                 best, surface = dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
-                entries.append(dr.select(unsure, mi.Float(0), dr.inf))
-            else:
-                entries.append(_asphere_entry(rays[p.axis], self.numbers[k], last == p.index))
+                return best, surface, dr.select(unsure, mi.Float(0), dr.inf)
+
+            best, surface, entries[k] = dr.if_stmt(
+                (best, surface, dr.full(mi.Float, dr.inf, dr.width(last))),
+                active & _reaches(rays[p.axis], best, self.bounds[k].z_low, self.bounds[k].z_high),
+                search_asphere,
+                lambda *state: state,
+                arg_labels=("best", "surface", "entry"),
+                mode="symbolic",
+            )
         if entries:
-            best, surface = self.aspheres.nearest(o, d, last, entries, best, surface, active)
+            ordered = [entries[k] for k in sorted(entries)]
+            best, surface = self.aspheres.nearest(o, d, last, ordered, best, surface, active)
         # Walls come last, in groups along the axis: most lanes have met a lens before they reach most groups
         for group in self.groups:
             ray = rays[group.axis]
-            far = dr.fma(dr.minimum(best, FAR), ray.dz, ray.oz)
-            near = (dr.maximum(ray.oz, far) >= group.z_low) & (dr.minimum(ray.oz, far) <= group.z_high)
+            near = _reaches(ray, best, group.z_low, group.z_high) & (ray.widest2(best) >= group.inner2)
 
             def search(
                 best: mi.Float, surface: mi.UInt32, members: list[int] = group.members
             ) -> tuple[mi.Float, mi.UInt32]:
-                for k in members:
-                    best, surface = test(k, best, surface)
-                return best, surface
+                return test(members, best, surface)
 
             best, surface = dr.if_stmt(
                 (best, surface),
@@ -185,12 +251,48 @@ class Intersector:
 
 @dataclass
 class _Group:
-    """Neighbouring walls on one axis, and their extent along it (opaque, mm)."""
+    """Pieces looked at together, their extent along the axis (mm) and the square of their least radius; opaque."""
 
     axis: int
     members: list[int]
     z_low: mi.Float
     z_high: mi.Float
+    inner2: mi.Float
+
+    @classmethod
+    def of(cls, pieces: list[Piece], members: list[int]) -> _Group:
+        """Group of the pieces with these numbers."""
+        low, high = min(pieces[k].extent[0] for k in members), max(pieces[k].extent[1] for k in members)
+        slack = SLACK * (1 + abs(low) + abs(high))
+        inner = max(min(pieces[k].least_radius for k in members) - slack, 0.0)
+        numbers = (dr.opaque(mi.Float, v) for v in (low - slack, high + slack, inner**2))
+        return cls(pieces[members[0]].axis, members, *numbers)
+
+
+@dataclass
+class _Stack:
+    """Pieces of one orientation that are no walls, from front to back."""
+
+    frame: int
+    groups: list[_Group]
+
+
+def _stacks(pieces: list[Piece], singles: list[int]) -> list[_Stack]:
+    """
+    Stacks of the pieces with these numbers.
+
+    Each is a group of its own, apart from rectangles with axes of their own: such are mostly the parts of the board
+    around the detector, and looked at together.
+    """
+    on_axis = Counter(piece.axis for piece in pieces)
+    stacks = []
+    for frame in sorted({pieces[k].frame for k in singles}):
+        here = sorted((k for k in singles if pieces[k].frame == frame), key=lambda k: pieces[k].z)
+        boards = [k for k in here if not pieces[k].outer and on_axis[pieces[k].axis] == 1]
+        groups = [[k] for k in here if k not in boards] + ([boards] if boards else [])
+        groups.sort(key=lambda members: pieces[members[0]].z)
+        stacks.append(_Stack(frame, [_Group.of(pieces, members) for members in groups]))
+    return stacks
 
 
 def _groups(pieces: list[Piece], walls: list[int]) -> list[_Group]:
@@ -198,14 +300,22 @@ def _groups(pieces: list[Piece], walls: list[int]) -> list[_Group]:
     groups = []
     for axis in sorted({pieces[k].axis for k in walls}):
         here = [k for k in walls if pieces[k].axis == axis]
-        members = sorted(here, key=lambda k: pieces[k].z + sum(pieces[k].z_range) / 2)
+        members = sorted(here, key=lambda k: sum(pieces[k].extent))
         for first in range(0, len(members), GROUP):
-            chosen = members[first : first + GROUP]
-            low = min(pieces[k].z + pieces[k].z_range[0] for k in chosen)
-            high = max(pieces[k].z + pieces[k].z_range[1] for k in chosen)
-            slack = 1e-6 * (1 + abs(low) + abs(high))
-            groups.append(_Group(axis, chosen, dr.opaque(mi.Float, low - slack), dr.opaque(mi.Float, high + slack)))
+            groups.append(_Group.of(pieces, members[first : first + GROUP]))
     return groups
+
+
+def _z_at(o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Float:
+    """Place along the axis at the distance t, however far."""
+    return dr.fma(smaller(t, FAR), d.z, o.z)
+
+
+def _reaches(ray: _AxisRay, best: mi.Float, z_low: mi.Float, z_high: mi.Float) -> mi.Bool:
+    """Whether a ray up to the distance `best` has a part between two planes."""
+    far = dr.fma(smaller(best, FAR), ray.dz, ray.oz)
+    forward = ray.dz >= 0
+    return (dr.select(forward, far, ray.oz) >= z_low) & (dr.select(forward, ray.oz, far) <= z_high)
 
 
 @dataclass
@@ -222,6 +332,11 @@ class _AxisRay:
     od: mi.Float  # ox dx + oy dy
     oo: mi.Float  # ox² + oy²
     inv_dz: mi.Float
+
+    def widest2(self, t: mi.Float) -> mi.Float:
+        """Square of the greatest distance from the axis up to t: at one of the ends."""
+        t = smaller(t, FAR)
+        return larger(self.oo, dr.fma(t, dr.fma(t, self.dd, 2 * self.od), self.oo))
 
     def lateral(self, t: mi.Float) -> tuple[mi.Float, mi.Float]:
         return dr.fma(t, self.dx, self.ox), dr.fma(t, self.dy, self.oy)
@@ -247,12 +362,12 @@ def _two_roots(a: mi.Float, b: mi.Float, c: mi.Float, own: mi.Bool) -> tuple[mi.
     """Roots of a t² + 2 b t + c = 0 without cancellation; on the surface itself c is 0 exactly, and so is one root."""
     c = dr.select(own, 0, c)
     discriminant = dr.fma(b, b, -a * c)
-    q = -(b + dr.mulsign(dr.sqrt(dr.maximum(discriminant, 0)), b))
+    q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))
     return q / a, c / q, discriminant >= 0
 
 
 def _first(ta: mi.Float, tb: mi.Float, ok_a: mi.Bool, ok_b: mi.Bool) -> mi.Float:
-    return dr.minimum(dr.select(ok_a, ta, dr.inf), dr.select(ok_b, tb, dr.inf))
+    return smaller(dr.select(ok_a, ta, dr.inf), dr.select(ok_b, tb, dr.inf))
 
 
 def _conic(ray: _AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
@@ -299,7 +414,7 @@ def _mild_asphere(ray: _AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> tuple[mi
     # A step squares the error; the interaction at the hit adds one more
     for _ in range(1 if p.departure**2 * abs(p.quadric[0]) < ONE_STEP * p.outer else 2):
         x, y = ray.lateral(t)
-        r2 = dr.minimum(dr.fma(x, x, y * y), n.wide2)
+        r2 = smaller(dr.fma(x, x, y * y), n.wide2)
         height = dr.fma(t, ray.dz, oz) - sag(r2, c, n.conic, n.coefficients)
         slope = ray.dz - 2 * sag_derivative(r2, c, n.conic, n.coefficients) * dr.fma(x, ray.dx, y * ray.dy)
         step = height / slope

@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.packets import add_packet, packet_size
 
 # What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
 ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
@@ -164,17 +165,18 @@ class Ledger:
     def __init__(self, capacity: int, max_events: int, stokes: bool = False) -> None:
         self.capacity, self.max_events = capacity, max_events
         self.terms = STOKES_SUMS if stokes else SUMS
+        self.row = packet_size(self.terms)
         self.mask = dr.opaque(mi.UInt32, capacity - 1)
         self.keys = dr.zeros(mi.UInt64, capacity)
         self.lengths = dr.zeros(mi.UInt32, capacity)
         self.events = dr.zeros(mi.UInt32, capacity * max_events)
-        self.sums = dr.zeros(mi.Float64, capacity * BATCHES * self.terms)
+        self.sums = dr.zeros(mi.Float64, capacity * BATCHES * self.row)
         self.lost = dr.zeros(mi.UInt32, 1)
         dr.eval(self.keys, self.lengths, self.events, self.sums, self.lost)
 
     def clear_sums(self) -> None:
         """Forget the sums and keep the paths, so that a second trace finds the same slots."""
-        self.sums = dr.zeros(mi.Float64, self.capacity * BATCHES * self.terms)
+        self.sums = dr.zeros(mi.Float64, self.capacity * BATCHES * self.row)
         dr.eval(self.sums)
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
@@ -214,13 +216,11 @@ class Ledger:
         active: mi.Bool,
     ) -> None:
         """Add one hit of the detector to a slot; x and y in the detector's frame, mm."""
-        base = (slot * BATCHES + batch) * self.terms
         a, x, y = mi.Float64(absorbed), mi.Float64(x), mi.Float64(y)
         terms = [mi.Float64(1), mi.Float64(incident), a, a * a, a * x, a * y, a * (x * x + y * y)]
         if stokes is not None:
             terms += [a * mi.Float64(component) for component in stokes]
-        for k, term in enumerate(terms):
-            dr.scatter_reduce(dr.ReduceOp.Add, self.sums, term, base + k, active)
+        add_packet(self.sums, terms, slot * BATCHES + batch, active)
 
     def write_events(
         self, slot: mi.UInt32, length: mi.UInt32, read: Callable[[mi.UInt32, mi.Bool], mi.UInt32], active: mi.Bool
@@ -249,7 +249,7 @@ class Ledger:
         lengths = np.array(self.lengths)[slots].astype(np.int64)
         events = np.array(self.events).reshape(self.capacity, self.max_events)[slots]
         events = events[:, : int(lengths.max(initial=0))]
-        sums = np.array(self.sums).reshape(self.capacity, BATCHES, self.terms)[slots]
+        sums = np.array(self.sums).reshape(self.capacity, BATCHES, self.row)[slots, :, : self.terms]
         wrong = int(np.count_nonzero(host_keys(events, lengths) != keys[slots]))
         if wrong:
             raise MistrayError(

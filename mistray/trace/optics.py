@@ -117,7 +117,6 @@ def total_variable(sin2_t: Any, eta: Any, cos_i: Any) -> Any:
     return dr.select(y > 0, y / (y + eta * cos_i), 0)
 
 
-@lru_cache(maxsize=512)
 def angle_table(
     coating: Any, wavelength_nm: float, n_front: complex, n_back: complex, opaque: bool, stokes: bool
 ) -> AngleTable:
@@ -136,6 +135,22 @@ def angle_table(
     stokes : bool
         Four numbers for each channel instead of one.
     """
+    # Layers are known by the names of their materials, and a file may hold other numbers than before
+    indices = coating.indices(wavelength_nm) if isinstance(coating, Stack) else ()
+    return _known_table(coating, indices, wavelength_nm, n_front, n_back, opaque, stokes)
+
+
+@lru_cache(maxsize=512)
+def _known_table(
+    coating: Any,
+    _indices: tuple[complex, ...],
+    wavelength_nm: float,
+    n_front: complex,
+    n_back: complex,
+    opaque: bool,
+    stokes: bool,
+) -> AngleTable:
+    """See `angle_table`; the indices of the layers tell two contents of a file apart."""
     sides = n_front, n_back
 
     def refraction(x: np.ndarray) -> np.ndarray:

@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.physics.sag import sag
+from mistray.physics.sag import conic_end, sag
 from mistray.trace.raw_gradient import COEFFICIENTS
 
 # An asphere is hit through its conic if it departs from it by less than this, in units of its aperture and as a slope
@@ -72,6 +72,18 @@ class Piece:
     departure: float = 0.0
 
     @property
+    def extent(self) -> tuple[float, float]:
+        """Extent along the axis, mm."""
+        return self.z + self.z_range[0], self.z + self.z_range[1]
+
+    @property
+    def least_radius(self) -> float:
+        """Distance from the axis that no point of the piece is nearer than, mm."""
+        if self.kind == "cone":
+            return min(self.r0 + self.slope * z for z in self.z_range)
+        return self.inner if self.outer else 0.0
+
+    @property
     def conic(self) -> tuple[float, float]:
         """Curvature (1/mm) and conic constant of an asphere; zeros of a plane."""
         a, b = (float(v) for v in self.quadric[:2])
@@ -119,8 +131,10 @@ def _asphere(v: Mapping[str, float]) -> dict[str, Any]:
     rectangular = "half_width" in v
     outer = float(np.hypot(v["half_width"], v["half_height"])) if rectangular else v["semi_diameter"]
     kind = "asphere" if coefficients else "conic" if c else "plane"
-    r = np.linspace(0.0, outer, 2001)
+    r = np.linspace(0.0, min(outer, conic_end(c, k)), 2001)
     z = np.asarray(sag(r * r, c, k, coefficients))
+    if np.isnan(z[-1]):  # the rounding of the point where the conic stands upright
+        z[-1] = 1 / (c * (1 + k)) + sag(r[-1] ** 2, 0.0, 0.0, coefficients)
     slope = np.gradient(z, r, edge_order=2) if kind != "plane" else np.zeros_like(r)
     span = max(float(np.ptp(z)), 1e-6 * outer)
     return {

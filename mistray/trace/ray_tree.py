@@ -9,6 +9,8 @@ indexed by depth, so the path is always at hand and nothing can overflow below `
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import drjit as dr
@@ -23,7 +25,6 @@ from mistray.trace.books import (
     FIRST_MISS,
     LANDED,
     MEDIUM,
-    NODE_FLOATS,
     POINT_FLOATS,
     REFLECTIONS,
     ROULETTE,
@@ -35,9 +36,9 @@ from mistray.trace.books import (
     Film,
     Recorder,
     Tallies,
-    read_node,
     record_branch,
 )
+from mistray.trace.extrema import larger
 from mistray.trace.interaction import counts_as_reflection, interact, is_aside
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import (
@@ -54,22 +55,22 @@ from mistray.trace.ledger import (
 )
 from mistray.trace.next_hit import film_coordinates, next_hit
 from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
+from mistray.trace.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
 from mistray.trace.rims import RimBook
 from mistray.trace.scattering import ScatteredRay, Scattering
-from mistray.trace.settings import NO_LIMIT, Settings
+from mistray.trace.settings import Settings
 from mistray.trace.sky import Sky
 from mistray.trace.start_rays import StartRays
+from mistray.trace.surface_rows import LaneRows
 from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
 
 # Children of a node in the order in which they are sent on; scattered ones follow
 TRANSMIT, REFLECT, SCATTER = range(3)
-ASIDE = 1 << 31  # bit of the word of a pending node; the surface and its reflections are below
 # Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit
 COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT = 0xFF, 8, 16
-PLAN_WORDS, FLOOR_FLOATS = 4, 4  # of a node, where there is scatter
 # Share of `scatter_threshold` that holds at walls against the light: in the dark little is all there is
 WORTH_IN_THE_DARK = 1e-3
-HITS_OF_LANE = 8  # place of the sums by surface among the local arrays
+SUMS_OF_LANE = 2  # place of the sums by surface among the local arrays
 
 
 def walk(
@@ -134,9 +135,8 @@ def walk(
     recorded_floats = recorder.node_floats if recorder is not None else POINT_FLOATS if rims is not None else 0
     split, roulette = settings.splitting == "split", settings.below_threshold == "roulette"
 
-    def add_reason(reason: int, value: Any, active: mi.Bool) -> None:
-        if tallies is not None:
-            tallies.add_reason(reason, batch, value, active)
+    def booker(sums: tuple[Any, ...]) -> Callable[[int | mi.UInt32, Any, mi.Bool], None]:
+        return partial(tallies.add_reason, sums) if tallies is not None else lambda *_: None
 
     def attenuate(flux: mi.Float, medium: mi.UInt32, length: mi.Float, hit: mi.Bool) -> tuple[mi.Float, mi.Float]:
         """What is left at the end of segments, and what their media scatter; what they absorb is booked."""
@@ -151,18 +151,11 @@ def walk(
     def full(value: int = 0) -> mi.UInt32:
         return dr.full(mi.UInt32, value, n)
 
-    nodes = dr.alloc_local(mi.Float, max_events * NODE_FLOATS)
+    nodes = PendingNodes(max_events, has_stock, settings.stokes, scatters, bulk)
     codes = dr.alloc_local(mi.UInt32, max_events)
-    words = dr.alloc_local(mi.UInt32, max_events)
-    keys = dr.alloc_local(mi.UInt64, max_events)
-    normals = dr.alloc_local(mi.Float, max_events * 3 if has_stock else 1)
-    polarizations = dr.alloc_local(mi.Float, max_events * 3 if settings.stokes else 1)
-    # Of a node with scatter: the next child, the scatter events before it, the surface it was aimed from, the medium;
-    # the weight at birth, the factor of its scattered rays, the length of the segment that led to it and what was
-    # scattered there
-    plans = dr.alloc_local(mi.UInt32, max_events * PLAN_WORDS if scatters else 1)
-    floors = dr.alloc_local(mi.Float, max_events * FLOOR_FLOATS if scatters else 1)
-    hits = tallies.hit_memory() if tallies is not None else dr.alloc_local(mi.Float, 1)
+    rows = LaneRows(table, n) if LaneRows.pay(table) else None
+    sums = tallies.lane_sums() if tallies is not None else ()
+    add_reason = booker(sums)
     events = adjoint.memory(max_events) if adjoint is not None else ()
     rim_events = rims.memory(max_events) if rims is not None else ()
 
@@ -219,22 +212,37 @@ def walk(
         "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # of the segment that led to it, mm
         # Flux that its medium scattered on the way
         "clouded": mi.Float(start_clouded) if bulk else dr.zeros(mi.Float, 1),
+        "trunk": full(),  # deepest node of the current path before its first reflection
+        "wait": full(),  # level at which the lane waits, see `mistray.trace.pending_nodes`; 0: it is under way
         "rng": rng,
-        "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits),
+        "memory": (nodes.memory, codes, sums),
         "events": events,
         "rim_events": rim_events,
     }
 
+    needed = {
+        "stokes": settings.stokes,
+        "normal": has_stock,
+        "total": adjoint is not None,
+        "length": bulk,
+        "clouded": bulk,
+    }
+    needed |= dict.fromkeys(("scatters", "aimed_from", "birth", "boost"), scatters)
+    constant = {name: state.pop(name) for name, is_needed in needed.items() if not is_needed}
+
     def body(state: dict[str, Any]) -> dict[str, Any]:
+        state = {**state, **constant}
         active, d, w, s, depth = (state[k] for k in ("active", "d", "w", "s", "depth"))
-        nodes, codes, words, keys, normals, polarizations, plans, floors, hits = state["memory"]
+        trunk = dr.select(state["reflections"] == 0, depth, state["trunk"])
+        path, codes, sums = state["memory"]
+        add_reason = booker(sums)
         events, rim_events = state["events"], state["rim_events"]
         rng, total = state["rng"], state["total"]
         first = active & (state["child"] == TRANSMIT)
         visited = mi.Bool(first)
         again = active & ~first
         stokes = state["stokes"] if settings.stokes else None
-        it = interact(table, state["p"], d, s, state["normal"] if has_stock else None, stokes, active)
+        it = interact(table, state["p"], d, s, state["normal"] if has_stock else None, stokes, active, rows)
         p = it.p
 
         # ---- books of a first visit
@@ -249,7 +257,7 @@ def walk(
         loss = 1 - R - T if given is None else given.absorbed
         absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
         if tallies is not None:
-            tallies.add_hit(hits, s, w, dr.maximum(absorbed, 0), first)
+            tallies.add_hit(sums, s, w, larger(absorbed, 0), first)
 
         detected = first & ((it.word & DETECTOR) != 0) if sky is None else mi.Bool(False)
         if not film.incident:
@@ -262,7 +270,7 @@ def walk(
 
         slot, booked = None, detected
         if rims is not None:
-            rims.visit(rim_events, nodes, event, it, state, batch, lane, visited, first)
+            rims.visit(rim_events, path, event, it, state, batch, lane, visited, first)
         if ledger is not None:
             if box is not None:
                 booked = detected & (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
@@ -274,7 +282,7 @@ def walk(
                 ledger.write_events(slot, depth + 1, event, new)
         if recorder is not None:
             wanted = detected & ((recorder.key == 0) | (recorder.key == key))
-            record_branch(recorder, nodes, event, wanted, (*p, *d, w), depth, lane, key, mi.Float64(w))
+            record_branch(recorder, path, event, wanted, (*p, *d, w), depth, lane, key, mi.Float64(w))
         if adjoint is not None:
             derivative = adjoint.derivative(film, x, y, slot, booked)
             gained = derivative * mi.Float64(w if film.incident else absorbed)
@@ -283,7 +291,7 @@ def walk(
                 adjoint.detected(it, given, batch, mi.Float(derivative) * w, booked)
         if tallies is not None:
             if scatters:
-                tallies.add_scattered(batch, absorbed, detected & (state["scatters"] != 0))
+                tallies.add_scattered(sums, absorbed, detected & (state["scatters"] != 0))
                 landed = detected & (state["aimed_from"] != NO_SURFACE)
                 tallies.add_surface(state["aimed_from"], LANDED, batch, 1.0, landed)
             on_film = detected
@@ -296,8 +304,7 @@ def walk(
                 flux = mi.Float64(w if film.incident else absorbed)
                 if share is not None:
                     flux *= mi.Float64(share)
-                dr.scatter_reduce(dr.ReduceOp.Add, tallies.film, flux, 2 * pixel, on_film)
-                dr.scatter_reduce(dr.ReduceOp.Add, tallies.film, flux * flux, 2 * pixel + 1, on_film)
+                tallies.add_to_film(pixel, flux, on_film)
 
         # ---- children
         visit = first | again
@@ -334,6 +341,7 @@ def walk(
             if given is not None:
                 wanted_rays = dr.select(given.random_rays > 0, given.random_rays, scatter_rays)
             random_rays = dr.select(at_random, wanted_rays, 0)
+            remainder = dr.select(at_random, mi.UInt32(SAMPLING), mi.UInt32(SCATTERS))  # aimed rays leave light out
             aimed_rays = given.aimed_t + given.aimed_r if given is not None else mi.UInt32(0)
             may_scatter &= (~transmits | at_optics) & (random_rays + aimed_rays > 0)
         stopped = dr.select(may_scatter, 0, w_s) + dr.select(may_cloud, 0, w_b)
@@ -368,7 +376,7 @@ def walk(
             w_r = dr.select(only, dr.select(to_r, w_all, 0), w_r)
             w_s = dr.select(only, dr.select(to_t | to_r, 0, w_all), w_s)
         if scatters and split:
-            add_reason(SAMPLING, w_s + w_b, first & (w_s + w_b > 0))
+            add_reason(remainder, w_s + w_b, first & (w_s + w_b > 0))
         if split:
             if not roulette:
                 cut_t, cut_r = fresh & (w_t < threshold), fresh & (w_r < threshold)
@@ -433,7 +441,7 @@ def walk(
                     return given.ray(number - SCATTER, random_rays, rng)
             else:
                 factor = child / both
-                add_reason(SAMPLING, child, scatter)
+                add_reason(remainder, child, scatter)
 
                 def choose(rng: mi.PCG32) -> ScatteredRay:
                     return given.one_ray(w_s / both, random_rays, rng)
@@ -451,33 +459,16 @@ def walk(
             origin, heading = dr.select(cloud, p - away * d, p), dr.select(cloud, along, heading)
             slope = dr.select(cloud, 0, slope)
         if scatters:
-            add_reason(SAMPLING, -child, (scatter | (cloud & split)) & (child > 0))
+            add_reason(remainder, -child, (scatter | (cloud & split)) & (child > 0))
             if tallies is not None:
                 tallies.add_surface(s, AIMED, batch, 1.0, aim)
 
         go = visit & (child > 0)
         # ---- keep the node: for its second visit, and as part of the path
-        kept = push | go
+        word = node_word(s, reflections, state["aside"] if sky is not None else None)
         # A ray that the medium scatters is the last of its node, whose point nobody needs any more
-        for j, value in enumerate((*origin, *d, w)):
-            nodes.write(value, depth * NODE_FLOATS + j, kept if j < recorded_floats else push)
-        for memory, name, used in ((normals, "normal", has_stock), (polarizations, "stokes", settings.stokes)):
-            if used:
-                for j in range(3):
-                    memory.write(state[name][j], depth * 3 + j, push)
-        keys.write(state["key"], depth, push)
-        place_and_count = s | (reflections << 16)
-        if sky is not None:
-            place_and_count = place_and_count | dr.select(state["aside"], mi.UInt32(ASIDE), 0)
-        words.write(place_and_count, depth, push)
-        if scatters:
-            for j, value in enumerate((later, state["scatters"], state["aimed_from"], state["medium"])):
-                plans.write(value, depth * PLAN_WORDS + j, push)
-            floors.write(state["birth"], depth * FLOOR_FLOATS, push)
-            floors.write(boost, depth * FLOOR_FLOATS + 1, push)
-            if bulk:
-                floors.write(state["length"], depth * FLOOR_FLOATS + 2, push)
-                floors.write(state["clouded"], depth * FLOOR_FLOATS + 3, push)
+        node = {**state, "p": origin, "word": word, "child": later, "boost": boost}
+        path = nodes.keep(path, node, depth, push, push | go, recorded_floats)
         bit = mi.UInt64(1) << mi.UInt64(depth)
         pending = dr.select(push, state["pending"] | bit, state["pending"])
         what = dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
@@ -515,9 +506,7 @@ def walk(
                     total = total + gained
                 if recorder is not None:
                     last_node, counts = (*origin, *d, w), leaving & (gained != 0)
-                    record_branch(
-                        recorder, nodes, codes.read, counts, last_node, depth, lane, path_key, gained, heading
-                    )
+                    record_branch(recorder, path, codes.read, counts, last_node, depth, lane, path_key, gained, heading)
             else:
                 sky.record(
                     heading, child, bounces, after, aside, batch, start, path_key, depth + 1, codes.read, leaving
@@ -533,13 +522,7 @@ def walk(
             adjoint.leave(events, batch, depth, k, total, ended)
         if rims is not None:
             rims.close(rim_events, depth, dr.select(back, k + 1, first_depth), total, ended)
-        bp, bd, bw = read_node(nodes, k, back)
-        word, bkey = words.read(k, back), keys.read(k, back)
         pending = dr.select(back, pending & ~(mi.UInt64(1) << mi.UInt64(k)), pending)
-
-        def again_or(memory: Any, vector: mi.Vector3f) -> mi.Vector3f:
-            return dr.select(back, mi.Vector3f(*(memory.read(k * 3 + j, back) for j in range(3))), vector)
-
         following = {}
         if scatters:
             scattered = scatter | cloud
@@ -548,53 +531,48 @@ def walk(
             aimed_from = dr.select(bounced, NO_SURFACE, state["aimed_from"])
             aimed_from = dr.select(scattered, dr.select(aim, s, NO_SURFACE), aimed_from)
             birth = dr.select(scattered, child, state["birth"])
-            base, floor = k * PLAN_WORDS, k * FLOOR_FLOATS
             following = {
-                "child": dr.select(back, plans.read(base, back), TRANSMIT),
-                "scatters": dr.select(
-                    back, plans.read(base + 1, back), state["scatters"] + dr.select(scattered, count, 0)
-                ),
-                "aimed_from": dr.select(back, plans.read(base + 2, back), aimed_from),
-                "medium": dr.select(back, plans.read(base + 3, back), medium),
-                "boost": dr.select(back, floors.read(floor + 1, back), 1),
-                "birth": dr.select(back, floors.read(floor, back), birth),
+                "scatters": state["scatters"] + dr.select(scattered, count, 0),
+                "aimed_from": aimed_from,
+                "birth": birth,
+                "boost": dr.full(mi.Float, 1, n),
             }
             if bulk:
-                following["length"] = dr.select(back, floors.read(floor + 2, back), t)
-                following["clouded"] = dr.select(back, floors.read(floor + 3, back), clouded)
+                following |= {"length": t, "clouded": clouded}
         elif bulk:  # nothing is followed: a first visit books what the medium scatters
             following = {"clouded": clouded}
-        return {
-            **state,
+        following |= {
             "active": hit | back,
-            "child": dr.select(back, mi.UInt32(REFLECT), TRANSMIT),
-            "p": dr.select(back, bp, dr.fma(t, heading, origin)),
-            "d": dr.select(back, bd, heading),
-            "w": dr.select(back, bw, child),
-            "stokes": again_or(polarizations, dr.select(scatter | cloud, 0, it.polarized.after(reflect, heading)))
+            "wait": wait_level(k, trunk, back, 1 if scatters else LEVELS),
+            "trunk": trunk,
+            "child": full(TRANSMIT),
+            "p": dr.fma(t, heading, origin),
+            "d": heading,
+            "w": child,
+            "stokes": dr.select(scatter | cloud, 0, it.polarized.after(reflect, heading))
             if it.polarized
             else state["stokes"],
-            "s": dr.select(back, word & 0xFFFF, dr.select(hit, s2, 0)),
-            "normal": again_or(normals, normal2) if has_stock else state["normal"],
-            "medium": dr.select(back, 0, medium),
+            "s": dr.select(hit, s2, 0),
+            "normal": normal2 if has_stock else state["normal"],
+            "medium": medium,
             "depth": dr.select(back, k, depth + 1),
-            "reflections": dr.select(back, (word >> 16) & NO_LIMIT, dr.select(bounced, reflections + 1, reflections)),
-            "aside": dr.select(back, (word & ASIDE) != 0, aside),
-            "key": dr.select(back, bkey, extend_key(state["key"], code)),
+            "reflections": dr.select(bounced, reflections + 1, reflections),
+            "aside": aside,
+            "key": extend_key(state["key"], code),
             "pending": pending,
             "segments": segments,
             "total": total,
             "rng": rng,
-            "memory": (nodes, codes, words, keys, normals, polarizations, plans, floors, hits),
+            "memory": (path, codes, sums),
             "events": events,
             "rim_events": rim_events,
-            **following,
         }
+        return {name: value for name, value in {**state, **following}.items() if name not in constant}
 
-    (end,) = dr.while_loop(
-        (state,), lambda state: state["active"], lambda state: (body(state),), mode="symbolic", label="ray tree"
-    )
-    add_reason(SEGMENTS, end["segments"], mi.Bool(True))
+    walk_on = at_once if scatters else in_step
+    end = walk_on(state, body, partial(nodes.resume, child=REFLECT))
     if tallies is not None:
-        tallies.collect_hits(end["memory"][HITS_OF_LANE], batch)
+        sums = end["memory"][SUMS_OF_LANE]
+        tallies.add_reason(sums, SEGMENTS, end["segments"], mi.Bool(True))
+        tallies.collect(sums, batch)
     return end["total"] if adjoint is not None else None

@@ -2,19 +2,17 @@
 
 from __future__ import annotations
 
-import importlib.metadata
 import time
-from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict, dataclass
-from functools import lru_cache
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.books import AIMED, FIRST_MISS, LANDED, SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
+from mistray.trace.books import AIMED, LANDED, SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
+from mistray.trace.by_parts import TraceTask, maps_by_parts
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.ledger import BATCHES
@@ -22,10 +20,9 @@ from mistray.trace.paths import PathTable, path_table
 from mistray.trace.raw_gradient import MOMENTS, HitDerivative, PathDerivative, RawGradient, Wanted
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.run_gradient import run_gradient
-from mistray.trace.settings import Settings
-from mistray.trace.sources import Beam
 from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.tracer import Run, prepare
+from mistray.trace.tracer import Run
+from mistray.trace.workers import current_workers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -58,6 +55,8 @@ class Trace:
     ----------
     settings : dict
         Everything that determines the result: arguments, scene, variant, versions.
+    rays, rays_planned : int
+        Start rays that were traced and that were to be; fewer where workers were lost, see `mistray.distribute`.
     paths : PathTable
         Paths from the sources to the detector, the strongest first; None if traced with ``ledger=False``.
     energy : Energy
@@ -85,9 +84,11 @@ class Trace:
         Time in the kernel, its compilation included.
     """
 
-    def __init__(self, runs: list[Run], settings: dict[str, Any]) -> None:
-        self._runs = runs
+    def __init__(self, runs: list[Run], settings: dict[str, Any], task: TraceTask | None = None) -> None:
+        self._runs, self._task = runs, task
         self.settings = settings
+        self.rays = round(sum(float(run.started.sum()) for run in runs))
+        self.rays_planned = sum(run.rays for run in runs)
         self.extent = runs[0].table.film()[2]
         self.irradiance, self.irradiance_se = self._map(runs, [run.film for run in runs])
         decoded = [run.paths for run in runs if run.paths is not None]
@@ -99,7 +100,7 @@ class Trace:
             sum(run.unit**power * float(run.reasons[reason].sum()) for run in runs)
             for power, reason in enumerate((SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES))
         )
-        self.scattered_rays_per_start = hits / sum(run.rays for run in runs)
+        self.scattered_rays_per_start = hits / self.rays
         self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
         self.aiming = _aimed_surfaces(runs)
@@ -117,7 +118,7 @@ class Trace:
         pixel = runs[0].pixel_area
         total = sum(run.unit * film[0] for run, film in zip(runs, films, strict=True))
         variance = sum(
-            run.unit**2 * np.maximum(film[1] - film[0] ** 2 / run.rays, 0.0)
+            run.unit**2 * np.maximum(film[1] - film[0] ** 2 / run.started.sum(), 0.0)
             for run, film in zip(runs, films, strict=True)
         )
         return np.asarray(total) / pixel, np.sqrt(variance) / pixel
@@ -206,10 +207,14 @@ class Trace:
                 if numbers[run].setdefault(slot, number) != number:
                     raise MistrayError(f"path_id {path_id} is in two groups; a path belongs to one map")
         size = (len(groups), 2, *self.irradiance.shape)
-        stacks = [
-            run.maps(slots, len(groups)) if slots else np.zeros(size)
-            for run, slots in zip(self._runs, numbers, strict=True)
-        ]
+        workers = current_workers()
+        if workers is not None and self._task is not None:
+            stacks = maps_by_parts(workers, self._task, self._runs, numbers, len(groups))
+        else:
+            stacks = [
+                run.maps(slots, len(groups)) if slots else np.zeros(size)
+                for run, slots in zip(self._runs, numbers, strict=True)
+            ]
         for number in range(len(groups)):
             yield self._map(self._runs, [stack[number] for stack in stacks])
 
@@ -311,6 +316,8 @@ class Trace:
         RawGradient
             For each source and wavelength that matters.
         """
+        if self.rays != self.rays_planned:
+            raise MistrayError(f"only {self.rays} of {self.rays_planned} rays were traced; gradients need all of them")
         path = derivative.path
         maps = derivative.map_of_path
         for number, run in enumerate(self._runs):
@@ -347,13 +354,9 @@ class Trace:
     def __repr__(self) -> str:
         count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"
         detected = f"detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W"
+        if self.rays != self.rays_planned:
+            count = f"unfinished: {self.rays} of {self.rays_planned} rays, {count}"
         return f"Trace({count}, {self.segments:.3g} segments, {detected})"
-
-
-@lru_cache(maxsize=1)
-def versions() -> dict[str, str]:
-    """Versions of the packages that a result depends on."""
-    return {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")}
 
 
 def _aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
@@ -361,138 +364,3 @@ def _aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
     table = runs[0].table
     sums = sum(run.surfaces[:, [AIMED, LANDED]].sum(axis=-1) for run in runs)
     return [AimedSurface(table.ids[i], *map(float, sums[i])) for i in table.listed if sums[i, 0] > 0]
-
-
-def trace(
-    scene: mi.Scene,
-    rays: float | None = None,
-    field_deg: float | None = None,
-    azimuth_deg: float | None = None,
-    wavelength_nm: float | Sequence[float] | None = None,
-    weights: Sequence[float] | None = None,
-    max_reflections: int | None = None,
-    max_scatters: int | None = None,
-    max_optical_scatters: int | None = None,
-    max_random_scatters: int | None = None,
-    max_generations: int | None = None,
-    max_events: int | None = None,
-    scatter_rays: int | None = None,
-    aimed_rays: int | None = None,
-    aim: str | None = None,
-    flux_threshold: float | None = None,
-    scatter_threshold: float | None = None,
-    splitting: str | None = None,
-    below_threshold: str | None = None,
-    seed: int | None = None,
-    ray_control: str | None = None,
-    polarization: str | None = None,
-    detector: str | None = None,
-    ledger: bool = True,
-    progress: Callable[[int, int], None] | None = None,
-) -> Trace:
-    """
-    Trace the ray tree of a scene from its sources to its detector.
-
-    An argument that is None takes the value of the scene's ``straylight`` integrator or source, or else the default of
-    `mistray.trace.Settings`.
-
-    Parameters
-    ----------
-    scene : mi.Scene
-        From `mistray.load`, or any Mitsuba scene with ``interface`` BSDFs, a ``collimated`` source and a detector.
-    rays : int
-        Start rays.
-    field_deg, azimuth_deg : float
-        Direction of the beam, degrees.
-    wavelength_nm : float or sequence of float
-        Vacuum wavelengths, nm.
-    weights : sequence of float
-        Shares of the flux, one for each wavelength; normalised, equal by default.
-    max_reflections, max_scatters, max_optical_scatters, max_random_scatters, max_generations, max_events
-        Limits of a path, see `mistray.trace.Settings`.
-    scatter_rays, aimed_rays, aim
-        Scattered rays at every hit and where they are aimed at, see there.
-    flux_threshold, scatter_threshold, splitting, below_threshold, seed, ray_control, polarization
-        See there.
-    detector : str
-        Id of the detector, if the scene has several.
-    ledger : bool
-        Keep the path table; without it a trace is a little faster.
-    progress : callable
-        Called with (rays done, rays in all).
-
-    Returns
-    -------
-    Trace
-
-    Raises
-    ------
-    MistrayError
-        If the scene lacks a source, a detector or an ``interface``, an argument is out of range, or the beam misses
-        every surface.
-    """
-    if not isinstance(scene, mi.Scene):
-        raise MistrayError(f"trace() got {type(scene).__name__}; load the scene first: mistray.load(path)")
-    settings = Settings.of(
-        scene,
-        rays=rays,
-        max_reflections=max_reflections,
-        max_scatters=max_scatters,
-        max_optical_scatters=max_optical_scatters,
-        max_random_scatters=max_random_scatters,
-        max_generations=max_generations,
-        max_events=max_events,
-        scatter_rays=scatter_rays,
-        aimed_rays=aimed_rays,
-        aim=aim,
-        flux_threshold=flux_threshold,
-        scatter_threshold=scatter_threshold,
-        splitting=splitting,
-        below_threshold=below_threshold,
-        seed=seed,
-        ray_control=ray_control,
-        polarization=polarization,
-    )
-    runs = prepare(scene, settings, field_deg, azimuth_deg, wavelength_nm, weights, detector)
-    all_rays = sum(run.rays for run in runs)
-    done = 0
-    for run in runs:
-        before = done
-
-        def report(traced: int, _: int, before: int = before) -> None:
-            if progress:
-                progress(before + traced, all_rays)
-
-        run.execute(ledger, report)
-        done += run.rays
-        if run.reasons[FIRST_MISS].sum() == run.rays:
-            beam = run.beam
-            assert isinstance(beam, Beam)
-            raise MistrayError(
-                f"source '{beam.name}': no ray of the beam along "
-                f"({', '.join(f'{c:.4g}' for c in beam.direction)}) hits a surface; "
-                "check field_deg, the source's position and its size"
-            )
-    first = runs[0].beam
-    assert isinstance(first, Beam)
-    emitter = first.emitter
-    wavelengths = sorted({run.beam.wavelength_nm for run in runs})
-    power = sum(run.beam.power for run in runs)
-    return Trace(
-        runs,
-        {
-            **asdict(settings),
-            "rays": all_rays,
-            "field_deg": emitter.field_deg if field_deg is None else float(field_deg),
-            "azimuth_deg": emitter.azimuth_deg if azimuth_deg is None else float(azimuth_deg),
-            "wavelength_nm": wavelengths,
-            "weights": [
-                sum(run.beam.power for run in runs if run.beam.wavelength_nm == w) / power for w in wavelengths
-            ],
-            "detector": runs[0].table.ids[runs[0].table.detector],
-            "ledger": ledger,
-            "variant": mi.variant(),
-            "versions": dict(versions()),
-            "date": time.strftime("%Y-%m-%d %H:%M:%S"),
-        },
-    )

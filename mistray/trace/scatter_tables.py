@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.scatter.lobe import Lobe, RatioTable, Scatter
+from mistray.scatter.particulate import particle_indices
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import Totals, check_budget, model_lobes, specular_cosine, totals
 from mistray.trace.device_targets import DeviceTargets
@@ -56,9 +57,20 @@ class Side:
         )
 
 
-@lru_cache(maxsize=1024)
 def side_of(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
     """What models make of light of one side, computed once."""
+    return _known_side(models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front)
+
+
+@lru_cache(maxsize=1024)
+def _known_side(
+    models: tuple[Scatter, ...],
+    _particles: tuple[complex, ...],
+    wavelength_nm: float,
+    n_in: float,
+    n_out: float,
+    from_front: bool,
+) -> Side:
     return make_side(models, wavelength_nm, n_in, n_out, from_front)
 
 

@@ -105,14 +105,19 @@ class Given:
         return ScatteredRay(reflect, aim, mi.Float(random_rays) * event_share, aimed)
 
     def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
-        """One ray for all, where the node scatters with this probability; it is aimed half of the time if it can be."""
+        """
+        One ray for all, where the node scatters with this probability; it is aimed half of the time if it can be.
+
+        Without random rays it has no weight in an event that has no target.
+        """
         reflect = rng.next_float32() * self.scattered >= self.transmission.scattered
         event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
         aimed = dr.select(reflect, self.aimed_r, self.aimed_t) > 0
         aiming = dr.select(aimed, dr.select(random_rays > 0, mi.Float(0.5), 1), 0)
         aim = rng.next_float32() < aiming
         probability = probability * event_share
-        return ScatteredRay(reflect, aim, probability * (1 - aiming), probability * aiming)
+        at_random = dr.select(random_rays > 0, 1 - aiming, 0)
+        return ScatteredRay(reflect, aim, probability * at_random, probability * aiming)
 
 
 @dataclass

@@ -31,7 +31,8 @@ class Settings:
     max_optical_scatters : int
         Most of them at surfaces that transmit.
     max_random_scatters : int
-        Most of them that are not aimed at a target.
+        Most of them that are not aimed at a target. From there on hits send aimed rays only, and what they would
+        scatter elsewhere is lost; `Energy.cut` has it under "max_scatters".
     max_generations : int
         Most reflections and scatter events together.
     max_events : int

@@ -178,6 +178,8 @@ def beams(
         distance = emitter.start_distance(bounds, direction, pivot)
         for wavelength, share in zip(wavelengths, shares, strict=True):
             power = emitter.power(field_deg) * share
+            if not np.isfinite(power):
+                raise MistrayError(f"source '{name}' has a power of {power} W; give a smaller irradiance or beam")
             result.append(Beam(emitter, name, float(wavelength), power, pivot, direction, u, v, distance))
     return result
 

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -35,6 +35,14 @@ LAST_CAPACITY = 1 << 20
 Progress = Callable[[int, int], None]
 
 
+class Part(NamedTuple):
+    """The start rays of a pass that are of the batches low ≤ batch < high: each batch is a sample of the whole beam."""
+
+    number: int
+    low: int = 0
+    high: int = BATCHES
+
+
 @dataclass
 class Run:
     """
@@ -61,6 +69,8 @@ class Run:
     ledger : Ledger or None
     seconds : float
         Time in the kernel, compilation included.
+    parts : tuple of Part or None
+        What is traced; None: all passes.
     """
 
     beam: Source
@@ -79,6 +89,7 @@ class Run:
     paths: DecodedPaths | None = None
     ledger: Ledger | None = None
     seconds: float = 0.0
+    parts: tuple[Part, ...] | None = None
 
     def make_film(self) -> Film:
         """The detector's pixel grid for the kernel."""
@@ -98,6 +109,12 @@ class Run:
         """Number of passes that all start rays take."""
         return -(-self.rays // PASS_LANES)
 
+    @property
+    def is_sample(self) -> bool:
+        """Whether what is traced stands for the whole beam: any part does, but for the rows of a grid in one pass."""
+        whole_rows = self.beam.pattern != "grid" or self.passes == 1
+        return self.parts is None or (bool(self.parts) and whole_rows)
+
     def start_pass(self, number: int) -> StartRays:
         """The start rays of one pass."""
         done = number * PASS_LANES
@@ -113,6 +130,15 @@ class Run:
         o, d = self.beam.start(lane, batch, self.rays, rng, closing)
         dr.eval(o, d, rng)
         return StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes))
+
+    def starts(self) -> Iterator[tuple[Part, StartRays]]:
+        """The start rays of all parts."""
+        for part in self.parts if self.parts is not None else map(Part, range(self.passes)):
+            start = self.start_pass(part.number)
+            if (part.low, part.high) != (0, BATCHES):
+                batch = np.array(start.batch)
+                start = start.take(upload(mi.UInt32, np.flatnonzero((batch >= part.low) & (batch < part.high))))
+            yield part, start
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Origins (mm) and directions of start rays by their numbers, (n, 3) float64 each."""
@@ -140,10 +166,12 @@ class Run:
     ) -> None:
         """Run the passes one after the other, until `stop`, which is asked after each, says so."""
         corners = None if box is None else mi.Vector4f(*(dr.opaque(mi.Float, float(v)) for v in box))
-        for number in range(self.passes):
-            self.walk(self.start_pass(number), film, tallies, ledger, box=corners, adjoint=adjoint)
+        done = 0
+        for _, start in self.starts():
+            self.walk(start, film, tallies, ledger, box=corners, adjoint=adjoint)
+            done += dr.width(start.lane)
             if progress:
-                progress(min((number + 1) * PASS_LANES, self.rays), self.rays)
+                progress(done, self.rays)
             if stop and stop():
                 return
 
@@ -281,12 +309,11 @@ class Run:
         """
         recorder = Recorder(max(count, RECORD_CAPACITY), self.settings.max_events, mi.UInt64(dr.opaque(mi.UInt64, key)))
         film = self.make_film()
-        for number in range(self.passes):
-            start = self.start_pass(number)
-            host_batch = np.array(start.batch)
+        for part, start in self.starts():
+            host_batch = np.array(start.batch) - part.low
             groups = [
                 np.flatnonzero((host_batch >= low) & (host_batch < high))
-                for low, high in (((0, 1), (1, 4), (4, BATCHES)) if number == 0 else ((0, BATCHES),))
+                for low, high in (((0, 1), (1, 4), (4, BATCHES)) if part.number == 0 else ((0, BATCHES),))
             ]
             # The recorder keeps what comes first: of a large batch, rays that are spread over it
             spread = slice(None, None, -(-len(groups[0]) // RECORD_CAPACITY) or 1)

@@ -13,11 +13,11 @@ from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
 from mistray.trace.coating_gradient import IDEAL_PARAMETERS
+from mistray.trace.forward import trace
 from mistray.trace.frozen_tangent import run_tangent
 from mistray.trace.geometry_gradient import geometry_columns
 from mistray.trace.parameter_gradient import edge_gradient, parameter_gradient
 from mistray.trace.raw_gradient import EDGE_WIDTH, Wanted
-from mistray.trace.result import trace
 from mistray.trace.run_gradient import run_gradient
 from mistray.trace.settings import Settings
 from mistray.trace.tracer import prepare

@@ -15,6 +15,7 @@ from mistray.physics.contamination import Cloud
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.particulate import Particulate
 from mistray.scatter.total import check_budget, lobe_total, totals
+from mistray.trace.scatter_tables import make_side, side_of
 
 DATA = Path(__file__).parents[1] / "data"
 VECTORS = 1e-3  # relative, as required
@@ -163,3 +164,17 @@ def test_event_and_side() -> None:
 def test_bad_input(options: dict, words: str) -> None:
     with pytest.raises(MistrayError, match=words):
         Particulate(**options)
+
+
+def test_particles_of_a_file_that_changes_are_computed_again(tmp_path: Path) -> None:
+    """In one process, under the same name."""
+    file = tmp_path / "soot.csv"
+    models = (Particulate(level=300.0, particle=str(file), max_um=3.0),)
+    found = []
+    for k in (0.0, 0.5):
+        file.write_text(f"wavelength_nm,n,k\n400,1.5,{k:.1f}\n700,1.5,{k:.6f}\n")
+        found.append(side_of(models, WAVELENGTH_NM, 1.0, 1.0, True))
+        exact = make_side(models, WAVELENGTH_NM, 1.0, 1.0, True)
+        np.testing.assert_array_equal(found[-1].rows["reflection"], exact.rows["reflection"])
+    assert side_of(models, WAVELENGTH_NM, 1.0, 1.0, True) is found[1]
+    assert np.max(np.abs(found[0].rows["reflection"] / found[1].rows["reflection"] - 1)) > 0.1

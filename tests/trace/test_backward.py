@@ -13,11 +13,12 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray import MistrayError
-from mistray.analysis.pst.run import _strongest, join_books, with_the_light
+from mistray.analysis.pst.run import _strongest, with_the_light
 from mistray.trace import backward
 from mistray.trace.backward import BackwardTrace, Seen, see
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.ledger import ABSORBED, BATCHES, EVENT_BITS, RANDOM_REFLECTED, REFLECTED, TRANSMITTED, host_keys
+from mistray.trace.path_books import join_books
 from mistray.trace.settings import Settings
 
 RAYS = 4096

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -150,3 +152,17 @@ def test_tables_are_kept() -> None:
         optics.angle_table(Stack((Layer("1.38", 99.6),), "front", "once"), 550.0, 1 + 0j, 1.5 + 0j, False, False)
         is first
     )
+
+
+def test_a_film_of_a_file_that_changes_is_tabulated_again(tmp_path: Path) -> None:
+    """In one process, under the same name: the disk cache would keep the old numbers as those of the new file."""
+    stack = Stack((Layer(str(tmp_path / "film.csv"), 99.6),), "front")
+    shares = []
+    for n in (1.38, 2.3, 2.3):
+        (tmp_path / "film.csv").write_text(f"wavelength_nm,n,k\n400,{n},0\n700,{n:.6f},0\n")
+        known = optics.angle_table(stack, 550.0, 1 + 0j, 1.5 + 0j, False, False)
+        there = stack.response(550.0, 1 + 0j, 1.5 + 0j, np.ones(1), True).R.mean()
+        assert known.refraction[-1, optics.REFLECTION_FRONT, 0] == pytest.approx(there, rel=1e-9)
+        shares.append(there)
+    assert shares[0] < 0.05 < shares[1]
+    assert shares[1] == shares[2]

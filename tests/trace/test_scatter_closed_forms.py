@@ -231,6 +231,27 @@ class TestPlates:
             assert se < 5e-3 * tis
 
 
+@pytest.mark.parametrize("splitting", ["split", "one"])
+def test_what_aimed_rays_leave_out_is_cut(load_scene: Load, splitting: str) -> None:
+    """A Lambertian wall that may only aim, at a cone of 30° about its normal, loses rho cos² 30°."""
+    rho, radius = 0.5, 100 * float(np.tan(np.radians(30.0)))
+    disc = {"at": (0.0, 0.0, -100.0), "facing": (0.0, 0.0, -1.0)}
+    scene = load_scene(
+        scatter_scene(
+            beam_xml(1e-3, power=1.0, distance=50.0),
+            placed_xml("asphere", "plate", wall_xml(rho), semi_diameter=1.0),
+            target_xml("aim", "plate", scale=(radius, radius, 1.0), **disc),
+            placed_xml("asphere", "detector", pixels=4, semi_diameter=radius, **disc),
+        )
+    )
+    how = {"rays": 40_000, "aim": "targets", "max_random_scatters": 0, "splitting": splitting}
+    cuts = [mistray.trace(scene, seed=seed, **how).energy.cut for seed in range(16)]
+    assert {cut["scatter_sampling"] for cut in cuts} == {0.0}
+    mean, se = mean_and_error([cut["max_scatters"] for cut in cuts])
+    assert_z(f"cut, {splitting}", mean, rho * 0.75, se, k=4.0, floor=1e-5)
+    assert se < 1e-3 * rho
+
+
 def cone_text(bsdf: str, incidence_deg: float, axis_deg: float, azimuth_deg: float, half_deg: float) -> str:
     """A plate, 1 W on a point of it, and a disc, detector and target, that fills a cone as seen from there."""
     theta, phi, half, i = np.radians([axis_deg, azimuth_deg, half_deg, incidence_deg])

@@ -93,6 +93,20 @@ def test_limits(load_scene, limit: str, most: int) -> None:
     assert trace.energy.cut["max_scatters"] > 0
 
 
+def test_aimed_rays_alone_one_in_one_out(load_scene) -> None:
+    """Light that has no target, here the reflected, is not sent at random then; the aimed carry the same as all do."""
+    scene = load_scene(window_text(ROUGH))
+    found = {}
+    for splitting, rays in (("split", 50_000), ("one", 400_000)):
+        trace = mistray.trace(scene, rays=rays, max_scatters=2, max_random_scatters=0, splitting=splitting)
+        assert {LIMITS["max_random_scatters"](row) for row in trace.paths} == {0}
+        assert abs(trace.energy.closure) < 1e-5
+        found[splitting] = scattered(trace)
+    (split, split_se), (one, one_se) = found.values()
+    assert one_se < 0.03 * one
+    assert abs(z_score(one, split, np.hypot(one_se, split_se))) < z_limit(1)
+
+
 def test_without_scatter_surfaces_lose_what_they_would_scatter(load_scene) -> None:
     """Totals of the model at normal incidence, twice, exactly; both faces scatter what is reflected as well."""
     scene = load_scene(window_text(ROUGH))

@@ -1,0 +1,65 @@
+"""Mie scattering of the particles of a surface, kept on disk: seconds of work for a few kilobytes.
+
+A cloud is computed from its arguments and nothing else, so that one from the cache is the one that would be computed.
+Where the cache cannot be read or written it is computed every time, and one line says so, once in a process.
+"""
+
+from __future__ import annotations
+
+import json
+import logging
+from functools import lru_cache
+from pathlib import Path
+
+import numpy as np
+
+from mistray.cache import Cache, code_fingerprint, key_of, open_cache
+from mistray.physics.contamination import Cloud, check_distribution, cloud
+
+LOG = logging.getLogger("mistray.cache")
+
+
+@lru_cache(maxsize=32)
+def kept_cloud(
+    wavelength_um: float,
+    index: complex,
+    level: float,
+    slope: float,
+    min_um: float,
+    max_um: float | None,
+    immersion: float,
+) -> Cloud:
+    """
+    The cloud of `mistray.physics.contamination.cloud`, which has the arguments, from the cache or else computed.
+
+    Raises
+    ------
+    MistrayError
+        As `mistray.physics.contamination.cloud`.
+    """
+    check_distribution(level, slope, min_um, max_um)
+    arguments = (wavelength_um, index, level, slope, min_um, max_um, immersion)
+    given = open_cache()
+    if given is None:
+        return cloud(*arguments)
+    cache = _cache(given.folder, given.limit_bytes)
+    numbers = [wavelength_um, index.real, index.imag, level, slope, min_um, max_um, immersion]
+    numbers = [None if number is None else float(number) for number in numbers]
+    key = key_of({"kind": "cloud of particles", "code": code_fingerprint(), "arguments": numbers})
+    told = len(cache.problems)
+    content = cache.get(key)
+    if content is not None:
+        extinction, scattering, log_f = json.loads(content)
+        found = Cloud.of_nodes(extinction, scattering, log_f)
+    else:
+        found = cloud(*arguments)
+        cache.put(key, json.dumps([found.extinction, found.scattering, np.asarray(found.nodes).tolist()]).encode())
+    for problem in cache.problems[told:]:
+        LOG.warning(problem)
+    return found
+
+
+@lru_cache(maxsize=8)
+def _cache(folder: Path, limit_bytes: int) -> Cache:
+    """One in a process, which tells what is wrong with it once."""
+    return Cache(folder, limit_bytes)

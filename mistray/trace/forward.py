@@ -1,0 +1,212 @@
+"""`mistray.trace`: the ray tree of a scene, from its sources to its detector."""
+
+from __future__ import annotations
+
+import importlib.metadata
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from functools import lru_cache
+from typing import Any
+
+import mitsuba as mi
+
+from mistray.errors import MistrayError, UnfinishedError
+from mistray.trace.books import FIRST_MISS
+from mistray.trace.by_parts import TraceTask, execute_by_parts, tables_of
+from mistray.trace.result import Trace
+from mistray.trace.settings import Settings
+from mistray.trace.sources import Beam
+from mistray.trace.tracer import Run, prepare
+from mistray.trace.workers import current_workers
+
+
+@lru_cache(maxsize=1)
+def versions() -> dict[str, str]:
+    """Versions of the packages that a result depends on."""
+    return {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")}
+
+
+def trace(
+    scene: mi.Scene,
+    rays: float | None = None,
+    field_deg: float | None = None,
+    azimuth_deg: float | None = None,
+    wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
+    max_reflections: int | None = None,
+    max_scatters: int | None = None,
+    max_optical_scatters: int | None = None,
+    max_random_scatters: int | None = None,
+    max_generations: int | None = None,
+    max_events: int | None = None,
+    scatter_rays: int | None = None,
+    aimed_rays: int | None = None,
+    aim: str | None = None,
+    flux_threshold: float | None = None,
+    scatter_threshold: float | None = None,
+    splitting: str | None = None,
+    below_threshold: str | None = None,
+    seed: int | None = None,
+    ray_control: str | None = None,
+    polarization: str | None = None,
+    detector: str | None = None,
+    ledger: bool = True,
+    progress: Callable[[int, int], None] | None = None,
+) -> Trace:
+    """
+    Trace the ray tree of a scene from its sources to its detector.
+
+    An argument that is None takes the value of the scene's ``straylight`` integrator or source, or else the default of
+    `mistray.trace.Settings`.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        From `mistray.load`, or any Mitsuba scene with ``interface`` BSDFs, a ``collimated`` source and a detector.
+    rays : int
+        Start rays.
+    field_deg, azimuth_deg : float
+        Direction of the beam, degrees.
+    wavelength_nm : float or sequence of float
+        Vacuum wavelengths, nm.
+    weights : sequence of float
+        Shares of the flux, one for each wavelength; normalised, equal by default.
+    max_reflections, max_scatters, max_optical_scatters, max_random_scatters, max_generations, max_events
+        Limits of a path, see `mistray.trace.Settings`.
+    scatter_rays, aimed_rays, aim
+        Scattered rays at every hit and where they are aimed at, see there.
+    flux_threshold, scatter_threshold, splitting, below_threshold, seed, ray_control, polarization
+        See there.
+    detector : str
+        Id of the detector, if the scene has several.
+    ledger : bool
+        Keep the path table; without it a trace is a little faster.
+    progress : callable
+        Called with (rays done, rays in all).
+
+    Returns
+    -------
+    Trace
+
+    Raises
+    ------
+    MistrayError
+        If the scene lacks a source, a detector or an ``interface``, an argument is out of range, or the beam misses
+        every surface.
+    """
+    if not isinstance(scene, mi.Scene):
+        raise MistrayError(f"trace() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    settings = Settings.of(
+        scene,
+        rays=rays,
+        max_reflections=max_reflections,
+        max_scatters=max_scatters,
+        max_optical_scatters=max_optical_scatters,
+        max_random_scatters=max_random_scatters,
+        max_generations=max_generations,
+        max_events=max_events,
+        scatter_rays=scatter_rays,
+        aimed_rays=aimed_rays,
+        aim=aim,
+        flux_threshold=flux_threshold,
+        scatter_threshold=scatter_threshold,
+        splitting=splitting,
+        below_threshold=below_threshold,
+        seed=seed,
+        ray_control=ray_control,
+        polarization=polarization,
+    )
+    beam: dict[str, Any] = {
+        "field_deg": field_deg,
+        "azimuth_deg": azimuth_deg,
+        "wavelength_nm": wavelength_nm,
+        "weights": weights,
+        "detector": detector,
+    }
+    runs = prepare(scene, settings, **beam)
+    workers, task = current_workers(), None
+    if workers is None:
+        _execute(runs, ledger, progress)
+    else:
+        task = TraceTask(scene, settings, beam, ledger, tables_of(runs))
+        try:
+            execute_by_parts(workers, task, runs, progress)
+        except UnfinishedError as error:
+            _explain(error, runs, lambda: _result(runs, settings, field_deg, azimuth_deg, ledger, task))
+            raise
+    for run in runs:
+        _require_hits(run)
+    return _result(runs, settings, field_deg, azimuth_deg, ledger, task)
+
+
+def _execute(runs: Sequence[Run], ledger: bool, progress: Callable[[int, int], None] | None) -> None:
+    """Trace runs here, one after the other, until one of them meets nothing."""
+    all_rays = sum(run.rays for run in runs)
+    done = 0
+    for run in runs:
+        before = done
+
+        def report(traced: int, _: int, before: int = before) -> None:
+            if progress:
+                progress(before + traced, all_rays)
+
+        run.execute(ledger, report)
+        done += run.rays
+        _require_hits(run)
+
+
+def _require_hits(run: Run) -> None:
+    if run.reasons[FIRST_MISS].sum() == run.rays:
+        beam = run.beam
+        assert isinstance(beam, Beam)
+        raise MistrayError(
+            f"source '{beam.name}': no ray of the beam along "
+            f"({', '.join(f'{c:.4g}' for c in beam.direction)}) hits a surface; "
+            "check field_deg, the source's position and its size"
+        )
+
+
+def _explain(error: UnfinishedError, runs: Sequence[Run], result: Callable[[], Trace]) -> None:
+    """Give an error what was finished, and say so, if that is a sample of all the light of the source."""
+    planned = sum(run.rays for run in runs)
+    if not all(run.is_sample for run in runs):
+        error.args = (f"{error}; too few of the {planned:.4g} rays are finished for a result",)
+        return
+    error.partial = result()
+    error.args = (f"{error}; {error.partial.rays:.4g} of {planned:.4g} rays are finished and kept",)
+
+
+def _result(
+    runs: list[Run],
+    settings: Settings,
+    field_deg: float | None,
+    azimuth_deg: float | None,
+    ledger: bool,
+    task: TraceTask | None,
+) -> Trace:
+    """The trace of some runs that have been traced, with everything that determines it."""
+    first = runs[0].beam
+    assert isinstance(first, Beam)
+    emitter = first.emitter
+    wavelengths = sorted({run.beam.wavelength_nm for run in runs})
+    power = sum(run.beam.power for run in runs)
+    return Trace(
+        runs,
+        {
+            **asdict(settings),
+            "rays": sum(run.rays if run.parts is None else round(float(run.started.sum())) for run in runs),
+            "field_deg": emitter.field_deg if field_deg is None else float(field_deg),
+            "azimuth_deg": emitter.azimuth_deg if azimuth_deg is None else float(azimuth_deg),
+            "wavelength_nm": wavelengths,
+            "weights": [
+                sum(run.beam.power for run in runs if run.beam.wavelength_nm == w) / power for w in wavelengths
+            ],
+            "detector": runs[0].table.ids[runs[0].table.detector],
+            "ledger": ledger,
+            "variant": mi.variant(),
+            "versions": dict(versions()),
+            "date": time.strftime("%Y-%m-%d %H:%M:%S"),
+        },
+        task,
+    )

@@ -1,0 +1,100 @@
+"""Clouds of particles from the cache are those that would be computed."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+from mistray.physics import contamination
+from mistray.scatter import particle_clouds
+from mistray.scatter.particle_clouds import kept_cloud
+
+SMALL = (0.55, 1.53 + 0.002j, 2.0, 0.926, 1.0, None, 1.0)  # few sizes: quick
+ANGLES = np.array([0.0, 1e-4, 0.01, 0.3, 1.5, 3.0, np.pi])
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.setenv("MISTRAY_CACHE", str(tmp_path / "cache"))
+    _forget()
+    return tmp_path / "cache"
+
+
+def _forget() -> None:
+    """As another process: nothing is in memory."""
+    for function in (kept_cloud, particle_clouds._cache, contamination.cloud):
+        function.cache_clear()
+
+
+def _computed(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    done: list[Any] = []
+    real = particle_clouds.cloud
+    monkeypatch.setattr(particle_clouds, "cloud", lambda *arguments: done.append(arguments) or real(*arguments))
+    return done
+
+
+def test_the_same_numbers(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    done = _computed(monkeypatch)
+    expected = contamination.cloud(*SMALL)
+    for _ in range(2):
+        found = kept_cloud(*SMALL)
+        assert (found.extinction, found.scattering) == (expected.extinction, expected.scattering)
+        np.testing.assert_allclose(found.f(ANGLES), expected.f(ANGLES), rtol=1e-13)
+        _forget()
+    assert len(done) == 1
+    assert len(list(folder.iterdir())) == 1
+
+
+@pytest.mark.parametrize("place", range(7))
+def test_every_argument_counts(place: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    other = list(SMALL)
+    other[place] = 1.5 if SMALL[place] is None else SMALL[place] * (1 + 1e-9)
+    made = contamination.cloud(*SMALL)
+    done: list[Any] = []
+    monkeypatch.setattr(particle_clouds, "cloud", lambda *arguments: done.append(arguments) or made)
+    kept_cloud(*SMALL)
+    kept_cloud(*other)
+    assert done == [SMALL, tuple(other)]
+
+
+def test_the_code_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    done = _computed(monkeypatch)
+    kept_cloud(*SMALL)
+    _forget()
+    monkeypatch.setattr(particle_clouds, "code_fingerprint", lambda: "other code")
+    kept_cloud(*SMALL)
+    assert len(done) == 2
+
+
+def test_impossible_distributions_are_refused_as_before() -> None:
+    with pytest.raises(MistrayError, match="cleanliness level 0"):
+        kept_cloud(0.55, 1.53 + 0j, 0.0, 0.926, 1.0, None, 1.0)
+
+
+def test_switched_off(folder: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("MISTRAY_CACHE", "off")
+    kept_cloud(*SMALL)
+    assert not folder.exists()
+
+
+def test_trouble_is_one_line(folder: Path, caplog: pytest.LogCaptureFixture, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder.write_text("no folder")
+    for level in (2.0, 2.5):
+        kept_cloud(*SMALL[:2], level, *SMALL[3:])
+    assert [record.getMessage() for record in caplog.records] == [
+        f"cache '{folder}': File exists; results are not kept, make room or name another folder in MISTRAY_CACHE, or "
+        "switch the cache off"
+    ]
+
+
+def test_damage(folder: Path, caplog: pytest.LogCaptureFixture) -> None:
+    before = kept_cloud(*SMALL)
+    (path,) = folder.iterdir()
+    path.write_bytes(path.read_bytes()[:-30])
+    _forget()
+    assert kept_cloud(*SMALL).extinction == before.extinction
+    assert [f"'{path}' is damaged" in record.getMessage() for record in caplog.records] == [True]
