@@ -1,16 +1,21 @@
 """What the ledger says: ghosts, point source transmittance, objects, thermal emission, whole studies."""
 
-from mistray.analysis.estimate import Estimate
-from mistray.analysis.ghosts import FieldSummary, GhostReport, ghosts
-from mistray.analysis.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
-from mistray.analysis.objects.search import Objects, objects
-from mistray.analysis.objects.sources import DiskSource
-from mistray.analysis.pst.first_level import FirstLevel, first_level
-from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.run import pst
-from mistray.analysis.ranking import DirectImage
-from mistray.analysis.study.run import Study, study
-from mistray.analysis.thermal.emission import ThermalReport, thermal
+from typing import TYPE_CHECKING
+
+from mistray._lazy import lazy_package
+
+if TYPE_CHECKING:
+    from mistray.analysis.estimate import Estimate
+    from mistray.analysis.ghosts import FieldSummary, GhostReport, ghosts
+    from mistray.analysis.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
+    from mistray.analysis.objects.search import Objects, objects
+    from mistray.analysis.objects.sources import DiskSource
+    from mistray.analysis.pst.first_level import FirstLevel, first_level
+    from mistray.analysis.pst.result import Pst
+    from mistray.analysis.pst.run import pst
+    from mistray.analysis.ranking import DirectImage
+    from mistray.analysis.study.run import Study, study
+    from mistray.analysis.thermal.emission import ThermalReport, thermal
 
 __all__ = [
     "DirectImage",
@@ -34,3 +39,20 @@ __all__ = [
     "study",
     "thermal",
 ]
+
+lazy_package(
+    __name__,
+    {
+        "estimate": ("Estimate",),
+        "ghosts": ("FieldSummary", "GhostReport", "ghosts"),
+        "irradiance": ("MapStatistics", "log10_image", "mirror_asymmetry", "statistics"),
+        "objects.search": ("Objects", "objects"),
+        "objects.sources": ("DiskSource",),
+        "pst.first_level": ("FirstLevel", "first_level"),
+        "pst.result": ("Pst",),
+        "pst.run": ("pst",),
+        "ranking": ("DirectImage",),
+        "study.run": ("Study", "study"),
+        "thermal.emission": ("ThermalReport", "thermal"),
+    },
+)

@@ -24,7 +24,7 @@ from mistray.analysis.path_maps import FieldMaps, PathMap
 from mistray.analysis.pool import by_path
 from mistray.analysis.ranking import DirectImage, direct_image, ranked
 from mistray.analysis.scatter_surfaces import scatter_surfaces
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnfinishedError
 from mistray.trace import Settings, Trace, trace
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
@@ -493,6 +493,9 @@ def ghosts(
     ------
     MistrayError
         No field is given, an argument is unknown, or what `mistray.trace` raises.
+    UnfinishedError
+        Workers of `mistray.distribute` are gone; ``partial`` maps fields to traces, the last of them of fewer rays, and
+        is a `GhostReport` if the field 0 is among them.
     """
     unknown = set(settings) - {f.name for f in fields(Settings)}
     if unknown:
@@ -502,15 +505,32 @@ def ghosts(
     wanted = [None] if fields_deg is None else list(dict.fromkeys(float(field) for field in fields_deg))
     if not wanted:
         raise MistrayError("ghosts: fields_deg is empty; give at least one field angle in degrees")
-    traces = {}
-    for done, field in enumerate(wanted):
-        t = trace(scene, field_deg=field, progress=_part(progress, done, len(wanted)), **arguments)
-        traces[float(t.settings["field_deg"])] = t
-    if NOMINAL_FIELD_DEG in traces:
-        nominal = traces[NOMINAL_FIELD_DEG]
-    else:
-        nominal = trace(scene, field_deg=NOMINAL_FIELD_DEG, **(arguments | {"max_reflections": 0, "max_scatters": 0}))
+    traces: dict[float, Trace] = {}
+    try:
+        for done, field in enumerate(wanted):
+            t = trace(scene, field_deg=field, progress=_part(progress, done, len(wanted)), **arguments)
+            traces[float(t.settings["field_deg"])] = t
+        if NOMINAL_FIELD_DEG in traces:
+            nominal = traces[NOMINAL_FIELD_DEG]
+        else:
+            bare = arguments | {"max_reflections": 0, "max_scatters": 0}
+            nominal = trace(scene, field_deg=NOMINAL_FIELD_DEG, **bare)
+    except UnfinishedError as error:
+        _keep(error, scene, traces, arguments, len(wanted))
+        raise
     return GhostReport(scene, traces, nominal, arguments)
+
+
+def _keep(
+    error: UnfinishedError, scene: Any, traces: Mapping[float, Trace], arguments: Mapping[str, Any], wanted: int
+) -> None:
+    """Give an error the fields that were traced, the one that was interrupted included if rays of it were."""
+    found = dict(traces)
+    if isinstance(error.partial, Trace) and len(traces) < wanted:
+        found[float(error.partial.settings["field_deg"])] = error.partial
+    error.args = (f"{error}; {len(traces)} of {wanted} fields are finished",)
+    nominal = found.get(NOMINAL_FIELD_DEG)
+    error.partial = found if nominal is None else GhostReport(scene, found, nominal, arguments)
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:

@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnfinishedError
 from mistray.optimize.metrics import Metric
 from mistray.optimize.scene_values import assign
 from mistray.optimize.sensitivity_rows import Row, shifted_values, whole_values
 from mistray.scene.check import check_overlaps
+from mistray.trace.workers import Workers, current_workers, do_parts
 
 PERCENTILES = (5.0, 50.0, 95.0)
 RESAMPLES = 400  # of the draws, for the errors of percentiles
@@ -129,37 +131,101 @@ def draw_systems(
         np.array([getattr(row, name) for row in rows]) for name in ("value", "low", "high", "tolerance")
     )
     slope = np.array([row.change.value for row in rows]) / tolerance
-    # Of the very rays that all systems are traced with
-    nominal = metric.value()
-    ratios: list[float] = []
+    given = whole_values(params, lines)
     predicted: list[float] = []
     rejected = 0
-    given = whole_values(params, lines)
-    try:
-        while len(ratios) < count:
+
+    def systems() -> Iterator[dict[str, np.ndarray]]:
+        """The values of systems that can be put together; each is what the scene has until the next."""
+        nonlocal rejected
+        while len(predicted) < count:
             drawn = np.clip(value + tolerance * generator.standard_normal(len(rows))[places], low, high)
             drawn = _possible(rows, drawn, params)
+            values = shifted_values(given, lines, drawn.tolist())
             try:
-                fits = _put(metric.scene, params, shifted_values(given, lines, drawn.tolist()))
-                traced = metric.value() if fits else math.nan
+                fits = _put(metric.scene, params, values)
             except MistrayError as error:
-                raise MistrayError(f"perturbed system {len(ratios) + 1}: {error}") from None
+                raise MistrayError(f"perturbed system {len(predicted) + 1}: {error}") from None
             if not fits:
                 rejected += 1
-                if rejected > MOST_REJECTED * (len(ratios) + 1):
+                if rejected > MOST_REJECTED * (len(predicted) + 1):
                     raise MistrayError(
-                        f"{rejected} of {rejected + len(ratios)} perturbed systems have surfaces that cross; give "
+                        f"{rejected} of {rejected + len(predicted)} perturbed systems have surfaces that cross; give "
                         "smaller tolerances"
                     )
                 continue
-            if not (math.isfinite(traced) and traced > 0):
-                raise MistrayError(f"perturbed system {len(ratios) + 1}: the metric is {traced:g}; give more rays")
-            ratios.append(traced / nominal)
             predicted.append(float(slope @ (drawn - value)))
-            advance()
+            yield values
+
+    # Of the very rays that all systems are traced with
+    nominal = metric.value()
+    workers = current_workers()
+    try:
+        if workers is None:
+            traced = []
+            for number, _ in enumerate(systems()):
+                traced.append(_checked(number, metric.value))
+                advance()
+        else:
+            drawn_systems = list(systems())
+            assign(params, given)
+            traced = _by_workers(workers, metric, given, drawn_systems, advance)
     finally:
         assign(params, given)
-    return Draws(np.array(ratios), np.array(predicted), nominal, rejected)
+    return Draws(np.array(traced) / nominal, np.array(predicted), nominal, rejected)
+
+
+def _checked(number: int, trace: Callable[[], float]) -> float:
+    """The metric of a system, which must have light."""
+    try:
+        traced = trace()
+    except MistrayError as error:
+        raise MistrayError(f"perturbed system {number + 1}: {error}") from None
+    if not (math.isfinite(traced) and traced > 0):
+        raise MistrayError(f"perturbed system {number + 1}: the metric is {traced:g}; give more rays")
+    return traced
+
+
+@dataclass(frozen=True, eq=False)
+class _SystemsTask:
+    """Perturbed systems for `mistray.trace.workers`; `given` are the values of the nominal one."""
+
+    metric: Metric
+    given: Mapping[str, np.ndarray]
+    systems: Sequence[Mapping[str, np.ndarray]]
+
+    def make(self) -> Any:
+        """The parameters of the scene."""
+        return mi.traverse(self.metric.scene)
+
+    def do(self, made: Any, part: int) -> float:
+        """Trace a system."""
+        try:
+            _put(self.metric.scene, made, self.systems[part])
+            return _checked(part, self.metric.value)
+        finally:
+            assign(made, self.given)
+
+
+def _by_workers(
+    workers: Workers,
+    metric: Metric,
+    given: Mapping[str, np.ndarray],
+    systems: Sequence[Mapping[str, np.ndarray]],
+    advance: Callable[[], None],
+) -> list[float]:
+    """The metrics of systems, traced by workers; with an `UnfinishedError` those that are finished, by number."""
+    found: dict[int, float] = {}
+    try:
+        with do_parts(workers, _SystemsTask(metric, given, systems), range(len(systems))) as results:
+            for number, traced in results:
+                found[number] = traced
+                advance()
+    except UnfinishedError as error:
+        error.partial = found
+        error.args = (f"{error}; {len(found)} of {len(systems)} systems are finished and kept",)
+        raise
+    return [found[number] for number in range(len(systems))]
 
 
 def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:

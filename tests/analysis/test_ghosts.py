@@ -1,7 +1,7 @@
 """Ranking, normalisation and sums of the ghost analysis, on traces whose numbers are known."""
 
+import importlib
 import math
-import sys
 
 import numpy as np
 import pytest
@@ -28,7 +28,7 @@ def traced(monkeypatch):
             progress(1000, 1000)
         return trace_at(4.0 if field_deg is None else field_deg)
 
-    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.ghosts"), "trace", trace)
     return calls
 
 

@@ -11,13 +11,15 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.pst.forward_cells import FIRST_RAYS, Cell, ForwardCells
+from mistray.analysis.pst.forward_parts import CellPart, CellsTask
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnfinishedError
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.plane_wave import Entrance
 from mistray.trace.settings import Settings
 from mistray.trace.sources import spectrum_of
+from mistray.trace.workers import Workers, current_workers, do_parts
 
 Progress = Callable[[PstProgress], None]
 
@@ -86,6 +88,8 @@ def forward_pst(
     ------
     MistrayError
         If an argument is out of range, the scene has no detector, or what `mistray.trace` raises.
+    UnfinishedError
+        If workers of `mistray.distribute` are gone; ``partial`` has the finished cells by their numbers.
     """
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"forward_pst() got {type(scene).__name__}; load the scene first: mistray.load(path)")
@@ -97,17 +101,41 @@ def forward_pst(
     wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
     wavelengths, shares = wavelengths[shares > 0], shares[shares > 0]
     started = time.perf_counter()
-    cells = ForwardCells(scene, grid, settings, wavelengths, shares, detector, entrance, map_pixels)
+    arguments = (grid, settings, wavelengths, shares, detector, entrance, map_pixels)
+    cells = ForwardCells(scene, *arguments)
     n, m = grid.shape
     most = [settings.rays if counts or relative_error is None else min(FIRST_RAYS, settings.rays) for counts in limited]
     report = _Report(m * sum(most), relative_error, progress)
-    found = {}
-    for i, j in np.ndindex(n, m):
-        wanted = relative_error if limited[i] else None
-        found[i, j] = cells.cell(i, j, most[i], wanted, paths, partial(report.after_pass, most[i], wanted))
-        report.close_cell(most[i], found[i, j], bool(limited[i]))
+    parts = [CellPart(i, j, most[i], relative_error if limited[i] else None, paths) for i, j in np.ndindex(n, m)]
+    workers = current_workers()
+    if workers is None:
+        found = {}
+        for part in parts:
+            after_pass = partial(report.after_pass, part.rays, part.wanted_error)
+            found[part.i, part.j] = cell = cells.cell(*part, after_pass)
+            report.close_cell(part.rays, cell, bool(limited[part.i]))
+    else:
+        found = _by_workers(workers, CellsTask(scene, arguments, cells.kernel_arrays()), parts, report, limited)
     seconds = time.perf_counter() - started
     return _result(cells, found, limited, relative_error, error_up_to_deg, seconds)
+
+
+def _by_workers(
+    workers: Workers, task: CellsTask, parts: Sequence[CellPart], report: _Report, limited: np.ndarray
+) -> dict[tuple[int, int], Cell]:
+    """The cells, traced by workers; with an `UnfinishedError` those that are finished."""
+    found: dict[tuple[int, int], Cell] = {}
+    try:
+        with do_parts(workers, task, parts) as results:
+            for part, cell in results:
+                found[part.i, part.j] = cell
+                report.after_pass(part.rays, part.wanted_error, cell.rays, cell.error)
+                report.close_cell(part.rays, cell, bool(limited[part.i]))
+    except UnfinishedError as error:
+        error.partial = found
+        error.args = (f"{error}; {len(found)} of {len(parts)} cells are finished and kept",)
+        raise
+    return {(part.i, part.j): found[part.i, part.j] for part in parts}
 
 
 def _angles_that_count(grid: DirectionGrid, relative_error: float | None, error_up_to_deg: float | None) -> np.ndarray:

@@ -12,6 +12,7 @@ import numpy as np
 
 from mistray.trace.aiming import aims
 from mistray.trace.books import SCATTERED_FLUX, SEGMENTS, Film
+from mistray.trace.by_parts import tables_of
 from mistray.trace.design_path import find_design_path
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.energy import batch_error
@@ -260,6 +261,10 @@ class ForwardCells:
         path = find_design_path(self.table, scene)
         has_optics = path is not None and path.has_optics
         self._ways = Ways(self.table.event_ids, self.table.event_words, has_optics)
+
+    def kernel_arrays(self) -> list[list[np.ndarray]]:
+        """What the kernel reads, for each wavelength."""
+        return tables_of(self._runs)
 
     def cell(
         self,

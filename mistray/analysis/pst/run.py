@@ -17,10 +17,11 @@ import numpy as np
 from mistray.analysis.pst.forward import forward_pst
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnfinishedError
 from mistray.trace.backward import FIRST_PASS, BackwardTrace
 from mistray.trace.directions import DirectionGrid
-from mistray.trace.ledger import ABSORBED, EVENT_BITS, host_keys
+from mistray.trace.ledger import ABSORBED, EVENT_BITS
+from mistray.trace.path_books import join_books
 from mistray.trace.path_events import DIRECT, describe_events
 from mistray.trace.settings import Settings
 from mistray.trace.sky import MULTIPLE, SINGLE
@@ -116,6 +117,9 @@ def pst(
     ------
     MistrayError
         For arguments out of range, or a state that belongs to another run.
+    UnfinishedError
+        If workers of `mistray.distribute` are gone; ``partial`` is the PST of the passes before, or, forward, the
+        finished cells by their numbers of angle and azimuth.
     """
     if method not in METHODS:
         raise MistrayError(f"method is '{method}'; use 'adjoint' or 'forward'")
@@ -151,7 +155,12 @@ def pst(
         return found.to(convention)
     trace = BackwardTrace(scene, grid, chosen, wavelength_nm, weights, detector, int(map_pixels), paths)
     run = _AdjointRun(trace, Path(state) if state is not None else None, resume)
-    run.go_on(relative_error, error_up_to_deg, progress)
+    try:
+        run.go_on(relative_error, error_up_to_deg, progress)
+    except UnfinishedError as error:
+        if error.partial is not None:
+            error.partial = error.partial.to(convention)
+        raise
     return run.result().to(convention)
 
 
@@ -190,10 +199,14 @@ class _AdjointRun:
         worst = self._worst(up_to_deg) if trace.passes else np.inf
         started, saved, saving = time.perf_counter(), -np.inf, 0.0
         all_saved = True
-        with _interrupt_later() as interrupted:
+        with _interrupt_later() as interrupted, trace.shared(most):
             while trace.rays.sum() < most and not (wanted is not None and worst <= wanted) and not interrupted():
                 # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
-                trace.advance(most if most < FIRST_PASS else None)
+                try:
+                    trace.advance(most if most < FIRST_PASS else None)
+                except UnfinishedError as error:
+                    self._keep(error, not all_saved)
+                    raise
                 self._book, all_saved, worst = None, False, self._worst(up_to_deg)
                 now = time.perf_counter()
                 if self._state is not None and saving <= SAVING * (now - saved):
@@ -207,6 +220,17 @@ class _AdjointRun:
                 self._save()
             if interrupted():
                 raise KeyboardInterrupt
+
+    def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
+        """Save what was finished, and tell with an error that the workers are gone where it is."""
+        where = ""
+        if self._state is not None and self._trace.passes:
+            if unsaved:
+                self._save()
+            where = f" in {self._state}, go on with resume"
+        rays = float(self._trace.rays.sum())
+        error.args = (f"{error}; {rays:.4g} of {self._trace.settings.rays:.4g} rays are finished and kept{where}",)
+        error.partial = self.result() if self._trace.passes else None
 
     def _worst(self, up_to_deg: float | None) -> float:
         """
@@ -319,24 +343,6 @@ def with_the_light(events: np.ndarray, lengths: np.ndarray, detector: int) -> tu
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)
     turned[np.arange(len(turned)), lengths] = (detector << EVENT_BITS) | ABSORBED
     return turned, lengths + 1
-
-
-def join_books(first: dict[str, np.ndarray], second: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Two path tables, see `PathBook.read`, as one."""
-    longest = max(first["events"].shape[1], second["events"].shape[1])
-    events = np.concatenate(
-        [np.pad(book["events"], ((0, 0), (0, longest - book["events"].shape[1]))) for book in (first, second)]
-    )
-    lengths = np.concatenate([first["lengths"], second["lengths"]])
-    _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
-    path = place[np.concatenate([first["path"], second["path"] + len(first["lengths"])])]
-    cell = np.concatenate([first["cell"], second["cell"]])
-    pairs, place = np.unique(np.stack([path, cell], axis=1), axis=0, return_inverse=True)
-    sums = {
-        name: np.bincount(place.ravel(), np.concatenate([first[name], second[name]]), len(pairs))
-        for name in ("hits", "weight", "squares")
-    }
-    return {"events": events[chosen], "lengths": lengths[chosen], "path": pairs[:, 0], "cell": pairs[:, 1], **sums}
 
 
 def _strongest(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

@@ -16,6 +16,7 @@ from mistray.analysis.study.models import role
 from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.coatings import Bare, Ideal
 from mistray.scatter import Scatter
+from mistray.scatter.particulate import particle_indices
 from mistray.scatter.total import Totals, model_lobes, totals
 from mistray.trace import Trace
 from mistray.trace.aiming import Side
@@ -116,14 +117,21 @@ def _totals(
     """What some models of a surface do to light at one angle of incidence; opaque surfaces transmit nothing."""
     opaque = bool(table.optics.host_words[surface] & OPAQUE)
     sides = _sides(table, surface, from_front)
-    return _known_totals(tuple(models), table.wavelength_nm, *sides, from_front, opaque, cosine)
+    particles = particle_indices(models, table.wavelength_nm)
+    return _known_totals(tuple(models), particles, table.wavelength_nm, *sides, from_front, opaque, cosine)
 
 
 @lru_cache(maxsize=1024)
 def _known_totals(
-    models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool, opaque: bool,
+    models: tuple[Scatter, ...],
+    _particles: tuple[complex, ...],
+    wavelength_nm: float,
+    n_in: float,
+    n_out: float,
+    from_front: bool,
+    opaque: bool,
     cosine: float,
-) -> Totals:  # fmt: skip
+) -> Totals:
     lobes = model_lobes(models, wavelength_nm, n_in, n_out, from_front)
     lobes = tuple(lobe for lobe in lobes if not (opaque and lobe.event == "transmission"))
     return totals(lobes, np.array([cosine]), n_in, n_out)

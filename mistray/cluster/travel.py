@@ -1,0 +1,147 @@
+"""Tasks as bytes for another process; scenes go apart from them, by the text that they were loaded from."""
+
+from __future__ import annotations
+
+import hashlib
+import io
+import pickle
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import cloudpickle
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.scene import load
+from mistray.scene.source import PackedScene, source_of
+from mistray.trace.forward import versions
+from mistray.trace.scene_numbers import put_numbers, read_numbers
+
+SCENE, FRAME = "scene", "frame"
+SCENES_KEPT, TASKS_KEPT = 4, 2  # by a worker
+
+
+@dataclass(frozen=True)
+class Parcel:
+    """
+    A task on its way.
+
+    Attributes
+    ----------
+    task : bytes
+    scenes : dict of str to bytes
+        Scenes of the task by the hashes of their sources and numbers.
+    digest : str
+        Hash of the task.
+    """
+
+    task: bytes
+    scenes: Mapping[str, bytes]
+    digest: str
+
+    @classmethod
+    def of(cls, task: Any) -> Parcel:
+        """
+        Pack a task.
+
+        Raises
+        ------
+        MistrayError
+            If a scene has no source that can travel, or something else cannot.
+        """
+        buffer = io.BytesIO()
+        pickler = _Pickler(buffer)
+        _dump(pickler, task)
+        content = buffer.getvalue()
+        return cls(content, pickler.scenes, hashlib.sha256(content).hexdigest())
+
+
+def surroundings() -> dict[str, str]:
+    """What must be the same in all processes, by names that a message can use."""
+    return {**versions(), "variant": mi.variant()}
+
+
+class _Pickler(cloudpickle.Pickler):
+    """Leaves scenes out and notes them; frames of Mitsuba go as matrices."""
+
+    def __init__(self, file: io.BytesIO) -> None:
+        super().__init__(file)
+        self.scenes: dict[str, bytes] = {}
+        self._known: dict[int, str] = {}
+
+    def persistent_id(self, item: Any) -> Any:
+        """What stands for an object that is not pickled itself; None for all others."""
+        if isinstance(item, mi.Scene):
+            if id(item) not in self._known:
+                packed = _packed(item)
+                self._known[id(item)] = digest = hashlib.sha256(packed).hexdigest()
+                self.scenes[digest] = packed
+            return SCENE, self._known[id(item)]
+        if isinstance(item, mi.ScalarTransform4f):
+            return FRAME, np.array(item.matrix).tolist()
+        return None
+
+
+class _Unpickler(pickle.Unpickler):
+    def __init__(self, file: io.BytesIO, scenes: Mapping[str, mi.Scene]) -> None:
+        super().__init__(file)
+        self._scenes = scenes
+
+    def persistent_load(self, given: tuple[str, Any]) -> Any:
+        """The object that stands for what `persistent_id` gave."""
+        kind, value = given
+        return self._scenes[value] if kind == SCENE else mi.ScalarTransform4f(np.array(value))
+
+
+def _packed(scene: mi.Scene) -> bytes:
+    """The source of a scene and its numbers as they are now."""
+    buffer = io.BytesIO()
+    _dump(_Pickler(buffer), source_of(scene))
+    return pickle.dumps((buffer.getvalue(), read_numbers(scene)))
+
+
+def _dump(pickler: Any, item: Any) -> None:
+    try:
+        pickler.dump(item)
+    except (TypeError, AttributeError, pickle.PicklingError) as error:
+        raise MistrayError(
+            f"{type(item).__name__} cannot travel to another process ({error}); give it plain values, and a scene of "
+            "objects as an XML file"
+        ) from None
+
+
+class Unpacked:
+    """The scenes and tasks that a worker has at hand."""
+
+    def __init__(self) -> None:
+        self._scenes: dict[str, mi.Scene] = {}  # by the hash of the source
+        self._made: dict[str, tuple[Any, Any, tuple[str, ...]]] = {}
+
+    def task(self, content: bytes, digest: str, scenes: Mapping[str, bytes]) -> tuple[Any, Any]:
+        """A task and what it made, by the parcel's own words; its scenes are made and given their numbers."""
+        if digest in self._made:
+            task, made, _ = self._made[digest]
+            return task, made
+        found, sources = {}, []
+        for name, packed in scenes.items():
+            source, numbers = pickle.loads(packed)
+            sources.append(key := hashlib.sha256(source).hexdigest())
+            found[name] = scene = self._scene(key, source)
+            if put_numbers(scene, numbers):  # what was made of it is of another scene now
+                self._made = {k: entry for k, entry in self._made.items() if key not in entry[2]}
+        task = _Unpickler(io.BytesIO(content), found).load()
+        made = task.make()
+        while len(self._made) >= TASKS_KEPT:
+            del self._made[next(iter(self._made))]
+        self._made[digest] = task, made, tuple(sources)
+        return task, made
+
+    def _scene(self, key: str, source: bytes) -> mi.Scene:
+        if key not in self._scenes:
+            given = _Unpickler(io.BytesIO(source), {}).load()
+            while len(self._scenes) >= SCENES_KEPT:
+                del self._scenes[next(iter(self._scenes))]
+            self._scenes[key] = given.load() if isinstance(given, PackedScene) else load(given)
+        return self._scenes[key]

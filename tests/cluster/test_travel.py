@@ -1,0 +1,249 @@
+"""Scenes on their way to another process: files, numbers, dicts, and what cannot travel."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
+from workers_here import Here
+
+import mistray
+from mistray import MistrayError, UnfinishedError
+from mistray.cli import main
+from mistray.cluster import worker
+from mistray.cluster.travel import Parcel, Unpacked
+from mistray.scene.source import PackedScene, source_of
+from mistray.trace.scene_numbers import put_numbers, read_numbers
+from mistray.trace.workers import current_workers, working_with
+
+TABLE = "wavelength_nm,angle_deg,R,T\n500,0,0.25,0.7\n500,90,0.25,0.7\n600,0,0.5,0.4\n600,90,0.5,0.4\n"
+FRONT = interface_xml("air", "1.5", table="{table}")
+PLATE = scene_text(
+    '<path value="../parts"/><include filename="front.xml"/>',
+    shape_xml("asphere", "rear", 1.0, interface_xml("1.5", "air"), semi_diameter=2.0),
+    shape_xml("asphere", "detector", 5.0, sensor=True, half_width=3.0, half_height=3.0),
+)
+
+
+class Power:
+    """A task: the detected power at some wavelengths."""
+
+    def __init__(self, scene):
+        self.scene = scene
+
+    def make(self):
+        return self.scene
+
+    def do(self, made, part):
+        return powers(made, part)
+
+
+def powers(scene, wavelengths=(500,)):
+    return [mistray.trace(scene, rays=500, wavelength_nm=nm).energy.detected_W for nm in wavelengths]
+
+
+def there(scene):
+    """The powers of the scene as another process has it."""
+    parcel = Parcel.of(Power(scene))
+    task, made = Unpacked().task(parcel.task, parcel.digest, parcel.scenes)
+    assert made is not scene
+    return task.do(made, (500,))
+
+
+def write_front(folder, table):
+    shape = shape_xml("asphere", "front", 0.0, FRONT.format(table=table), semi_diameter=2.0)
+    (folder / "parts/front.xml").write_text(f'<scene version="3.0.0">{shape}</scene>')
+
+
+@pytest.fixture
+def plate(tmp_path):
+    """A scene whose front, with its table, lies in a folder beside that of the scene."""
+    for name in ("scenes", "parts/tables"):
+        (tmp_path / name).mkdir(parents=True)
+    (tmp_path / "parts/tables/coat.csv").write_text(TABLE)
+    write_front(tmp_path, "tables/coat.csv")
+    (tmp_path / "scenes/plate.xml").write_text(PLATE)
+    return tmp_path / "scenes/plate.xml"
+
+
+def test_files_travel_with_a_scene(plate):
+    scene = mistray.load(plate)
+    here = powers(scene, (500, 600))
+    assert here[0] / here[1] == pytest.approx(0.7 / 0.4, rel=0.1)
+    packed = source_of(scene)
+    assert sorted(Path(name).name for name in packed.files) == ["coat.csv", "front.xml", Path(packed.scene).name]
+    parcel = Parcel.of(Power(scene))
+    shutil.rmtree(plate.parents[1])  # as on a machine without these files
+    task, made = Unpacked().task(parcel.task, parcel.digest, parcel.scenes)
+    np.testing.assert_allclose(task.do(made, (500, 600)), here, rtol=1e-12)
+    with pytest.raises(MistrayError):
+        Parcel.of(Power(scene))
+
+
+def test_an_absolute_file_must_be_there_and_the_same(plate, tmp_path):
+    table = tmp_path / "parts/tables/coat.csv"
+    write_front(tmp_path, str(table))
+    packed = source_of(mistray.load(plate))
+    assert list(packed.checked) == [str(table)]
+    np.testing.assert_allclose(powers(packed.load()), powers(mistray.load(plate)), rtol=1e-12)
+    table.write_text(TABLE.replace("0.7", "0.6"))
+    with pytest.raises(MistrayError, match=r"coat\.csv' is another file there"):
+        packed.load()
+    table.unlink()
+    with pytest.raises(MistrayError, match=r"coat\.csv' is not there; name it relative"):
+        packed.load()
+
+
+def test_a_scene_travels_with_its_numbers_as_they_are():
+    scene = mistray.load("lens_and_window")
+    before = powers(scene)
+    np.testing.assert_allclose(there(scene), before, rtol=1e-12)
+    params = mi.traverse(scene)
+    key = next(key for key in params.keys() if key.endswith("front.curvature"))  # noqa: SIM118
+    params[key] = params[key] * 0.5
+    params.update()
+    after = powers(scene)
+    assert abs(after[0] / before[0] - 1) > 1e-6
+    np.testing.assert_allclose(there(scene), after, rtol=1e-12)
+
+
+def test_what_was_made_of_other_numbers_is_made_again():
+    scene = mistray.load("lens_and_window")
+    params = mi.traverse(scene)
+    key = next(key for key in params.keys() if key.endswith("front.curvature"))  # noqa: SIM118
+    unpacked, parcels = Unpacked(), []
+    for _ in range(2):
+        parcels.append((Parcel.of(Power(scene)), powers(scene)))
+        params[key] = params[key] * 0.5
+        params.update()
+    for parcel, expected in (*parcels, *parcels):
+        task, made = unpacked.task(parcel.task, parcel.digest, parcel.scenes)
+        np.testing.assert_allclose(task.do(made, (500,)), expected, rtol=1e-12)
+
+
+def test_a_scene_of_other_numbers_is_refused():
+    numbers = read_numbers(mistray.load("plate_and_wall"))
+    with pytest.raises(MistrayError, match="is not in its source; load the scene again"):
+        put_numbers(mistray.load("lens_and_window"), numbers)
+
+
+def test_a_file_that_changed_since_is_noticed(plate, tmp_path):
+    scene = mistray.load(plate)
+    (tmp_path / "parts/tables/coat.csv").write_text(TABLE.replace("0.7", "0.6"))
+    with working_with(Here()), pytest.raises(MistrayError, match="another one at the worker"):
+        mistray.trace(scene, rays=500)
+
+
+def test_scenes_from_dicts_travel_with_their_frames():
+    whole = {
+        "type": "scene",
+        "plate": {
+            "type": "asphere",
+            "id": "front",
+            "semi_diameter": 2.0,
+            "to_world": mi.ScalarTransform4f().translate([0.1, 0, 1]),
+            "bsdf": {"type": "interface", "front": "air", "back": "1.5"},
+        },
+    }
+    scene = mistray.load(whole)
+    parcel = Parcel.of(Power(scene))
+    _, made = Unpacked().task(parcel.task, parcel.digest, parcel.scenes)
+    for key, value in read_numbers(scene).items():
+        np.testing.assert_array_equal(value, read_numbers(made)[key])
+    whole["plate"]["bsdf"] = mi.load_dict(whole["plate"]["bsdf"])
+    with pytest.raises(MistrayError, match="cannot travel"):
+        Parcel.of(Power(mistray.load(whole)))
+
+
+def test_a_scene_of_unknown_source_cannot_travel():
+    scene = mi.load_file(str(mistray.scene.find("plate")), optimize=False, parallel=False)
+    with pytest.raises(MistrayError, match=r"load it with mistray.load\(path\)"):
+        Parcel.of(Power(scene))
+
+
+def test_packed_scenes_are_told_by_their_contents(plate):
+    assert isinstance(source_of(mistray.load(plate)), PackedScene)
+    one, two = (Parcel.of(Power(mistray.load(plate))) for _ in range(2))
+    assert one.scenes.keys() == two.scenes.keys()
+    assert one.digest == two.digest
+
+
+VARIANTS = """
+from types import SimpleNamespace
+
+import distributed
+import mistray
+from mistray.cluster import worker
+from mistray.cluster.travel import Parcel, surroundings
+
+class Power:
+    def __init__(self, scene):
+        self.scene = scene
+
+    def make(self):
+        return self.scene
+
+    def do(self, made, part):
+        return mistray.trace(made, rays=100).energy.detected_W
+
+distributed.get_worker = lambda: SimpleNamespace(address="tcp://127.0.0.1:1", state=SimpleNamespace(nthreads=1))
+for variant in ("llvm_ad_rgb", "llvm_ad_spectral", "llvm_ad_rgb"):
+    mistray.ensure_variant(variant)
+    parcel = Parcel.of(Power(mistray.load("plate")))
+    scenes = list(parcel.scenes.values()), list(parcel.scenes)
+    print("W", worker.do_part(parcel.task, *scenes, parcel.digest, 0, surroundings(), {"127.0.0.1": 1}))
+"""
+
+
+def test_a_worker_serves_one_variant_after_another():
+    """It may not give a scene of one variant to the traces of the next."""
+    pytest.importorskip("distributed", reason="the extra 'distributed' is not installed")
+    done = subprocess.run([sys.executable, "-c", VARIANTS], capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    found = [float(line.split()[1]) for line in done.stdout.splitlines() if line.startswith("W ")]
+    assert found == pytest.approx([found[0]] * 3, rel=1e-6)
+
+
+def test_host_of_an_address():
+    assert worker.host_of("tcp://10.0.0.1:40123") == "10.0.0.1"
+
+
+def test_the_command_writes_what_is_finished(tmp_path, monkeypatch, capsys):
+    written = []
+    monkeypatch.setattr("mistray.cluster.distribute", lambda address: working_with(Here(last=2)))
+    monkeypatch.setattr("mistray.report.write_all", lambda *arguments: written.append(arguments))
+    words = ["ghosts", "lens_and_window", "--rays", "2000", "--field-deg", "0", "1", "2"]
+    assert main([*words, "--scheduler", "tcp://x:1", "--json", "--out", str(tmp_path / "out")]) == 2
+    text = capsys.readouterr()
+    assert text.out == ""
+    assert "2 of 3 fields are finished; a report of what is finished is in" in text.err
+    assert text.err.count("\n") == 1
+    ((report, folder, title, *_),) = written
+    assert (list(report), folder) == ([0, 1], tmp_path / "out")
+    assert title == "lens_and_window, unfinished (0°: 2000 of 2000 rays; 1°: 2000 of 2000 rays)"
+
+
+def test_workers_that_are_lost_while_the_report_is_drawn(tmp_path, monkeypatch, capsys):
+    """All rays are traced by then: they are not lost, and what is left is done here."""
+    written = []
+
+    def write_all(report, folder, title, *_):
+        written.append((current_workers(), list(report), title))
+        if len(written) == 1:
+            raise UnfinishedError("the connection is lost; start it again")
+
+    monkeypatch.setattr("mistray.cluster.distribute", lambda address: working_with(Here()))
+    monkeypatch.setattr("mistray.report.write_all", write_all)
+    words = ["ghosts", "lens_and_window", "--rays", "2000", "--field-deg", "0", "1", "--scheduler", "tcp://x:1"]
+    assert main([*words, "--json", "--out", str(tmp_path / "out")]) == 2
+    (there, _, _), (here, fields, title) = written
+    assert there is not None
+    assert (here, fields) == (None, [0, 1])
+    assert title.endswith("unfinished (0°: 2000 of 2000 rays; 1°: 2000 of 2000 rays)")
+    assert "a report of what is finished is in" in capsys.readouterr().err
