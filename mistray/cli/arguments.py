@@ -94,3 +94,8 @@ class _Joined(argparse.Action):
 def add_angles(group: Any, name: str, text: str, kind: Callable[[str], list[float]] = incidence) -> None:
     """Declare an argument that takes numbers and ranges first:last:step, all in one list; `text` is its help."""
     group.add_argument(name, type=kind, nargs="+", action=_Joined, metavar="DEG", help=text)
+
+
+def as_text(name: str) -> str:
+    """A name as text: bytes that are none in the locale's encoding as UTF-8, or else as question marks."""
+    return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")

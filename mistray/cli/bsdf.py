@@ -84,10 +84,13 @@ def run(options: argparse.Namespace) -> int:
     title = _title(options, model)
     if options.plot is not None:
         from mistray.report.bsdf_plots import bsdf_figure
+        from mistray.report.plots import write_figure
 
-        _save(bsdf_figure(curves, title, _knee(model, event, light)), options.plot)
+        write_figure(bsdf_figure(curves, title, _knee(model, event, light)), options.plot)
     if options.plot_particles is not None:
-        _save(_particles(model), options.plot_particles)
+        from mistray.report.plots import write_figure
+
+        write_figure(_particles(model), options.plot_particles)
     if options.csv is not None:
         _write_curves(curves, options.csv, options.command_line)
     if options.table is not None:
@@ -262,10 +265,3 @@ def _write_table(model: Scatter, options: argparse.Namespace, event: str, light:
     zemax = options.table.suffix.lower() == ".bsdf"
     samples = table(model, options.angles_deg, "specular" if zemax else "normal", event, light)
     (write_zemax_bsdf if zemax else write_bsdf_csv)(samples, options.table, options.command_line)
-
-
-def _save(figure: Any, path: Path) -> None:
-    try:
-        figure.savefig(path, bbox_inches="tight", pad_inches=0.1)
-    except OSError as error:
-        raise MistrayError(f"picture '{path}': {error.strerror}; check the folder and its permissions") from None

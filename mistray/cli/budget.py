@@ -8,8 +8,10 @@ from typing import Any
 
 from mistray.cli.arguments import RAW
 from mistray.cli.tracing_arguments import (
+    add_machine,
     add_output,
     add_scene,
+    claim_output,
     progress_bar,
     scene_title,
     show,
@@ -33,7 +35,7 @@ def add(commands: Any) -> None:
     )
     add_scene(parser)
     parser.add_argument("budget", metavar="BUDGET", type=Path, help="TOML file")
-    parser.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
+    add_machine(parser)
     add_output(parser, "scene.xml, report.html, CSV files, JSON and a picture")
     parser.set_defaults(run=run)
 
@@ -43,17 +45,16 @@ def run(options: argparse.Namespace) -> int:
     start_mitsuba(options)
     from mistray.optimize.budget import budget
     from mistray.optimize.read_budget import read_budget
-    from mistray.report.budget_output import write_budget
     from mistray.report.budget_tables import budget_record, budget_text
-    from mistray.report.output import writable_directory
 
-    if options.out is not None:
-        writable_directory(options.out)
+    claim_output(options)
     study = read_budget(options.budget)
     with progress_bar(options) as progress:
         result = budget(options.scene, study, progress=progress)
     files = []
     if options.out is not None:
+        from mistray.report.budget_output import write_budget
+
         with working("drawing the report", options.quiet):
             files = write_budget(result, options.out, scene_title(options.scene), options.command_line)
     show(options, lambda: budget_record(result), lambda: budget_text(result), files)

@@ -72,8 +72,9 @@ def run(options: argparse.Namespace) -> int:
     values = spectrum(coating, lam, options.angles_deg, front, back, from_front)
     if options.plot is not None:
         from mistray.report.coating_plots import coating_figure
+        from mistray.report.plots import write_figure
 
-        _save(coating_figure(coating, lam, options.angles_deg, front, back, from_front), options.plot)
+        write_figure(coating_figure(coating, lam, options.angles_deg, front, back, from_front), options.plot)
     if options.csv is not None:
         write_table(coating, options.csv, lam, options.angles_deg, front, back)
     files = [path for path in (options.plot, options.csv) if path is not None]
@@ -146,6 +147,7 @@ def _scene(options: argparse.Namespace, lam: list[float]) -> int:
     from mistray.coatings.stack import outside_first
     from mistray.materials import complex_index
     from mistray.report.coating_plots import coated_surfaces, surfaces_figure
+    from mistray.report.plots import write_figure
     from mistray.report.text import text_table
     from mistray.scene import load
 
@@ -153,7 +155,7 @@ def _scene(options: argparse.Namespace, lam: list[float]) -> int:
         surfaces = coated_surfaces(load(options.coating))
     files = [] if options.plot is None else [options.plot]
     if files:
-        _save(surfaces_figure(surfaces, lam, options.angles_deg), options.plot)
+        write_figure(surfaces_figure(surfaces, lam, options.angles_deg), options.plot)
     rows, records = [], []
     for surface in surfaces:
         sides = (complex_index(material, lam[0]) for material in (surface.front, surface.back))
@@ -231,13 +233,6 @@ def _sample(values: Spectrum) -> str:
             columns += [values.R[:, k, 0], values.R[:, k, 1]]
     rows = [[f"{lam[i]:g}", *(f"{100 * column[i]:.4f}" for column in columns)] for i in shown]
     return text_table(heads, rows)
-
-
-def _save(figure: Any, path: Path) -> None:
-    try:
-        figure.savefig(path, bbox_inches="tight", pad_inches=0.1)
-    except OSError as error:
-        raise MistrayError(f"picture '{path}': {error.strerror}; check the folder and its permissions") from None
 
 
 def _print_files(files: list[Path]) -> None:

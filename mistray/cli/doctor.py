@@ -14,7 +14,8 @@ def add(commands: Any) -> None:
     parser = commands.add_parser(
         "doctor",
         help="say what is installed, what is missing and how to get it",
-        description="Look for LLVM, Mitsuba and its variants, the packages mistray needs and a GPU.",
+        description="Look for LLVM, Mitsuba and its variants, the packages mistray needs and a GPU that the cuda\n"
+        "variants can trace on, and say how to get what is missing.",
         epilog="example:\n  mistray doctor",
         formatter_class=RAW,
     )

@@ -14,17 +14,20 @@ from mistray.cli.tracing_arguments import (
     add_ray_tree,
     add_scatter,
     add_scene,
+    add_scheduler,
     add_spectrum,
     check_formats,
     check_weights,
+    claim_output,
     progress_bar,
     scene_title,
     settings_of,
     show,
     start_mitsuba,
+    workers_of,
     working,
 )
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnfinishedError
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -45,6 +48,7 @@ def add(commands: Any) -> None:
         "  mistray ghosts scene.xml --wavelength-nm 620 --rays 1e7 --json\n"
         "  mistray ghosts scene.xml --max-scatters 2 --max-reflections 1 --aimed-rays 4 --out out\n"
         "  mistray ghosts scene.xml --out out --formats parquet fits\n"
+        "  mistray ghosts scene.xml --rays 1e9 --scheduler tcp://host:8786 --out out    # docs/distributed.md\n"
         "  mistray ghosts scene.xml --wavelength-nm 450 550 650 --weights 1 2 1 --colour --out out",
         formatter_class=RAW,
     )
@@ -53,7 +57,7 @@ def add(commands: Any) -> None:
     source.add_argument("--field-deg", type=field, nargs="+", metavar="DEG", help="field angles, degrees")
     source.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of the field about z, degrees")
     add_spectrum(source)
-    add_ray_tree(parser, "start rays at each field (1e6)")
+    add_scheduler(add_ray_tree(parser, "start rays at each field (1e6)"))
     add_scatter(parser)
     formats = (*TABLE_FORMATS, *MAP_FORMATS)
     output = add_output(parser, "report.html, CSV, PNG and path-sort files", formats=formats)
@@ -75,37 +79,62 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     start_mitsuba(options)
     from mistray.analysis import ghosts
-    from mistray.report import main_table, writable_directory, write_all
-    from mistray.report.colour import check_wavelengths
+    from mistray.report import main_table
     from mistray.scene import load
 
     check_weights(options)
     check_formats(options)
     look = _look(options)
-    if options.out is not None:
-        writable_directory(options.out)
+    claim_output(options)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
     if look is not None:
+        from mistray.report.colour import check_wavelengths
+
         check_wavelengths(options.wavelength_nm or _own_wavelengths(scene))
-    with progress_bar(options) as progress:
-        report = ghosts(
-            scene,
-            fields_deg=options.field_deg,
-            wavelength_nm=options.wavelength_nm,
-            weights=options.weights,
-            azimuth_deg=options.azimuth_deg,
-            progress=progress,
-            **settings_of(options),
-        )
     lines = options.per_wavelength
-    files = []
-    if options.out is not None:
-        with working("drawing the report", options.quiet):
-            files = write_all(report, options.out, scene_title(options.scene), options.command_line, lines, look)
-            files += _write_formats(report, options)
+    files, report = [], None
+    try:
+        with workers_of(options):
+            with progress_bar(options) as progress:
+                report = ghosts(
+                    scene,
+                    fields_deg=options.field_deg,
+                    wavelength_nm=options.wavelength_nm,
+                    weights=options.weights,
+                    azimuth_deg=options.azimuth_deg,
+                    progress=progress,
+                    **settings_of(options),
+                )
+            if options.out is not None:
+                from mistray.report import write_all
+
+                with working("drawing the report", options.quiet):
+                    title = scene_title(options.scene)
+                    files = write_all(report, options.out, title, options.command_line, lines, look)
+                    files += _write_formats(report, options)
+    except UnfinishedError as error:
+        if report is not None:  # all is traced, but for the maps
+            error.partial = report
+        _write_unfinished(error, options)
+        raise
     show(options, lambda: as_json(report, lines), lambda: main_table(report, WORST_SHOWN, lines), files)
     return 0
+
+
+def _write_unfinished(error: UnfinishedError, options: argparse.Namespace) -> None:
+    """Write the fields that are finished, and of the last the rays that are, with maps that are traced here."""
+    from mistray.analysis import GhostReport
+    from mistray.report import write_all
+
+    report = error.partial
+    if options.out is None or not isinstance(report, GhostReport):
+        return
+    rays = "; ".join(f"{field:g}°: {t.rays:.4g} of {t.rays_planned:.4g} rays" for field, t in report.items())
+    title = f"{scene_title(options.scene)}, unfinished ({rays})"
+    with working("drawing what is finished", options.quiet):
+        write_all(report, options.out, title, options.command_line, options.per_wavelength, None)
+    error.args = (f"{error}; a report of what is finished is in {options.out}",)
 
 
 def _write_formats(report: GhostReport, options: argparse.Namespace) -> list[Path]:

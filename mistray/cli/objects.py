@@ -9,9 +9,11 @@ from typing import Any
 from mistray.cli.arguments import RAW, add_angles, count, finite, positive
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
+    add_machine,
     add_output,
     add_scene,
     check_formats,
+    claim_output,
     progress_bar,
     scene_title,
     show,
@@ -63,7 +65,7 @@ def add(commands: Any) -> None:
     tracing.add_argument("--no-total-reflection", action="store_true", help="end rays in total reflection")
     tracing.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one way (64)")
     tracing.add_argument("--seed", type=count, metavar="N", help="seed of the random numbers (0)")
-    tracing.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
+    add_machine(tracing)
     output = add_output(parser, "objects.html, CSV, JSON and PNG files", formats=TABLE_FORMATS)
     output.add_argument(
         "--rows", type=count, default=ROWS_SHOWN, metavar="N", help=f"rows of each table ({ROWS_SHOWN})"
@@ -78,14 +80,10 @@ def run(options: argparse.Namespace) -> int:
     start_mitsuba(options)
     from mistray.analysis.objects.search import objects
     from mistray.analysis.objects.sources import DiskSource
-    from mistray.report.formats import write_formats
-    from mistray.report.objects_output import write_objects
     from mistray.report.objects_tables import csv_tables, objects_record, objects_text
-    from mistray.report.output import writable_directory
     from mistray.scene import load
 
-    if options.out is not None:
-        writable_directory(options.out)
+    claim_output(options)
     half_angle = options.half_angle_deg
     source = None
     if options.disc is not None:
@@ -119,6 +117,9 @@ def run(options: argparse.Namespace) -> int:
         estimates = found.estimates()
     files = []
     if options.out is not None:
+        from mistray.report.formats import write_formats
+        from mistray.report.objects_output import write_objects
+
         with working("drawing the report", options.quiet):
             files = write_objects(found, estimates, options.out, scene_title(options.scene), options.command_line)
             tables = csv_tables(found, estimates)

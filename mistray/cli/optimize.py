@@ -10,7 +10,16 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import INTERRUPTED, RAW, count
-from mistray.cli.tracing_arguments import add_output, add_scene, show, start_mitsuba, terminal_bar, working
+from mistray.cli.tracing_arguments import (
+    add_machine,
+    add_output,
+    add_scene,
+    claim_output,
+    show,
+    start_mitsuba,
+    terminal_bar,
+    working,
+)
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
@@ -38,7 +47,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--verification-seeds", type=count, metavar="N", default=8,
                         help="seeds on which the result is compared with the given design, at least 2 (8)")  # fmt: skip
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
-    parser.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
+    add_machine(parser)
     add_output(parser, "scene.xml, report.html, tables, pictures and the checkpoint")
     parser.set_defaults(run=run)
 
@@ -49,16 +58,13 @@ def run(options: argparse.Namespace) -> int:
         raise MistrayError("--resume needs the folder of the checkpoint; give --out")
     start_mitsuba(options)
     from mistray.optimize import optimize, read_study
-    from mistray.report import writable_directory
-    from mistray.report.optimization import write_optimization
     from mistray.report.optimization_tables import optimization_record, report_text
 
     study = read_study(options.study)
     steps = study.optimizer.steps if options.steps is None else options.steps
-    checkpoint = None
+    folder = claim_output(options)
+    checkpoint = None if folder is None else folder / "checkpoint.json"
     saved = options.resume
-    if options.out is not None:
-        checkpoint = writable_directory(options.out) / "checkpoint.json"
     try:
         with _progress(options, min(study.optimizer.starts, study.optimizer.searches) * steps) as shown:
 
@@ -78,6 +84,8 @@ def run(options: argparse.Namespace) -> int:
             )
         files = []
         if options.out is not None:
+            from mistray.report.optimization import write_optimization
+
             with working("drawing the report", options.quiet):
                 files = write_optimization(result, options.out, options.command_line)
     except KeyboardInterrupt:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import importlib.metadata
 import os
 import shlex
 import sys
 from collections.abc import Sequence
+from typing import Any
 
 from mistray.cli import (
     bsdf,
     budget,
+    cache,
     coating,
     completion,
     doctor,
@@ -24,10 +25,11 @@ from mistray.cli import (
     pst,
     sensitivity,
     study,
+    sweep,
     thermal,
     view,
 )
-from mistray.cli.arguments import INTERRUPTED, RAW, Parser
+from mistray.cli.arguments import INTERRUPTED, RAW, Parser, as_text
 from mistray.errors import MistrayError
 
 BAD_INPUT = 2
@@ -38,6 +40,7 @@ COMMANDS = (
     export_lens,
     view,
     ghosts,
+    sweep,
     objects,
     pst,
     study,
@@ -47,6 +50,7 @@ COMMANDS = (
     sensitivity,
     budget,
     optimize,
+    cache,
     completion,
 )
 
@@ -68,28 +72,75 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError):  # a replaced stream, as in a notebook, has no encoding to speak of
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
-    arguments = list(sys.argv[1:] if argv is None else argv)
     try:
-        options = _parser().parse_args(arguments)
-        options.command_line = shlex.join(["mistray", *arguments])
-        code = int(options.run(options))
-        sys.stdout.flush()
+        code = _command(list(sys.argv[1:] if argv is None else argv))
+        if sys.stdout is not None:  # None: closed from the start
+            sys.stdout.flush()
         return code
     except MistrayError as error:
-        return _fail(str(error))
-    except BrokenPipeError:  # the reader, such as head, has seen enough; nothing may be flushed to it at exit
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return _interrupted() if _stopped(error) else _fail(str(error))
+    except BrokenPipeError:  # the reader, such as head, has seen enough
+        _drop_output()
         return 0
-    except (RuntimeError, OSError, MemoryError) as error:  # Mitsuba, Dr.Jit, files
-        return _fail(f"{type(error).__name__}: {error}" if not isinstance(error, RuntimeError) else str(error))
+    except OSError as error:  # files, and a disk that has no room for the output
+        _drop_output()
+        place = "" if error.filename is None else f"'{error.filename}': "
+        return _fail(f"{place}{error.strerror or error}; check the place, its permissions and its free space")
+    except MemoryError:
+        return _fail("out of memory; use fewer rays, fields or pixels")
+    except RuntimeError as error:  # Mitsuba, Dr.Jit
+        return _interrupted() if _stopped(error) else _fail(str(error))
     except KeyboardInterrupt:
-        print("mistray: interrupted, nothing was written", file=sys.stderr)
-        return INTERRUPTED
+        return _interrupted()
+
+
+def _command(arguments: list[str]) -> int:
+    """Run one command; --help and --version end here, too."""
+    try:
+        options = _parser().parse_args(arguments)
+        # Names that are no text in the locale's encoding stand in reports, which are UTF-8
+        options.command_line = as_text(shlex.join(["mistray", *arguments]))
+        return int(options.run(options))
+    except SystemExit as stop:
+        return int(stop.code or 0)
+
+
+def _stopped(error: BaseException | None) -> bool:
+    """Whether Ctrl-C is behind an error: Mitsuba makes another one of it while it starts, Dr.Jit in a loop."""
+    while error is not None:
+        if isinstance(error, KeyboardInterrupt):
+            return True
+        error = error.__cause__ or error.__context__
+    return False
+
+
+def _interrupted() -> int:
+    print("mistray: interrupted, nothing was written", file=sys.stderr)
+    return INTERRUPTED
+
+
+def _drop_output() -> None:
+    """Where stdout takes no more nothing may be flushed to it at exit."""
+    try:
+        sys.stdout.flush()
+    except (OSError, AttributeError):
+        with contextlib.suppress(OSError, AttributeError):
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _fail(message: str) -> int:
     print(f"mistray: error: {' '.join(message.split())}", file=sys.stderr)
     return BAD_INPUT
+
+
+class _Version(argparse.Action):
+    """Prints the version; it is looked up only then, because the search takes as long as all of --help."""
+
+    def __call__(self, parser: argparse.ArgumentParser, *_: Any) -> None:
+        import importlib.metadata
+
+        print(f"mistray {importlib.metadata.version('mistray')}")
+        parser.exit()
 
 
 def _parser() -> argparse.ArgumentParser:
@@ -105,7 +156,7 @@ def _parser() -> argparse.ArgumentParser:
         "  mistray ghosts --help",
         formatter_class=RAW,
     )
-    parser.add_argument("--version", action="version", version=f"mistray {importlib.metadata.version('mistray')}")
+    parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
     for command in COMMANDS:
         command.add(commands)

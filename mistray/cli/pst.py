@@ -18,14 +18,17 @@ from mistray.cli.tracing_arguments import (
     add_ray_tree,
     add_scatter,
     add_scene,
+    add_scheduler,
     add_spectrum,
     check_formats,
     check_weights,
+    claim_output,
     scene_title,
     settings_of,
     show,
     start_mitsuba,
     terminal_bar,
+    workers_of,
     working,
 )
 from mistray.errors import MistrayError
@@ -75,7 +78,8 @@ def add(commands: Any) -> None:
                         help="angles beyond this do not count for --relative-error")  # fmt: skip
     source = parser.add_argument_group("source (default: as the scene says)")
     add_spectrum(source)
-    add_ray_tree(parser, "start rays in all, or for each angle (forward); with --relative-error the most (4e6; 2e5)")
+    rays = "start rays in all, or for each angle (forward); with --relative-error the most (4e6; 2e5)"
+    add_scheduler(add_ray_tree(parser, rays))
     add_scatter(parser)
     saved = parser.add_argument_group("saved run (adjoint)")
     saved.add_argument("--state", type=Path, metavar="FILE",
@@ -96,14 +100,11 @@ def run(options: argparse.Namespace) -> int:
     _check(options)
     start_mitsuba(options)
     from mistray.analysis.pst.run import pst
-    from mistray.report.output import writable_directory
-    from mistray.report.pst_output import write_pst
     from mistray.report.pst_tables import pst_record, pst_text
     from mistray.scene import load
     from mistray.trace.directions import DirectionGrid
 
-    if options.out is not None:
-        writable_directory(options.out)
+    claim_output(options)
     grid = DirectionGrid.of(
         FIELD_ANGLES if options.angles_deg is None else options.angles_deg,
         options.azimuths_deg,
@@ -116,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
         scene = load(options.scene)
     passes: list[PstProgress] = []
     try:
-        with _progress(options) as draw:
+        with workers_of(options), _progress(options) as draw:
 
             def progress(now: PstProgress) -> None:
                 passes.append(now)
@@ -149,6 +150,8 @@ def run(options: argparse.Namespace) -> int:
         return INTERRUPTED
     files = []
     if options.out is not None:
+        from mistray.report.pst_output import write_pst
+
         title = scene_title(options.scene)
         with working("drawing the report", options.quiet):
             files = write_pst(found, options.out, title, options.command_line, options.paths_shown, maps_at)

@@ -11,13 +11,16 @@ from mistray.cli.tracing_arguments import (
     add_ray_tree,
     add_scatter,
     add_scene,
+    add_scheduler,
     add_spectrum,
     check_weights,
+    claim_output,
     progress_bar,
     scene_title,
     settings_of,
     show,
     start_mitsuba,
+    workers_of,
     working,
 )
 from mistray.errors import MistrayError
@@ -88,7 +91,7 @@ def add(commands: Any) -> None:
     about.add_argument("--no-edges", action="store_true", help="leave out what rays gain and lose at rims")
     about.add_argument("--edge-width", type=positive, default=0.02, metavar="W",
                        help="width of the zone at a rim in which rays count, over its radius (0.02)")  # fmt: skip
-    add_ray_tree(parser, "start rays at each field, or of the PST")
+    add_scheduler(add_ray_tree(parser, "start rays at each field, or of the PST"))
     add_scatter(parser)
     output = add_output(parser, "report.html, CSV files, JSON and pictures")
     output.add_argument("--top", type=count, default=20, metavar="N", help="rows of the table (20)")
@@ -103,13 +106,10 @@ def run(options: argparse.Namespace) -> int:
     from mistray.optimize.factories import FACTORIES
     from mistray.optimize.parameters import match, parameters
     from mistray.optimize.sensitivity import sensitivity
-    from mistray.report.output import writable_directory
-    from mistray.report.sensitivity_output import write_sensitivity
     from mistray.report.sensitivity_tables import sensitivity_record, sensitivity_text
     from mistray.scene import load
 
-    if options.out is not None:
-        writable_directory(options.out)
+    claim_output(options)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
     settings = {key: value for key, value in settings_of(options).items() if value is not None}
@@ -123,7 +123,7 @@ def run(options: argparse.Namespace) -> int:
         keys = [key for key in (known if keys is None else match(known, keys)) if known[key].kind in options.kind]
         if not keys:
             raise MistrayError(f"the scene has no parameter of kind {' or '.join(options.kind)} among those chosen")
-    with progress_bar(options) as progress:
+    with workers_of(options), progress_bar(options) as progress:
         result = sensitivity(
             metric,
             keys=keys,
@@ -141,6 +141,8 @@ def run(options: argparse.Namespace) -> int:
         )
     files = []
     if options.out is not None:
+        from mistray.report.sensitivity_output import write_sensitivity
+
         with working("drawing the report", options.quiet):
             files = write_sensitivity(result, options.out, scene_title(options.scene), options.command_line)
     show(options, lambda: sensitivity_record(result), lambda: sensitivity_text(result, options.top), files)

@@ -16,14 +16,17 @@ from mistray.cli.tracing_arguments import (
     add_ray_tree,
     add_scatter,
     add_scene,
+    add_scheduler,
     add_spectrum,
     check_formats,
     check_weights,
+    claim_output,
     scene_title,
     settings_of,
     show,
     start_mitsuba,
     terminal_bar,
+    workers_of,
     working,
 )
 from mistray.errors import MistrayError
@@ -59,7 +62,8 @@ def add(commands: Any) -> None:
     what.add_argument("--convention", choices=("normal", "projected"), default="normal",
                       help="PST as E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ) (normal)")  # fmt: skip
     add_spectrum(what)
-    add_ray_tree(parser, "start rays of the PST; objects get a fifth at each angle, ghosts a tenth (1e6; quick: 1e5)")
+    rays = "start rays of the PST; objects get a fifth at each angle, ghosts a tenth (1e6; quick: 1e5)"
+    add_scheduler(add_ray_tree(parser, rays))
     add_scatter(parser)
     output = add_output(parser, "report.html and a CSV file of every table", shown="findings", formats=TABLE_FORMATS)
     output.add_argument("--resume", action="store_true", help="go on with the PST that was saved in --out")
@@ -74,15 +78,12 @@ def run(options: argparse.Namespace) -> int:
         raise MistrayError("--resume needs the folder of the saved run; give --out")
     start_mitsuba(options)
     from mistray.analysis.study.run import study
-    from mistray.report.formats import write_formats
-    from mistray.report.output import writable_directory
-    from mistray.report.study_output import csv_tables, write_study
     from mistray.report.study_tables import study_record, study_text
     from mistray.scene import load
 
-    state = None
-    if options.out is not None:
-        state = writable_directory(options.out) / STATE
+    state, folder = None, claim_output(options)
+    if folder is not None:
+        state = folder / STATE
         if options.resume and not state.exists():
             raise MistrayError(f"--resume: there is no saved run '{state}'; run without --resume first")
         if not state.parent.exists():
@@ -91,7 +92,7 @@ def run(options: argparse.Namespace) -> int:
         scene = load(options.scene)
     saved = _written(state)
     try:
-        with _progress(options) as progress:
+        with workers_of(options), _progress(options) as progress:
             found = study(
                 scene,
                 FIELD_ANGLES if options.angles_deg is None else options.angles_deg,
@@ -115,6 +116,9 @@ def run(options: argparse.Namespace) -> int:
         return INTERRUPTED
     files = []
     if options.out is not None:
+        from mistray.report.formats import write_formats
+        from mistray.report.study_output import csv_tables, write_study
+
         with working("drawing the report", options.quiet):
             files = write_study(found, options.out, options.command_line)
             tables = csv_tables(found)

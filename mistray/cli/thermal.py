@@ -13,6 +13,7 @@ from mistray.cli.tracing_arguments import (
     add_scatter,
     add_scene,
     check_formats,
+    claim_output,
     progress_bar,
     scene_title,
     settings_of,
@@ -60,13 +61,10 @@ def run(options: argparse.Namespace) -> int:
     check_formats(options)
     start_mitsuba(options)
     from mistray.analysis.thermal.emission import thermal
-    from mistray.report.formats import write_formats
-    from mistray.report.output import writable_directory
     from mistray.report.thermal import csv_tables, thermal_record, thermal_text, write_thermal
     from mistray.scene import load
 
-    if options.out is not None:
-        writable_directory(options.out)
+    claim_output(options)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
     with progress_bar(options) as progress:
@@ -83,6 +81,8 @@ def run(options: argparse.Namespace) -> int:
         )
     files = []
     if options.out is not None:
+        from mistray.report.formats import write_formats
+
         with working("drawing the report", options.quiet):
             files = write_thermal(report, options.out, scene_title(options.scene), options.command_line)
             tables = csv_tables(report)

@@ -13,7 +13,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import count, finite, positive
+from mistray.cli.arguments import as_text, count, finite, positive
 from mistray.errors import MistrayError
 
 FIRST_SECOND = 1.0  # s, after which what is still at work says so
@@ -53,8 +53,30 @@ def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
                        help="what surfaces send on (allow_all)")  # fmt: skip
     group.add_argument("--polarization", choices=("unpolarized", "stokes"),
                        help="means of s and p at every hit, or Stokes vectors along paths (unpolarized)")  # fmt: skip
-    group.add_argument("--variant", metavar="NAME", help="Mitsuba variant, such as cuda_ad_rgb (llvm_ad_rgb)")
+    add_machine(group)
     return group
+
+
+def add_machine(group: Any) -> None:
+    """Declare what traces, see `start_mitsuba`."""
+    group.add_argument("--variant", metavar="NAME",
+                       help="Mitsuba variant; cuda_ad_rgb traces on an NVIDIA GPU (llvm_ad_rgb)")  # fmt: skip
+    group.add_argument("--threads", type=count, metavar="N", help="threads of the processor (all)")
+
+
+def add_scheduler(group: Any) -> None:
+    """Declare the cluster that traces, see `workers_of`."""
+    group.add_argument("--scheduler", metavar="ADDRESS",
+                       help="trace by the workers of a dask cluster, tcp://host:port (this process)")  # fmt: skip
+
+
+def workers_of(options: argparse.Namespace) -> contextlib.AbstractContextManager[None]:
+    """The block in which the workers of --scheduler trace, if it is given."""
+    if options.scheduler is None:
+        return contextlib.nullcontext()
+    from mistray.cluster import distribute
+
+    return distribute(options.scheduler)
 
 
 def add_scatter(parser: argparse.ArgumentParser) -> None:
@@ -106,6 +128,15 @@ def add_output(
     group.add_argument("--json", action="store_true", help=f"print JSON instead of the {shown}")
     group.add_argument("--quiet", action="store_true", help=f"no progress, no {shown}")
     return group
+
+
+def claim_output(options: argparse.Namespace) -> Path | None:
+    """The folder of --out, None without one; refused, if nothing can be written there, before anything is traced."""
+    if options.out is None:
+        return None
+    from mistray.report.output import writable_directory
+
+    return writable_directory(options.out)
 
 
 def show(
@@ -161,18 +192,20 @@ def check_weights(options: argparse.Namespace) -> None:
 
 
 def start_mitsuba(options: argparse.Namespace) -> None:
-    """Choose the variant, which settles libLLVM, before anything imports Mitsuba."""
+    """Choose the variant, which settles libLLVM, and the threads before anything imports Mitsuba."""
     from mistray._mitsuba_compat import silence_warnings
-    from mistray._variant import ensure_variant
+    from mistray._variant import ensure_variant, set_threads
 
     ensure_variant(options.variant)
+    if options.threads is not None:
+        set_threads(options.threads)
     silence_warnings()
 
 
 def scene_title(scene: str) -> str:
     """Name of a scene: that of its file, or of its folder if the file is called scene.xml."""
     path = Path(scene).resolve()
-    return path.parent.name if path.name == "scene.xml" else path.stem
+    return as_text(path.parent.name if path.name == "scene.xml" else path.stem)
 
 
 @contextlib.contextmanager

@@ -10,7 +10,7 @@ from typing import Any
 
 from mistray.analysis.estimate import Estimate
 from mistray.report.text import ABSENT, with_error
-from mistray.trace.result import versions
+from mistray.trace.forward import versions
 
 
 def section(anchor: str, title: str, body: str) -> str:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+import contextlib
 import shutil
 import tempfile
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
 import pandas as pd
@@ -21,6 +22,7 @@ from mistray.report.path_sort import path_sort_text
 from mistray.report.plots import as_png, common_range, ghost_image, levels_against_field, montage
 
 PATHS_SORTED = 1000  # paths in a path-sort file
+PROBE = 1 << 16  # bytes for which there must be room
 
 
 def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
@@ -81,8 +83,9 @@ def write_all(
     """
     Write CSV, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
 
-    All files are made in a temporary directory beside the target and moved there at the end, so that a failure leaves
-    nothing half-written. Files of the same names are replaced, others are left alone.
+    All files are made in a temporary directory, in the target or, where that is still to be made, beside it, and moved
+    at the end, so that a failure leaves nothing half-written. Files of the same names are replaced, others are left
+    alone.
 
     Parameters
     ----------
@@ -104,21 +107,22 @@ def write_all(
         The files written.
     """
     target = writable_directory(directory)
-    draft = Path(tempfile.mkdtemp(prefix=f".{target.name}-", dir=_nearest_directory(target.parent)))
-    try:
-        for field in report:
-            mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
-        pictures = draw(report, look)
-        drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
-        for field in report:
-            path = draft / f"path_sort_{field:g}deg.txt"
-            path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
-            drafts.append(path)
-        drafts.append(write_html(report, draft / "report.html", title, command, pictures, per_wavelength))
-        target.mkdir(parents=True, exist_ok=True)
-        return [path.replace(target / path.name) for path in drafts]
-    finally:
-        shutil.rmtree(draft, ignore_errors=True)
+    with _told(directory):
+        draft = Path(tempfile.mkdtemp(prefix=".mistray-", dir=_nearest_directory(target)))
+        try:
+            for field in report:
+                mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
+            pictures = draw(report, look)
+            drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
+            for field in report:
+                path = draft / f"path_sort_{field:g}deg.txt"
+                path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
+                drafts.append(path)
+            drafts.append(write_html(report, draft / "report.html", title, command, pictures, per_wavelength))
+            target.mkdir(parents=True, exist_ok=True)
+            return [path.replace(target / path.name) for path in drafts]
+        finally:
+            shutil.rmtree(draft, ignore_errors=True)
 
 
 def writable_directory(directory: str | Path) -> Path:
@@ -128,18 +132,14 @@ def writable_directory(directory: str | Path) -> Path:
     Raises
     ------
     MistrayError
-        The path is a file, or it may not be written.
+        The path is a file, it may not be written, or there is no room.
     """
-    target = Path(directory).expanduser().resolve()
-    if target.exists() and not target.is_dir():
-        raise MistrayError(f"output directory '{directory}' is a file; name a directory")
-    try:
-        tempfile.TemporaryFile(dir=_nearest_directory(target)).close()
-        tempfile.TemporaryFile(dir=_nearest_directory(target.parent)).close()
-    except OSError as error:
-        raise MistrayError(
-            f"output directory '{directory}' cannot be written ({error.strerror}); choose another"
-        ) from None
+    with _told(directory):
+        target = Path(directory).expanduser().resolve()
+        if target.exists() and not target.is_dir():
+            raise MistrayError(f"output directory '{directory}' is a file; name a directory")
+        with tempfile.TemporaryFile(dir=_nearest_directory(target)) as probe:
+            probe.write(bytes(PROBE))
     return target
 
 
@@ -165,13 +165,25 @@ def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list
         See `writable_directory`.
     """
     target = writable_directory(directory)
-    target.mkdir(parents=True, exist_ok=True)
+    with _told(directory):
+        target.mkdir(parents=True, exist_ok=True)
     return [replace_file(target / name, content) for name, content in files.items()]
 
 
 def csv_text(table: pd.DataFrame) -> str:
     """A table as CSV without its index, numbers with nine digits."""
     return str(table.to_csv(index=False, lineterminator="\n", float_format="%.9g"))
+
+
+@contextlib.contextmanager
+def _told(directory: str | Path) -> Iterator[None]:
+    """Say in one line why a directory cannot be written."""
+    try:
+        yield
+    except OSError as error:
+        raise MistrayError(
+            f"output directory '{directory}' cannot be written ({error.strerror}); choose another"
+        ) from None
 
 
 def _nearest_directory(path: Path) -> Path:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import io
 from collections.abc import Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -19,6 +20,7 @@ from matplotlib.figure import Figure
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.irradiance import Extent, Map, log10_image, log_range
 from mistray.errors import MistrayError
+from mistray.replace_file import replace_file
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
@@ -235,6 +237,13 @@ def as_png(figure: Figure) -> bytes:
     buffer = io.BytesIO()
     figure.savefig(buffer, format="png", bbox_inches="tight", pad_inches=0.1)
     return buffer.getvalue()
+
+
+def write_figure(figure: Figure, path: str | Path) -> Path:
+    """Write a figure in the format that the ending says, complete or not at all."""
+    buffer = io.BytesIO()
+    figure.savefig(buffer, format=Path(path).suffix.lower().removeprefix("."), bbox_inches="tight", pad_inches=0.1)
+    return replace_file(path, buffer.getvalue(), "picture")
 
 
 def as_svg(figure: Figure) -> str:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from report.view_scene import EXACT, FORMULAS, SCENE, mm, tilted
+from report.view_scene import EXACT, FORMULAS, mm, tilted
 
 import mistray
 from mistray.errors import MistrayError
@@ -16,13 +16,6 @@ ZERO = 1e-12
 def area(vertices, faces):
     a, b, c = np.asarray(vertices, dtype=float)[np.asarray(faces)].transpose(1, 0, 2)
     return 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1).sum()
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    path = tmp_path_factory.mktemp("view") / "scene.xml"
-    path.write_text(SCENE, encoding="utf-8")
-    return mistray.load(path)
 
 
 @pytest.mark.parametrize("cut", [None, CutPlane(), CutPlane(90.0), CutPlane(37.0, 0.4)], ids=str)

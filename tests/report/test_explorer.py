@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import re
 import shutil
 import subprocess
-import sys
 from importlib.resources import files
 
 import numpy as np
@@ -98,7 +98,9 @@ def test_rays_and_events_of_a_path(report, data):
 
 
 def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
-    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "MAP_BYTES", 16.0 * SHAPE[0] * SHAPE[1] * (2 + 2))
+    monkeypatch.setattr(
+        importlib.import_module("mistray.analysis.ghosts"), "MAP_BYTES", 16.0 * SHAPE[0] * SHAPE[1] * (2 + 2)
+    )
     t = trace_at(0.0)
     report = GhostReport(lens_scene(), {0.0: t}, t, {})
     table = report.table(0.0).set_index("path_id")

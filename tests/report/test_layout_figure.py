@@ -6,24 +6,12 @@ import xml.etree.ElementTree as ET
 
 import numpy as np
 import pytest
-from report.fake_trace import SHARES, paths_at, trace_in_colours
-from report.view_scene import A4, CONIC, RADIUS, SCENE, RayTrace
+from report.fake_trace import SHARES, trace_in_colours
+from report.view_scene import A4, CONIC, RADIUS, RayTrace
 
 import mistray
 from mistray.errors import MistrayError
 from mistray.report.layout import CANDIDATES, layout_figure, meridional, section, write_layout
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    path = tmp_path_factory.mktemp("layout") / "scene.xml"
-    path.write_text(SCENE, encoding="utf-8")
-    return mistray.load(path)
-
-
-@pytest.fixture(scope="module")
-def trace():
-    return RayTrace(paths_at(10.0), 10.0)
 
 
 @pytest.fixture(scope="module")

@@ -6,19 +6,13 @@ import json
 
 import numpy as np
 import pytest
-from report.fake_trace import paths_at, scatter_trace_at
-from report.view_scene import RayTrace
+from report.fake_trace import scatter_trace_at
 
 from mistray.errors import MistrayError
 from mistray.report.path_rays import RayLine, rays_of_paths, row_name
 from mistray.report.ray_files import read_rays, write_rays
 
 ENDINGS = ("ply", "obj", "json")
-
-
-@pytest.fixture(scope="module")
-def trace():
-    return RayTrace(paths_at(10.0), 10.0)
 
 
 @pytest.fixture(scope="module")

@@ -9,7 +9,7 @@ import sys
 import numpy as np
 import pytest
 from report.fake_trace import SHARES, paths_at, trace_in_colours
-from report.view_scene import EXACT, FORMULAS, SCENE, RayTrace
+from report.view_scene import EXACT, FORMULAS, RayTrace
 
 import mistray
 from mistray.errors import MistrayError
@@ -17,18 +17,6 @@ from mistray.report.cut_open import CutPlane, open_surfaces
 from mistray.report.view_controls import NO_LIGHT, FluxScale
 
 view = mistray.view
-
-
-@pytest.fixture(scope="module")
-def scene(tmp_path_factory):
-    path = tmp_path_factory.mktemp("view") / "scene.xml"
-    path.write_text(SCENE, encoding="utf-8")
-    return mistray.load(path)
-
-
-@pytest.fixture(scope="module")
-def trace():
-    return RayTrace(paths_at(10.0), 10.0)
 
 
 @pytest.fixture(scope="module")

@@ -1,0 +1,52 @@
+"""Packages whose public names are imported from their modules when somebody asks for them.
+
+A command that prints a table needs neither Matplotlib nor the report of another command. What a package offers stands
+in its ``__init__`` once for the type checker and once as a table of modules and names for `lazy_package`.
+"""
+
+from __future__ import annotations
+
+import importlib
+import sys
+from collections.abc import Iterable, Mapping
+from types import ModuleType
+from typing import Any
+
+
+class _LazyPackage(ModuleType):
+    """A package with a table of the modules that its names live in."""
+
+    _homes: Mapping[str, str]
+
+    def __getattr__(self, name: str) -> Any:
+        if name not in self._homes:
+            raise AttributeError(f"module '{self.__name__}' has no attribute '{name}'")
+        value = getattr(importlib.import_module(self._homes[name]), name)
+        setattr(self, name, value)
+        return value
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        # The import of a module binds it in its package, where a public name like that of the module comes first
+        if not (isinstance(value, ModuleType) and name in self._homes):
+            super().__setattr__(name, value)
+
+    def __dir__(self) -> Iterable[str]:
+        return sorted({*super().__dir__(), *self._homes})
+
+
+def lazy_package(package: str, names: Mapping[str, Iterable[str]]) -> None:
+    """
+    Make the names of a package importable without importing their modules now.
+
+    Parameters
+    ----------
+    package : str
+        ``__name__`` of the package.
+    names : mapping of str to iterable of str
+        Module within the package → the public names that it defines. A name may be that of its own module, as the
+        function `mistray.report.view.view`: it is then the function in the package.
+    """
+    module = sys.modules[package]
+    module.__class__ = _LazyPackage
+    homes = {name: f"{package}.{home}" for home, own in names.items() for name in own}
+    vars(module)["_homes"] = homes

@@ -1,0 +1,16 @@
+"""Results that are kept on disk: where they are, what they are named by, and how they stay whole."""
+
+from mistray.cache.fingerprint import code_fingerprint, file_fingerprint, key_of
+from mistray.cache.folder import default_folder, limit_bytes, open_cache
+from mistray.cache.store import Cache, Contents
+
+__all__ = [
+    "Cache",
+    "Contents",
+    "code_fingerprint",
+    "default_folder",
+    "file_fingerprint",
+    "key_of",
+    "limit_bytes",
+    "open_cache",
+]

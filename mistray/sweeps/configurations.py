@@ -1,0 +1,158 @@
+"""Configurations: states of one scene that differ in the values of some of its parameters."""
+
+from __future__ import annotations
+
+import difflib
+import fnmatch
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import numpy.typing as npt
+
+from mistray._mitsuba_compat import peek
+from mistray.errors import MistrayError
+from mistray.optimize.parameters import Parameter, groups, parameters
+
+AS_IT_IS = "as it is"
+"""Name of the configuration in which nothing is changed."""
+OFFERED = 3  # names in a message about one that does not exist
+
+
+@dataclass(frozen=True)
+class Configuration:
+    """
+    A state of a scene.
+
+    Attributes
+    ----------
+    name : str
+    values : mapping of str to float or sequence of float
+        Parameters and their values in their units: keys of ``mi.traverse(scene)``, names of groups such as
+        ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.parameters.groups`, or patterns of both with ``*``, ``?``
+        and ``[…]``. One number stands for all entries of a parameter. Where two name the same
+        key, the later one holds.
+    """
+
+    name: str
+    values: Mapping[str, float | Sequence[float]]
+
+
+@dataclass(frozen=True)
+class Resolved:
+    """
+    A configuration of a scene, by its keys.
+
+    Attributes
+    ----------
+    name : str
+    values : dict of str to (entries,) float64
+        By key of ``mi.traverse(scene)``; float32 numbers, as a scene takes them.
+    units : dict of str to str
+        Of the keys of which the unit is known.
+    """
+
+    name: str
+    values: dict[str, npt.NDArray[np.float64]]
+    units: dict[str, str]
+
+
+Given = Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None
+
+
+def as_configurations(given: Given) -> list[Configuration]:
+    """
+    Configurations as a user may give them.
+
+    Parameters
+    ----------
+    given : mapping of str to mapping, sequence of Configuration, or None
+        Name → values; None is one in which nothing is changed.
+
+    Raises
+    ------
+    MistrayError
+        If there is none, or two have one name.
+    """
+    if given is None:
+        return [Configuration(AS_IT_IS, {})]
+    if isinstance(given, Mapping):
+        found = [Configuration(str(name), values) for name, values in given.items()]
+    else:
+        found = list(given)
+    if not found:
+        raise MistrayError("configurations is empty; give at least one, or leave it out")
+    for one in found:
+        if not isinstance(one, Configuration) or not isinstance(one.values, Mapping):
+            raise MistrayError(f"configurations: {one!r} is none; give a mapping from names to {{key: value}}")
+    names = [one.name for one in found]
+    for name in names:
+        if names.count(name) > 1:
+            raise MistrayError(f"configuration '{name}' is given twice; give each a name of its own")
+    return found
+
+
+def resolve(scene: Any, params: Any, given: Sequence[Configuration]) -> list[Resolved]:
+    """
+    Find the parameters that configurations name.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    params : mi.SceneParameters
+        ``mi.traverse(scene)``.
+    given : sequence of Configuration
+
+    Raises
+    ------
+    MistrayError
+        If a key does not exist or is no number, or a value is not finite or has the wrong number of entries.
+    """
+    known = parameters(scene, params) if any(one.values for one in given) else {}
+    together = groups(known)
+    return [_resolved(one, params, known, together) for one in given]
+
+
+def _resolved(
+    given: Configuration, params: Any, known: Mapping[str, Parameter], together: Mapping[str, list[str]]
+) -> Resolved:
+    values: dict[str, npt.NDArray[np.float64]] = {}
+    for name, value in given.values.items():
+        for key in _keys(given.name, name, params, together):
+            values[key] = _numbers(given.name, key, value, peek(params, key))
+    return Resolved(given.name, values, {key: known[key].unit for key in values if key in known})
+
+
+def _keys(configuration: str, name: str, params: Any, together: Mapping[str, list[str]]) -> list[str]:
+    if name in params:
+        return [name]
+    if name in together:
+        return together[name]
+    keys = list(params.keys())
+    found = {key: None for key in keys if fnmatch.fnmatchcase(key, name) and isinstance(peek(params, key), mi.Float)}
+    for group, members in together.items():
+        if fnmatch.fnmatchcase(group, name):
+            found |= dict.fromkeys(members)
+    if not found:
+        close = difflib.get_close_matches(name, [*keys, *together], n=OFFERED)
+        hint = f"did you mean {' or '.join(close)}?" if close else "list(mi.traverse(scene).keys()) shows them all"
+        raise MistrayError(f"configuration '{configuration}': the scene has no parameter '{name}'; {hint}")
+    return list(found)
+
+
+def _numbers(configuration: str, key: str, value: Any, now: Any) -> npt.NDArray[np.float64]:
+    where = f"configuration '{configuration}': parameter '{key}'"
+    if not isinstance(now, mi.Float):
+        raise MistrayError(f"{where} is no number but {type(now).__name__}; change another one")
+    try:
+        numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
+    except (TypeError, ValueError):
+        raise MistrayError(f"{where} is {value!r}; give a number, or one for each of its entries") from None
+    entries = len(now)
+    if numbers.ndim != 1 or len(numbers) not in (1, entries):
+        raise MistrayError(f"{where}: {numbers.size} numbers are given; it has {entries}")
+    if not np.all(np.isfinite(numbers)):
+        raise MistrayError(f"{where} is {numbers.tolist()}; it must be finite")
+    return np.broadcast_to(numbers, entries).astype(np.float32).astype(np.float64)

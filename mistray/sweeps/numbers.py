@@ -1,0 +1,73 @@
+"""The numbers of one trace that a sweep tables."""
+
+from __future__ import annotations
+
+import re
+from typing import Any
+
+import pandas as pd
+
+from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.ranking import direct_image, ranked
+from mistray.trace import Trace
+from mistray.trace.path_events import DIRECT, STRAY_KINDS
+
+KIND_COLUMNS = {kind: re.sub(r"\W+", "_", kind).lower() for kind in STRAY_KINDS}
+"""Kinds of stray paths and the beginnings of their columns."""
+Numbers = dict[str, Any]
+
+
+def numbers_of(t: Trace) -> Numbers:
+    """
+    Column → value, for one row of a sweep.
+
+    Parameters
+    ----------
+    t : Trace
+        Of one wavelength.
+
+    Returns
+    -------
+    dict
+        ``rays`` (start rays), ``paths``, ``launched_W``, ``detected_W``, ``direct_W``, ``stray_W`` (all but the direct
+        image) and the same of every kind of `KIND_COLUMNS`; ``ghost_to_signal`` (stray_W over direct_W; NaN out of
+        field), ``direct_rms_radius_mm``, ``direct_rms_irradiance_W_mm2``; ``worst_path``, the stray path of the highest
+        RMS irradiance in words and, of it, ``worst_events``, ``worst_power_W``, ``worst_rms_radius_mm`` and
+        ``worst_rms_irradiance_W_mm2``; ``cut_W`` and ``closure``. All but the launched power, what is cut and the
+        closure have a standard error, ``_se`` before the unit.
+    """
+    rows = t.paths.by_way()
+    direct = direct_image(rows)
+    stray = _power(t, rows[rows.kind != DIRECT])
+    table = ranked(rows, direct.rms_irradiance_W_mm2)
+    worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
+    numbers: Numbers = {
+        "rays": int(t.settings["rays"]),
+        "paths": len(rows),
+        "launched_W": float(t.energy.launched_W),
+        **_pair("detected", "_W", Estimate(t.energy.detected_W, t.energy.detected_se_W)),
+        **_pair("direct", "_W", _power(t, rows[rows.kind == DIRECT])),
+        **_pair("stray", "_W", stray),
+        **_pair("ghost_to_signal", "", stray.over(direct.power_W)),
+    }
+    for kind, name in KIND_COLUMNS.items():
+        numbers |= _pair(name, "_W", _power(t, rows[rows.kind == kind]))
+    numbers |= _pair("direct_rms_radius", "_mm", direct.rms_radius_mm)
+    numbers |= _pair("direct_rms_irradiance", "_W_mm2", direct.rms_irradiance_W_mm2)
+    numbers["worst_path"] = str(worst.label.iloc[0]) if len(worst) else None
+    numbers["worst_events"] = str(worst.events.iloc[0]) if len(worst) else None
+    for name, unit in (("power", "_W"), ("rms_radius", "_mm"), ("rms_irradiance", "_W_mm2")):
+        found = UNKNOWN
+        if len(worst):
+            found = Estimate(float(worst[f"{name}{unit}"].iloc[0]), float(worst[f"{name}_se{unit}"].iloc[0]))
+        numbers |= _pair(f"worst_{name}", unit, found)
+    return numbers | {"cut_W": float(sum(t.energy.cut.values())), "closure": float(t.energy.closure)}
+
+
+def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
+    """Power of some rows together; the error is that of the sum."""
+    return Estimate(*t.paths.power([i for path_ids in rows.path_ids for i in path_ids]))
+
+
+def _pair(name: str, unit: str, estimate: Estimate) -> Numbers:
+    return {f"{name}{unit}": float(estimate.value), f"{name}_se{unit}": float(estimate.se)}

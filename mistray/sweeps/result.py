@@ -1,0 +1,211 @@
+"""What a sweep gives back."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, TypeAlias
+
+import mitsuba as mi
+
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.ghosts import GhostReport, ghosts
+from mistray.errors import MistrayError
+from mistray.optimize.scene_values import assign
+from mistray.scene import load
+from mistray.sweeps.configurations import Resolved
+from mistray.sweeps.numbers import Numbers
+from mistray.trace import Trace, trace
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+CELL = ("configuration", "field_deg", "wavelength_nm")
+"""The columns that name a row."""
+UNITS = ("_W_mm2", "_W", "_mm")
+"""Ends of the names of columns that have a unit."""
+Source: TypeAlias = "Path | dict[str, Any] | mi.Scene"
+
+
+class Sweep:
+    """
+    Result of `mistray.sweep`.
+
+    Attributes
+    ----------
+    configurations : tuple of Resolved
+        With the values of the keys that each one sets.
+    fields_deg, wavelengths_nm : tuple of float
+    rows : list of dict
+        One for each configuration, wavelength and field, in this order, see `to_pandas`; of an unfinished sweep those
+        that are there.
+    reused : int
+        Rows that come from the cache.
+    cache_folder : Path or None
+        None: nothing was read or written.
+    warnings : tuple of str
+        What went wrong with the cache, one line each.
+    arguments : dict
+        Of `mistray.trace` in every row, as given.
+    """
+
+    def __init__(
+        self,
+        source: Source,
+        configurations: Sequence[Resolved],
+        fields_deg: Sequence[float],
+        wavelengths_nm: Sequence[float],
+        rows: Sequence[Numbers],
+        arguments: dict[str, Any],
+        reused: int = 0,
+        cache_folder: Path | None = None,
+        warnings: Sequence[str] = (),
+    ) -> None:
+        self._source = source
+        self._scenes: dict[str, Any] = {}
+        self.configurations = tuple(configurations)
+        self.fields_deg, self.wavelengths_nm = tuple(fields_deg), tuple(wavelengths_nm)
+        self.rows = list(rows)
+        self.arguments, self.reused = dict(arguments), reused
+        self.cache_folder, self.warnings = cache_folder, tuple(warnings)
+
+    def __len__(self) -> int:
+        return len(self.rows)
+
+    def to_pandas(self) -> pd.DataFrame:
+        """
+        One row for each configuration, wavelength and field.
+
+        Returns
+        -------
+        DataFrame
+            Columns ``configuration``, ``field_deg``, ``wavelength_nm`` and those of
+            `mistray.sweeps.numbers.numbers_of`.
+        """
+        import pandas as pd
+
+        return pd.DataFrame(self.rows)
+
+    def values(self) -> pd.DataFrame:
+        """What the configurations set: configuration, key, entry, unit (empty where it is not known), value."""
+        import pandas as pd
+
+        rows = [
+            (one.name, key, entry, one.units.get(key, ""), float(value))
+            for one in self.configurations
+            for key, numbers in one.values.items()
+            for entry, value in enumerate(numbers)
+        ]
+        return pd.DataFrame(rows, columns=["configuration", "key", "entry", "unit", "value"])
+
+    def estimate(
+        self,
+        name: str,
+        configuration: str | None = None,
+        field_deg: float | None = None,
+        wavelength_nm: float | None = None,
+    ) -> Estimate:
+        """
+        A number and its standard error.
+
+        Parameters
+        ----------
+        name : str
+            A column that has an error, such as ``"stray_W"``.
+        configuration, field_deg, wavelength_nm : optional
+            Which row; what the sweep has one of only may be left out.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such row or column.
+        """
+        where = self._cell(configuration, field_deg, wavelength_nm)
+        row = next((row for row in self.rows if tuple(row[key] for key in CELL) == where), None)
+        if row is None:
+            raise MistrayError("sweep: this row was not finished; run it again")
+        return estimate_of(row, name)
+
+    def trace(
+        self, configuration: str | None = None, field_deg: float | None = None, wavelength_nm: float | None = None
+    ) -> Trace:
+        """
+        The trace of a row, with its paths, rays and maps: the same rays traced again.
+
+        A sweep keeps numbers, because traces take tens of megabytes each.
+
+        Parameters
+        ----------
+        configuration, field_deg, wavelength_nm : optional
+            Which row; what the sweep has one of only may be left out.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such row; if the sweep was given a loaded scene, which has one state only, and the
+            configuration changes it.
+        """
+        name, field, wavelength = self._cell(configuration, field_deg, wavelength_nm)
+        return trace(self._scene(name), field_deg=field, wavelength_nm=wavelength, **self.arguments)
+
+    def ghosts(self, configuration: str | None = None, wavelength_nm: float | None = None) -> GhostReport:
+        """
+        The ghost analysis of a configuration at one wavelength over all fields, by tracing the same rays again.
+
+        Parameters and errors are those of `trace`. `mistray.report.write_all` writes its files.
+        """
+        name, _, wavelength = self._cell(configuration, self.fields_deg[0], wavelength_nm)
+        return ghosts(self._scene(name), self.fields_deg, wavelength, **self.arguments)
+
+    def _scene(self, name: str) -> Any:
+        """A scene of its own for each configuration: traces ask theirs again later."""
+        if name in self._scenes:
+            return self._scenes[name]
+        one = next(one for one in self.configurations if one.name == name)
+        if isinstance(self._source, mi.Scene) and one.values:
+            raise MistrayError(
+                f"configuration '{name}' changes a scene that was given loaded; give sweep() the scene's file, so that "
+                "the configuration gets a scene of its own"
+            )
+        scene = self._source if isinstance(self._source, mi.Scene) else load(self._source)
+        if one.values:
+            assign(mi.traverse(scene), one.values)
+        self._scenes[name] = scene
+        return scene
+
+    def _cell(
+        self, configuration: str | None, field_deg: float | None, wavelength_nm: float | None
+    ) -> tuple[str, float, float]:
+        names = tuple(one.name for one in self.configurations)
+        return (
+            _chosen("configuration", configuration, names),
+            _chosen("field_deg", field_deg, self.fields_deg),
+            _chosen("wavelength_nm", wavelength_nm, self.wavelengths_nm),
+        )
+
+    def __repr__(self) -> str:
+        return (
+            f"Sweep({len(self.configurations)} configurations × {len(self.fields_deg)} fields × "
+            f"{len(self.wavelengths_nm)} wavelengths, {self.reused} of {len(self)} from the cache)"
+        )
+
+
+def estimate_of(row: Numbers, name: str) -> Estimate:
+    """A number of a row with its standard error; see `Sweep.estimate`."""
+    unit = next((unit for unit in UNITS if name.endswith(unit)), "")
+    error = f"{name.removesuffix(unit)}_se{unit}"
+    if name not in row or error not in row:
+        known = ", ".join(key.replace("_se", "", 1) for key in row if re.search(r"_se(_|$)", key))
+        raise MistrayError(f"a sweep has no number '{name}' with an error; choose from {known}")
+    return Estimate(row[name], row[error])
+
+
+def _chosen(what: str, given: Any, known: Sequence[Any]) -> Any:
+    if given is None and len(known) == 1:
+        return known[0]
+    if given not in known:
+        listed = ", ".join(f"'{value}'" if isinstance(value, str) else f"{value:g}" for value in known)
+        said = "is missing" if given is None else f"is {given!r}"
+        raise MistrayError(f"sweep: {what} {said}; choose from {listed}")
+    return given
