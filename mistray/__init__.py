@@ -2,20 +2,35 @@
 
 Importing the package settles libLLVM, makes a Mitsuba variant active if none is, and registers the plugins. Where that
 is impossible the import still succeeds, so that ``mistray doctor`` can say why; the first use of a public name raises.
+In the process of the command ``mistray`` the first use of a public name does all that: each command settles a variant
+of its own, and ``mistray --help`` needs none.
 """
 
 from __future__ import annotations
 
 import contextlib
 import importlib
+import os
+import sys
 from typing import TYPE_CHECKING, Any
 
-from mistray._variant import ensure_variant
-from mistray.errors import MistrayError
+from mistray._variant import ensure_variant, set_threads
+from mistray.errors import MistrayError, UnfinishedError
 
 if TYPE_CHECKING:
-    from mistray import analysis, coatings, materials, mechanics, optimize, physics, prescription, report, scene
-    from mistray.analysis import (  # type: ignore[no-redef]
+    from mistray import (
+        analysis,
+        coatings,
+        materials,
+        mechanics,
+        optimize,
+        physics,
+        prescription,
+        report,
+        scene,
+        sweeps,
+    )
+    from mistray.analysis import (
         FirstLevel,
         GhostReport,
         Objects,
@@ -29,10 +44,12 @@ if TYPE_CHECKING:
         study,
         thermal,
     )
-    from mistray.optimize import Metric, gradient, sensitivity  # type: ignore[no-redef]
+    from mistray.cluster import distribute
+    from mistray.optimize import Metric, gradient, sensitivity
     from mistray.prescription import Detector, Prescription, Source, Structure, Surface
-    from mistray.report import View, view  # type: ignore[no-redef]
+    from mistray.report import View, view
     from mistray.scene import load  # type: ignore[no-redef]
+    from mistray.sweeps import Sweep, sweep
     from mistray.trace import Trace, trace
 
 _HOMES = {
@@ -53,8 +70,11 @@ _HOMES = {
     "view": "mistray.report",
     "View": "mistray.report",
     "ThermalReport": "mistray.analysis",
+    "distribute": "mistray.cluster",
     "Metric": "mistray.optimize",
     "gradient": "mistray.optimize",
+    "sweep": "mistray.sweeps",
+    "Sweep": "mistray.sweeps",
     "sensitivity": "mistray.optimize",
     "Detector": "mistray.prescription",
     "Prescription": "mistray.prescription",
@@ -73,6 +93,7 @@ _MODULES = (
     "report",
     "scatter",
     "scene",
+    "sweeps",
 )
 
 __all__ = [
@@ -88,11 +109,14 @@ __all__ = [
     "Structure",
     "Study",
     "Surface",
+    "Sweep",
     "ThermalReport",
     "Trace",
+    "UnfinishedError",
     "View",
     "analysis",
     "coatings",
+    "distribute",
     "ensure_variant",
     "first_level",
     "ghosts",
@@ -109,7 +133,10 @@ __all__ = [
     "scatter",
     "scene",
     "sensitivity",
+    "set_threads",
     "study",
+    "sweep",
+    "sweeps",
     "thermal",
     "trace",
     "view",
@@ -136,5 +163,13 @@ def __dir__() -> list[str]:
     return sorted(__all__)
 
 
-with contextlib.suppress(MistrayError):  # raised again, with its remedy, by the first use of a public name
-    _bind()
+def _is_command() -> bool:
+    """Whether this process is the command, be it a script called ``mistray`` or ``python -m mistray``."""
+    # What the interpreter was given, up to the program; while a package is imported for -m, sys.argv[0] is "-m"
+    words = sys.orig_argv[: len(sys.orig_argv) - len(sys.argv) + 1]
+    return bool(words) and os.path.splitext(os.path.basename(words[-1]))[0] == "mistray"
+
+
+if not _is_command():
+    with contextlib.suppress(MistrayError):  # raised again, with its remedy, by the first use of a public name
+        _bind()

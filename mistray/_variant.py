@@ -32,6 +32,7 @@ LLVM_REMEDY = (
     "or set DRJIT_LIBLLVM_PATH to the library's file"
 )
 PLUGIN_ROOT = "mistray.plugins"
+MOST_THREADS = 1024  # far more than help: a slip, not a machine
 
 _LIBRARY_NAME = re.compile(r"libLLVM[-.\d]*\.(so|dylib)[.\d]*")
 _VERSION_IN_NAME = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+(?:\.\d+)*)")
@@ -130,6 +131,30 @@ def ensure_variant(name: str | None = None) -> str:
     return wanted
 
 
+def set_threads(count: int) -> None:
+    """
+    Set how many threads of the processor trace; from the start all of them do.
+
+    Results differ by the rounding of float64 sums only. The ``cuda`` variants trace on the GPU, whatever this is.
+
+    Parameters
+    ----------
+    count : int
+        1 … `MOST_THREADS`, the calling thread included.
+
+    Raises
+    ------
+    MistrayError
+        It is out of range, or no variant can be made active.
+    """
+    if isinstance(count, bool) or count != int(count) or not 1 <= count <= MOST_THREADS:
+        raise MistrayError(f"{count} threads; give 1 to {MOST_THREADS}, this machine has {os.cpu_count()} processors")
+    ensure_variant()
+    import drjit as dr
+
+    dr.set_thread_count(int(count))
+
+
 def active_variant() -> str | None:
     """Name of the Mitsuba variant that is set, None if there is none; does not import Mitsuba."""
     mitsuba = sys.modules.get("mitsuba")
@@ -207,7 +232,7 @@ def _require_backend(variant: str) -> None:
     elif variant.startswith("cuda_") and not dr.has_backend(dr.JitBackend.CUDA):
         raise MistrayError(
             f"variant '{variant}': Dr.Jit finds no NVIDIA GPU with a recent driver; "
-            f"update the driver or set MISTRAY_VARIANT={DEFAULT_VARIANT}"
+            f"'mistray doctor' says what it needs; or use {DEFAULT_VARIANT}"
         )
 
 

@@ -24,6 +24,13 @@ from mistray.errors import MistrayError
 
 DISTRIBUTION = "mistray"
 PROBE_TIMEOUT_S = 120.0
+# What Dr.Jit 1.5 and Mitsuba 3.9 ask for; with the drivers of CUDA 12.7 Dr.Jit refuses OptiX
+OLDEST_CUDA, REFUSED_CUDA = (12, 2), (12, 7)
+OLDEST_CAPABILITY = (7, 5)
+GPU_NEEDS = (
+    "needed for the cuda variants only: an NVIDIA GPU of compute capability 7.5 or newer (GeForce RTX 20, T4 and all "
+    "later ones) and its driver, 535 or newer, with OptiX"
+)
 
 # Minimum and maximum abort LLVM 15 and 16; Float64 sums and a ray against a mesh are what every trace uses.
 _PROBE = """
@@ -184,17 +191,63 @@ def _llvm() -> Check:
 
 
 def _cuda() -> Check:
-    """Ask the NVIDIA driver, without Dr.Jit, for its first GPU."""
-    remedy = "needed for the cuda variants only: an NVIDIA GPU and its driver"
+    """Ask the NVIDIA driver, without Dr.Jit, for a GPU that Dr.Jit takes, and look for OptiX."""
     try:
-        driver = ctypes.CDLL("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1")
+        driver = _library("nvcuda.dll" if sys.platform == "win32" else "libcuda.so.1", "DRJIT_LIBCUDA_PATH")
     except OSError:
-        return Check("NVIDIA GPU", "optional", "no driver", remedy)
-    count, name = ctypes.c_int(0), ctypes.create_string_buffer(100)
+        return Check("NVIDIA GPU", "optional", "no driver", GPU_NEEDS)
+    cuda, count = ctypes.c_int(0), ctypes.c_int(0)
     if driver.cuInit(0) or driver.cuDeviceGetCount(ctypes.byref(count)) or count.value == 0:
-        return Check("NVIDIA GPU", "optional", "a driver, but no GPU", remedy)
-    driver.cuDeviceGetName(name, 100, 0)
-    return Check("NVIDIA GPU", "ok", name.value.decode())
+        return Check("NVIDIA GPU", "optional", "a driver, but no GPU", GPU_NEEDS)
+    driver.cuDriverGetVersion(ctypes.byref(cuda))
+    version = divmod(cuda.value // 10, 100)  # 12040 is 12.4
+    gpus = [_gpu(driver, number) for number in range(count.value)]
+    found = f"{', '.join(map(str, gpus))}; driver for CUDA {version[0]}.{version[1]}"
+    if max(gpu.capability for gpu in gpus) < OLDEST_CAPABILITY:
+        return Check("NVIDIA GPU", "optional", f"{found}: too old a GPU", GPU_NEEDS)
+    if version < OLDEST_CUDA or version == REFUSED_CUDA:
+        which = "which miscompiles" if version == REFUSED_CUDA else "too old"
+        return Check("NVIDIA GPU", "optional", f"{found}, {which}", "update the driver to version 570 or newer")
+    try:
+        if sys.platform != "win32":  # there it lies in a folder of the driver that only Dr.Jit looks for
+            _library("libnvoptix.so.1", "DRJIT_LIBOPTIX_PATH")
+    except OSError:
+        remedy = (
+            "install the whole driver, which brings libnvoptix.so.1 (Debian, Ubuntu: libnvidia-gl-VERSION); "
+            "start a container with NVIDIA_DRIVER_CAPABILITIES=all"
+        )
+        return Check("NVIDIA GPU", "optional", f"{found}, without OptiX", remedy)
+    return Check("NVIDIA GPU", "ok", found)
+
+
+@dataclass(frozen=True)
+class _Gpu:
+    """A GPU: its name, compute capability (major, minor) and memory, bytes."""
+
+    name: str
+    capability: tuple[int, int]
+    memory: int
+
+    def __str__(self) -> str:
+        major, minor = self.capability
+        return f"{self.name} (compute capability {major}.{minor}, {self.memory / 2**30:.0f} GiB)"
+
+
+def _gpu(driver: ctypes.CDLL, number: int) -> _Gpu:
+    """Ask the driver for a GPU by its number."""
+    device, name, memory = ctypes.c_int(0), ctypes.create_string_buffer(100), ctypes.c_size_t(0)
+    driver.cuDeviceGet(ctypes.byref(device), number)
+    driver.cuDeviceGetName(name, len(name), device)
+    driver.cuDeviceTotalMem_v2(ctypes.byref(memory), device)
+    major, minor = ctypes.c_int(0), ctypes.c_int(0)
+    for value, attribute in ((major, 75), (minor, 76)):  # CU_DEVICE_ATTRIBUTE_COMPUTE_CAPABILITY_MAJOR, _MINOR
+        driver.cuDeviceGetAttribute(ctypes.byref(value), attribute, device)
+    return _Gpu(name.value.decode(), (major.value, minor.value), memory.value)
+
+
+def _library(name: str, variable: str) -> ctypes.CDLL:
+    """A library of the driver, from where Dr.Jit takes it: the environment variable, else by its name."""
+    return ctypes.CDLL(os.environ.get(variable) or name)
 
 
 def _variants(with_cuda: bool) -> list[Check]:

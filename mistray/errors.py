@@ -1,4 +1,8 @@
-"""The one error class that users are meant to see."""
+"""The one error class that users are meant to see, and a kind of it that carries what was finished."""
+
+from __future__ import annotations
+
+from typing import Any
 
 
 class MistrayError(ValueError):
@@ -6,3 +10,19 @@ class MistrayError(ValueError):
 
     The command line prints it without a traceback and exits with code 2.
     """
+
+
+class UnfinishedError(MistrayError):
+    """
+    Workers that took a part of the work are gone before all of it was done.
+
+    Attributes
+    ----------
+    partial : object or None
+        What was finished, in the form that the whole would have had (a trace of fewer rays, a report of fewer fields);
+        None if that is not enough for a result.
+    """
+
+    def __init__(self, message: str, partial: Any = None) -> None:
+        super().__init__(message)
+        self.partial = partial

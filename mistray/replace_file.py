@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import os
+import secrets
 from pathlib import Path
 
 from mistray.errors import MistrayError
@@ -12,6 +13,9 @@ from mistray.errors import MistrayError
 def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> Path:
     """
     Write a file through a draft beside it, so that on an error, or when interrupted, an old file stays as it was.
+
+    The draft has a name of its own: of two processes that write the same file one comes last, and either is whole. What
+    is no file, such as /dev/stdout, is written to as it is.
 
     Parameters
     ----------
@@ -32,12 +36,23 @@ def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> 
         If it cannot be written.
     """
     path = Path(path)
-    draft = path.with_name(path.name + ".part")
+    data = content.encode("utf-8") if isinstance(content, str) else content
+    draft = path.with_name(f".{secrets.token_hex(4)}.part")
     try:
-        draft.write_bytes(content.encode("utf-8") if isinstance(content, str) else content)
-        os.replace(draft, path)
+        if os.path.isdir(path):
+            raise MistrayError(f"{what} '{path}' is a folder; name a file")
+        if os.path.exists(path) and not os.path.isfile(path):
+            path.write_bytes(data)
+            return path
+        try:
+            draft.write_bytes(data)
+            os.replace(draft, path)
+        except BaseException:
+            with contextlib.suppress(OSError):
+                draft.unlink(missing_ok=True)
+            raise
     except OSError as error:
-        with contextlib.suppress(OSError):
-            draft.unlink(missing_ok=True)
-        raise MistrayError(f"{what} '{path}': {error.strerror}; check the folder and its permissions") from None
+        raise MistrayError(
+            f"{what} '{path}': {error.strerror}; check the folder and its permissions, or choose another"
+        ) from None
     return path

@@ -1,6 +1,10 @@
-"""Order of the tests: two processes take whole files, so that those that take minutes come first."""
+"""Order of the tests: two processes take whole files, so that those that take minutes come first. What a GPU runs."""
 
 from __future__ import annotations
+
+import os
+from collections.abc import Iterator
+from functools import lru_cache
 
 import pytest
 
@@ -21,3 +25,39 @@ def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     """Files of `LONG` in their order, then all others as they come."""
     rank = {name: number for number, name in enumerate(LONG)}
     items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+
+
+@lru_cache(maxsize=1)
+def gpu_missing() -> str:
+    """Why no test can run on a GPU here; empty if they can."""
+    from mistray import doctor
+
+    check = doctor._cuda()
+    return "" if check.status == "ok" else f"no GPU to trace on ({check.found}); {check.remedy}"
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Tests with the marker `gpu` are skipped, with the reason, where there is none."""
+    if item.get_closest_marker("gpu") and gpu_missing():
+        pytest.skip(gpu_missing())
+
+
+@pytest.fixture(scope="session", autouse=True)
+def own_cache(tmp_path_factory: pytest.TempPathFactory) -> Iterator[None]:
+    """Results of earlier sessions and of the user are not looked at; commands that tests start inherit this."""
+    before = os.environ.get("MISTRAY_CACHE")
+    os.environ["MISTRAY_CACHE"] = str(tmp_path_factory.mktemp("cache"))
+    yield
+    if before is None:
+        del os.environ["MISTRAY_CACHE"]
+    else:
+        os.environ["MISTRAY_CACHE"] = before
+
+
+@pytest.fixture
+def no_kernels() -> None:
+    """The process has compiled no kernel yet: what earlier tests have compiled is dropped, so that it counts again."""
+    import drjit as dr
+
+    dr.sync_thread()  # none of them runs any more
+    dr.flush_kernel_cache()

@@ -6,6 +6,7 @@ import random
 import re
 from collections.abc import Callable
 from dataclasses import dataclass
+from pathlib import Path
 
 NUMBER = re.compile(rb"[-+]?(?:\d+\.?\d*|\.\d+)(?:[eEdD][-+]?\d+)?")
 HUGE = (
@@ -15,6 +16,7 @@ HUGE = (
 NO_NUMBERS = (b"nan", b"NaN", b"-nan", b"inf", b"-INF", b"Infinity", b"1..2", b"0x1F", b"1,5", "½".encode(), b"")
 ENCODINGS = ("utf-16", "utf-16-le", "utf-16-be", "utf-32", "utf-8-sig", "utf-7", "cp500")
 DEPTHS = (10, 300, 20_000)
+LONGEST = 600  # characters of a clear line
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,15 @@ class Nest:
     before: bytes
     after: bytes
     line: bytes
+
+
+def unclear(text: str) -> str | None:
+    """What is wrong with a message; None if it is one line that says what is wrong and what to do."""
+    if not text.isprintable() or len(text) > LONGEST:
+        return f"{len(text.splitlines())} lines, {len(text)} characters: {text[:200]!r}"
+    if "Traceback" in text or ".cpp:" in text:
+        return f"the inside of a program: {text!r}"
+    return None if re.search(r"\S; \S|: .*give |: .* must ", text) else f"no clear line: {text!r}"
 
 
 Damage = Callable[[bytes, random.Random, Nest], bytes]
@@ -108,3 +119,159 @@ def deepen(data: bytes, rng: random.Random, nest: Nest) -> bytes:
 
 
 DAMAGES: tuple[Damage, ...] = (cut, double, swap, garble, huge, no_number, recode, deepen)
+
+
+# ---- damages that know the format of a scene; `write_companions` makes the files that they refer to
+
+COMPANIONS = ("empty.xml", "folder.xml", "cycle.xml", "cycle_back.xml", "piece.xml", "missing.xml", ".", "/", "")
+VALUES = ("float", "integer", "string", "boolean", "point", "vector", "rgb", "spectrum", "transform", "ref")
+OBJECTS = ("shape", "bsdf", "emitter", "sensor", "film", "integrator", "scene", "texture", "include", "default")
+PLUGINS = (
+    "asphere", "frustum", "interface", "thinfilm", "abg", "paint", "collimated", "irradiancemeter", "hdrfilm",
+    "straylight", "rectangle", "sphere", "obj", "diffuse", "perspective", "path", "bitmap", "asfere", "target", "",
+)  # fmt: skip
+STRINGS = (
+    b"",
+    b" ",
+    b"true",
+    b"1",
+    b"1, 2",
+    b"1 2 3 4",
+    b"$x",
+    b"N-BK8",
+    b"../../etc/passwd",
+    "Glas ß".encode(),
+    b"a" * 5000,
+)
+
+
+def write_companions(folder: Path) -> None:
+    """An empty file, a folder, two files that include each other, and a piece of a scene."""
+    (folder / "empty.xml").write_bytes(b"")
+    (folder / "folder.xml").mkdir(exist_ok=True)
+    for name, other in (("cycle", "cycle_back"), ("cycle_back", "cycle")):
+        text = f'<scene version="3.0.0"><include filename="{other}.xml"/></scene>'
+        (folder / f"{name}.xml").write_text(text, encoding="utf-8")
+    (folder / "piece.xml").write_text('<scene version="3.0.0"><default name="x" value="1"/></scene>', encoding="utf-8")
+
+
+def _one(pattern: bytes, data: bytes, rng: random.Random) -> re.Match[bytes]:
+    """One of the places that match."""
+    return rng.choice(list(re.finditer(pattern, data, re.DOTALL)))
+
+
+def _instead(match: re.Match[bytes], new: bytes, data: bytes, group: int = 0) -> bytes:
+    return data[: match.start(group)] + new + data[match.end(group) :]
+
+
+def retype(data: bytes, rng: random.Random, nest: Nest) -> bytes:
+    """A value is of another type or text, an object of another kind, an attribute has another name."""
+    kind = rng.randrange(5)
+    if kind == 0:
+        return _instead(_one(rb"<(float|integer|string|boolean) ", data, rng), rng.choice(VALUES).encode(), data, 1)
+    if kind == 1:
+        return _instead(_one(rb'type="([^"]*)"', data, rng), rng.choice(PLUGINS).encode(), data, 1)
+    if kind == 2:
+        return _instead(_one(rb' value="([^"]*)"', data, rng), rng.choice(STRINGS), data, 1)
+    if kind == 3:
+        return _instead(_one(rb' (name|value|type|id)="', data, rng), rng.choice((b"name", b"value", b"x")), data, 1)
+    found = _one(rb"<(shape|bsdf|sensor|film|emitter)\b.*?</(\1)>", data, rng)
+    new = rng.choice(OBJECTS).encode()
+    return _instead(found, found[0].replace(b"<" + found[1], b"<" + new).replace(found[1] + b">", new + b">"), data)
+
+
+def rename(data: bytes, rng: random.Random, nest: Nest) -> bytes:
+    """Two objects have the same id, two parameters of an object the same name, or a parameter an unknown one."""
+    what = rng.choice((b"id", b"name"))
+    names = re.findall(b" " + what + rb'="([^"]*)"', data)
+    new = rng.choice([*names, b"", b"x", b"to_world", b"type", b"id", "höhe".encode(), b"a.b", b"_x"])
+    return _instead(_one(b" " + what + rb'="([^"]*)"', data, rng), new, data, 1)
+
+
+def refer(data: bytes, rng: random.Random, nest: Nest) -> bytes:
+    """References to what is not there, to what is of another kind, to itself, or around in a circle."""
+    ids = re.findall(rb' id="([^"]*)"', data)
+    at = _one(rb"<bsdf [^>]*>", data, rng).end() if rng.random() < 0.7 else _one(rb"<shape [^>]*>", data, rng).end()
+    circle = b'<bsdf type="interface" id="p"><ref id="q"/></bsdf><bsdf type="interface" id="q"><ref id="p"/></bsdf>'
+    loop = b'<bsdf type="interface" id="p"><ref id="p"/></bsdf>'
+    nested, before = rng.choice(
+        [(b'<ref id="p"/>', circle), (b'<ref id="p"/>', loop), (b'<ref id="p" name="coating"/>', circle)]
+        + [(b'<ref id="' + rng.choice([*ids, b"nobody", b""]) + b'"/>', b"") for _ in range(5)]
+        + [(b"<ref/>", b""), (b'<ref name="bsdf"/>', b"")]
+    )
+    start = _one(rb"<shape ", data, random.Random(0)).start()
+    return data[:start] + before + data[start:at] + nested + data[at:]
+
+
+def expand(data: bytes, rng: random.Random, nest: Nest) -> bytes:
+    """Entities: a bomb, a file of the machine, themselves, what is not declared; parameters that name each other."""
+    many = b"".join(b'<!ENTITY e%d "%s">' % (k + 1, b"&e%d;" % k * 20) for k in range(8))
+    square = b'<!ENTITY e8 "%s">' % (b"9" * 50_000)
+    kinds = (
+        b'<!ENTITY e0 "1">' + many,
+        square,
+        b'<!ENTITY e8 SYSTEM "file:///etc/passwd">',
+        b'<!ENTITY e8 SYSTEM "folder.xml">',
+        b'<!ENTITY e8 "&e8;">',
+        b'<!ENTITY % p SYSTEM "missing.dtd"> %p;',
+        b"",
+    )
+    kind = rng.choice(kinds)
+    count = 2000 if kind is square else 1
+    value = _one(rb' value="([^"]*)"', data, rng)
+    data = _instead(value, b"&e8;" * count, data, 1)
+    if rng.random() < 0.3:
+        text = b'<default name="x" value="$y"/><default name="y" value="$x"/>'
+        data = re.sub(rb"(<scene[^>]*>)", rb"\1" + text, data).replace(b"&e8;", b"$x")
+    at = data.index(b"<scene")
+    return data[:at] + b"<!DOCTYPE scene [" + kind + b"]>" + data[at:] if kind else data
+
+
+def misfile(data: bytes, rng: random.Random, nest: Nest) -> bytes:
+    """References to files that are folders, empty, missing, no tables, or the scene itself."""
+    name = rng.choice(
+        (*COMPANIONS, "SELF", "/dev/null", "a" * 300 + ".csv", "piece.xml:X", "\\\\host\\x", "folder.xml/x.csv")
+    )
+    value = b'value="' + name.encode() + b'"/>'
+    kind = rng.randrange(5)
+    if kind == 0:
+        return _instead(_one(rb"<bsdf [^>]*>(.*?)</bsdf>", data, rng), b'<string name="table" ' + value, data, 1)
+    if kind == 1:
+        film = b'<bsdf type="thinfilm"><string name="table" ' + value + b"</bsdf>"
+        at = _one(rb"</bsdf>", data, rng).start()
+        return data[:at] + film + data[at:]
+    if kind == 2:
+        found = _one(rb'<string name="(?:back|front)" value="([^"]*)"', data + b'<string name="front" value=""', rng)
+        return _instead(found, name.encode(), data, 1) if found.end() <= len(data) else data
+    if kind == 3:
+        at = _one(rb"</bsdf>", data, rng).start()
+        return data[:at] + b'<bsdf type="tabulated"><string name="file" ' + value + b"</bsdf>" + data[at:]
+    shape = rng.choice((b"part_mesh", b"obj", b"ply"))
+    at = data.index(b"</scene>")
+    return data[:at] + b'<shape type="' + shape + b'"><string name="filename" ' + value + b"</shape>" + data[at:]
+
+
+def include(data: bytes, rng: random.Random, nest: Nest) -> bytes:
+    """Includes of itself, of files that include each other, of folders and of what is no scene; or many times."""
+    alone = [[name] for name in (*COMPANIONS, "SELF", "/etc/passwd", "/dev/null")]
+    names = rng.choice([*alone, ["piece.xml"] * 200])
+    text = b"".join(b'<include filename="' + name.encode() + b'"/>' for name in names)
+    at = rng.choice([match.end() for match in re.finditer(rb"<(?:scene|shape|bsdf)\b[^>]*>", data)])
+    return data[:at] + text + data[at:]
+
+
+def blank(data: bytes, rng: random.Random, nest: Nest) -> bytes:
+    """Nothing, or nothing that is a scene."""
+    kinds = (
+        b"", b" ", b"\n\n", b"\xef\xbb\xbf", b"\x00", b"<", b"<scene", b"<scene/>", b'<scene version="3.0.0"/>',
+        b"<!-- -->", b"<?xml version='1.0'?>", b"<html><body/></html>", b"{}",
+        b"\x89PNG\r\n\x1a\n", b'<scene version="x"></scene>',
+        b'<scene version="99.0.0"></scene>', b'<shape type="asphere"/>', b'<scene version="0.1.0"><a/></scene>',
+    )  # fmt: skip
+    if rng.random() < 0.5:
+        return rng.choice(kinds)
+    found = _one(rb"<(shape|bsdf|emitter|sensor|film)\b[^>]*>(.*?)</\1>", data, rng)
+    return _instead(found, b"", data, rng.choice((0, 2)))
+
+
+XML_DAMAGES: tuple[Damage, ...] = (*DAMAGES, retype, rename, refer, expand, misfile, include, blank)

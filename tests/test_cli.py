@@ -1,6 +1,7 @@
 """The command line: arguments, one-line errors, exit codes, files."""
 
 import ast
+import importlib
 import re
 import subprocess
 import sys
@@ -22,10 +23,7 @@ from mistray.trace import Settings
 
 def run(capsys, *arguments):
     """Exit code, stdout and stderr of one command in this process."""
-    try:
-        code = cli.main(arguments)
-    except SystemExit as stop:  # --help and --version
-        code = stop.code
+    code = cli.main(arguments)
     captured = capsys.readouterr()
     return code, captured.out, captured.err
 
@@ -49,9 +47,7 @@ def fake(monkeypatch):
         calls.append({"field_deg": field_deg, **settings})
         return trace_at(field_deg or 0.0)
 
-    import mistray.analysis
-
-    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.ghosts"), "trace", trace)
     monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
     return calls
 
@@ -203,7 +199,11 @@ def test_wrong_output_directory_is_found_before_the_trace(capsys, fake, tmp_path
     [
         (MistrayError("shape 'L1': no material;\n  add one"), "shape 'L1': no material; add one"),
         (RuntimeError("LLVM backend\nis not available"), "LLVM backend is not available"),
-        (PermissionError(13, "Permission denied", "x.xml"), "PermissionError: [Errno 13] Permission denied: 'x.xml'"),
+        (
+            PermissionError(13, "Permission denied", "x.xml"),
+            "'x.xml': Permission denied; check the place, its permissions and its free space",
+        ),
+        (MemoryError(), "out of memory; use fewer rays, fields or pixels"),
     ],
 )
 def test_errors_are_one_line(capsys, fake, monkeypatch, error, line):
@@ -218,7 +218,7 @@ def test_nothing_is_written_when_the_trace_fails(capsys, fake, monkeypatch, tmp_
     def trace(*_, **__):
         raise MistrayError("field 80 deg: no ray meets the lens; choose a smaller field")
 
-    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.ghosts"), "trace", trace)
     fails(capsys, "ghosts", "lens.xml", "--out", str(tmp_path / "out"))
     assert list(tmp_path.iterdir()) == []
 
@@ -342,6 +342,7 @@ def test_bad_scenes_are_one_line(capfd, tmp_path, plate, damage, parts):
             ["900 nm is not visible"],
         ),
         (("plate", "--variant", "scalar_rgb"), ["variant 'scalar_rgb' cannot run the ray tree"]),
+        (("plate", "--threads", "0"), ["0 threads; give 1 to 1024"]),
         (("plate", "--variant", "cuda_ad_spectral_mono"), ["variant 'cuda_ad_spectral_mono'"]),
     ],
 )

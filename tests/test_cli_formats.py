@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import importlib
 import json
-import sys
 from pathlib import Path
 from typing import Any
 
@@ -33,8 +33,8 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         traced.append(fake_pst(angles_deg=angles_deg, map_pixels=map_pixels))
         return traced[-1]
 
-    monkeypatch.setattr(sys.modules["mistray.analysis.ghosts"], "trace", trace)
-    monkeypatch.setattr(sys.modules["mistray.analysis.pst.run"], "pst", pst)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.ghosts"), "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.run"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
 
     def page(report: Any, path: Path, *_: Any) -> Path:
@@ -42,9 +42,9 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         return path
 
     # Pictures take seconds, and are not asked for here
-    monkeypatch.setattr(sys.modules["mistray.report.output"], "write_html", page)
+    monkeypatch.setattr(importlib.import_module("mistray.report.output"), "write_html", page)
     for module in ("output", "pst_output"):
-        monkeypatch.setattr(sys.modules[f"mistray.report.{module}"], "draw", lambda *_: {})
+        monkeypatch.setattr(importlib.import_module(f"mistray.report.{module}"), "draw", lambda *_: {})
     return traced
 
 

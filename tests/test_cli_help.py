@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import inspect
 import re
 import shlex
 from dataclasses import fields
@@ -109,3 +110,12 @@ def test_defaults_are_those_that_hold(name: str) -> None:
         elif isinstance(action.default, (int, float)) and not isinstance(action.default, bool):
             assert told is not None, f"{action.dest}: the default {action.default:g} is not named"
             assert action.default in [float(number) for number in re.findall(r"-?\d+\.?\d*(?:e-?\d+)?", told)]
+
+
+def test_every_command_that_traces_has_a_variant_and_threads() -> None:
+    for module in program.COMMANDS:
+        name = module.__name__.rpartition(".")[2]
+        tracing = "start_mitsuba(options)" in inspect.getsource(module)
+        flags = {flag for action in OPTIONS.get(name, ()) for flag in action.option_strings}
+        assert tracing == ({"--variant", "--threads"} <= flags), name
+    assert {"--variant", "--threads"} <= {flag for action in OPTIONS["ghosts"] for flag in action.option_strings}

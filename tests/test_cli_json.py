@@ -31,6 +31,7 @@ CHECKED_IN = {
     "export": "test_cli_json.py",
     "view": "test_cli_view.py",
     "ghosts": "test_cli.py",
+    "sweep": "test_cli_sweep.py",
     "objects": "test_cli_objects.py",
     "pst": "test_cli_pst.py",
     "study": "test_cli_study.py",
@@ -40,6 +41,7 @@ CHECKED_IN = {
     "sensitivity": "test_cli_sensitivity.py",
     "budget": "test_cli_sensitivity.py",
     "optimize": "test_cli_optimize.py",
+    "cache": "test_cli_sweep.py",
 }
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import math
 import shlex
 import signal
@@ -54,7 +55,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         azimuths, pixels = given["azimuths_deg"], given["map_pixels"]
         return fake_pst(angles_deg, azimuths, map_pixels=pixels, convention=given["convention"], paths=given["paths"])
 
-    monkeypatch.setattr(sys.modules["mistray.analysis.pst.run"], "pst", pst)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.run"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda source: source)
     return calls
 
@@ -362,7 +363,7 @@ class TestSavedRun:
         def pressed(*_: Any, **__: Any) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(sys.modules["mistray.analysis.pst.run"], "pst", pressed)
+        monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.run"), "pst", pressed)
         nothing = (130, "", "mistray: interrupted, nothing was written\n")
         assert run(capsys, "x", "--out", str(tmp_path)) == nothing
         assert run(capsys, "x") == nothing

@@ -93,9 +93,7 @@ def test_proposals_are_taken(capsys, bash):
     """Commands that are proposed exist: their help is printed."""
     for name in bash(""):
         if not name.startswith("-"):
-            with pytest.raises(SystemExit) as stop:
-                cli.main([name, "--help"])
-            assert stop.value.code == 0
+            assert cli.main([name, "--help"]) == 0
             assert f"mistray {name}" in capsys.readouterr().out
 
 

@@ -32,7 +32,7 @@ def parse(line: str) -> None:
     if words[0] == "mistray" and "--help" not in words:
         program._parser().parse_args(words[1:])
     else:
-        assert words[0] in ("mistray", "make", "pip", "python"), line
+        assert words[0] in ("mistray", "make", "pip", "python", "dask"), line
 
 
 def test_there_are_pages() -> None:

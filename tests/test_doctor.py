@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import ctypes
 import importlib.metadata
 import json
+import sys
 
 import pytest
 
@@ -78,3 +80,85 @@ def test_broken_mitsuba(monkeypatch, tmp_path):
     (check,) = doctor._variants(with_cuda=False)
     assert check.status == "missing"
     assert "drjit is of another version" in check.found
+
+
+class Driver:
+    """Answers like the NVIDIA driver's library: CUDA version × 1000, and (name, capability, bytes) of each GPU."""
+
+    def __init__(self, cuda: int, *gpus: tuple[str, tuple[int, int], int], error: int = 0) -> None:
+        self.cuda, self.gpus, self.error = cuda, gpus, error
+
+    def cuInit(self, flags):
+        return self.error
+
+    def cuDeviceGetCount(self, count):
+        count._obj.value = len(self.gpus)
+        return 0
+
+    def cuDriverGetVersion(self, version):
+        version._obj.value = self.cuda
+        return 0
+
+    def cuDeviceGet(self, device, number):
+        device._obj.value = number
+        return 0
+
+    def cuDeviceGetName(self, name, size, device):
+        name.value = self.gpus[device.value][0].encode()
+        return 0
+
+    def cuDeviceTotalMem_v2(self, memory, device):
+        memory._obj.value = self.gpus[device.value][2]
+        return 0
+
+    def cuDeviceGetAttribute(self, value, attribute, device):
+        value._obj.value = self.gpus[device.value][1][{75: 0, 76: 1}[attribute]]
+        return 0
+
+
+H100, K80 = ("NVIDIA H100", (9, 0), 80 << 30), ("Tesla K80", (3, 7), 12 << 30)
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="OptiX is looked for elsewhere there")
+@pytest.mark.parametrize(
+    ("driver", "optix", "status", "words"),
+    [
+        (None, True, "optional", ("no driver", "compute capability 7.5", "535 or newer")),
+        (Driver(12040), True, "optional", ("a driver, but no GPU", "compute capability 7.5")),
+        (Driver(12040, H100, error=100), True, "optional", ("a driver, but no GPU",)),
+        (Driver(12040, H100), True, "ok", ("NVIDIA H100 (compute capability 9.0, 80 GiB); driver for CUDA 12.4",)),
+        (Driver(12040, K80, H100), True, "ok", ("Tesla K80 (compute capability 3.7, 12 GiB), NVIDIA H100",)),
+        (Driver(12040, K80), True, "optional", ("too old a GPU", "compute capability 7.5")),
+        (Driver(12010, H100), True, "optional", ("CUDA 12.1, too old", "update the driver to version 570")),
+        (Driver(12070, H100), True, "optional", ("CUDA 12.7, which miscompiles", "version 570")),
+        (Driver(12040, H100), False, "optional", ("without OptiX", "NVIDIA_DRIVER_CAPABILITIES=all")),
+    ],
+)
+def test_what_a_gpu_needs(monkeypatch, driver, optix, status, words):
+    """The driver of a machine without one is faked; what the true one answers is in the tests that need a GPU."""
+
+    def library(name):
+        found = {"libcuda.so.1": driver, "libnvoptix.so.1": optix}[name]
+        if not found:
+            raise OSError(f"{name}: cannot open shared object file")
+        return found
+
+    monkeypatch.delenv("DRJIT_LIBCUDA_PATH", raising=False)
+    monkeypatch.delenv("DRJIT_LIBOPTIX_PATH", raising=False)
+    monkeypatch.setattr(ctypes, "CDLL", library)
+    check = doctor._cuda()
+    assert check.status == status
+    assert bool(check.remedy) == (status != "ok")
+    for word in words:
+        assert word in f"{check.found}; {check.remedy}"
+
+
+def test_the_library_of_the_driver_is_the_one_of_drjit(monkeypatch):
+    monkeypatch.setenv("DRJIT_LIBCUDA_PATH", "/nowhere/libcuda.so")
+    assert doctor._cuda().found == "no driver"
+
+
+@pytest.mark.gpu
+def test_the_gpu_runs_every_variant():
+    checks = by_name(doctor.report())
+    assert {check.status for name, check in checks.items() if name.startswith(("cuda_", "NVIDIA"))} == {"ok"}

@@ -13,7 +13,9 @@ ROOT = Path(__file__).parents[1]
 # From the ground up. A module imports from its own layer and from those before it.
 LAYERS = [
     {"errors"},
+    {"_lazy"},
     {"replace_file"},
+    {"cache"},
     {"_mitsuba_compat"},
     {"_variant"},
     {"physics", "materials", "coatings"},
@@ -22,8 +24,10 @@ LAYERS = [
     {"mechanics"},
     {"scene"},
     {"trace"},
+    {"cluster"},
     {"analysis"},
     {"optimize"},
+    {"sweeps"},
     {"report"},
     {"doctor"},
     {"cli"},
@@ -40,6 +44,7 @@ SCENES_MAY_IMPORT = {"errors", "materials", "prescription", "scenes"}
 NO_MITSUBA = {
     "errors",
     "replace_file",
+    "cache",
     "physics",
     "materials",
     "coatings",

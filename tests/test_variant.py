@@ -296,3 +296,25 @@ def test_mesh_buffers_round_trip():
     assert np.array_equal(read[0], vertices)
     assert np.array_equal(read[1], faces)
     assert mesh.surface_area()[0] == pytest.approx(6.0)
+
+
+def test_threads() -> None:
+    """The number that Dr.Jit uses; with one all work is the calling thread's, and results stay what they are."""
+    code = """
+        import drjit as dr
+        import mistray
+        scene = mistray.load("plate")
+        for count in (3, 1):
+            mistray.set_threads(count)
+            t = mistray.trace(scene, rays=300_000)
+            print(dr.thread_count(), float(t.energy.detected_W))
+    """
+    words = run_python(code).stdout.split()
+    assert words[::2] == ["3", "1"]
+    assert float(words[1]) == pytest.approx(float(words[3]), rel=1e-12)
+
+
+@pytest.mark.parametrize("count", [0, -1, 1.5, True, 1025])
+def test_threads_out_of_range(count: object) -> None:
+    with pytest.raises(MistrayError, match=f"{count} threads; give 1 to 1024, this machine has"):
+        _variant.set_threads(count)

@@ -64,6 +64,13 @@ def with_k(material: str, wavelengths_nm: Sequence[float]) -> str:
     return material
 
 
+def usable(material: str, wavelengths_nm: Sequence[float]) -> str:
+    """`with_k` of a material whose n is known at all wavelengths; raises `MistrayError` where it is not."""
+    for wavelength in wavelengths_nm:
+        refractive_index(material, wavelength)
+    return with_k(material, wavelengths_nm)
+
+
 def catalogue_names(file: Path) -> list[str]:
     """
     Names of the glasses of an AGF file.

@@ -105,8 +105,16 @@ def to_prescription(
     MistrayError
         If a material is unknown, no ray gets through, or surfaces cross.
     """
-    options = {"margin": margin, "ground_reflectance": ground_reflectance, "detector_half_mm": detector_half_mm}
-    return build(sequential, edges=edges, coatings=coatings, beam=beam, **options).prescription  # type: ignore[arg-type]
+    built = build(
+        sequential,
+        edges=edges,
+        coatings=coatings,
+        margin=margin,
+        ground_reflectance=ground_reflectance,
+        beam=beam,
+        detector_half_mm=detector_half_mm,
+    )
+    return built.prescription
 
 
 def build(

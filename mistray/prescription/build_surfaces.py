@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.materials import complex_index, refractive_index
 from mistray.physics.crossing import SAMPLES, meeting
 from mistray.physics.sag import conic_end
+from mistray.prescription.adapted import usable
 from mistray.prescription.build_apertures import own_clip
 from mistray.prescription.build_mirrors import off_axis_piece
 from mistray.prescription.closing import meets_plane, on_axis, placed
@@ -158,16 +158,13 @@ class OpticalSurfaces:
 
     def _material(self, material: str, row: Row) -> str:
         """The material with a k, which a scene needs; without data the lens is taken for lossless."""
-        for wavelength in self.lens.wavelengths_nm:
-            try:
-                complex_index(material, wavelength)
-            except MistrayError as error:
-                if "k is unknown" not in str(error) and "k of material" not in str(error):
-                    raise MistrayError(f"lens '{self.lens.name}', surface {row.number}: {error}") from None
-                refractive_index(material, wavelength)
-                self.notes.append(f"material '{material}': its absorption is unknown and taken for 0")
-                return f"{material} k=0"
-        return material
+        try:
+            known = usable(material, self.lens.wavelengths_nm)
+        except MistrayError as error:
+            raise MistrayError(f"lens '{self.lens.name}', surface {row.number}: {error}") from None
+        if known != material:
+            self.notes.append(f"material '{material}': its absorption is unknown and taken for 0")
+        return known
 
     def _off_its_lens(self, k: int, surface: Surface) -> np.ndarray:
         """The frame of a row; that of a mirror that is a spot on a lens stands 1 µm before it."""

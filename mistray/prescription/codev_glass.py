@@ -19,10 +19,10 @@ from pathlib import Path
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.materials import refractive_index
 from mistray.materials.catalogue import MAKERS, PINNED, glasses
 from mistray.materials.mate import shown
-from mistray.prescription.adapted import catalogue_names, with_k
+from mistray.prescription.adapted import catalogue_names
+from mistray.prescription.file_glasses import FileGlasses, remedy
 from mistray.prescription.zemax_glass import SYNONYMS
 
 _CODE = re.compile(r"(\d{1,12})\.(\d{2,12})|(\d{3})(\d{3})")
@@ -31,7 +31,7 @@ _NEIGHBOURS = 4
 _DIGITS = 7
 
 
-class CodevGlasses:
+class CodevGlasses(FileGlasses):
     """
     Finds the material of a glass.
 
@@ -41,15 +41,8 @@ class CodevGlasses:
         Material strings of the private catalogue by name in capitals.
     agf : sequence of Path
         AGF files, which go before the makers' catalogues.
-    replaced : mapping of str to str
-        Glass → material string that the user wants for it.
-    wavelengths_nm : sequence of float
-        Of the lens; a material must have an index at each.
-
-    Attributes
-    ----------
-    notes : list of str
-        What was assumed, each once.
+    replaced, wavelengths_nm
+        As in `FileGlasses`.
     """
 
     def __init__(
@@ -59,11 +52,9 @@ class CodevGlasses:
         replaced: Mapping[str, str],
         wavelengths_nm: Sequence[float],
     ) -> None:
-        self.notes: list[str] = []
+        super().__init__(replaced, wavelengths_nm)
         self._private = private
         self._agf = [(file, {_plain(name): name for name in catalogue_names(Path(file))}) for file in agf]
-        self._replaced = {name.upper(): material for name, material in replaced.items()}
-        self._wavelengths_nm = wavelengths_nm
 
     def material(self, word: str) -> str:
         """
@@ -74,22 +65,12 @@ class CodevGlasses:
         MistrayError
             If no catalogue has it, or it has no index at one of the wavelengths.
         """
-        material = self._named(word)
-        try:
-            for wavelength in self._wavelengths_nm:
-                refractive_index(material, wavelength)
-        except MistrayError as error:
-            raise MistrayError(f"glass '{shown([word])}': {error}") from None
-        known = with_k(material, self._wavelengths_nm)
-        if known != material:
-            self._note(f"glass {word}: absorption unknown, taken to be 0")
-        return known
+        return self._checked(self._named(word), word)
 
     def _named(self, word: str) -> str:
         name = word.upper()
-        if name in self._replaced:
-            self._note(f"glass {word}: replaced by {self._replaced[name]}, as asked")
-            return self._replaced[name]
+        if (asked := self._asked_for(word)) is not None:
+            return asked
         if name in self._private:
             return self._private[name]
         if match := _PAIR.fullmatch(word):
@@ -125,17 +106,11 @@ class CodevGlasses:
     def _unknown(self, word: str, wanted: str, known: Mapping[str, str], maker: str) -> MistrayError:
         close = [f"N{wanted}"] if f"N{wanted}" in known else []
         close += [key for key in difflib.get_close_matches(wanted, known, n=3) if key not in close]
-        word = shown([word])
         like = f" (like it: {', '.join(known[key] for key in close[:3])})" if close else ""
         return MistrayError(
-            f"glass '{word}' is not in the catalogue{'' if maker else 's'} of "
-            f"{maker.lower() or ', '.join(MAKERS)}{like}; give its AGF file (glass_catalogues, --glass-catalogue) or a "
-            f"material for it (glasses={{'{word}': '…'}}, --glass {word}=…)"
+            f"glass '{shown([word])}' is not in the catalogue{'' if maker else 's'} of "
+            f"{maker.lower() or ', '.join(MAKERS)}{like}; {remedy(word)}"
         )
-
-    def _note(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes.append(text)
 
 
 def table_material(wavelengths_nm: Sequence[float], indices: Sequence[float], used_nm: Sequence[float]) -> str:

@@ -14,10 +14,9 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mistray.errors import MistrayError
-from mistray.materials import refractive_index
 from mistray.materials.catalogue import MAKERS, PINNED, glasses
-from mistray.materials.mate import shown
-from mistray.prescription.adapted import catalogue_names, with_k
+from mistray.prescription.adapted import catalogue_names
+from mistray.prescription.file_glasses import FileGlasses, remedy
 from mistray.prescription.sequential import Unread
 from mistray.prescription.zemax_lines import Line
 
@@ -48,7 +47,7 @@ SYNONYMS = {
 """Names of Zemax's catalogues MISC, INFRARED, CORNING and of the obsolete Schott glasses, and what they are here."""
 
 
-class Glasses:
+class Glasses(FileGlasses):
     """
     Finds the material of a glass.
 
@@ -58,15 +57,11 @@ class Glasses:
         Names of the file's catalogues, in its order.
     agf : sequence of Path
         AGF files, which go first.
-    replaced : mapping of str to str
-        Glass → material string that the user wants for it.
-    wavelengths_nm : sequence of float
-        Of the lens; a material must have an index at each.
+    replaced, wavelengths_nm
+        As in `FileGlasses`.
 
     Attributes
     ----------
-    notes : list of str
-        What was assumed, each once.
     unread : list of Unread
     """
 
@@ -77,10 +72,8 @@ class Glasses:
         replaced: Mapping[str, str],
         wavelengths_nm: Sequence[float],
     ) -> None:
-        self.notes: list[str] = []
+        super().__init__(replaced, wavelengths_nm)
         self.unread: list[Unread] = []
-        self._wavelengths_nm = wavelengths_nm
-        self._replaced = {name.upper(): material for name, material in replaced.items()}
         self._agf = [(file, {name.upper() for name in catalogue_names(file)}) for file in agf]
         self._catalogues = tuple(catalogues)
         self._listed = [maker for word in catalogues for maker in MAKERS if word.lower().startswith(maker)]
@@ -119,7 +112,7 @@ class Glasses:
             self.unread.append(line.unread("the glass is read, its offset of nd and Vd is not"))
         key = (name.upper(),)
         if key not in self._found:
-            self._found[key] = self._checked(self._named(line, name), line, name)
+            self._found[key] = self._checked_at(line, self._named(line, name), name)
         return self._found[key]
 
     def _model(self, line: Line) -> str:
@@ -129,7 +122,7 @@ class Glasses:
         if key not in self._found:
             constant = vd == 0 or vd >= NO_DISPERSION_VD
             text = f"{nd:.12g}" if constant else f"nd={nd:.12g} Vd={vd:.12g} k=0"
-            self._found[key] = self._checked(text, line, text)
+            self._found[key] = self._checked_at(line, text, text)
             if not constant:
                 partial = f" and dPgF = {offset:g} is not used" if offset else ""
                 self._note(
@@ -139,9 +132,8 @@ class Glasses:
         return self._found[key]
 
     def _named(self, line: Line, name: str) -> str:
-        if name.upper() in self._replaced:
-            self._note(f"glass {name}: replaced by {self._replaced[name.upper()]}, as asked")
-            return self._replaced[name.upper()]
+        if (asked := self._asked_for(name)) is not None:
+            return asked
         for file, names in self._agf:
             if name.upper() in names:
                 return f"{file}:{name}"
@@ -170,26 +162,13 @@ class Glasses:
         close = [key for key in known if re.sub(r"^[A-Z]{1,2}-", "", key) == re.sub(r"^[A-Z]{1,2}-", "", name.upper())]
         close += [key for key in difflib.get_close_matches(name.upper(), known, n=3) if key not in close]
         nearest = f"like it: {', '.join(known[key] for key in close[:3])}; " if close else ""
-        return (
-            f"{nearest}give its AGF file (glass_catalogues, --glass-catalogue) or a material for it "
-            f"(glasses={{'{shown([name])}': '…'}}, --glass {shown([name])}=…)"
-        )
+        return nearest + remedy(name)
 
-    def _checked(self, material: str, line: Line, name: str) -> str:
-        """The material, with k = 0 where its absorption is unknown."""
+    def _checked_at(self, line: Line, material: str, name: str) -> str:
         try:
-            for wavelength in self._wavelengths_nm:
-                refractive_index(material, wavelength)
+            return self._checked(material, name)
         except MistrayError as error:
-            raise line.error(f"glass '{shown([name])}': {error}") from None
-        known = with_k(material, self._wavelengths_nm)
-        if known != material:
-            self._note(f"glass {name}: absorption unknown, taken to be 0")
-        return known
-
-    def _note(self, text: str) -> None:
-        if text not in self.notes:
-            self.notes.append(text)
+            raise line.error(str(error)) from None
 
 
 def _of_maker(maker: str, name: str) -> str | None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import os
 import os.path
 from pathlib import Path
 from typing import Any
@@ -15,6 +16,7 @@ from mistray.materials.mate import shown
 from mistray.scene.check import check_overlaps
 from mistray.scene.depth import check_depth
 from mistray.scene.messages import explain
+from mistray.scene.source import remember
 
 # Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it makes
 # one of our shapes would begin the next one inside of that wait, which has crashed the process.
@@ -47,14 +49,24 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     given = source if isinstance(source, dict) else find(source)
     if isinstance(given, Path):
         check_depth(given)
+    name = "" if isinstance(given, dict) else _utf8(given)
     try:
-        scene = mi.load_dict(given, **LOADING) if isinstance(given, dict) else mi.load_file(str(given), **LOADING)
+        scene = mi.load_dict(given, **LOADING) if isinstance(given, dict) else mi.load_file(name, **LOADING)
     except Exception as error:  # Mitsuba raises RuntimeError and TypeError with text of many lines
         raise MistrayError(explain(error, given)) from None
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f'scene: the dict describes a {type(scene).__name__}; add "type": "scene" at its top')
     check_overlaps(scene)
+    remember(scene, given)
     return scene
+
+
+def _utf8(path: Path) -> str:
+    """The name of a file as Mitsuba takes it, whatever the encoding of the locale is."""
+    try:
+        return os.fsencode(path).decode("utf-8")
+    except UnicodeDecodeError:
+        raise MistrayError(f"scene '{shown([str(path)])}': its name is no UTF-8; rename it, or its folder") from None
 
 
 def shipped_scenes() -> dict[str, Path]:

@@ -17,6 +17,9 @@ from mistray.materials.mate import printable
 VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform")
 NUMBERS = {"floating point": "a number", "integer": "a whole number", "boolean": "'true' or 'false'"}
 
+WORD_SHOWN = 80  # characters of a value without spaces that a message repeats
+
+_LONG_WORD = re.compile(rf"[^\s']{{{2 * WORD_SHOWN},}}")
 _PLACE = re.compile(r"(?:While loading|while loading|At) (?P<file>[^\n]+?) \(line (?P<line>\d+), col (?P<column>\d+)\)")
 _SYNTAX = re.compile(
     r"XML file \"(?P<file>[^\n]+?)\" failed: (?P<what>.+?) \(line (?P<line>\d+), col (?P<column>\d+)\)"
@@ -90,7 +93,8 @@ def explain(error: Exception, source: Path | dict[str, Any]) -> str:
             line, column = int(place["line"]), int(place["column"])
             where = f"scene '{place['file']}', line {line}"
             element = _in_file(Path(place["file"]), line, column) or element
-    return f"{where}: {printable(' '.join(_reason(text, element, source).split()))}"
+    reason = _LONG_WORD.sub(lambda word: f"{word[0][:WORD_SHOWN]}…", " ".join(_reason(text, element, source).split()))
+    return f"{where}: {printable(reason)}"
 
 
 def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.pose import moved, rotation
+from mistray.physics.pose import fixed_angles_deg, moved, rotation
 from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
 from mistray.scene.load import find
@@ -224,11 +224,5 @@ class _Reader:
 
 def _placed(pose: np.ndarray) -> dict[str, Any]:
     """Place of a frame: tilts about the world's x, y, z in this order, then the vertex; see `Placed`."""
-    m = pose[:3, :3]
-    b = -math.asin(min(max(float(m[2, 0]), -1.0), 1.0))
-    if math.hypot(m[0, 0], m[1, 0]) > 1e-12:
-        a, c = math.atan2(m[2, 1], m[2, 2]), math.atan2(m[1, 0], m[0, 0])
-    else:
-        a, c = math.atan2(-m[1, 2], m[1, 1]), 0.0
-    tilt = tuple(round(math.degrees(angle), 10) + 0.0 for angle in (a, b, c))
+    tilt = tuple(round(angle, 10) + 0.0 for angle in fixed_angles_deg(pose[:3, :3]))
     return {"x": float(pose[0, 3]), "y": float(pose[1, 3]), "z": float(pose[2, 3]), "tilt_deg": tilt}

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+import secrets
 from pathlib import Path
 
 import pytest
@@ -188,9 +189,12 @@ class TestRefusals:
         with pytest.raises(MistrayError, match="shape 'e': it has no BSDF"):
             recoated(store(tmp_path, bare), [SharedCoating("AR", AR, ("e",))], tmp_path)
 
-    def test_the_old_file_stays_when_the_new_one_cannot_be_written(self, tmp_path: Path) -> None:
+    def test_the_old_file_stays_when_the_new_one_cannot_be_written(
+        self, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    ) -> None:
         source = store(tmp_path, SCENE)
-        (tmp_path / "scene.xml.part").mkdir()  # the draft cannot be written
+        monkeypatch.setattr(secrets, "token_hex", lambda _: "draft")
+        (tmp_path / ".draft.part").mkdir()  # the draft cannot be written
         with pytest.raises(MistrayError, match="Is a directory"):
             write_recoated(source, [SharedCoating("AR", AR, ("a",))], source)
         assert source.read_text(encoding="utf-8") == SCENE

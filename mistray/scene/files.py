@@ -1,0 +1,85 @@
+"""All files that a scene is made of: its own, those that it includes, and those that its values name."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Iterable, Iterator
+from pathlib import Path
+
+from mistray.scene.xml_file import SceneFile
+
+LONGEST_NAME = 6  # words of a file name with blanks, within a longer text such as a list of layers
+
+
+def scene_files(path: Path) -> list[Path]:
+    """
+    Files whose content a scene depends on.
+
+    A value counts as the name of a file where a file of that name exists: better one too many than one too few.
+
+    Parameters
+    ----------
+    path : Path
+        Scene XML file.
+
+    Returns
+    -------
+    list of Path
+        The scene file first, then the scenes that it includes, then all others, each once; absolute.
+
+    Raises
+    ------
+    MistrayError
+        If the scene, or a scene that it includes, cannot be read or is no XML in UTF-8.
+    """
+    first = path.resolve()
+    scenes = {first: None}
+    folders = {first.parent: None, Path.cwd(): None}
+    defaults: dict[str, str] = {}  # as in Mitsuba: of all scenes together, the first of a name holds
+    texts: list[str] = []
+
+    def read(scene: Path) -> None:
+        for element in SceneFile(scene).root.walk():
+            value, name = (_filled(element.values.get(key, ""), defaults) for key in ("value", "filename"))
+            texts.extend((value, name))
+            if element.tag == "default":
+                defaults.setdefault(element.values.get("name", ""), value)
+            elif element.tag == "path":
+                folders.update({(folder / value).resolve(): None for folder in list(folders)})
+            elif element.tag == "include":
+                for found in _found(name, folders):
+                    if found not in scenes:
+                        scenes[found] = folders[found.parent] = None
+                        read(found)
+
+    read(first)
+    return list(scenes | {file: None for text in texts for file in _found(text, folders)})
+
+
+def _found(text: str, folders: Iterable[Path]) -> Iterator[Path]:
+    """Files that a value may name."""
+    for name in _names(text):
+        for folder in tuple(folders):
+            # os.path.isfile, because that of Path raises for a text that is too long for a name
+            if os.path.isfile(folder / name):
+                yield (folder / name).resolve()
+
+
+def _filled(text: str, defaults: dict[str, str]) -> str:
+    """A value with the parameters, ``$name``, in place; longest names first, as they may begin alike."""
+    for name in sorted(defaults, key=len, reverse=True):
+        text = text.replace(f"${name}", defaults[name]) if name else text
+    return text
+
+
+def _names(text: str) -> Iterator[str]:
+    """What may be the name of a file in a value: all of it, or some words of a part of it, with or without an entry."""
+    found = {text}
+    for part in re.split(r"[,;\n]", text):
+        words = part.split()
+        for length in range(1, min(LONGEST_NAME, len(words)) + 1):
+            for start in range(len(words) - length + 1):
+                whole = " ".join(words[start : start + length])
+                found |= {whole, whole.rpartition(":")[0], whole.partition("=")[2]}
+    yield from sorted(found - {"", "."})

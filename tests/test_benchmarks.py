@@ -1,0 +1,281 @@
+"""The benchmarks: that they refuse unequal work, remember, and tell what got slower. They run in small here."""
+
+from __future__ import annotations
+
+import json
+import math
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from mistray.errors import MistrayError
+
+ROOT = Path(__file__).resolve().parent.parent
+FOLDER = ROOT / "benchmarks"
+
+
+@pytest.fixture(autouse=True)
+def _folder(monkeypatch):
+    """Modules of the benchmarks, found by their names as when they are run; none stays behind."""
+    monkeypatch.syspath_prepend(str(FOLDER))
+    before = set(sys.modules)
+    yield
+    for name in set(sys.modules) - before:
+        if str(getattr(sys.modules[name], "__file__", "")).startswith(str(FOLDER)):
+            del sys.modules[name]
+
+
+def row(ratio, **more):
+    from rows import Row
+
+    return Row(**{"key": "a", "what": "this", "ours": "1 s", "other": "2 s", "ratio": ratio, **more})
+
+
+def run(*arguments, code=0):
+    command = [sys.executable, str(FOLDER / "bench.py"), *map(str, arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=300)
+    assert done.returncode == code, done.stdout + done.stderr
+    return done.stdout, done.stderr
+
+
+@pytest.mark.parametrize(
+    ("ratio", "bar", "small", "verdict"),
+    [
+        (10.0, 10.0, False, "≥ 10 reached"),
+        (9.99, 10.0, False, "≥ 10 NOT REACHED"),
+        (1.05, 1.05, True, "≤ 1.05 reached"),
+        (1.06, 1.05, True, "≤ 1.05 NOT REACHED"),
+        (math.nan, 10.0, False, ""),
+        (3.0, None, False, ""),
+    ],
+)
+def test_verdict(ratio, bar, small, verdict):
+    one = row(ratio, bar=bar, small=small)
+    assert one.verdict == verdict
+    assert str(one).count(" | ") == 5
+    assert "nan" not in str(one)
+
+
+def test_work_that_differs_gives_no_ratio():
+    from rows import NotTheSameWorkError, agree, measured
+
+    assert agree("flux", 1.0009, 1.0, 1e-3) == "flux to 0.0009"
+    assert agree("R", [0.1, 0.2], [0.1, 0.2], 0.0) == "R to 0"
+    for ours, other in ((1.002, 1.0), (math.nan, 1.0), (1.0, 0.0), ([0.1, 0.3], [0.1, 0.2])):
+        with pytest.raises(NotTheSameWorkError, match="no ratio is given"):
+            agree("flux", ours, other, 1e-3)
+    refused = measured("lsst", "ghosts", lambda: row(7.0, equal=agree("flux", 2.0, 1.0, 1e-3)))
+    assert refused.failed
+    assert math.isnan(refused.ratio)
+    assert "flux 2 here and 1 there" in refused.other
+
+
+def test_clock_alternates():
+    from rows import alternate
+
+    turns = []
+    first, second = alternate(lambda: turns.append("a"), lambda: turns.append("b"), repeats=3)
+    assert turns == ["a", "b"] * 4  # once before the clock starts
+    assert 0 < first.seconds < 1
+    assert 0 < second.seconds < 1
+
+
+def test_exponent():
+    from rows import slope
+
+    x = np.array([10, 20, 40, 80])
+    assert slope(x, 3e-9 * x**2) == pytest.approx(2, abs=1e-12)
+    assert slope(x, np.full(4, 7.0)) == pytest.approx(0, abs=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("before", "now", "small", "loss"),
+    [
+        (10.0, 8.8, False, None),
+        (10.0, 8.0, False, 25),
+        (10.0, 30.0, False, None),
+        (2.0, 2.25, True, None),
+        (2.0, 2.5, True, 25),
+        (2.0, 1.0, True, None),
+        (math.nan, 1.0, False, None),
+        (10.0, math.nan, False, None),
+    ],
+)
+def test_what_got_worse_says_so(before, now, small, loss):
+    from record import worse
+
+    line = worse(row(now, small=small), row(before, small=small))
+    assert (line == "") == (loss is None)
+    assert "\n" not in line
+    if loss:
+        assert line == f"SLOWER by {loss} % than the kept run: this: {before:.3g} → {now:.3g}"
+
+
+def test_record_keeps_what_was_not_run_again(tmp_path):
+    from record import Kept, merged, read, write
+
+    def kept(part, key, ratio, day="2026-01-01"):
+        return Kept(part, row(ratio, key=key, bar=2.0, series={"x": (1.0, 2.0)}), day, "a machine")
+
+    path = tmp_path / "last.json"
+    assert read(path) == {}
+    old = {
+        one.name: one for one in (kept("batoid", "lsst", 5.0), kept("films", "tmm", 7.0), kept("films", "gone", 1.0))
+    }
+    write(path, old)
+    found = read(path)
+    assert {name: one.row.ratio for name, one in found.items()} == {name: one.row.ratio for name, one in old.items()}
+    assert found["films/tmm"].row.series == {"x": [1.0, 2.0]}
+    new = merged(found, ["films"], [kept("films", "tmm", math.nan, "2026-02-02"), kept("films", "mie", 3.0)])
+    # batoid was not run; tmm is not installed today; the row `gone` is no more
+    assert {name: (one.row.ratio, one.day) for name, one in new.items()} == {
+        "batoid/lsst": (5.0, "2026-01-01"),
+        "films/tmm": (7.0, "2026-01-01"),
+        "films/mie": (3.0, "2026-01-01"),
+    }
+    write(path, {"a/b": kept("a", "b", math.nan)})
+    assert json.loads(path.read_text())["rows"][0]["ratio"] is None
+    assert math.isnan(read(path)["a/b"].row.ratio)
+    path.write_text('{"format": 9, "rows": []}')
+    with pytest.raises(MistrayError, match=r"last\.json: no record of benchmarks \(format 9\); remove it"):
+        read(path)
+
+
+def test_missing_program_has_a_row(monkeypatch):
+    import telescopes
+
+    monkeypatch.setattr("rows.find_spec", lambda name: None)
+    found = list(telescopes.rows(True))
+    assert [one.key for one in found] == ["lsst", "hsc", "decam"]
+    for one in found:
+        assert one.other == "not measured: batoid not installed (pip install batoid)"
+        assert math.isnan(one.ratio)
+        assert not one.failed
+
+
+def test_other_sizes_are_not_the_same_work(monkeypatch):
+    """Spheres and films that are 0.1 % larger on one side: no ratio may come out."""
+    import spheres
+    import thinfilm
+
+    same = spheres.spheres
+    monkeypatch.setattr(spheres, "spheres", lambda x, m, a: same(1.001 * x, m, a))
+    pytest.importorskip("miepython")
+    (one,) = spheres.rows(True)
+    assert one.failed
+    assert "extinction" in one.other
+    pytest.importorskip("tmm")
+    from rows import NotTheSameWorkError
+
+    grid = thinfilm.Grid.of(4, 2)
+    theirs = thinfilm.in_tmm(grid)
+    monkeypatch.setattr(thinfilm, "D_NM", 1.001 * thinfilm.D_NM)
+    with pytest.raises(NotTheSameWorkError, match="not the same work: R "):
+        thinfilm.against_peer("tmm", grid, grid, [theirs], 1)
+
+
+def test_ghosts_of_another_reflectance_are_not_the_same_work(monkeypatch):
+    pytest.importorskip("batoid")
+    import telescopes
+    from rows import NotTheSameWorkError
+
+    telescope = telescopes.TELESCOPES[0]
+    trace = telescopes.ours(telescope, telescopes.scene_of(telescope), 300)
+    split = telescopes.theirs(telescope, trace)()
+    assert telescopes.same_ghosts(trace, split).startswith("34 ghosts, flux to ")
+    monkeypatch.setattr(telescopes, "REFLECTANCE", 0.0202)
+    brighter = telescopes.theirs(telescope, trace)()
+    with pytest.raises(NotTheSameWorkError, match="flux"):
+        telescopes.same_ghosts(trace, brighter)
+
+
+def test_command_in_small(tmp_path):
+    pytest.importorskip("miepython")
+    table, _ = run("--quick", "--only", "mie", "--folder", tmp_path)
+    assert "30 spheres" in table
+    assert "NOT REACHED" not in table
+    assert not list(tmp_path.iterdir())  # a quick run keeps nothing
+    (tmp_path / "last.json").write_text("{}")
+    _, error = run("--only", "mie", "--folder", tmp_path, code=2)
+    assert error.count("\n") == 1
+    assert "last.json: no record of benchmarks" in error
+
+
+def test_run_keeps_compares_and_is_strict(tmp_path, monkeypatch, capsys):
+    import bench
+    import spheres
+
+    def measure(ratio, *options, more=()):
+        monkeypatch.setattr(spheres, "rows", lambda quick: iter([row(ratio, bar=5.0), *more]))
+        code = bench.main(["--only", "mie", "--folder", str(tmp_path), *options])
+        return code, capsys.readouterr().out
+
+    def kept():
+        return [entry["ratio"] for entry in json.loads((tmp_path / "last.json").read_text())["rows"]]
+
+    code, table = measure(10.0)
+    assert (code, kept()) == (0, [10.0])
+    assert "SLOWER" not in table
+    assert "≥ 5 reached" in (tmp_path / "README.md").read_text()
+    code, table = measure(4.0, "--strict")
+    assert (code, kept()) == (1, [10.0])
+    assert table.count("SLOWER by 150 % than the kept run: this: 10 → 4") == 2  # after its row and at the end
+    assert "1 of 1 ratios got worse by more than 15 %" in table
+    assert measure(9.0, "--strict", "--no-write")[0] == 0
+    assert kept() == [10.0]
+    code, table = measure(4.0, "--quick")
+    assert code == 0
+    assert "SLOWER" not in table
+    assert kept() == [10.0]
+    code, table = measure(4.0)
+    assert (code, kept()) == (0, [4.0])
+    assert "SLOWER" in table
+    code, table = measure(4.0, more=[row(math.nan, key="b", other="not the same work", failed=True)])
+    assert code == 1
+    assert "mie/b: not the same work" in table
+    monkeypatch.setattr(spheres, "rows", lambda quick: 1 / 0)
+    assert bench.main(["--only", "mie", "--folder", str(tmp_path)]) == 1
+    assert "FAILED: ZeroDivisionError: division by zero" in capsys.readouterr().out
+
+
+def test_page_shows_every_row_and_the_figure(tmp_path):
+    from bench import PARTS
+    from page import write_page
+    from record import Kept
+
+    rows = [row(2.0, key="rays", series={"rays": [1e4, 1e5], "seconds": [1.0, 9.0]})]
+    kept = [Kept("growth", rows[0], "2026-01-01", "machine A"), Kept("memory", row(3.0), "2026-01-02", "machine B")]
+    write_page(tmp_path / "README.md", tmp_path / "growth.svg", {one.name: one for one in kept}, PARTS)
+    text = (tmp_path / "README.md").read_text()
+    assert all(str(one.row) in text for one in kept)
+    assert "- 2026-01-02, machine B: memory\n- 2026-01-01, machine A: growth\n" in text
+    assert "(growth.svg)" in text
+    assert (tmp_path / "growth.svg").read_text().lstrip().startswith("<?xml")
+
+
+def test_page_says_what_each_side_computes(tmp_path):
+    """From the module's docstring, for every comparison with another program."""
+    from bench import PARTS
+    from page import write_page
+    from record import Kept
+
+    record = {part: Kept(part, row(2.0), "2026-01-01", "machine A") for part in PARTS}
+    write_page(tmp_path / "README.md", tmp_path / "growth.svg", record, PARTS)
+    sections = (tmp_path / "README.md").read_text().split("\n## ")[1:]
+    assert len(sections) == len(PARTS)
+    for part, section in zip(PARTS, sections, strict=True):
+        assert (FOLDER / f"{PARTS[part][0]}.py").exists()
+        if part in ("embree", "batoid", "optiland", "films", "mie"):
+            assert "float" in section or "complex128" in section  # the precision of each side
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("part", ["embree", "batoid", "optiland", "films", "modes", "gradients", "memory", "growth"])
+def test_every_part_runs_in_small(part):
+    """A failed row is exit code 1."""
+    table, _ = run("--quick", "--only", part)
+    assert "FAILED" not in table
+    assert "not the same work" not in table

@@ -1,0 +1,106 @@
+"""Starting costs what the task needs and no more: what is imported when, and how much CPU time that takes.
+
+CPU time, best of several. That of the package grows with the load of the machine, by half where other tests run, and is
+compared with that of NumPy and Mitsuba alone. Seconds on an idle machine are measured by benchmarks/start_up.py.
+"""
+
+from __future__ import annotations
+
+import importlib
+import pkgutil
+import resource
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+HELP_S = 0.3  # four times what it takes
+OF_MITSUBA = 4.0  # 0.9 s over 0.4 s is usual, the tables and pictures of a report would add 1.5 s
+REPEATS = 3
+BARE = "import numpy, mitsuba; mitsuba.set_variant('llvm_ad_rgb')"
+
+
+def run(*command: str) -> tuple[subprocess.CompletedProcess[str], float]:
+    """A process that has ended well, and its CPU time, s."""
+    before = resource.getrusage(resource.RUSAGE_CHILDREN)
+    done = subprocess.run(command, capture_output=True, text=True)
+    after = resource.getrusage(resource.RUSAGE_CHILDREN)
+    assert done.returncode == 0, done.stderr
+    return done, after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+
+
+def imported(*command: str) -> set[str]:
+    """Packages that a Python process imports."""
+    done, _ = run(sys.executable, "-X", "importtime", *command)
+    return {line.rpartition("|")[2].strip().partition(".")[0] for line in done.stderr.splitlines() if "|" in line}
+
+
+@pytest.mark.parametrize("arguments", [("--help",), ("ghosts", "--help"), ("--version",)])
+def test_help_imports_nothing_that_traces(arguments: tuple[str, ...]) -> None:
+    heavy = {"mitsuba", "drjit", "numpy", "scipy", "pandas", "matplotlib", "pyarrow"}
+    assert not imported("-m", "mistray", *arguments) & heavy
+
+
+def test_help_is_fast() -> None:
+    assert min(run(sys.executable, "-m", "mistray", "--help")[1] for _ in range(REPEATS)) < HELP_S
+
+
+def test_the_package_is_fast() -> None:
+    package, bare = (
+        min(run(sys.executable, "-c", code)[1] for _ in range(REPEATS - 1)) for code in ("import mistray", BARE)
+    )
+    assert package < OF_MITSUBA * bare
+
+
+def test_the_package_imports_no_tables_and_pictures() -> None:
+    assert not imported("-c", "import mistray") & {"scipy", "pandas", "matplotlib", "pyarrow", "colour", "plotly"}
+
+
+def test_a_program_gets_a_variant_and_the_command_does_not(tmp_path: Path) -> None:
+    """The same lines as a script called mistray, which is what pip installs, and called otherwise."""
+    lines = """
+        import sys
+        import mistray
+        print("mitsuba" in sys.modules, end=" ")
+        print(callable(mistray.trace), sys.modules["mitsuba"].variant())
+    """
+    for name, eager in (("mistray", False), ("program.py", True)):
+        script = tmp_path / name
+        script.write_text(textwrap.dedent(lines), encoding="utf-8")
+        done, _ = run(sys.executable, str(script))
+        assert done.stdout.split() == [str(eager), "True", "llvm_ad_rgb"]
+
+
+def test_a_table_needs_no_pictures() -> None:
+    """Matplotlib is for --out, SciPy for searches and statistics."""
+    found = imported("-m", "mistray", "ghosts", "plate", "--rays", "1000")
+    assert "mitsuba" in found
+    assert not found & {"matplotlib", "scipy", "colour", "plotly"}
+
+
+def test_every_module_can_be_the_first_that_the_command_imports(tmp_path: Path) -> None:
+    """In the command's process nothing is active before: whoever uses types of a variant makes one active."""
+    script = tmp_path / "mistray"
+    script.write_text("import sys, importlib\nfor name in sys.argv[1:]:\n    importlib.import_module(name)\n")
+    run(sys.executable, str(script), "mistray.report.plots")
+    run(sys.executable, str(script), "mistray.scene", "mistray.mechanics", "mistray.trace.settings")
+
+
+@pytest.mark.parametrize("package", ["analysis", "optimize", "report"])
+def test_names_of_a_lazy_package(package: str) -> None:
+    """All of `__all__` are there, also where a module of the package has the same name as its function."""
+    module = importlib.import_module(f"mistray.{package}")
+    for found in pkgutil.iter_modules(module.__path__, f"mistray.{package}."):
+        importlib.import_module(found.name)
+    assert set(vars(module)["_homes"]) == set(module.__all__) <= set(dir(module))
+    for name in module.__all__:
+        value = getattr(module, name)
+        assert not isinstance(value, ModuleType), name
+        assert value.__module__.startswith(f"mistray.{package}."), name
+    with pytest.raises(AttributeError, match=f"module 'mistray.{package}' has no attribute 'nothing'"):
+        _ = module.nothing
+    with pytest.raises(ImportError, match="cannot import name 'nothing'"):
+        exec(f"from mistray.{package} import nothing")
