@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+
 from rows import Row
 
 from mistray.optimize import optimize
@@ -45,6 +47,7 @@ def tracing_share(name: str, rays: int, steps: int = STEPS) -> Row:
     result = optimize(name, study, verification_seeds=2)
     assert len(result.steps) == steps + 1
     return Row(
+        f"{name}-{rays}",
         f"`{name}`: share of {steps} steps of a coating optimisation that is tracing, {rays} rays at each field",
         f"{result.traced_seconds:.1f} s",
         f"{result.search_seconds:.1f} s",
@@ -53,6 +56,11 @@ def tracing_share(name: str, rays: int, steps: int = STEPS) -> Row:
     )
 
 
+def rows(quick: bool) -> Iterator[Row]:
+    """Rows of the part `coating_steps`."""
+    for rays in (600,) if quick else (60_000, 200_000):
+        yield tracing_share("cooke_triplet", rays, 2 if quick else STEPS)
+
+
 if __name__ == "__main__":
-    for scene, count in (("cooke_triplet", 60_000), ("cooke_triplet", 200_000), ("phone_camera", 6_000)):
-        print(tracing_share(scene, count))
+    print(*rows(False), sep="\n")

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import argparse
-import resource
 import subprocess
 import sys
 import time
+from collections.abc import Iterator
 from typing import Any
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from rows import REPEATS, Row
+from memory import peak_mb
+from modes import coated
+from rows import REPEATS, Row, agree, alternate
 
 import mistray
-from mistray.optimize import path_power
+from mistray.optimize import gradient, parameters, path_power
 from mistray.optimize.gradient import chosen_parameters, wanted_of
 from mistray.trace.raw_gradient import RIM_COLUMNS, Wanted
 
@@ -24,20 +26,41 @@ KINDS = {"coatings": ("coating", "share"), "geometry": SHAPES, "rims": ("rim",)}
 BARS = {"coatings": 2.5, "geometry": 4.0, "rims": 2.5}
 
 
-def gradient_costs(name: str, rays: int, **settings: Any) -> list[Row]:
+def layer_cost(name: str, rays: int, most: float, repeats: int) -> Row:
+    """A metric with the gradient of every layer over the metric alone; small is good."""
+    scene = coated(name, "1.38 99.6, 2.10 131.0, 1.63 84.4")
+    params = mi.traverse(scene)
+    metric = path_power(scene, "ghost", rays=rays, flux_threshold=0.0)
+    coatings = [key for key, p in parameters(scene).items() if p.kind in ("coating", "share")]
+    found = gradient(metric, params, coatings)
+    count = sum(len(values) for values in found.gradient.values())
+    with_it, alone = alternate(lambda: gradient(metric, params, coatings), metric.value, repeats=repeats)
+    return Row(
+        f"layers-{name}",
+        f"`{name}`: ghost power and its {count} derivatives by layers / ghost power",
+        f"{with_it.seconds:.3f} s",
+        f"{alone.seconds:.3f} s",
+        with_it.seconds / alone.seconds,
+        most,
+        small=True,
+        equal=agree("ghost power", found.value, metric.value(), 1e-6),
+    )
+
+
+def gradient_costs(name: str, rays: int, repeats: int, **settings: Any) -> list[Row]:
     """Time of the derivatives by all coatings, by all of the geometry and by all rims over that of the trace."""
     scene = mistray.load(name)
     params = mi.traverse(scene)
     known = chosen_parameters(scene, params)
     metric = path_power(scene, "all", rays=rays, **settings)
-    rows = []
+    result = []
     for what, kinds in KINDS.items():
         chosen = [p for p in known.values() if p.kind in kinds]
         if not chosen:
             continue
         wanted = _wanted(what, chosen)
         best = [np.inf, np.inf]
-        for repeat in range(REPEATS + 1):
+        for repeat in range(repeats + 1):
             started = time.perf_counter()
             (observation,) = metric.observe()
             traced = time.perf_counter()
@@ -47,9 +70,10 @@ def gradient_costs(name: str, rays: int, **settings: Any) -> list[Row]:
             done = time.perf_counter()
             if repeat:  # the first one compiles
                 best = [min(best[0], traced - started), min(best[1], done - traced)]
-        rows.append(
+        result.append(
             Row(
-                f"{name}: gradient by all {what} ({sum(p.value.size for p in chosen)} numbers) / trace",
+                f"{what}-{name}",
+                f"`{name}`: gradient by all {what} ({sum(p.value.size for p in chosen)} numbers) / trace",
                 f"{best[1]:.2f} s",
                 f"{best[0]:.2f} s",
                 best[1] / best[0],
@@ -57,7 +81,7 @@ def gradient_costs(name: str, rays: int, **settings: Any) -> list[Row]:
                 small=True,
             )
         )
-    return rows
+    return result
 
 
 def _wanted(what: str, chosen: list[Any]) -> Wanted:
@@ -77,14 +101,23 @@ def memory(name: str, rays: int) -> list[Row]:
     few, many, one = peak(rays, "*"), peak(4 * rays, "*"), peak(rays, "*.curvature")
     return [
         Row(
-            f"{name}: memory of a gradient, {4 * rays} / {rays} rays",
+            f"memory-rays-{name}",
+            f"`{name}`: memory of a gradient, {4 * rays} / {rays} rays",
             f"{many:.0f} MB",
             f"{few:.0f} MB",
             many / few,
             1.2,
-            True,
+            small=True,
         ),
-        Row(f"{name}: memory, by all / by curvatures", f"{few:.0f} MB", f"{one:.0f} MB", few / one, 1.2, True),
+        Row(
+            f"memory-parameters-{name}",
+            f"`{name}`: memory of a gradient, by all / by curvatures",
+            f"{few:.0f} MB",
+            f"{one:.0f} MB",
+            few / one,
+            1.2,
+            small=True,
+        ),
     ]
 
 
@@ -92,7 +125,17 @@ def _peak(name: str, rays: int, pattern: str) -> None:
     """Print the largest resident memory of a gradient, MB."""
     scene = mistray.load(name)
     mistray.gradient(path_power(scene, "all", rays=rays, max_scatters=0), mi.traverse(scene), keys=[pattern])
-    print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024)
+    print(peak_mb())
+
+
+def rows(quick: bool) -> Iterator[Row]:
+    """Rows of the part `gradients`."""
+    repeats = 1 if quick else REPEATS
+    for name, rays in (("cooke_triplet", 1 << 16), ("phone_camera", 1 << 12)):
+        yield layer_cost(name, rays >> 6 if quick else rays, 2.5, repeats)
+    for name, rays in (("double_gauss", 200_000), ("phone_camera", 10_000)):
+        yield from gradient_costs(name, rays // 100 if quick else rays, repeats)
+    yield from memory("double_gauss", 1_000 if quick else 100_000)
 
 
 if __name__ == "__main__":
@@ -102,9 +145,4 @@ if __name__ == "__main__":
     if options.peak:
         _peak(options.peak[0], int(options.peak[1]), options.peak[2])
     else:
-        for row in (
-            *gradient_costs("double_gauss", 200_000),
-            *gradient_costs("phone_camera", 20_000),
-            *memory("double_gauss", 100_000),
-        ):
-            print(row)
+        print(*rows(False), sep="\n")

@@ -6,14 +6,14 @@ A sample is a call of the plugin's own `sample` for one ray: a direction, its de
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from rows import Row, alternate
+from rows import REPEATS, Row, alternate
 
 import mistray
 from mistray.scatter.abg import ABg
@@ -42,15 +42,16 @@ def per_second(rate: float) -> str:
     return f"{rate / 1e6:.1f} M/s"
 
 
-def scattering_camera(rays: int) -> list[Row]:
+def scattering_camera(rays: int, repeats: int) -> list[Row]:
     """The ray tree of the phone camera with polish, dust and paint, aimed by itself; and without the path table."""
     scene = mistray.load("phone_camera_scatter")
     (run,) = prepare(scene, Settings(rays=rays))
-    with_table, without = alternate(lambda: run.execute(True, None), lambda: run.execute(False, None))
+    with_table, without = alternate(lambda: run.execute(True, None), lambda: run.execute(False, None), repeats=repeats)
     segments = float(run.reasons[SEGMENTS].sum())
-    rates = {"on": segments / with_table, "off": segments / without}
+    rates = {"on": segments / with_table.seconds, "off": segments / without.seconds}
     return [
         Row(
+            f"camera-{state}",
             f"`phone_camera_scatter`, path table {state}, against the bar (segments/s)",
             per_second(rate),
             per_second(SEGMENTS_BAR),
@@ -61,14 +62,14 @@ def scattering_camera(rays: int) -> list[Row]:
     ]
 
 
-def sampler(properties: dict[str, object]) -> Callable[[], None]:
-    """Draw `SAMPLES` directions from a plugin."""
+def sampler(properties: dict[str, object], count: int) -> Callable[[], None]:
+    """Draw directions from a plugin."""
     bsdf = mi.load_dict(properties)
     rng = np.random.default_rng(0)
-    theta = rng.uniform(0, np.radians(85), SAMPLES)
-    si = dr.zeros(mi.SurfaceInteraction3f, SAMPLES)
+    theta = rng.uniform(0, np.radians(85), count)
+    si = dr.zeros(mi.SurfaceInteraction3f, count)
     si.wi = mi.Vector3f(np.sin(theta), 0, -np.cos(theta))
-    first, second = mi.Float(rng.random(SAMPLES)), mi.Point2f(rng.random((2, SAMPLES)))
+    first, second = mi.Float(rng.random(count)), mi.Point2f(rng.random((2, count)))
     context = mi.BSDFContext()
     dr.eval(si, first, second)
 
@@ -80,22 +81,23 @@ def sampler(properties: dict[str, object]) -> Callable[[], None]:
     return action
 
 
-def scatter_samples() -> list[Row]:
+def scatter_samples(count: int, repeats: int) -> list[Row]:
     """Every model against the bar; two models share a line of time so that each is measured in turn with another."""
     mistray.ensure_variant()
     with TemporaryDirectory() as folder:
         path = Path(folder) / "measured.bsdf"
         write_zemax_bsdf(table(ABg(2.5e-3, 1e-3, 1.8), [0, 15, 30, 45, 60, 75], "specular"), path)
-        samplers = {name: sampler(properties) for name, properties in MODELS.items()}
-        samplers["tabulated"] = sampler({"type": "tabulated", "file": str(path)})
-    rows, names = [], list(samplers)
+        samplers = {name: sampler(properties, count) for name, properties in MODELS.items()}
+        samplers["tabulated"] = sampler({"type": "tabulated", "file": str(path)}, count)
+    result, names = [], list(samplers)
     for k in range(0, len(names), 2):
         pair = names[k], names[(k + 1) % len(names)]  # the last of an odd number has the first beside it again
-        times = alternate(*(samplers[name] for name in pair))
-        for name, seconds in zip(names[k : k + 2], times, strict=False):
-            rate = SAMPLES / seconds
-            rows.append(
+        times = alternate(*(samplers[name] for name in pair), repeats=repeats)
+        for name, timing in zip(names[k : k + 2], times, strict=False):
+            rate = count / timing.seconds
+            result.append(
                 Row(
+                    f"samples-{name}",
                     f"scatter sampling, {name}, against the bar (samples/s)",
                     per_second(rate),
                     per_second(SAMPLES_BAR),
@@ -103,8 +105,15 @@ def scatter_samples() -> list[Row]:
                     1.0,
                 )
             )
-    return rows
+    return result
+
+
+def rows(quick: bool) -> Iterator[Row]:
+    """Rows of the part `scatter`."""
+    repeats = 1 if quick else REPEATS
+    yield from scattering_camera(1 << (9 if quick else 15), repeats)
+    yield from scatter_samples(1 << 12 if quick else SAMPLES, repeats)
 
 
 if __name__ == "__main__":
-    print(*scattering_camera(1 << 15), *scatter_samples(), sep="\n")
+    print(*rows(False), sep="\n")

@@ -1,44 +1,58 @@
-"""R(λ, θ) of stacks of ten layers: evaluations per second of `mistray.physics.thinfilm` in Dr.Jit, NumPy and tmm_fast.
+"""R(λ, θ) of stacks of ten layers: `mistray.physics.thinfilm` in Dr.Jit and NumPy, tmm and tmm_fast.
 
-One evaluation is one wavelength and one angle with R and T of both polarisations. ``python benchmarks/thinfilm.py``
-prints the rows alone.
+One evaluation is one wavelength and one angle with R and T of both polarisations. Dr.Jit computes in float32 on all
+cores, the others in complex128; NumPy runs the same function as Dr.Jit, so that its rows compare at equal precision.
+tmm takes one wavelength and angle at a time, the others arrays of them. ``python benchmarks/thinfilm.py`` prints the
+rows alone.
 """
 
 from __future__ import annotations
 
-import importlib.metadata
-import math
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
-from rows import Row, alternate
+from rows import REPEATS, Row, agree, alternate, missing, version
 
 import mistray
 from mistray.physics.thinfilm import reflectance_transmittance
 
 BAR = 1e7
-LAYERS = 10
 N = np.array([1.38, 2.1, 1.63, 2.3, 1.46, 1.9, 1.38, 2.1, 1.46, 1.7])
 D_NM = np.array([95.0, 60.0, 84.0, 25.0, 140.0, 70.0, 33.0, 14.0, 110.0, 50.0])
 K = np.array([0.0, 0.01, 0.0, 0.02, 0.0, 0.001, 0.0, 0.01, 0.0, 0.1])
 SUBSTRATE = 1.5168
+FLOAT32, FLOAT64 = 1e-5, 1e-9  # tolerances of R over its largest
 
-Grid = tuple[np.ndarray, np.ndarray]
-
-
-def grid(wavelengths: int, angles: int) -> Grid:
-    """Wavelengths in nm and angles in radians."""
-    return np.linspace(400.0, 700.0, wavelengths), np.linspace(0.0, np.radians(85.0), angles)
+Action = Callable[[], np.ndarray]
+"""Evaluates a grid; R_s of (angles, wavelengths)."""
 
 
-def in_drjit(n: np.ndarray, points: Grid) -> tuple[Callable[[], None], Callable[[], np.ndarray]]:
-    """Float32, every number of the stack opaque to the compiler; the action, and its R_s as (angles, wavelengths)."""
-    wavelengths, angles = points
-    wavelength = mi.Float(np.tile(wavelengths, len(angles)))
-    cosine = mi.Float(np.repeat(np.cos(angles), len(wavelengths)))
+@dataclass(frozen=True)
+class Grid:
+    """Wavelengths in nm times angles in radians."""
+
+    wavelengths: np.ndarray
+    angles: np.ndarray
+
+    @classmethod
+    def of(cls, wavelengths: int, angles: int) -> Grid:
+        """400-700 nm, 0-85°."""
+        return cls(np.linspace(400.0, 700.0, wavelengths), np.linspace(0.0, np.radians(85.0), angles))
+
+    @property
+    def count(self) -> int:
+        """Evaluations."""
+        return len(self.wavelengths) * len(self.angles)
+
+
+def in_drjit(n: np.ndarray, d_nm: np.ndarray, grid: Grid) -> tuple[Callable[[], None], Action]:
+    """Float32, every number of the stack opaque to the compiler; the evaluation alone, and with R_s on the host."""
+    wavelength = mi.Float(np.tile(grid.wavelengths, len(grid.angles)))
+    cosine = mi.Float(np.repeat(np.cos(grid.angles), len(grid.wavelengths)))
     dr.eval(wavelength, cosine)
 
     def opaque(x: complex) -> object:
@@ -46,7 +60,7 @@ def in_drjit(n: np.ndarray, points: Grid) -> tuple[Callable[[], None], Callable[
             return dr.opaque(mi.Float, float(x))
         return mi.Complex2f(dr.opaque(mi.Float, float(x.real)), dr.opaque(mi.Float, float(x.imag)))
 
-    layers, thickness = [opaque(x) for x in n], [dr.opaque(mi.Float, float(x)) for x in D_NM]
+    layers, thickness = [opaque(x) for x in n], [dr.opaque(mi.Float, float(x)) for x in d_nm]
     result = []
 
     def action() -> None:
@@ -54,79 +68,116 @@ def in_drjit(n: np.ndarray, points: Grid) -> tuple[Callable[[], None], Callable[
         dr.eval(result)
         dr.sync_thread()
 
-    return action, lambda: np.array(result[0][0]).reshape(len(angles), len(wavelengths))
+    def reflectance() -> np.ndarray:
+        action()
+        return np.array(result[0][0]).reshape(len(grid.angles), len(grid.wavelengths))
+
+    return action, reflectance
 
 
-def in_numpy(n: np.ndarray, points: Grid) -> tuple[Callable[[], None], Callable[[], np.ndarray]]:
-    wavelengths, angles = points
-    result = []
-
-    def action() -> None:
-        result[:] = reflectance_transmittance(1.0, n, D_NM, SUBSTRATE, wavelengths, np.cos(angles)[:, None])
-
-    return action, lambda: result[0][0]
+def in_numpy(n: np.ndarray, grid: Grid) -> Action:
+    """Complex128."""
+    cosine = np.cos(grid.angles)[:, None]
+    return lambda: reflectance_transmittance(1.0, n, D_NM, SUBSTRATE, grid.wavelengths, cosine)[0][0]
 
 
-def in_tmm_fast(n: np.ndarray, points: Grid, threads: int) -> tuple[Callable[[], None], Callable[[], np.ndarray]]:
+def in_tmm(grid: Grid) -> Action:
+    """Point by point, both polarisations in turn; its answers hold R and T."""
+    import tmm
+
+    index, thickness = [1.0, *N, SUBSTRATE], [np.inf, *D_NM, np.inf]
+    wavelengths, angles = grid.wavelengths, grid.angles
+
+    def action() -> np.ndarray:
+        found = [
+            [[tmm.coh_tmm(pol, index, thickness, angle, wavelength)["R"] for pol in "sp"] for wavelength in wavelengths]
+            for angle in angles
+        ]
+        return np.array(found)[:, :, 0]
+
+    return action
+
+
+def in_tmm_fast(grid: Grid, threads: int) -> Action:
     """NumPy arrays in and out, lengths in metres, both polarisations in turn."""
     import tmm_fast
     import torch
 
-    wavelengths, angles = points
-    index = np.concatenate([[1.0], n, [SUBSTRATE]]).astype(complex)
-    index = np.repeat(index[None, :, None], len(wavelengths), axis=2)
+    index = np.concatenate([[1.0], N, [SUBSTRATE]]).astype(complex)
+    index = np.repeat(index[None, :, None], len(grid.wavelengths), axis=2)
     thickness = np.concatenate([[np.inf], 1e-9 * D_NM, [np.inf]])[None]
-    result = []
 
-    def action() -> None:
+    def action() -> np.ndarray:
         torch.set_num_threads(threads)
-        result[:] = [tmm_fast.coh_tmm(pol, index, thickness, angles, 1e-9 * wavelengths)["R"] for pol in "sp"]
+        s, _ = (tmm_fast.coh_tmm(pol, index, thickness, grid.angles, 1e-9 * grid.wavelengths)["R"] for pol in "sp")
+        return np.asarray(s)[0]
 
-    return action, lambda: result[0][0]
-
-
-def rate(per_second: float) -> str:
-    return f"{per_second / 1e6:.3g} M/s"
+    return action
 
 
-def thin_films() -> list[Row]:
-    """Dr.Jit against the bar for a lossless and an absorbing stack; against NumPy and tmm_fast for the lossless one."""
-    mistray.ensure_variant()
-    large, small = grid(2048, 1024), grid(256, 64)
-    count, count_small = (points[0].size * points[1].size for points in (large, small))
+def per_second(rate: float) -> str:
+    """Cell of the table."""
+    return f"{rate / 1e6:.3g} M/s"
 
-    def rates(n: np.ndarray, others: list[tuple[Callable[[], None], Callable[[], np.ndarray]]]) -> tuple[float, float]:
-        """Ours, and the best of the others, which must agree with ours."""
-        ours, theirs = 0.0, 0.0
-        check, r_ours = in_drjit(n, small)
-        check()
-        for action, r_theirs in others:
-            seconds = alternate(in_drjit(n, large)[0], action)
-            ours, theirs = max(ours, count / seconds[0]), max(theirs, count_small / seconds[1])
-            np.testing.assert_allclose(r_theirs(), r_ours(), atol=1e-5)
-        return ours, theirs
 
-    def row(kind: str, against: str, ours: float, other: float, bar: float | None = None) -> Row:
-        what = f"R(λ, θ), s and p, of {LAYERS} {kind} layers, Dr.Jit float32 against {against} (evaluations/s)"
-        return Row(what, rate(ours), rate(other), ours / other, bar)
+def row(key: str, what: str, ours: float, other: float, bar: float | None = None, equal: str = "") -> Row:
+    """Rates of both sides, evaluations/s."""
+    text = f"R(λ, θ), s and p, of {len(N)} {what} (evaluations/s)"
+    return Row(key, text, per_second(ours), per_second(other), ours / other, bar, equal=equal)
 
-    lossless, numpy = rates(N, [in_numpy(N, small)])
-    absorbing, _ = rates(N + 1j * K, [in_numpy(N + 1j * K, small)])
-    rows = [
-        row("lossless", "the bar", lossless, BAR, 1.0),
-        row("absorbing", "the bar", absorbing, BAR, 1.0),
-        row("lossless", "the same in NumPy float64", lossless, numpy),
+
+def against_itself(kind: str, n: np.ndarray, large: Grid, grid: Grid, repeats: int) -> list[Row]:
+    """Dr.Jit on a large grid against the bar, and against NumPy on a small one, on which both must agree."""
+    action, _ = in_drjit(n, D_NM, large)
+    _, reflectance = in_drjit(n, D_NM, grid)
+    numpy = in_numpy(n, grid)
+    equal = agree("R", reflectance(), numpy(), FLOAT32)
+    here, there = alternate(action, numpy, repeats=repeats)
+    rate, other = large.count / here.seconds, grid.count / there.seconds
+    return [
+        row(f"drjit-{kind}", f"{kind} layers, Dr.Jit float32 against the bar", rate, BAR, 1.0),
+        row(f"numpy-{kind}", f"{kind} layers, Dr.Jit float32 against the same in NumPy complex128", rate, other,
+            equal=equal),
+    ]  # fmt: skip
+
+
+def against_peer(name: str, grid: Grid, large: Grid, others: list[Action], repeats: int) -> list[Row]:
+    """Dr.Jit on a large grid and NumPy on the same grid against the fastest of the peer's ways."""
+    action, _ = in_drjit(N, D_NM, large)
+    _, reflectance = in_drjit(N, D_NM, grid)
+    numpy = in_numpy(N, grid)
+    single = [agree("R", reflectance(), other(), FLOAT32) for other in others]
+    double = [agree("R", numpy(), other(), FLOAT64) for other in others]
+    here, same, *there = alternate(action, numpy, *others, repeats=repeats)
+    rate = grid.count / min(timing.seconds for timing in there)
+    what = f"lossless layers, {{}} against {version(name)}, complex128 on the CPU"
+    return [
+        row(name, what.format("Dr.Jit float32"), large.count / here.seconds, rate, equal=single[0]),
+        row(f"{name}-numpy", what.format("NumPy complex128"), grid.count / same.seconds, rate, equal=double[0]),
     ]
-    try:
-        theirs = [in_tmm_fast(N, small, threads) for threads in (1, os.cpu_count() or 1)]
-    except ImportError:
-        missing = "not installed (pip install tmm_fast)"
-        rows.append(Row("R(λ, θ) of 10 layers, Dr.Jit against `tmm_fast`", rate(lossless), missing, math.nan, None))
+
+
+def rows(quick: bool) -> Iterator[Row]:
+    """Rows of the part `films`."""
+    mistray.ensure_variant()
+    large, small, few = (Grid.of(64, 32), Grid.of(16, 8), Grid.of(4, 2))
+    if not quick:
+        large, small, few = Grid.of(2048, 1024), Grid.of(256, 64), Grid.of(16, 16)
+    repeats = 1 if quick else REPEATS
+    yield from against_itself("lossless", N, large, small, repeats)
+    yield from against_itself("absorbing", N + 1j * K, large, small, repeats)
+    absent = missing("tmm", f"R(λ, θ) of {len(N)} layers against tmm", "tmm")
+    if absent:
+        yield absent
     else:
-        version = importlib.metadata.version("tmm_fast")
-        rows.append(row("lossless", f"`tmm_fast` {version}, NumPy arrays on the CPU", *rates(N, theirs)))
-    return rows
+        yield from against_peer("tmm", few, large, [in_tmm(few)], repeats)
+    absent = missing("tmm_fast", f"R(λ, θ) of {len(N)} layers against tmm_fast", "tmm_fast", "torch")
+    if absent:
+        yield absent
+    else:
+        threads = (1, os.cpu_count() or 1)
+        yield from against_peer("tmm_fast", small, large, [in_tmm_fast(small, count) for count in threads], repeats)
 
 
 if __name__ == "__main__":
-    print(*thin_films(), sep="\n")
+    print(*rows(False), sep="\n")
