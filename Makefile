@@ -18,7 +18,7 @@ help:
 	@echo "make test      lint, types and tests"
 	@echo "make test-all  the same with the long tests"
 	@echo "make lint      lint and types only"
-	@echo "make bench     measure the speed"
+	@echo "make bench     measure the speed beside other programs; parts: make bench BENCH='--only batoid embree'"
 	@echo "make venv      only set up $(VENV)"
 	@echo "make clean     remove $(VENV), caches and results"
 
@@ -36,8 +36,8 @@ lint: venv
 	$(BIN)/ruff format --check .
 	$(BIN)/mypy
 
-bench: venv
-	$(BIN)/python benchmarks/bench.py
+bench: venv $(STAMPS)/peers
+	$(BIN)/python benchmarks/bench.py $(BENCH)
 
 venv: $(STAMPS)/installed $(STAMPS)/libraries
 
@@ -65,6 +65,11 @@ $(STAMPS)/installed: pyproject.toml tests/peers.txt | $(STAMPS)/created
 	@echo "installing mistray and its dependencies into $(VENV) (minutes the first time)"
 	@$(PIP) -e '.[dev]'
 	@$(PIP) --no-deps -r tests/peers.txt
+	@touch $@
+
+# Programs that only the benchmarks compare with
+$(STAMPS)/peers: $(STAMPS)/installed
+	@$(PIP) -e '.[bench]'
 	@touch $@
 
 # Dr.Jit opens libLLVM and libatomic, which pip does not bring. LLVM 19 is the version the measurements were made with.
