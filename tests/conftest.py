@@ -21,10 +21,16 @@ LONG = (
 )
 
 
+SLOW_S = 3600
+
+
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
-    """Files of `LONG` in their order, then all others as they come."""
+    """Files of `LONG` in their order, then all others as they come; more time for those that are slow."""
     rank = {name: number for number, name in enumerate(LONG)}
     items.sort(key=lambda item: rank.get(item.path.name, len(rank)))
+    for item in items:
+        if item.get_closest_marker("slow"):
+            item.add_marker(pytest.mark.timeout(SLOW_S))
 
 
 @lru_cache(maxsize=1)

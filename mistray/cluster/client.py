@@ -79,16 +79,26 @@ def distribute(client: Client | str, patience_s: float = PATIENCE_S) -> Iterator
 def _connect(address: str, patience_s: float) -> Client:
     from distributed import Client
 
+    client = object.__new__(Client)  # known here even if it cannot be made, so that it is closed in any case
     try:
-        return Client(address, timeout=patience_s, set_as_default=False)
+        Client.__init__(client, address, timeout=patience_s, set_as_default=False)
+        return client
     except Exception as error:  # of the address, of the network or of dask's own settings: whatever it meets first
+        _close(client)
         what = str(error).splitlines()[0] if str(error) else type(error).__name__
         raise MistrayError(f"scheduler {address}: no answer ({what}); start it, or check the address") from None
 
 
 def _close(client: Client) -> None:
+    """
+    Close a client for good.
+
+    One that is not closed closes itself when the garbage collection finds it, and waits for ever if that happens while
+    the next client starts: both want the same lock of `distributed.utils.LoopRunner`.
+    """
     with contextlib.suppress(Exception):  # it is gone, or will be with the process
         client.close(timeout=CLOSING_S)
+    client.status = "closed"
 
 
 @contextlib.contextmanager

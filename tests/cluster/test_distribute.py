@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import errno
+import gc
 import json
 import os
 import signal
@@ -67,6 +68,17 @@ def cluster(tmp_path_factory):
     processes = start(tmp_path_factory.mktemp("cluster"), 2)
     yield processes
     processes.end()
+
+
+@pytest.fixture(autouse=True)
+def all_clients_are_closed():
+    """
+    One that is not would close itself whenever the garbage collection finds it. That can be while the next one starts,
+    and then both wait for ever for the same lock.
+    """
+    yield
+    clients = [one for one in gc.get_objects() if isinstance(one, distributed.Client)]
+    assert {client.status for client in clients} <= {"closed"}
 
 
 @pytest.fixture(autouse=True)
