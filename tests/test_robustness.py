@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import errno
 import json
-import multiprocessing
 import os
 import random
 import resource
@@ -14,7 +13,7 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -33,7 +32,6 @@ from mistray.report.output import writable_directory, write_files
 
 MISTRAY = [sys.executable, "-m", "mistray"]
 CONTENTS = [bytes([letter]) * 300_000 for letter in b"abcd"]
-FORK = multiprocessing.get_context("fork")
 
 
 @contextlib.contextmanager
@@ -129,10 +127,37 @@ def test_places_that_cannot_be_written(tmp_path: Path, place: str) -> None:
     assert everything(tmp_path) == before
 
 
-def _write_again_and_again(write: Callable[[bytes], object], seed: int) -> None:
-    rng = random.Random(seed)
-    while True:
-        write(rng.choice(CONTENTS))
+WRITER = """
+import random
+import sys
+from pathlib import Path
+
+out, rng = Path(sys.argv[1]), random.Random(int(sys.argv[2]))
+sys.argv = sys.orig_argv = ["mistray"]  # as the command, which starts without Mitsuba
+{line}
+contents = [bytes([letter]) * 300_000 for letter in b"abcd"]
+print(flush=True)
+while True:
+    write(out, rng.choice(contents))
+"""
+A_FILE = "from mistray.replace_file import replace_file as write"
+A_FOLDER = """
+from mistray.report.output import write_files
+write = lambda out, data: write_files({"paths.csv": data, "report.html": data}, out)
+"""
+
+
+@contextlib.contextmanager
+def writing(line: str, out: Path, seed: int) -> Iterator[subprocess.Popen[str]]:
+    """A process that has begun to write the same again and again, and is killed in the end."""
+    command = [sys.executable, "-c", WRITER.replace("{line}", line), str(out), str(seed)]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        process.stdout.readline()
+        try:
+            yield process
+        finally:
+            process.kill()
 
 
 def test_killed_in_mid_write(tmp_path: Path) -> None:
@@ -141,35 +166,23 @@ def test_killed_in_mid_write(tmp_path: Path) -> None:
     rng = random.Random(1)
     seen = set()
     for seed in range(20):
-        process = FORK.Process(target=_write_again_and_again, args=(lambda data: replace_file(path, data), seed))
-        process.start()
-        time.sleep(rng.uniform(0.01, 0.05))
-        process.kill()
-        process.join()
+        with writing(A_FILE, path, seed):
+            time.sleep(rng.uniform(0.0, 0.02))
         assert path.read_bytes() in CONTENTS
         seen.add(path.read_bytes()[:1])
     assert len(seen) > 1
 
 
 def test_two_processes_write_the_same_folder(tmp_path: Path) -> None:
-    def write(data: bytes) -> None:
-        write_files({"paths.csv": data, "report.html": data}, tmp_path / "out")
-
-    processes = [FORK.Process(target=_write_again_and_again, args=(write, seed)) for seed in range(2)]
-    for process in processes:
-        process.start()
-    try:
+    out = tmp_path / "out"
+    with writing(A_FOLDER, out, 0) as one, writing(A_FOLDER, out, 1) as two:
         until = time.monotonic() + 1.0
         while time.monotonic() < until:
-            for path in (tmp_path / "out").glob("*.*"):
+            for path in out.glob("*.*"):
                 if path.suffix != ".part":
                     assert path.read_bytes() in CONTENTS
-        assert all(process.is_alive() for process in processes)  # neither has met a draft of the other
-    finally:
-        for process in processes:
-            process.kill()
-            process.join()
-    assert {"paths.csv", "report.html"} <= set(everything(tmp_path / "out"))
+        assert one.poll() is two.poll() is None  # neither has met a draft of the other
+    assert {"paths.csv", "report.html"} <= set(everything(out))
 
 
 # ---- stdout
