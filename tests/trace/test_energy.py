@@ -11,7 +11,13 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 import mistray
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
-MODES = [(splitting, below) for splitting in ("split", "one") for below in ("cut", "roulette")]
+# Every scene in the first and the last; the two between them share their code with these
+MODES = [
+    ("split", "cut"),
+    pytest.param("split", "roulette", marks=pytest.mark.slow),
+    pytest.param("one", "cut", marks=pytest.mark.slow),
+    ("one", "roulette"),
+]
 FIELDS_DEG = (0.0, 0.4, 9.0, 30.0)
 
 

@@ -13,7 +13,12 @@ import mistray
 from mistray.trace import packets, surface_rows
 
 ray_tree = sys.modules["mistray.trace.ray_tree"]
-SCENES = {"double_gauss": {}, "phone_camera": {}, "phone_camera_scatter": {"max_scatters": 2}}
+SCENES = {
+    "double_gauss": {},
+    "phone_camera": {},
+    "plate_and_wall": {"max_scatters": 2},
+    "phone_camera_scatter": {"max_scatters": 2},
+}
 
 
 def numbers(name: str) -> tuple[np.ndarray, np.ndarray, list[tuple[str, int]]]:
@@ -45,7 +50,9 @@ class TestSameNumbers:
         monkeypatch.setattr(ray_tree, "in_step", ray_tree.at_once)
         assert_same(numbers(name), usual)
 
-    @pytest.mark.parametrize("name", ["double_gauss", "phone_camera_scatter"])
+    @pytest.mark.parametrize(
+        "name", ["double_gauss", "plate_and_wall", pytest.param("phone_camera_scatter", marks=pytest.mark.slow)]
+    )
     def test_rows_that_are_gathered(self, name: str, monkeypatch: pytest.MonkeyPatch) -> None:
         usual = numbers(name)
         monkeypatch.setattr(surface_rows, "MOST_ROWS", 0)

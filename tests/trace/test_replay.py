@@ -43,8 +43,13 @@ SCENE_FIELDS = {
 # The oracle knows Snell's law only: scenes with scatter have their own, in test_scatter_tree.py
 SCATTERS = re.compile(rf'<bsdf type="({"|".join(KINDS)})"')
 SCENES = sorted(path for path in (ROOT / "scenes").glob("*/scene.xml") if not SCATTERS.search(path.read_text()))
+SLOW = [("phone_camera", 0.0)]
 CASES = [
-    pytest.param((path, field, rays), id=f"{path.parent.name}-{field:g}deg")
+    pytest.param(
+        (path, field, rays),
+        id=f"{path.parent.name}-{field:g}deg",
+        marks=pytest.mark.slow if (path.parent.name, field) in SLOW else (),
+    )
     for path in SCENES
     for field, rays in SCENE_FIELDS.get(path.parent.name, FIELDS)
 ]

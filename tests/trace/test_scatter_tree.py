@@ -134,8 +134,22 @@ def test_a_gaussian_has_no_halo(load_scene) -> None:
     assert t.energy.escaped_W == pytest.approx(1.0, rel=1e-3)
 
 
-@pytest.mark.parametrize("splitting", ["split", "one"])
-@pytest.mark.parametrize("path", SCENES, ids=[path.parent.name for path in SCENES])
+# One branch at every hit is much the same kernel: two scenes show it, all others are slow
+SPLITTING = [
+    pytest.param(
+        path,
+        splitting,
+        id=f"{path.parent.name}-{splitting}",
+        marks=pytest.mark.slow
+        if splitting == "one" and path.parent.name not in ("baffle_tube", "phone_camera")
+        else (),
+    )
+    for path in SCENES
+    for splitting in ("split", "one")
+]
+
+
+@pytest.mark.parametrize(("path", "splitting"), SPLITTING)
 def test_energy_closes(path: Path, splitting: str, tmp_path: Path) -> None:
     """1e-5 in every scene with scatter on every surface, in the field and outside of it; nothing is negative."""
     text = path.read_text(encoding="utf-8")
