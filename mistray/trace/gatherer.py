@@ -25,7 +25,7 @@ from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
 from mistray.trace.upload import upload
 
-CAPACITY = 1 << 17  # rays that are recorded at once
+CAPACITY = 1 << 18  # rays that are recorded at once
 ROOM = 1.3  # of the buffer over what the trace has counted
 
 

@@ -77,8 +77,9 @@ class Followed:
 
     def __init__(self, rays: int, longest: int) -> None:
         self.rays = dr.opaque(mi.UInt32, rays)
-        self.points = [dr.zeros(mi.Float64, rays * longest) for _ in range(3)]
-        self.media = dr.zeros(mi.UInt32, rays * longest)
+        # Each an array of its own: equal ones would be shared, and copied before they are written to
+        self.points = [dr.empty(mi.Float64, rays * longest) for _ in range(3)]
+        self.media = dr.empty(mi.UInt32, rays * longest)
         self.strayed = dr.zeros(mi.Bool, rays)
         dr.eval(self.points, self.media, self.strayed)
 
