@@ -15,6 +15,7 @@ from mistray.sweeps.result import estimate_of
 
 COLOURS = (BLUE, VERMILION, GREEN, ORANGE, PURPLE, SKY, BROWN, GREY, BLACK)
 MARKERS = ("o", "s", "^", "D", "v", "P", "X")
+DASHES = ("-", "--", ":", "-.")
 PANELS = (("stray_W", "stray light over launched", True), ("direct_W", "direct image over launched", False))
 LEGEND = 24  # lines that are named
 
@@ -24,7 +25,7 @@ def sweep_figure(result: Sweep, title: str = "") -> Figure:
     Stray light and the direct image over the launched power, with standard errors.
 
     They are drawn against the field angle; with one field against the wavelength, with one of these too against the
-    configuration. Colours are configurations, markers what is left of fields and wavelengths.
+    configuration. Colours are configurations, markers and dashes are wavelengths.
 
     Parameters
     ----------
@@ -65,21 +66,21 @@ def _abscissa(result: Sweep) -> tuple[str, str]:
 
 def _draw(panel: Axes, result: Sweep, column: str, across: str) -> None:
     names = [one.name for one in result.configurations]
-    markers = dict(zip(result.wavelengths_nm, cycle(MARKERS), strict=False))
-    lines: dict[tuple[str, str, str], list[tuple[float, float, float]]] = {}
+    forms = dict(zip(result.wavelengths_nm, zip(cycle(MARKERS), cycle(DASHES), strict=False), strict=False))
+    lines: dict[tuple[str, str, tuple[str, str]], list[tuple[float, float, float]]] = {}
     for row in result.rows:
         value = estimate_of(row, column)
         if across == "configuration":
-            key, x = ("", BLUE, MARKERS[0]), float(names.index(row["configuration"]))
+            key, x = ("", BLUE, (MARKERS[0], "")), float(names.index(row["configuration"]))
         else:
             colour = COLOURS[names.index(row["configuration"]) % len(COLOURS)]
-            marker = MARKERS[0] if across == "wavelength_nm" else markers[row["wavelength_nm"]]
+            form = (MARKERS[0], DASHES[0]) if across == "wavelength_nm" else forms[row["wavelength_nm"]]
             words = [row["configuration"]] if len(names) > 1 else []
-            words += [f"{row['wavelength_nm']:g} nm"] if across == "field_deg" and len(markers) > 1 else []
-            key, x = (", ".join(words), colour, marker), row[across]
+            words += [f"{row['wavelength_nm']:g} nm"] if across == "field_deg" and len(forms) > 1 else []
+            key, x = (", ".join(words), colour, form), row[across]
         launched = row["launched_W"]
         lines.setdefault(key, []).append((x, value.value / launched, value.se / launched))
-    for (text, colour, marker), points in lines.items():
+    for (text, colour, (marker, dashes)), points in lines.items():
         x, y, se = np.array(sorted(points)).T
         style: dict[str, Any] = {"color": colour, "marker": marker, "ms": 4, "lw": 1.0, "capsize": 2}
-        panel.errorbar(x, y, yerr=se, label=text or None, ls="" if across == "configuration" else "-", **style)
+        panel.errorbar(x, y, yerr=se, label=text or None, ls=dashes, **style)
