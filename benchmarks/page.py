@@ -81,6 +81,7 @@ def _draw(path: Path, rows: list[Kept]) -> bool:
     with_points = [kept.row for kept in rows if kept.row.series]
     if not with_points:
         return False
+    from matplotlib import rc_context
     from matplotlib.backends.backend_svg import FigureCanvasSVG
     from matplotlib.figure import Figure
     from matplotlib.ticker import NullLocator
@@ -102,6 +103,7 @@ def _draw(path: Path, rows: list[Kept]) -> bool:
         axes.set_title(row.what.split(":")[0].replace("`", ""), fontsize=8)
         axes.legend(fontsize=7)
     text = StringIO()
-    figure.savefig(text, format="svg", metadata={"Date": None})
+    with rc_context({"svg.hashsalt": "mistray"}):  # the same points give the same file
+        figure.savefig(text, format="svg", metadata={"Date": None})
     replace_file(path, text.getvalue(), "figure of benchmarks")
     return True
