@@ -127,7 +127,12 @@ def test_links_and_files_exist(path):
         assert (path.parents[1] / target).is_file(), target
 
 
-@pytest.mark.parametrize("path", NOTEBOOKS, ids=lambda path: path.stem)
+# Their studies are those of examples/, which have tests of their own in tests/optimize
+STUDIES = ("baffle_vanes", "phone_camera_ar", "triplet_ar")
+RUN = [pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in STUDIES else ()) for path in NOTEBOOKS]
+
+
+@pytest.mark.parametrize("path", RUN)
 def test_runs(path, tmp_path):
     notebook = read(path)
     claims = "\n".join(line.strip() for line in CLAIMS.get(path.stem, "").splitlines())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import lru_cache
 from pathlib import Path
 
 import pytest
@@ -11,23 +12,26 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 import mistray
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
-# Every scene in the first and the last; the two between them share their code with these
-MODES = [
-    ("split", "cut"),
-    pytest.param("split", "roulette", marks=pytest.mark.slow),
-    pytest.param("one", "cut", marks=pytest.mark.slow),
-    ("one", "roulette"),
+MODES = [(splitting, below) for splitting in ("split", "one") for below in ("cut", "roulette")]
+OTHER_MODES = ("baffle_tube", "cooke_triplet", "newtonian", "phone_camera_scatter", "plate")
+# All scenes as usual, and some in the other modes; all of them in all are slow
+CASES = [
+    pytest.param(path, *mode, id="-".join((path.parent.name, *mode)), marks=() if quick else pytest.mark.slow)
+    for path in SCENES
+    for mode in MODES
+    for quick in (mode == MODES[0] or path.parent.name in OTHER_MODES,)
 ]
 FIELDS_DEG = (0.0, 0.4, 9.0, 30.0)
 
 
-@pytest.fixture(scope="module", params=SCENES, ids=[path.parent.name for path in SCENES])
-def scene(request: pytest.FixtureRequest):
-    return mistray.load(request.param)
+@lru_cache(maxsize=1)
+def load(path: Path):
+    return mistray.load(path)
 
 
-@pytest.mark.parametrize(("splitting", "below"), MODES)
-def test_closure(scene, splitting: str, below: str) -> None:
+@pytest.mark.parametrize(("path", "splitting", "below"), CASES)
+def test_closure(path: Path, splitting: str, below: str) -> None:
+    scene = load(path)
     for field_deg in FIELDS_DEG:
         t = mistray.trace(
             scene, rays=2000, field_deg=field_deg, splitting=splitting, below_threshold=below, flux_threshold=1e-5
