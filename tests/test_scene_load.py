@@ -99,6 +99,19 @@ def test_errors_are_one_line(source: dict[str, Any], message: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_an_interrupt_while_a_plugin_is_made_is_one(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Mitsuba makes a RuntimeError of it."""
+
+    def interrupted(*_: Any) -> None:
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr("mistray.plugins.shapes.asphere.Asphere.__init__", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        mistray.load("plate")
+    with pytest.raises(KeyboardInterrupt):
+        mistray.load({"type": "scene", "a": {"type": "asphere"}})
+
+
 def test_coating_tables_lie_beside_the_scene(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """A relative path is relative to the scene file, not to the working directory."""
     folder = tmp_path / "lens"

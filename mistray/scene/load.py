@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.scene.check import check_overlaps
 from mistray.scene.depth import check_depth
-from mistray.scene.messages import explain
+from mistray.scene.messages import explain, is_interrupt
 from mistray.scene.source import remember
 
 # Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it makes
@@ -53,6 +53,8 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     try:
         scene = mi.load_dict(given, **LOADING) if isinstance(given, dict) else mi.load_file(name, **LOADING)
     except Exception as error:  # Mitsuba raises RuntimeError and TypeError with text of many lines
+        if is_interrupt(error):
+            raise KeyboardInterrupt from None
         raise MistrayError(explain(error, given)) from None
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f'scene: the dict describes a {type(scene).__name__}; add "type": "scene" at its top')

@@ -26,6 +26,7 @@ _SYNTAX = re.compile(
 )
 _NODE = re.compile(r"dictionary node \"(?P<path>[^\"]+)\"")
 _TRACEBACK = "Traceback (most recent call last)"
+_INTERRUPT = re.compile(r"^KeyboardInterrupt\b", re.MULTILINE)
 _RAISED = re.compile(r"^\s*(\w+(?:Error|Warning|Exception): [^\n]*)", re.MULTILINE)  # the last line of a traceback
 _PREFIX = re.compile(r"\[\w+\.cpp:\d+\] |\[\w+\] ")
 _LOADING = re.compile(r"(Error while loading|While loading|At) (XML file )?\S+( \(line \d+, col \d+\))?: ")
@@ -95,6 +96,12 @@ def explain(error: Exception, source: Path | dict[str, Any]) -> str:
             element = _in_file(Path(place["file"]), line, column) or element
     reason = _LONG_WORD.sub(lambda word: f"{word[0][:WORD_SHOWN]}…", " ".join(_reason(text, element, source).split()))
     return f"{where}: {printable(reason)}"
+
+
+def is_interrupt(error: Exception) -> bool:
+    """Whether Ctrl-C came while a plugin was made: Mitsuba raises an error of its own, whose text is the traceback."""
+    text = str(error)
+    return _TRACEBACK in text and _INTERRUPT.search(text) is not None
 
 
 def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
