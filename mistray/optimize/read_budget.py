@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import inspect
 import itertools
-import tomllib
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mistray.errors import MistrayError
 from mistray.optimize.allocation import SCATTER, PowerCost, StepCost
 from mistray.optimize.factories import FACTORIES
 from mistray.optimize.metrics import Metric
@@ -113,14 +111,7 @@ def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetS
         return source
     if isinstance(source, Mapping):
         return _study(Section("budget", "", source, Path()))
-    path = Path(source)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MistrayError(f"budget '{path}': {error.strerror}; check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise MistrayError(f"budget '{path}': {error}; correct the TOML") from None
-    return _study(Section(f"budget '{path}'", "", content, path.parent))
+    return _study(Section.of_file(source, "budget"))
 
 
 def _study(section: Section) -> BudgetStudy:

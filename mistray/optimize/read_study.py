@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -40,14 +39,7 @@ def read_study(source: str | Path | Mapping[str, Any]) -> Study:
     """
     if isinstance(source, Mapping):
         return _read(Section("study", "", source, Path()), "study")
-    path = Path(source)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MistrayError(f"study '{path}': {error.strerror}; check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise MistrayError(f"study '{path}': {error}; correct the TOML") from None
-    return _read(Section(f"study '{path}'", "", content, path.parent), str(path))
+    return _read(Section.of_file(source, "study"), str(Path(source)))
 
 
 def _read(whole: Section, name: str) -> Study:

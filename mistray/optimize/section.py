@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
+import tomllib
 from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -30,6 +31,31 @@ class Section:
 
     def __init__(self, title: str, place: str, content: Mapping[str, Any], folder: Path) -> None:
         self.title, self.place, self.content, self.folder = title, place, content, folder
+
+    @classmethod
+    def of_file(cls, source: str | Path, kind: str) -> Section:
+        """
+        The whole of a TOML file.
+
+        Parameters
+        ----------
+        source : str or Path
+        kind : str
+            What is in it, for messages.
+
+        Raises
+        ------
+        MistrayError
+            If the file is missing or no TOML.
+        """
+        path = Path(source)
+        try:
+            content = tomllib.loads(path.read_text(encoding="utf-8"))
+        except OSError as error:
+            raise MistrayError(f"{kind} '{path}': {error.strerror}; check the path") from None
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+            raise MistrayError(f"{kind} '{path}': {error}; correct the TOML") from None
+        return cls(f"{kind} '{path}'", "", content, path.parent)
 
     def fail(self, key: str, text: str) -> MistrayError:
         """An error about a key; an empty key means the table itself."""

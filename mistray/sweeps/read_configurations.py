@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import tomllib
 from pathlib import Path
 
-from mistray.errors import MistrayError
 from mistray.optimize.section import Section
 from mistray.sweeps.configurations import Configuration
 
@@ -26,14 +24,7 @@ def read_configurations(source: str | Path) -> list[Configuration]:
         If the file is missing or no TOML, a key is unknown or missing, a value is no number, or two configurations have
         one name.
     """
-    path = Path(source)
-    try:
-        content = tomllib.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MistrayError(f"configurations '{path}': {error.strerror}; check the path") from None
-    except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
-        raise MistrayError(f"configurations '{path}': {error}; correct the TOML") from None
-    whole = Section(f"configurations '{path}'", "", content, path.parent)
+    whole = Section.of_file(source, "configurations")
     whole.known(("configuration",))
     found = [_configuration(section) for section in whole.tables("configuration")]
     if not found:
