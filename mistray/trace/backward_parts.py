@@ -2,14 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-import mitsuba as mi
 import numpy as np
 
-from mistray.trace.by_parts import require_same
+from mistray.trace.by_parts import SceneTask
 from mistray.trace.sparse import pack
 from mistray.trace.workers import Job
 
@@ -28,30 +25,14 @@ class Pass(NamedTuple):
     rays: int
 
 
-@dataclass(frozen=True, eq=False)
-class BackwardTask:
-    """
-    A backward trace, for `mistray.trace.workers`.
-
-    Attributes
-    ----------
-    scene : mi.Scene
-    arguments : tuple
-        The others of `BackwardTrace`.
-    arrays : sequence of list of array
-        What the kernel reads here, for each wavelength.
-    """
-
-    scene: mi.Scene
-    arguments: tuple[Any, ...]
-    arrays: Sequence[list[np.ndarray]]
+class BackwardTask(SceneTask):
+    """A backward trace, for `mistray.trace.workers`."""
 
     def make(self) -> BackwardTrace:
         """The same trace at a worker."""
         from mistray.trace.backward import BackwardTrace
 
-        trace = BackwardTrace(self.scene, *self.arguments)
-        require_same(self.arrays, trace.kernel_arrays())
+        trace: BackwardTrace = self.build(BackwardTrace)
         return trace
 
     def do(self, made: BackwardTrace, part: Pass) -> tuple[Sums, dict[str, np.ndarray] | None]:

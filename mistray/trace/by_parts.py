@@ -107,6 +107,31 @@ class TraceTask:
         return PartSums.of(run, part.part)
 
 
+@dataclass(frozen=True, eq=False)
+class SceneTask:
+    """
+    What a worker builds again from a scene; the kind of task says which class and what it does with it.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+    arguments : tuple
+        The others of the class.
+    arrays : sequence of list of array
+        What the kernel reads here, for each wavelength.
+    """
+
+    scene: mi.Scene
+    arguments: tuple[Any, ...]
+    arrays: Sequence[list[np.ndarray]]
+
+    def build(self, kind: Callable[..., Any]) -> Any:
+        """An object of the class at a worker; refused if its kernel would read something else."""
+        made = kind(self.scene, *self.arguments)
+        require_same(self.arrays, made.kernel_arrays())
+        return made
+
+
 def tables_of(runs: Sequence[Run]) -> list[list[np.ndarray]]:
     """What the kernel reads, for each wavelength of some runs."""
     return [kernel_arrays(run.table, run.scattering) for run in {id(run.table): run for run in runs}.values()]

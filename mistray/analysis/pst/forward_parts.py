@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import Any, NamedTuple
-
-import mitsuba as mi
-import numpy as np
+from typing import NamedTuple
 
 from mistray.analysis.pst.forward_cells import Cell, ForwardCells
-from mistray.trace.by_parts import require_same
+from mistray.trace.by_parts import SceneTask
 
 
 class CellPart(NamedTuple):
@@ -23,28 +18,12 @@ class CellPart(NamedTuple):
     paths: bool
 
 
-@dataclass(frozen=True, eq=False)
-class CellsTask:
-    """
-    Cells of a grid, for `mistray.trace.workers`.
-
-    Attributes
-    ----------
-    scene : mi.Scene
-    arguments : tuple
-        The others of `ForwardCells`.
-    arrays : sequence of list of array
-        What the kernel reads here, for each wavelength.
-    """
-
-    scene: mi.Scene
-    arguments: tuple[Any, ...]
-    arrays: Sequence[list[np.ndarray]]
+class CellsTask(SceneTask):
+    """Cells of a grid, for `mistray.trace.workers`."""
 
     def make(self) -> ForwardCells:
         """The cells at a worker."""
-        cells = ForwardCells(self.scene, *self.arguments)
-        require_same(self.arrays, cells.kernel_arrays())
+        cells: ForwardCells = self.build(ForwardCells)
         return cells
 
     def do(self, made: ForwardCells, part: CellPart) -> Cell:
