@@ -8,6 +8,7 @@ from pathlib import Path
 import nbformat
 import pytest
 from nbclient import NotebookClient
+from tiers import slow_unless
 
 NOTEBOOKS = sorted((Path(__file__).parents[1] / "notebooks").glob("*.ipynb"))
 CELL_SECONDS = 300
@@ -129,7 +130,7 @@ def test_links_and_files_exist(path):
 
 # Their studies are those of examples/, which have tests of their own in tests/optimize
 STUDIES = ("baffle_vanes", "phone_camera_ar", "triplet_ar")
-RUN = [pytest.param(path, id=path.stem, marks=pytest.mark.slow if path.stem in STUDIES else ()) for path in NOTEBOOKS]
+RUN = [pytest.param(path, id=path.stem, marks=slow_unless(path.stem not in STUDIES)) for path in NOTEBOOKS]
 
 
 @pytest.mark.parametrize("path", RUN)

@@ -8,6 +8,7 @@ from pathlib import Path
 import pytest
 from oracles import closed_forms
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+from tiers import slow_unless
 
 import mistray
 
@@ -16,10 +17,14 @@ MODES = [(splitting, below) for splitting in ("split", "one") for below in ("cut
 OTHER_MODES = ("baffle_tube", "cooke_triplet", "newtonian", "phone_camera_scatter", "plate")
 # All scenes as usual, and some in the other modes; all of them in all are slow
 CASES = [
-    pytest.param(path, *mode, id="-".join((path.parent.name, *mode)), marks=() if quick else pytest.mark.slow)
+    pytest.param(
+        path,
+        *mode,
+        id="-".join((path.parent.name, *mode)),
+        marks=slow_unless(mode == MODES[0] or path.parent.name in OTHER_MODES),
+    )
     for path in SCENES
     for mode in MODES
-    for quick in (mode == MODES[0] or path.parent.name in OTHER_MODES,)
 ]
 FIELDS_DEG = (0.0, 0.4, 9.0, 30.0)
 

@@ -12,6 +12,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 from oracles.small_scenes import plates_text
+from tiers import slow_unless
 
 import mistray
 from mistray.trace import tracer
@@ -20,10 +21,7 @@ from mistray.trace.ledger import FIRST_KEY, MULTIPLIER, Ledger, extend_key, host
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
 # Lenses, mirrors, walls and scatter; all others are slow
 QUICK = ("baffle_tube", "cassegrain", "cooke_triplet", "newtonian", "phone_camera", "plate_and_wall")
-CASES = [
-    pytest.param(path, id=path.parent.name, marks=() if path.parent.name in QUICK else pytest.mark.slow)
-    for path in SCENES
-]
+CASES = [pytest.param(path, id=path.parent.name, marks=slow_unless(path.parent.name in QUICK)) for path in SCENES]
 
 
 def rows(t: Any) -> list[tuple]:

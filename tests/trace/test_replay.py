@@ -21,6 +21,7 @@ import numpy as np
 import pytest
 from oracles import nonsequential, scene_xml
 from oracles.replay import replay
+from tiers import slow_unless
 
 import mistray
 from mistray.scatter.kinds import KINDS
@@ -48,7 +49,7 @@ CASES = [
     pytest.param(
         (path, field, rays),
         id=f"{path.parent.name}-{field:g}deg",
-        marks=pytest.mark.slow if (path.parent.name, field) in SLOW else (),
+        marks=slow_unless((path.parent.name, field) not in SLOW),
     )
     for path in SCENES
     for field, rays in SCENE_FIELDS.get(path.parent.name, FIELDS)

@@ -20,6 +20,7 @@ from oracles.derivatives import central_differences
 from oracles.scatter_scenes import bsdf_xml, scattering_xml
 from oracles.small_scenes import scene_text, shape_xml
 from scatter_forms import FORMS, WAVELENGTH_NM, Form, Light
+from tiers import slow_unless
 
 from mistray.errors import MistrayError
 from mistray.physics import contamination
@@ -170,8 +171,7 @@ def differentiable(form: Form) -> set[str]:
 # Forms whose light differs most by the direction in which it is traced; all others against the light are slow
 BACKWARD = ("abg", "paint", "rayleigh_rice", "ghs_full")
 DIRECTIONS = [pytest.param(name, False, id=f"{name}-forward") for name in FORMS] + [
-    pytest.param(name, True, id=f"{name}-backward", marks=() if name in BACKWARD else pytest.mark.slow)
-    for name in FORMS
+    pytest.param(name, True, id=f"{name}-backward", marks=slow_unless(name in BACKWARD)) for name in FORMS
 ]
 
 

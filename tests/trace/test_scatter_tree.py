@@ -20,6 +20,7 @@ from oracles.scatter_scenes import (
 )
 from oracles.small_scenes import write
 from oracles.statistics import assert_z
+from tiers import slow_unless
 
 import mistray
 
@@ -140,9 +141,7 @@ SPLITTING = [
         path,
         splitting,
         id=f"{path.parent.name}-{splitting}",
-        marks=pytest.mark.slow
-        if splitting == "one" and path.parent.name not in ("baffle_tube", "phone_camera")
-        else (),
+        marks=slow_unless(splitting == "split" or path.parent.name in ("baffle_tube", "phone_camera")),
     )
     for path in SCENES
     for splitting in ("split", "one")
