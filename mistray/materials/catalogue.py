@@ -15,6 +15,7 @@ _PMMA = "organic/(C5H8O2)n - poly(methyl methacrylate)/nk"
 _PS = "organic/(C8H8)n - polystyrene/nk"
 _PC = "organic/(C16H14O3)n - polycarbonate/nk"
 _POLYMERS = "other/commercial polymers"
+_PHONE = "Stray Light Analysis of a Mobile Phone Camera (with FRED), Table 5 (nd) and Figure 6 (Vd)"
 
 
 @dataclass(frozen=True)
@@ -27,14 +28,17 @@ class Entry:
     name : str
         As the catalogue spells it; glasses have their maker in front, as in ``schott/N-BK7``.
     page : str
-        Page of n, and of k where `k_page` is None.
+        Page of n, and of k where `k_page` is None; literature where `nd_vd` has n.
     k_page : str or None
         Page of k, where another page has it.
+    nd_vd : (float, float) or None
+        nd and Vd of a material that has no page. Its k is unknown.
     """
 
     name: str
     page: str
     k_page: str | None = None
+    nd_vd: tuple[float, float] | None = None
 
 
 _PINNED = [
@@ -57,6 +61,8 @@ _PINNED = [
     Entry("Zeonex E48R", f"{_POLYMERS}/ZeonexE48R/nk/Sultanova"),
     Entry("PET", "organic/(C10H8O4)n - polyethylene terephthalate/nk/Zhang"),
     Entry("PEI", "organic/(C37H24O6N2)n - polyetherimide/nk/Zhang"),
+    Entry("COC", _PHONE, nd_vd=(1.5333, 56.1)),
+    Entry("PSU", _PHONE, nd_vd=(1.634, 23.4)),
     # Metals and semiconductors
     Entry("Ag", "main/Ag/nk/Johnson"),
     Entry("Al", "main/Al/nk/Rakic"),
@@ -137,6 +143,9 @@ _WORDS = {
 }
 """Words to which a suggestion answers with the name."""
 
+_OPAQUE = ("PBT",)
+"""Plastics of structures, of which no index is known."""
+
 _SHELVES = ("main/", "organic/", "glass/", "other/", SUPPLIERS)
 
 
@@ -188,6 +197,11 @@ def find(name: str) -> Entry:
     for catalogue in (PINNED, *glasses().values()):
         if name in catalogue:
             return catalogue[name]
+    if name.upper() in _OPAQUE:
+        raise MistrayError(
+            f"material '{name}' is opaque and no index of it is known; leave the material out and give the interface "
+            "its R, 0.07 say"
+        )
     found = [hits[name.lower()] for hits in _by_lower_case() if name.lower() in hits]
     if not found:
         raise _unknown(name, _close(name, chain(*glasses().values(), PINNED)))

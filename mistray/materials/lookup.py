@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from pathlib import Path
 
@@ -222,6 +222,8 @@ def _abbe(form: AbbeNumber) -> _Material:
 
 @lru_cache(maxsize=256)
 def _from_pages(entry: Entry) -> _Material:
+    if entry.nd_vd is not None:
+        return replace(_abbe(AbbeNumber(*entry.nd_vd)), name=entry.name, reference=entry.page)
     page = read_page(entry.page)
     if page.n is None:
         raise MistrayError(f"material '{entry.name}': its page {entry.page} has k only; use another page")

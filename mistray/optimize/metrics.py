@@ -20,6 +20,7 @@ from mistray.trace import trace
 from mistray.trace.path_events import DIRECT
 
 AXIS_DEG = 0.0
+LARGEST_STEP_DEG = 0.5  # between the fields of a slope
 
 
 @dataclass(frozen=True)
@@ -314,15 +315,17 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
     Relative illumination of the image of an even scene, mean over the fields, 1.
 
     By conservation of étendue it is Φ(θ) Ω(θ) / (Φ(0) Ω(0)), with the power Φ of the direct image for beams of the same
-    irradiance and the solid angle Ω from which an area of the image collects, sin θ dθ / (r dr). The beam must fill the
-    entrance pupil at every field.
+    irradiance and the solid angle Ω from which an area of the image collects, sin θ dθ / (r dr). Distances r and slopes
+    dr/dθ are those of the centroids of direct images, so that distortion counts. The beam must fill the entrance pupil
+    at every field, and the image must be centred on the axis of the source.
 
     Parameters
     ----------
     scene : mi.Scene
     step_deg : float, optional
-        Field angles ± this are traced as well, and dr/dθ is the difference of the centroids of their direct images; the
-        image must be centred on the axis of the source. None: an image without distortion, Ω = cos³θ/f².
+        Two more angles are traced for the slope: this and twice this nearer to the axis, or on either side of the axis
+        for the slope there. None: a thirtieth of the smallest field off the axis, at most 0.5°. The slope is wrong by
+        about step² d³r/dθ³ / 3.
     **traced
         As for `path_power`, with `fields_deg`; the axis is traced as well.
     """
@@ -331,41 +334,43 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
     off_axis = [angle for angle in fields if angle != AXIS_DEG]
     if not off_axis:
         raise MistrayError("relative illumination needs fields_deg off the axis, 15 or (10, 15) say")
-    if step_deg is not None and not 0 < step_deg < 45:
+    if step_deg is None:
+        step_deg = min(LARGEST_STEP_DEG, min(map(abs, off_axis)) / 30)
+    if not 0 < step_deg < 45:
         raise MistrayError(f"step_deg is {step_deg:g}; give a small angle greater than 0, 0.5 say")
-    steps = (0.0,) if step_deg is None else (0.0, -float(step_deg), float(step_deg))
-    angles = [angle + step for angle in (AXIS_DEG, *off_axis) for step in steps]
+    inwards = [(angle, -math.copysign(step_deg, angle)) for angle in off_axis]
+    angles = [AXIS_DEG, AXIS_DEG - step_deg, AXIS_DEG + step_deg]
+    angles += [angle + k * step for angle, step in inwards for k in range(3)]
 
-    def function(observations: list[Any]) -> Any:
-        groups = [observations[k : k + len(steps)] for k in range(0, len(observations), len(steps))]
-        signal = _signal(groups[0][0], name) * _solid_angle(groups[0], groups[0])
-        light = [group[0].power(DIRECT) * _solid_angle(group, groups[0]) for group in groups[1:]]
-        return (len(fields) - len(off_axis) + sum(light) / signal) / len(fields)
+    def function(observations: list[Observation]) -> Any:
+        axis, before, behind = observations[:3]
+        scale = _distance(before, behind) / math.radians(2 * step_deg)
+        signal = _signal(axis, name) / (scale * scale)
+        groups = [observations[k : k + 3] for k in range(3, len(observations), 3)]
+        light = sum(group[0].power(DIRECT) * _solid_angle(axis, group) for group in groups)
+        return (len(fields) - len(off_axis) + light / signal) / len(fields)
 
     return _metric(scene, function, {**traced, "fields_deg": angles}, "1", name)
 
 
-def _solid_angle(group: list[Observation], axis: list[Observation]) -> Any:
-    """
-    Solid angle per area of the image at a field, in units that all fields share.
+def _distance(a: Observation, b: Observation) -> Any:
+    """Between the centroids of two direct images, mm."""
+    first, second = a.moments(DIRECT), b.moments(DIRECT)
+    return _length(first.x - second.x, first.y - second.y)
 
-    Parameters
-    ----------
-    group : list of Observation
-        At the field, and before and behind it; the field alone for an image without distortion.
-    axis : list of Observation
-        The same on the axis.
-    """
-    angle = math.radians(group[0].field_deg)
-    if len(group) == 1:
-        return math.cos(angle) ** 3
-    centre, here, near, far = (o.moments(DIRECT) for o in (axis[0], *group))
-    x, y = far.x - near.x, far.y - near.y
-    slope = dr.sqrt(x * x + y * y) / math.radians(group[2].field_deg - group[1].field_deg)
-    if group is axis:
-        return 1 / (slope * slope)
-    along = ((here.x - centre.x) * x + (here.y - centre.y) * y) / dr.sqrt(x * x + y * y)
-    return math.sin(angle) / (along * slope)
+
+def _length(x: Any, y: Any) -> Any:
+    return dr.sqrt(x * x + y * y)
+
+
+def _solid_angle(axis: Observation, group: list[Observation]) -> Any:
+    """Solid angle per area of the image, sr/mm², at the first of three fields in even steps towards the axis."""
+    centre, here, near, nearer = (o.moments(DIRECT) for o in (axis, *group))
+    x, y = (3 * getattr(here, k) - 4 * getattr(near, k) + getattr(nearer, k) for k in "xy")
+    difference = _length(x, y)
+    along = ((here.x - centre.x) * x + (here.y - centre.y) * y) / difference
+    slope = difference / (2 * math.radians(abs(group[0].field_deg - group[1].field_deg)))
+    return math.sin(math.radians(abs(group[0].field_deg))) / (along * slope)
 
 
 def require_known(given: Iterable[str], known: Iterable[str]) -> None:

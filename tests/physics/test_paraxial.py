@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.physics.paraxial import ParaxialSystem, image_seen
+from mistray.physics.paraxial import ParaxialSystem, chief_ray_angle, image_seen, natural_illumination
 
 DATA = Path(__file__).parents[1] / "data"
 N = 1.5168
@@ -126,3 +126,14 @@ def test_virtual_image_has_a_negative_length():
     length, height = diverging.images_seen(field_deg=1.0, stop_z=0.0)
     assert np.all(length < 0)
     assert np.all(height > 0)
+
+
+def test_natural_illumination():
+    """The 17.14° and 0.834 of "Stray Light Analysis of a Mobile Phone Camera", equations 3 and 4."""
+    height = 7.075 * np.tan(np.radians(17.14))
+    angle = chief_ray_angle([0.0, height, -height], 7.075)
+    np.testing.assert_allclose(np.degrees(angle), [0.0, 17.14, -17.14], rtol=1e-12)
+    np.testing.assert_allclose(natural_illumination(angle), [1.0, 0.83384, 0.83384], atol=5e-6)
+    # Through the sine and the tangent instead of the cosine
+    t = np.array([0.0, 0.3, -2.0])
+    np.testing.assert_allclose(natural_illumination(chief_ray_angle(3 * t, 3.0)), (1 + t * t) ** -2, rtol=1e-14)

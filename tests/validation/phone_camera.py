@@ -29,6 +29,7 @@ D_LINE_NM = 587.5618
 BEAM_RADIUS = 1.252  # of the study's source, mm
 STEP_DEG = 0.05
 EVEN_RAYS = 40_000
+EVEN_POINTS = 400
 NODES = 20_000
 WINDOW = ("window_front", "window_rear")
 FACES = [f"{part}_{face}" for part in ("L1", "L2", "L3", "L4", "L5", "filter") for face in ("front", "rear")]
@@ -201,6 +202,37 @@ def image(rays: int) -> list[dict[str, float]]:
         relative = np.hypot(row["relative_se_barrel"], first["relative_se_barrel"]) if row is not first else 0.0
         row["barrel_se"] = float(row["barrel"] * relative)
     return rows
+
+
+def even_scene_irradiance(field_deg: float) -> float:
+    """
+    Irradiance of the image of an even scene where the chief ray of a field lands, in the units of the field 0.
+
+    The rims alone: Σ |∂(direction cosines)/∂(place on the detector)| over points of the stop, each with the direction
+    in which its ray reaches that place, by Newton's method in float64. No centroid, no chief ray.
+    """
+    rims = wide_open(barrel=False)
+    model = scene_xml.parse_scene(xml_text(rims))
+    events = [*((name, "T") for name in FACES), ("detector", "A")]
+    points = np.column_stack([beams.disc_points(EVEN_POINTS, shipped().stop.radius), np.zeros(EVEN_POINTS)])
+
+    def land(cosines: np.ndarray, points: np.ndarray) -> np.ndarray:
+        d = np.column_stack([cosines, np.sqrt(1 - np.sum(cosines**2, axis=1))])
+        traced = replay(model, points - 0.3 * d, d, events, D_LINE_NM, first_hit=False)
+        assert traced.valid.all()
+        return traced.end[:, :2]
+
+    def jacobian(cosines: np.ndarray) -> np.ndarray:
+        step = 1e-6
+        columns = [land(cosines + e, points) - land(cosines - e, points) for e in step * np.eye(2)]
+        return np.stack(columns, axis=2) / (2 * step)
+
+    cosines = np.tile([0.0, np.sin(np.radians(field_deg))], (EVEN_POINTS, 1))
+    target = land(cosines[:1], np.zeros((1, 3)))
+    for _ in range(4):
+        cosines = cosines + np.linalg.solve(jacobian(cosines), (target - land(cosines, points))[:, :, None])[:, :, 0]
+    np.testing.assert_allclose(land(cosines, points), np.broadcast_to(target, (EVEN_POINTS, 2)), atol=1e-9)
+    return float(np.sum(1 / np.abs(np.linalg.det(jacobian(cosines)))))
 
 
 def _spot_um(model: scene_xml.SceneModel, events: list[tuple[str, str]], field_deg: float) -> float:
