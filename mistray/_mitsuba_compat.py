@@ -106,6 +106,12 @@ def mesh_arrays(mesh: Any) -> tuple[npt.NDArray[np.float32], npt.NDArray[np.uint
     return vertices, np.array(buffers[_FACES], dtype=np.uint32).reshape(-1, 3)
 
 
+def holds_numbers(value: Any) -> bool:
+    """Whether a value of ``mi.SceneParameters`` is an array of numbers, of float32 or, for their range, of float64."""
+    mi = import_mitsuba()
+    return isinstance(value, mi.Float | mi.Float64)
+
+
 def peek(params: Any, key: str) -> Any:
     """
     A value of ``mi.SceneParameters`` as it is.

@@ -6,9 +6,9 @@ import contextlib
 from collections.abc import Iterator, Mapping
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 
+from mistray._mitsuba_compat import peek
 from mistray.errors import MistrayError
 from mistray.trace.upload import upload
 
@@ -30,7 +30,7 @@ def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:
     for key, value in values.items():
         if not np.all(np.isfinite(value)):
             raise MistrayError(f"parameter '{key}' would become {np.ravel(value).tolist()}; it must be finite")
-        params[key] = upload(mi.Float, np.ravel(value))
+        params[key] = upload(type(peek(params, key)), np.ravel(value))
     params.update()
 
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import mitsuba as mi
 
-from mistray._mitsuba_compat import peek
+from mistray._mitsuba_compat import holds_numbers, peek
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.optimize.changes import Change, best_together
@@ -339,5 +339,5 @@ def _without_derivative(params: Any, known: Mapping[str, Parameter]) -> list[str
         key
         for key in params.keys()  # noqa: SIM118  SceneParameters iterates over pairs
         # What plugins in Python hold has no address: buffers of meshes and the like do
-        if key not in known and params.properties[key][1] is None and isinstance(peek(params, key), mi.Float)
+        if key not in known and params.properties[key][1] is None and holds_numbers(peek(params, key))
     ]

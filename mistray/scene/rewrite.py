@@ -63,7 +63,7 @@ def rewritten(source: str | Path, values: Mapping[str, npt.ArrayLike], folder: s
     for key, value in values.items():
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
         plugin, name = _plugin(file, params, key), key.rpartition(".")[2]
-        before = np.array(peek(params, key), dtype=np.float64).ravel()
+        before = np.array(peek(params, key)).ravel()
         if numbers.shape != before.shape:
             raise MistrayError(f"parameter '{key}': {numbers.size} numbers are given; it has {before.size}")
         if not np.all(np.isfinite(numbers)):
@@ -79,7 +79,7 @@ def rewritten(source: str | Path, values: Mapping[str, npt.ArrayLike], folder: s
         else:
             exact = numbers if _is_shape(plugin) else numbers.astype(np.float32)
             new[name] = f'<float name="{name}" value="{_list(exact)}"/>'
-        lines.append(f"{key} = {_list(numbers.astype(np.float32))} (was {_list(before.astype(np.float32))})")
+        lines.append(f"{key} = {_list(numbers.astype(before.dtype))} (was {_list(before)})")
     edits = [edit for element, new in texts.values() for edit in _edits(file, element, new)]
     if lines:
         pad = next((file.indent(child) for child in file.root.children), INDENT)

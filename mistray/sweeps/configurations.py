@@ -8,11 +8,10 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-import mitsuba as mi
 import numpy as np
 import numpy.typing as npt
 
-from mistray._mitsuba_compat import peek
+from mistray._mitsuba_compat import holds_numbers, peek
 from mistray.errors import MistrayError
 from mistray.optimize.parameters import Parameter, groups, parameters
 
@@ -49,7 +48,7 @@ class Resolved:
     ----------
     name : str
     values : dict of str to (entries,) float64
-        By key of ``mi.traverse(scene)``; float32 numbers, as a scene takes them.
+        By key of ``mi.traverse(scene)``, rounded as the scene takes them.
     units : dict of str to str
         Of the keys of which the unit is known.
     """
@@ -131,7 +130,7 @@ def _keys(configuration: str, name: str, params: Any, together: Mapping[str, lis
     if name in together:
         return together[name]
     keys = list(params.keys())
-    found = {key: None for key in keys if fnmatch.fnmatchcase(key, name) and isinstance(peek(params, key), mi.Float)}
+    found = {key: None for key in keys if fnmatch.fnmatchcase(key, name) and holds_numbers(peek(params, key))}
     for group, members in together.items():
         if fnmatch.fnmatchcase(group, name):
             found |= dict.fromkeys(members)
@@ -144,7 +143,7 @@ def _keys(configuration: str, name: str, params: Any, together: Mapping[str, lis
 
 def _numbers(configuration: str, key: str, value: Any, now: Any) -> npt.NDArray[np.float64]:
     where = f"configuration '{configuration}': parameter '{key}'"
-    if not isinstance(now, mi.Float):
+    if not holds_numbers(now):
         raise MistrayError(f"{where} is no number but {type(now).__name__}; change another one")
     try:
         numbers = np.atleast_1d(np.asarray(value, dtype=np.float64))
@@ -155,4 +154,4 @@ def _numbers(configuration: str, key: str, value: Any, now: Any) -> npt.NDArray[
         raise MistrayError(f"{where}: {numbers.size} numbers are given; it has {entries}")
     if not np.all(np.isfinite(numbers)):
         raise MistrayError(f"{where} is {numbers.tolist()}; it must be finite")
-    return np.broadcast_to(numbers, entries).astype(np.float32).astype(np.float64)
+    return np.array(type(now)(np.broadcast_to(numbers, entries)), dtype=np.float64)

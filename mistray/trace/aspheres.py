@@ -151,13 +151,14 @@ class AsphereSearch:
         frame = table.frame(number, active)
         o, d = frame.inward(o - vertex.xyz), frame.inward(d)
         numbers = table.asphere_row(number, active)
-        curvature, conic, coefficients = numbers[0], numbers[1], numbers[2 : 2 + self.count]
-        inner2, z_low, z_high, outer, slope = numbers[11:]
+        shape = numbers[0], numbers[1], numbers[2 : 2 + self.count], numbers[11]
+        z_low, z_high, outer, slope = numbers[12:]
         size = outer
+        if self.clipped:
+            clip = dr.gather(mi.Vector2f, table.clip, number, active)
         if self.rectangular:
-            half = dr.gather(mi.Vector2f, table.half_size, number, active)
             rectangle = outer < 0
-            size = dr.select(rectangle, dr.norm(half), outer)
+            size = dr.select(rectangle, dr.norm(clip), outer)
         outer2 = size * size
 
         dd, od, oo = dr.fma(d.x, d.x, d.y * d.y), dr.fma(o.x, d.x, o.y * d.y), dr.fma(o.x, o.x, o.y * o.y)
@@ -171,8 +172,8 @@ class AsphereSearch:
             """Height over the surface at a distance s from the start of the stretch, and its derivative."""
             x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
             r2 = dr.minimum(dr.fma(x, x, y * y), outer2)
-            height = dr.fma(s, d.z, o.z) - sag(r2, curvature, conic, coefficients)
-            return height, d.z - 2 * sag_derivative(r2, curvature, conic, coefficients) * dr.fma(x, d.x, y * d.y)
+            height = dr.fma(s, d.z, o.z) - sag(r2, *shape)
+            return height, d.z - 2 * sag_derivative(r2, *shape) * dr.fma(x, d.x, y * d.y)
 
         monotonic = dr.square(d.z) > dr.square(slope) * dd
         stride = length / INTERVALS
@@ -238,9 +239,11 @@ class AsphereSearch:
         s -= last_step
         x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
         r2 = dr.fma(x, x, y * y)
-        inside = (r2 <= outer2) & (r2 >= inner2)
+        inside = r2 <= outer2
+        if self.clipped:
+            inside &= r2 >= clip.x
         if self.rectangular:
-            within = (dr.abs(x) <= half.x) & (dr.abs(y) <= half.y)
+            within = (dr.abs(x) <= clip.x) & (dr.abs(y) <= clip.y)
             inside = dr.select(rectangle, within, inside)
         t = start + s
         found &= t > dr.select(own, SELF_HIT * size, 0)

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.physics.sag import sag, sag_derivative
+from mistray.physics.sag import in_proportion, sag, sag_derivative
 from mistray.trace.device_targets import DeviceTargets
 from mistray.trace.host_points import detector_area, lambertian_directions, surface_points
 from mistray.trace.host_rays import first_hit
@@ -82,7 +82,9 @@ class DetectorStart:
         self._radii2 = [dr.opaque(mi.Float, r * r) for r in (piece.inner, piece.outer)]
         conic = piece.conic if piece.kind != "plane" else (0.0, 0.0)
         self._curved = piece.kind != "plane"
-        self._sag = [dr.opaque(mi.Float, float(v)) for v in (*conic, *piece.coefficients)]
+        coefficients, per_area = in_proportion(piece.coefficients, piece.size)
+        c, k, w, *rest = (dr.opaque(mi.Float, v) for v in (*conic, per_area, *coefficients))
+        self._shape = c, k, rest, w
         x0, x1, y0, y1 = self.extent
         flat = np.pi * (piece.outer**2 - piece.inner**2) if self._round else (x1 - x0) * (y1 - y0)
         self._stretch = dr.opaque(mi.Float, self.area / flat)
@@ -199,8 +201,7 @@ class DetectorStart:
         normal, stretch = mi.Vector3f(0, 0, 1), mi.Float(1)
         if self._curved:
             r2 = dr.fma(x, x, y * y)
-            c, k, *coefficients = self._sag
-            z, slope = sag(r2, c, k, coefficients), 2 * sag_derivative(r2, c, k, coefficients)
+            z, slope = sag(r2, *self._shape), 2 * sag_derivative(r2, *self._shape)
             normal = dr.normalize(mi.Vector3f(-slope * x, -slope * y, 1))
             stretch = 1 / (normal.z * self._stretch)
         first, second, third = self._axes

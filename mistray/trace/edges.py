@@ -299,7 +299,7 @@ class Edges:
     def _beside_straight(self, s: mi.UInt32, q: mi.Vector3f, rim: mi.UInt32, step: mi.Float) -> mi.Vector3f:
         """The point past a side of a rectangle, in the frame of the surface, mm."""
         table = self._table
-        half = dr.gather(mi.Vector2f, table.half_size, s) + step
+        half = dr.gather(mi.Vector2f, table.clip, s) + step
         x = dr.select(rim == HALF_WIDTH, dr.mulsign(half.x, q.x), q.x)
         y = dr.select(rim == HALF_HEIGHT, dr.mulsign(half.y, q.y), q.y)
         quadric = dr.gather(mi.Vector4f, table.quadric, s)

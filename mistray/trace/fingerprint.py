@@ -17,7 +17,7 @@ TOLERANCE = 1e-5
 def kernel_arrays(table: SurfaceTable, scattering: Scattering) -> list[np.ndarray]:
     """Geometry, coatings, media and scatter at one wavelength, as they are in device memory."""
     optics = table.optics
-    arrays = [table.quadric, table.vertex, table.polynomial, table.rotation, table.half_size, optics.words]
+    arrays = [table.quadric, table.vertex, table.polynomial, table.rotation, table.clip, optics.words]
     arrays += [optics.indices, optics.places, optics.table, optics.extinction, optics.albedo]
     return [np.array(values) for values in (*arrays, *scattering.arrays)]
 

@@ -141,11 +141,11 @@ class Grazing:
         length = dr.norm(g)
         if table.coefficient_count:
             aspheric = active & ((word & ASPHERIC) != 0)
-            c, k, coefficients = table.asphere_sag(s, aspheric)
+            shape = table.asphere_sag(s, aspheric)
 
             def slope(t: mi.Float) -> tuple[mi.Float, mi.Float]:
                 x, y = dr.fma(t, d.x, q.x), dr.fma(t, d.y, q.y)
-                steepness = 2 * sag_derivative(dr.fma(x, x, y * y), c, k, coefficients)
+                steepness = 2 * sag_derivative(dr.fma(x, x, y * y), *shape)
                 return steepness * (x * d.x + y * d.y) - d.z, steepness
 
             h = NEARBY * outer

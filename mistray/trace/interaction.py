@@ -161,10 +161,10 @@ def interact(
     gx, gy, gz = a * q.x, a * q.y, dr.fma(b, q.z, 0.5 * e)
     if table.coefficient_count:
         aspheric = active & ((word & ASPHERIC) != 0)
-        c, k, coefficients = table.asphere_sag(s, aspheric)
-        slope = sag_derivative(r2, c, k, coefficients)
+        shape = table.asphere_sag(s, aspheric)
+        slope = sag_derivative(r2, *shape)
         # F = 2 (sag - z), to be of the same sign and scale as the quadric
-        value = dr.select(aspheric, 2 * (sag(r2, c, k, coefficients) - q.z), value)
+        value = dr.select(aspheric, 2 * (sag(r2, *shape) - q.z), value)
         gx, gy, gz = (
             dr.select(aspheric, 2 * slope * q.x, gx),
             dr.select(aspheric, 2 * slope * q.y, gy),

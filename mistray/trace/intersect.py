@@ -14,9 +14,8 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
-import numpy as np
 
-from mistray.physics.sag import sag, sag_derivative
+from mistray.physics.sag import in_proportion, sag, sag_derivative
 from mistray.trace.aspheres import AsphereSearch, stretch
 from mistray.trace.extrema import larger, smaller
 from mistray.trace.pieces import MILD_MARGIN, Piece
@@ -46,8 +45,7 @@ class Numbers:
     self_hit: mi.Float
     wide2: mi.Float
     departure: mi.Float
-    conic: mi.Float
-    coefficients: list[mi.Float]
+    shape: tuple[Any, ...]
 
     @classmethod
     def of(cls, p: Piece) -> Numbers:
@@ -58,14 +56,16 @@ class Numbers:
 
         a, b = p.quadric[:2]
         conic = p.kind in ("conic", "asphere")
-        size = p.outer or float(np.hypot(*p.half_size))
+        size = p.size
+        coefficients, per_area = in_proportion(p.coefficients, size)
+        conic_constant = opaque(b / a - 1 if conic and a else 0.0)
         return cls(
             z=opaque(p.z),
             curvature=opaque(a),
             one_plus_conic=opaque(b / a if conic and a else 1.0),
             r0=opaque(p.r0),
             slope=opaque(p.slope),
-            outer2=opaque(p.outer**2 if p.outer else size**2),
+            outer2=opaque(size**2),
             inner2=opaque(p.inner**2),
             half_width=opaque(p.half_size[0]),
             half_height=opaque(p.half_size[1]),
@@ -74,8 +74,7 @@ class Numbers:
             self_hit=opaque(SELF_HIT * size),
             wide2=opaque((MILD_MARGIN * size) ** 2),
             departure=opaque(p.departure),
-            conic=opaque(b / a - 1 if conic and a else 0.0),
-            coefficients=[opaque(value) for value in p.coefficients],
+            shape=(opaque(a), conic_constant, [opaque(value) for value in coefficients], opaque(per_area)),
         )
 
 
@@ -415,8 +414,8 @@ def _mild_asphere(ray: _AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> tuple[mi
     for _ in range(1 if p.departure**2 * abs(p.quadric[0]) < ONE_STEP * p.outer else 2):
         x, y = ray.lateral(t)
         r2 = smaller(dr.fma(x, x, y * y), n.wide2)
-        height = dr.fma(t, ray.dz, oz) - sag(r2, c, n.conic, n.coefficients)
-        slope = ray.dz - 2 * sag_derivative(r2, c, n.conic, n.coefficients) * dr.fma(x, ray.dx, y * ray.dy)
+        height = dr.fma(t, ray.dz, oz) - sag(r2, *n.shape)
+        slope = ray.dz - 2 * sag_derivative(r2, *n.shape) * dr.fma(x, ray.dx, y * ray.dy)
         step = height / slope
         t -= step
     unsure |= found & ~(dr.abs(step) * dr.abs(slope) < 4 * n.departure)

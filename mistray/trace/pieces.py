@@ -77,6 +77,11 @@ class Piece:
         return self.z + self.z_range[0], self.z + self.z_range[1]
 
     @property
+    def size(self) -> float:
+        """Largest distance from the axis, mm."""
+        return self.outer or float(np.hypot(*self.half_size))
+
+    @property
     def least_radius(self) -> float:
         """Distance from the axis that no point of the piece is nearer than, mm."""
         if self.kind == "cone":

@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray._mitsuba_compat import peek
+from mistray._mitsuba_compat import holds_numbers, peek
 from mistray.errors import MistrayError
 from mistray.trace.upload import upload
 
@@ -50,7 +50,7 @@ def put_numbers(scene: mi.Scene, numbers: Mapping[str, np.ndarray]) -> bool:
 def _numbers(params: Any) -> Iterator[tuple[str, Any]]:
     for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
         value = peek(params, key)
-        if isinstance(value, mi.Float | mi.UInt32) or _is_frame(value):
+        if holds_numbers(value) or isinstance(value, mi.UInt32) or _is_frame(value):
             yield key, value
 
 

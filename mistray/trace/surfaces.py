@@ -19,6 +19,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.physics.sag import in_proportion
 from mistray.trace.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
 from mistray.trace.pieces import Piece, piece_numbers, vertex_frame
 from mistray.trace.upload import upload
@@ -27,7 +28,8 @@ NO_SURFACE = 0xFFFFFFFF
 # A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
 SELF_HIT = 1e-5
 SAME_FRAME = 1e-9  # by which the directions of axes may differ
-# Row of the polynomial table: curvature, conic, a4 … a20, inner², z range, outer (-1: a rectangle), slope
+# Row of the polynomial table: curvature, conic, a4 … a20 in units of the aperture and the unit of these, see
+# `mistray.physics.sag.in_proportion`; z range, outer (-1: a rectangle), slope
 POLYNOMIAL_VECTORS = 4
 
 
@@ -139,10 +141,12 @@ class SurfaceTable:
         ]
         return [vector[k] for vector in row for k in range(4)]
 
-    def asphere_sag(self, s: mi.UInt32, active: mi.Bool | bool = True) -> tuple[mi.Float, mi.Float, list[mi.Float]]:
-        """Curvature, conic constant and coefficients of the aspheres s, as `mistray.physics.sag` takes them."""
-        curvature, conic, *rest = self.asphere_row(s, active)
-        return curvature, conic, rest[: self.coefficient_count]
+    def asphere_sag(
+        self, s: mi.UInt32, active: mi.Bool | bool = True
+    ) -> tuple[mi.Float, mi.Float, list[mi.Float], mi.Float]:
+        """Shape of the aspheres s as `mistray.physics.sag` takes it: curvature, conic constant, coefficients, unit."""
+        row = self.asphere_row(s, active)
+        return row[0], row[1], row[2 : 2 + self.coefficient_count], row[11]
 
     def _find_detector(self, wanted: str | None) -> int:
         sensors = [i for i, shape in enumerate(self.shapes) if shape.is_sensor()]
@@ -190,12 +194,13 @@ class SurfaceTable:
         for p in self.pieces:
             quadric[p.index], vertex[p.index, 3] = p.quadric, p.sign
             if p.coefficients:
-                polynomial[p.index, : 2 + len(p.coefficients)] = [*p.conic, *p.coefficients]
-                polynomial[p.index, 11:] = [p.inner**2, *p.z_range, p.outer or -1.0, p.slope]
-        half_size = np.zeros((self.count, 2))
+                coefficients, per_area = in_proportion(p.coefficients, p.size)
+                polynomial[p.index, : 2 + len(coefficients)] = [*p.conic, *coefficients]
+                polynomial[p.index, 11:] = [per_area, *p.z_range, p.outer or -1.0, p.slope]
+        clip = np.zeros((self.count, 2))
         for p in self.pieces:
-            half_size[p.index] = p.half_size
-        self.half_size = upload(mi.Float, half_size)
+            clip[p.index] = (p.inner**2, 0.0) if p.outer else p.half_size
+        self.clip = upload(mi.Float, clip)  # half size of a rectangle; square of the inner radius of all else
         self.quadric = upload(mi.Float, quadric)
         self.vertex = upload(mi.Float, vertex)
         self.polynomial = upload(mi.Float, polynomial)

@@ -168,13 +168,13 @@ class StrayLight(mi.CppADIntegrator):
             return (id(owner), name) in tracked
 
         with dr.resume_grad():
-            first_order = mi.Float(0)
+            first_order = mi.Float64(0)
             for run in prepare(scene, self._settings(sensor, seed, spp), detector=self._detector(sensor)):
                 by_flux = run.unit * by_irradiance[None] / run.pixel_area
                 raw = run_gradient(run, None, by_flux, wanted)
                 for owner, name, batches in (*parameter_gradient(raw, is_tracked), *edge_gradient(raw, is_tracked)):
                     value = tracked[id(owner), name][1]
-                    first_order += dr.sum(value * mi.Float(batches.sum(axis=0)))
+                    first_order += dr.sum(mi.Float64(value) * mi.Float64(batches.sum(axis=0)))
             if dr.grad_enabled(first_order):
                 dr.backward(first_order)
 

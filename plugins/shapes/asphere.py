@@ -6,10 +6,12 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.sag import sag
-from mistray.plugins.shapes.revolution import Revolution, float_property, grid
+from mistray.physics.sag import in_proportion, sag
+from mistray.plugins.shapes.revolution import FARTHEST_MM, Revolution, float_property, grid
 
 COEFFICIENTS = tuple(f"a{order}" for order in range(4, 21, 2))
+# Range of the ray tree's numbers, 1/mm and mm: single precision with room for products
+MOST, LEAST_MM = 1e30, 1e-15
 
 
 class Asphere(Revolution):
@@ -33,7 +35,9 @@ class Asphere(Revolution):
     radius                  mm           ±        plane     vertex radius of curvature; 0 or inf is a plane
     curvature               1/mm         ±        0         instead of ``radius`` (differentiable)
     conic                   1            ±        0         conic constant k (differentiable)
-    a4 … a20                mm^(1-order) ±        0         even aspheric coefficients (differentiable)
+    a4 … a20                mm^(1-order) ±        0         even aspheric coefficients (differentiable); ``mi.Float64``
+                                                            in `mi.traverse`, for their range is that of lengths to
+                                                            the power of -19
     semi_diameter           mm           > 0      required  clear radius (differentiable)
     inner_semi_diameter     mm           ≥ 0      0         radius of a central hole (differentiable)
     half_width              mm           > 0      none      half width in x of a rectangular clip, instead of
@@ -70,6 +74,7 @@ class Asphere(Revolution):
     """
 
     kind = "asphere"
+    in_double = COEFFICIENTS
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
@@ -136,6 +141,7 @@ class Asphere(Revolution):
                 f"shape '{self.name}': inner_semi_diameter is {v['inner_semi_diameter']:g} mm; "
                 f"it must lie between 0 and semi_diameter = {v['semi_diameter']:g} mm"
             )
+        self._check_single_precision()
         end = (1 + v["conic"]) * (v["curvature"] * self.outer_radius) ** 2
         if end > 1 + 1e-9:
             limit = 1 / (abs(v["curvature"]) * np.sqrt(1 + v["conic"]))
@@ -143,6 +149,23 @@ class Asphere(Revolution):
                 f"shape '{self.name}': the conic ends at r = {limit:.6g} mm, inside the aperture of "
                 f"{self.outer_radius:.6g} mm; reduce the aperture or the curvature"
             )
+
+    def _check_single_precision(self) -> None:
+        """Raise if the ray tree, which works in float32, cannot take a number."""
+        v, size = self.values, self.outer_radius
+        if size > FARTHEST_MM:
+            return  # `check_reach` says more
+        if size < LEAST_MM:
+            raise MistrayError(f"shape '{self.name}': its aperture is {size:g} mm; float32 takes {LEAST_MM:g} mm or more")
+        numbers = {"curvature": v["curvature"], "conic": v["conic"], "product": v["curvature"] * (1 + v["conic"])}
+        numbers |= dict(zip(COEFFICIENTS, in_proportion(self.coefficients, size)[0], strict=True))
+        for key, number in numbers.items():
+            if not abs(number) < MOST:
+                name = "conic" if key == "product" else key
+                raise MistrayError(
+                    f"shape '{self.name}': {name} is {v[name]:g}, too much for float32 at an aperture of {size:g} mm; "
+                    "correct it or its unit"
+                )
 
     def profile(self, count: int = 65) -> np.ndarray:
         inner = self.values.get("inner_semi_diameter", 0.0)

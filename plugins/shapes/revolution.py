@@ -23,8 +23,8 @@ class Revolution(mi.Mesh):
 
     A subclass sets `kind`, calls `_start` and `_finish` from its constructor and provides `check`,
     `profile`, `outer_radius` and `flipped`. The named parameters in `values` (floats, on the host) are
-    exposed to `mi.traverse` as differentiable ``mi.Float``; an update reads them back, checks them and makes
-    the mesh again.
+    exposed to `mi.traverse` as differentiable ``mi.Float``, those named in `in_double` as ``mi.Float64``; an update
+    reads them back, checks them and makes the mesh again.
 
     Attributes
     ----------
@@ -35,6 +35,7 @@ class Revolution(mi.Mesh):
     """
 
     kind = ""
+    in_double: tuple[str, ...] = ()
     values: dict[str, float]
 
     def _start(self, props: mi.Properties) -> None:
@@ -46,7 +47,9 @@ class Revolution(mi.Mesh):
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
         self.values = values | {key: float_property(props, key, 0.0) for key in POSE}
         self._check_all()
-        self.parameters = {key: mi.Float(value) for key, value in self.values.items()}
+        self.parameters = {
+            key: (mi.Float64 if key in self.in_double else mi.Float)(value) for key, value in self.values.items()
+        }
         vertices, faces = self._checked_mesh()
         mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
         write_mesh(self, vertices, faces)
@@ -102,11 +105,11 @@ class Revolution(mi.Mesh):
 
     def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
         given = {key: float(dr.detach(value)[0]) for key, value in self.__dict__.get("parameters", {}).items()}
-        # Compared in float32, so that what was not touched keeps the digits of the scene
+        # Compared as rounded, so that what was not touched keeps the digits of the scene
         changed = {
             key: value
             for key, value in given.items()
-            if (not keys or key in keys) and value != float(np.float32(self.values[key]))
+            if (not keys or key in keys) and value != self._rounded(key, self.values[key])
         }
         if not changed:
             mi.Mesh.parameters_changed(self, keys)
@@ -120,6 +123,10 @@ class Revolution(mi.Mesh):
                 self.parameters[key][0] = before[key]
             raise
         write_mesh(self, *self._checked_mesh())
+
+    def _rounded(self, key: str, value: float) -> float:
+        """A value as the parameter holds it."""
+        return value if key in self.in_double else float(np.float32(value))
 
     def to_string(self) -> str:
         inside = ", ".join(f"{key} = {value:g}" for key, value in self.values.items() if value)
