@@ -156,7 +156,7 @@ class Asphere(Revolution):
         if size > FARTHEST_MM:
             return  # `check_reach` says more
         if size < LEAST_MM:
-            raise MistrayError(f"shape '{self.name}': its aperture is {size:g} mm; float32 takes {LEAST_MM:g} mm or more")
+            raise MistrayError(f"shape '{self.name}': its aperture is {size:g} mm; float32 needs {LEAST_MM:g} mm")
         numbers = {"curvature": v["curvature"], "conic": v["conic"], "product": v["curvature"] * (1 + v["conic"])}
         numbers |= dict(zip(COEFFICIENTS, in_proportion(self.coefficients, size)[0], strict=True))
         for key, number in numbers.items():
