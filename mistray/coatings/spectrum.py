@@ -23,7 +23,7 @@ class Spectrum:
     wavelength_nm : (w,) float64
     angle_deg : (a,) float64
     R, T : (w, a, 2) float64
-        Shares of the flux, s and p. Light that enters a metal or a black glass (k > `METAL_K`) is absorbed: T = 0.
+        Shares of the flux, s and p. Light that enters a metal (k > `METAL_K`) is absorbed: T = 0.
     phase_r, phase_t : (w, a) float64
         arg(j_s) - arg(j_p), rad; see `Response`.
     """

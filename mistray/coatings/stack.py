@@ -16,9 +16,9 @@ from mistray.materials import complex_index, resolved
 SIDES = ("outside", "front", "back")
 # What can be differentiated of a layer, as `thinfilm` names it; n_shift and k_shift are `Layer` attributes as well
 LAYER_PARAMETERS = ("thickness_nm", "n_shift", "k_shift")
-# A medium of larger k is a metal or a black glass: at 550 nm a k of 1e-3 leaves e^-23 after a millimetre. It is the
-# substrate of the coating, whatever its n, and light that enters it is booked as absorbed at the surface
-METAL_K = 1e-3
+# In a medium of larger k, a metal, light falls to 1/e within a wavelength. It is the substrate of the coating, whatever
+# its n, and light that enters it is booked as absorbed at the surface
+METAL_K = 1 / (4 * math.pi)
 LAYER_FORM = "write 'material thickness' with the thickness in nm (99.64) or in waves (0.25w)"
 
 

@@ -188,6 +188,7 @@ def warnings(report: GhostReport) -> list[str]:
             f"{_fields(coarse)}: R of a coating in total reflection varies too fast with the angle for its table; the "
             f"error is up to {worst:.1e}"
         )
+    found += dict.fromkeys(text for t in report.values() for text in t.notes)
     for field, t in report.items():
         found += [f"{_fields([field])}: {text}" for text in sampling_check(t).warnings]
     few = [field for field in report if not report.top(field, 4).well_sampled.all()]

@@ -12,7 +12,8 @@ import mitsuba as mi
 
 from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.extrema import larger, smaller
-from mistray.trace.surfaces import SELF_HIT, SurfaceTable
+from mistray.trace.pieces import SELF_HIT
+from mistray.trace.surfaces import SurfaceTable
 
 AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
 INTERVALS = 12  # pieces in which a crossing is looked for, where the ray could meet the surface more than once

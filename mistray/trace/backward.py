@@ -167,6 +167,11 @@ class BackwardTrace:
         self.sums: dict[str, np.ndarray] = {}
 
     @property
+    def notes(self) -> list[str]:
+        """What was assumed of the media, see `Optics.notes`."""
+        return list(dict.fromkeys(text for band in self.bands for text in band.table.optics.notes))
+
+    @property
     def lists_paths(self) -> bool:
         """Whether there is a table of the paths."""
         return self._book is not None

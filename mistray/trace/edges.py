@@ -42,6 +42,7 @@ from mistray.trace.grazing import SILHOUETTE, grazing_kernel
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import EVENT_BITS, Ledger
 from mistray.trace.optics import ASPHERIC
+from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.raw_gradient import RIM_COLUMNS
 from mistray.trace.ray_tree import walk
 from mistray.trace.rim_joints import rim_circles
@@ -50,7 +51,7 @@ from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sky import Sky
 from mistray.trace.start_rays import StartRays
-from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
+from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
 CAPACITY = 1 << 17  # hits that are kept at a time

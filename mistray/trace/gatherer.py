@@ -15,6 +15,7 @@ from mistray.trace.adjoint import CHANNELS
 from mistray.trace.books import Recorder
 from mistray.trace.edges import EdgeEvents
 from mistray.trace.grazing import SILHOUETTE, jump_distance
+from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.raw_gradient import RawGradient, Wanted
 from mistray.trace.replay import Branches, End, Exit, follow, replay_rays
 from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split
@@ -22,7 +23,7 @@ from mistray.trace.scatter_replay import ScatterReplay
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.start_rays import StartRays
-from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
+from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
 CAPACITY = 1 << 18  # rays that are recorded at once

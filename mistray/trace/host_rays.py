@@ -2,15 +2,19 @@
 
 from __future__ import annotations
 
+from typing import TYPE_CHECKING
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.optics import IDEAL, MIRROR, OPAQUE
-from mistray.trace.pieces import Piece
-from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, SurfaceTable
+from mistray.trace.pieces import NO_SURFACE, SELF_HIT, Piece
 from mistray.trace.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.trace.surfaces import SurfaceTable
 
 NEWTON_STEPS = 8
 SETTLED = 1e-10  # last step of Newton's method, relative, below which it has found a hit

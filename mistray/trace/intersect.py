@@ -18,8 +18,8 @@ import mitsuba as mi
 from mistray.physics.sag import in_proportion, sag, sag_derivative
 from mistray.trace.aspheres import AsphereSearch, stretch
 from mistray.trace.extrema import larger, smaller
-from mistray.trace.pieces import MILD_MARGIN, Piece
-from mistray.trace.surfaces import NO_SURFACE, SELF_HIT, SurfaceTable
+from mistray.trace.pieces import MILD_MARGIN, NO_SURFACE, SELF_HIT, Piece
+from mistray.trace.surfaces import SurfaceTable
 
 GROUP = 8  # walls that are looked at together
 ONE_STEP = 1e-6  # error after one Newton step that is small enough, in units of the aperture

@@ -17,10 +17,11 @@ total reflection from a thick stack can have guided modes, dips too narrow for a
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -32,11 +33,15 @@ from mistray.materials import bulk_scatter
 from mistray.physics.henyey_greenstein import sampled_cosine
 from mistray.trace.upload import upload
 
+if TYPE_CHECKING:
+    from mistray.trace.bodies import Bodies
+
 # Kinds of surfaces, the lowest bits of their words
 FRESNEL, IDEAL, TABLED = 0, 1, 2
 OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC, WALL = (1 << bit for bit in range(2, 8))
 FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0x7FF
 ONE_CHILD = 1 << 19  # of all children at random one is followed
+DARK = 1e-12  # share of the light after the length of a body, below which it is dark
 THIN = 1e-3  # optical depth below which a medium takes the same light everywhere
 NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
@@ -67,6 +72,21 @@ class AngleTable:
     total: np.ndarray
     refraction_error: float
     total_error: float
+
+
+def absorption_per_mm(n: Any, wavelength_nm: float) -> Any:
+    """4πk/λ of indices n + ik, 1/mm (Beer and Lambert)."""
+    return 4e6 * np.pi * np.imag(n) / wavelength_nm
+
+
+def is_dark(n: Any, wavelength_nm: float, length_mm: Any) -> Any:
+    """
+    Whether light does not get through bodies of these indices and lengths.
+
+    Of a metal none does: nothing that rays describe is thin enough. Elsewhere exp(-4πkd/λ) must be below `DARK`.
+    """
+    depth = absorption_per_mm(n, wavelength_nm) * np.where(np.imag(n) > 0, length_mm, 0.0)
+    return (np.imag(n) > METAL_K) | (depth > -math.log(DARK))
 
 
 def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -187,9 +207,12 @@ def refraction_rows(
 
     front, back = side(at_front, True), side(at_back, False)
     through = _channels(front, False, stokes)
-    return np.stack(
-        [_channels(front, True, stokes), _channels(back, True, stokes), 0 * through if opaque else through], axis=1
-    )
+    if opaque:
+        through = 0 * through
+    elif sides[0].imag or sides[1].imag:  # out of an absorbing medium R + T may exceed 1 by about k/n
+        shares = 1 - np.maximum(_channels(front, True, stokes), _channels(back, True, stokes))
+        through[:, :2] = np.minimum(through, shares)[:, :2]
+    return np.stack([_channels(front, True, stokes), _channels(back, True, stokes), through], axis=1)
 
 
 def total_rows(
@@ -250,6 +273,8 @@ class Optics:
         Their ``interface`` plugins.
     flags : (s,) uint32
         Bits of the words that the geometry knows.
+    bodies : Bodies
+        Asked only where a medium absorbs so much that it may be dark.
     wavelength_nm : float
         Vacuum wavelength, nm.
     stokes : bool
@@ -280,10 +305,18 @@ class Optics:
         Whether a medium takes light from the beam, and whether one scatters it.
     error : float
         Largest interpolation error of the tables.
+    notes : list of str
+        Which media were taken as opaque, and why; a metal is not named unless it is thin.
     """
 
     def __init__(
-        self, ids: Sequence[str], bsdfs: Sequence[Any], flags: np.ndarray, wavelength_nm: float, stokes: bool
+        self,
+        ids: Sequence[str],
+        bsdfs: Sequence[Any],
+        flags: np.ndarray,
+        bodies: Bodies,
+        wavelength_nm: float,
+        stokes: bool,
     ) -> None:
         self.wavelength_nm, self.stokes = wavelength_nm, stokes
         self.bsdfs = list(bsdfs)
@@ -300,19 +333,17 @@ class Optics:
         self.error = 0.0
         rows: list[np.ndarray] = []
         self.tables: list[AngleTable | None] = []
-        self.complex_indices: list[tuple[complex, complex]] = []
+        self.complex_indices = [self._sides(name, bsdf) for name, bsdf in zip(ids, bsdfs, strict=True)]
+        dark, self.notes = self._dark(ids, bodies)
         for i, bsdf in enumerate(bsdfs):
-            opaque = bsdf.opaque
-            sides = self._sides(ids[i], bsdf, opaque)
-            metal = max(n.imag for n in sides) > METAL_K
-            opaque = opaque or metal
-            kind = self._kind(bsdf, metal)
+            sides = self.complex_indices[i]
+            opaque = bsdf.opaque or bool(dark[i].any())
+            kind = self._kind(bsdf, max(n.imag for n in sides))
             self.kinds.add(kind)
             words[i] |= kind | (OPAQUE if opaque else 0) | (MIRROR if bsdf.mirror else 0)
             words[i] |= ONE_CHILD if bsdf.one_child else 0
             # An opaque surface sends nothing on: no refraction, so one index will do
             self.host_indices[i, :2] = (1.0, 1.0) if opaque else (sides[0].real, sides[1].real)
-            self.complex_indices.append(sides)
             self.host_places[i] = self.rows, 1, self.rows, 1
             table = None
             if kind == IDEAL:
@@ -344,7 +375,7 @@ class Optics:
                 if key not in numbers:
                     numbers[key] = len(self.media)
                     self.media.append(spec.strip())
-                    absorption.append(4e6 * np.pi * n.imag / wavelength_nm)
+                    absorption.append(absorption_per_mm(n, wavelength_nm))
                     scattering.append(cloud.per_mm)
                     asymmetry.append(cloud.g)
                 words[i] |= numbers[key] << shift
@@ -368,9 +399,9 @@ class Optics:
         self.absorbs, self.scatters = bool(extinction.any()), any(scattering)
         dr.eval(self.words, self.indices, self.places, self.table, self.extinction, self.albedo, self._asymmetry)
 
-    def _sides(self, name: str, bsdf: Any, opaque: bool) -> tuple[complex, complex]:
+    def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
         """Indices on both sides; those of a surface that is opaque whatever lies behind it do not matter."""
-        if opaque and not isinstance(bsdf.coating, Stack):
+        if bsdf.opaque and not isinstance(bsdf.coating, Stack):
             return 1 + 0j, 1 + 0j
         try:
             front, back = bsdf.complex_indices(self.wavelength_nm)
@@ -378,10 +409,44 @@ class Optics:
             raise MistrayError(f"surface '{name}': {error}") from None
         return complex(front), complex(back)
 
-    def _kind(self, bsdf: Any, metal: bool) -> int:
+    def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[str]]:
+        """(s, 2) bool: the sides of surfaces on which nothing travels; and what a reader should know of them."""
+        n = np.array(self.complex_indices)
+        if not n.imag.any() or not np.any(is_dark(n, self.wavelength_nm, bodies.size)):
+            return np.zeros(n.shape, dtype=bool), []
+        # One answer for all surfaces of a body: the thinnest place counts. What nothing closes is as thick as may be
+        closed = np.isfinite(bodies.thickness)
+        length = np.where(closed, bodies.thickness, bodies.size)
+        for index in np.unique(n):
+            same = closed & (n == index)
+            length[same] = length[same].min(initial=np.inf)
+        dark = is_dark(n, self.wavelength_nm, length)
+        passed = np.exp(-absorption_per_mm(n, self.wavelength_nm) * length)
+        at = f"at {self.wavelength_nm:g} nm"
+        notes: dict[tuple[str, bool], str] = {}
+        for i, side in np.argwhere(dark):
+            bsdf = self.bsdfs[i]
+            medium, where = ((bsdf.front, "in front of"), (bsdf.back, "behind"))[side]
+            metal, clear = n[i, side].imag > METAL_K, passed[i, side] > DARK
+            if metal and clear:
+                text = (
+                    f"the metal {medium} {where} {ids[i]} is taken as opaque, though {passed[i, side]:.1g} of the "
+                    f"light {at} would pass its {length[i, side]:.2g} mm; make it a layer of a coating"
+                )
+            elif not metal:
+                why = f"its {length[i, side]:.3g} mm" if closed[i, side] else "it, and no surface closes its body"
+                text = f"{medium} {where} {ids[i]} is taken as opaque: no light {at} gets through {why}"
+            else:
+                continue
+            notes.setdefault((medium, bool(closed[i, side])), text)
+        return dark, list(notes.values())
+
+    def _kind(self, bsdf: Any, k: float) -> int:
         if bsdf.ideal:
             return IDEAL
-        return FRESNEL if isinstance(bsdf.coating, Bare) and not metal and not self.stokes else TABLED
+        # The kernel's own equations leave out k, an error of R of about k²
+        exact = k * k <= TABLE_ERROR and not self.stokes
+        return FRESNEL if isinstance(bsdf.coating, Bare) and exact else TABLED
 
     def attenuate(
         self, flux: mi.Float, medium: mi.UInt32, length: mi.Float, active: mi.Bool

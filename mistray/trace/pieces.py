@@ -11,6 +11,9 @@ import numpy as np
 from mistray.physics.sag import conic_end, sag
 from mistray.trace.raw_gradient import COEFFICIENTS
 
+NO_SURFACE = 0xFFFFFFFF
+# A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
+SELF_HIT = 1e-5
 # An asphere is hit through its conic if it departs from it by less than this, in units of its aperture and as a slope
 MILD_DEPARTURE, MILD_SLOPE, MILD_MARGIN = 0.004, 0.03, 1.02
 

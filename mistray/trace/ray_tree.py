@@ -56,13 +56,14 @@ from mistray.trace.ledger import (
 from mistray.trace.next_hit import film_coordinates, next_hit
 from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
 from mistray.trace.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
+from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.rims import RimBook
 from mistray.trace.scattering import ScatteredRay, Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sky import Sky
 from mistray.trace.start_rays import StartRays
 from mistray.trace.surface_rows import LaneRows
-from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
+from mistray.trace.surfaces import SurfaceTable
 
 # Children of a node in the order in which they are sent on; scattered ones follow
 TRANSMIT, REFLECT, SCATTER = range(3)

@@ -76,6 +76,8 @@ class Trace:
         Largest share that one of those hits has of their flux; NaN if there are none.
     effective_scattered_rays : float
         (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
+    notes : list of str
+        What was assumed: media that were taken as opaque because no light gets through their bodies.
     aiming : list of AimedSurface
         Surfaces that aimed rays at targets.
     segments : int
@@ -103,6 +105,7 @@ class Trace:
         self.scattered_rays_per_start = hits / self.rays
         self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
+        self.notes = list(dict.fromkeys(text for run in runs for text in run.table.optics.notes))
         self.aiming = _aimed_surfaces(runs)
         self.segments = round(sum(float(run.reasons[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)

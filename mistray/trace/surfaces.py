@@ -20,13 +20,11 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.sag import in_proportion
+from mistray.trace.bodies import Bodies
 from mistray.trace.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
 from mistray.trace.pieces import Piece, piece_numbers, vertex_frame
 from mistray.trace.upload import upload
 
-NO_SURFACE = 0xFFFFFFFF
-# A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
-SELF_HIT = 1e-5
 SAME_FRAME = 1e-9  # by which the directions of axes may differ
 # Row of the polynomial table: curvature, conic, a4 … a20 in units of the aperture and the unit of these, see
 # `mistray.physics.sag.in_proportion`; z range, outer (-1: a rectangle), slope
@@ -103,13 +101,14 @@ class SurfaceTable:
         self.detector = self._find_detector(detector)
         self._geometry(self.shapes[: len(analytic)])
         self._stock(self.shapes[len(analytic) :])
-        self.optics = Optics(self.ids, self.interfaces, self._flags(), wavelength_nm, stokes)
+        self.bodies = Bodies(self)
+        self.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, stokes)
 
     def at(self, wavelength_nm: float) -> SurfaceTable:
         """The same surfaces at another wavelength; the geometry is shared."""
         other = copy(self)
         other.wavelength_nm = wavelength_nm
-        other.optics = Optics(self.ids, self.interfaces, self._flags(), wavelength_nm, self.optics.stokes)
+        other.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, self.optics.stokes)
         return other
 
     @property

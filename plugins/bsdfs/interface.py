@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.coatings import METAL_K, Bare, Coating, CoatingTable, Ideal
+from mistray.coatings import Bare, Coating, CoatingTable, Ideal
 from mistray.coatings.simple import check_shares
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, refractive_index
@@ -23,12 +23,14 @@ from mistray.trace.optics import (
     REFLECTION_FRONT,
     TRANSMISSION,
     angle_table,
+    is_dark,
     total_variable,
     unpolarized_shares,
 )
 from mistray.trace.settings import MOST_RAYS_PER_HIT
 
 STOCK_WAVELENGTH_NM = 550.0
+STOCK_BODY_MM = 1.0  # stock integrators know no absorption on the way: what is dark after this length is opaque
 UNNAMED = ("bsdf", "coating")  # names that come from the place in a dict
 SIDES = (
     "front",
@@ -321,7 +323,7 @@ class Interface(mi.BSDF):
         coating = self.coating
         if self._stock is None or self._stock[0] is not coating:
             sides = self._glasses.transparent(self.wavelength_nm)
-            opaque = coating.opaque or max(n.imag for n in sides) > METAL_K
+            opaque = coating.opaque or bool(np.any(is_dark(sides, self.wavelength_nm, STOCK_BODY_MM)))
             tables = {}
             if not self.ideal and (opaque or not isinstance(coating, Bare)):
                 table = angle_table(coating, self.wavelength_nm, *sides, opaque, False)

@@ -22,7 +22,8 @@ from oracles.small_scenes import STEEP_REAR, interface_xml, scene_text, shape_xm
 import mistray
 from mistray.trace.interaction import interact
 from mistray.trace.intersect import Intersector
-from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
+from mistray.trace.pieces import NO_SURFACE
+from mistray.trace.surfaces import SurfaceTable
 
 ROOT = Path(__file__).parents[2]
 NUDGE = 1e-5

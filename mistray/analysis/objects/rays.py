@@ -17,8 +17,9 @@ from mistray.trace.interaction import Interaction, counts_as_reflection, interac
 from mistray.trace.intersect import Intersector
 from mistray.trace.next_hit import next_hit
 from mistray.trace.optics import OPAQUE
+from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.scattering import Scattering
-from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
+from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
 FAINTEST = 1e-12  # weight below which a ray ends

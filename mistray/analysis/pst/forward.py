@@ -261,5 +261,5 @@ def _result(
             f"errors of up to {100 * worst:.2g} % are left where {100 * (relative_error or 0):.2g} % was asked for; "
             "take more rays"
         )
-    result.facts["notes"] = lines
+    result.facts["notes"] = [*lines, *cells.notes]
     return result

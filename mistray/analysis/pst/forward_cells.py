@@ -262,6 +262,11 @@ class ForwardCells:
         has_optics = path is not None and path.has_optics
         self._ways = Ways(self.table.event_ids, self.table.event_words, has_optics)
 
+    @property
+    def notes(self) -> list[str]:
+        """What was assumed of the media, see `Optics.notes`."""
+        return list(dict.fromkeys(text for run in self._runs for text in run.table.optics.notes))
+
     def kernel_arrays(self) -> list[list[np.ndarray]]:
         """What the kernel reads, for each wavelength."""
         return tables_of(self._runs)

@@ -297,7 +297,7 @@ class _AdjointRun:
             "settings": asdict(trace.settings),
             "relative_error": self._wanted[0],
             "error_up_to_deg": self._wanted[1],
-            "notes": notes(bare, largest),
+            "notes": [*notes(bare, largest), *trace.notes],
         }
         return Pst(
             trace.grid,

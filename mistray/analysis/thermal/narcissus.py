@@ -18,10 +18,11 @@ from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES
 from mistray.trace.next_hit import next_hit
 from mistray.trace.optics import OPAQUE
+from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
-from mistray.trace.surfaces import NO_SURFACE, SurfaceTable
+from mistray.trace.surfaces import SurfaceTable
 
 TOTAL = "(total reflection)"
 FAINTEST = 1e-9  # weight below which a ray ends
