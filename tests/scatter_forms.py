@@ -119,6 +119,10 @@ def gaussian(v: Values, light: Light) -> Array:
     return peak * np.exp(-((light.r / v["width"]) ** 2))
 
 
+def phong(v: Values, light: Light) -> Array:
+    return v["b0"] * np.maximum(_dot(light.w, light.specular), 0) ** v["exponent"]
+
+
 def _psd(v: Values, light: Light, band_um: float | None = None) -> Array:
     """K-correlation spectrum, µm⁴, of a total roughness or of one up to 1/band_um."""
     rms, length, slope = 1e-3 * v["rms_nm"], v["B_um"], v["slope"]
@@ -252,6 +256,7 @@ FORMS: dict[str, Form] = {
     "harvey_shack": Form("harvey_shack", {"b0": 0.5, "l": 0.01, "s": -1.5}, (harvey_shack,)),
     "harvey_shack of a roughness": Form("harvey_shack", {"rms_nm": 4.0, "l": 0.01, "s": -1.5}, (harvey_shack,)),
     "gaussian_lobe": Form("gaussian_lobe", {"total": 0.3, "width": 0.15}, (gaussian,)),
+    "phong": Form("phong", {"b0": 0.4, "exponent": 16.0}, (phong,)),
     "ghs": Form("k_correlation", K, (smooth,)),
     "ghs in a band": Form("k_correlation", K, (smooth_in_band,), {"band_limited": True, "reference_nm": 1e3 * BAND_UM}),
     "ghs_full": Form(

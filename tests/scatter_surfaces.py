@@ -25,6 +25,7 @@ MODELS: dict[str, dict[str, Any]] = {
         "theory": "rayleigh_rice",
     },
     "gaussian_lobe": {"type": "gaussian_lobe", "total": 0.3, "width": 0.05},
+    "phong": {"type": "phong", "b0": 2.0, "exponent": 40.0},
     "particulate": {"type": "particulate", "level": 400.0},
     "paint": {"type": "paint", "reflectance": 0.03, "b0": 0.1, "l": 0.2, "s": -3.0, "n": 1.5, "event": "both"},
 }  # fmt: skip

@@ -82,6 +82,7 @@ class TestTotals:
         "arguments",
         [
             ("gaussian_lobe", "--total", "0.01", "--width", "0.02"),
+            ("phong", "--b0", "0.1", "--exponent", "16"),
             (
                 "k_correlation",
                 "--rms-nm",

@@ -42,7 +42,7 @@ OPTIONS: Mapping[str, Option] = MappingProxyType(
         "A": Option("abg: A, 1/sr"),
         "B": Option("abg: B"),
         "g": Option("abg: slope g"),
-        "b0": Option("harvey_shack, paint: BSDF in the specular direction, 1/sr"),
+        "b0": Option("harvey_shack, paint, phong: BSDF in the specular direction, 1/sr"),
         "l": Option("harvey_shack, paint: place of the knee, a direction cosine"),
         "s": Option("harvey_shack, paint: slope, negative"),
         "rms_nm": Option(
@@ -61,6 +61,7 @@ OPTIONS: Mapping[str, Option] = MappingProxyType(
                       ("half_plane", "heisenberg")),
         "total": Option("gaussian_lobe: scattered share at normal incidence"),
         "width": Option("gaussian_lobe: |β - β0| where the BSDF has fallen to 1/e"),
+        "exponent": Option("phong: power of the cosine"),
         "level": Option("particulate: cleanliness level of IEST-STD-CC1246"),
         "coverage_percent": Option("particulate: percent area coverage, instead of the level", finite, "PERCENT"),
         "particle": Option("particulate: n + ik of the particles: 'dust', 1.53+0.002i, or file.csv", str),
@@ -212,6 +213,13 @@ def _gaussian(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
     return Gaussian(**given)
 
 
+def _phong(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
+    from mistray.scatter.phong import Phong
+
+    _required("phong", given, "b0", "exponent")
+    return Phong(**given)
+
+
 def _particulate(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
     from mistray.scatter.particulate import Particulate
 
@@ -246,6 +254,7 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             ("rms_nm", "B_um", "slope", "band_limited", "theory", "reference_nm"), _k_correlation
         ),
         "gaussian_lobe": Kind(("total", "width"), _gaussian),
+        "phong": Kind(("b0", "exponent"), _phong),
         "particulate": Kind(
             ("level", "coverage_percent", "slope", "particle", "min_um", "max_um"), _particulate
         ),

@@ -66,7 +66,8 @@ def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndar
     centre = {"specular": sin_0, "normal": np.zeros_like(sin_0), "retro": -sin_0}[lobe.centre]
     if lobe.measure == "angle":
         r = np.sqrt((x - centre) ** 2 + y**2 + (cos_s - cos_0) ** 2)
-        return np.asarray(lobe.oblique(cos_i) * lobe.profile(r.ravel()).reshape(r.shape) / np.maximum(cos_s, TINY))
+        over_cos_s = 1.0 if lobe.factor == "cosine" else 1 / np.maximum(cos_s, TINY)
+        return np.asarray(lobe.oblique(cos_i) * lobe.profile(r.ravel()).reshape(r.shape) * over_cos_s)
     r = np.hypot(x - centre, y)
     values = lobe.profile(r.ravel()).reshape(r.shape) * factor_values(lobe, cos_i, cos_s, cos_0, r)
     if lobe.ratio is not None and lobe.ratio.axes == "radial":

@@ -13,6 +13,7 @@ from mistray.scatter.k_correlation import KCorrelation
 from mistray.scatter.lobe import Placement
 from mistray.scatter.paint import Paint
 from mistray.scatter.particulate import Particulate
+from mistray.scatter.phong import Phong
 from mistray.scatter.tabulated import Tabulated
 
 KINDS: Mapping[str, type[Placement]] = MappingProxyType(
@@ -24,6 +25,7 @@ KINDS: Mapping[str, type[Placement]] = MappingProxyType(
         "k_correlation": KCorrelation,
         "paint": Paint,
         "particulate": Particulate,
+        "phong": Phong,
         "tabulated": Tabulated,
     }
 )

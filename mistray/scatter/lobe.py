@@ -13,7 +13,7 @@ from mistray.errors import MistrayError
 EVENTS = ("reflection", "transmission")
 MEASURES = ("cosines", "angle")
 CENTRES = ("specular", "normal", "retro")
-FACTORS = ("none", "ghs", "rayleigh_rice", "edge")
+FACTORS = ("none", "ghs", "rayleigh_rice", "edge", "cosine")
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,8 +83,9 @@ class Lobe:
 
     - in the measure "cosines": c · factor · ratio · profile(r) per projected solid angle, r = |β - β_c|; this is the
       BSDF;
-    - in the measure "angle": c · oblique · profile(r) per solid angle, where r = 2 sin(α/2) for the angle α between the
-      scattered direction and the centre, and oblique = min(1/cos θi, `oblique_limit`); the BSDF is this over cos θs.
+    - in the measure "angle": c · oblique · factor · profile(r) per solid angle, where r = 2 sin(α/2) for the angle α
+      between the scattered direction and the centre, and oblique = min(1/cos θi, `oblique_limit`); the BSDF is this
+      over cos θs.
 
     β is the tangential part of a unit vector in its own medium.
 
@@ -98,9 +99,10 @@ class Lobe:
         The reflected or refracted direction, the normal, or the way back.
     shares : tuple of float
         c0, c1, c2.
-    factor : {"none", "ghs", "rayleigh_rice", "edge"}
-        1, ((cos θi + cos θs)/2)² of the generalised Harvey-Shack theory, cos θi cos θs, or the `obliquity` of
-        `mistray.physics.diffraction` about the specular direction.
+    factor : {"none", "ghs", "rayleigh_rice", "edge", "cosine"}
+        1, ((cos θi + cos θs)/2)² of the generalised Harvey-Shack theory, cos θi cos θs, the `obliquity` of
+        `mistray.physics.diffraction` about the specular direction, or cos θs, in the measure "angle" only: there the
+        BSDF itself then is c · oblique · profile(r).
     ratio : RatioTable, optional
     optical_depth : float, optional
         Share of X that the specular beam loses at normal incidence, where it is more than what the lobe scatters; times
@@ -124,8 +126,11 @@ class Lobe:
         for key, names in known:
             if getattr(self, key) not in names:
                 raise MistrayError(f"lobe: {key} is '{getattr(self, key)}'; use {' or '.join(map(repr, names))}")
-        if self.measure == "angle" and (self.factor != "none" or self.ratio is not None or self.centre == "normal"):
-            raise MistrayError("lobe: measure 'angle' goes with no factor, no ratio and a specular or retro centre")
+        by_angle = self.measure == "angle"
+        if by_angle and (self.factor not in ("none", "cosine") or self.ratio is not None or self.centre == "normal"):
+            raise MistrayError("lobe: measure 'angle' goes with no ratio, a specular or retro centre, and factor 'cosine'")
+        if not by_angle and self.factor == "cosine":
+            raise MistrayError("lobe: factor 'cosine' goes with measure 'angle'; leave it out")
 
     @property
     def r_max(self) -> float:

@@ -9,7 +9,7 @@ that of the table to the rounding, whatever the profile.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -70,6 +70,10 @@ class RadialTable:
         with np.errstate(divide="ignore"):
             place = np.clip((np.log2(r / R_MAX) + OCTAVES) * PER_OCTAVE, 0, RINGS)
         return np.asarray(2.0 ** np.interp(place, np.arange(RINGS + 1), self.log2_values))
+
+    def times_r2(self) -> RadialTable:
+        """The table of r² f(r), for integrals: its `total` and choice of cells are still those of f."""
+        return replace(self, log2_values=self.log2_values + 2 * np.log2(node_radii()))
 
     def within(self, r: np.ndarray) -> np.ndarray:
         """Integral of 2π r f over the disc of radius r, (m,)."""

@@ -51,7 +51,7 @@ def lobe_total(
     cos_i = np.asarray(cos_i, dtype=np.float64)
     cosine = np.ones_like(cos_i) if lobe.centre == "normal" else specular_cosine(lobe.event, cos_i, n_in, n_out)
     if lobe.measure == "angle":
-        values = _by_angle(table, cosine) * lobe.oblique(cos_i)
+        values = _by_angle(table, cosine, lobe.factor == "cosine") * lobe.oblique(cos_i)
     elif lobe.factor == "none" and lobe.ratio is None:
         values = _by_cosines(table, cosine)
     else:
@@ -93,17 +93,22 @@ def _by_cosines(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
     return np.asarray(table.within(np.minimum(low, R_MAX)) + np.sum(weight * r * arc * table.value(r), axis=1))
 
 
-def _by_angle(table: RadialTable, cosine: np.ndarray) -> np.ndarray:
-    """Integral over the hemisphere of a profile over the chord to a direction at θ from the normal."""
+def _by_angle(table: RadialTable, cosine: np.ndarray, projected: bool) -> np.ndarray:
+    """Integral over the hemisphere of a profile, or of that times cos θs, over the chord to a direction at θ."""
     theta = np.arccos(np.clip(cosine, -1, 1))
     low = np.maximum(2 * np.sin((np.pi / 2 - theta) / 2), 1e-12)
     high = 2 * np.sin((np.pi / 2 + theta) / 2)
     r, weight = _ring_nodes(low, np.maximum(high, low))
     alpha = 2 * np.arcsin(np.minimum(r / 2, 1))
     with np.errstate(divide="ignore", invalid="ignore"):
-        arc = 2 * np.arccos(np.clip(-1 / (np.tan(alpha) * np.tan(theta)[:, None]), -1, 1))
-    arc = np.where(theta[:, None] > 0, arc, 0.0)
-    return np.asarray(table.within(low) + np.sum(weight * r * arc * table.value(r), axis=1))
+        half = np.arccos(np.clip(-1 / (np.tan(alpha) * np.tan(theta)[:, None]), -1, 1))
+    half = np.where(theta[:, None] > 0, half, 0.0)
+    if not projected:
+        return np.asarray(table.within(low) + np.sum(weight * r * 2 * half * table.value(r), axis=1))
+    # cos θs = cos θ cos α + sin θ sin α cos ψ, and cos α = 1 - r²/2
+    whole = cosine * (table.within(low) - 0.5 * table.times_r2().within(low))
+    over_arc = half * cosine[:, None] * np.cos(alpha) + np.sin(theta)[:, None] * np.sin(alpha) * np.sin(half)
+    return np.asarray(whole + np.sum(weight * r * 2 * over_arc * table.value(r), axis=1))
 
 
 @lru_cache(maxsize=32)
@@ -188,6 +193,8 @@ def factor_values(
         return np.asarray(obliquity(cos_0, cos_s, np.square(r)))
     if lobe.factor == "ghs":
         return 0.25 * (cos_i + cos_s) ** 2
+    if lobe.factor == "cosine":
+        return cos_s
     return cos_i * cos_s if lobe.factor == "rayleigh_rice" else np.ones_like(cos_s)
 
 

@@ -30,8 +30,8 @@ EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
 CASES = 4  # of a surface
 ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
 # Flags of a lobe; the number of its radial table stands above them
-BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, RATIO, BY_COSINES, EDGE = (1 << bit for bit in range(8))
-TABLE_SHIFT = 8
+BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, RATIO, BY_COSINES, EDGE, COSINE = (1 << bit for bit in range(9))
+TABLE_SHIFT = 9
 LOBE_FLOATS = 6
 RATIO_SIZES = 3  # numbers before those of a ratio table
 RANDOM_RAYS_SHIFT = 16
@@ -213,7 +213,7 @@ def _flags(lobe: Lobe) -> int:
     """Flags of a lobe."""
     flags = BY_ANGLE if lobe.measure == "angle" else 0
     flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
-    flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE}[lobe.factor]
+    flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE, "cosine": COSINE}[lobe.factor]
     if lobe.ratio is None:
         return flags
     return flags | RATIO | (BY_COSINES if lobe.ratio.axes == "cosines" else 0)

@@ -27,6 +27,7 @@ from mistray.trace.scatter_tables import (
     ANGLES,
     BY_ANGLE,
     BY_COSINES,
+    COSINE,
     EDGE,
     GHS,
     NORMAL,
@@ -457,6 +458,8 @@ class Scattering:
                 value *= dr.select((words.x & GHS) != 0, 0.25 * dr.square(cos_i + cos_s), 1)
             if self._tables.flags & RAYLEIGH_RICE:
                 value *= dr.select((words.x & RAYLEIGH_RICE) != 0, cos_i * cos_s, 1)
+            if self._tables.flags & COSINE:
+                value *= dr.select((words.x & COSINE) != 0, cos_s, 1)
             if self._tables.flags & EDGE:
                 grown = obliquity(dr.dot(specular, outward), cos_s, r2)
                 value *= dr.select((words.x & EDGE) != 0, grown, 1)

@@ -139,6 +139,8 @@ def factor(lobe: Lobe, pair: Pair) -> mi.Float:
     """The lobe's factor for two directions."""
     if lobe.factor == "edge":
         return obliquity(dr.abs(pair.centre(lobe).z), pair.cos_s, pair.r2(lobe))
+    if lobe.factor == "cosine":
+        return pair.cos_s
     if lobe.factor == "ghs":
         return 0.25 * dr.square(pair.cos_i + pair.cos_s)
     return pair.cos_i * pair.cos_s if lobe.factor == "rayleigh_rice" else mi.Float(1)

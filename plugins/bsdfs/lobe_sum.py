@@ -201,7 +201,7 @@ class LobeSum:
                 lit &= pair.refracted().z != 0
             f = self._profile(slot, pair, lit) * slot.coefficient(x, pair.from_back)
             if lobe.measure == "angle":
-                f *= slot.oblique(pair.cos_i, pair.from_back) * over_cos_s
+                f *= slot.oblique(pair.cos_i, pair.from_back) * over_cos_s * factor(lobe, pair)
             else:
                 f *= cos_o * factor(lobe, pair) * self._ratio(slot, pair, lit)
             result += dr.select(lit, f, 0)

@@ -247,7 +247,7 @@ def furnace(bsdf: dict[str, Any], integrator: str = "path") -> mi.Scene:
 
 class TestStockIntegrators:
     @pytest.mark.parametrize(
-        "name", ["abg", "abg_narrow", "harvey_shack", "k_correlation", "gaussian_lobe", "rayleigh_rice"]
+        "name", ["abg", "abg_narrow", "harvey_shack", "k_correlation", "gaussian_lobe", "phong", "rayleigh_rice"]
     )
     def test_white_furnace(self, name: str) -> None:
         """

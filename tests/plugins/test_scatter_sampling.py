@@ -33,6 +33,7 @@ from mistray.scatter.total import totals
 SAMPLES = 200_000
 # About 70 tests of one sampler: each has this false-alarm probability, all together 1e-3
 FALSE_ALARM = 1e-3 / 70
+BY_ANGLE = ("particulate", "phong")  # lobes about a direction, not about its direction cosines
 OCTAVES = {"abg_narrow": 19}  # of r below 2 that are tested, else 14
 CASES = [
     (name, event, angle, True, IMPORTANCE)
@@ -59,11 +60,11 @@ def specular(wi: np.ndarray, event: str) -> np.ndarray:
 
 
 def charts(name: str, wi: np.ndarray, event: str) -> list[Chart]:
-    centre, flat, octaves = specular(wi, event), name != "particulate", OCTAVES.get(name, 14)
+    centre, flat, octaves = specular(wi, event), name not in BY_ANGLE, OCTAVES.get(name, 14)
     if name == "abg_lambertian":  # it has no peak, and the horizon is an edge of cells about the normal
         centre = np.array([0.0, 0.0, np.sign(centre[2])])
     made = [Chart(centre, np.sign(centre[2]), flat, octaves)]
-    if not flat and event == "reflection" and np.linalg.norm(centre - wi) > 1e-3:
+    if name == "particulate" and event == "reflection" and np.linalg.norm(centre - wi) > 1e-3:
         made.append(Chart(wi, np.sign(wi[2]), flat, octaves))
     return made
 
@@ -124,6 +125,7 @@ def test_chi_square_of_several_models() -> None:
         ("k_correlation", "B_um", 1.3),
         ("rayleigh_rice", "slope", 1.1),
         ("gaussian_lobe", "width", 1.1),
+        ("phong", "exponent", 1.1),
         ("particulate", "slope", 1.1),
         ("paint", "l", 1.3),
     ],

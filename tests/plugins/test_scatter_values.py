@@ -151,6 +151,7 @@ GRADIENTS = [
         "harvey_shack": "rms_nm l s",
         "k_correlation": "rms_nm B_um slope",
         "gaussian_lobe": "total width",
+        "phong": "b0 exponent",
         "particulate": "level slope",
         "paint": "reflectance b0 l s n",
     }.items()

@@ -74,6 +74,7 @@ def test_every_plugin_can_be_written() -> None:
         },
         "paint": {"reflectance": 0.04},
         "particulate": {"coverage_percent": 0.1},
+        "phong": {"b0": 0.1, "exponent": 16.0},
         "tabulated": {"file": "black.bsdf", "beyond": "zero"},
     }
     assert examples.keys() == KINDS.keys()

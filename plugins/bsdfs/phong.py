@@ -1,0 +1,71 @@
+"""Plugin `phong`: the Phong model of scatter."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+from mistray.physics import phong
+from mistray.plugins.bsdfs.lobe_pair import Pair
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter import Lobe
+from mistray.scatter.phong import Phong as Model
+
+
+class PhongLobe(Scatterer):
+    r"""
+    Phong scatter (:monosp:`phong`): BSDF = b0 cos^n α, with the angle α to the specular direction.
+
+    Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
+    with constant R and T.
+
+    ================= ======= ============ ========== ==========================================================
+    parameter         unit    range        default    meaning
+    ================= ======= ============ ========== ==========================================================
+    b0                1/sr    ≥ 0          required   BSDF in the specular direction; TIS at normal incidence is
+                                                      2π b0/(n + 2) (differentiable)
+    exponent          1       ≥ 1          required   n (differentiable)
+    event             string               both       what scatters: ``reflection``, ``transmission`` or
+                                                      ``both``
+    side              string               both       side from which light is scattered: ``front``, ``back``,
+                                                      ``both``
+    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
+                                                      incident light (``incident``), then taken from what is
+                                                      absorbed
+    R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
+                                                      with T or with ``relative_to`` ``incident``
+    T                 1       0 … 1        0          by itself only: transmittance (differentiable)
+    front, back       string               air        by itself only: materials, see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
+    mirror            bool                 false      by itself only; see ``interface``
+    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    ================= ======= ============ ========== ==========================================================
+
+    Reciprocal in reflection where R is constant; in transmission it is not. At oblique incidence the horizon cuts a part
+    of the lobe. Source: see `mistray.physics.phong`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <float name="R" value="0.9"/>
+            <bsdf type="phong"><float name="b0" value="0.1"/><float name="exponent" value="16"/></bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "phong", "b0": 0.1, "exponent": 16.0, "R": 0.9}
+    """
+
+    kind = "phong"
+
+    def _read(self, props: mi.Properties) -> None:
+        self._take(props, "b0", "exponent")
+
+    def _model_of(self, **values: float) -> Model:
+        return Model(**values, name=self.name, **self._placement)
+
+    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
+        return phong.bsdf(r, self.values["b0"], self.values["exponent"])
+
+
+mi.register_bsdf("phong", lambda props: PhongLobe(props))
