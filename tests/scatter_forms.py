@@ -9,6 +9,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 from oracles.geometry import Array
@@ -16,6 +18,7 @@ from oracles.geometry import Array
 from mistray.physics import contamination, diffraction, rayleigh_rice
 from mistray.physics import generalized_harvey_shack as ghs
 
+SPECTRUM = Path(__file__).parent / "data" / "psd_polish.csv"
 WAVELENGTH_NM = 550.0
 WAVELENGTH_UM = 1e-3 * WAVELENGTH_NM
 BAND_UM = 0.5
@@ -121,6 +124,25 @@ def gaussian(v: Values, light: Light) -> Array:
 
 def phong(v: Values, light: Light) -> Array:
     return v["b0"] * np.maximum(_dot(light.w, light.specular), 0) ** v["exponent"]
+
+
+REST = {"c000": 0.6, "c010": 0.3, "c001": 0.5, "l10": -0.6, "d": 2e3}
+
+
+def polynomial(rest: Values, values: Values, light: Light) -> Array:
+    """With named powers of the invariants of Greynolds, written out; `rest` are coefficients that stay."""
+    v = {**rest, **values}
+    b, b0 = light.tangential(light.w), light.tangential(light.specular)
+    u, w, t = _dot(b, b), _dot(b0, b0), _dot(b - b0, b - b0)
+    diffuse = v["c000"] + v["c100"] * (u + w) + v["c010"] * u * w + v["c001"] * _dot(b, b0)
+    return 10 ** (diffuse + (v["l10"] + v["l11"] * _dot(b, b0)) * np.log10(1 + v["d"] * t))
+
+
+def measured(v: Values, light: Light) -> Array:
+    """First order of the generalised Harvey-Shack theory, of a table of a spectrum."""
+    f, psd = np.log(np.loadtxt(SPECTRUM, delimiter=",", skiprows=2)).T
+    found = np.exp(np.interp(np.log(1e3 * light.n * light.r / WAVELENGTH_UM), f, psd))
+    return 4 * math.pi**2 * light.n**2 * light.path**2 / WAVELENGTH_UM**4 * v["scale"] * found
 
 
 def _psd(v: Values, light: Light, band_um: float | None = None) -> Array:
@@ -257,6 +279,13 @@ FORMS: dict[str, Form] = {
     "harvey_shack of a roughness": Form("harvey_shack", {"rms_nm": 4.0, "l": 0.01, "s": -1.5}, (harvey_shack,)),
     "gaussian_lobe": Form("gaussian_lobe", {"total": 0.3, "width": 0.15}, (gaussian,)),
     "phong": Form("phong", {"b0": 0.4, "exponent": 16.0}, (phong,)),
+    "polynomial": Form(
+        "polynomial",
+        {"c100": -0.8, "l11": 0.1},
+        (partial(polynomial, REST),),
+        REST,
+    ),
+    "psd_table": Form("psd_table", {"scale": 1.2}, (measured,), {"file": str(SPECTRUM)}),
     "ghs": Form("k_correlation", K, (smooth,)),
     "ghs in a band": Form("k_correlation", K, (smooth_in_band,), {"band_limited": True, "reference_nm": 1e3 * BAND_UM}),
     "ghs_full": Form(

@@ -13,6 +13,7 @@ R, T = 0.2, 0.4
 FRONT, BACK = 1.0, 1.5
 EVENTS = ("reflection", "transmission")
 RADIANCE, IMPORTANCE = mi.TransportMode.Radiance, mi.TransportMode.Importance
+SPECTRUM = Path(__file__).parent / "data" / "psd_polish.csv"
 MODELS: dict[str, dict[str, Any]] = {
     "abg": {"type": "abg", "A": 0.0025, "B": 0.001, "g": 1.8},
     "abg_narrow": {"type": "abg", "A": 2e-3, "B": 1e-9, "g": 2.0},
@@ -26,6 +27,10 @@ MODELS: dict[str, dict[str, Any]] = {
     },
     "gaussian_lobe": {"type": "gaussian_lobe", "total": 0.3, "width": 0.05},
     "phong": {"type": "phong", "b0": 2.0, "exponent": 40.0},
+    "polynomial": {
+        "type": "polynomial", "c000": 0.6, "c100": -0.8, "c010": 0.3, "c001": 0.5, "l10": -0.6, "l11": 0.1, "d": 2e3,
+    },
+    "psd_table": {"type": "psd_table", "file": str(SPECTRUM), "scale": 1.2},
     "particulate": {"type": "particulate", "level": 400.0},
     "paint": {"type": "paint", "reflectance": 0.03, "b0": 0.1, "l": 0.2, "s": -3.0, "n": 1.5, "event": "both"},
 }  # fmt: skip

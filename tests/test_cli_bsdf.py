@@ -83,6 +83,8 @@ class TestTotals:
         [
             ("gaussian_lobe", "--total", "0.01", "--width", "0.02"),
             ("phong", "--b0", "0.1", "--exponent", "16"),
+            ("polynomial", "--coefficients", "c000=0.5,c100=-0.4,l10=-0.7", "--d", "2e3"),
+            ("psd_table", "--file", str(DATA / "psd_polish.csv"), "--theory", "rayleigh_rice", "--event", "reflection"),
             (
                 "k_correlation",
                 "--rms-nm",

@@ -52,7 +52,13 @@ end_header
 0 1 0
 3 0 1 2
 """
-FILES = {"black.bsdf": BLACK_BSDF, "bracket.ply": BRACKET_PLY, "camera_bracket.ply": BRACKET_PLY}
+POLISH_CSV = "frequency_1_mm,psd_nm2_mm2\n1,1e-4\n1000,1e-9\n"
+FILES = {
+    "black.bsdf": BLACK_BSDF,
+    "polish.csv": POLISH_CSV,
+    "bracket.ply": BRACKET_PLY,
+    "camera_bracket.ply": BRACKET_PLY,
+}
 
 
 def script() -> Any:

@@ -55,7 +55,8 @@ OPTIONS: Mapping[str, Option] = MappingProxyType(
         "B_um": Option("k_correlation: B, µm", positive, "UM"),
         "slope": Option("k_correlation, particulate: slope of the spectrum or of the particle distribution"),
         "band_limited": Option("k_correlation: the roughness is that of the band up to 1/wavelength", bool),
-        "theory": Option("k_correlation: theory (ghs)", ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")),
+        "theory": Option("k_correlation, psd_table: theory (ghs)",
+                         ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")),
         "width_mm": Option("edge_diffraction: width of the ring inside the edge, mm", positive, "MM"),
         "law": Option("edge_diffraction: tail of a half plane, or after Heisenberg (half_plane)",
                       ("half_plane", "heisenberg")),
@@ -71,7 +72,12 @@ OPTIONS: Mapping[str, Option] = MappingProxyType(
         "n": Option("paint: index of the binder, with which the lobe grows towards grazing angles"),
         "preset": Option("paint: a named paint", str),
         "cosine_corrected": Option("table: its values are BSDF times the cosine of the scattered direction", bool),
-        "beyond": Option("table: what holds past its last polar angle (error)", ("error", "hold", "zero")),
+        "coefficients": Option("polynomial: c000=-0.5,c100=-0.4,l10=-0.7", str, metavar="NAME=X,…"),
+        "d": Option("polynomial: the Lorentzian part bends at |β - β0| = d^(-j/2) (1e4)"),
+        "file": Option("psd_table: CSV file of the spectrum", str, metavar="FILE"),
+        "scale": Option("psd_table: factor of the spectrum (1)"),
+        "beyond": Option("table: what holds past its last polar angle (error); psd_table: above its last frequency",
+                         ("error", "hold", "slope", "zero")),
     }
 )  # fmt: skip
 
@@ -220,6 +226,27 @@ def _phong(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
     return Phong(**given)
 
 
+def _polynomial(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
+    from mistray.scatter.polynomial import Polynomial
+
+    _required("polynomial", given, "coefficients")
+    named = {}
+    for item in given.pop("coefficients").split(","):
+        name, _, value = item.partition("=")
+        try:
+            named[name.strip()] = float(value)
+        except ValueError:
+            raise MistrayError(f"--coefficients '{item}': write NAME=NUMBER, several between commas") from None
+    return Polynomial(tuple(named.items()), **given)
+
+
+def _psd_table(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
+    from mistray.scatter.psd_table import PsdTable
+
+    _required("psd_table", given, "file")
+    return PsdTable.read(given.pop("file"), **given)
+
+
 def _particulate(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
     from mistray.scatter.particulate import Particulate
 
@@ -254,6 +281,8 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
             ("rms_nm", "B_um", "slope", "band_limited", "theory", "reference_nm"), _k_correlation
         ),
         "gaussian_lobe": Kind(("total", "width"), _gaussian),
+        "psd_table": Kind(("file", "scale", "beyond", "theory"), _psd_table),
+        "polynomial": Kind(("coefficients", "d"), _polynomial),
         "phong": Kind(("b0", "exponent"), _phong),
         "particulate": Kind(
             ("level", "coverage_percent", "slope", "particle", "min_um", "max_um"), _particulate

@@ -65,6 +65,8 @@ _SCATTER = {
     "slope": ("1", 0.0, math.inf, 0.05),
     "total": ("1", 0.0, 1.0, 0.2),
     "width": ("1", 0.0, math.inf, 0.2),
+    "d": ("1", 0.0, math.inf, 0.2),
+    "scale": ("1", 0.0, math.inf, 0.2),
     "exponent": ("1", 1.0, math.inf, 0.05),
     "level": ("1", 1.0, math.inf, 0.2),
     "coverage_percent": ("%", 0.0, 100.0, 0.2),

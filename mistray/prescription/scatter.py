@@ -10,9 +10,12 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.prescription.coating import check_name
-from mistray.scatter.k_correlation import KCorrelation, substrate_index
+from mistray.scatter.k_correlation import KCorrelation
 from mistray.scatter.kinds import KINDS
+from mistray.scatter.lobe import Placement
 from mistray.scatter.paint import Paint
+from mistray.scatter.polynomial import Polynomial
+from mistray.scatter.rough_surface import substrate_index
 
 Value = bool | int | float | str
 
@@ -26,12 +29,33 @@ def _k_correlation(substrate: str | None = None, **properties: Any) -> KCorrelat
     return KCorrelation(**properties, substrate=index)
 
 
+# The files of these stand beside a scene that may not exist yet: their readers check them
+
+
 def _table(file: str, cosine_corrected: bool = False, beyond: str = "error", **placement: Any) -> None:
-    """The file stands beside a scene that may not exist yet: its reader checks it."""
+    Placement(**placement)
+
+
+def _psd_table(
+    file: str,
+    beyond: str = "error",
+    scale: float = 1.0,
+    theory: str = "ghs",
+    substrate: str | None = None,
+    **placement: Any,
+) -> None:
+    Placement(**placement)
 
 
 MODELS: Mapping[str, Callable[..., Any]] = MappingProxyType(
-    {**KINDS, "k_correlation": _k_correlation, "paint": _paint, "tabulated": _table}
+    {
+        **KINDS,
+        "k_correlation": _k_correlation,
+        "paint": _paint,
+        "polynomial": Polynomial.of,
+        "psd_table": _psd_table,
+        "tabulated": _table,
+    }
 )
 """Plugin → what makes the model from its properties."""
 
@@ -76,7 +100,7 @@ class Scatter:
         return hash((self.kind, tuple(sorted(self.properties.items())), self.name))
 
     def model(self) -> Any:
-        """The model in `mistray.scatter`; None of a table, whose file only the scene knows."""
+        """The model in `mistray.scatter`; None of what is read from a file, whose file only the scene knows."""
         try:
             return MODELS[self.kind](**self.properties)
         except TypeError as error:

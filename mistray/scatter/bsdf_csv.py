@@ -72,13 +72,13 @@ def write_bsdf_csv(samples: Samples, path: str | Path, comment: str = "") -> Non
     replace_file(path, "\n".join(lines) + "\n", "BSDF table")
 
 
-def read_lines(path: str | Path) -> list[tuple[int, str]]:
-    """The lines of a text file with their numbers, from 1."""
+def read_lines(path: str | Path, what: str = "BSDF table") -> list[tuple[int, str]]:
+    """The lines of a text file with their numbers, from 1; the error message starts with `what`."""
     try:
         text = Path(path).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "it is no text file"
-        raise MistrayError(f"BSDF table '{path}': {reason}; check the path, relative to the scene file") from None
+        raise MistrayError(f"{what} '{path}': {reason}; check the path, relative to the scene file") from None
     return list(enumerate(text.splitlines(), start=1))
 
 

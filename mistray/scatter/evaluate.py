@@ -70,7 +70,7 @@ def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndar
         return np.asarray(lobe.oblique(cos_i) * lobe.profile(r.ravel()).reshape(r.shape) * over_cos_s)
     r = np.hypot(x - centre, y)
     values = lobe.profile(r.ravel()).reshape(r.shape) * factor_values(lobe, cos_i, cos_s, cos_0, r)
-    if lobe.ratio is not None and lobe.ratio.axes == "radial":
+    if lobe.ratio is not None and lobe.ratio.axes != "cosines":
         values = values * lobe.ratio.at(cos_0, r, np.arctan2(np.abs(y), x - centre))
     elif lobe.ratio is not None:
         values = values * lobe.ratio.at(cos_0, cos_s, np.arctan2(np.abs(y), x))

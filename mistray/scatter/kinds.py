@@ -14,6 +14,8 @@ from mistray.scatter.lobe import Placement
 from mistray.scatter.paint import Paint
 from mistray.scatter.particulate import Particulate
 from mistray.scatter.phong import Phong
+from mistray.scatter.polynomial import Polynomial
+from mistray.scatter.psd_table import PsdTable
 from mistray.scatter.tabulated import Tabulated
 
 KINDS: Mapping[str, type[Placement]] = MappingProxyType(
@@ -26,7 +28,10 @@ KINDS: Mapping[str, type[Placement]] = MappingProxyType(
         "paint": Paint,
         "particulate": Particulate,
         "phong": Phong,
+        "polynomial": Polynomial,
+        "psd_table": PsdTable,
         "tabulated": Tabulated,
     }
 )
-"""Plugin → model. The plugin's properties are the model's fields; `Tabulated` is read from the property ``file``."""
+"""Plugin → model. The plugin's properties are the model's fields; `Tabulated` and `PsdTable` are read from their
+property ``file``, and `Polynomial` takes its coefficients by name."""

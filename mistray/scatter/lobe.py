@@ -13,6 +13,7 @@ from mistray.errors import MistrayError
 EVENTS = ("reflection", "transmission")
 MEASURES = ("cosines", "angle")
 CENTRES = ("specular", "normal", "retro")
+AXES = ("radial", "angular", "cosines")
 FACTORS = ("none", "ghs", "rayleigh_rice", "edge", "cosine")
 
 
@@ -24,12 +25,12 @@ class RatioTable:
     Attributes
     ----------
     values : (a, b, c) float64
-        At uniform nodes of three variables; the first is the cosine of the specular direction with the normal, 0 … 1.
-        Trilinear interpolation.
-    axes : {"radial", "cosines"}
-        The other two: log r, `r_min` … 2 (the first node also holds below), and ψ, 0 … π, the angle of β - β_c against
-        β0, 0 away from the normal and π towards it; or the cosine of the scattered direction with the normal, 0 … 1,
-        and its azimuth φ from the specular direction, 0 … π.
+        At uniform nodes of three variables; the first is the cosine of the specular direction with the normal, 0 … 1,
+        or for "angular" this angle itself, 0 … π/2. Trilinear interpolation.
+    axes : {"radial", "angular", "cosines"}
+        The other two. For "radial" and "angular" log r, `r_min` … 2 (the first node also holds below), and ψ, 0 … π,
+        the angle of β - β_c against β0, 0 away from the normal and π towards it; for "cosines" the cosine of the
+        scattered direction with the normal, 0 … 1, and its azimuth φ from the specular direction, 0 … π.
     r_min : float
         The smallest r of the nodes; without meaning for "cosines".
     fixed : bool
@@ -48,28 +49,33 @@ class RatioTable:
             )
         if not np.all(np.isfinite(self.values)) or np.any(self.values < 0):
             raise MistrayError("ratio table with NaN or negative values; a BSDF is finite and not negative")
-        if self.axes not in ("radial", "cosines"):
-            raise MistrayError(f"ratio table: axes is '{self.axes}'; use 'radial' or 'cosines'")
+        if self.axes not in AXES:
+            raise MistrayError(f"ratio table: axes is '{self.axes}'; use {' or '.join(map(repr, AXES))}")
 
     def at(self, cos_specular: np.ndarray, second: np.ndarray, angle: np.ndarray) -> np.ndarray:
         """The function at broadcastable arrays of its three variables: r and ψ, or cos θs and φ, with the first."""
-        a, b, c = self.values.shape
-        if self.axes == "radial":
+        first = np.clip(cos_specular, 0, 1)
+        if self.axes == "angular":
+            first = np.arccos(first) * (2 / np.pi)
+        if self.axes != "cosines":
             second = np.log(np.maximum(second, self.r_min) / self.r_min) / np.log(2 / self.r_min)
-        places = np.broadcast_arrays(
-            np.clip(cos_specular, 0, 1) * (a - 1),
-            np.clip(second, 0, 1) * (b - 1),
-            np.clip(angle / np.pi, 0, 1) * (c - 1),
-        )
-        low = [np.minimum(place.astype(int), n - 2) for place, n in zip(places, (a, b, c), strict=True)]
-        total = np.zeros(places[0].shape)
-        for corner in range(8):
-            weight, index = np.ones(places[0].shape), []
-            for axis in range(3):
-                step, fraction = corner >> axis & 1, places[axis] - low[axis]
-                weight = weight * (fraction if step else 1 - fraction)
-                index.append(low[axis] + step)
-            total += weight * self.values[tuple(index)]
+        values, places = self.values, [first, np.clip(second, 0, 1), np.clip(angle / np.pi, 0, 1)]
+        if first.ndim == 0:  # one plane of the table holds for all
+            place = float(first) * (len(values) - 1)
+            low = min(int(place), len(values) - 2)
+            values = (low + 1 - place) * values[low] + (place - low) * values[low + 1]
+            places = places[1:]
+        sizes = values.shape
+        places = list(np.broadcast_arrays(*(place * (n - 1) for place, n in zip(places, sizes, strict=True))))
+        lows = [np.minimum(place.astype(int), n - 2) for place, n in zip(places, sizes, strict=True)]
+        total, flat = np.zeros(places[0].shape), values.ravel()
+        for corner in range(2 ** len(sizes)):
+            weight, index = np.ones(places[0].shape), np.zeros(places[0].shape, dtype=int)
+            for axis, (place, low, n) in enumerate(zip(places, lows, sizes, strict=True)):
+                step = corner >> axis & 1
+                weight = weight * (place - low if step else low + 1 - place)
+                index = index * n + low + step
+            total += weight * flat[index]
         return total
 
 
@@ -128,7 +134,9 @@ class Lobe:
                 raise MistrayError(f"lobe: {key} is '{getattr(self, key)}'; use {' or '.join(map(repr, names))}")
         by_angle = self.measure == "angle"
         if by_angle and (self.factor not in ("none", "cosine") or self.ratio is not None or self.centre == "normal"):
-            raise MistrayError("lobe: measure 'angle' goes with no ratio, a specular or retro centre, and factor 'cosine'")
+            raise MistrayError(
+                "lobe: measure 'angle' goes with factor 'none' or 'cosine', no ratio and a specular or retro centre"
+            )
         if not by_angle and self.factor == "cosine":
             raise MistrayError("lobe: factor 'cosine' goes with measure 'angle'; leave it out")
 

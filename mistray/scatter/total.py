@@ -172,7 +172,7 @@ def _ring_weights(lobe: Lobe, cos_i: float, cosine: float, cos_specular: float) 
     cos_s = np.sqrt(np.maximum(0.0, 1 - beta2))
     values = factor_values(lobe, cos_i, cos_s, cosine, r[:, None])
     if lobe.ratio is not None:
-        if lobe.ratio.axes == "radial":
+        if lobe.ratio.axes != "cosines":
             values = values * lobe.ratio.at(np.asarray(cos_specular), r[:, None], psi)
         else:
             azimuth = np.arctan2(r[:, None] * np.sin(psi), b + r[:, None] * np.cos(psi))

@@ -30,8 +30,8 @@ EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
 CASES = 4  # of a surface
 ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
 # Flags of a lobe; the number of its radial table stands above them
-BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, RATIO, BY_COSINES, EDGE, COSINE = (1 << bit for bit in range(9))
-TABLE_SHIFT = 9
+BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, EDGE, COSINE, RATIO, BY_COSINES, ANGULAR = (1 << bit for bit in range(10))
+TABLE_SHIFT = 10
 LOBE_FLOATS = 6
 RATIO_SIZES = 3  # numbers before those of a ratio table
 RANDOM_RAYS_SHIFT = 16
@@ -216,7 +216,7 @@ def _flags(lobe: Lobe) -> int:
     flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE, "cosine": COSINE}[lobe.factor]
     if lobe.ratio is None:
         return flags
-    return flags | RATIO | (BY_COSINES if lobe.ratio.axes == "cosines" else 0)
+    return flags | RATIO | {"radial": 0, "angular": ANGULAR, "cosines": BY_COSINES}[lobe.ratio.axes]
 
 
 class ScatterTables:

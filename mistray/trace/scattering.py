@@ -25,6 +25,7 @@ from mistray.scatter.radial import R_MAX
 from mistray.trace.interaction import Interaction, shares_at
 from mistray.trace.scatter_tables import (
     ANGLES,
+    ANGULAR,
     BY_ANGLE,
     BY_COSINES,
     COSINE,
@@ -497,7 +498,11 @@ class Scattering:
         cosine = dr.dot(across, tangent) * dr.rsqrt(dr.maximum(lengths, NO_AZIMUTH))
         cosine = dr.select(lengths > NO_AZIMUTH, cosine, 0)
         angle = dr.acos(dr.clip(cosine, -ONE_LESS, ONE_LESS))
-        places = (dr.clip(cos_specular, 0, 1), second, angle / dr.pi)
+        first = dr.clip(cos_specular, 0, 1)
+        if self._tables.flags & ANGULAR:
+            bent = dr.acos(dr.minimum(first, ONE_LESS)) * (2 / dr.pi)
+            first = dr.select((words.x & ANGULAR) != 0, bent, first)
+        places = (first, second, angle / dr.pi)
         return self._tables.ratio(words.y, places, active)
 
 

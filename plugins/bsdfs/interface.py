@@ -74,7 +74,8 @@ class Interface(mi.BSDF):
                                                is the one in the rarer material, for light from either side
     (nested) thinfilm bsdf            none     the coating, instead of R, T and table
     (nested) scatter  bsdf            none     models of scatter, any number: ``abg``, ``harvey_shack``,
-                                               ``k_correlation``, ``gaussian_lobe``, ``particulate``, ``paint``,
+                                               ``k_correlation``, ``psd_table``, ``gaussian_lobe``, ``phong``,
+                                               ``polynomial``, ``particulate``, ``paint``,
                                                ``edge_diffraction``, ``tabulated``; see docs/scatter.md
     mirror            bool            false    the design path reflects here: such a reflection is not counted
                                                as a ghost bounce

@@ -12,7 +12,7 @@ from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
 from mistray.scatter.harvey_shack import index_step
 from mistray.scatter.k_correlation import KCorrelation as Model
-from mistray.scatter.k_correlation import substrate_index
+from mistray.scatter.rough_surface import substrate_index
 
 
 class KCorrelation(Scatterer):

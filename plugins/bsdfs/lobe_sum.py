@@ -258,14 +258,17 @@ class LobeSum:
 
     def _trilinear(self, ratio: Any, lobe: Lobe, pair: Pair, active: mi.Bool) -> mi.Float:
         specular = pair.centre(Lobe(lobe.event, lobe.profile))
-        if ratio.axes == "radial":
+        first = dr.clip(dr.abs(specular.z), 0, 1)
+        if ratio.axes == "angular":
+            first = dr.acos(first) * (2 / np.pi)
+        if ratio.axes != "cosines":
             side = (pair.s - pair.centre(lobe)).xy
             second = dr.log(dr.maximum(dr.norm(side), ratio.r_min) / ratio.r_min) / float(np.log(2 / ratio.r_min))
         else:
             side, second = pair.s.xy, pair.cos_s
         long = dr.norm(specular.xy) * dr.norm(side)
         cosine = dr.select(long > 0, dr.dot(side, specular.xy) / dr.select(long > 0, long, 1), 1)
-        places = dr.clip(dr.abs(specular.z), 0, 1), dr.clip(second, 0, 1), dr.safe_acos(cosine) / np.pi
+        places = first, dr.clip(second, 0, 1), dr.safe_acos(cosine) / np.pi
         return trilinear(self._ratios[id(ratio)], 0, ratio.values.shape, places, active)
 
     # -- choosing directions -------------------------------------------------------------------------------------

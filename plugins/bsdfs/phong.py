@@ -41,8 +41,8 @@ class PhongLobe(Scatterer):
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    Reciprocal in reflection where R is constant; in transmission it is not. At oblique incidence the horizon cuts a part
-    of the lobe. Source: see `mistray.physics.phong`.
+    Reciprocal in reflection where R is constant; in transmission it is not. At oblique incidence the horizon cuts a
+    part of the lobe. Source: see `mistray.physics.phong`.
 
     .. code-block:: xml
 

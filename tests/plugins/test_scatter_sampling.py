@@ -126,6 +126,7 @@ def test_chi_square_of_several_models() -> None:
         ("rayleigh_rice", "slope", 1.1),
         ("gaussian_lobe", "width", 1.1),
         ("phong", "exponent", 1.1),
+        ("polynomial", "l10", 1.3),
         ("particulate", "slope", 1.1),
         ("paint", "l", 1.3),
     ],

@@ -31,7 +31,7 @@ from mistray.scatter.evaluate import bsdf as float64_bsdf
 
 CASES = [(0.0, True), (30.0, True), (80.0, True), (30.0, False)]
 # float32 in a power law that spans 13 decades; of the ratio tables, the distance of their nodes
-ACCURACY = {"paint": 2e-2, "particulate": 1e-3, "k_correlation": 2e-3}
+ACCURACY = {"paint": 2e-2, "particulate": 1e-3, "k_correlation": 2e-3, "psd_table": 2e-3, "polynomial": 5e-3}
 # Directions that may deviate by more: Mie's ripple far behind, and the rim of what refraction can reach, are finer than
 # the table
 EXCEPTIONS = {"particulate": 0.05}
@@ -152,6 +152,8 @@ GRADIENTS = [
         "k_correlation": "rms_nm B_um slope",
         "gaussian_lobe": "total width",
         "phong": "b0 exponent",
+        "polynomial": "c000 c100 c010 c001 l10 l11 d",
+        "psd_table": "scale",
         "particulate": "level slope",
         "paint": "reflectance b0 l s n",
     }.items()
@@ -177,7 +179,11 @@ def test_derivative_of_eval(name: str, key: str) -> None:
     values = bsdf.eval(context(IMPORTANCE), interaction(wi, len(wo)), vectors(wo))[0]
     dr.forward(parameter)
     got = np.array(dr.grad(values), dtype=float)
-    if name in ("k_correlation", "paint"):  # the lobes in float64 have tables of ratios where the plugin has equations
+    if name in (
+        "k_correlation",
+        "paint",
+        "polynomial",
+    ):  # the lobes in float64 have tables of ratios where the plugin has equations
         step = 4e-3
         low, high = (value(moved(name, key, 1 + sign * step), wi, wo) for sign in (-1, 1))
     else:

@@ -75,12 +75,14 @@ def test_every_plugin_can_be_written() -> None:
         "paint": {"reflectance": 0.04},
         "particulate": {"coverage_percent": 0.1},
         "phong": {"b0": 0.1, "exponent": 16.0},
+        "polynomial": {"c000": -1.0, "l10": -0.7},
+        "psd_table": {"file": "polish.csv", "theory": "rayleigh_rice_vector", "substrate": "0.96+6.69i"},
         "tabulated": {"file": "black.bsdf", "beyond": "zero"},
     }
     assert examples.keys() == KINDS.keys()
     for kind, properties in examples.items():
         model = Scatter(kind, properties).model()
-        assert model is None if kind == "tabulated" else isinstance(model, KINDS[kind])
+        assert model is None if "file" in properties else isinstance(model, KINDS[kind])
 
 
 def test_scatter_by_name(lens: Prescription) -> None:

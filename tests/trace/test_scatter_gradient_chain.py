@@ -156,7 +156,10 @@ def difference(function: Callable[[dict[str, float]], np.ndarray], values: dict[
 
 
 def is_tabled(form: Form) -> bool:
-    return form.kind in ("paint", "particulate") or form.options.get("theory") in ("ghs_full", "rayleigh_rice_vector")
+    return form.kind in ("paint", "particulate", "polynomial", "psd_table") or form.options.get("theory") in (
+        "ghs_full",
+        "rayleigh_rice_vector",
+    )
 
 
 def limit_of(form: Form) -> float:

@@ -1,0 +1,117 @@
+"""The polynomial and binomial models of measured surfaces, in the form of Greynolds."""
+
+from __future__ import annotations
+
+import math
+import re
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics import polynomial
+from mistray.scatter.lobe import Lobe, Placement, RatioTable
+from mistray.scatter.numbers import need_positive
+
+DIFFUSE, LORENTZIAN = re.compile(r"c(\d)(\d)(\d)"), re.compile(r"l(\d)(\d)")
+D = 1e4  # FRED's own start
+# Of the ratio to the carrier: the angle of the specular direction, log r and ψ; past the horizon only the first cell is
+# read, and further out a polynomial may be anything
+NODES, R_MIN, MOST_U = (37, 121, 37), 1e-3, 1.5
+
+
+def is_coefficient(name: str) -> bool:
+    """Whether a property is a coefficient: ``c`` and three digits, or ``l`` and two."""
+    return bool(DIFFUSE.fullmatch(name) or LORENTZIAN.fullmatch(name))
+
+
+def sums_of(coefficients: Mapping[str, Any]) -> tuple[dict[tuple[int, int, int], Any], dict[tuple[int, int], Any]]:
+    """The coefficients of both sums by their powers, see `mistray.physics.polynomial`."""
+    diffuse, lorentzian = {}, {}
+    for name, value in coefficients.items():
+        if match := DIFFUSE.fullmatch(name):
+            i, j, k = map(int, match.groups())
+            diffuse[i, j, k] = value
+        elif match := LORENTZIAN.fullmatch(name):
+            j, k = map(int, match.groups())
+            lorentzian[j, k] = value
+    return diffuse, lorentzian
+
+
+def carrier(r: Any, coefficients: Mapping[str, Any], d: Any) -> Any:
+    """
+    The BSDF for two directions that lie symmetrically about the normal, at the distance r of their cosines.
+
+    All other pairs of the same distance have a smooth ratio to it.
+    """
+    t = r * r
+    return polynomial.bsdf((0.5 * t, 0.0625 * t * t, -0.25 * t), t, *sums_of(coefficients), d)
+
+
+def depends_on_distance_alone(names: Iterable[str]) -> bool:
+    """Whether these coefficients make a BSDF of |β - β0|, as c000 and those of the Lorentzian part without V do."""
+    return all(name == "c000" or (name[0] == "l" and name[2] == "0") for name in names)
+
+
+@dataclass(frozen=True)
+class Polynomial(Placement):
+    """
+    BSDF = 10^(a polynomial in the invariants of two directions), the same for both events and from both sides.
+
+    Equation and source: `mistray.physics.polynomial`.
+
+    Attributes
+    ----------
+    coefficients : tuple of (str, float)
+        Names and values: ``cijk`` goes with (U + W)^i (U W)^j V^k, ``ljk`` with V^k log10(1 + d^j T). ``c000`` must be
+        there; those that are not there are 0.
+    d : float
+        > 0.
+
+    Raises
+    ------
+    MistrayError
+        If a name is none, or a value is not finite.
+    """
+
+    coefficients: tuple[tuple[str, float], ...]
+    d: float = D
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        names = [name for name, _ in self.coefficients]
+        for name, value in self.coefficients:
+            if not is_coefficient(name):
+                raise MistrayError(f"{self.title}: '{name}' is no coefficient; use c and 3 digits or l and 2")
+            if not math.isfinite(value):
+                raise MistrayError(f"{self.title}: {name} is {value:g}; give a finite number")
+        if "c000" not in names or len(set(names)) < len(names):
+            raise MistrayError(f"{self.title}: coefficients {', '.join(names) or 'none'}; give each once, and c000")
+        need_positive(self.title, "d", self.d)
+
+    @classmethod
+    def of(cls, **properties: Any) -> Polynomial:
+        """From the properties of the plugin, whose coefficients are numbers by their names."""
+        named = tuple((name, float(value)) for name, value in properties.items() if is_coefficient(name))
+        return cls(named, **{name: value for name, value in properties.items() if not is_coefficient(name)})
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        named = dict(self.coefficients)
+
+        def profile(r: np.ndarray) -> np.ndarray:
+            return np.asarray(carrier(r, named, self.d))
+
+        ratio = None if depends_on_distance_alone(named) else self._ratio(named)
+        return tuple(Lobe(event, profile, shares=self.shares, ratio=ratio) for event in self.events(from_front))
+
+    def _ratio(self, named: dict[str, float]) -> RatioTable:
+        """The BSDF over its carrier; the invariants go on smoothly past the horizon."""
+        sine, r = np.sin(np.linspace(0, np.pi / 2, NODES[0])), np.geomspace(R_MIN, 2, NODES[1])
+        sine, r, psi = np.ix_(sine, r, np.linspace(0, np.pi, NODES[2]))
+        along, w = sine * r * np.cos(psi), sine * sine
+        u = np.minimum(w + 2 * along + r * r, MOST_U)
+        whole = polynomial.bsdf((u + w, u * w, w + along), r * r, *sums_of(named), self.d)
+        return RatioTable(np.ascontiguousarray(whole / carrier(r, named, self.d)), R_MIN, "angular")

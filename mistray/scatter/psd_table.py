@@ -1,0 +1,147 @@
+"""A surface given by a measured roughness spectrum, and a theory of how it scatters."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.scatter.bsdf_csv import numbers, read_lines
+from mistray.scatter.numbers import need_not_negative
+from mistray.scatter.radial import RadialTable
+from mistray.scatter.rough_surface import RoughSurface
+
+FREQUENCIES = {"frequency_1_um": 1.0, "frequency_1_mm": 1e-3}  # column → 1/µm
+SPECTRA = {"psd_um4": 1.0, "psd_nm2_mm2": 1.0}  # column → µm⁴; nm² mm² is the same
+BEYOND = ("error", "slope", "zero")
+
+
+@dataclass(frozen=True)
+class PsdTable(RoughSurface):
+    """
+    Two-dimensional roughness spectrum of an isotropic surface as a table, the same for both events and from both sides.
+
+    Between two frequencies of the table it is a power law; below the first it stays as it is there. The light of the
+    vacuum wavelength λ meets the frequencies up to 2 n/λ, where n is the index on the side that it is scattered to.
+    Theories, equations and sources: `RoughSurface`.
+
+    Attributes
+    ----------
+    frequency_1_um : (m,) tuple of float
+        Spatial frequencies, 1/µm, > 0, ascending, at least two.
+    psd_um4 : (m,) tuple of float
+        Spectrum, µm⁴, > 0. One micrometre to the fourth is 1 nm² mm².
+    beyond : {"error", "slope", "zero"}
+        What holds above the last frequency: nothing, so that light that needs more is refused; the power law of the
+        last two; or no roughness.
+    scale : float
+        Factor of the spectrum, ≥ 0.
+    theory, substrate
+        As in `RoughSurface`.
+
+    Raises
+    ------
+    MistrayError
+        If a number is out of range. `lobes` raises it for a surface that is too rough for the theory at a wavelength,
+        and where the table ends too early.
+    """
+
+    frequency_1_um: tuple[float, ...]
+    psd_um4: tuple[float, ...]
+    beyond: str = "error"
+    scale: float = 1.0
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        f, psd = np.array(self.frequency_1_um), np.array(self.psd_um4)
+        if len(f) < 2 or f.shape != psd.shape:
+            raise MistrayError(f"{self.title}: {f.size} frequencies and {psd.size} values; give two or more of each")
+        if not (np.all(np.isfinite(f)) and np.all(np.diff(f) > 0) and f[0] > 0):
+            raise MistrayError(f"{self.title}: the frequencies must be above 0 and ascend; sort them, each once")
+        if not np.all(np.isfinite(psd) & (psd > 0)):
+            k = int(np.argmin(np.isfinite(psd) & (psd > 0)))
+            raise MistrayError(
+                f"{self.title}: spectrum {psd[k]:g} µm⁴ at {f[k]:g} 1/µm; give values > 0, and leave out what is below "
+                "the noise"
+            )
+        if self.beyond not in BEYOND:
+            raise MistrayError(f"{self.title}: beyond is '{self.beyond}'; use 'error', 'slope' or 'zero'")
+        need_not_negative(self.title, "scale", self.scale)
+
+    @classmethod
+    def read(cls, path: str | Path, **options: Any) -> PsdTable:
+        """
+        Read a CSV file.
+
+        Columns: frequency_1_um or frequency_1_mm, and psd_um4 or psd_nm2_mm2, in ascending order. Lines that start with
+        # are comments.
+
+        Parameters
+        ----------
+        path : str or Path
+        **options
+            The other attributes.
+
+        Raises
+        ------
+        MistrayError
+            If the file is missing, its columns are others, or a cell is no number, with the number of the line.
+        """
+        what = f"PSD table '{path}'"
+        numbered = [
+            (n, line) for n, line in read_lines(path, "PSD table") if line.strip() and not line.lstrip().startswith("#")
+        ]
+        cells = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in numbered)]
+        header = cells[0] if cells else []
+        known = [(FREQUENCIES | SPECTRA).get(name) for name in header]
+        if len(header) != 2 or header[0] not in FREQUENCIES or header[1] not in SPECTRA:
+            raise MistrayError(
+                f"{what}: its columns are {', '.join(header) or 'missing'}; give {' or '.join(FREQUENCIES)}, and "
+                f"{' or '.join(SPECTRA)}"
+            )
+        rows = [
+            numbers(row, 2, f"{what}, line {number}") for (number, _), row in zip(numbered[1:], cells[1:], strict=True)
+        ]
+        f, psd = (np.array(rows).reshape(-1, 2) * np.array(known, dtype=np.float64)).T
+        options.setdefault("name", str(path))
+        try:
+            return cls(tuple(f.tolist()), tuple(psd.tolist()), **options)
+        except MistrayError as error:
+            raise MistrayError(f"{what}: {error}") from None
+
+    def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
+        """As `RoughSurface.psd`; the same at all wavelengths."""
+        log_f, log_psd = np.log(self.frequency_1_um), np.log(self.psd_um4)
+        last = float((log_psd[-1] - log_psd[-2]) / (log_f[-1] - log_f[-2]))
+
+        def spectrum(f: np.ndarray) -> np.ndarray:
+            with np.errstate(divide="ignore"):
+                x = np.log(np.asarray(f, dtype=np.float64))
+            above = np.maximum(x - log_f[-1], 0.0)
+            values = np.exp(np.interp(x, log_f, log_psd) + last * above)
+            return self.scale * np.where((above > 0) & (self.beyond == "zero"), 0.0, values)
+
+        return spectrum
+
+    def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
+        """As `RoughSurface.relevant_rms_um`."""
+        highest = n / (wavelength_nm * 1e-3)
+        if self.beyond == "error" and 2 * highest > self.frequency_1_um[-1]:
+            raise MistrayError(
+                f"{self.title}: it ends at {self.frequency_1_um[-1]:g} 1/µm, but light of {wavelength_nm:g} nm meets "
+                f"frequencies up to {2 * highest:g} 1/µm; complete it, or set beyond to 'slope' or 'zero'"
+            )
+        spectrum = self.psd(wavelength_nm)
+        table = RadialTable.of(lambda r: spectrum(r * highest))
+        return highest * math.sqrt(float(table.within(np.array([1.0]))[0]))
+
+    @property
+    def is_smooth_as_glass(self) -> bool:
+        """As `RoughSurface.is_smooth_as_glass`."""
+        return self.scale == 0

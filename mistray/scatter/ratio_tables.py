@@ -1,0 +1,81 @@
+"""Tables of the ratios of lobes, from functions of the directions of light."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.scatter.lobe import RatioTable
+
+GRAZING = 1e-3  # the least cosine in tables: of T, which is 0 at grazing incidence, they hold ratios
+RADIAL, R_MIN = (49, 121, 49), 1e-3  # nodes of the cosine of the specular direction, of log r and of ψ
+
+
+@dataclass(frozen=True, eq=False)
+class Directions:
+    """
+    Arrays that say where light comes from and goes to; they broadcast together.
+
+    Attributes
+    ----------
+    cos_i, cos_specular, cos_s : float64
+        Cosines with the normal of the incident, the specular and the scattered direction, in their own media.
+    cos_phi : float64
+        Cosine of the azimuth between the specular and the scattered direction.
+    r : float64
+        |β - β0|.
+    """
+
+    cos_i: np.ndarray
+    cos_specular: np.ndarray
+    cos_s: np.ndarray
+    cos_phi: np.ndarray
+    r: np.ndarray
+
+
+def over_cosines(
+    ratio: Callable[[Directions], np.ndarray], sine_ratio: float, nodes: tuple[int, int, int]
+) -> RatioTable:
+    """
+    Tabulate a function of the directions of incidence and of scatter over their cosines and the azimuth.
+
+    Parameters
+    ----------
+    ratio : callable
+    sine_ratio : float
+        sin θi over the sine of the specular direction: n_out/n_in in transmission, 1 in reflection.
+    nodes : tuple of int
+        Of the cosines of the specular and of the scattered direction, of the azimuth.
+    """
+    cosine, cos_s = (np.linspace(0, 1, count) for count in nodes[:2])
+    cos_i, refracted = _incidence(cosine, sine_ratio)
+    cos_phi = np.cos(np.linspace(0, np.pi, nodes[2]))
+    first, second, third = np.ix_(np.arange(nodes[0]), cos_s, cos_phi)
+    sine, sine_s = np.sqrt(1 - refracted[first] ** 2), np.sqrt(1 - second * second)
+    r = np.sqrt(np.maximum(0.0, sine * sine + sine_s * sine_s - 2 * sine * sine_s * third))
+    values = ratio(Directions(cos_i[first], refracted[first], second, third, r))
+    return RatioTable(np.ascontiguousarray(np.broadcast_to(values, nodes)), axes="cosines", fixed=True)
+
+
+def over_radius(ratio: Callable[[Directions], np.ndarray], sine_ratio: float) -> RatioTable:
+    """The same over the cosine of the specular direction, log r and ψ, for what depends on r."""
+    cosine = np.linspace(0, 1, RADIAL[0])[:, None, None]
+    cos_i, refracted = _incidence(cosine, sine_ratio)
+    r = np.geomspace(R_MIN, 2, RADIAL[1])[None, :, None]
+    psi = np.linspace(0, np.pi, RADIAL[2])[None, None, :]
+    sine = np.sqrt(1 - cosine * cosine)
+    along, across = sine + r * np.cos(psi), r * np.sin(psi)
+    beta = np.hypot(along, across)
+    cos_s = np.sqrt(np.maximum(0.0, 1 - beta * beta))
+    cos_phi = np.divide(along, beta, out=np.ones_like(beta), where=beta > 0)
+    values = ratio(Directions(cos_i, refracted, cos_s, cos_phi, r))
+    return RatioTable(np.ascontiguousarray(np.broadcast_to(values, RADIAL)), R_MIN)
+
+
+def _incidence(cosine: np.ndarray, sine_ratio: float) -> tuple[np.ndarray, np.ndarray]:
+    """Cosines of incidence and of the specular direction at nodes of the latter, into some of which no light goes."""
+    cosine = np.maximum(cosine, GRAZING)
+    cos_i = np.sqrt(np.maximum(GRAZING**2, 1 - sine_ratio**2 * (1 - cosine * cosine)))
+    return cos_i, np.sqrt(np.maximum(GRAZING**2, 1 - (1 - cos_i * cos_i) / sine_ratio**2))

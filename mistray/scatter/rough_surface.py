@@ -1,0 +1,207 @@
+"""Surfaces given by a roughness spectrum: the theories of how they scatter, whatever the spectrum is."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, dataclass, replace
+from functools import lru_cache
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics import generalized_harvey_shack as ghs
+from mistray.physics import rayleigh_rice
+from mistray.scatter.harvey_shack import index_step, need_smooth
+from mistray.scatter.lobe import Lobe, Placement, RatioTable
+from mistray.scatter.ratio_tables import Directions, over_cosines
+
+# Of the tables' variables: cosine of the specular direction, cosine of the scattered direction and azimuth. Refraction
+# into glass puts the last ten degrees of incidence between few cosines of the refracted beam.
+SCALAR, REFRACTED = (257, 129, 2), (257, 129, 13)
+REFLECTED = (65, 65, 33)
+
+
+def substrate_index(text: str, title: str) -> complex:
+    """N + ik of a substrate from its text, ``0.96+6.69i``; the error message starts with `title`."""
+    try:
+        return complex(text.replace(" ", "").replace("i", "j"))
+    except ValueError:
+        raise MistrayError(f"{title}: substrate is '{text}'; write n+ik as 0.96+6.69i") from None
+
+
+@dataclass(frozen=True)
+class RoughSurface(Placement):
+    """
+    Base of the models that are given by a roughness spectrum.
+
+    The scatter of each event and side follows from its own path difference per height of the surface. β is taken in the
+    medium of the scattered light, where its spatial frequency is f = n |β - β0|/λ. Equations and sources:
+    `mistray.physics.generalized_harvey_shack` and `mistray.physics.rayleigh_rice`.
+
+    Attributes
+    ----------
+    theory : {"ghs", "rayleigh_rice", "rayleigh_rice_vector"}
+        Generalised Harvey-Shack for smooth surfaces; Rayleigh-Rice with R as polarisation factor (reflection only); the
+        same with the vector Q of a bare surface. In transmission the last one alone is right far from the specular
+        direction, where the others are too low.
+    substrate : complex, optional
+        n + ik of what reflects, for "rayleigh_rice_vector", where it is not the medium on the other side: of a mirror.
+
+    Raises
+    ------
+    MistrayError
+        If parameters do not go together. `lobes` raises it for a surface that is too rough for the theory at a
+        wavelength.
+    """
+
+    _: KW_ONLY
+    theory: str = "ghs"
+    substrate: complex | None = None
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        theories = list(self._theories())
+        if self.theory not in theories:
+            raise MistrayError(
+                f"{self.title}: theory is '{self.theory}'; use {', '.join(theories[:-1])} or {theories[-1]}"
+            )
+        if self.theory == "rayleigh_rice" and self.event != "reflection":
+            raise MistrayError(
+                f"{self.title}: theory rayleigh_rice is about reflection, event is '{self.event}'; set event to "
+                "'reflection' or theory to rayleigh_rice_vector"
+            )
+        if self.substrate is not None:
+            if self.theory != "rayleigh_rice_vector":
+                raise MistrayError(f"{self.title}: substrate goes with theory rayleigh_rice_vector; leave it out")
+            n = complex(self.substrate)
+            if not (math.isfinite(n.real) and math.isfinite(n.imag) and n.real > 0 and n.imag >= 0):
+                raise MistrayError(f"{self.title}: substrate is {n:g}; give n + ik with n > 0 and k ≥ 0")
+
+    def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
+        """
+        Two-dimensional roughness spectrum: a function of the spatial frequency, 1/µm → µm⁴.
+
+        Parameters
+        ----------
+        wavelength_nm : float
+            Vacuum wavelength, for spectra whose numbers depend on it.
+        """
+        raise NotImplementedError
+
+    def relevant_rms_um(self, wavelength_nm: float, n: float) -> float:
+        """Roughness of the frequencies that scatter into the half space at normal incidence, 0 … n/λ, µm."""
+        raise NotImplementedError
+
+    @property
+    def is_smooth_as_glass(self) -> bool:
+        """Whether there is no roughness at all."""
+        raise NotImplementedError
+
+    rougher = "use a paint or a table of measured values"
+    """What a surface that is too rough is told to use."""
+
+    def _theories(self) -> Mapping[str, Callable[[str, float, float, float], Lobe]]:
+        """Name → what makes the lobe of an event from it, the wavelength in nm, n_in and n_out."""
+        return {"ghs": self._smooth, "rayleigh_rice": self._scalar, "rayleigh_rice_vector": self._vector}
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        """At most one lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""
+        if self.is_smooth_as_glass:
+            return ()
+        make = self._theories()[self.theory]
+        return tuple(
+            make(event, wavelength_nm, n_in, n_out)
+            for event in self.events(from_front)
+            if index_step(event, n_in, n_out) > 0
+        )
+
+    def _spectrum(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Callable:
+        """PSD over r, µm⁴, after the check that the surface is smooth."""
+        wavelength_um, n = wavelength_nm * 1e-3, n_in if event == "reflection" else n_out
+        rms_um, psd = self.relevant_rms_um(wavelength_nm, n), self.psd(wavelength_nm)
+        need_smooth(self.title, event, rms_um, wavelength_um, index_step(event, n_in, n_out), self.rougher)
+        return lambda r: psd(n * r / wavelength_um)
+
+    def _smooth(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
+        """First order of the generalised Harvey-Shack theory."""
+        psd = self._spectrum(event, wavelength_nm, n_in, n_out)
+        wavelength_um, step = wavelength_nm * 1e-3, index_step(event, n_in, n_out)
+        n = n_in if event == "reflection" else n_out
+
+        def profile(r: np.ndarray) -> np.ndarray:
+            return np.asarray(ghs.smooth(step, psd(r), wavelength_um, n))
+
+        if event == "reflection":
+            return Lobe(event, profile, shares=self.shares, factor="ghs")
+        return Lobe(event, profile, shares=self.shares, ratio=_path_growth(n_in, n_out))
+
+    def _scalar(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
+        """The Rayleigh-Rice theory with R of the coating as polarisation factor."""
+        psd, in_medium_um = self._spectrum(event, wavelength_nm, n_in, n_out), wavelength_nm * 1e-3 / n_in
+        return Lobe(
+            event,
+            lambda r: np.asarray(rayleigh_rice.brdf(1.0, 1.0, 1.0, psd(r), in_medium_um)),
+            shares=self.shares,
+            factor="rayleigh_rice",
+        )
+
+    def _vector(self, event: str, wavelength_nm: float, n_in: float, n_out: float) -> Lobe:
+        """The Rayleigh-Rice theory with Q, over R or T of the bare surface if that of the coating is multiplied."""
+        absolute = self.relative_to == "incident"
+        if event == "reflection":
+            index = (self.substrate or n_out) / n_in
+            if index == 1:
+                raise MistrayError(
+                    f"{self.title}: indices are {n_in:g} on both sides, which has no reflection; give the substrate, "
+                    "or event 'transmission'"
+                )
+            lobe = self._scalar(event, wavelength_nm, n_in, n_out)
+            return replace(lobe, ratio=_reflected_polarization(index, absolute))
+        psd, step = self._spectrum(event, wavelength_nm, n_in, n_out), index_step(event, n_in, n_out)
+        return Lobe(
+            event,
+            lambda r: np.asarray(ghs.smooth(step, psd(r), wavelength_nm * 1e-3, n_out)),
+            shares=self.shares,
+            ratio=_transmitted_polarization(n_in, n_out, absolute),
+        )
+
+
+# The ratios that no roughness changes: one table for all surfaces between two materials
+
+
+@lru_cache(maxsize=32)
+def _path_growth(n_in: float, n_out: float) -> RatioTable:
+    """Square of the path difference in transmission over that at normal incidence."""
+    step = index_step("transmission", n_in, n_out)
+
+    def ratio(at: Directions) -> np.ndarray:
+        return np.asarray((ghs.path_in_transmission(at.cos_i, at.cos_s, n_in, n_out) / step) ** 2)
+
+    return over_cosines(ratio, n_out / n_in, SCALAR)
+
+
+@lru_cache(maxsize=32)
+def _reflected_polarization(index: complex, absolute: bool) -> RatioTable:
+    """Q of a bare surface in reflection; `index` is relative to the medium of the light."""
+
+    def ratio(at: Directions) -> np.ndarray:
+        q = rayleigh_rice.polarization_factor(at.cos_i, at.cos_s, at.cos_phi, index)
+        whole = rayleigh_rice.polarization_factor(at.cos_i, at.cos_i, np.ones_like(at.cos_i), index)
+        return np.asarray(q if absolute else q / whole)
+
+    return over_cosines(ratio, 1.0, REFLECTED)
+
+
+@lru_cache(maxsize=32)
+def _transmitted_polarization(n_in: float, n_out: float, absolute: bool) -> RatioTable:
+    """Q in transmission, with the square of the path difference over that at normal incidence."""
+    step = index_step("transmission", n_in, n_out)
+
+    def ratio(at: Directions) -> np.ndarray:
+        q = rayleigh_rice.transmitted_factor(at.cos_i, at.cos_s, at.cos_phi, n_out / n_in)
+        whole = rayleigh_rice.transmitted_factor(at.cos_i, at.cos_specular, np.ones_like(at.cos_i), n_out / n_in)
+        path = ghs.path_in_transmission(at.cos_i, at.cos_specular, n_in, n_out)
+        return np.asarray((path / step) ** 2 * (q if absolute else q / whole))
+
+    return over_cosines(ratio, n_out / n_in, REFRACTED)

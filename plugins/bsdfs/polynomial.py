@@ -1,0 +1,88 @@
+"""Plugin `polynomial`: a polynomial or binomial fit to measured scatter."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.physics import polynomial
+from mistray.plugins.bsdfs.lobe_pair import Pair
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter import Lobe
+from mistray.scatter.polynomial import D, carrier, is_coefficient, sums_of
+from mistray.scatter.polynomial import Polynomial as Model
+
+
+class Polynomial(Scatterer):
+    r"""
+    Polynomial scatter (:monosp:`polynomial`): log10 BSDF = Σ c (U+W)^i (U W)^j V^k + Σ l V^k log10(1 + d^j T).
+
+    U = \|β\|², W = \|β0\|², V = β·β0 and T = \|β - β0\|²: the invariants of an isotropic surface, as in the Polynomial
+    and the Binomial (no j in the first sum) of FRED. Nested in an ``interface`` it scatters a share of what that
+    reflects and transmits. By itself it is an interface with constant R and T.
+
+    ================= ======= ============ ========== ==========================================================
+    parameter         unit    range        default    meaning
+    ================= ======= ============ ========== ==========================================================
+    c000              1       any          required   log10 of the BSDF at normal incidence along the specular
+                                                      direction, 1/sr (differentiable)
+    c100, c010, c001  1       any          0          and all others of three digits ijk: coefficients of
+                                                      (U+W)^i (U W)^j V^k (differentiable)
+    l10, l11          1       any          0          and all others of two digits jk: coefficients of
+                                                      V^k log10(1 + d^j T) (differentiable)
+    d                 1       > 0          1e4        the Lorentzian part bends at \|β - β0\| = d^(-j/2)
+                                                      (differentiable)
+    event             string               both       what scatters: ``reflection``, ``transmission`` or
+                                                      ``both``
+    side              string               both       side from which light is scattered: ``front``, ``back``,
+                                                      ``both``
+    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
+                                                      incident light (``incident``), then taken from what is
+                                                      absorbed
+    R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
+                                                      with T or with ``relative_to`` ``incident``
+    T                 1       0 … 1        0          by itself only: transmittance (differentiable)
+    front, back       string               air        by itself only: materials, see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
+    mirror            bool                 false      by itself only; see ``interface``
+    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    ================= ======= ============ ========== ==========================================================
+
+    Reciprocal in reflection where R is constant. A fit may rise where it was not fitted: look at it with ``mistray
+    bsdf`` up to grazing angles. Source: see `mistray.physics.polynomial`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <float name="R" value="0.1"/>
+            <bsdf type="polynomial">
+                <float name="c000" value="-0.5"/><float name="c100" value="-0.4"/><float name="l10" value="-0.7"/>
+            </bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "polynomial", "c000": -0.5, "c100": -0.4, "l10": -0.7, "R": 0.1}
+    """
+
+    kind = "polynomial"
+
+    def _read(self, props: mi.Properties) -> None:
+        others = sorted(name for name in props.keys() if is_coefficient(name) and name != "c000")  # noqa: SIM118
+        self._take(props, "c000", **dict.fromkeys(others, 0.0), d=D)
+
+    def _model_of(self, **values: float) -> Model:
+        return Model.of(**values, name=self.name, **self._placement)
+
+    def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
+        return carrier(r, self.values, self.values["d"])
+
+    def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
+        u, w = dr.squared_norm(pair.s.xy), dr.squared_norm(pair.centre(lobe).xy)
+        v = dr.dot(pair.s.xy, pair.centre(lobe).xy)
+        whole = polynomial.bsdf((u + w, u * w, v), r * r, *sums_of(self.values), self.values["d"])
+        return whole / self.profile(lobe, r, pair, wavelength_nm)
+
+
+mi.register_bsdf("polynomial", lambda props: Polynomial(props))

@@ -1,0 +1,85 @@
+"""Plugin `psd_table`: scatter of a surface of measured roughness spectrum."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.plugins.bsdfs.interface import _resolve
+from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.scatter.psd_table import PsdTable as Model
+from mistray.scatter.rough_surface import substrate_index
+
+
+class PsdTable(Scatterer):
+    r"""
+    Scatter of a measured roughness spectrum (:monosp:`psd_table`): a PSD interpolated in a file.
+
+    Nested in an ``interface`` it scatters a share of what that reflects and transmits. By itself it is an interface
+    with constant R and T. What the surface scatters follows from the indices on its sides by the generalised
+    Harvey-Shack or by the Rayleigh-Rice theory; a surface that is too rough for the theory is refused.
+
+    ================= ======= ============ ========== ==========================================================
+    parameter         unit    range        default    meaning
+    ================= ======= ============ ========== ==========================================================
+    file              file                 required   CSV of spatial frequencies and of the two-dimensional
+                                                      spectrum, see docs/scatter.md
+    beyond            string               error      above the last frequency: ``error``, ``slope`` (the power
+                                                      law goes on), or ``zero``
+    scale             1       ≥ 0          1          factor of the spectrum (differentiable)
+    theory            string               ghs        ``ghs``, ``rayleigh_rice`` or ``rayleigh_rice_vector``
+    substrate         string               back       n+ik of the substrate for ``rayleigh_rice_vector``:
+                                                      ``0.96+6.69i``
+    event             string               both       what scatters: ``reflection``, ``transmission`` or
+                                                      ``both``
+    side              string               both       side from which light is scattered: ``front``, ``back``,
+                                                      ``both``
+    relative_to       string               specular   BSDF by unit of R and T (``specular``) or by unit of
+                                                      incident light (``incident``), then taken from what is
+                                                      absorbed
+    R                 1       0 … 1        1          by itself only: reflectance (differentiable); by default 0
+                                                      with T or with ``relative_to`` ``incident``
+    T                 1       0 … 1        0          by itself only: transmittance (differentiable)
+    front, back       string               air        by itself only: materials, see ``interface``
+    n_front_shift     1       ±            0          by itself only; see ``interface`` (differentiable)
+    n_back_shift      1       ±            0          by itself only; see ``interface`` (differentiable)
+    mirror            bool                 false      by itself only; see ``interface``
+    wavelength_nm     nm      > 0          550        by itself only; see ``interface``
+    ================= ======= ============ ========== ==========================================================
+
+    Reciprocal in reflection where R is constant and the theory is not ``rayleigh_rice_vector``. Source: see
+    `mistray.scatter.rough_surface`.
+
+    .. code-block:: xml
+
+        <bsdf type="interface">
+            <string name="back" value="N-BK7"/>
+            <bsdf type="psd_table">
+                <string name="file" value="polish.csv"/><string name="beyond" value="slope"/>
+            </bsdf>
+        </bsdf>
+
+    .. code-block:: python
+
+        {"type": "psd_table", "file": "polish.csv", "beyond": "slope", "R": 0.95}
+    """
+
+    kind = "psd_table"
+
+    def _read(self, props: mi.Properties) -> None:
+        if "file" not in props:
+            raise MistrayError(f"{self.title}: file is missing; name a .csv file of the spectrum")
+        self._take(props, scale=1.0)
+        options = {key: str(props.get(key)) for key in ("beyond", "theory") if key in props}
+        substrate = substrate_index(str(props.get("substrate")), self.title) if "substrate" in props else None
+        self._read_model = Model.read(
+            _resolve(str(props.get("file"))), substrate=substrate, name=self.name, **options, **self._placement
+        )
+
+    def _model_of(self, **values: float) -> Model:
+        return replace(self._read_model, **values)
+
+
+mi.register_bsdf("psd_table", lambda props: PsdTable(props))
