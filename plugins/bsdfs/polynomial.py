@@ -49,8 +49,8 @@ class Polynomial(Scatterer):
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    Reciprocal in reflection where R is constant. A fit may rise where it was not fitted: look at it with ``mistray
-    bsdf`` up to grazing angles. Source: see `mistray.physics.polynomial`.
+    Reciprocal in reflection where R is constant. A fit may rise where it was not fitted: look at it up to grazing
+    angles with ``mistray bsdf``. Source: see `mistray.physics.polynomial`.
 
     .. code-block:: xml
 
