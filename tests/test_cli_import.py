@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 from xml.etree import ElementTree
 
@@ -206,3 +207,38 @@ def test_what_makes_no_sense_is_refused(capsys, tmp_path, monkeypatch, name, opt
     Path(name).write_text(ZMX)
     assert message in fails(capsys, name, *options)
     assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+class TestLight:
+    """Whether the light of the source arrives."""
+
+    def test_share(self, capsys, zmx, tmp_path):
+        code, out, _ = run(capsys, zmx, "-o", tmp_path / "lens.xml", "--json")
+        assert code == 0
+        # Two bare faces of N-BK7 at the d line, the detector absorbs all
+        assert json.loads(out)["arriving_share"] == pytest.approx((1 - (0.5168 / 2.5168) ** 2) ** 2, rel=2e-3)
+
+    def test_none(self, capsys, tmp_path):
+        """A plate in the beam: batoid drops what it obscures, and here everything is obscured."""
+        pytest.importorskip("batoid")
+        path = tmp_path / "dark.yaml"
+        path.write_text(
+            """
+            opticalSystem:
+              type: CompoundOptic
+              name: dark
+              pupilSize: 0.1
+              items:
+                - {type: Baffle, name: lid, surface: {type: Plane}, coordSys: {z: 2.0},
+                   obscuration: {type: ObscCircle, radius: 0.2}}
+                - {type: Detector, name: D, surface: {type: Plane}, obscuration: {type: ClearCircle, radius: 0.1}}
+            """
+        )
+        output = tmp_path / "dark.xml"
+        code, out, err = run(capsys, path, "-o", output, "--wavelength-nm", "500")
+        assert code == 2
+        assert err.count("\n") == 1
+        assert "'lid' takes 100 %" in err
+        assert str(output) in err
+        assert "lid" in shapes(output)
+        assert str(output) in out

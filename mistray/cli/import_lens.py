@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.cli import import_mechanics
 from mistray.cli.arguments import RAW, finite, positive
+from mistray.cli.arriving import arriving
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
@@ -42,7 +43,8 @@ def add(commands: Any) -> None:
         "import",
         help="turn a lens file or mechanics into a scene",
         description="Read a lens or mechanics and write them as a scene (Mitsuba XML). Lines of the file that have no "
-        "effect are listed.",
+        "effect are listed. Where no light of the source reaches the detector the scene is written, the exit code is 2 "
+        "and a line says what takes the light.",
         epilog="examples:\n"
         "  mistray import triplet.zmx -o triplet.xml --edges ground\n"
         "  mistray import triplet.seq --radius-mode yes\n"
@@ -106,19 +108,22 @@ def run(options: argparse.Namespace) -> int:
         prescription, record = built.prescription, _record(built)
     else:
         prescription = _from_json(lens, options) if kind == "json" else _from_batoid(lens, options)
-        record = {"notes": [], "unread": []}
+        record = {"notes": prescription.provenance.splitlines()[1:], "unread": []}
     from mistray.prescription.from_files import beside
 
     beside(prescription, output.parent).to_xml(output)
     shapes = sum(1 for _ in prescription.shapes())
-    record = {"name": prescription.name, "surfaces": shapes, **record}
+    angles = _angles(record, prescription)
+    light = arriving(output)
+    record = {"name": prescription.name, "surfaces": shapes, **record, "arriving_share": light.share}
     if options.json:
         from mistray.cli.tracing_arguments import print_json
         from mistray.report.json_values import plain
 
         print_json(plain(record), [output])
     else:
-        print(_text(record, _angles(record, prescription), lens, output))
+        print(_text(record, angles, lens, output))
+    light.require()
     return 0
 
 

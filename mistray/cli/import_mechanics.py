@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import count, finite, positive
+from mistray.cli.arriving import arriving
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
 
@@ -94,6 +95,8 @@ def run(options: argparse.Namespace) -> int:
         print_json(record, [output, *files])
     else:
         print(_text(record, output, traceable=bool(options.into)))
+    if options.into:
+        arriving(output).require()
     return 0
 
 

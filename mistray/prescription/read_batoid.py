@@ -6,21 +6,23 @@ positions on the detector compare directly; the source is turned by 180° about 
 
 batoid traces sequentially and drops what falls outside of a clear aperture. Here every consecutive run of refracting
 surfaces, the detector included, is closed into one black tube (`barrel`), so that light clipped in the camera is
-absorbed
-as it is there. Light that misses a mirror escapes. A non-sequential ray may also meet a surface out of turn, for
-example the outside of the camera's tube on its way from the secondary to the tertiary; batoid cannot see that.
+absorbed as it is there. Light that misses a mirror escapes. A non-sequential ray may also meet a surface out of turn,
+for example the outside of the camera's tube on its way from the secondary to the tertiary; batoid cannot see that.
+Baffles are open where the light of the design crosses them out of turn, see `batoid_baffles`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.pose import fixed_angles_deg
+from mistray.prescription.batoid_baffles import DesignLight, without
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel
 from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
@@ -53,13 +55,15 @@ def from_batoid(
         R of every refracting surface (T = 1 - R) and of the detector; ``None``: batoid's own coatings, which by default
         reflect nothing, so that there are no ghosts.
     baffle_radius : float or None
-        Outer radius in mm of baffles that batoid describes by their opening alone.
+        Outer radius in mm of baffles that batoid describes by their opening alone. ``None``: they reach as far as the
+        beam that they shade.
 
     Returns
     -------
     Prescription
         With a round or annular source that fills the pupil as `batoid.RayVector.asPolar` does by default: radii
-        ``pupilSize/2`` and ``pupilSize * pupilObscuration/2`` in the plane of the stop surface.
+        ``pupilSize/2`` and ``pupilSize * pupilObscuration/2`` in the plane of the stop surface. `provenance` names the
+        baffles that got a hole or an outer radius here.
 
     Raises
     ------
@@ -70,7 +74,8 @@ def from_batoid(
         import batoid
     except ImportError:
         raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
-    reader = _Reader(batoid, wavelength_nm, reflectance, baffle_radius)
+    source = _source(optic, wavelength_nm)
+    reader = _Reader(batoid, optic, wavelength_nm, reflectance, baffle_radius)
     for element in _elements(optic):
         reader.add(element)
     reader.close_group()
@@ -79,8 +84,10 @@ def from_batoid(
         surfaces=tuple(reader.surfaces),
         structures=tuple(reader.structures),
         detector=reader.detector,
-        source=_source(optic, wavelength_nm),
-        provenance=f"From batoid {batoid.__version__}, optic '{optic.name}', at {wavelength_nm:g} nm.",
+        source=source,
+        provenance="\n".join(
+            [f"From batoid {batoid.__version__}, optic '{optic.name}', at {wavelength_nm:g} nm.", *reader.notes]
+        ),
     )
 
 
@@ -100,7 +107,7 @@ def _elements(optic: Any) -> Iterator[tuple[str, Any]]:
 def _source(optic: Any, wavelength_nm: float) -> Source:
     size = getattr(optic, "pupilSize", None)
     if not size:
-        raise MistrayError(f"batoid optic '{optic.name}': it has no pupilSize; set it, in metres")
+        raise MistrayError(f"batoid element '{optic.name}': it has no pupilSize; set it, in metres")
     stop = getattr(optic, "stopSurface", None)
     origin = np.zeros(3) if stop is None else np.asarray(stop.coordSys.origin)
     x, y, z = (float(value) * M_TO_MM for value in origin)
@@ -121,6 +128,7 @@ class _Reader:
     """Collects surfaces and structures; knows the direction of light and the open group of refracting surfaces."""
 
     batoid: Any
+    optic: Any
     wavelength_nm: float
     reflectance: float | None
     baffle_radius: float | None
@@ -129,6 +137,12 @@ class _Reader:
     detector: Detector | None = None
     direction: np.ndarray = field(default_factory=lambda: np.array([0.0, 0.0, -1.0]))
     group: list[Surface] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
+
+    @cached_property
+    def light(self) -> DesignLight:
+        """The light of the design, for the baffles."""
+        return DesignLight(self.batoid, self.optic, self.wavelength_nm)
 
     def add(self, element: tuple[str, Any]) -> None:
         """Convert one interface."""
@@ -244,10 +258,17 @@ class _Reader:
 
     def _baffle(self, name: str, interface: Any) -> list[Structure]:
         """Opaque rings of a baffle, less those that stand there already: batoid lists one per passage of light."""
-        rings = self._rings(interface, interface.obscuration)
-        placing = self._placing(interface)
         if type(interface.surface).__name__ != "Plane":
             raise MistrayError(f"batoid element '{interface.name}': only plane baffles have a counterpart; remove it")
+        whole = self._rings(interface, interface.obscuration)
+        rings = without(whole, self.light.crossings(interface))
+        placing = self._placing(interface)
+        if rings != whole:
+            left = " and ".join(f"{inner * M_TO_MM:.6g} … {outer * M_TO_MM:.6g} mm" for inner, outer in rings)
+            self._note(
+                f"baffle '{interface.name}': light that reaches the detector crosses it out of turn; "
+                + (f"what is left of its plate is {left}" if rings else "it is left out")
+            )
         result: list[Structure] = []
         for number, (inner, outer) in enumerate(rings, start=1):
             ring_name = name if len(rings) == 1 else f"{name}_{number}"
@@ -257,6 +278,10 @@ class _Reader:
             ):
                 result.append(ring)
         return result
+
+    def _note(self, text: str) -> None:
+        if text not in self.notes:
+            self.notes.append(text)
 
     def _rings(self, interface: Any, obscuration: Any) -> list[tuple[float, float]]:
         """(inner, outer) radii in metres of what is opaque."""
@@ -273,12 +298,18 @@ class _Reader:
         inner, outer = (0.0, circle.radius) if isinstance(circle, o.ObscCircle) else (circle.inner, circle.outer)
         if not clear:
             return [(inner, outer)]
-        if self.baffle_radius is None or self.baffle_radius <= outer * M_TO_MM:
+        if self.baffle_radius is not None and self.baffle_radius <= outer * M_TO_MM:
             raise MistrayError(
-                f"batoid element '{interface.name}': only its opening of {outer * M_TO_MM:g} mm is known; "
-                "pass baffle_radius= in mm, greater than that"
+                f"batoid element '{interface.name}': its opening is {outer * M_TO_MM:g} mm; pass a baffle_radius= "
+                "greater than that"
             )
-        return [(0.0, inner)] * (inner > 0) + [(outer, self.baffle_radius / M_TO_MM)]
+        if self.baffle_radius is None:
+            end = self.light.beam_radius(interface)
+            what = f"its plate ends with the beam, at {end * M_TO_MM:.6g} mm" if end > outer else "it shades no beam"
+            self._note(f"baffle '{interface.name}': only its opening of {outer * M_TO_MM:.6g} mm is known; {what}")
+        else:
+            end = self.baffle_radius / M_TO_MM
+        return [(0.0, inner)] * (inner > 0) + [(outer, end)] * (end > outer)
 
 
 def _kind(obscuration: Any) -> str:

@@ -1,0 +1,135 @@
+"""Which parts of batoid's baffles stand in space: those that the light of the design does not cross.
+
+batoid applies a baffle at its own place in the sequence and nowhere else. The silhouette of a camera that shades the
+primary mirror is a full disc to it, which the light on its way to the camera never sees. A plate in space meets all
+light. So the plate has a hole where light that reaches the detector crosses its plane out of turn, and one of which
+batoid knows only the opening reaches as far out as the beam that it is to shade.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from typing import Any
+
+import numpy as np
+
+RADII, RAYS_AROUND = 40, 60  # of the bundles, as batoid lays them out
+SMALL_ANGLE, LARGEST_FIELD = 1e-4, math.radians(10.0)
+SAME_PLANE = 1e-9  # distance of a ray's point from a plane that it lies on, m
+MARGIN = 1e-3  # by which holes are wider than the rays that were traced, and plates than their beam
+
+Rings = list[tuple[float, float]]
+
+
+class DesignLight:
+    """
+    Rays from the centre and the edge of batoid's field through an optic, segment by segment.
+
+    Parameters
+    ----------
+    batoid : module
+    optic : batoid.Optic
+    wavelength_nm : float
+
+    Notes
+    -----
+    The edge of the field is where the centroid lies on the rim of the detector. All lengths are in metres.
+    """
+
+    def __init__(self, batoid: Any, optic: Any, wavelength_nm: float) -> None:
+        self._batoid, self._optic, self._wavelength = batoid, optic, wavelength_nm * 1e-9
+        edge = self._edge_of_field()
+        fields = {(0.0, 0.0), (edge, 0.0), (-edge, 0.0), (0.0, edge), (0.0, -edge)}
+        # Points (stations, rays, 3) of the bundles on one interface after the other, and whether they arrive
+        traced = [self._trace(*field) for field in sorted(fields)]
+        self._interfaces = traced[0][2]
+        self._points = np.concatenate([points for points, *_ in traced], axis=1)
+        self._arrives = np.concatenate([arrives for _, arrives, *_ in traced])
+
+    def _edge_of_field(self) -> float:
+        theta = SMALL_ANGLE
+        for _ in range(4):  # distortion is a small matter
+            points, arrives, interfaces = self._trace(0.0, theta)
+            radius = getattr(interfaces[-1], "outRadius", None)
+            if not radius or not arrives.any():
+                return 0.0
+            height = abs(float(np.mean(_local(interfaces[-1], points[-1])[arrives, 1])))
+            theta = min(theta * float(radius) / height if height > 0 else math.inf, LARGEST_FIELD)
+        return theta
+
+    def _trace(self, theta_x: float, theta_y: float) -> tuple[np.ndarray, np.ndarray, list[Any]]:
+        batoid, optic = self._batoid, self._optic
+        size = float(optic.pupilSize)
+        rays = batoid.RayVector.asPolar(
+            backDist=getattr(optic, "backDist", None),
+            medium=getattr(optic, "inMedium", None),
+            stopSurface=getattr(optic, "stopSurface", None),
+            coordSys=optic.coordSys,
+            outer=size / 2,
+            inner=size / 2 * (getattr(optic, "pupilObscuration", None) or 0.0),
+            wavelength=self._wavelength,
+            theta_x=theta_x,
+            theta_y=theta_y,
+            nrad=RADII,
+            naz=RAYS_AROUND,
+        )
+        world = batoid.CoordSys()
+        points, interfaces = [_points(rays, world)], list[Any]([None])
+        arrives = np.ones(len(rays), dtype=bool)
+        for step in optic.traceFull(rays).values():
+            out = step["out"]
+            points.append(_points(out, world))
+            interfaces.append(optic[str(step["name"])] if hasattr(optic, "items") else optic)
+            # What arrives may miss the detector: the edge of the field is on its rim
+            arrives = ~(np.array(step["in"].vignetted) | np.array(out.failed))
+        return np.array(points), arrives, interfaces
+
+    def beam_radius(self, interface: Any) -> float:
+        """Largest distance from the middle of a baffle at which batoid's rays meet it, in any of its turns, m."""
+        local = _local(interface, self._points)
+        there = local[np.nanmax(np.abs(local[..., 2]), axis=1) < SAME_PLANE]
+        return (1 + MARGIN) * float(np.nanmax(np.hypot(there[..., 0], there[..., 1])))
+
+    def crossings(self, interface: Any) -> Rings:
+        """(inner, outer) radii in the plane of a baffle between which arriving light crosses it out of turn, m."""
+        found = []
+        for number in range(len(self._points) - 1):
+            a, b = (_local(interface, self._points[k][self._arrives]) for k in (number, number + 1))
+            with np.errstate(invalid="ignore", divide="ignore"):
+                t = a[:, 2] / (a[:, 2] - b[:, 2])
+                through = (a[:, 2] * b[:, 2] < 0) & (np.minimum(abs(a[:, 2]), abs(b[:, 2])) > SAME_PLANE)
+            if not through.any():
+                continue
+            at = (a + t[:, None] * (b - a))[through]
+            radius = np.hypot(at[:, 0], at[:, 1])
+            inner, outer = (1 - MARGIN) * float(radius.min()), (1 + MARGIN) * float(radius.max())
+            ends = self._interfaces[number : number + 2]
+            if all(type(end).__name__ in ("RefractiveInterface", "Detector") for end in ends):
+                # Within a tube: the plate must not reach into it
+                inner, outer = 0.0, max(outer, *(float(end.outRadius) for end in ends))
+            found.append((inner, outer))
+        return found
+
+
+def without(rings: Iterable[tuple[float, float]], holes: Rings) -> Rings:
+    """What is left of rings (inner, outer) after cutting other rings out of them."""
+    left = list(rings)
+    for low, high in holes:
+        cut: Rings = []
+        for inner, outer in left:
+            cut += [(inner, min(outer, low))] if inner < min(outer, low) else []
+            cut += [(max(inner, high), outer)] if max(inner, high) < outer else []
+        left = cut
+    return left
+
+
+def _points(rays: Any, world: Any) -> np.ndarray:
+    there = rays.toCoordSys(world) if hasattr(rays, "toCoordSys") else rays
+    return np.array(there.r, dtype=np.float64)
+
+
+def _local(interface: Any, points: np.ndarray) -> np.ndarray:
+    """World points (…, 3) in the frame of an interface."""
+    frame = interface.coordSys
+    return np.asarray((points - np.asarray(frame.origin)) @ np.asarray(frame.rot))
