@@ -15,7 +15,7 @@ import sys
 from typing import TYPE_CHECKING, Any
 
 from mistray._variant import ensure_variant, set_threads
-from mistray.errors import MistrayError, UnfinishedError
+from mistray.errors import MistrayError, MistrayWarning, UnfinishedError
 
 if TYPE_CHECKING:
     from mistray import (
@@ -102,6 +102,7 @@ __all__ = [
     "GhostReport",
     "Metric",
     "MistrayError",
+    "MistrayWarning",
     "Objects",
     "Prescription",
     "Pst",

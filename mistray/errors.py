@@ -1,4 +1,4 @@
-"""The one error class that users are meant to see, and a kind of it that carries what was finished."""
+"""The error class that users are meant to see, a kind of it that carries what was finished, and the warning."""
 
 from __future__ import annotations
 
@@ -10,6 +10,10 @@ class MistrayError(ValueError):
 
     The command line prints it without a traceback and exits with code 2.
     """
+
+
+class MistrayWarning(UserWarning):
+    """Input that is possible but improbable; the message names the object, the value and what is usual, in one line."""
 
 
 class UnfinishedError(MistrayError):

@@ -7,6 +7,7 @@ import contextlib
 import os
 import shlex
 import sys
+import warnings
 from collections.abc import Sequence
 from typing import Any
 
@@ -73,7 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         with contextlib.suppress(AttributeError):  # a replaced stream, as in a notebook, has no encoding to speak of
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
     try:
-        code = _command(list(sys.argv[1:] if argv is None else argv))
+        with warnings.catch_warnings():
+            warnings.showwarning = _warn
+            code = _command(list(sys.argv[1:] if argv is None else argv))
         if sys.stdout is not None:  # None: closed from the start
             sys.stdout.flush()
         return code
@@ -126,6 +129,18 @@ def _drop_output() -> None:
     except (OSError, AttributeError):
         with contextlib.suppress(OSError, AttributeError):
             os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def _warn(
+    message: Warning | str,
+    category: type[Warning],
+    filename: str,
+    lineno: int,
+    file: Any = None,
+    line: str | None = None,
+) -> None:
+    """One line, without the place in the source."""
+    print(f"mistray: warning: {' '.join(str(message).split())}", file=sys.stderr)
 
 
 def _fail(message: str) -> int:

@@ -229,30 +229,3 @@ def abg_from_rms(
         a_unnormalised=tail,
         shortest_wavelength_um=shortest,
     )
-
-
-def advice(a: float, b: float, g: float) -> str | None:
-    """
-    What is unusual about the parameters.
-
-    Surfaces of optics have g of 1.5 … 3.5 and B of 1e-10 … 1e-6, paints B of 0.1 … 1 and g of 2 … 6; g = 0 is
-    Lambertian. Parameters fitted to a polished mirror may have a larger B, so this is advice and no error.
-
-    Parameters
-    ----------
-    a, b, g : float
-        As in `bsdf`.
-
-    Returns
-    -------
-    str or None
-        One line, or nothing to say.
-    """
-    optic = 1.5 <= g <= 3.5 and 1e-10 <= b <= 1e-6
-    paint = 2 <= g <= 6 and 0.1 <= b <= 1
-    if a == 0 or g == 0 or optic or paint:
-        return None
-    return (
-        f"B {b:g} and g {g:g} are outside of what is usual: B 1e-10 … 1e-6 with g 1.5 … 3.5 for optics, "
-        "B 0.1 … 1 with g 2 … 6 for paints, g 0 for a Lambertian surface"
-    )

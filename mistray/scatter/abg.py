@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mistray.errors import MistrayError
 from mistray.physics import abg
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import need_not_negative, need_positive
+from mistray.scatter.numbers import need_not_negative, need_positive, unusual, within
 
 SMALLEST_B = 1e-12
 
@@ -67,6 +67,19 @@ class ABg(Placement):
         )
 
     def advice(self) -> str | None:
-        """What is unusual about A, B and g, in one line, or nothing."""
-        text = abg.advice(self.A, self.B, self.g)
-        return None if text is None else f"{self.title}: {text}"
+        """
+        What is unusual about A, B, g and the total, in one line, or nothing.
+
+        Surfaces of optics have g of 1.5 … 3.5, mostly 2 … 3, and B of 1e-10 … 1e-6, paints B of 0.1 … 1 and g of 2 … 6;
+        g = 0 is Lambertian (webinar on stray light with TracePro, "Typical BSDF"). Parameters fitted to a polished
+        mirror may have a larger B, so this is advice and no error.
+        """
+        if self.A == 0 or self.g == 0:
+            return None
+        optic = within(self.g, 1.5, 3.5) and within(self.B, 1e-10, 1e-6)
+        paint = within(self.g, 2, 6) and within(self.B, 0.1, 1)
+        text = (
+            f"B {self.B:g} and g {self.g:g} are outside of what is usual: B 1e-10 … 1e-6 with g 1.5 … 3.5 for optics, "
+            "B 0.1 … 1 with g 2 … 6 for paints, g 0 for a Lambertian surface"
+        )
+        return unusual(self.title, None if optic or paint else text, total=abg.tis(self.A, self.B, self.g))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mistray.errors import MistrayError
 from mistray.physics import gaussian
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import need_positive
+from mistray.scatter.numbers import need_positive, unusual
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,6 @@ class Gaussian(Placement):
         )
 
     def advice(self) -> str | None:
-        """What is unusual about the width, in one line, or nothing."""
-        if self.width <= 1:
-            return None
-        return (
-            f"{self.title}: width {self.width:g} is more than the half space holds; a Lambertian surface is ABg of g 0"
-        )
+        """What is unusual about the width and the total, in one line, or nothing."""
+        text = f"width {self.width:g} is more than the half space holds; a Lambertian surface is ABg of g 0"
+        return unusual(self.title, text if self.width > 1 else None, total=self.total)

@@ -9,7 +9,7 @@ from typing import Any
 from mistray.errors import MistrayError
 from mistray.physics import harvey_shack
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import need_not_negative, need_positive
+from mistray.scatter.numbers import need_not_negative, need_positive, unusual, within
 
 
 def index_step(event: str, n_in: Any, n_out: Any) -> Any:
@@ -133,6 +133,7 @@ class HarveyShack(Placement):
 
     def advice(self) -> str | None:
         """What is unusual about l and s, in one line, or nothing: FRED's l 1e-4 … 1e-2, slopes of -3.5 … -0.5."""
-        if 1e-4 <= self.l <= 1e-2 and -3.5 <= self.s <= -0.5:
-            return None
-        return f"{self.title}: l {self.l:g} and s {self.s:g} are outside of what is usual: l 1e-4 … 1e-2, s -3.5 … -0.5"
+        usual = within(self.l, 1e-4, 1e-2) and -3.5 <= self.s <= -0.5
+        text = f"l {self.l:g} and s {self.s:g} are outside of what is usual: l 1e-4 … 1e-2, s -3.5 … -0.5"
+        total = 0.0 if self.b0 is None else float(harvey_shack.tis(self.b0, self.l, self.s))
+        return unusual(self.title, None if usual else text, total=total)

@@ -29,3 +29,38 @@ def need_not_negative(title: str, key: str, value: float, unit: str = "") -> Non
     """
     if not (math.isfinite(value) and value >= 0):
         raise MistrayError(f"{title}: {key} is {value:g}{unit}; give a number ≥ 0")
+
+
+SINGLE = 1e-6  # relative: what a number of a scene may have lost as a float32
+MOST_TOTAL = 0.9  # what is left of a specular beam is as good as nothing from here on
+
+
+def within(value: float, low: float, high: float) -> bool:
+    """Whether a number lies in a range, to the rounding of a scene's numbers."""
+    return low * (1 - SINGLE) <= value <= high * (1 + SINGLE)
+
+
+def unusual(title: str, *texts: str | None, total: float = 0.0) -> str | None:
+    """
+    Advice of a model in one line: what is unusual about its numbers, and a total that takes the whole beam.
+
+    Parameters
+    ----------
+    title : str
+        Of the model.
+    *texts : str or None
+        None where there is nothing to say.
+    total : float
+        Share that it scatters at normal incidence.
+
+    Returns
+    -------
+    str or None
+        Nothing, if nothing is unusual.
+    """
+    found = [text for text in texts if text is not None]
+    if total > MOST_TOTAL:
+        found.append(
+            f"TIS is {total:.3g} at normal incidence; usual is less than {MOST_TOTAL:g}, more than 1 is refused"
+        )
+    return f"{title}: {'; '.join(found)}" if found else None

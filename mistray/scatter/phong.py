@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from mistray.errors import MistrayError
 from mistray.physics import phong
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import need_not_negative
+from mistray.scatter.numbers import need_not_negative, unusual
 
 
 @dataclass(frozen=True)
@@ -56,3 +56,7 @@ class Phong(Placement):
             )
             for event in self.events(from_front)
         )
+
+    def advice(self) -> str | None:
+        """What is unusual about the total, in one line, or nothing."""
+        return unusual(self.title, total=phong.tis(self.b0, self.exponent))

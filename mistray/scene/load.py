@@ -5,16 +5,18 @@ from __future__ import annotations
 import difflib
 import os
 import os.path
+import warnings
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 
 from mistray._variant import ensure_variant
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, MistrayWarning
 from mistray.materials.mate import shown
 from mistray.scene.check import check_overlaps
 from mistray.scene.depth import check_depth
+from mistray.scene.improbable import improbable
 from mistray.scene.messages import explain, is_interrupt
 from mistray.scene.source import remember
 
@@ -44,6 +46,11 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     MistrayError
         If the file is missing or nested too deeply, Mitsuba cannot read it or surfaces overlap; the message is one
         line.
+
+    Warns
+    -----
+    MistrayWarning
+        For each scatter model with improbable numbers, see `mistray.scene.improbable`.
     """
     ensure_variant()
     given = source if isinstance(source, dict) else find(source)
@@ -59,6 +66,8 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f'scene: the dict describes a {type(scene).__name__}; add "type": "scene" at its top')
     check_overlaps(scene)
+    for text in improbable(scene):
+        warnings.warn(text, MistrayWarning, stacklevel=2)
     remember(scene, given)
     return scene
 

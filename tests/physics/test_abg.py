@@ -159,13 +159,6 @@ def test_abg_from_rms_refuses(change: dict[str, float], message: str) -> None:
         abg.abg_from_rms(**{**SHEET, **change})
 
 
-def test_advice() -> None:
-    for a, b, g in [(1, 1e-8, 2.5), (1, 0.5, 4), (1, 7, 0), (0, 7, 9)]:
-        assert abg.advice(a, b, g) is None
-    for a, b, g in [(1, 1e-3, 1.8), (1, 1e-8, 4), (1, 1e-8, 1), (1, 0.5, 1.5)]:
-        assert f"B {b:g} and g {g:g}" in str(abg.advice(a, b, g))
-
-
 @pytest.mark.parametrize("g", [0.0, 0.5, 1.8, 3.0])
 def test_drjit(g: float) -> None:
     """Values to the rounding of float32, and gradients in A, B and g, also at the peak."""

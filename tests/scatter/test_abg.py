@@ -99,5 +99,9 @@ def test_lambertian_needs_no_b() -> None:
 
 
 def test_advice() -> None:
-    assert ABg(1.0, 1e-8, 2.0).advice() is None
+    for a, b, g in [(1e-4, 1e-8, 2.5), (1e-4, float(np.float32(1e-6)), 2), (0.1, 0.5, 4), (0.3, 7, 0), (0, 7, 9)]:
+        assert ABg(a, b, g).advice() is None
+    for a, b, g in [(1e-4, 1e-3, 1.8), (1e-9, 1e-8, 4), (1e-4, 1e-8, 1), (0.1, 0.5, 1.5)]:
+        assert f"B {b:g} and g {g:g}" in str(ABg(a, b, g).advice())
+    assert "TIS is 57.9" in str(ABg(1.0, 1e-8, 2.0).advice())  # π ln(1 + 1/B)
     assert str(ABg(1.0, 1e-3, 1.8, name="lens").advice()).startswith("ABg 'lens': B 0.001 and g 1.8")

@@ -53,4 +53,5 @@ def test_refuses(arguments: tuple[float, float], message: str) -> None:
 
 def test_advice() -> None:
     assert Gaussian(0.1, 0.5).advice() is None
+    assert "TIS is 0.95" in str(Gaussian(0.95, 0.5).advice())
     assert "width 2" in str(Gaussian(0.1, 2.0).advice())

@@ -116,5 +116,7 @@ def test_refuses_what_is_not_smooth() -> None:
 
 def test_advice() -> None:
     assert HarveyShack(1.0).advice() is None
+    assert HarveyShack(1.0, l=float(np.float32(0.01))).advice() is None
+    assert "TIS is" in str(HarveyShack(100.0).advice())
     assert "l 0.5 and s -1.5" in str(HarveyShack(1.0, l=0.5).advice())
     assert "s -5" in str(HarveyShack(1.0, s=-5.0).advice())

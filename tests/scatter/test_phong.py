@@ -63,3 +63,8 @@ def test_events() -> None:
 def test_refuses(arguments: tuple[float, float], message: str) -> None:
     with pytest.raises(MistrayError, match=message):
         Phong(*arguments)
+
+
+def test_advice() -> None:
+    assert Phong(0.1, 16.0).advice() is None
+    assert "TIS is 1.05" in str(Phong(3.0, 16.0).advice())  # 6π/18

@@ -1,0 +1,37 @@
+"""Scatter models of a scene whose numbers are allowed but improbable: a slip of a decimal point, or of a unit."""
+
+from __future__ import annotations
+
+import mitsuba as mi
+
+MOST_NAMED = 3  # surfaces of one model in a message
+
+
+def improbable(scene: mi.Scene) -> list[str]:
+    """
+    What is unusual about the scatter models of a scene.
+
+    Each model says for itself what it finds unusual, in `advice`; a model that several surfaces share speaks once.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+
+    Returns
+    -------
+    list of str
+        One line for each such model: the surfaces, the values and the usual range.
+    """
+    found: dict[int, tuple[str, list[str]]] = {}
+    for shape in scene.shapes():
+        for plugin in getattr(shape.bsdf(), "scatterers", ()):
+            advice = getattr(plugin.model, "advice", lambda: None)()
+            if advice is not None:
+                found.setdefault(id(plugin), (advice, []))[1].append(shape.id())
+    return [f"{_surfaces(names)}: {advice}" for advice, names in found.values()]
+
+
+def _surfaces(names: list[str]) -> str:
+    named = ", ".join(f"'{name}'" for name in names[:MOST_NAMED])
+    more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
+    return f"surface{'s' if len(names) > 1 else ''} {named}{more}"
