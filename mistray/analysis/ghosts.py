@@ -19,11 +19,13 @@ import numpy.typing as npt
 import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.irradiance import Map, MapStatistics, mirror_asymmetry, pixel_size, statistics
 from mistray.analysis.path_maps import FieldMaps, PathMap
 from mistray.analysis.pool import by_path
 from mistray.analysis.ranking import DirectImage, direct_image, ranked
 from mistray.analysis.scatter_surfaces import scatter_surfaces
+from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.trace import Settings, Trace, trace
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
@@ -252,6 +254,18 @@ class GhostReport(Mapping[float, Trace]):
         if wavelength_nm is not None:
             rows = rows[rows.wavelength_nm == self._known(wavelength_nm)]
         return scatter_surfaces(self[field_deg], rows)
+
+    def stray_levels(self, field_deg: float, by: str = "scatter") -> pd.DataFrame:
+        """
+        Stray light of a field by level of scatter or of splitting and by critical surface.
+
+        See `mistray.analysis.stray_levels.stray_levels` for the columns and for `by`.
+        """
+        return stray_levels(self[field_deg], self._rows(self[field_deg]), by)
+
+    def filtered(self, field_deg: float, selection: str) -> Filtered:
+        """Paths of a field that pass a filter, see `mistray.trace.path_filter`, and their power together."""
+        return filtered(self[field_deg], self._rows(self[field_deg]), selection)
 
     def power_of(self, field_deg: float, rows: pd.DataFrame) -> Estimate:
         """Power of some rows of a table of this field together, W; the error is that of the sum."""

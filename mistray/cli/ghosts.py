@@ -62,6 +62,11 @@ def add(commands: Any) -> None:
     formats = (*TABLE_FORMATS, *MAP_FORMATS)
     output = add_output(parser, "report.html, CSV, PNG and path-sort files", formats=formats)
     output.add_argument("--per-wavelength", action="store_true", help="add paths and ledgers at each wavelength")
+    output.add_argument("--levels", action="store_true",
+                        help="print stray light by level of scatter or splitting and by critical surface")  # fmt: skip
+    output.add_argument("--filter", metavar="EXPR",
+                        help="add the paths that pass a filter, such as 'G(lens*) & !S' (docs/rays.md), and with --out "
+                        "filtered_paths.csv and filtered_rays.csv")  # fmt: skip
     colour = parser.add_argument_group("colour pictures (need --out and three wavelengths or more)")
     colour.add_argument("--colour", action="store_true", help="draw the ghosts as a photograph would show them")
     colour.add_argument("--stops", type=finite, metavar="S",
@@ -80,11 +85,14 @@ def run(options: argparse.Namespace) -> int:
     start_mitsuba(options)
     from mistray.analysis import ghosts
     from mistray.report import main_table
+    from mistray.report.level_tables import filter_text, level_text
     from mistray.scene import load
+    from mistray.trace.path_filter import PathFilter
 
     check_weights(options)
     check_formats(options)
     look = _look(options)
+    PathFilter(options.filter or "")  # an error in its text shows before the trace
     claim_output(options)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
@@ -106,20 +114,42 @@ def run(options: argparse.Namespace) -> int:
                     progress=progress,
                     **settings_of(options),
                 )
+            for field in report if options.filter else ():  # so does a name that the scene does not have
+                report.filtered(field, options.filter)
             if options.out is not None:
                 from mistray.report import write_all
 
                 with working("drawing the report", options.quiet):
                     title = scene_title(options.scene)
                     files = write_all(report, options.out, title, options.command_line, lines, look)
-                    files += _write_formats(report, options)
+                    files += _write_filtered(report, options) + _write_formats(report, options)
     except UnfinishedError as error:
         if report is not None:  # all is traced, but for the maps
             error.partial = report
         _write_unfinished(error, options)
         raise
-    show(options, lambda: as_json(report, lines), lambda: main_table(report, WORST_SHOWN, lines), files)
+
+    def text() -> str:
+        parts = [main_table(report, WORST_SHOWN, lines)]
+        parts += [level_text(report)] if options.levels else []
+        parts += [filter_text(report, options.filter)] if options.filter else []
+        return "\n\n".join(parts)
+
+    show(options, lambda: as_json(report, lines, options.filter), text, files)
     return 0
+
+
+def _write_filtered(report: GhostReport, options: argparse.Namespace) -> list[Path]:
+    """The paths that pass the filter, and rays of them."""
+    from mistray.replace_file import replace_file
+    from mistray.report.csv_tables import filter_frame, filter_rays
+
+    if not options.filter:
+        return []
+    return [
+        replace_file(options.out / name, make(report, options.filter).to_csv(index=False, lineterminator="\n"), "table")
+        for name, make in (("filtered_paths.csv", filter_frame), ("filtered_rays.csv", filter_rays))
+    ]
 
 
 def _write_unfinished(error: UnfinishedError, options: argparse.Namespace) -> None:
@@ -130,7 +160,7 @@ def _write_unfinished(error: UnfinishedError, options: argparse.Namespace) -> No
     report = error.partial
     if options.out is None or not isinstance(report, GhostReport):
         return
-    rays = "; ".join(f"{field:g}°: {t.rays:.4g} of {t.rays_planned:.4g} rays" for field, t in report.items())
+    rays = "; ".join(f"{field:g}°: {t.rays_traced:.4g} of {t.rays_planned:.4g} rays" for field, t in report.items())
     title = f"{scene_title(options.scene)}, unfinished ({rays})"
     with working("drawing what is finished", options.quiet):
         write_all(report, options.out, title, options.command_line, options.per_wavelength, None)

@@ -6,14 +6,16 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from mistray.analysis.filtered import Filtered
     from mistray.analysis.ghosts import GhostReport
     from mistray.trace import Energy
 
 WORST_SHOWN = 4
 
 
-def as_json(report: GhostReport, per_wavelength: bool = False) -> dict[str, Any]:
+def as_json(report: GhostReport, per_wavelength: bool = False, selection: str | None = None) -> dict[str, Any]:
     """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
+    from mistray.analysis.stray_levels import LEVELS
     from mistray.report.csv_tables import summary_frame
     from mistray.report.json_values import plain
     from mistray.report.tables import warnings
@@ -23,11 +25,27 @@ def as_json(report: GhostReport, per_wavelength: bool = False) -> dict[str, Any]
         row["energy"] = _energy(report[row["field_deg"]].energy)
         row["worst_paths"] = report.top(row["field_deg"], WORST_SHOWN).to_dict("records")
         row |= _scatter(report, row["field_deg"])
+        row["stray_levels"] = {
+            by: report.stray_levels(row["field_deg"], by).drop(columns="path_ids").to_dict("records") for by in LEVELS
+        }
+        if selection:
+            row["filtered"] = _filtered(report.filtered(row["field_deg"], selection))
         if per_wavelength:
             row["per_wavelength"] = _lines(report, row["field_deg"])
         fields.append(row)
     settings = {key: value for key, value in next(iter(report.values())).settings.items() if key != "field_deg"}
     return dict(plain({"settings": settings, "fields": fields, "warnings": warnings(report)}))
+
+
+def _filtered(found: Filtered) -> dict[str, Any]:
+    """What passes a filter at a field."""
+    return {
+        "filter": found.selection,
+        "power_W": found.power_W.value,
+        "power_se_W": found.power_W.se,
+        "percent_of_stray": found.percent_of_stray,
+        "paths": found.table.to_dict("records"),
+    }
 
 
 def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:

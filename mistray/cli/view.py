@@ -31,7 +31,8 @@ if TYPE_CHECKING:
 RAYS = 20_000
 WHOLE = "none"
 PICTURE = ("colour", "cut_deg", "cut_mm")  # options of the page alone
-OF_A_TRACE = ("field_deg", "azimuth_deg", "wavelength_nm", "weights", "paths", "path_ids", "rays_per_path", "save_rays")
+OF_A_TRACE = ("field_deg", "azimuth_deg", "wavelength_nm", "weights", "paths", "path_ids", "filter", "rays_per_path",
+              "save_rays")  # fmt: skip
 
 
 def add(commands: Any) -> None:
@@ -61,6 +62,8 @@ def add(commands: Any) -> None:
         "--paths", type=count, metavar="N", help="rows of the path table, strongest first (8; 4 in a layout)"
     )
     picture.add_argument("--path-ids", type=count, nargs="+", metavar="ID", help="these rows instead")
+    picture.add_argument("--filter", metavar="EXPR",
+                         help="strongest rows that pass a filter, as 'G(lens*) & !S' (docs/rays.md)")  # fmt: skip
     picture.add_argument("--rays-per-path", type=_rays, metavar="N", help="most rays of each path (10; 7 in a layout)")
     picture.add_argument("--colour", choices=("flux", "absorbed", "role"),
                          help="of surfaces: incident flux, absorbed flux, or what they are (flux)")  # fmt: skip
@@ -90,8 +93,12 @@ def run(options: argparse.Namespace) -> int:
     from mistray.report.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
     from mistray.scene import load
     from mistray.trace import trace
+    from mistray.trace.path_filter import PathFilter
 
     check_weights(options)
+    if options.filter is not None:
+        PathFilter(options.filter)  # an error in its text shows before the trace
+        _refuse(options, ("path_ids",), "beside --filter; give one of them")
     page = options.out
     if page is None and options.layout is None and not options.save_rays:
         page = Path("view.html")
@@ -119,6 +126,8 @@ def run(options: argparse.Namespace) -> int:
                 progress=progress,
                 **settings | {"rays": RAYS if settings["rays"] is None else settings["rays"]},
             )
+    if options.filter is not None and traced is not None:
+        options.path_ids = _passing(traced, options)
     most = PATHS_DRAWN if page is None and not options.save_rays else MOST_PATHS
     paths = most if options.paths is None else options.paths
     rays = RAYS_PER_PATH if options.rays_per_path is None else options.rays_per_path
@@ -142,6 +151,17 @@ def run(options: argparse.Namespace) -> int:
     elif not options.quiet:
         print("\n".join(str(file) for file in files))
     return 0
+
+
+def _passing(traced: Trace, options: argparse.Namespace) -> list[int]:
+    """The strongest rows that pass the filter."""
+    from mistray.report.view import MOST_PATHS
+
+    most = MOST_PATHS if options.paths is None else options.paths
+    found = [row.path_id for row in traced.paths.select(options.filter)[:most]]
+    if not found:
+        raise MistrayError(f"no path passes the filter '{options.filter}'; widen it, or see mistray ghosts --filter")
+    return found
 
 
 def _check(options: argparse.Namespace, page: Path | None) -> None:

@@ -31,7 +31,7 @@ class PstObservation:
     One point source transmittance as a metric sees it.
 
     Light is one of `mistray.analysis.pst.result.CLASSES` ("direct", "straight_shot", "ghost", "single_scatter",
-    "multiple_scatter"), "stray" (all but "direct"), "total", or a sequence of classes.
+    "multiple_scatter", "edge_diffraction"), "stray" (all but "direct"), "total", or a sequence of classes.
 
     Parameters
     ----------

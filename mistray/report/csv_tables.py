@@ -11,6 +11,7 @@ from typing import Any
 import pandas as pd
 
 from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.stray_levels import LEVELS
 from mistray.trace import Trace
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
@@ -74,6 +75,24 @@ def aiming_table(report: GhostReport) -> pd.DataFrame:
     )
 
 
+def level_frame(report: GhostReport) -> pd.DataFrame:
+    """`GhostReport.stray_levels` of all fields by both levels, after field_deg and by."""
+    parts = [report.stray_levels(field, by).assign(field_deg=field, by=by) for field in report for by in LEVELS]
+    return _first(pd.concat(parts, ignore_index=True).drop(columns="path_ids"), "field_deg", "by")
+
+
+def filter_frame(report: GhostReport, selection: str) -> pd.DataFrame:
+    """The paths of all fields that pass a filter: field_deg, then the columns of the path table."""
+    tables = [report.filtered(field, selection).table.assign(field_deg=field) for field in report]
+    return _first(pd.concat(tables, ignore_index=True), "field_deg")
+
+
+def filter_rays(report: GhostReport, selection: str) -> pd.DataFrame:
+    """Rays of all fields that pass a filter: field_deg, then the columns of `mistray.trace.Trace.rays`."""
+    tables = [t.rays(selection).assign(field_deg=field) for field, t in report.items()]
+    return _first(pd.concat(tables, ignore_index=True), "field_deg")
+
+
 def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
     """Main table with full precision, one row for each field (and wavelength)."""
     lines = report.wavelengths_nm if per_wavelength else [None]
@@ -93,6 +112,7 @@ def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, p
     tables = {f"{name}.csv": make(report) for name, make in makers.items()}
     if per_wavelength:
         tables |= {f"{name}_per_wavelength.csv": make(report, True) for name, make in makers.items()}
+    tables["stray_levels.csv"] = level_frame(report)
     if any(t.aiming for t in report.values()):
         tables["aiming.csv"] = aiming_table(report)
     return tables
@@ -100,7 +120,7 @@ def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, p
 
 def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool = False) -> list[Path]:
     """
-    Write summary.csv, paths.csv, energy.csv and surfaces.csv, each over all fields with full precision.
+    Write summary.csv, paths.csv, energy.csv, surfaces.csv and stray_levels.csv, each over all fields.
 
     Where light is scattered to the detector there is scatter.csv too, and aiming.csv where rays were aimed at it.
 

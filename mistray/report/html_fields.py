@@ -13,8 +13,10 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.path_maps import FieldMaps
 from mistray.analysis.ranking import FEWEST_RAYS
+from mistray.analysis.stray_levels import LEVELS
 from mistray.report.html_explorer import BOX_CELL, BOX_HEADER, explorer, picture_cell
 from mistray.report.layout import layout
+from mistray.report.level_tables import TITLES, level_rows
 from mistray.report.markup import cell, data_table, figure, filter_box, image, number_cell, thousands
 from mistray.report.plots import as_png, as_svg, common_range, ghost_image
 from mistray.report.text import ABSENT, number
@@ -96,11 +98,22 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
         + figure(image(ghost_map, f"irradiance on the detector, field {s.field_deg:g}°"))
         + (figure(image(colour, f"the detector in colour, field {s.field_deg:g}°")) if colour else "")
         + data_table(f"t-map-{anchor}", header, block, sortable=False)
+        + "".join(_levels(report, s.field_deg, by, f"t-{by}-levels-{anchor}") for by in LEVELS)
         + figure(as_svg(layout(report, s.field_deg)))
         + explored_paths(report, s.field_deg, f"t-{anchor}")
         + (_paths_at_wavelengths(report, s.field_deg, f"t-waves-{anchor}") if per_wavelength else "")
         + "</div>"
     )
+
+
+def _levels(report: GhostReport, field_deg: float, by: str, name: str) -> str:
+    """Stray light of a field by level and critical surface."""
+    levels, rows = level_rows(report, field_deg, by)
+    if not levels:
+        return ""
+    header = [("critical surface", "", "t"), *((f"{by} {level}", "W") for level in levels), ("all", "W")]
+    cells = [[cell(words[0], "t"), *map(cell, words[1:])] for words in rows]
+    return f"<p>{TITLES[by]}.</p>" + data_table(name, header, cells, sortable=False)
 
 
 def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:

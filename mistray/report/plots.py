@@ -26,7 +26,7 @@ from mistray.trace.path_events import DIRECT, STRAY_KINDS
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7",
 )  # fmt: skip
-GREY, BROWN = "#7f7f7f", "#8a6d1d"
+GREY, BROWN, PINK = "#7f7f7f", "#8a6d1d", "#f4a3c0"
 KIND_COLOURS = {
     DIRECT: BLUE,
     "ghost": VERMILION,
@@ -35,6 +35,8 @@ KIND_COLOURS = {
     "single scatter": BLACK,
     "multiple scatter": GREY,
     "ghost + scatter": BROWN,
+    "edge diffraction": YELLOW,
+    "diffraction + others": PINK,
     "TIR": SKY,
     "straight shot": ORANGE,
 }
@@ -46,6 +48,8 @@ KIND_MARKERS = {
     "single scatter": "*",
     "multiple scatter": "X",
     "ghost + scatter": "p",
+    "edge diffraction": "<",
+    "diffraction + others": ">",
     "TIR": "P",
     "straight shot": "v",
 }

@@ -42,6 +42,7 @@ CURVES = {
     "ghost": (VERMILION, 1.1, "^"),
     "single_scatter": (GREEN, 1.1, "v"),
     "multiple_scatter": (PURPLE, 1.1, "D"),
+    "edge_diffraction": (ORANGE, 1.1, "X"),
 }
 LABELS = {"total": "all light", "stray": "stray light: all but direct", "direct": "direct image", "ghost": "ghosts",
           "straight_shot": "straight shots"}  # fmt: skip

@@ -16,6 +16,7 @@ from mistray.report.json_values import plain
 from mistray.report.text import ABSENT, number, text_table, with_error
 from mistray.trace.sky import CLASSES
 
+RARE = ("straight_shot", "edge_diffraction")  # classes that are shown where there are any
 ALL_CLASSES = ("total", "stray", *CLASSES)
 LARGE_ERROR = 0.1  # relative
 DEFINITIONS = {
@@ -30,8 +31,8 @@ DENOMINATOR = "%: share of the stray light at that angle, which is all light but
 
 
 def shown_classes(pst: Pst) -> tuple[str, ...]:
-    """The classes of a printed table: all, but straight shots only where there are any."""
-    return tuple(group for group in CLASSES if group != "straight_shot" or np.any(pst.curve(group)[0]))
+    """The classes of a printed table: all, but the rare ones only where there are any."""
+    return tuple(group for group in CLASSES if group not in RARE or np.any(pst.curve(group)[0]))
 
 
 def name_of(group: str) -> str:

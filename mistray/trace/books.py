@@ -10,7 +10,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.errors import MistrayError
-from mistray.trace.ledger import BATCHES
+from mistray.trace.ledger import BATCHES, Ledger
 from mistray.trace.packets import add_packet
 
 # Rows of the tally: what is not tied to a surface
@@ -191,6 +191,28 @@ def spreads(film: mi.Film) -> bool:
 
 
 @dataclass
+class PathChoice:
+    """
+    Some of the paths of a ledger.
+
+    Attributes
+    ----------
+    ledger : Ledger
+        That knows the paths.
+    chosen : (capacity,) mi.UInt32
+        1 for the slots of the chosen paths, 0 for the others.
+    """
+
+    ledger: Ledger
+    chosen: mi.UInt32
+
+    def holds(self, key: mi.UInt64, active: mi.Bool) -> mi.Bool:
+        """Whether the path of this key is one of them."""
+        slot, known = self.ledger.known(key, active)
+        return known & (dr.gather(mi.UInt32, self.chosen, slot, known) != 0)
+
+
+@dataclass
 class Recorder:
     """
     Append buffer for whole branches: everything on the way to a leaf.
@@ -201,11 +223,11 @@ class Recorder:
         Most branches that are kept.
     max_events : int
         Longest branch that is kept whole.
-    key : mi.UInt64
-        Only paths with this key are recorded; 0 records every path that reaches the detector. Against the light every
-        ray is recorded that leaves the scene and counts, see `Sky.gain`.
     points_only : bool
         Keep the points of the nodes only.
+    choice : PathChoice or None
+        Only branches of these paths are recorded; None: of every path that reaches the detector. Against the light
+        every ray is recorded that leaves the scene and counts, see `Sky.gain`.
     count : (1,) mi.UInt32
         Branches that there were.
     lane, length : (capacity,) mi.UInt32
@@ -218,14 +240,18 @@ class Recorder:
         Flux that meets the detector in units of the start ray's; against the light what the metric gains.
     heading : (capacity, 3) mi.Float
         Directions of rays that leave the scene.
+    place : (capacity, 2) mi.Float
+        x and y of the hits in the detector's frame, mm.
     path : (capacity,) mi.UInt64
         Keys of the events, see `mistray.trace.ledger.extend_key`.
+    peak : (1,) mi.UInt32
+        The largest flux that one ray brought to the detector, recorded or not, as the bits of a float32.
     """
 
     capacity: int
     max_events: int
-    key: mi.UInt64
     points_only: bool = False
+    choice: PathChoice | None = None
 
     def __post_init__(self) -> None:
         size = self.capacity * self.max_events
@@ -237,8 +263,18 @@ class Recorder:
         self.nodes = dr.zeros(mi.Float, size * self.node_floats)
         self.weight = dr.zeros(mi.Float64, self.capacity)
         self.heading = dr.zeros(mi.Float, 3 * self.capacity)
+        self.place = dr.zeros(mi.Float, 2 * self.capacity)
         self.path = dr.zeros(mi.UInt64, self.capacity)
-        dr.eval(self.count, self.lane, self.length, self.codes, self.nodes, self.weight, self.heading, self.path)
+        self.peak = dr.zeros(mi.UInt32, 1)
+        dr.eval(self.count, self.lane, self.length, self.codes, self.nodes, self.weight, self.heading, self.place)
+        dr.eval(self.path, self.peak)
+
+    def wants(self, key: mi.UInt64, w: mi.Float, detected: mi.Bool) -> mi.Bool:
+        """Whether to record a hit of the detector by a path of this key; its flux w counts for the peak."""
+        # The bits of positive floats are in the order of the floats
+        bits = dr.reinterpret_array(mi.UInt32, w)
+        dr.scatter_reduce(dr.ReduceOp.Max, self.peak, bits, mi.UInt32(0), detected)
+        return detected if self.choice is None else self.choice.holds(key, detected)
 
     def clear(self) -> None:
         """Forget all branches."""
@@ -257,6 +293,7 @@ def record_branch(
     key: mi.UInt64,
     weight: mi.Float64,
     heading: mi.Vector3f | None = None,
+    place: tuple[mi.Float, mi.Float] | None = None,
 ) -> tuple[mi.UInt32, mi.Bool]:
     """
     Write the current path, node by node, to the recorder.
@@ -277,6 +314,7 @@ def record_branch(
         Of the path, the last event included.
     weight : mi.Float64
     heading : mi.Vector3f, optional
+    place : tuple of mi.Float, optional
         See `Recorder`.
 
     Returns
@@ -295,6 +333,9 @@ def record_branch(
     if heading is not None:
         for j, component in enumerate(heading):
             dr.scatter(recorder.heading, component, 3 * slot + j, active)
+    if place is not None:
+        for j, component in enumerate(place):
+            dr.scatter(recorder.place, component, 2 * slot + j, active)
 
     def step(k):  # type: ignore[no-untyped-def]
         going = active & (k <= depth)

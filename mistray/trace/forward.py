@@ -174,7 +174,7 @@ def _explain(error: UnfinishedError, runs: Sequence[Run], result: Callable[[], T
         error.args = (f"{error}; too few of the {planned:.4g} rays are finished for a result",)
         return
     error.partial = result()
-    error.args = (f"{error}; {error.partial.rays:.4g} of {planned:.4g} rays are finished and kept",)
+    error.args = (f"{error}; {error.partial.rays_traced:.4g} of {planned:.4g} rays are finished and kept",)
 
 
 def _result(

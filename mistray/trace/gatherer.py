@@ -64,7 +64,7 @@ class Gatherer:
         self.table, self.scattering, self.wanted = table, scattering, wanted
         self.surfaces = ReplaySurfaces(table, wanted)
         self.scatter = ScatterReplay(table, scattering) if scattering.any else None
-        self.recorder = Recorder(CAPACITY, longest, mi.UInt64(dr.opaque(mi.UInt64, 0)), points_only=True)
+        self.recorder = Recorder(CAPACITY, longest, points_only=True)
         self.start_surface = start_surface
         # Rays at rims have only a place that changes; what it costs is in their coefficients
         places = replace(wanted, rows=False, scatter=False)

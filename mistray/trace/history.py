@@ -1,9 +1,10 @@
-"""Rays on demand: polylines, the ray history table and the incident ray table."""
+"""Rays on demand: polylines and the ray history table."""
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
@@ -102,35 +103,6 @@ class RayHistory:
         names = ["ray", "node", "start_ray", "intercept", "object", "surface", "wavelength_nm"]
         return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "flux_W", "opl_mm", "dx", "dy", "dz"])
 
-    def incident(self) -> pd.DataFrame:
-        """
-        The incident ray table: one row for each ray at the detector.
-
-        Columns: ray, wavelength_nm, source, start_ray, node, type, history, flux_W, x_mm, y_mm, z_mm, dx, dy, dz (the
-        direction of arrival).
-        """
-        import pandas as pd
-
-        rows = []
-        for number, ray in enumerate(self._rays):
-            history = " ".join(INTERCEPTS[int(code) & EVENT_MASK] for code in ray.codes)
-            rows.append(
-                (
-                    number,
-                    self._run.beam.wavelength_nm,
-                    self._run.beam.name,
-                    ray.start_ray,
-                    len(ray.codes),
-                    history.rsplit(" ", 2)[-2] if len(ray.codes) > 1 else "Emitted",
-                    history,
-                    ray.flux_W[-1],
-                    *ray.points[-1],
-                    *ray.directions[-2],
-                )
-            )
-        names = ["ray", "wavelength_nm", "source", "start_ray", "node", "type", "history", "flux_W"]
-        return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "dx", "dy", "dz"])
-
 
 def read_rays(run: Run, recorder: Recorder, most: int) -> RayHistory:
     """Read at most `most` rays, spread over the recorded ones; positions are found again in float64."""
@@ -157,18 +129,43 @@ def rays_in_slots(
     origins, directions : (n, 3) float64
         Their start rays, mm.
     """
-    lanes, lengths = np.array(recorder.lane)[slots], np.array(recorder.length)[slots]
+    lanes = np.array(recorder.lane)[slots]
+    rays: dict[int, Ray] = {}
+    for bundle in bundles(run, recorder, slots, origins, directions):
+        rays |= {k: bundle.ray(j, int(lanes[k])) for j, k in enumerate(bundle.numbers.tolist())}
+    return [rays[number] for number in range(len(slots))]
+
+
+class Bundle(NamedTuple):
+    """Rays of the same events, with their numbers (n,); else as in `Ray`, with a row for each of them."""
+
+    numbers: np.ndarray
+    codes: np.ndarray
+    points: np.ndarray
+    directions: np.ndarray
+    opl_mm: np.ndarray
+    flux_W: np.ndarray
+
+    def ray(self, row: int, start_ray: int) -> Ray:
+        """One of them."""
+        points, leaving, flux, opl = (v[row] for v in (self.points, self.directions, self.flux_W, self.opl_mm))
+        return Ray(start_ray, points, leaving, flux, opl, self.codes)
+
+
+def bundles(
+    run: Run, recorder: Recorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
+) -> Iterator[Bundle]:
+    """Recorded rays by their events, with positions found again in float64; parameters as in `rays_in_slots`."""
+    lengths = np.array(recorder.length)[slots]
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[slots]
     nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)[slots].astype(np.float64)
     alike: dict[bytes, list[int]] = {}  # rays of the same events
     for number, length in enumerate(lengths):
         alike.setdefault(codes[number, :length].tobytes(), []).append(number)
-    rays = {}
-    for numbers in alike.values():
+    for same in alike.values():
+        numbers = np.array(same)
         length = lengths[numbers[0]]
         events, hits = codes[numbers[0], :length].copy(), nodes[numbers, :length]
         exact = retrace(run.table, origins[numbers], directions[numbers], events, hits[:, :, :3])
         flux = run.unit * np.concatenate([np.ones((len(numbers), 1)), hits[:, :, 6]], axis=1)
-        for number, own, points, leaving, opl in zip(numbers, flux, *exact, strict=True):
-            rays[number] = Ray(int(lanes[number]), points, leaving, own, opl, events)
-    return [rays[number] for number in range(len(slots))]
+        yield Bundle(numbers, events, *exact, flux)

@@ -31,6 +31,7 @@ from mistray.coatings import METAL_K, Bare, Response, Stack
 from mistray.errors import MistrayError
 from mistray.materials import bulk_scatter
 from mistray.physics.henyey_greenstein import sampled_cosine
+from mistray.scatter.edge_diffraction import EdgeDiffraction
 from mistray.trace.upload import upload
 
 if TYPE_CHECKING:
@@ -42,6 +43,7 @@ OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC, WALL = (1 << bit for bit in range(2, 
 FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0x7FF
 ONE_CHILD = 1 << 19  # of all children at random one is followed
 DARK = 1e-12  # share of the light after the length of a body, below which it is dark
+DIFFRACTS = 1 << 31  # what it scatters in transmission is diffracted light
 THIN = 1e-3  # optical depth below which a medium takes the same light everywhere
 NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
 TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
@@ -301,6 +303,8 @@ class Optics:
         Share of the scatter in it.
     one_child : bool
         Whether a surface has one child instead of all.
+    diffracts : bool
+        Whether one of them is the ring of an edge.
     absorbs, scatters : bool
         Whether a medium takes light from the beam, and whether one scatters it.
     error : float
@@ -342,6 +346,7 @@ class Optics:
             self.kinds.add(kind)
             words[i] |= kind | (OPAQUE if opaque else 0) | (MIRROR if bsdf.mirror else 0)
             words[i] |= ONE_CHILD if bsdf.one_child else 0
+            words[i] |= DIFFRACTS if any(isinstance(model, EdgeDiffraction) for model in bsdf.scatter) else 0
             # An opaque surface sends nothing on: no refraction, so one index will do
             self.host_indices[i, :2] = (1.0, 1.0) if opaque else (sides[0].real, sides[1].real)
             self.host_places[i] = self.rows, 1, self.rows, 1
@@ -388,6 +393,7 @@ class Optics:
             )
         self.host_words = words
         self.one_child = bool(np.any(words & ONE_CHILD))
+        self.diffracts = bool(np.any(words & DIFFRACTS))
         self.words = upload(mi.UInt32, words)
         self.indices = upload(mi.Float, self.host_indices)
         self.places = upload(mi.UInt32, self.host_places)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -18,7 +19,7 @@ from mistray.trace.ledger import (
     TOTAL,
     TRANSMITTED,
 )
-from mistray.trace.optics import DETECTOR, MIRROR, OPAQUE, WALL
+from mistray.trace.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 
 EVENT_MASK = (1 << EVENT_BITS) - 1
 FIRST_SCATTERED = RANDOM_TRANSMITTED  # this event and those above it are scattered ones
@@ -54,6 +55,8 @@ STRAY_KINDS = (
     "single scatter",
     "multiple scatter",
     "ghost + scatter",
+    "edge diffraction",
+    "diffraction + others",
     "TIR",
     "straight shot",
 )
@@ -76,6 +79,76 @@ def way_letters(paths: Iterable[str]) -> list[str]:
     """The same for letters alone."""
     table = str.maketrans(_WAY_LETTERS)
     return [path.translate(table) for path in paths]
+
+
+@dataclass(frozen=True)
+class Events:
+    """
+    What happens along paths, as masks over their events.
+
+    Parameters
+    ----------
+    codes : (p, k) uint32
+        Surface << EVENT_BITS | what, filled up at the ends.
+    lengths : (p,) int
+        Number of events of each, at least 1.
+    words : (s,) uint32
+        Bits of the surfaces, see `mistray.trace.optics`, and zeros for the media.
+    """
+
+    codes: np.ndarray
+    lengths: np.ndarray
+    words: np.ndarray
+
+    def __getitem__(self, rows: np.ndarray) -> Events:
+        """Those of some of the paths."""
+        return Events(self.codes[rows], self.lengths[rows], self.words)
+
+    def __len__(self) -> int:
+        return len(self.lengths)
+
+    @property
+    def places(self) -> np.ndarray:
+        """(p, k) numbers of the surfaces and media."""
+        return np.asarray(self.codes >> EVENT_BITS)
+
+    @property
+    def inside(self) -> np.ndarray:
+        """(p, k) whether a list is as long as that."""
+        return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None])
+
+    def happens(self, *what: int) -> np.ndarray:
+        """(p, k) whether an event is one of these."""
+        return self.inside & np.isin(self.codes & EVENT_MASK, what)
+
+    def at(self, bit: int) -> np.ndarray:
+        """(p, k) whether an event is at a surface that has this bit."""
+        return (self.words[self.places] & np.uint32(bit)) != 0
+
+    @property
+    def reflected(self) -> np.ndarray:
+        """Specular reflections, mirrors and total reflection apart."""
+        return self.happens(REFLECTED) & ~self.at(MIRROR)
+
+    @property
+    def on_structure(self) -> np.ndarray:
+        """Those of them at opaque surfaces other than the detector."""
+        return self.reflected & self.at(OPAQUE) & ~self.at(DETECTOR)
+
+    @property
+    def deflected(self) -> np.ndarray:
+        """Scattered and diffracted light."""
+        return self.inside & ((self.codes & EVENT_MASK) >= FIRST_SCATTERED)
+
+    @property
+    def diffracted(self) -> np.ndarray:
+        """What the ring of an edge deflects."""
+        return self.happens(RANDOM_TRANSMITTED, AIMED_TRANSMITTED) & self.at(DIFFRACTS)
+
+    @property
+    def before_the_end(self) -> np.ndarray:
+        """All but the last event, which is that at the detector."""
+        return np.asarray(np.arange(self.codes.shape[1]) < self.lengths[:, None] - 1)
 
 
 def event_text(events: np.ndarray, lengths: np.ndarray, ids: Sequence[str]) -> tuple[list[str], list[str]]:
@@ -124,22 +197,19 @@ def describe_events(
     Returns
     -------
     dict
-        Columns events, path, order, kind, ghost_1, ghost_2, scatter_1, scatters, structure_bounces and tir of
-        `PathRow`, (p,) each.
+        Columns events, path, order, kind, ghost_1, ghost_2, scatter_1, scatters, diffractions, structure_bounces, tir,
+        objects, unique_objects, last_object and critical of `PathRow`, (p,) each.
     """
-    surfaces, kinds = events >> EVENT_BITS, events & EVENT_MASK
-    inside = np.arange(events.shape[1]) < lengths[:, None]
-    bits = words[surfaces]
-    reflecting = inside & (kinds == REFLECTED) & ((bits & MIRROR) == 0)
-    on_structure = reflecting & ((bits & OPAQUE) != 0) & ((bits & DETECTOR) == 0)
-    scattering = inside & (kinds >= FIRST_SCATTERED)
-    before_the_end = np.arange(events.shape[1]) < lengths[:, None] - 1
-    past_the_optics = (lengths == 1) | (before_the_end & ((bits & WALL) != 0)).any(axis=1)
+    e = Events(events, lengths, words)
+    surfaces, reflecting, scattering = e.places, e.reflected, e.deflected
+    past_the_optics = (lengths == 1) | (e.before_the_end & e.at(WALL)).any(axis=1)
 
-    structure, scatters = on_structure.sum(axis=1), scattering.sum(axis=1)
-    order, tir = reflecting.sum(axis=1) - structure, (inside & (kinds == TOTAL)).sum(axis=1)
+    structure, scatters, diffractions = (mask.sum(axis=1) for mask in (e.on_structure, scattering, e.diffracted))
+    order, tir = reflecting.sum(axis=1) - structure, e.happens(TOTAL).sum(axis=1)
     kind = np.select(
         [
+            (diffractions > 0) & ((scatters > diffractions) | (order + structure > 0)),
+            diffractions > 0,
             (scatters > 0) & (order + structure > 0),
             scatters > 1,
             scatters == 1,
@@ -149,10 +219,11 @@ def describe_events(
             tir > 0,
             past_the_optics,
         ],
-        ["ghost + scatter", "multiple scatter", "single scatter", "structure+ghost", "ghost", "structure", "TIR",
-         "straight shot"],
+        ["diffraction + others", "edge diffraction", "ghost + scatter", "multiple scatter", "single scatter",
+         "structure+ghost", "ghost", "structure", "TIR", "straight shot"],
         DIRECT,
     )  # fmt: skip
+    last = np.where(lengths > 1, surfaces[np.arange(len(surfaces)), np.maximum(lengths - 2, 0)], len(ids))
     text, letters = event_text(events, lengths, ids)
     return {
         "events": np.array(text, dtype=object),
@@ -163,9 +234,21 @@ def describe_events(
         "ghost_2": _nth_name(reflecting, 2, surfaces, ids),
         "scatter_1": _nth_name(scattering, 1, surfaces, ids),
         "scatters": scatters,
+        "diffractions": diffractions,
         "structure_bounces": structure,
         "tir": tir,
+        "objects": lengths,
+        "unique_objects": _distinct(surfaces, e.inside),
+        "last_object": np.array([*ids, "-"], dtype=object)[last],
+        "critical": _nth_name((reflecting | scattering)[:, ::-1], 1, surfaces[:, ::-1], ids),
     }
+
+
+def _distinct(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
+    """(p,) number of different values of each row, of those inside."""
+    order = np.sort(np.where(inside, values.astype(np.int64), -1), axis=1)
+    new = np.diff(order, axis=1, prepend=-1) != 0
+    return np.asarray(new.sum(axis=1))
 
 
 def _nth_name(chosen: np.ndarray, n: int, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:

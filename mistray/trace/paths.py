@@ -14,13 +14,15 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES, host_keys
-from mistray.trace.path_events import INTERCEPTS, LETTERS, describe_events, way, way_letters, way_text
+from mistray.trace.path_events import INTERCEPTS, LETTERS, Events, describe_events, way, way_letters, way_text
+from mistray.trace.path_filter import PathFilter, Rows
 from mistray.trace.path_numbers import CHUNK, path_numbers
 
 if TYPE_CHECKING:
     import pandas as pd
 
     from mistray.trace.ledger import DecodedPaths
+    from mistray.trace.surfaces import SurfaceTable
     from mistray.trace.tracer import Run
 
 ROWS_PRINTED = 20
@@ -41,9 +43,9 @@ class PathRow:
     wavelength_nm : float
     events : str
         Surfaces and what happened there, ``L1_front:T L1_rear:R … detector:A``; T transmitted, R reflected, I totally
-        internally reflected, A absorbed; scattered at random: t in transmission, r in reflection; scattered towards a
-        target: i in transmission, j in reflection. Light that was scattered at random and light that was aimed goes the
-        same way and shares its flux by weights: only both together are what a detector sees, see
+        internally reflected, A absorbed; scattered or diffracted at random: t in transmission, r in reflection;
+        towards a target: i in transmission, j in reflection. Light that was scattered at random and light that was
+        aimed goes the same way and shares its flux by weights: only both together are what a detector sees, see
         `PathTable.by_way`.
     path : str
         The letters alone.
@@ -53,15 +55,26 @@ class PathRow:
         "direct" (no reflection but at mirrors), "straight shot" (the same, past all optics or through an edge or bevel,
         that is, a ``frustum``), "ghost", "structure" (specular reflections at opaque surfaces that are no mirror),
         "structure+ghost", "TIR" (total internal reflections only); of paths that scatter "single scatter", "multiple
-        scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter".
+        scatter", or, with specular reflections counted in ``ghost_1``, "ghost + scatter"; of paths that an edge
+        diffracts "edge diffraction", or, where it also scatters or is reflected so, "diffraction + others". Light that
+        the instrument itself emits has no source and no path here, see `mistray.analysis.thermal`.
     ghost_1, ghost_2 : str
         First and second surface that reflects specularly, mirrors and total internal reflection apart, or "-".
     scatter_1 : str
-        First surface that scatters, or "-".
+        First surface that scatters or diffracts, or "-".
     scatters : int
-        Scatter events.
+        Scatter events, those of diffraction included.
+    diffractions : int
+        Those at rings that carry ``edge_diffraction``.
     structure_bounces, tir : int
         Specular reflections at structure, total internal reflections.
+    objects, unique_objects : int
+        Surfaces that are met, the detector included, each time or each once. A body that scatters counts as a surface.
+    last_object : str
+        The last of them before the detector, or "-".
+    critical : str
+        Critical surface: the last that scatters or diffracts the light or is a ghost's or a structure's reflection, so
+        that the detector sees it lit; "-" if there is none.
     rays : int
         Hits of the detector.
     power_W : float
@@ -91,8 +104,13 @@ class PathRow:
     ghost_2: str
     scatter_1: str
     scatters: int
+    diffractions: int
     structure_bounces: int
     tir: int
+    objects: int
+    unique_objects: int
+    last_object: str
+    critical: str
     rays: int
     power_W: float
     power_se_W: float
@@ -123,11 +141,12 @@ class PathRow:
 
 
 class Book(NamedTuple):
-    """The ledger of one run: its contents, the start rays of its batches (BATCHES,) and the flux of a start ray, W."""
+    """The ledger of one run: contents, start rays of its batches (BATCHES,), flux of a start ray (W), its surfaces."""
 
     paths: DecodedPaths
     started: np.ndarray
     unit: float
+    table: SurfaceTable
 
 
 class PathTable(Sequence[PathRow]):
@@ -201,6 +220,53 @@ class PathTable(Sequence[PathRow]):
         )
         found = [bool(pattern.search(events + " ")) for events in self._columns["events"]]
         return list(self._rows(np.array(found, dtype=bool)))
+
+    def select(self, selection: str) -> list[PathRow]:
+        """
+        Paths that a filter lets through, the strongest first.
+
+        Parameters
+        ----------
+        selection : str
+            Such as ``"S(barrel*) & !G & power_W > 1e-9"``, see `mistray.trace.path_filter`; columns are the attributes
+            of `PathRow`.
+        """
+        return list(self._rows(np.sort(np.concatenate([ids for ids, _ in self.chosen(PathFilter(selection))]))))
+
+    def chosen(self, wanted: PathFilter, by_ray: frozenset[str] = frozenset()) -> list[tuple[np.ndarray, np.ndarray]]:
+        """
+        Paths that a filter may let through, run by run.
+
+        Parameters
+        ----------
+        wanted : PathFilter
+        by_ray : frozenset of str
+            Columns that are those of a ray, so that a path cannot decide.
+
+        Returns
+        -------
+        list of (ids, slots)
+            Of each run the `path_id` of the paths and their places in its ledger.
+        """
+        found = []
+        for number, book in enumerate(self._books):
+            ids = np.flatnonzero(self._run == number)
+            columns = {name: column[ids] for name, column in self._columns.items() if name not in by_ray}
+            place = self._place[ids]
+            held = wanted.bounds(rows_of(book.paths, place, book.table, columns, by_ray)).possible
+            found.append((ids[held], book.paths.slots[place[held]]))
+        return found
+
+    def ids_of_keys(self, run: int, keys: np.ndarray) -> np.ndarray:
+        """The `path_id` of paths of a run by their keys, (n,) uint64."""
+        ids = np.flatnonzero(self._run == run)
+        own = self._books[run].paths.keys[self._place[ids]]
+        order = np.argsort(own)
+        return ids[order][np.searchsorted(own[order], keys)]
+
+    def column(self, name: str) -> np.ndarray:
+        """One attribute of `PathRow` of all paths, (p,)."""
+        return self._columns[name]
 
     def power(self, path_ids: Sequence[int] | np.ndarray) -> tuple[float, float]:
         """
@@ -320,9 +386,21 @@ class PathTable(Sequence[PathRow]):
         return "\n".join(lines)
 
 
+def rows_of(
+    paths: DecodedPaths,
+    place: np.ndarray,
+    table: SurfaceTable,
+    columns: Mapping[str, np.ndarray],
+    by_ray: frozenset[str] = frozenset(),
+) -> Rows:
+    """What a filter is asked about: the paths at these places of a ledger, with columns of as many rows."""
+    events = Events(paths.events[place], paths.lengths[place], table.event_words)
+    return Rows(events, table.event_ids, table.event_parts, columns, table.count, by_ray)
+
+
 def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTable:
     """The table of all paths of all runs; paths without a hit are left out."""
-    books = [Book(paths, run.started, run.unit) for run, paths in zip(runs, decoded, strict=True)]
+    books = [Book(paths, run.started, run.unit, run.table) for run, paths in zip(runs, decoded, strict=True)]
     parts, places = [], []
     for run, book in zip(runs, books, strict=True):
         place = np.flatnonzero(book.paths.sums[:, :, 0].any(axis=1))

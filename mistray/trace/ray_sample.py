@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import drjit as dr
 import mitsuba as mi
 import numpy as np
 
@@ -41,7 +40,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
     # of it in every batch. Multiples of the golden ratio are spread over the batches and over the curve, early ones too
     lanes = (np.arange(START_RAYS) * GOLDEN % 1 * run.rays).astype(np.int64)
     lanes = np.array(list(dict.fromkeys(lanes.tolist())))
-    recorder = Recorder(CAPACITY, run.settings.max_events, mi.UInt64(dr.opaque(mi.UInt64, 0)))
+    recorder = Recorder(CAPACITY, run.settings.max_events)
     film = run.make_film()
     for number in np.unique(lanes // PASS_LANES):
         own = lanes[lanes // PASS_LANES == number] - number * PASS_LANES

@@ -44,8 +44,12 @@ from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import (
     ABSORBED,
     AIMED_TRANSMITTED,
+    COUNT_MASK,
+    DIFFRACTED_SHIFT,
     EVENT_BITS,
     FIRST_KEY,
+    OPTICAL_SHIFT,
+    RANDOM_SHIFT,
     RANDOM_TRANSMITTED,
     REFLECTED,
     TOTAL,
@@ -54,7 +58,7 @@ from mistray.trace.ledger import (
     extend_key,
 )
 from mistray.trace.next_hit import film_coordinates, next_hit
-from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
+from mistray.trace.optics import DETECTOR, DIFFRACTS, NO_LOSS, ONE_CHILD, OPAQUE
 from mistray.trace.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
 from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.rims import RimBook
@@ -67,8 +71,6 @@ from mistray.trace.surfaces import SurfaceTable
 
 # Children of a node in the order in which they are sent on; scattered ones follow
 TRANSMIT, REFLECT, SCATTER = range(3)
-# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit
-COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT = 0xFF, 8, 16
 # Share of `scatter_threshold` that holds at walls against the light: in the dark little is all there is
 WORTH_IN_THE_DARK = 1e-3
 SUMS_OF_LANE = 2  # place of the sums by surface among the local arrays
@@ -107,7 +109,7 @@ def walk(
     recorder : Recorder, optional
         Whole branches; of rays that leave those that count, by `Sky.gain`, and no sums of the sky are written then.
     box : mi.Vector4f, optional
-        Only detector hits with x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) enter the ledger.
+        Only detector hits with x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 (mm) enter the ledger and the recorder.
     adjoint : Adjoint, optional
         Gathers derivatives; nothing else is written then.
     sky : Sky, optional
@@ -178,12 +180,11 @@ def walk(
     add_reason(STARTED, 1.0, mi.Bool(True))
     total = dr.zeros(mi.Float64, n if adjoint is not None else 1)  # derivative × flux of the hits so far
     if sky is not None:
-        scattered_before = first_scatters & COUNT_MASK
         if adjoint is not None:
-            total = sky.gain(d, start.w, first_reflections, scattered_before, first_aside, first_depth, missed)
+            total = sky.gain(d, start.w, first_reflections, first_scatters, first_aside, first_depth, missed)
         elif recorder is None:
             sky.record(
-                *(d, start.w, first_reflections, scattered_before, first_aside),
+                *(d, start.w, first_reflections, first_scatters, first_aside),
                 *(batch, start, first_key, first_depth, lambda k, _: k, missed),
             )
     start_w, start_clouded = attenuate(start.w, start_medium, t, hit)
@@ -270,20 +271,21 @@ def walk(
             return dr.select(k < depth, codes.read(k, mask & (k < depth)), (s << EVENT_BITS) | ABSORBED)
 
         slot, booked = None, detected
+        if box is not None:
+            booked = detected & (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
+        if recorder is not None:
+            wanted = recorder.wants(key, w, detected) & booked
+            last_node, place = (*p, *d, w), (x, y)
+            record_branch(recorder, path, event, wanted, last_node, depth, lane, key, mi.Float64(w), place=place)
         if rims is not None:
             rims.visit(rim_events, path, event, it, state, batch, lane, visited, first)
         if ledger is not None:
-            if box is not None:
-                booked = detected & (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
             if adjoint is not None:
                 slot, booked = adjoint.known(ledger, key, absorbed, booked)
             else:
                 slot, booked, new = ledger.find(key, booked)
                 ledger.record(slot, batch, w, absorbed, x, y, stokes, booked)
                 ledger.write_events(slot, depth + 1, event, new)
-        if recorder is not None:
-            wanted = detected & ((recorder.key == 0) | (recorder.key == key))
-            record_branch(recorder, path, event, wanted, (*p, *d, w), depth, lane, key, mi.Float64(w))
         if adjoint is not None:
             derivative = adjoint.derivative(film, x, y, slot, booked)
             gained = derivative * mi.Float64(w if film.incident else absorbed)
@@ -493,9 +495,12 @@ def walk(
         hit = go & (s2 != NO_SURFACE)
         add_reason(ESCAPED, child, go & ~hit)
         bounced = reflect & counted & ~scatter
-        aside = state["aside"]
+        aside, diffraction = state["aside"], mi.UInt32(0)
         if sky is not None:
-            after = state["scatters"] & COUNT_MASK
+            if scatters and table.optics.diffracts:
+                edge = scatter & ~reflect & ((it.word & DIFFRACTS) != 0)
+                diffraction = dr.select(edge, mi.UInt32(1 << DIFFRACTED_SHIFT), 0)
+            after = state["scatters"] + diffraction
             if scatters:
                 after = after + dr.select(scatter | cloud, mi.UInt32(1), 0)
             bounces = reflections + dr.select(bounced, mi.UInt32(1), 0)
@@ -529,6 +534,7 @@ def walk(
             scattered = scatter | cloud
             optical = transmits | cloud
             count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
+            count += diffraction
             aimed_from = dr.select(bounced, NO_SURFACE, state["aimed_from"])
             aimed_from = dr.select(scattered, dr.select(aim, s, NO_SURFACE), aimed_from)
             birth = dr.select(scattered, child, state["birth"])

@@ -16,9 +16,11 @@ from mistray.trace.by_parts import TraceTask, maps_by_parts
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.ledger import BATCHES
+from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathTable, path_table
 from mistray.trace.raw_gradient import MOMENTS, HitDerivative, PathDerivative, RawGradient, Wanted
 from mistray.trace.ray_sample import sample_rays
+from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.run_gradient import run_gradient
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.tracer import Run
@@ -55,7 +57,7 @@ class Trace:
     ----------
     settings : dict
         Everything that determines the result: arguments, scene, variant, versions.
-    rays, rays_planned : int
+    rays_traced, rays_planned : int
         Start rays that were traced and that were to be; fewer where workers were lost, see `mistray.distribute`.
     paths : PathTable
         Paths from the sources to the detector, the strongest first; None if traced with ``ledger=False``.
@@ -89,7 +91,7 @@ class Trace:
     def __init__(self, runs: list[Run], settings: dict[str, Any], task: TraceTask | None = None) -> None:
         self._runs, self._task = runs, task
         self.settings = settings
-        self.rays = round(sum(float(run.started.sum()) for run in runs))
+        self.rays_traced = round(sum(float(run.started.sum()) for run in runs))
         self.rays_planned = sum(run.rays for run in runs)
         self.extent = runs[0].table.film()[2]
         self.irradiance, self.irradiance_se = self._map(runs, [run.film for run in runs])
@@ -102,7 +104,7 @@ class Trace:
             sum(run.unit**power * float(run.reasons[reason].sum()) for run in runs)
             for power, reason in enumerate((SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES))
         )
-        self.scattered_rays_per_start = hits / self.rays
+        self.scattered_rays_per_start = hits / self.rays_traced
         self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
         self.notes = list(dict.fromkeys(text for run in runs for text in run.table.optics.notes))
@@ -235,8 +237,7 @@ class Trace:
         PathTable
             Powers, centroids and radii within the rectangle. The `path_id` are ranks within it.
         """
-        if not (x0 < x1 and y0 < y1):
-            raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")
+        check_box((x0, x1, y0, y1))
         _ = self.paths
         return path_table(self._runs, [run.paths_in_box((x0, x1, y0, y1)) for run in self._runs])
 
@@ -252,8 +253,8 @@ class Trace:
         """
         if n < 1:
             raise MistrayError(f"n is {n}; ask for at least one ray")
-        number, _, key = self.paths.locate(path_id)
-        return read_rays(self._runs[number], self._runs[number].record(key, n), n)
+        number, slot, _ = self.paths.locate(path_id)
+        return read_rays(self._runs[number], self._runs[number].record(np.array([slot]), n), n)
 
     def sampled_rays(self, path_ids: Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
         """
@@ -286,23 +287,51 @@ class Trace:
         tables = {run.beam.wavelength_nm: run.table for run in self._runs}
         return [tables[wavelength] for wavelength in sorted(tables)]
 
-    def incident(self, n: int = 100) -> pd.DataFrame:
+    def rays(
+        self,
+        selection: str = "",
+        *,
+        n: int | None = 1000,
+        box: Sequence[float] | None = None,
+        pixels: Sequence[int] | None = None,
+        events: bool = False,
+    ) -> pd.DataFrame:
         """
-        The incident ray table: n rays that reach the detector, shared by the sources and wavelengths.
+        Rays that reach the detector, chosen by what they met, what they carry and where they land.
 
-        Columns as in `RayHistory.incident`.
+        The same rays are traced again until there are enough. They are spread over the beams of all sources and
+        wavelengths; positions are found again in float64.
+
+        Parameters
+        ----------
+        selection : str
+            A filter, such as ``"S(barrel*) & relative_flux > 0.01"``; empty: every ray. The language stands at the head
+            of `mistray.trace.path_filter`; columns are those of this table, ``relative_flux`` (`flux_W` over that of
+            the strongest ray of the trace; takes one more run) and the attributes of `PathRow` for the ray's path.
+        n : int or None
+            Most rays; None: all of them.
+        box : x0, x1, y0, y1, optional
+            Only rays that hit this rectangle of the detector, mm in its own frame; as in `box`.
+        pixels : c0, c1, r0, r1, optional
+            Only rays that hit these pixels, ``irradiance[r0:r1, c0:c1]``.
+        events : bool
+            One row for each node of each ray instead of one for each ray.
+
+        Returns
+        -------
+        DataFrame
+            ray (number in this table), path_id, kind, wavelength_nm, source, start_ray, node (events of the ray), type
+            (the last of them before the detector), history (all of them), flux_W (arriving), x_mm, y_mm, z_mm, dx, dy,
+            dz (direction of arrival), opl_mm (from the start), detector_x_mm and detector_y_mm (in the detector's
+            frame), column and row (of the pixel). With `events` ray, node, path_id, kind, and the columns of
+            `RayHistory.to_pandas` that follow there.
+
+        Raises
+        ------
+        MistrayError
+            For a filter that cannot be read or names what there is not, an empty box, and n below 1.
         """
-        import pandas as pd
-
-        if n < 1:
-            raise MistrayError(f"n is {n}; ask for at least one ray")
-        shares = [len(part) for part in np.array_split(np.arange(n), len(self._runs))]
-        tables = [
-            read_rays(run, run.record(0, share), share).incident()
-            for run, share in zip(self._runs, shares, strict=True)
-            if share
-        ]
-        return pd.concat(tables, ignore_index=True)
+        return ray_table(self._runs, self.paths, PathFilter(selection), n, box, pixels, events)
 
     def raw_gradients(self, derivative: HitDerivative, wanted: Wanted) -> Iterator[RawGradient]:
         """
@@ -319,8 +348,10 @@ class Trace:
         RawGradient
             For each source and wavelength that matters.
         """
-        if self.rays != self.rays_planned:
-            raise MistrayError(f"only {self.rays} of {self.rays_planned} rays were traced; gradients need all of them")
+        if self.rays_traced != self.rays_planned:
+            raise MistrayError(
+                f"only {self.rays_traced} of {self.rays_planned} rays were traced; gradients need all of them"
+            )
         path = derivative.path
         maps = derivative.map_of_path
         for number, run in enumerate(self._runs):
@@ -357,8 +388,8 @@ class Trace:
     def __repr__(self) -> str:
         count = "no ledger" if self._paths is None else f"{len(self._paths)} paths"
         detected = f"detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W"
-        if self.rays != self.rays_planned:
-            count = f"unfinished: {self.rays} of {self.rays_planned} rays, {count}"
+        if self.rays_traced != self.rays_planned:
+            count = f"unfinished: {self.rays_traced} of {self.rays_planned} rays, {count}"
         return f"Trace({count}, {self.segments:.3g} segments, {detected})"
 
 

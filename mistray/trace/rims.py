@@ -122,7 +122,7 @@ class RimBook:
                 column, value = rims[rim]
                 bounds[i, column], bounds[i, 2 + column] = value, zone
         self._bounds, self._kinds = upload(mi.Float, bounds), upload(mi.UInt32, kinds)
-        self.paths = Recorder(capacity, max_events, mi.UInt64(dr.opaque(mi.UInt64, 0)), points_only=True)
+        self.paths = Recorder(capacity, max_events, points_only=True)
         self.rim = dr.zeros(mi.UInt32, capacity)
         self.delta, self.copies = dr.zeros(mi.Float, capacity), dr.zeros(mi.Float, capacity)
         self.gain = dr.zeros(mi.Float64, capacity)

@@ -12,16 +12,16 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
-from mistray.trace.ledger import BATCHES, MULTIPLIER, claim, host_keys, write_list
+from mistray.trace.ledger import BATCHES, COUNT_MASK, DIFFRACTED_SHIFT, MULTIPLIER, claim, host_keys, write_list
 from mistray.trace.upload import upload
 
 if TYPE_CHECKING:
     from mistray.trace.start_rays import StartRays
 
 # Classes of the light, in the order of their sums
-CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter")
+CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter", "edge_diffraction")
 CLASS_COUNT = len(CLASSES)
-DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE = range(CLASS_COUNT)
+DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE, DIFFRACTED = range(CLASS_COUNT)
 # Tables of paths: a path that finds no place within so many slots is not listed
 MOST_PROBES = 24
 HIT_SUMS = 3  # of a path in a cell: hits, weight, squared weight
@@ -227,7 +227,7 @@ class Sky:
         inside &= active
         kind = self._kind(reflections, scatters, aside, length)
         dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, (kind * self.cells + cell) * BATCHES + batch, inside)
-        scattered = inside & (scatters > 0)
+        scattered = inside & ((scatters & COUNT_MASK) > 0)
         # The bits of positive floats are in the order of the floats
         dr.scatter_reduce(dr.ReduceOp.Max, self.largest, dr.reinterpret_array(mi.UInt32, weight), cell, scattered)
         if self.maps is not None:
@@ -254,11 +254,14 @@ class Sky:
         return dr.select(inside, mi.Float64(weight) * dr.gather(mi.Float64, self._derivative, index, inside), 0)
 
     def _kind(self, reflections: mi.UInt32, scatters: mi.UInt32, aside: mi.Bool, length: mi.UInt32) -> mi.UInt32:
-        """Class of light by its events."""
+        """Class of light by its events; `scatters` is a word, see `mistray.trace.ledger.COUNT_MASK`."""
         past = aside | (length == 0) if self._has_optics else aside
         direct = dr.select(past, mi.UInt32(STRAIGHT), mi.UInt32(DIRECT))
         ghost = dr.select(reflections > 0, mi.UInt32(GHOST), direct)
-        return dr.select(scatters == 0, ghost, dr.select(scatters == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE)))
+        count, diffractions = scatters & COUNT_MASK, scatters >> DIFFRACTED_SHIFT
+        scattered = dr.select(count == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE))
+        scattered = dr.select(count == diffractions, mi.UInt32(DIFFRACTED), scattered)
+        return dr.select(count == 0, ghost, scattered)
 
     def read(self) -> dict[str, Any]:
         """

@@ -14,7 +14,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import CHANNELS, Adjoint
 from mistray.trace.aiming import aims
-from mistray.trace.books import REASONS, STARTED, SURFACE_SUMS, Film, Recorder, Tallies, spreads
+from mistray.trace.books import REASONS, STARTED, SURFACE_SUMS, Film, PathChoice, Recorder, Tallies, spreads
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES, DecodedPaths, Ledger
 from mistray.trace.raw_gradient import MOMENTS, PathDerivative
@@ -300,14 +300,32 @@ class Run:
         self.launch(film, None, self.ledger, box=box)
         return self.ledger.decode()
 
-    def record(self, key: int, count: int) -> Recorder:
+    def recorder(self, capacity: int, slots: np.ndarray | None = None) -> Recorder:
+        """For so many branches, of the paths in these slots of the ledger; None: of any path."""
+        choice = None
+        if slots is not None:
+            assert self.ledger is not None
+            chosen = np.zeros(self.ledger.capacity, dtype=np.uint32)
+            chosen[slots] = 1
+            choice = PathChoice(self.ledger, upload(mi.UInt32, chosen))
+        return Recorder(capacity, self.settings.max_events, choice=choice)
+
+    def peak_W(self) -> float:
+        """Flux of the strongest ray that meets the detector, by tracing all rays again; W."""
+        recorder = self.recorder(RECORD_CAPACITY, np.zeros(0, dtype=np.int64))
+        film = self.make_film()
+        for _, start in self.starts():
+            self.walk(start, film, recorder=recorder)
+        return self.unit * float(np.array(recorder.peak).view(np.float32)[0])
+
+    def record(self, slots: np.ndarray | None, count: int) -> Recorder:
         """
-        Branches that end in the detector, node by node, of the path with this key (0: of any path).
+        Branches that end in the detector, node by node, of the paths in these slots of the ledger (None: of any path).
 
         Start rays are traced until there are at least `count` branches or no more rays: first one batch, which is a
         sample of the whole beam, then the others of the first pass, then the other passes.
         """
-        recorder = Recorder(max(count, RECORD_CAPACITY), self.settings.max_events, mi.UInt64(dr.opaque(mi.UInt64, key)))
+        recorder = self.recorder(max(count, RECORD_CAPACITY), slots)
         film = self.make_film()
         for part, start in self.starts():
             host_batch = np.array(start.batch) - part.low

@@ -42,7 +42,7 @@ def assert_same(a, b, rtol=ROUNDING):
     np.testing.assert_allclose(a.surfaces.to_pandas().absorbed_W, b.surfaces.to_pandas().absorbed_W, rtol=rtol)
     assert list(a.surfaces.to_pandas().hits) == list(b.surfaces.to_pandas().hits)
     assert a.energy.closure == pytest.approx(b.energy.closure, abs=1e-12)
-    assert (a.rays, a.segments, a.settings["rays"]) == (b.rays, b.segments, b.settings["rays"])
+    assert (a.rays_traced, a.segments, a.settings["rays"]) == (b.rays_traced, b.segments, b.settings["rays"])
 
 
 def test_parts_add_up_to_one_run(scene, monkeypatch):
@@ -65,7 +65,7 @@ def test_parts_add_up_to_one_run(scene, monkeypatch):
     for a, b in zip(one.maps(groups), many.maps(groups), strict=True):
         np.testing.assert_allclose(a, b, rtol=1e-9, atol=1e-20)
     assert len(many.history(1, 3)) == 3
-    np.testing.assert_array_equal(one.history(0, 4).incident(), many.history(0, 4).incident())
+    np.testing.assert_array_equal(one.history(0, 4).to_pandas(), many.history(0, 4).to_pandas())
 
 
 def test_a_part_is_of_its_batches_only(scene):
@@ -112,7 +112,7 @@ def test_what_was_finished_is_a_trace_of_fewer_rays(scene, monkeypatch):
     with working_with(Here(last=6)), pytest.raises(UnfinishedError, match=r"1\.2e") as caught:
         mistray.trace(scene, rays=32_000)
     part = caught.value.partial
-    assert (part.rays, part.rays_planned, part.settings["rays"]) == (12_000, 32_000, 12_000)
+    assert (part.rays_traced, part.rays_planned, part.settings["rays"]) == (12_000, 32_000, 12_000)
     assert "unfinished: 12000 of 32000 rays" in repr(part)
     assert "of 3.2e+04 rays are finished and kept" in str(caught.value)
     assert part.energy.launched_W == whole.energy.launched_W
@@ -155,7 +155,7 @@ def test_ghosts_keep_the_fields_that_are_finished(scene):
     assert list(report) == [0, 1]
     with working_with(Here(last=1)), pytest.raises(UnfinishedError) as caught:
         mistray.ghosts(scene, fields_deg=[1, 0], rays=2000)
-    assert {field: t.rays for field, t in caught.value.partial.items()} == {1.0: 2000}
+    assert {field: t.rays_traced for field, t in caught.value.partial.items()} == {1.0: 2000}
 
 
 @pytest.mark.parametrize("method", ["adjoint", "forward"])

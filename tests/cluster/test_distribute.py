@@ -105,7 +105,7 @@ def assert_same(one, many):
     np.testing.assert_allclose(x.power_se_W, y.power_se_W, rtol=1e-5)
     np.testing.assert_allclose(one.irradiance, many.irradiance, rtol=1e-12)
     assert one.energy.closure == pytest.approx(many.energy.closure, abs=1e-12)
-    assert (one.rays, one.segments) == (many.rays, many.segments)
+    assert (one.rays_traced, one.segments) == (many.rays_traced, many.segments)
 
 
 # The next four use up one cluster, in this order
@@ -155,7 +155,7 @@ def test_a_scheduler_that_is_gone_is_told_and_what_was_finished_is_kept(cluster,
         mistray.trace(scene, rays=RAYS, progress=end)
     assert time.monotonic() - ended[0] < 30
     part = caught.value.partial
-    assert 0 < part.rays < RAYS == part.rays_planned
+    assert 0 < part.rays_traced < RAYS == part.rays_planned
     assert abs(part.energy.closure) < 1e-6
     assert len(str(caught.value).splitlines()) == 1
     assert "Traceback" not in capfd.readouterr().err
@@ -272,4 +272,4 @@ def test_workers_that_are_all_gone_are_waited_for_and_then_given_up(tmp_path, sc
             mistray.trace(scene, rays=RAYS, progress=kill)
     finally:
         processes.end()
-    assert 0 < caught.value.partial.rays < RAYS
+    assert 0 < caught.value.partial.rays_traced < RAYS

@@ -113,7 +113,7 @@ class TestNumbers:
         settings = TRACED | {"wavelength_nm": 550.0}
         t = mistray.trace(scene, field_deg=4.0, **settings)
         (row,) = (row for row in t.paths if row.kind == "direct")
-        rays = t.history(row.path_id, n=row.rays).incident()
+        rays = t.rays(f"path_id = {row.path_id}", n=None)
         assert len(rays) == row.rays
         w = rays.flux_W / rays.flux_W.sum()  # the detector absorbs the same share of every ray
         # The plane of the detector is that of its own frame but for a shift

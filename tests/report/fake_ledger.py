@@ -8,10 +8,10 @@ from types import SimpleNamespace
 import numpy as np
 
 from mistray.trace.ledger import BATCHES, EVENT_BITS, SUMS, DecodedPaths, host_keys
-from mistray.trace.optics import DETECTOR, MIRROR, OPAQUE, WALL
+from mistray.trace.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 from mistray.trace.path_events import LETTERS
 
-GLASS, STRUCTURE, EDGE = 0, OPAQUE, WALL
+GLASS, STRUCTURE, EDGE, RING = 0, OPAQUE, WALL, DIFFRACTS
 SENSOR, REFLECTOR = OPAQUE | DETECTOR, OPAQUE | MIRROR
 CODES = {letter: code for code, letter in LETTERS.items()}
 
@@ -58,7 +58,12 @@ def fake_run(
     words = np.array(list(surfaces.values()), dtype=np.uint32)
     return SimpleNamespace(
         beam=SimpleNamespace(name=name, wavelength_nm=wavelength_nm),
-        table=SimpleNamespace(event_ids=list(surfaces), event_words=words),
+        table=SimpleNamespace(
+            event_ids=list(surfaces),
+            event_parts=[name.split("_")[0].strip("()") for name in surfaces],
+            event_words=words,
+            count=sum(not name.startswith("(") for name in surfaces),
+        ),
         started=np.full(BATCHES, rays / BATCHES),
         unit=unit,
         paths=paths,

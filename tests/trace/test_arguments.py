@@ -32,7 +32,7 @@ class TestColoursSourcesDetectors:
         assert sum(row.power_W for row in t.paths) == pytest.approx(t.energy.detected_W, rel=1e-9)
         assert t.energy.launched_W == pytest.approx(np.pi, rel=1e-12)
         assert abs(t.energy.closure) < 1e-6
-        table = t.incident(10)
+        table = t.rays(n=10)
         assert set(table.wavelength_nm) == {486.1, 656.3}
         one = t.paths.find("p0_rear:R")[0]
         assert set(t.history(one.path_id, 3).to_pandas().wavelength_nm) == {one.wavelength_nm}
@@ -71,7 +71,7 @@ class TestColoursSourcesDetectors:
         centres = {row.source: row.y_mm for row in t.paths if row.order == 0}
         assert abs(centres["first"]) < 0.1
         assert centres["second"] > 1.0
-        table = t.incident(20)
+        table = t.rays(n=20)
         assert set(table.source) == {"first", "second"}
         assert len(table) == 20
         second = next(row for row in t.paths if row.source == "second" and row.order == 0)

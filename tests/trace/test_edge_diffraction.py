@@ -103,7 +103,7 @@ def test_energy(load_scene: Load) -> None:
     # all but 1e-3, the angles beyond the screen
     assert_z("diffracted", rows["tA"].power_W, share, rows["tA"].power_se_W, k=3.0, floor=1.5e-3 * share)
     assert abs(found.energy.closure) < 1e-6
-    assert rows["tA"].scatter_1 == "edge"
+    assert (rows["tA"].scatter_1, rows["tA"].kind, rows["tA"].diffractions) == ("edge", "edge diffraction", 1)
 
 
 class TestPst:
@@ -164,7 +164,8 @@ class TestPst:
     def test_oblique_light(self, load_scene: Load, method: str, rays: int, width: float) -> None:
         settings = {"wavelength_nm": 550.0, "cell_deg": self.CELL, "rays": rays, "seed": 5}
         found = pst(self.scene(load_scene, width), self.ANGLES, method=method, **settings)
-        value, se = found.curve("single_scatter")
+        value, se = found.curve("edge_diffraction")
+        assert not np.any(found.curve("single_scatter")[0])
         expected = np.array([self.expected(angle, width) for angle in self.ANGLES])
         assert np.all(se < 0.12 * expected), se / expected
         assert_z(method, value / expected, 1.0, se / expected, k=3.0, floor=3e-3)

@@ -250,7 +250,7 @@ class TestPathTable:
         assert t.energy.detected_W == 0
         assert t.energy.absorbed["wall"][0] == pytest.approx(np.pi)
         assert t.paths.find("wall") == []
-        assert t.incident(5).empty
+        assert t.rays().empty
 
 
 class TestRayTables:
@@ -314,27 +314,6 @@ class TestRayTables:
         with pytest.raises(mistray.MistrayError, match="path_id -1 does not exist"):
             triplet.history(-1)
 
-    def test_incident(self, tmp_path: Path) -> None:
-        t = mistray.trace(mistray.load("cooke_triplet"), rays=1500, field_deg=8.0)
-        count = sum(row.rays for row in t.paths)
-        table = t.incident(count + 10)
-        assert len(table) == count
-        columns = ["ray", "wavelength_nm", "source", "start_ray", "node", "type", "history", "flux_W"]
-        assert list(table.columns) == [*columns, "x_mm", "y_mm", "z_mm", "dx", "dy", "dz"]
-        direction = table[["dx", "dy", "dz"]].to_numpy()
-        np.testing.assert_allclose(np.linalg.norm(direction, axis=1), 1.0, rtol=1e-12)
-        assert np.all(direction[:, 2] > 0)
-        incident = next(row for row in t.surfaces if row.id == "detector").incident_W
-        assert table.flux_W.sum() == pytest.approx(incident, rel=1e-6)
-        assert set(table.history.str.split().str[-1]) == {"Absorbed"}
-        assert list(table.type) == [text.split()[-2] for text in table.history]
-        assert (table.node == table.history.str.split().str.len()).all()
-        table.to_csv(tmp_path / "incident.csv", index=False)
-        pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "incident.csv"), table, check_dtype=False, rtol=1e-12)
-        assert len(t.incident(7)) == 7
-        with pytest.raises(mistray.MistrayError, match="n is 0"):
-            t.incident(0)
-
     def test_straight_shot(self, load_text) -> None:
         scene, _ = load_text(
             scene_text(
@@ -344,8 +323,7 @@ class TestRayTables:
         )
         t = mistray.trace(scene, rays=1000)
         assert [(row.kind, row.path, row.order) for row in t.paths] == [("straight shot", "A", 0)]
-        table = t.incident(3)
-        assert set(table.type) == {"Emitted"}
+        assert set(t.rays(n=3).type) == {"Emitted"}
 
 
 class TestFluxReport:

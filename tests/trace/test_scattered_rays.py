@@ -50,7 +50,7 @@ def test_refraction_holds_after_a_scatter_event(trace, path: str, intercept: str
 
 
 def test_the_incident_ray_table_names_scatter(trace) -> None:
-    table = trace.incident(200)
+    table = trace.rays(n=200)
     assert {"RandTran", "ImpTran"} <= {text.split()[0] for text in table.history}
     assert set(table.type) == {"SpecTran"}
 

@@ -155,7 +155,7 @@ class TestBallLens:
             np.testing.assert_allclose(ray[["dx", "dy", "dz"]].to_numpy()[:-1], unit, atol=2e-5)
             lengths = np.linalg.norm(steps, axis=1)
             np.testing.assert_allclose(np.diff(ray.opl_mm), lengths * [1, 1.5, 1], rtol=1e-6)
-        assert set(t.incident(50).node) == {3, 5}
+        assert set(t.rays(n=50).node) == {3, 5}
 
     def test_inside_out_and_again(self, load_text) -> None:
         """Light whispers along the inside of a ball: many hits of one stock shape, none lost, none counted twice."""

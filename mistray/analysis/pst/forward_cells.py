@@ -112,8 +112,14 @@ def _classes(facts: dict[str, np.ndarray]) -> np.ndarray:
     """(w,) numbers within `CLASSES` of ways, from the columns of `describe_events`."""
     scatters, reflections = facts["scatters"], facts["order"] + facts["structure_bounces"]
     names = np.select(
-        [scatters > 1, scatters == 1, reflections > 0, facts["kind"] == DIRECT],
-        ["multiple_scatter", "single_scatter", "ghost", "direct"],
+        [
+            (scatters > 0) & (scatters == facts["diffractions"]),
+            scatters > 1,
+            scatters == 1,
+            reflections > 0,
+            facts["kind"] == DIRECT,
+        ],
+        ["edge_diffraction", "multiple_scatter", "single_scatter", "ghost", "direct"],
         "straight_shot",
     )
     return np.array([CLASSES.index(name) for name in names], dtype=np.int64)

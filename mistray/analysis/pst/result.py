@@ -37,7 +37,8 @@ class Pst:
 
     Light is "direct" (no reflection but at mirrors, no scatter), "straight_shot" (the same, but past all optics,
     through an edge or bevel, or with total reflection), "ghost" (reflections, no scatter), "single_scatter" or
-    "multiple_scatter" (one or more scatter events, with or without reflections).
+    "multiple_scatter" (one or more scatter events, with or without reflections), or "edge_diffraction" (deflected at
+    rings of `edge_diffraction` alone; where light is scattered as well it counts by the number of all these events).
 
     Attributes
     ----------

@@ -24,7 +24,7 @@ from mistray.trace.ledger import ABSORBED, EVENT_BITS
 from mistray.trace.path_books import join_books
 from mistray.trace.path_events import DIRECT, describe_events
 from mistray.trace.settings import Settings
-from mistray.trace.sky import MULTIPLE, SINGLE
+from mistray.trace.sky import DIFFRACTED, MULTIPLE, SINGLE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -273,7 +273,7 @@ class _AdjointRun:
         """The PST of all that has been traced."""
         trace, bare = self._trace, self._pst()
         table, rays = trace.table, float(trace.rays.sum())
-        scattered = trace.sums["cells"][[SINGLE, MULTIPLE]].sum(axis=(0, 3))
+        scattered = trace.sums["cells"][[SINGLE, MULTIPLE, DIFFRACTED]].sum(axis=(0, 3))
         with np.errstate(divide="ignore", invalid="ignore"):
             largest = np.where(scattered > 0, trace.sums["largest"] / scattered, 0.0)
         maps = None

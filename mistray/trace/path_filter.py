@@ -1,0 +1,403 @@
+"""Filters of paths and rays: expressions such as ``S(barrel*) & !G & flux_W > 1e-9``.
+
+A flag is a letter and the name of a surface or part in brackets; ``*`` and ``?`` in a name stand for any letters, a
+flag alone for any surface. Flags are those of Zemax' filter strings where these have them:
+
+====== =============================================================================================================
+flag   the light
+====== =============================================================================================================
+H(x)   hits x, whatever happens there
+M(x)   misses x
+T(x)   is transmitted by x, neither scattered nor diffracted
+R(x)   is reflected by x, specularly or totally
+I(x)   is totally reflected within x
+G(x)   is reflected by x as a ghost: neither at a mirror nor at structure nor totally
+S(x)   is scattered by the surface x
+B(x)   is scattered in the bulk of the material x
+D(x)   is diffracted by the edge x
+L(x)   meets x last before the detector
+====== =============================================================================================================
+
+``H(barrel) >= 2`` counts events. ``name operator value`` compares a column of the table, with ``= != < <= > >=``; text
+needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A text in
+quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``.
+
+Terms are joined by ``!`` (not), ``&`` (and), ``^`` (either, not both), ``|`` (or), which bind in this order, and by
+round brackets.
+"""
+
+from __future__ import annotations
+
+import difflib
+import operator
+import re
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from functools import reduce
+from typing import NamedTuple, NoReturn
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.trace.ledger import REFLECTED, TOTAL, TRANSMITTED
+from mistray.trace.path_events import LETTERS, Events
+
+FLAGS = "HMTRIGSBDL"
+COMPARISONS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {
+    "=": operator.eq,
+    "==": operator.eq,
+    "!=": operator.ne,
+    "<": operator.lt,
+    "<=": operator.le,
+    ">": operator.gt,
+    ">=": operator.ge,
+}
+_TOKEN = re.compile(
+    r"\s*(?:(?P<number>[-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)(?![\w.])|(?P<text>\"[^\"]*\"|'[^']*')"
+    r"|(?P<compare>==|!=|<=|>=|=|<|>)|(?P<sign>[!&^|()])|(?P<word>[\w*?.:+-]+))"
+)
+
+
+class Bounds(NamedTuple):
+    """Of each row whether a filter holds for certain, and whether it may; they differ where a ray is to decide."""
+
+    certain: np.ndarray
+    possible: np.ndarray
+
+
+@dataclass(frozen=True)
+class Rows:
+    """
+    What a filter is asked about.
+
+    Attributes
+    ----------
+    events : Events
+        Of each row.
+    ids, parts : sequence of str
+        Names and parts of the places of events.
+    columns : mapping of str to (n,) array
+        By their names.
+    by_ray : frozenset of str
+        Names of columns that a ray has and a path does not: a path may hold, and may not.
+    surfaces : int
+        How many of the places are surfaces; the others are media.
+    """
+
+    events: Events
+    ids: Sequence[str]
+    parts: Sequence[str]
+    columns: Mapping[str, np.ndarray]
+    surfaces: int
+    by_ray: frozenset[str] = field(default_factory=frozenset)
+
+
+class PathFilter:
+    """
+    A filter of paths and rays; the language stands at the head of `mistray.trace.path_filter`.
+
+    Parameters
+    ----------
+    text : str
+        Empty: everything holds.
+
+    Attributes
+    ----------
+    columns : frozenset of str
+        Names of the columns that it compares.
+
+    Raises
+    ------
+    MistrayError
+        If the text is not in the language.
+    """
+
+    def __init__(self, text: str) -> None:
+        self.text = text
+        parser = _Parser(text)
+        self._term = parser.whole() if text.strip() else _All()
+        self.columns = frozenset(parser.columns)
+
+    def bounds(self, rows: Rows) -> Bounds:
+        """Which rows hold; `MistrayError` for a name or a column that there is not."""
+        try:
+            return self._term.bounds(rows)
+        except _UnknownError as error:
+            raise MistrayError(f"filter '{self.text}': {error}") from None
+
+    def holds(self, rows: Rows) -> np.ndarray:
+        """Which rows hold for certain, (n,) bool."""
+        return self.bounds(rows).certain
+
+    def __repr__(self) -> str:
+        return f"PathFilter({self.text!r})"
+
+
+class _UnknownError(Exception):
+    """A name that the scene or the table does not have."""
+
+
+def _exactly(held: np.ndarray) -> Bounds:
+    return Bounds(held, held)
+
+
+@dataclass(frozen=True)
+class _All:
+    def bounds(self, rows: Rows) -> Bounds:
+        return _exactly(np.full(len(rows.events), True))
+
+
+@dataclass(frozen=True)
+class _Not:
+    term: _Term
+
+    def bounds(self, rows: Rows) -> Bounds:
+        certain, possible = self.term.bounds(rows)
+        return Bounds(~possible, ~certain)
+
+
+@dataclass(frozen=True)
+class _Join:
+    sign: str
+    terms: tuple[_Term, ...]
+
+    def bounds(self, rows: Rows) -> Bounds:
+        join = {"&": _both, "|": _any, "^": _either}[self.sign]
+        return reduce(join, (term.bounds(rows) for term in self.terms))
+
+
+def _both(a: Bounds, b: Bounds) -> Bounds:
+    return Bounds(a.certain & b.certain, a.possible & b.possible)
+
+
+def _any(a: Bounds, b: Bounds) -> Bounds:
+    return Bounds(a.certain | b.certain, a.possible | b.possible)
+
+
+def _either(a: Bounds, b: Bounds) -> Bounds:
+    certain = (a.certain & ~b.possible) | (~a.possible & b.certain)
+    return Bounds(certain, ~((a.certain & b.certain) | (~a.possible & ~b.possible)))
+
+
+@dataclass(frozen=True)
+class _Flag:
+    """A flag; without a comparison it is whether there is such an event."""
+
+    letter: str
+    name: str
+    compare: str = ">="
+    value: float = 1.0
+
+    def bounds(self, rows: Rows) -> Bounds:
+        events = rows.events
+        here = _places(self.name, rows)[events.places]
+        if self.letter == "M":
+            return _exactly(~(events.inside & here).any(axis=1))
+        count = (_HAPPENS[self.letter](events, rows.surfaces) & here).sum(axis=1)
+        return _exactly(COMPARISONS[self.compare](count, self.value))
+
+
+def _last(events: Events, _: int) -> np.ndarray:
+    return events.before_the_end & (np.arange(events.codes.shape[1]) == events.lengths[:, None] - 2)
+
+
+_HAPPENS: dict[str, Callable[[Events, int], np.ndarray]] = {
+    "H": lambda e, _: e.inside,
+    "T": lambda e, _: e.happens(TRANSMITTED),
+    "R": lambda e, _: e.happens(REFLECTED, TOTAL),
+    "I": lambda e, _: e.happens(TOTAL),
+    "G": lambda e, _: e.reflected & ~e.on_structure,
+    "S": lambda e, surfaces: e.deflected & ~e.diffracted & (e.places < surfaces),
+    "B": lambda e, surfaces: e.deflected & (e.places >= surfaces),
+    "D": lambda e, _: e.diffracted,
+    "L": _last,
+}
+
+
+def _places(name: str, rows: Rows) -> np.ndarray:
+    """(s,) which places of events a name means."""
+    names = list(zip(rows.ids, rows.parts, strict=True))
+    found = np.array([any(map(_like_pattern(name), pair)) for pair in names], dtype=bool)
+    if not found.any():
+        raise _UnknownError(f"no surface, part or material is called '{name}'{_like(name, [*rows.ids, *rows.parts])}")
+    return found
+
+
+def _like_pattern(name: str) -> Callable[[str], bool]:
+    """Whether a text is this name, in which * and ? stand for any letters and any one letter."""
+    pattern = re.compile(re.escape(name).replace(r"\*", ".*").replace(r"\?", "."), re.DOTALL)
+    return lambda text: pattern.fullmatch(text) is not None
+
+
+def _like(name: str, known: Sequence[str]) -> str:
+    """The nearest name that there is, or all of a few."""
+    near = difflib.get_close_matches(name, known, 1, 0.5)
+    return f"; did you mean '{near[0]}'?" if near else f"; use one of {', '.join(list(dict.fromkeys(known))[:12])}"
+
+
+@dataclass(frozen=True)
+class _Compare:
+    column: str
+    compare: str
+    value: float | str
+
+    def bounds(self, rows: Rows) -> Bounds:
+        if self.column in rows.by_ray:
+            count = len(rows.events)
+            return Bounds(np.full(count, False), np.full(count, True))
+        if self.column not in rows.columns:
+            raise _UnknownError(
+                f"there is no column '{self.column}'{_like(self.column, [*rows.columns, *rows.by_ray])}"
+            )
+        values = np.asarray(rows.columns[self.column])
+        if values.dtype.kind in "OUT":
+            if self.compare not in ("=", "==", "!="):
+                raise _UnknownError(f"'{self.column}' is text; compare it with = or !=")
+            fits = _like_pattern(str(self.value))
+            same = np.array([fits(str(value)) for value in values], dtype=bool)
+            return _exactly(~same if self.compare == "!=" else same)
+        if isinstance(self.value, str):
+            raise _UnknownError(f"'{self.column}' is a number; compare it with one, not with '{self.value}'")
+        return _exactly(np.asarray(COMPARISONS[self.compare](values, self.value)))
+
+
+@dataclass(frozen=True)
+class _Sequence:
+    words: tuple[str, ...]
+
+    def bounds(self, rows: Rows) -> Bounds:
+        return _exactly(in_order(self.words, rows))
+
+
+def in_order(words: Sequence[str], rows: Rows) -> np.ndarray:
+    """(n,) whether these surfaces, each perhaps with a letter of what happens there, come in this order."""
+    codes, inside = rows.events.codes, rows.events.inside
+    after = np.zeros(len(codes), dtype=np.int64)  # events that are used up
+    held = np.full(len(codes), True)
+    letters = {letter: what for what, letter in LETTERS.items()}
+    for word in words:
+        name, _, letter = word.rpartition(":") if word[-2:-1] == ":" else (word, "", "")
+        if letter and letter not in letters:
+            raise _UnknownError(f"'{word}' ends in '{letter}'; a letter is one of {', '.join(letters)}")
+        here = inside & _places(name, rows)[rows.events.places]
+        if letter:
+            here &= rows.events.happens(letters[letter])
+        here &= np.arange(codes.shape[1]) >= after[:, None]
+        held &= here.any(axis=1)
+        after = here.argmax(axis=1) + 1
+    return held
+
+
+_Term = _All | _Not | _Join | _Flag | _Compare | _Sequence
+
+
+class _Parser:
+    """Recursive descent over the tokens of a filter."""
+
+    def __init__(self, text: str) -> None:
+        self._text, self._at = text, 0
+        self.columns: set[str] = set()
+
+    def whole(self) -> _Term:
+        term = self._join("|", lambda: self._join("^", lambda: self._join("&", self._not)))
+        if self._look():
+            self._fail(f"'{self._text[self._at :].strip()}' is left over; join terms with & | or ^")
+        return term
+
+    def _join(self, sign: str, part: Callable[[], _Term]) -> _Term:
+        terms = [part()]
+        while self._take(sign):
+            terms.append(part())
+        return terms[0] if len(terms) == 1 else _Join(sign, tuple(terms))
+
+    def _not(self) -> _Term:
+        if self._take("!"):
+            return _Not(self._not())
+        if self._take("("):
+            term = self._join("|", lambda: self._join("^", lambda: self._join("&", self._not)))
+            self._need(")")
+            return term
+        return self._one()
+
+    def _one(self) -> _Term:
+        found = self._look()
+        if found is None or found.lastgroup not in ("word", "text"):
+            self._fail(f"a term is missing before '{found[0].strip()}'" if found else "a term is missing at the end")
+        self._at = found.end()
+        if found["text"]:
+            words = tuple(found["text"][1:-1].split())
+            return _Sequence(words) if words else self._fail("a path in quotation marks is empty; name its surfaces")
+        word = found["word"]
+        if word in FLAGS and len(word) == 1:
+            name = self._name(word)
+            if word == "M" and name is None:
+                self._fail("M needs a name: M(x), light that misses x")
+            compared = self._compared()
+            if compared is None:
+                return _Flag(word, name or "*")
+            compare, value = compared
+            if word == "M" or isinstance(value, str):
+                self._fail(f"{word}({name or '*'}) {compare} {value} compares nothing; a count is a number of events")
+            return _Flag(word, name or "*", compare, float(value))
+        compared = self._compared()
+        if compared is None:
+            self._fail(
+                f"'{word}' is neither a flag ({' '.join(FLAGS)}) nor compared with anything; write H({word}) for a "
+                "surface"
+            )
+        self.columns.add(word)
+        return _Compare(word, *compared)
+
+    def _name(self, letter: str) -> str | None:
+        """The name in brackets that follows a flag; None: there are no brackets."""
+        if not self._take("("):
+            return None
+        rest = self._text[self._at :].lstrip()
+        start = len(self._text) - len(rest)
+        if rest[:1] in ("'", '"') and rest.find(rest[0], 1) > 0:
+            end = start + rest.find(rest[0], 1) + 1
+            self._at, name = end, self._text[start + 1 : end - 1]
+        else:
+            close = self._text.find(")", start)
+            end = close if close >= 0 else len(self._text)
+            self._at, name = end, self._text[start:end].strip()
+        if not name:
+            self._fail(f"{letter}() names nothing; give a surface or part, or leave the brackets out")
+        self._need(")")
+        return name
+
+    def _compared(self) -> tuple[str, float | str] | None:
+        found = self._look()
+        if found is None or not found["compare"]:
+            return None
+        self._at = found.end()
+        value = self._look()
+        if value is None or not (value["number"] or value["text"] or value["word"]):
+            self._fail(f"a number or a text is missing after '{found['compare']}'")
+        self._at = value.end()
+        if value["number"]:
+            return found["compare"], float(value["number"])
+        return found["compare"], value["word"] or value["text"][1:-1]
+
+    def _look(self) -> re.Match[str] | None:
+        """The next token; None at the end."""
+        if not self._text[self._at :].strip():
+            return None
+        found = _TOKEN.match(self._text, self._at)
+        if found is None:
+            self._fail(f"'{self._text[self._at :].strip()[0]}' means nothing here; use ! & ^ | and round brackets")
+        return found
+
+    def _take(self, sign: str) -> bool:
+        found = self._look()
+        if found is None or found["sign"] != sign:
+            return False
+        self._at = found.end()
+        return True
+
+    def _need(self, sign: str) -> None:
+        if not self._take(sign):
+            self._fail(f"a '{sign}' is missing after '{self._text[: self._at].strip()}'")
+
+    def _fail(self, what: str) -> NoReturn:
+        raise MistrayError(f"filter '{self._text}': {what}")

@@ -1,0 +1,275 @@
+"""Tables of rays at the detector, chosen by a filter and by where they land."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+from dataclasses import fields
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.trace.books import Recorder
+from mistray.trace.history import Ray, RayHistory, bundles
+from mistray.trace.path_events import EVENT_MASK, INTERCEPTS, Events
+from mistray.trace.path_filter import PathFilter, Rows
+from mistray.trace.paths import PathRow, PathTable
+from mistray.trace.tracer import Run
+from mistray.trace.upload import upload
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+    from mistray.trace.start_rays import StartRays
+
+CAPACITY = 1 << 14  # branches that are recorded at a time
+FIRST = 1 << 12  # start rays of the first walk; each time twice as many
+GOLDEN = (5**0.5 - 1) / 2
+ALONG = ("x_mm", "y_mm", "z_mm"), ("dx", "dy", "dz")
+PEAK = "relative_flux"
+FACTS = (
+    "start_ray",
+    "node",
+    "flux_W",
+    *ALONG[0],
+    *ALONG[1],
+    "opl_mm",
+    "detector_x_mm",
+    "detector_y_mm",
+    "column",
+    "row",
+)
+BY_RAY = frozenset({*FACTS, "type", "history", PEAK})
+PATH_COLUMNS = frozenset(f.name for f in fields(PathRow))
+
+Columns = dict[str, np.ndarray]
+
+
+def check_box(box: Sequence[float]) -> None:
+    """Refuse a rectangle that is empty; x0, x1, y0, y1 in mm."""
+    x0, x1, y0, y1 = box
+    if not (x0 < x1 and y0 < y1):
+        raise MistrayError(f"box is x {x0:g} … {x1:g}, y {y0:g} … {y1:g} mm; it needs x0 < x1 and y0 < y1")
+
+
+def ray_table(
+    runs: Sequence[Run],
+    paths: PathTable,
+    wanted: PathFilter,
+    n: int | None,
+    box: Sequence[float] | None,
+    pixels: Sequence[int] | None,
+    events: bool,
+) -> pd.DataFrame:
+    """The table of `mistray.trace.Trace.rays`, which says what the parameters are."""
+    import pandas as pd
+
+    if n is not None and n < 1:
+        raise MistrayError(f"n is {n}; ask for at least one ray, or None for all")
+    if box is not None:
+        check_box(box)
+    if pixels is not None:
+        _check_pixels(pixels, runs[0])
+    peak = max(run.peak_W() for run in runs) if PEAK in wanted.columns else math.nan
+    parts: list[Columns] = []
+    rays: list[tuple[int, Ray]] = []
+    for number, (run, (_, slots)) in enumerate(zip(runs, paths.chosen(wanted, BY_RAY), strict=True)):
+        search = _Search(run, number, paths, wanted, peak, box, pixels, events)
+        found, lines = search.rays(slots, n)
+        parts.append(found)
+        rays += [(number, ray) for ray in lines]
+    whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    count = len(whole["start_ray"])
+    kept = np.arange(count)
+    if n is not None and count > n:  # every run has found as many as were asked for, or all that it has
+        kept = np.linspace(0, count - 1, n).round().astype(int)
+    if not events:
+        texts = {name: pd.Series(v[kept].tolist(), dtype="str") for name, v in whole.items() if v.dtype == object}
+        table = pd.DataFrame({name: values[kept] for name, values in whole.items()} | texts)
+        table.insert(0, "ray", np.arange(len(table)))
+        return table
+    tables = []
+    for place, k in enumerate(kept):
+        number, ray = rays[k]
+        table = RayHistory(runs[number], [ray]).to_pandas().assign(ray=place)
+        for name in ("kind", "path_id"):
+            table.insert(2, name, whole[name][k])
+        tables.append(table)
+    return pd.concat(tables, ignore_index=True) if tables else _no_events(runs[0])
+
+
+def _no_events(run: Run) -> pd.DataFrame:
+    table = RayHistory(run, []).to_pandas()
+    for name in ("kind", "path_id"):
+        table.insert(2, name, [])
+    return table
+
+
+def _check_pixels(pixels: Sequence[int], run: Run) -> None:
+    c0, c1, r0, r1 = pixels
+    width, height, _ = run.table.film()
+    if not (0 <= c0 < c1 <= width and 0 <= r0 < r1 <= height):
+        raise MistrayError(
+            f"pixels is columns {c0}:{c1}, rows {r0}:{r1}; the detector has {width} columns and {height} rows, and "
+            "each range needs a pixel"
+        )
+
+
+class _Search:
+    """Rays of one run."""
+
+    def __init__(
+        self,
+        run: Run,
+        number: int,
+        paths: PathTable,
+        wanted: PathFilter,
+        peak: float,
+        box: Sequence[float] | None,
+        pixels: Sequence[int] | None,
+        events: bool,
+    ) -> None:
+        self._run, self._number, self._paths, self._wanted, self._peak = run, number, paths, wanted, peak
+        self._pixels, self._events = pixels, events
+        self._box = _corners(run, box, pixels)
+
+    def rays(self, slots: np.ndarray, n: int | None) -> tuple[Columns, list[Ray]]:
+        """At most so many of the rays of paths in these slots of the ledger; with `events` the rays themselves too."""
+        parts, rays, found = [self._facts(np.zeros((0, 1), dtype=np.uint32), {})], [], 0
+        if len(slots):
+            recorder, film = self._run.recorder(CAPACITY, slots), self._run.make_film()
+            for start in _portions(self._run):
+                for columns, lines in self._walk(start, recorder, film):
+                    found += len(columns["start_ray"])
+                    parts.append(columns)
+                    rays += lines
+                if n is not None and found >= n:
+                    break
+        whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+        order = np.argsort(whole["start_ray"], kind="stable")
+        if n is not None and found > n:
+            order = order[np.linspace(0, found - 1, n).round().astype(int)]
+        return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
+
+    def _walk(self, start: StartRays, recorder: Recorder, film: object) -> Iterator[tuple[Columns, list[Ray]]]:
+        """Rays of some start rays; where they have more branches than the recorder holds, in halves."""
+        recorder.clear()
+        corners = None if self._box is None else mi.Vector4f(*(dr.opaque(mi.Float, v) for v in self._box))
+        self._run.walk(start, film, recorder=recorder, box=corners)  # type: ignore[arg-type]
+        count, lanes = int(recorder.count[0]), dr.width(start.lane)
+        if count > recorder.capacity:
+            if lanes == 1:
+                raise MistrayError(
+                    f"a single start ray has {count} branches at the detector, more than {recorder.capacity}; raise "
+                    "flux_threshold or lower max_reflections or max_scatters"
+                )
+            for half in np.array_split(np.arange(lanes), 2):
+                yield from self._walk(start.take(upload(mi.UInt32, half)), recorder, film)
+        elif count:
+            yield self._read(recorder, count)
+
+    def _read(self, recorder: Recorder, count: int) -> tuple[Columns, list[Ray]]:
+        """What is recorded, and lets itself through the filter."""
+        slots = np.arange(count)
+        lanes = np.array(recorder.lane)[:count]
+        origins, directions = self._run.start_rays(lanes)
+        lengths = np.array(recorder.length)[:count].astype(np.int64)
+        codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count, : int(lengths.max())]
+        numbers = {name: np.zeros(count) for name in ("flux_W", *ALONG[0], *ALONG[1], "opl_mm")}
+        rays: dict[int, Ray] = {}
+        for bundle in bundles(self._run, recorder, slots, origins, directions):
+            ends = [*bundle.points[:, -1].T, *bundle.directions[:, -2].T, bundle.opl_mm[:, -1]]
+            for name, values in zip((*ALONG[0], *ALONG[1], "opl_mm"), ends, strict=True):
+                numbers[name][bundle.numbers] = values
+            numbers["flux_W"][bundle.numbers] = bundle.flux_W[:, -1]
+            if self._events:
+                rays |= {k: bundle.ray(j, int(lanes[k])) for j, k in enumerate(bundle.numbers.tolist())}
+        place = np.array(recorder.place).reshape(-1, 2)[:count]
+        keys = np.array(recorder.path)[:count]
+        columns = self._facts(
+            np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0),
+            {"path_id": self._paths.ids_of_keys(self._number, keys), "start_ray": lanes.astype(np.int64)}
+            | {"node": lengths, "detector_x_mm": place[:, 0], "detector_y_mm": place[:, 1]}
+            | numbers,
+        )
+        held = self._held(columns, Events(codes, lengths, self._run.table.event_words))
+        kept = np.flatnonzero(held)
+        return {name: values[kept] for name, values in columns.items()}, [rays[int(k)] for k in kept] if rays else []
+
+    def _facts(self, codes: np.ndarray, given: Columns) -> Columns:
+        """All columns of rays, in their order; none given: of no rays."""
+        empty = {name: np.zeros(0, dtype=np.int64 if name in ("start_ray", "node") else float) for name in FACTS}
+        given = empty | {"path_id": np.zeros(0, dtype=np.int64)} | given
+        beam, count = self._run.beam, len(codes)
+        lists = [row[:length] for row, length in zip(codes.tolist(), given["node"].tolist(), strict=True)]
+        words = [[INTERCEPTS[code & EVENT_MASK] for code in row] for row in lists]
+        width, height, (x0, x1, y0, y1) = self._run.table.film()
+        along = [given[name].astype(np.float32) for name in ("detector_x_mm", "detector_y_mm")]
+        steps = [np.float32(width / (x1 - x0)), np.float32(height / (y1 - y0))]
+        pixel = [
+            np.clip(((v - np.float32(first)) * step).astype(np.int64), 0, size - 1)
+            for v, first, step, size in zip(along, (x0, y0), steps, (width, height), strict=True)
+        ]
+        return {
+            "path_id": given["path_id"],
+            "kind": self._paths.column("kind")[given["path_id"]],
+            "wavelength_nm": np.full(count, beam.wavelength_nm),
+            "source": np.full(count, beam.name, dtype=object),
+            "start_ray": given["start_ray"],
+            "node": given["node"],
+            "type": np.array([row[-2] if len(row) > 1 else "Emitted" for row in words], dtype=object),
+            "history": np.array([" ".join(row) for row in words], dtype=object),
+            **{name: given[name] for name in ("flux_W", *ALONG[0], *ALONG[1], "opl_mm")},
+            "detector_x_mm": given["detector_x_mm"],
+            "detector_y_mm": given["detector_y_mm"],
+            "column": pixel[0],
+            "row": pixel[1],
+        }
+
+    def _held(self, columns: Columns, events: Events) -> np.ndarray:
+        """Which of these rays are chosen."""
+        held = np.full(len(events), True)
+        if self._pixels is not None:
+            c0, c1, r0, r1 = self._pixels
+            held &= (columns["column"] >= c0) & (columns["column"] < c1)
+            held &= (columns["row"] >= r0) & (columns["row"] < r1)
+        more = {
+            name: self._paths.column(name)[columns["path_id"]] for name in self._wanted.columns if name in PATH_COLUMNS
+        }
+        table = self._run.table
+        known = more | columns | {PEAK: columns["flux_W"] / self._peak}
+        return held & self._wanted.holds(Rows(events, table.event_ids, table.event_parts, known, table.count))
+
+
+def _corners(run: Run, box: Sequence[float] | None, pixels: Sequence[int] | None) -> tuple[float, ...] | None:
+    """Where to record: the box, and of pixels a box that surely holds them."""
+    if box is None and pixels is None:
+        return None
+    corners = [-math.inf, math.inf, -math.inf, math.inf] if box is None else [float(v) for v in box]
+    if pixels is not None:
+        width, height, (x0, x1, y0, y1) = run.table.film()
+        for k, (size, low, high) in enumerate(((width, x0, x1), (height, y0, y1))):
+            first, last = pixels[2 * k : 2 * k + 2]
+            step = (high - low) / size
+            if first > 0:  # what lands beyond the border counts in the pixels there
+                corners[2 * k] = max(corners[2 * k], low + (first - 1) * step)
+            if last < size:
+                corners[2 * k + 1] = min(corners[2 * k + 1], low + (last + 1) * step)
+    return tuple(corners)
+
+
+def _portions(run: Run) -> Iterator[StartRays]:
+    """The start rays of a run in portions that grow; each is spread over the beam as all of its part are."""
+    for _, start in run.starts():
+        count = dr.width(start.lane)
+        stride = max(1, round(GOLDEN * count))
+        while math.gcd(stride, count) > 1:
+            stride += 1
+        order = np.arange(count) * stride % count
+        first, size = 0, FIRST
+        while first < count:
+            yield start.take(upload(mi.UInt32, order[first : first + size]))
+            first, size = first + size, 2 * size

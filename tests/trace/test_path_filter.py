@@ -1,0 +1,230 @@
+"""The language of filters: its algebra against Python's own, its flags against event lists read as text, its errors."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+from report.fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, encode
+
+import mistray
+from mistray.trace.path_events import Events, describe_events
+from mistray.trace.path_filter import PathFilter, Rows
+
+SURFACES = {
+    "L1_front": GLASS,
+    "L1_rear": GLASS,
+    "L1_edge": EDGE,
+    "barrel (black)": STRUCTURE,
+    "primary": REFLECTOR,
+    "rim": RING,
+    "detector": SENSOR,
+    "(N-BK7)": GLASS,
+}
+PARTS = ["L1", "L1", "L1", "barrel", "primary", "stop", "detector", "N-BK7"]
+LETTERS = "TRItrij"
+
+
+def random_lists(count: int) -> list[list[tuple[str, str]]]:
+    rng = np.random.default_rng(3)
+    names = [name for name in SURFACES if name != "detector"]
+    lists = []
+    for _ in range(count):
+        events = [(str(rng.choice(names)), str(rng.choice(list(LETTERS)))) for _ in range(rng.integers(0, 6))]
+        lists.append([(n, "t" if n == "(N-BK7)" else what) for n, what in events] + [("detector", "A")])
+    return lists
+
+
+LISTS = random_lists(400)
+
+
+@pytest.fixture(scope="module")
+def rows() -> Rows:
+    ids = list(SURFACES)
+    lengths = np.array([len(row) for row in LISTS])
+    codes, words = np.zeros((len(LISTS), lengths.max()), dtype=np.uint32), np.array(list(SURFACES.values()))
+    for k, row in enumerate(LISTS):  # `encode` reads names without blanks
+        safe = " ".join(f"{ids.index(name)}:{what}" for name, what in row)
+        (found,), _ = encode([safe], [str(n) for n in range(len(ids))])
+        codes[k, : len(found)] = found
+    facts = describe_events(codes, lengths, ids, words.astype(np.uint32))
+    power = np.random.default_rng(4).random(len(LISTS))
+    columns = facts | {"power_W": power, "source": np.array(["sun", "moon"] * (len(LISTS) // 2), dtype=object)}
+    return Rows(Events(codes, lengths, words.astype(np.uint32)), ids, PARTS, columns, 7, frozenset({"flux_W"}))
+
+
+def held(text: str, rows: Rows) -> list[bool]:
+    return PathFilter(text).holds(rows).tolist()
+
+
+def by_text(letters: str, name: str = "", but: tuple[str, ...] = ()) -> list[int]:
+    """Number of events with one of these letters at places whose name begins so, for each list."""
+    return [sum(what in letters and n.startswith(name) and n not in but for n, what in row[:-1]) for row in LISTS]
+
+
+NO_GHOST = ("primary", "barrel (black)")
+FLAGS = {
+    "H(L1_rear)": [n > 0 for n in by_text(LETTERS, "L1_rear")],
+    "H(L1)": [n > 0 for n in by_text(LETTERS, "L1")],
+    "H(*_rear)": [n > 0 for n in by_text(LETTERS, "L1_rear")],
+    "H(?1_rear)": [n > 0 for n in by_text(LETTERS, "L1_rear")],
+    "M(primary)": [n == 0 for n in by_text(LETTERS, "primary")],
+    "T(L1_front)": [n > 0 for n in by_text("T", "L1_front")],
+    "R(primary)": [n > 0 for n in by_text("RI", "primary")],
+    "I": [n > 0 for n in by_text("I")],
+    "G": [n > 0 for n in by_text("R", but=NO_GHOST)],
+    "G = 2": [n == 2 for n in by_text("R", but=NO_GHOST)],
+    "G(L1) >= 1": [n > 0 for n in by_text("R", "L1")],
+    "S(barrel)": [n > 0 for n in by_text("trij", "barrel")],
+    'S("barrel (black)")': [n > 0 for n in by_text("trij", "barrel")],
+    "S(rim)": [n > 0 for n in by_text("rj", "rim")],
+    "D(rim)": [n > 0 for n in by_text("ti", "rim")],
+    "D(stop) & S": [a > 0 and b > 0 for a, b in zip(by_text("ti", "rim"), [
+        x + y for x, y in zip(by_text("trij", but=("rim", "(N-BK7)")), by_text("rj", "rim"), strict=True)
+    ], strict=True)],
+    "B(N-BK7)": [n > 0 for n in by_text("t", "(N-BK7)")],
+    "B": [n > 0 for n in by_text("t", "(N-BK7)")],
+    "L(L1_edge)": [len(row) > 1 and row[-2][0] == "L1_edge" for row in LISTS],
+    "H(detector)": [True] * len(LISTS),
+    "H != 1": [len(row) != 1 for row in LISTS],
+    "source = moon": [k % 2 == 1 for k in range(len(LISTS))],
+    "source != 'm*n'": [k % 2 == 0 for k in range(len(LISTS))],
+    "": [True] * len(LISTS),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("text", FLAGS)
+def test_flags(text: str, rows: Rows) -> None:
+    assert held(text, rows) == FLAGS[text]
+    assert text in ("H(detector)", "") or 0 < sum(FLAGS[text]) < len(LISTS), "the case tells something"
+
+
+def test_columns(rows: Rows) -> None:
+    power = rows.columns["power_W"]
+    for sign in ("<", "<=", ">", ">=", "=", "!="):
+        expected = eval(f"power {sign.replace('=', '==') if sign == '=' else sign} 0.5")
+        assert held(f"power_W {sign} .5", rows) == expected.tolist()
+    assert held("power_W>1e-1&power_W<=+3E-1", rows) == ((power > 0.1) & (power <= 0.3)).tolist()
+    assert held('kind = "ghost + scatter"', rows) == (rows.columns["kind"] == "ghost + scatter").tolist()
+    assert held("kind = *diffraction*", rows) == [
+        "diffraction" in kind for kind in rows.columns["kind"]
+    ]  # without blanks no quotation marks
+    assert held("power_W > -1e308", rows) == [True] * len(LISTS)
+
+
+def test_a_text_is_a_path(rows: Rows) -> None:
+    texts = [" ".join(f"{name.replace(' ', '_')}:{what}" for name, what in row) + " " for row in LISTS]
+    for words, pattern in (
+        ("L1_front L1_rear:R", r"(^| )L1_front:. (.* )?L1_rear:R "),
+        ("L1_rear:R L1_front:T detector:A", r"(^| )L1_rear:R (.* )?L1_front:T (.* )?detector:A "),
+        ("L1_front L1_front", r"(^| )L1_front:. (.* )?L1_front:. "),
+        ("L1", r"(^| )L1_\w+:. "),  # a part
+        ("(N-BK7):t", r"(^| )\(N-BK7\):t "),
+    ):
+        expected = [re.search(pattern, text) is not None for text in texts]
+        assert held(f'"{words}"', rows) == expected
+        assert any(expected)
+        assert not all(expected)
+
+
+TERMS = (
+    "H(L1_rear)",
+    "S(barrel)",
+    "M(primary)",
+    "I",
+    "G = 1",
+    "power_W > 0.6",
+    "source = sun",
+    "D",
+    '"L1_front:T"',
+)
+
+
+def random_expression(rng: np.random.Generator, depth: int) -> tuple[str, str]:
+    """The same expression for the filter and for Python, whose & ^ | bind in the same order."""
+    if depth == 0 or rng.random() < 0.2:
+        k = int(rng.integers(len(TERMS)))
+        return TERMS[k], f"term[{k}]"
+    if rng.random() < 0.25:
+        ours, theirs = random_expression(rng, depth - 1)
+        return f"!({ours})", f"(~({theirs}))"
+    parts = [random_expression(rng, depth - 1) for _ in range(rng.integers(2, 4))]
+    signs = [str(rng.choice(["&", "^", "|"])) for _ in parts[1:]]
+    bracket = rng.random() < 0.5
+    texts = []
+    for which in (0, 1):
+        text = parts[0][which]
+        for sign, part in zip(signs, parts[1:], strict=True):
+            text += f" {sign} {part[which]}"
+        texts.append(f"({text})" if bracket else text)
+    # Joined without brackets a part that is itself a join mixes with its neighbours, in both in the same way
+    return texts[0], texts[1]
+
+
+def test_algebra(rows: Rows) -> None:
+    """400 random expressions, brackets and none, against NumPy."""
+    term = [np.array(held(text, rows)) for text in TERMS]
+    rng = np.random.default_rng(11)
+    for _ in range(400):
+        ours, theirs = random_expression(rng, 3)
+        expected = eval(theirs, {"term": term})
+        assert held(ours, rows) == expected.tolist(), ours
+
+
+def test_a_path_cannot_decide_for_its_rays(rows: Rows) -> None:
+    """With a column of rays a filter bounds: for every flux that the rays could have it lies between."""
+    rng = np.random.default_rng(12)
+    for _ in range(200):
+        ours, _ = random_expression(rng, 3)
+        ours = ours.replace("power_W > 0.6", "flux_W > 0.6").replace("G = 1", "flux_W < 0.2")
+        certain, possible = PathFilter(ours).bounds(rows)
+        assert not np.any(certain & ~possible)
+        for flux in (0.1, 0.4, 0.9):
+            known = Rows(
+                rows.events, rows.ids, rows.parts, dict(rows.columns) | {"flux_W": np.full(len(LISTS), flux)}, 7
+            )
+            now = PathFilter(ours).holds(known)
+            assert not np.any(certain & ~now)
+            assert not np.any(now & ~possible)
+
+
+@pytest.mark.parametrize(
+    ("text", "names"),
+    [
+        ("H(L1_fron)", ("L1_fron", "L1_front")),
+        ("H(lens 9)", ("lens 9", "L1_front")),
+        ("powr_W > 2", ("powr_W", "power_W")),
+        ("H(L1", ("')'",)),
+        ("(I", ("')'",)),
+        ("I)", ("')'",)),
+        ("I G", ("'G'", "&")),
+        ("I &", ("end",)),
+        ("", ()),
+        ("& I", ("'&'",)),
+        ("!", ("end",)),
+        ("M", ("M(x)",)),
+        ("M(primary) > 2", ("M(primary)",)),
+        ("H()", ("H()",)),
+        ("H(primary) = many", ("H(primary)",)),
+        ("kind", ("kind", "H(kind)")),
+        ("kind > 3", ("kind", "text")),
+        ("power_W = abc", ("power_W", "abc")),
+        ("power_W >", ("'>'",)),
+        ("I $ G", ("'$'",)),
+        ('""', ("quotation",)),
+        ('"L1_rear:Q"', ("L1_rear:Q", "'Q'")),
+        ('"nowhere:T"', ("nowhere",)),
+        ("ghost", ("ghost", "H(ghost)")),
+    ],
+)
+def test_errors_name_the_filter_and_what_is_wrong(text: str, names: tuple[str, ...], rows: Rows) -> None:
+    if not text:
+        assert all(held(text, rows))
+        return
+    with pytest.raises(mistray.MistrayError) as caught:
+        PathFilter(text).holds(rows)
+    message = str(caught.value)
+    assert message.startswith(f"filter '{text}': ")
+    assert "\n" not in message
+    assert all(name in message for name in names), message

@@ -1,0 +1,280 @@
+"""`Trace.rays`: exactly the rays of a box, of a pixel, of a path, of a filter; their sums are those of the trace."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene, scattering_xml
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
+
+import mistray
+from mistray.trace import ray_table
+from mistray.trace.path_events import DIRECT, STRAY_KINDS
+
+FIRST = [
+    "ray", "path_id", "kind", "wavelength_nm", "source", "start_ray", "node", "type", "history", "flux_W",
+    "x_mm", "y_mm", "z_mm", "dx", "dy", "dz", "opl_mm", "detector_x_mm", "detector_y_mm", "column", "row",
+]  # fmt: skip
+
+
+@pytest.fixture(scope="module")
+def triplet() -> Any:
+    return mistray.trace(
+        mistray.load("cooke_triplet"), rays=6000, field_deg=8.0, wavelength_nm=[486.1, 656.3], weights=[1.0, 3.0]
+    )
+
+
+@pytest.fixture(scope="module")
+def everything(triplet: Any) -> pd.DataFrame:
+    return triplet.rays(n=None)
+
+
+@pytest.fixture(scope="module")
+def rough(load_scene: Callable[[str], Any]) -> Any:
+    """A plate with a rough and a coated side: many rays of one start ray, aimed and random."""
+    abg = bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)
+    return mistray.trace(
+        load_scene(
+            scatter_scene(
+                beam_xml(2.0),
+                placed_xml("asphere", "front", scattering_xml([abg], "air", "1.5"), semi_diameter=4.0),
+                placed_xml("asphere", "rear", interface_xml("1.5", "air"), at=(0, 0, 3.0), semi_diameter=4.0),
+                placed_xml("asphere", "detector", interface_xml(R=0.2), at=(0, 0, 9.0), half_width=5.0,
+                           half_height=5.0, pixels=16),
+            )
+        ),
+        rays=1500,
+        scatter_rays=3,
+        aimed_rays=2,
+        max_scatters=2,
+    )  # fmt: skip
+
+
+class TestAll:
+    def test_sums(self, triplet: Any, everything: pd.DataFrame) -> None:
+        """Every ray once: counts and fluxes of each path are those of the ledger."""
+        assert list(everything.columns) == FIRST
+        assert list(everything.ray) == list(range(len(everything)))
+        for row in triplet.paths:
+            rays = everything[everything.path_id == row.path_id]
+            assert len(rays) == row.rays
+            assert rays.flux_W.sum() == pytest.approx(row.incident_W, rel=1e-6)
+            assert set(rays.kind) == {row.kind}
+            assert set(rays.wavelength_nm) == {row.wavelength_nm}
+            intercepts = [what for _, what in row.event_list]
+            assert set(rays.history) == {" ".join(intercepts)}
+            assert set(rays.type) == {intercepts[-2]}
+            assert set(rays.node) == {len(intercepts)}
+            assert rays.detector_x_mm.mean() == pytest.approx(row.x_mm, abs=max(4 * row.x_se_mm, 1e-4))
+        norms = np.linalg.norm(everything[["dx", "dy", "dz"]].to_numpy(), axis=1)
+        np.testing.assert_allclose(norms, 1, rtol=1e-12)
+
+    def test_pixels_are_those_of_the_map(self, triplet: Any, everything: pd.DataFrame) -> None:
+        height, width = triplet.irradiance.shape
+        image = np.zeros((height, width))
+        absorbs = triplet.energy.detected_W / everything.flux_W.sum()
+        np.add.at(image, (everything.row, everything.column), absorbs * everything.flux_W)
+        x0, x1, y0, y1 = triplet.extent
+        pixel = (x1 - x0) * (y1 - y0) / image.size
+        np.testing.assert_allclose(image / pixel, triplet.irradiance, rtol=1e-5, atol=1e-12)
+
+    def test_a_few_are_spread_over_sources_and_beam(self, triplet: Any, everything: pd.DataFrame) -> None:
+        few = triplet.rays(n=40)
+        assert len(few) == 40
+        assert set(few.wavelength_nm) == {486.1, 656.3}
+        assert np.ptp(few.start_ray) > 0.7 * np.ptp(everything.start_ray)
+        merged = few.merge(everything, on=["path_id", "start_ray", "history", "x_mm", "y_mm", "flux_W"])
+        assert len(merged) == 40, "they are rays of the trace"
+
+    def test_branches_beyond_the_recorder_s_room(self, rough: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+        whole = rough.rays(n=None)
+        assert len(whole) == sum(row.rays for row in rough.paths)
+        monkeypatch.setattr(ray_table, "CAPACITY", 1 << 11)
+        again = rough.rays(n=None)
+        key = ["start_ray", "path_id", "x_mm", "y_mm", "flux_W"]
+        pd.testing.assert_frame_equal(
+            whole.sort_values(key, ignore_index=True)[FIRST[1:]], again.sort_values(key, ignore_index=True)[FIRST[1:]]
+        )
+        monkeypatch.setattr(ray_table, "CAPACITY", 2)
+        with pytest.raises(mistray.MistrayError, match=r"a single start ray has .* flux_threshold"):
+            rough.rays(n=None)
+
+    def test_csv(self, triplet: Any, tmp_path: Path) -> None:
+        table = triplet.rays("G", n=20)
+        table.to_csv(tmp_path / "rays.csv", index=False)
+        pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "rays.csv"), table, check_dtype=False, rtol=1e-12)
+
+
+class TestHotSpot:
+    @pytest.mark.parametrize("fraction", [(0.1, 0.4, 0.3, 0.9), (0.0, 1.0, 0.45, 0.46)])
+    def test_box(self, rough: Any, fraction: tuple[float, ...]) -> None:
+        """The rays of a box are those that `box` sums, path by path, and all rays that land there."""
+        x0, x1, y0, y1 = rough.extent
+        box = (x0 + (x1 - x0) * fraction[0], x0 + (x1 - x0) * fraction[1],
+               y0 + (y1 - y0) * fraction[2], y0 + (y1 - y0) * fraction[3])  # fmt: skip
+        rays, whole = rough.rays(n=None, box=box), rough.rays(n=None)
+        own = {row.events: (row.rays, row.incident_W) for row in rough.box(*box)}
+        found = rays.groupby("path_id").flux_W.agg(["size", "sum"])
+        assert {rough.paths[i].events: tuple(v) for i, v in found.iterrows()} == {
+            events: (rays, pytest.approx(power, rel=1e-6)) for events, (rays, power) in own.items()
+        }
+        inside = (whole.detector_x_mm.between(*box[:2])) & (whole.detector_y_mm.between(*box[2:]))
+        key = ["start_ray", "path_id", "x_mm", "y_mm"]
+        pd.testing.assert_frame_equal(
+            rays.sort_values(key, ignore_index=True)[FIRST[1:]],
+            whole[inside].sort_values(key, ignore_index=True)[FIRST[1:]],
+        )
+
+    @pytest.mark.parametrize("pixels", [(0, 16, 0, 16), (3, 9, 5, 6), (15, 16, 0, 1), (7, 8, 8, 9)])
+    def test_pixels(self, rough: Any, pixels: tuple[int, int, int, int]) -> None:
+        c0, c1, r0, r1 = pixels
+        rays, whole = rough.rays(n=None, pixels=pixels), rough.rays(n=None)
+        inside = whole.column.between(c0, c1 - 1) & whole.row.between(r0, r1 - 1)
+        assert len(rays) == inside.sum()
+        assert rays.flux_W.sum() == pytest.approx(whole.flux_W[inside].sum(), rel=1e-12)
+        height, width = rough.irradiance.shape
+        x0, x1, y0, y1 = rough.extent
+        held = rough.irradiance[r0:r1, c0:c1].sum() * (x1 - x0) * (y1 - y0) / (height * width)
+        assert 0.8 * rays.flux_W.sum() == pytest.approx(held, rel=1e-6)
+
+    def test_refused(self, rough: Any) -> None:
+        for pixels in ((0, 17, 0, 1), (3, 3, 0, 1), (-1, 2, 0, 1), (0, 1, 2, 1)):
+            with pytest.raises(mistray.MistrayError, match="16 columns and 16 rows"):
+                rough.rays(pixels=pixels)
+        with pytest.raises(mistray.MistrayError, match="x 1 … 0"):
+            rough.rays(box=(1, 0, 0, 1))
+        with pytest.raises(mistray.MistrayError, match="n is 0"):
+            rough.rays(n=0)
+        with pytest.raises(mistray.MistrayError, match=r"filter 'S\(nowhere\)': .*'nowhere'"):
+            rough.rays("S(nowhere)")
+
+
+class TestSelection:
+    @pytest.mark.parametrize(
+        ("text", "same"),
+        [
+            ("G(L3_rear)", lambda r, t: [t.paths[i].events.count("L3_rear:R") > 0 for i in r.path_id]),
+            ("kind = ghost & !G(L3_rear)", lambda r, t: [
+                t.paths[i].kind == "ghost" and "L3_rear:R" not in t.paths[i].events for i in r.path_id]),
+            ("wavelength_nm < 500 ^ order = 2", lambda r, t: (r.wavelength_nm < 500) ^ (r.kind == "ghost")),
+            ("path_id = 3 | path_id = 1", lambda r, t: r.path_id.isin([1, 3])),
+            ("start_ray < 700 & opl_mm > 85", lambda r, t: (r.start_ray < 700) & (r.opl_mm > 85)),
+            ("!(flux_W > 1e-5 | dz < 0.97)", lambda r, t: ~((r.flux_W > 1e-5) | (r.dz < 0.97))),
+            ("relative_flux > 1e-3 & relative_flux < 0.5",
+             lambda r, t: (r.flux_W / r.flux_W.max()).between(1e-3, 0.5)),
+            ("column >= 256 & row < 400", lambda r, t: (r.column >= 256) & (r.row < 400)),
+            ("tir > 0", lambda r, t: [t.paths[i].tir > 0 for i in r.path_id]),
+        ],
+    )  # fmt: skip
+    def test_against_pandas(
+        self, triplet: Any, everything: pd.DataFrame, text: str, same: Callable[[pd.DataFrame, Any], Any]
+    ) -> None:
+        expected = everything[np.array(same(everything, triplet), dtype=bool)]
+        found = triplet.rays(text, n=None)
+        key = ["wavelength_nm", "start_ray", "path_id"]
+        pd.testing.assert_frame_equal(
+            found.sort_values(key, ignore_index=True)[FIRST[1:]],
+            expected.sort_values(key, ignore_index=True)[FIRST[1:]],
+        )
+
+    def test_events(self, triplet: Any) -> None:
+        """Node by node the rays are those of `history`."""
+        row = triplet.paths.select("kind = ghost")[0]
+        table = triplet.rays(f"path_id = {row.path_id}", n=3, events=True)
+        rays = triplet.rays(f"path_id = {row.path_id}", n=3)
+        known = triplet.history(row.path_id, row.rays).to_pandas()
+        assert len(table) == 3 * (len(row.event_list) + 1)
+        assert set(table.path_id) == {row.path_id}
+        for number, ray in table.groupby("ray"):
+            same = known[known.start_ray == ray.start_ray.iloc[0]].reset_index(drop=True)
+            ray = ray.reset_index(drop=True)
+            columns = [name for name in known if name != "ray"]
+            pd.testing.assert_frame_equal(ray[columns], same[columns])
+            assert ray.flux_W.iloc[-1] == rays.flux_W[number]
+            assert ray.opl_mm.iloc[-1] == rays.opl_mm[number]
+        assert triplet.rays("H(detector) > 9", events=True).empty
+
+    def test_path_in_flux_out(self, triplet: Any, everything: pd.DataFrame) -> None:
+        """A path as text: the flux of its rays, of its rows and of the full run filtered afterwards."""
+        text = '"L3_rear:R L2_rear:R"'
+        rows = triplet.paths.select(text)
+        assert [row.events for row in rows] == [row.events for row in triplet.paths.find("L3_rear:R", "L2_rear:R")]
+        ids = [row.path_id for row in rows]
+        flux = triplet.rays(text, n=None).flux_W.sum()
+        assert flux == pytest.approx(everything.flux_W[everything.path_id.isin(ids)].sum(), rel=1e-12)
+        assert flux == pytest.approx(sum(row.incident_W for row in rows), rel=1e-6)
+        whole = rows[0].events
+        (one,) = triplet.paths.select(f'events = "{whole}" & wavelength_nm = {rows[0].wavelength_nm}')
+        assert one == rows[0]
+
+
+PLATE = (
+    shape_xml("asphere", "p_front", 0.0, interface_xml("air", "1.5"), semi_diameter=9.0),
+    shape_xml("asphere", "p_rear", 2.0, interface_xml("1.5", "air"), semi_diameter=9.0),
+)
+SENSOR = shape_xml("asphere", "detector", 12.0, interface_xml(R=0.3), sensor=True, half_width=9.0, half_height=9.0)
+MIRRORS = interface_xml(R=0.5)
+ABG = bsdf_xml("abg", A=1e-3, B=1e-3, g=2.0)
+ROUGH = scattering_xml([ABG], "1.5", "air")
+PAINT = scattering_xml([bsdf_xml("paint", reflectance=0.5)], R=0.0)
+RING = placed_xml(
+    "frustum", "ring", scattering_xml([bsdf_xml("edge_diffraction", width_mm=0.05)], R=0.0, T=1.0),
+    r0=0.5, z0=0.0, r1=1.1, z1=0.0, at=(0, 0, -1.0),
+)  # fmt: skip
+TUBE = shape_xml("frustum", "tube", 0.0, MIRRORS, r0=1.5, z0=2.5, r1=1.5, z1=11.0)
+# A strong lens with a glass edge: total reflections
+BALL = (
+    shape_xml("asphere", "front", 0.0, interface_xml("air", "1.8"), radius=5.0, semi_diameter=4.0),
+    shape_xml("asphere", "rear", 8.0, interface_xml("1.8", "air"), radius=-5.0, semi_diameter=4.0),
+    shape_xml("frustum", "edge", 0.0, interface_xml("1.8", "air"), r0=4.0, z0=2.0, r1=4.0, z1=6.0),
+    shape_xml("asphere", "detector", 14.0, interface_xml(R=0.3), sensor=True, half_width=9.0, half_height=9.0),
+)
+TURNED = {"field_deg": 25.0}
+SCENES = {
+    "direct": (PLATE, {}),
+    "straight shot": ((), {}),
+    "ghost": (PLATE, {}),
+    "structure": ((*PLATE, TUBE), TURNED),
+    "structure+ghost": ((*PLATE, TUBE), TURNED | {"max_reflections": 3}),
+    "TIR": (BALL, TURNED),
+    "single scatter": ((PLATE[0], PLATE[1].replace(interface_xml("1.5", "air"), ROUGH)), {}),
+    "multiple scatter": ((*PLATE, TUBE.replace(MIRRORS, PAINT)), TURNED | {"max_scatters": 2}),
+    "ghost + scatter": ((PLATE[0], PLATE[1].replace(interface_xml("1.5", "air"), ROUGH)), {}),
+    "edge diffraction": ((RING,), {}),
+    "diffraction + others": ((RING, *PLATE), {}),
+}
+
+
+def test_every_class_has_a_scene() -> None:
+    assert set(SCENES) == {DIRECT, *STRAY_KINDS}
+
+
+@pytest.mark.parametrize("kind", SCENES)
+def test_a_scene_for_each_class(load_scene: Callable[[str], Any], kind: str) -> None:
+    """Light of each class comes about; every path has one class, and the classes share out all the light."""
+    shapes, settings = SCENES[kind]
+    sensor = () if shapes is BALL else (SENSOR,)
+    t = mistray.trace(load_scene(scene_text(*shapes, *sensor, radius=3.5 if shapes is BALL else 1.0)),
+                      **{"rays": 4000, "max_reflections": 2} | settings)  # fmt: skip
+    table = t.paths.to_pandas()
+    assert kind in set(table.kind)
+    assert set(table.kind) <= {DIRECT, *STRAY_KINDS}
+    rays = t.rays(f'kind = "{kind}"', n=None)
+    assert len(rays) == table.rays[table.kind == kind].sum()
+    assert table.groupby("kind").power_W.sum().sum() == pytest.approx(t.energy.detected_W, rel=1e-9)
+    for row in t.paths:
+        what = [name for _, name in row.event_list]
+        deflected = sum(name[:3] in ("Ran", "Imp") for name in what)
+        assert row.diffractions == sum(
+            name == "ring" and event in ("RandTran", "ImpTran") for name, event in row.event_list
+        )
+        assert (row.kind in ("edge diffraction", "diffraction + others")) == (row.diffractions > 0)
+        assert (row.kind == "edge diffraction") == (row.diffractions == deflected > 0 and "SpecRefl" not in what)
+        assert row.objects == len(what)
+        assert row.unique_objects == len({name for name, _ in row.event_list})
+        assert row.last_object == (row.event_list[-2][0] if len(what) > 1 else "-")
