@@ -16,7 +16,7 @@ from mistray.analysis.pst import run
 from mistray.analysis.pst.state import PstProgress, load_state
 from mistray.trace.backward import BackwardTrace
 from mistray.trace.settings import Settings
-from mistray.trace.sky import CLASSES, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
+from mistray.trace.sky import CLASSES, DIFFRACTED, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
 
 RAYS = 8192  # less than a first pass: one pass
 SCATTERED = ("single_scatter", "multiple_scatter")
@@ -37,7 +37,10 @@ def window(tmp_path_factory: pytest.TempPathFactory) -> Any:
 
 def test_classes_have_the_order_of_their_names() -> None:
     numbers = {"direct": DIRECT, "straight_shot": STRAIGHT, "ghost": GHOST, "single_scatter": SINGLE}
-    assert {name: CLASSES.index(name) for name in CLASSES} == numbers | {"multiple_scatter": MULTIPLE}
+    assert {name: CLASSES.index(name) for name in CLASSES} == numbers | {
+        "multiple_scatter": MULTIPLE,
+        "edge_diffraction": DIFFRACTED,
+    }
 
 
 def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:

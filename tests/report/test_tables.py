@@ -64,7 +64,8 @@ def test_main_table_names_the_worst_ghost_of_each_field(report):
 
 def test_csv_holds_every_digit(report, tmp_path):
     files = write_csv(report, tmp_path)
-    assert [file.name for file in files] == ["summary.csv", "paths.csv", "energy.csv", "surfaces.csv"]
+    names = ["summary", "paths", "energy", "surfaces", "stray_levels"]
+    assert [file.name for file in files] == [f"{name}.csv" for name in names]
     paths = pd.read_csv(tmp_path / "paths.csv")
     assert paths.columns[0] == "field_deg"
     assert list(paths.field_deg.unique()) == [0.0, 10.0, 20.0]
@@ -137,7 +138,7 @@ def test_the_table_per_wavelength_shows_the_spectrum_below_each_path(colours):
 
 def test_csv_per_wavelength_adds_up(colours, tmp_path):
     names = [file.name for file in write_csv(colours, tmp_path, per_wavelength=True)]
-    assert names[4:] == [f"{name}_per_wavelength.csv" for name in ("summary", "paths", "energy", "surfaces")]
+    assert names[4:8] == [f"{name}_per_wavelength.csv" for name in ("summary", "paths", "energy", "surfaces")]
     tables = {name: pd.read_csv(tmp_path / name) for name in names}
     for name in ("energy", "surfaces"):
         parts, whole = tables[f"{name}_per_wavelength.csv"], tables[f"{name}.csv"]
