@@ -29,6 +29,23 @@ def phase_function(cosine: Any, g: Any) -> Any:
     return (1 - g * g) / (4 * math.pi * denominator * ops.sqrt(denominator))
 
 
+def phase_about(ahead: Any, behind: Any, g: Any) -> Any:
+    """
+    `phase_function` of two unit directions in a form that keeps its digits where g is close to 1 or -1.
+
+    Parameters
+    ----------
+    ahead, behind : float or array
+        Squared length of the difference and of the sum of the directions, 2 - 2 cos and 2 + 2 cos.
+    g : float or array
+        Asymmetry, -1 < g < 1.
+    """
+    ops = arithmetic(ahead, behind, g)
+    size = abs(g)
+    denominator = (1 - size) * (1 - size) + size * ops.select(g > 0, ahead, behind)
+    return (1 - size) * (1 + size) / (4 * math.pi * denominator * ops.sqrt(denominator))
+
+
 def sampled_cosine(u: Any, g: Any) -> Any:
     """
     Cosine of the scattering angle with the density of `phase_function`.

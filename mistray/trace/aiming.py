@@ -5,7 +5,9 @@
   mirror of the design path from the side on which the design has its light. It goes to the image of the detector by
   that lens or mirror where rays from the surface reach the detector that way, else to its aperture.
 - What a surface of the design path scatters backwards is not aimed.
-- A surface that a shape with a ``target`` names has those targets and no others.
+- Light that a medium scatters is aimed likewise, see `mistray.trace.bulk_aiming`.
+- A surface that a shape with a ``target`` names has those targets and no others, as have the media on its sides for
+  the light that they scatter on its way to the surface.
 
 Rays that are not aimed are the rest: whatever the targets are, the result is the same but for its error.
 """
@@ -19,14 +21,16 @@ from dataclasses import dataclass
 import mitsuba as mi
 import numpy as np
 
+from mistray.trace.bulk_aiming import Sight, body_targets
 from mistray.trace.design_path import OPENING, DesignPath, find_design_path
 from mistray.trace.detector_images import DetectorImages
 from mistray.trace.host_points import outline, surface_points
 from mistray.trace.host_rays import first_hit
+from mistray.trace.scattering_bodies import scattering_bodies
 from mistray.trace.scene_targets import scene_targets
 from mistray.trace.settings import Settings
 from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.targets import AimSet, Target
+from mistray.trace.targets import AimSet, Inside, Place, Side, Target
 
 PATH_POINTS, SEEN_POINTS = 4096, 1024  # points of a surface from which rays to the image are tried
 PROBES, DETECTOR_PROBES = 16, 256  # rays from a surface that look whether a lens, or the detector, can be seen
@@ -34,17 +38,14 @@ SEEN, DETECTOR_SEEN = 0.04, 0.005  # share of them that must see it
 LANDED = 0.02  # share of the rays to an image that must land on the detector
 MOST_TARGETS = 4
 
-Side = tuple[int, bool]
-"""Number of a surface, and whether the light leaves it to the back."""
-
 _OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg")
 MOST_KNOWN = 32  # scenes whose automatic targets are kept: a scene is traced at many fields
-_known: dict[str, dict[Side, list[Target]]] = {}
+_known: dict[str, dict[Place, list[Target]]] = {}
 
 
-def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Side, AimSet]:
+def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Place, AimSet]:
     """
-    The targets of all surfaces that scatter.
+    The targets of all surfaces and media that scatter.
 
     Parameters
     ----------
@@ -56,24 +57,27 @@ def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Side,
     Returns
     -------
     dict
-        (surface, whether the light leaves to the back) → AimSet. Without an entry nothing is aimed.
+        Where light is scattered → AimSet. Without an entry nothing is aimed.
     """
     scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
-    if settings.aim == "none" or not scatterers:
+    if settings.aim == "none" or not (scatterers or table.optics.scatters):
         return {}
-    found = scene_targets(table, scene)
-    given = {surface for surface, _ in found}
+    given = scene_targets(table, scene)
+    found: dict[Place, AimSet] = {}
+    for sets in given.values():
+        found |= sets
     rest = [surface for surface in scatterers if surface not in given]
-    if settings.aim == "targets" or not settings.aimed_rays or not rest:
+    if settings.aim == "targets" or not settings.aimed_rays:
         return found
     key = signature(table, scene, rest)
     if key not in _known:
         while len(_known) >= MOST_KNOWN:
             _known.pop(next(iter(_known)))
-        _known[key] = automatic_targets(table, find_design_path(table, scene), rest)
-    for side, targets in _known[key].items():
-        shared = tuple(target.with_share(1 / len(targets)) for target in targets)
-        found[side] = AimSet(shared, settings.aimed_rays)
+        path = find_design_path(table, scene)
+        _known[key] = automatic_targets(table, path, rest) | automatic_bulk_targets(table, path)
+    for place, targets in _known[key].items():
+        if (place.surface if isinstance(place, Inside) else place[0]) not in given:
+            found[place] = AimSet.of(targets, settings.aimed_rays)
     return found
 
 
@@ -87,15 +91,46 @@ def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> 
         table.rotations.tobytes(),
         table.optics.host_indices.tobytes(),
         table.optics.host_words.tobytes(),
+        table.optics.host_scattering.tobytes(),
         table.film(),
         tuple(surfaces),
     ]
     return hashlib.sha256(repr(facts).encode()).hexdigest()
 
 
+def automatic_bulk_targets(
+    table: SurfaceTable, path: DesignPath | None, sky: Sequence[Target] = ()
+) -> dict[Place, list[Target]]:
+    """
+    Targets of the media that scatter.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    path : DesignPath, optional
+        As of `automatic_targets`.
+    sky : sequence of Target
+        Against the light, what a body beside the path is aimed at.
+    """
+    if not table.optics.scatters:
+        return {}
+    rng = np.random.default_rng(0)
+    images = DetectorImages(path) if path else None
+    sights: list[Sight] = [(target, -1) for target in sky]
+    if not sights:
+        sights.append((outline(table.shapes[table.detector]), table.detector))
+        steps = path.steps[:-1] if path else ()
+        sights += [(outline(table.shapes[step.surface]), step.surface) for step in steps]
+    found: dict[Place, list[Target]] = {}
+    for body in scattering_bodies(table):
+        targets = body_targets(table, body, images, sights, rng)
+        found |= dict.fromkeys(body.sides, targets) if targets else {}
+    return found
+
+
 def automatic_targets(
     table: SurfaceTable, path: DesignPath | None, surfaces: Sequence[int]
-) -> dict[Side, list[Target]]:
+) -> dict[Place, list[Target]]:
     """
     Targets of surfaces, on the sides that have some.
 
@@ -108,7 +143,7 @@ def automatic_targets(
     """
     images = DetectorImages(path) if path else None
     on_path = {step.surface for step in path.steps} if path else {table.detector}
-    found: dict[Side, list[Target]] = {}
+    found: dict[Place, list[Target]] = {}
     rng = np.random.default_rng(0)
     for surface in surfaces:
         if images and surface in on_path:

@@ -221,7 +221,7 @@ class BackwardTrace:
         dr.sync_thread()
         # Sums by surface are in the order of the first wavelength's media
         return sky.read() | {
-            "surfaces": np.array(tallies.surfaces).reshape(one.table.count, SURFACE_SUMS, BATCHES),
+            "surfaces": np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: one.table.count],
             "media": self._by_medium(one.table, np.array(tallies.media).reshape(-1, BATCHES)),
             "reasons": np.array(tallies.reasons).reshape(REASONS, BATCHES),
             "rays": np.full(BATCHES, rays * one.share / BATCHES),

@@ -32,12 +32,14 @@ class Tallies:
     """
     Float64 sums by batch: some for each surface, one for each medium and reason, and the film with its squares.
 
+    Media scatter as well: their aimed rays and those that land stand behind the sums of the surfaces.
+
     `largest` is the largest flux of a scattered ray at the detector, as the bits of a float32.
     """
 
     def __init__(self, surfaces: int, media: int, pixels: int, maps: int = 0) -> None:
         self.count = surfaces
-        self.surfaces = dr.zeros(mi.Float64, surfaces * SURFACE_SUMS * BATCHES)
+        self.surfaces = dr.zeros(mi.Float64, (surfaces + media) * SURFACE_SUMS * BATCHES)
         self.media = dr.zeros(mi.Float64, media * BATCHES)
         self.reasons = dr.zeros(mi.Float64, REASONS * BATCHES)
         self.film = dr.zeros(mi.Float64, pixels * max(maps, 1) * 2)

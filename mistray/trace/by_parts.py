@@ -175,7 +175,7 @@ class _Merged:
         run = self.run
         width, height, _ = run.table.film()
         self.film = np.zeros((2, height, width))
-        self.surfaces = np.zeros((run.table.count, SURFACE_SUMS, BATCHES))
+        self.surfaces = np.zeros((run.table.count + len(run.table.optics.media), SURFACE_SUMS, BATCHES))
         self.media = np.zeros((len(run.table.optics.media), BATCHES))
         self.reasons = np.zeros((REASONS, BATCHES))
         self.largest = self.seconds = 0.0

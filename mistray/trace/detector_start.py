@@ -178,10 +178,10 @@ class DetectorStart:
             targets, count = self._targets
             plan = dr.zeros(mi.Vector2u, dr.width(lane)) + mi.Vector2u(0, count)
             spare = rng.next_float32()
-            to_target, own = targets.sample(plan, [u[0], u[1], spare, spare], p, aim)
+            to_target, own = targets.sample(plan, [u[0], u[1], spare, spare], p, outward, aim)
             d = dr.select(aim, to_target, d)
             lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
-            density = targets.density(plan, p, d, aim, own, ~back)
+            density = targets.density(plan, p, d, outward, aim, own, ~back)
             w = dr.select(back, w, w * lambertian / dr.lerp(lambertian, density, aimed_share))
             w = dr.select(dr.isfinite(w), w, 0)
         w = w * dr.select(back, self._index2[1], self._index2[0])

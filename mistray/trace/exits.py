@@ -18,7 +18,7 @@ from dataclasses import dataclass, replace
 import mitsuba as mi
 import numpy as np
 
-from mistray.trace.aiming import MOST_KNOWN, Side, automatic_targets, signature
+from mistray.trace.aiming import MOST_KNOWN, automatic_bulk_targets, automatic_targets, signature
 from mistray.trace.design_path import OPENING, DesignPath, Step, find_design_path
 from mistray.trace.detector_images import FAR, DetectorImages
 from mistray.trace.host_points import across, box_corners, lambertian_directions, surface_points
@@ -26,7 +26,7 @@ from mistray.trace.host_rays import first_hit, onward
 from mistray.trace.optics import MIRROR, OPAQUE
 from mistray.trace.settings import Settings
 from mistray.trace.surfaces import SurfaceTable, solid_shapes
-from mistray.trace.targets import AimSet, Target
+from mistray.trace.targets import AimSet, Place, Side, Target
 
 PROBES = 2048  # rays that look for the opening
 SKY_PROBES = 256  # that look for the sky
@@ -47,7 +47,7 @@ class Exits:
     Attributes
     ----------
     aims : dict
-        (surface, whether rays leave to the back) → AimSet.
+        Where light is scattered → AimSet.
     start : AimSet or None
         Of the rays that start on the detector, towards the light.
     light : (3,) float64 or None
@@ -59,7 +59,7 @@ class Exits:
         at mirrors.
     """
 
-    aims: dict[Side, AimSet]
+    aims: dict[Place, AimSet]
     start: AimSet | None
     light: np.ndarray | None
     has_optics: bool
@@ -88,7 +88,7 @@ def exits(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.nda
     found = _known[key]
     if settings.aim != "auto" or not settings.aimed_rays:
         return replace(found, aims={}, start=None)
-    return replace(found, aims={side: replace(aim, rays=settings.aimed_rays) for side, aim in found.aims.items()})
+    return replace(found, aims={place: replace(aim, rays=settings.aimed_rays) for place, aim in found.aims.items()})
 
 
 def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> Exits:
@@ -96,24 +96,22 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
     opening = find_opening(table, scene, path, axis, rng)
-    found: dict[Side, list[Target]] = {}
-    start = None
+    found: dict[Place, list[Target]] = {}
+    start = back = None
     if opening is not None:
         back = path.reversed(opening) if path is not None else _straight(table, opening, axis)
         found = automatic_targets(table, back, scatterers)
         points, normals = surface_points(table, table.detector, PROBES, rng)
         towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
         fitted = DetectorImages(back).fitted(0, points, towards, rng)
-        start = AimSet((fitted.target.with_share(1.0),), 1) if fitted.landed > LANDED else None
+        start = AimSet.of([fitted.target], 1) if fitted.landed > LANDED else None
     far = sky_discs(scene, axis)
     found |= {side: far for side, share in _sky_shares(table, scatterers, axis, rng).items() if share > OPEN}
+    found |= automatic_bulk_targets(table, back, far)
     words = table.optics.host_words
     views = _views(table, [i for i in range(table.count) if not words[i] & OPAQUE or words[i] & MIRROR], axis, rng)
     light = path.steps[-1].before if path is not None else None
-    aims = {
-        side: AimSet(tuple(target.with_share(1 / len(targets)) for target in targets), 1)
-        for side, targets in found.items()
-    }
+    aims = {place: AimSet.of(targets, 1) for place, targets in found.items()}
     return Exits(aims, start, light, path is not None and path.has_optics, views)
 
 

@@ -30,7 +30,6 @@ import numpy as np
 from mistray.coatings import METAL_K, Bare, Response, Stack
 from mistray.errors import MistrayError
 from mistray.materials import bulk_scatter
-from mistray.physics.henyey_greenstein import sampled_cosine
 from mistray.scatter.edge_diffraction import EdgeDiffraction
 from mistray.trace.upload import upload
 
@@ -301,6 +300,10 @@ class Optics:
         Coefficient of absorption and scatter of each medium, 1/mm.
     albedo : mi.Float
         Share of the scatter in it.
+    host_scattering : (m,) float64
+        Coefficient of scatter of each medium, 1/mm.
+    asymmetry : mi.Float
+        g of each medium, see `mistray.physics.henyey_greenstein`.
     one_child : bool
         Whether a surface has one child instead of all.
     diffracts : bool
@@ -398,12 +401,13 @@ class Optics:
         self.indices = upload(mi.Float, self.host_indices)
         self.places = upload(mi.UInt32, self.host_places)
         self.table = upload(mi.Float, np.concatenate(rows))
+        self.host_scattering = np.array(scattering)
         extinction = np.array(absorption) + scattering
         self.extinction = upload(mi.Float, extinction)
         self.albedo = upload(mi.Float, np.array(scattering) / np.maximum(extinction, np.finfo(float).tiny))
-        self._asymmetry = upload(mi.Float, np.array(asymmetry))
+        self.asymmetry = upload(mi.Float, np.array(asymmetry))
         self.absorbs, self.scatters = bool(extinction.any()), any(scattering)
-        dr.eval(self.words, self.indices, self.places, self.table, self.extinction, self.albedo, self._asymmetry)
+        dr.eval(self.words, self.indices, self.places, self.table, self.extinction, self.albedo, self.asymmetry)
 
     def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
         """Indices on both sides; those of a surface that is opaque whatever lies behind it do not matter."""
@@ -465,43 +469,6 @@ class Optics:
             clouded = taken * dr.gather(mi.Float, self.albedo, medium, active)
             taken = taken - clouded
         return left, clouded, taken
-
-    def scatter_in_bulk(
-        self, medium: mi.UInt32, d: mi.Vector3f, length: mi.Float, rng: mi.PCG32, active: mi.Bool
-    ) -> tuple[mi.Float, mi.Vector3f]:
-        """
-        Where on the segment that ends here its medium scattered, and whereto.
-
-        Parameters
-        ----------
-        medium : mi.UInt32
-        d : mi.Vector3f
-            Direction of the segment.
-        length : mi.Float
-            Of the segment, mm.
-        rng : mi.PCG32
-            Three numbers are drawn.
-        active : mi.Bool
-
-        Returns
-        -------
-        away : mi.Float
-            Distance from the end of the segment, mm; of density exp(extinction · distance).
-        direction : mi.Vector3f
-            After Henyey and Greenstein.
-        """
-        coefficient = dr.gather(mi.Float, self.extinction, medium, active)
-        g = dr.gather(mi.Float, self._asymmetry, medium, active)
-        u = [rng.next_float32() for _ in range(3)]
-        depth = coefficient * length
-        away = dr.select(
-            depth < THIN, u[0] * length, dr.log(dr.fma(u[0], dr.exp(depth) - 1, 1)) / dr.maximum(coefficient, 1e-30)
-        )
-        cosine = sampled_cosine(u[1], g)
-        sine = dr.sqrt(dr.maximum(dr.fma(-cosine, cosine, 1), 0))
-        across, beside = mi.coordinate_system(d)
-        sin_phi, cos_phi = dr.sincos(2 * dr.pi * u[2])
-        return dr.minimum(away, length), dr.normalize(cosine * d + sine * (cos_phi * across + sin_phi * beside))
 
     def shares(self, surface: int, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """R and T of a surface in unpolarised light at cosines of incidence, (m,) each, exact."""

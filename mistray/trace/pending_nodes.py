@@ -52,7 +52,7 @@ class PendingNodes:
             numbers |= dict.fromkeys(("child", "scatters", "aimed_from", "medium"), (mi.UInt32, 1))
             numbers |= dict.fromkeys(("birth", "boost"), (mi.Float, 1))
         if scatters and bulk:
-            numbers |= dict.fromkeys(("length", "clouded"), (mi.Float, 1))
+            numbers |= dict.fromkeys(("length", "away", "shared", "clouded"), (mi.Float, 1))
         self._numbers = numbers
         self.memory = tuple(
             dr.alloc_local(dtype, max_events) for dtype, count in numbers.values() for _ in range(count)

@@ -212,6 +212,10 @@ def walk(
         "birth": mi.Float(start.given("birth", start.w)),  # weight with which it left the source or was scattered last
         "boost": dr.full(mi.Float, 1, n),  # factor of its scattered rays; 0: none, negative: see ONE_CHILD
         "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # of the segment that led to it, mm
+        # Of the node behind p, where its medium has scattered, mm
+        "away": dr.zeros(mi.Float, n if bulk else 1),
+        # Flux that the medium scattered in all where it sent this ray among others; 0 of other rays
+        "shared": dr.zeros(mi.Float, n if bulk else 1),
         # Flux that its medium scattered on the way
         "clouded": mi.Float(start_clouded) if bulk else dr.zeros(mi.Float, 1),
         "trunk": full(),  # deepest node of the current path before its first reflection
@@ -227,6 +231,8 @@ def walk(
         "normal": has_stock,
         "total": adjoint is not None,
         "length": bulk,
+        "away": bulk and scatters,
+        "shared": bulk and scatters,
         "clouded": bulk,
     }
     needed |= dict.fromkeys(("scatters", "aimed_from", "birth", "boost"), scatters)
@@ -244,7 +250,8 @@ def walk(
         visited = mi.Bool(first)
         again = active & ~first
         stokes = state["stokes"] if settings.stokes else None
-        it = interact(table, state["p"], d, s, state["normal"] if has_stock else None, stokes, active, rows)
+        reached = dr.fma(state["away"], d, state["p"]) if bulk and scatters else state["p"]
+        it = interact(table, reached, d, s, state["normal"] if has_stock else None, stokes, active, rows)
         p = it.p
 
         # ---- books of a first visit
@@ -335,11 +342,16 @@ def walk(
         transmits = (it.word & OPAQUE) == 0
         random_rays = aimed_rays = mi.UInt32(0)
         may_scatter = may_cloud = mi.Bool(False)
+        bulk_aim = scattering.bulk.aim(s, it, visit) if scatters and scattering.bulk is not None else None
+        clouded_rays = mi.UInt32(0)
         if scatters:
             done = [(state["scatters"] >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
             may_scatter = room & young & (done[0] < scatter_limits[0])
             at_random, at_optics = done[1] < scatter_limits[1], done[2] < scatter_limits[2]
-            may_cloud = may_scatter & at_random & at_optics
+            random_clouds = dr.select(at_random, mi.UInt32(1), 0)
+            if bulk_aim is not None:
+                clouded_rays = random_clouds + bulk_aim.rays
+            may_cloud = may_scatter & at_optics & (clouded_rays > 0)
             wanted_rays = scatter_rays
             if given is not None:
                 wanted_rays = dr.select(given.random_rays > 0, given.random_rays, scatter_rays)
@@ -363,7 +375,10 @@ def walk(
             worth = own
             if sky is not None:
                 worth = dr.select(transmits, own, own * WORTH_IN_THE_DARK)
-            chance = dr.minimum(w / worth, 1)
+            if bulk:
+                # Of all rays of a segment one scatters again on average: trees in a medium would grow without end
+                worth = dr.maximum(worth, state["shared"])
+            chance = dr.minimum((w + state["clouded"] if bulk else w) / worth, 1)
             if sky is not None:
                 chance = chance * dr.gather(mi.Float, sky.thrift.scatter, s, first)
             boost = dr.select(first, dr.select(1 - lot <= chance, dr.rcp(chance), 0), boost)
@@ -401,14 +416,14 @@ def walk(
                 add_reason(ROULETTE, w_t + w_r - left_t - left_r, first & (dr.minimum(w_t, w_r) < limit))
                 w_t, w_r = left_t, left_r
             scattered_rays = dr.select((boost > 0) & (w_s > 0), random_rays + aimed_rays, 0)
-            end = SCATTER + scattered_rays + dr.select((boost != 0) & (w_b > 0), mi.UInt32(1), 0)
+            end = SCATTER + scattered_rays + dr.select((boost != 0) & (w_b > 0), clouded_rays, 0)
             after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
             number = dr.select(first, dr.select(w_t > 0, mi.UInt32(TRANSMIT), after_t), state["child"])
             later = dr.select(number == TRANSMIT, after_t, dr.maximum(number + 1, SCATTER))
             push = visit & ((later == REFLECT) | (later < end))
             child = dr.select(number == TRANSMIT, w_t, dr.select(number == REFLECT, w_r, 0))
             scatter = visit & (number >= SCATTER) & (number < SCATTER + scattered_rays)
-            cloud = visit & (number >= SCATTER) & (number == SCATTER + scattered_rays) & (number < end)
+            cloud = visit & (number >= SCATTER + scattered_rays) & (number < end)
             child = dr.select(cloud, w_b * dr.abs(boost), child)
         else:
             both = w_t + w_r + w_s + w_b
@@ -432,6 +447,8 @@ def walk(
             cloud = scatter & (chosen >= w_t + w_r + w_s) & (w_b > 0)
             scatter &= ~cloud & (w_s > 0)
             child = dr.select((number == SCATTER) & ~scatter & ~cloud, 0, child)
+            if scatters:
+                add_reason(remainder, child, scatter | cloud)
         reflect = number == REFLECT
         heading = dr.select(reflect, it.reflected, it.transmitted)
         origin = p
@@ -444,7 +461,6 @@ def walk(
                     return given.ray(number - SCATTER, random_rays, rng)
             else:
                 factor = child / both
-                add_reason(remainder, child, scatter)
 
                 def choose(rng: mi.PCG32) -> ScatteredRay:
                     return given.one_ray(w_s / both, random_rays, rng)
@@ -457,20 +473,32 @@ def walk(
             child = dr.select(scatter, w * share * factor, child)
         # Behind an opaque surface is no medium: the light stays in the one that led to it
         medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
-        if scatters and bulk:
-            away, along = table.optics.scatter_in_bulk(medium_in, d, state["length"], rng, cloud)
-            origin, heading = dr.select(cloud, p - away * d, p), dr.select(cloud, along, heading)
+        away, shared = mi.Float(0), mi.Float(0)
+        if scatters and scattering.bulk is not None and bulk_aim is not None:
+            if split:
+                aim_cloud = number >= SCATTER + scattered_rays + random_clouds
+                random_parts, aimed_parts = mi.Float(random_clouds), mi.Float(bulk_aim.rays)
+            else:
+                aim_cloud, random_parts, aimed_parts = scattering.bulk.one_ray(bulk_aim, random_clouds, rng)
+            away, along, share = scattering.bulk.scatter(
+                medium_in, p, d, state["length"], bulk_aim, aim_cloud, random_parts, aimed_parts, rng, cloud
+            )
+            away = dr.select(cloud, away, 0)
+            origin, heading = dr.fma(-away, d, p), dr.select(cloud, along, heading)
             slope = dr.select(cloud, 0, slope)
+            shared = dr.select(cloud & (bulk_aim.rays > 0), child, 0)
+            child = dr.select(cloud, child * share, child)
+            aim |= cloud & aim_cloud
+        place = dr.select(cloud, table.count + medium_in, s) if bulk else s
         if scatters:
-            add_reason(remainder, -child, (scatter | (cloud & split)) & (child > 0))
+            add_reason(remainder, -child, (scatter | cloud) & (child > 0))
             if tallies is not None:
-                tallies.add_surface(s, AIMED, batch, 1.0, aim)
+                tallies.add_surface(place, AIMED, batch, 1.0, aim)
 
         go = visit & (child > 0)
         # ---- keep the node: for its second visit, and as part of the path
         word = node_word(s, reflections, state["aside"] if sky is not None else None)
-        # A ray that the medium scatters is the last of its node, whose point nobody needs any more
-        node = {**state, "p": origin, "word": word, "child": later, "boost": boost}
+        node = {**state, "p": origin, "away": away, "word": word, "child": later, "boost": boost}
         path = nodes.keep(path, node, depth, push, push | go, recorded_floats)
         bit = mi.UInt64(1) << mi.UInt64(depth)
         pending = dr.select(push, state["pending"] | bit, state["pending"])
@@ -480,8 +508,7 @@ def walk(
             if sky is not None:  # nobody asks how a direction against the light was found
                 technique = mi.UInt32(RANDOM_TRANSMITTED)
             what = dr.select(scatter, technique + dr.select(reflect, mi.UInt32(1), 0), what)
-            what = dr.select(cloud, mi.UInt32(RANDOM_TRANSMITTED), what)
-        place = dr.select(cloud, table.count + medium_in, s) if bulk else s
+            what = dr.select(cloud, technique, what)
         code = (place << EVENT_BITS) | what
         codes.write(code, depth, go)
         if adjoint is not None and adjoint.rows:
@@ -536,7 +563,7 @@ def walk(
             count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
             count += diffraction
             aimed_from = dr.select(bounced, NO_SURFACE, state["aimed_from"])
-            aimed_from = dr.select(scattered, dr.select(aim, s, NO_SURFACE), aimed_from)
+            aimed_from = dr.select(scattered, dr.select(aim, place, NO_SURFACE), aimed_from)
             birth = dr.select(scattered, child, state["birth"])
             following = {
                 "scatters": state["scatters"] + dr.select(scattered, count, 0),
@@ -545,7 +572,8 @@ def walk(
                 "boost": dr.full(mi.Float, 1, n),
             }
             if bulk:
-                following |= {"length": t, "clouded": clouded}
+                shared = dr.select(scatter | cloud, shared, state["shared"])
+                following |= {"length": t, "clouded": clouded, "away": mi.Float(0), "shared": shared}
         elif bulk:  # nothing is followed: a first visit books what the medium scatters
             following = {"clouded": clouded}
         following |= {

@@ -33,7 +33,7 @@ if TYPE_CHECKING:
 @dataclass(frozen=True)
 class AimedSurface:
     """
-    Aimed rays of a surface.
+    Aimed rays of a surface or of a medium, whose name is in brackets.
 
     Attributes
     ----------
@@ -394,7 +394,11 @@ class Trace:
 
 
 def _aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
-    """Aimed rays of the surfaces of some runs together, in the scene's order."""
-    table = runs[0].table
-    sums = sum(run.surfaces[:, [AIMED, LANDED]].sum(axis=-1) for run in runs)
-    return [AimedSurface(table.ids[i], *map(float, sums[i])) for i in table.listed if sums[i, 0] > 0]
+    """Aimed rays of the surfaces and media of some runs together, in the scene's order."""
+    sums: dict[str, np.ndarray] = {}
+    for run in runs:
+        table, found = run.table, run.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
+        for i in (*table.listed, *range(table.count, len(found))):
+            name = table.event_ids[i]
+            sums[name] = sums.get(name, np.zeros(2)) + found[i]
+    return [AimedSurface(name, *map(float, found)) for name, found in sums.items() if found[0] > 0]

@@ -20,10 +20,11 @@ from mistray.scatter.lobe import Lobe, RatioTable, Scatter
 from mistray.scatter.particulate import particle_indices
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import Totals, check_budget, model_lobes, specular_cosine, totals
+from mistray.trace.bulk_scattering import BulkScattering
 from mistray.trace.device_targets import DeviceTargets
 from mistray.trace.lobes import RadialSampler, trilinear
 from mistray.trace.optics import OPAQUE, Optics
-from mistray.trace.targets import AimSet
+from mistray.trace.targets import AimSet, Place
 from mistray.trace.upload import upload
 
 EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
@@ -230,7 +231,7 @@ class ScatterTables:
     optics : Optics
         Their coatings and materials at a wavelength.
     aims : mapping
-        (surface, leaves to the back) → targets.
+        Where light is scattered → targets.
     backward : bool
         For rays that go against the light. A case is then that of the light which the ray goes against: a ray from the
         front that is transmitted meets light from the back that is.
@@ -239,6 +240,8 @@ class ScatterTables:
     ----------
     any : bool
         Whether a surface scatters.
+    bulk : BulkScattering or None
+        Scatter in media, if any scatters.
     all_cases : list of Case
         Those that scatter, in the order of their totals and lobes.
     """
@@ -247,11 +250,12 @@ class ScatterTables:
         self,
         ids: Sequence[str],
         optics: Optics,
-        aims: Mapping[tuple[int, bool], AimSet],
+        aims: Mapping[Place, AimSet],
         backward: bool = False,
     ) -> None:
         bsdfs = optics.bsdfs
         self.backward = backward
+        self.bulk = BulkScattering(optics, aims) if optics.scatters else None
         self.all_cases: list[Case] = []
         count = len(bsdfs)
         # By side: first row of the totals of transmission and reflection, aimed rays of either, the first of them with

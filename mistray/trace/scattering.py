@@ -155,11 +155,13 @@ class Scattering:
     ----------
     any : bool
         Whether a surface scatters.
+    bulk : BulkScattering or None
+        Scatter in media, if any scatters.
     """
 
     def __init__(self, tables: ScatterTables) -> None:
         self._tables = tables
-        self.any = tables.any
+        self.any, self.bulk = tables.any, tables.bulk
 
     @property
     def tables(self) -> ScatterTables:
@@ -289,7 +291,7 @@ class Scattering:
         direction = self._random(lobes, total, u, outward, specular, d, scale)
         own = mi.UInt32(0)
         if self._tables.aimed:
-            aimed, own = self._tables.targets.sample(plan.zw, u, it.p, ray.aim)
+            aimed, own = self._tables.targets.sample(plan.zw, u, it.p, specular, ray.aim)
             direction = dr.select(ray.aim, aimed, direction)
         cos_s = dr.dot(direction, outward)
         flux, slope, density = self._evaluate(lobes, total, direction, cos_s, outward, specular, d, it.cos_i, scale)
@@ -301,7 +303,8 @@ class Scattering:
         techniques = ray.random_rays * density
         if self._tables.aimed:
             there = ray.aimed_rays > 0
-            techniques += ray.aimed_rays * self._tables.targets.density(plan.zw, it.p, direction, ray.aim, own, there)
+            targets = self._tables.targets
+            techniques += ray.aimed_rays * targets.density(plan.zw, it.p, direction, specular, ray.aim, own, there)
         weight = flux / techniques
         good = (cos_s > 0) & (flux > 0) & dr.isfinite(weight)
         return dr.select(good, direction, otherwise), dr.select(good, weight, 0), dr.select(good, slope / flux, 0)

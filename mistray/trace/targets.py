@@ -1,7 +1,8 @@
-"""Where scattered rays are aimed at: flat targets in space, and the targets of one side of one surface."""
+"""Where scattered rays are aimed at: flat targets, ellipsoids and cones, and the targets of one place of scatter."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -112,26 +113,183 @@ class Target:
                 return (np.abs(a) <= 1) & (np.abs(b) <= 1)
             return (a >= 0) & (b >= 0) & (a + b <= 1)
 
-    def with_share(self, share: float) -> Target:
-        """The same target with another share."""
-        return replace(self, share=share)
+    def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
+        """Whether rays from points (n, 3) to the target leave against their normals (n, 3), and along them."""
+        return _sides(self.points(rng.random((len(points), 2))) - points, normals, self.reverse)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """Half width and half height, mm."""
+        return float(np.linalg.norm(self.u)), float(np.linalg.norm(self.v))
+
+
+@dataclass(frozen=True, eq=False)
+class Ellipsoid:
+    """
+    A sphere or an ellipsoid that rays are sent to.
+
+    Where it is scaled to a sphere, rays are uniform in the solid angle that it fills; from within they go anywhere.
+
+    Attributes
+    ----------
+    centre : (3,) float64
+        mm.
+    axes : (3, 3) float64
+        Half axes as rows, mm; at right angles to each other.
+    reverse, share
+        As of `Target`.
+    """
+
+    centre: np.ndarray
+    axes: np.ndarray
+    reverse: bool = False
+    share: float = 1.0
+    shape = "ellipsoid"
+
+    def __post_init__(self) -> None:
+        centre, axes = np.asarray(self.centre, dtype=np.float64), np.asarray(self.axes, dtype=np.float64)
+        if centre.shape != (3,) or axes.shape != (3, 3) or not (np.isfinite(centre).all() and np.isfinite(axes).all()):
+            raise MistrayError("target: an ellipsoid has a centre and three half axes; give finite numbers (mm)")
+        squares = axes @ axes.T
+        lengths = np.sqrt(np.diag(squares))
+        if not np.all(lengths > 0) or np.any(np.abs(squares - np.diag(lengths**2)) > 1e-5 * np.outer(lengths, lengths)):
+            raise MistrayError(
+                f"target at {centre.tolist()} mm: half axes of {', '.join(f'{v:g}' for v in lengths)} mm; those of an "
+                "ellipsoid are longer than 0 and at right angles"
+            )
+        object.__setattr__(self, "centre", centre)
+        object.__setattr__(self, "axes", axes)
+
+    def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
+        """As `Target.sides`."""
+        on = rng.normal(size=points.shape)
+        on = self.centre + on / np.linalg.norm(on, axis=1, keepdims=True) @ self.axes
+        return _sides(on - points, normals, self.reverse)
+
+    @property
+    def size(self) -> tuple[float, float]:
+        """The two longer half axes, mm."""
+        _, second, longest = np.sort(np.linalg.norm(self.axes, axis=1))
+        return float(longest), float(second)
+
+
+@dataclass(frozen=True, eq=False)
+class Cone:
+    """
+    A cone of directions, all as likely.
+
+    Attributes
+    ----------
+    about : {"direction", "point", "specular"}
+        Its axis: a fixed direction, that to a point, or that of the light which is not scattered.
+    axis : (3,) float64
+        The direction (of any length) or the point, mm; not used about "specular".
+    half_angle : float
+        rad, above 0 and at most π.
+    reverse, share
+        As of `Target`.
+    """
+
+    about: str
+    axis: np.ndarray
+    half_angle: float
+    reverse: bool = False
+    share: float = 1.0
+    shape = "cone"
+
+    def __post_init__(self) -> None:
+        axis = np.asarray(self.axis, dtype=np.float64)
+        if self.about not in CONES:
+            raise MistrayError(f"target: a cone about '{self.about}'; use {', '.join(CONES[:-1])} or {CONES[-1]}")
+        if axis.shape != (3,) or not np.isfinite(axis).all():
+            raise MistrayError(f"target: the axis of a cone is {self.axis}; give three finite numbers")
+        if self.about == "direction":
+            length = float(np.linalg.norm(axis))
+            if not length > 0:
+                raise MistrayError("target: the direction of a cone is 0; give it a length")
+            axis = axis / length
+        if not 0 < self.half_angle <= np.pi:
+            angle = np.degrees(self.half_angle)
+            raise MistrayError(f"target: the half-angle of a cone is {angle:g}°; it lies above 0 and is at most 180°")
+        object.__setattr__(self, "axis", axis)
+
+    @property
+    def width(self) -> float:
+        """1 - cos of the half-angle."""
+        return float(2 * np.sin(0.5 * self.half_angle) ** 2)
+
+    @property
+    def solid_angle(self) -> float:
+        """Of all its directions, sr."""
+        return 2 * np.pi * self.width
+
+    def sides(self, points: np.ndarray, normals: np.ndarray, rng: np.random.Generator) -> tuple[bool, bool]:
+        """As `Target.sides`; light goes to both sides about its specular direction."""
+        if self.about == "specular":
+            return True, True
+        axes = self.axis - points if self.about == "point" else np.broadcast_to(self.axis, points.shape)
+        axes = axes / np.linalg.norm(axes, axis=1, keepdims=True)
+        cosine = rng.uniform(1 - self.width, 1, len(points))
+        aside = np.cross(axes, rng.normal(size=points.shape))
+        aside *= np.sqrt(1 - cosine**2)[:, None] / np.linalg.norm(aside, axis=1, keepdims=True)
+        return _sides(cosine[:, None] * axes + aside, normals, self.reverse)
+
+
+CONES = ("direction", "point", "specular")
+AnyTarget = Target | Ellipsoid | Cone
+
+
+def _sides(d: np.ndarray, normals: np.ndarray, reverse: bool) -> tuple[bool, bool]:
+    """Whether some of the directions go against the normals, and whether some go along them."""
+    outward = np.einsum("ij,ij->i", d, normals) * (-1 if reverse else 1)
+    return bool(np.any(outward < 0)), bool(np.any(outward > 0))
+
+
+@dataclass(frozen=True)
+class Inside:
+    """
+    The medium on one side of a surface: what it scatters of the light on its way to the surface has targets, too.
+
+    Attributes
+    ----------
+    surface : int
+    at_back : bool
+        Whether the medium is at the back of the surface.
+    """
+
+    surface: int
+    at_back: bool
+
+
+Side = tuple[int, bool]
+"""Number of a surface, and whether the light leaves it to the back."""
+
+Place = Side | Inside
+"""Where light is scattered."""
 
 
 @dataclass(frozen=True, eq=False)
 class AimSet:
     """
-    The targets of the light that leaves a surface on one of its sides.
+    The targets of the light that leaves a surface on one of its sides, or that a medium scatters.
 
     Attributes
     ----------
-    targets : tuple of Target
+    targets : tuple of Target, Ellipsoid or Cone
         Their shares add up to 1; they may overlap.
     rays : int
         Aimed rays at every hit, at least 1.
     """
 
-    targets: tuple[Target, ...]
+    targets: tuple[AnyTarget, ...]
     rays: int
+
+    @classmethod
+    def of(cls, targets: Sequence[AnyTarget], rays: int, weights: Sequence[float] | None = None) -> AimSet:
+        """Targets with shares in proportion to weights, equal ones by default."""
+        parts = np.ones(len(targets)) if weights is None else np.asarray(weights, dtype=np.float64)
+        shares = (parts / parts.sum()).tolist()
+        return cls(tuple(replace(target, share=share) for target, share in zip(targets, shares, strict=True)), rays)
 
     def __post_init__(self) -> None:
         total = sum(target.share for target in self.targets)

@@ -56,8 +56,9 @@ class Run:
         Start rays.
     unit : float
         Flux of a start ray, W.
-    surfaces : (s, SURFACE_SUMS, BATCHES) float64
-        Hits, incident and absorbed flux of every surface, in `unit`; rays that it aims, and those that land.
+    surfaces : (s + m, SURFACE_SUMS, BATCHES) float64
+        Hits, incident and absorbed flux of every surface, in `unit`; rays that it aims, and those that land. The last
+        two also of media, which come behind.
     largest : float
         Largest flux of a scattered ray at the detector, in `unit`.
     media : (m, BATCHES) float64
@@ -202,7 +203,7 @@ class Run:
                 )
             capacity = min(8 * capacity, LAST_CAPACITY)
         self.seconds = time.perf_counter() - started
-        self.surfaces = np.array(tallies.surfaces).reshape(self.table.count, SURFACE_SUMS, BATCHES)
+        self.surfaces = np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)
         self.largest = float(np.array(tallies.largest).view(np.float32)[0])
         self.media = np.array(tallies.media).reshape(-1, BATCHES)
         self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)

@@ -7,19 +7,24 @@ import mitsuba as mi
 
 from mistray.errors import MistrayError
 from mistray.trace.settings import MOST_RAYS_PER_HIT
+from mistray.trace.targets import CONES
 
 
 class TargetMark(mi.BSDF):
     r"""
     Target of scattered rays (:monosp:`target`): its shape is no surface, light passes through it.
 
-    The surfaces that it names send some of their scattered rays towards the shape, uniformly over its area. A shape
-    that catches the light to the detector (the detector itself, its image by the lenses that follow, the next lens)
-    lowers the error of the result; no target changes the result itself. A surface that is named here has no automatic
-    targets.
+    The surfaces that it names send some of their scattered rays towards the shape, as do the media on their sides for
+    the light that these scatter on its way to the surface. A shape that catches the light to the detector (the detector
+    itself, its image by the lenses that follow, the next lens) lowers the error of the result; no target changes the
+    result itself. A surface that is named here has no automatic targets, and neither have its media. Several targets
+    may name a surface, and they may overlap.
 
-    The shape is a ``disk``, a ``rectangle``, a flat ``frustum`` (a ring), an ``asphere`` (its rim) or a mesh of at
-    most 64 triangles (a closed curve, filled).
+    The shape is a ``disk``, a ``rectangle``, a flat ``frustum`` (a ring), an ``asphere`` (its rim), a mesh of at most
+    64 triangles (a closed curve, filled) or a ``sphere``; with ``half_axes`` the sphere is an ellipsoid. Rays are
+    uniform over the area of a flat target, and in solid angle as seen from a sphere's surroundings. With ``about`` the
+    target is a cone of directions instead, and with ``entity`` a surface of the scene; the shape then gives no more
+    than ``about`` says.
 
     ========= ======= ======= ======== ===============================================================
     parameter unit    range   default  meaning
@@ -27,14 +32,23 @@ class TargetMark(mi.BSDF):
     surfaces  string          required ids of the surfaces that aim here, separated by commas; ``*`` and
                                        ``?`` stand for any text and any character
     rays      integer 1 … 255 1        aimed rays at every hit of such a surface, for reflection and for
-                                       transmission each
-    scale     1       > 0     1        the shape is enlarged so many times about its centre
+                                       transmission each, and of every segment in a medium
+    scale     1       > 0     1        the target is enlarged so many times about its centre
     hole      1       0 … < 1 0        share of the radius that is left out in the middle (disk, ring,
                                        round asphere)
     reverse   bool            false    virtual target: rays leave away from it, as if they came from it
+    half_axes mm      > 0              three numbers, separated by commas: half axes of an ellipsoid along
+                                       the sphere's own x, y and z
+    entity    string                   id of a surface that is the target: its outline if it is flat or an
+                                       asphere, else the ellipsoid around its bounding box
+    about     string                   axis of a cone: ``point`` (the centre of the shape), ``direction``
+                                       (the local z of a flat shape) or ``specular`` (the light that is
+                                       not scattered; any shape will do)
+    cone_deg  degree  0 … 180          half-angle of the cone, above 0
     ========= ======= ======= ======== ===============================================================
 
-    Under stock integrators the shape is invisible.
+    None of these is differentiable: a target changes the error of a result, so that its derivatives are 0. Gradients of
+    aimed light are those of the rays that were sent. Under stock integrators the shape is invisible.
 
     .. code-block:: xml
 
@@ -45,10 +59,18 @@ class TargetMark(mi.BSDF):
                 <integer name="rays" value="10"/>
             </bsdf>
         </shape>
+        <shape type="disk" id="near_specular">
+            <bsdf type="target">
+                <string name="surfaces" value="M1"/>
+                <string name="about" value="specular"/>
+                <float name="cone_deg" value="2"/>
+            </bsdf>
+        </shape>
 
     .. code-block:: python
 
         {"type": "disk", "bsdf": {"type": "target", "surfaces": "L1_*", "reverse": True}}
+        {"type": "sphere", "center": [0, 0, 90], "bsdf": {"type": "target", "surfaces": "*", "half_axes": "4, 4, 20"}}
     """
 
     is_target = True
@@ -72,8 +94,27 @@ class TargetMark(mi.BSDF):
             raise MistrayError(f"{title}: scale is {self.scale:g}; it must be positive and finite")
         if not 0 <= self.hole < 1:
             raise MistrayError(f"{title}: hole is {self.hole:g}; it is a share of the radius, 0 … below 1")
+        self.entity, self.about = (str(props.get(key, "")).strip() for key in ("entity", "about"))
+        self.half_axes = _lengths(title, str(props.get("half_axes", "")))
+        self.cone_deg = _number(title, props, "cone_deg", 0.0)
+        self._check(title)
         self.m_components = [mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide]
         self.m_flags = self.m_components[0]
+
+    def _check(self, title: str) -> None:
+        """Refuse what no target is, and what would be ignored."""
+        if self.about and self.about not in CONES:
+            raise MistrayError(f"{title}: about is '{self.about}'; use {', '.join(CONES[:-1])} or {CONES[-1]}")
+        if bool(self.about) != bool(self.cone_deg):
+            given, missing = ("about", "cone_deg") if self.about else ("cone_deg", "about")
+            raise MistrayError(f"{title}: {given} without {missing}; a cone needs both")
+        if self.about and not 0 < self.cone_deg <= 180:
+            raise MistrayError(f"{title}: cone_deg is {self.cone_deg:g}; it lies above 0 and is at most 180")
+        kinds = [key for key, value in (("about", self.about), ("entity", self.entity)) if value]
+        sizes = {"scale": self.scale != 1, "hole": self.hole != 0, "half_axes": bool(self.half_axes)}
+        unused = [key for key, given in sizes.items() if given and kinds and (self.about or key != "scale")]
+        if len(kinds) > 1 or unused:
+            raise MistrayError(f"{title}: {' and '.join([*kinds, *unused][:2])} exclude each other; leave one out")
 
     def sample(
         self,
@@ -120,6 +161,19 @@ def _number(title: str, props: mi.Properties, key: str, default: float) -> float
     if isinstance(value, bool) or not isinstance(value, int | float):
         raise MistrayError(f"{title}: {key} is {value!r}; it must be a number")
     return value
+
+
+def _lengths(title: str, text: str) -> tuple[float, ...]:
+    """Three positive numbers of a text, or none of an empty one."""
+    if not text.strip():
+        return ()
+    try:
+        found = tuple(float(part) for part in text.split(","))
+    except ValueError:
+        found = ()
+    if len(found) != 3 or not all(0 < value < float("inf") for value in found):
+        raise MistrayError(f"{title}: half_axes is '{text}'; give three positive numbers (mm), separated by commas")
+    return found
 
 
 mi.register_bsdf("target", lambda props: TargetMark(props))

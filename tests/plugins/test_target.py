@@ -40,6 +40,17 @@ def test_parameters():
         ({"scale": float("inf")}, "scale is inf"),
         ({"hole": 1.0}, "hole is 1"),
         ({"hole": -0.1}, "hole is -0.1"),
+        ({"half_axes": "1, 2"}, "half_axes is '1, 2'; give three positive numbers"),
+        ({"half_axes": "1, 2, -3"}, "half_axes is '1, 2, -3'"),
+        ({"half_axes": "1, b, 3"}, "half_axes is '1, b, 3'"),
+        ({"about": "axis", "cone_deg": 1.0}, "about is 'axis'; use direction, point or specular"),
+        ({"about": "point"}, "about without cone_deg"),
+        ({"cone_deg": 2.0}, "cone_deg without about"),
+        ({"about": "point", "cone_deg": 181.0}, "cone_deg is 181"),
+        ({"about": "point", "cone_deg": -1.0}, "cone_deg is -1"),
+        ({"about": "point", "cone_deg": 1.0, "entity": "lens"}, "about and entity exclude each other"),
+        ({"about": "point", "cone_deg": 1.0, "scale": 2.0}, "about and scale exclude each other"),
+        ({"entity": "lens", "hole": 0.5}, "entity and hole exclude each other"),
     ],
 )
 def test_bad_parameters(values, words):

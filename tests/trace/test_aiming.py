@@ -364,7 +364,15 @@ class TestTargetsOfTheScene:
         ("target", "words"),
         [
             (given("t", surfaces="c_*"), r"target 't': no surface of the scene is called 'c_\*'"),
-            (given("t", "sphere", surfaces="*"), "target 't' is Sphere; use a disk"),
+            (given("t", "cylinder", surfaces="*"), "target 't' is Cylinder; use a disk"),
+            (given("t", "sphere", surfaces="*", hole=0.5), "target 't': hole is 0.5"),
+            (
+                given("t", "disk", surfaces="*", half_axes="1, 2, 3"),
+                "target 't' is Disk; half_axes are those of a sphere",
+            ),
+            (given("t", "disk", surfaces="*", entity="c"), "target 't': no surface of the scene is called 'c'"),
+            (given("t", "disk", surfaces="*", entity="*_front"), "target 't': entity '.*' fits 2 surfaces; name one"),
+            (given("t", "sphere", surfaces="*", about="direction", cone_deg=3.0), "target 't' is Sphere, which has no"),
             (given("t", "rectangle", surfaces="a_front", hole=0.5), "target 't': hole is 0.5"),
             (given("t", surfaces="a_front", rays=200) + given("u", surfaces="a_front", rays=200), "400 aimed rays"),
         ],
@@ -382,6 +390,29 @@ class TestTargetsOfTheScene:
             self.aim(load_scene, curve + bsdf_xml("target", surfaces="a_front") + "</shape>")
 
 
+KINDS = {
+    "sphere": {"kind": "sphere", "scale": 3.0},
+    "ellipsoid": {"kind": "sphere", "half_axes": "1, 4, 2.5"},
+    "around the sheet": {"kind": "sphere", "half_axes": "30, 40, 25"},
+    "point": {"about": "point", "cone_deg": 9.0},
+    "direction": {"about": "direction", "cone_deg": 11.0},
+    "specular": {"about": "specular", "cone_deg": 11.0},
+    "anywhere": {"about": "point", "cone_deg": 180.0},
+    "entity": {"entity": "detector"},
+    "large entity": {"entity": "detector", "scale": 1.5},
+    "disk": {"scale": 2.0},
+    "virtual sphere": {"kind": "sphere", "scale": 3.0, "reverse": True, "at": (0.0, 0.0, -10.0)},
+    "virtual point": {"about": "point", "cone_deg": 9.0, "reverse": True, "at": (0.0, 0.0, -10.0)},
+}
+
+
+def of_kind(name: str, number: int = 0, rays: int = 2) -> str:
+    """A target for the sheet at the place of the detector; but for `KINDS` that lie elsewhere."""
+    values = dict(KINDS[name])
+    place = {"at": values.pop("at", (0.0, 0.0, 10.0))}
+    return given(f"t{number}", values.pop("kind", "disk"), place=place, surfaces="sheet", rays=rays, **values)
+
+
 # -- rays of the kernel --------------------------------------------------------------------------------------------
 
 
@@ -394,6 +425,34 @@ def sheet(*targets: str) -> str:
         placed_xml("asphere", "detector", at=(0.0, 0.0, 10.0), pixels=8, semi_diameter=2.0),
         *targets,
     )
+
+
+def to_detector() -> float:
+    """Half of the light times the form factor of two coaxial discs of radii 1 and 2 at a distance of 10."""
+    x = 1 + (1 + 0.2**2) / 0.1**2
+    return 0.5 * 0.5 * (x - np.sqrt(x * x - 4 * 2.0**2))
+
+
+def scattered_share(trace: mistray.Trace) -> tuple[float, float]:
+    """Scattered light on the detector and its standard error, in units of the beam's."""
+    power, se = trace.paths.power([row.path_id for row in trace.paths if row.scatters])
+    return power / trace.energy.launched_W, se / trace.energy.launched_W
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_target_gives_the_same_light(load_scene, kind):
+    """That of two discs within 3.9 standard errors; false alarm 1e-4 each."""
+    measured, se = scattered_share(mistray.trace(load_scene(sheet(of_kind(kind))), rays=20_000, aim="targets"))
+    assert abs(measured - to_detector()) < 3.9 * se
+    assert se < 0.05 * to_detector()
+
+
+def test_targets_of_all_kinds_that_overlap_count_once(load_scene):
+    """As above, with all of them on one surface, of different numbers of rays."""
+    targets = [of_kind(kind, number, 1 + number % 3) for number, kind in enumerate(KINDS)]
+    measured, se = scattered_share(mistray.trace(load_scene(sheet(*targets)), rays=20_000))
+    assert abs(measured - to_detector()) < 3.9 * se
+    assert se < 0.01 * to_detector()
 
 
 @pytest.mark.parametrize("reverse", [False, True], ids=["real", "virtual"])

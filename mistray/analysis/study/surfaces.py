@@ -19,12 +19,11 @@ from mistray.scatter import Scatter
 from mistray.scatter.particulate import particle_indices
 from mistray.scatter.total import Totals, model_lobes, totals
 from mistray.trace import Trace
-from mistray.trace.aiming import Side
 from mistray.trace.design_path import DesignPath
 from mistray.trace.host_rays import normals
 from mistray.trace.optics import OPAQUE
 from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.targets import AimSet
+from mistray.trace.targets import AimSet, Cone, Inside, Place
 
 BUDGET_ROUNDING = 1e-9
 SAME_DIGITS = 9
@@ -220,7 +219,7 @@ def _treatments(frame: pd.DataFrame) -> pd.DataFrame:
 
 
 def importance_sampling(
-    table: SurfaceTable, path: DesignPath | None, targets: Mapping[Side, AimSet], probe: Trace | None
+    table: SurfaceTable, path: DesignPath | None, targets: Mapping[Place, AimSet], probe: Trace | None
 ) -> StudyStep:
     """
     Step 7: where each surface sends aimed rays, and how many of them arrive.
@@ -230,34 +229,41 @@ def importance_sampling(
     table : SurfaceTable
     path : DesignPath, optional
     targets : mapping
-        (surface, leaves to the back) → targets, as from `mistray.trace.aiming.aims`.
+        Where light is scattered → targets, as from `mistray.trace.aiming.aims`.
     probe : Trace, optional
         A trace with scatter, whose sampling is judged; None where nothing scatters.
 
-    Columns of the table: surface, role, leaves ("front", "back"), number (of the target), shape, distance_mm (from the
-    vertex of the surface to the middle of the target; negative: virtual, inf: far away), half_width_mm, half_height_mm,
-    half_angle_deg (the larger of both as seen from the vertex), share_percent (of the aimed rays), rays (aimed at every
-    hit).
+    Columns of the table: surface, role, leaves ("front", "back"; "in front", "behind": what the medium there scatters
+    on the way to the surface), number (of the target), shape, distance_mm (from the vertex of the surface to the middle
+    of the target; negative: virtual, inf: far away), half_width_mm, half_height_mm, half_angle_deg (the larger of both
+    as seen from the vertex), share_percent (of the aimed rays), rays (aimed at every hit).
     """
     rows = []
     far_away = FAR_SIZES * float(np.linalg.norm(np.ptp(table.vertices, axis=0)))
-    for (surface, to_back), aim in targets.items():
+    for place, aim in targets.items():
+        if isinstance(place, Inside):
+            surface, leaves = place.surface, "behind" if place.at_back else "in front"
+        else:
+            surface, leaves = place[0], "back" if place[1] else "front"
         vertex = table.vertices[surface]
         for number, target in enumerate(aim.targets, start=1):
-            distance = float(np.linalg.norm(target.centre - vertex))
-            width, height = (float(np.linalg.norm(half)) for half in (target.u, target.v))
-            far = distance > far_away
+            if isinstance(target, Cone):
+                distance, far, width, height, angle = math.nan, False, math.nan, math.nan, target.half_angle
+            else:
+                distance = float(np.linalg.norm(target.centre - vertex))
+                far, (width, height) = distance > far_away, target.size
+                angle = math.atan2(max(width, height), distance)
             rows.append(
                 {
                     "surface": table.ids[surface],
                     "role": role(table, path, surface),
-                    "leaves": "back" if to_back else "front",
+                    "leaves": leaves,
                     "number": number,
                     "shape": target.shape,
                     "distance_mm": math.inf if far else -distance if target.reverse else distance,
                     "half_width_mm": math.nan if far else width,
                     "half_height_mm": math.nan if far else height,
-                    "half_angle_deg": math.degrees(math.atan2(max(width, height), distance)),
+                    "half_angle_deg": math.degrees(angle),
                     "share_percent": 100 * target.share,
                     "rays": aim.rays,
                 }
@@ -281,7 +287,7 @@ def importance_sampling(
     untargeted = sorted(
         table.ids[i]
         for i in range(table.count)
-        if table.interfaces[i].scatter and not any(surface == i for surface, _ in targets)
+        if table.interfaces[i].scatter and not {(i, False), (i, True)} & set(targets)
     )
     findings = [
         f"{count_of(frame.surface.nunique(), 'surface')} with {count_of(len(frame), 'target')}; in a trace on axis "
