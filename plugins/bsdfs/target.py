@@ -37,14 +37,14 @@ class TargetMark(mi.BSDF):
     hole      1       0 … < 1 0        share of the radius that is left out in the middle (disk, ring,
                                        round asphere)
     reverse   bool            false    virtual target: rays leave away from it, as if they came from it
-    half_axes mm      > 0              three numbers, separated by commas: half axes of an ellipsoid along
+    half_axes mm      > 0     none     three numbers, separated by commas: half axes of an ellipsoid along
                                        the sphere's own x, y and z
-    entity    string                   id of a surface that is the target: its outline if it is flat or an
+    entity    string          none     id of a surface that is the target: its outline if it is flat or an
                                        asphere, else the ellipsoid around its bounding box
-    about     string                   axis of a cone: ``point`` (the centre of the shape), ``direction``
+    about     string          none     axis of a cone: ``point`` (the centre of the shape), ``direction``
                                        (the local z of a flat shape) or ``specular`` (the light that is
                                        not scattered; any shape will do)
-    cone_deg  degree  0 … 180          half-angle of the cone, above 0
+    cone_deg  degree  0 … 180 none     half-angle of the cone, above 0
     ========= ======= ======= ======== ===============================================================
 
     None of these is differentiable: a target changes the error of a result, so that its derivatives are 0. Gradients of
@@ -59,18 +59,10 @@ class TargetMark(mi.BSDF):
                 <integer name="rays" value="10"/>
             </bsdf>
         </shape>
-        <shape type="disk" id="near_specular">
-            <bsdf type="target">
-                <string name="surfaces" value="M1"/>
-                <string name="about" value="specular"/>
-                <float name="cone_deg" value="2"/>
-            </bsdf>
-        </shape>
 
     .. code-block:: python
 
-        {"type": "disk", "bsdf": {"type": "target", "surfaces": "L1_*", "reverse": True}}
-        {"type": "sphere", "center": [0, 0, 90], "bsdf": {"type": "target", "surfaces": "*", "half_axes": "4, 4, 20"}}
+        {"type": "disk", "bsdf": {"type": "target", "surfaces": "M1", "about": "specular", "cone_deg": 2.0}}
     """
 
     is_target = True
