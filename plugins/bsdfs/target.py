@@ -26,26 +26,26 @@ class TargetMark(mi.BSDF):
     target is a cone of directions instead, and with ``entity`` a surface of the scene; the shape then gives no more
     than ``about`` says.
 
-    ========= ======= ======= ======== ===============================================================
-    parameter unit    range   default  meaning
-    ========= ======= ======= ======== ===============================================================
-    surfaces  string          required ids of the surfaces that aim here, separated by commas; ``*`` and
-                                       ``?`` stand for any text and any character
-    rays      integer 1 … 255 1        aimed rays at every hit of such a surface, for reflection and for
-                                       transmission each, and of every segment in a medium
-    scale     1       > 0     1        the target is enlarged so many times about its centre
-    hole      1       0 … < 1 0        share of the radius that is left out in the middle (disk, ring,
-                                       round asphere)
-    reverse   bool            false    virtual target: rays leave away from it, as if they came from it
-    half_axes mm      > 0     none     three numbers, separated by commas: half axes of an ellipsoid along
-                                       the sphere's own x, y and z
-    entity    string          none     id of a surface that is the target: its outline if it is flat or an
-                                       asphere, else the ellipsoid around its bounding box
-    about     string          none     axis of a cone: ``point`` (the centre of the shape), ``direction``
-                                       (the local z of a flat shape) or ``specular`` (the light that is
-                                       not scattered; any shape will do)
-    cone_deg  degree  0 … 180 none     half-angle of the cone, above 0
-    ========= ======= ======= ======== ===============================================================
+    ========== ======= ======= ======== ===============================================================
+    parameter  unit    range   default  meaning
+    ========== ======= ======= ======== ===============================================================
+    surfaces   string          required ids of the surfaces that aim here, separated by commas; ``*`` and
+                                        ``?`` stand for any text and any character
+    rays       integer 1 … 255 1        aimed rays at every hit of such a surface, for reflection and for
+                                        transmission each, and of every segment in a medium
+    scale      1       > 0     1        the target is enlarged so many times about its centre
+    hole       1       0 … < 1 0        share of the radius that is left out in the middle (disk, ring,
+                                        round asphere)
+    reverse    bool            false    virtual target: rays leave away from it, as if they came from it
+    half_axes  mm      > 0     none     three numbers, separated by commas: half axes of an ellipsoid along
+                                        the sphere's own x, y and z
+    entity     string          none     id of a surface that is the target: its outline if it is flat or an
+                                        asphere, else the ellipsoid around its bounding box
+    about      string          none     axis of a cone: ``point`` (the centre of the shape), ``direction``
+                                        (the local z of a flat shape) or ``specular`` (the light that is
+                                        not scattered; any shape will do)
+    cone_deg   degree  0 … 180 none     half-angle of the cone, above 0
+    ========== ======= ======= ======== ===============================================================
 
     None of these is differentiable: a target changes the error of a result, so that its derivatives are 0. Gradients of
     aimed light are those of the rays that were sent. Under stock integrators the shape is invisible.
