@@ -90,6 +90,39 @@ def test_product_ranks_the_faces_of_a_scattering_scene():
     assert list(order.index[:2]) == list(power.sort_values(ascending=False).index[:2])
 
 
+def seen_share(half_width: float, gap: float, glass: float, n: float) -> float:
+    """Projected solid angle of a square seen from over its middle through a gap and a plate, over π."""
+    theta = np.linspace(0.0, np.pi / 2, 4001)[1:-1]
+    offset = gap * np.tan(theta) + glass * np.tan(np.arcsin(np.sin(theta) / n))
+    ratio = np.clip(half_width / offset, 0.0, 1.0)
+    azimuths = np.where(ratio < np.sqrt(0.5), 0.0, 1 - 4 / np.pi * np.arccos(ratio))
+    return float(np.trapezoid(np.sin(2 * theta) * azimuths, theta))
+
+
+@pytest.mark.parametrize("total", [True, False])
+def test_gcf_of_one_side_is_at_most_one(total):
+    """
+    The last faces of the phone camera before its detector, at the axis: closed forms for the side that faces it.
+
+    L5 is seen on its inside, too, by total reflection; the sum of both sides is above 1. One of a thousand such tests
+    fails by chance.
+    """
+    found = objects(mistray.load("phone_camera_scatter"), rays=RAYS // 2, angles_deg=[0.0], total_reflection=total)
+    estimates = found.estimates()
+    rows = estimates.set_index(["id", "side"])
+    half, gap, glass, behind = 2.18393, 0.1337, 0.21, 0.1363
+    # Each face of the filter reflects 1 %
+    for name, exact in (
+        ("L5_rear", 0.99**2 * seen_share(half, gap + behind, glass, 1.518)),
+        ("filter_rear", seen_share(half, behind, 0.0, 1.0)),
+    ):
+        row = rows.loc[name, "back"]
+        assert_z(name, row.gcf, exact, row.pst_se / row.pst * row.gcf)
+    assert (rows.gcf.get(("L5_rear", "front"), 0.0) > 0.05) == total
+    relative = (estimates.pst_se / estimates.pst.where(estimates.pst > 0, np.inf)).to_numpy()
+    assert np.all(estimates.gcf <= 1 + z_limit() * relative)
+
+
 def test_bsdf_of_a_surface_in_any_orientation(load):
     """Of a tilted mirror with Harvey-Shack scatter: b0 (1 + (r/l)²)^(s/2) of |β - β0| in its own plane."""
     b0, length, slope = 2.0, 0.02, -1.5

@@ -8,6 +8,9 @@ configuration factor GCF: the projected solid angle of the detector as the objec
 the detector and the mean weight s of Lambertian rays from the detector that meet the object, étendue gives
 π GCF = π (n_d/n)² A_det s/A.
 
+A surface that transmits is seen from either side, by total reflection even from the one that faces away. Each side has
+a GCF of its own, which is at most 1, and a product of its own.
+
 The factors are not the same all over an object. The object is divided into patches: GCF is the mean of that of the
 patches, weighted with the flux on them; the BSDF is the mean over pairs of a ray that lights the object and one nearby
 that sees it, weighted likewise. What is left as an error is what varies within a patch.
@@ -92,16 +95,21 @@ def product_estimates(
     Returns
     -------
     DataFrame
-        Columns angle_deg (NaN for the mean over a cone or a disc), id, part, side, between, stop, optic, scatters (has
-        a scatter model), flux_W with its ``_se``, bsdf_1_sr, gcf, detector_W with its ``_se`` (flux that meets the
-        detector, for 1 W/mm² across the beam), pst, pst_se (detector_W over the area of the detector, normal
-        convention), percent (of the sum of the column at this angle); of each angle the strongest first.
+        Columns angle_deg (NaN for the mean over a cone or a disc), id, part, side (from which it is seen: a surface
+        that transmits has a row for either), between, stop, optic, scatters (has a scatter model), flux_W with its
+        ``_se``, bsdf_1_sr, gcf, detector_W with its ``_se`` (flux that meets the detector, for 1 W/mm² across the
+        beam), pst, pst_se (detector_W over the area of the detector, normal convention), percent (of the sum of the
+        column at this angle); of each angle the strongest first.
     """
     import pandas as pd
 
     found = []
-    for number, row in zip(numbers, rows, strict=True):
-        seen = Seen.of(critical.samples(number))
+    seen_objects = [
+        (number, row, side, Seen.of(hits))
+        for number, row in zip(numbers, rows, strict=True)
+        for side, hits in by_side(critical.samples(number), row.side)
+    ]
+    for number, row, side, seen in seen_objects:
         for angle, view in zip(angles_deg, illuminated, strict=True):
             product = estimate(table, detector_area, seen, view, number)
             error = product.relative_error * product.detector
@@ -110,7 +118,7 @@ def product_estimates(
                     "angle_deg": angle,
                     "id": row.id,
                     "part": row.part,
-                    "side": row.side,
+                    "side": side,
                     "between": row.between,
                     "stop": row.stop,
                     "optic": row.optic,
@@ -131,6 +139,22 @@ def product_estimates(
     total = frame.groupby("angle_deg", dropna=False).detector_W.transform("sum")
     frame["percent"] = np.where(total > 0, 100 * frame.detector_W / total.where(total > 0, 1.0), 0.0)
     return frame.sort_values(["angle_deg", "detector_W"], ascending=[True, False], kind="stable", ignore_index=True)
+
+
+def by_side(hits: Samples, side: str) -> list[tuple[str, Samples]]:
+    """
+    The rays that see an object, by the side on which they do: the projected solid angle of one side is at most π.
+
+    Parameters
+    ----------
+    hits : Samples
+    side : {"front", "back", "both"}
+        Of the object.
+    """
+    if side != "both" or not len(hits.weight):
+        return [(side, hits)]
+    parts = [("front", hits.from_front), ("back", ~hits.from_front)]
+    return [(name, hits.only(here)) for name, here in parts if here.any()]
 
 
 def estimate(table: SurfaceTable, detector_area: float, view: Seen, illuminated: View, number: int) -> Product:

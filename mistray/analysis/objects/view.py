@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, fields
 
 import numpy as np
 
@@ -45,6 +45,11 @@ class Samples:
     from_front: np.ndarray
     batch: np.ndarray
     rays: int
+
+    def only(self, here: np.ndarray) -> Samples:
+        """Those of the hits where `here`, (m,) bool, is true."""
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        return Samples(**{name: value if name == "rays" else value[here] for name, value in parts.items()})
 
 
 @dataclass
