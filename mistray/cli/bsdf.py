@@ -15,6 +15,7 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
     from mistray.scatter import Scatter
+    from mistray.scatter.chance import Chance
     from mistray.scatter.scan import Light, Scan
 
 DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
@@ -35,7 +36,8 @@ def add(commands: Any) -> None:
         "  mistray bsdf harvey_shack --rms-nm 4 --event transmission --back 1.5333 --plot polished.png\n"
         "  mistray bsdf particulate --level 300 --event transmission --plot dust.png\n"
         "  mistray bsdf paint --preset flat_black --json\n"
-        "  mistray bsdf measured.bsdf --table copy.csv",
+        "  mistray bsdf measured.bsdf --table copy.csv\n"
+        "  mistray bsdf abg --A 2e-5 --B 1e-6 --g 2 --event transmission --hit-deg 30 --hit-sr 4e-6 --hit-before 0.125",
         formatter_class=RAW,
     )
     parser.add_argument("model", metavar="MODEL", help=f"{', '.join(bsdf_models.KINDS)}, or a file .bsdf or .csv")
@@ -57,6 +59,12 @@ def add(commands: Any) -> None:
     parser.add_argument("--table", type=Path, metavar="FILE",
                         help="write a table over the hemisphere, for scenes: .bsdf (Zemax) or .csv")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON instead of the tables, with the curves")
+    hits = parser.add_argument_group("a world without importance sampling: rays until one finds a small detector")
+    hits.add_argument("--hit-deg", type=finite, metavar="DEG",
+                      help="angle of the detector with the normal, at the first angle of incidence")  # fmt: skip
+    hits.add_argument("--hit-sr", type=positive, metavar="SR", help="its solid angle as seen from the surface")
+    hits.add_argument("--hit-before", type=finite, metavar="SHARE",
+                      help="chance that a ray gets to the surface (1)")  # fmt: skip
     bsdf_models.declare(parser)
     parser.set_defaults(run=run)
 
@@ -81,6 +89,7 @@ def run(options: argparse.Namespace) -> int:
     with working("evaluating the model"):
         curves = scan(model, options.angles_deg, event, light)
         totals = _total_rows(model, options.angles_deg, events, light)
+    unaimed = _chance(options, model, event, light)
     title = _title(options, model)
     if options.plot is not None:
         from mistray.report.bsdf_plots import bsdf_figure
@@ -97,10 +106,10 @@ def run(options: argparse.Namespace) -> int:
         _write_table(model, options, event, light)
     written = [path for path in (options.plot, options.plot_particles, options.csv, options.table) if path]
     if options.json:
-        print_json(_record(options, title, model, totals, curves, light), written)
+        print_json(_record(options, title, model, totals, curves, light, unaimed), written)
         return 0
     print(f"{title}: {options.front} | {options.back}, {light.wavelength_nm:g} nm")
-    blocks = [*_notes(model), *_sheet(options), _totals(totals)]
+    blocks = [*_notes(model), *_sheet(options), _totals(totals), *_hits(unaimed)]
     print("\n\n".join(blocks))
     if written:
         print(f"\nwrote {', '.join(map(str, written))}")
@@ -114,6 +123,7 @@ def _record(
     totals: list[dict[str, Any]],
     curves: list[Scan],
     light: Light,
+    unaimed: Chance | None,
 ) -> dict[str, Any]:
     """What --json prints: notes, the way to A, B and g from a roughness, totals of all events, curves of one."""
     from mistray.report.json_values import plain
@@ -133,6 +143,14 @@ def _record(
         "wavelength_nm": light.wavelength_nm,
         "notes": _notes(model),
         "from_roughness": roughness,
+        "without_importance_sampling": None
+        if unaimed is None
+        else {
+            "of_scatter": unaimed.of_scatter,
+            "total": unaimed.total,
+            "rays_for_one_hit": unaimed.rays_for_one_hit,
+            "rays_for_50_percent": unaimed.rays_for(0.5),
+        },
         "totals": totals,
         "event": curves[0].event,
         "curves": [
@@ -146,6 +164,36 @@ def _record(
         ],
     }
     return dict(plain(record))
+
+
+def _chance(options: argparse.Namespace, model: Scatter, event: str, light: Light) -> Chance | None:
+    """Of a hit by rays that nobody aims, if it is asked for."""
+    from mistray.scatter.chance import chance
+
+    if options.hit_deg is None and options.hit_sr is None:
+        if options.hit_before is not None:
+            raise MistrayError("--hit-before goes with --hit-deg and --hit-sr; give both")
+        return None
+    if options.hit_deg is None or options.hit_sr is None:
+        raise MistrayError("--hit-deg and --hit-sr go together: where the detector is, and its solid angle")
+    before = 1.0 if options.hit_before is None else options.hit_before
+    incidence_deg = options.angles_deg[0]
+    return chance(
+        model, options.hit_deg, options.hit_sr, incidence_deg=incidence_deg, event=event, light=light, before=before
+    )
+
+
+def _hits(unaimed: Chance | None) -> list[str]:
+    """What `_chance` found, as text."""
+    if unaimed is None:
+        return []
+    rows = (
+        ("chance of this scatter", unaimed.of_scatter),
+        ("and of getting there", unaimed.total),
+        ("rays for one hit in the mean", unaimed.rays_for_one_hit),
+        ("rays for a hit in 50 % of runs", unaimed.rays_for(0.5)),
+    )
+    return ["without importance sampling\n" + "\n".join(f"{name:<31} {value:.5g}" for name, value in rows)]
 
 
 def _total_rows(model: Scatter, angles_deg: list[float], events: list[str], light: Light) -> list[dict[str, Any]]:
