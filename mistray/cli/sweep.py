@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import INTERRUPTED, RAW, field, finite, positive
+from mistray.cli.arguments import INTERRUPTED, RAW, add_angles, angles, field, finite, positive
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_output,
@@ -42,7 +42,8 @@ def add(commands: Any) -> None:
         epilog="examples:\n"
         "  mistray sweep cooke_triplet --field-deg 0 10 20 --wavelength-nm 450 550 650\n"
         "  mistray sweep cooke_triplet examples/triplet_states.toml --field-deg 0 20 --rays 1e5 --out out/sweep\n"
-        "  mistray sweep scene.xml states.toml --json --no-cache",
+        "  mistray sweep scene.xml states.toml --json --no-cache\n"
+        "  mistray sweep baffle_tube edits.toml --pst-deg 10:60:10 --rays 1e6    # what each edit does to the PST",
         formatter_class=RAW,
     )
     add_scene(parser)
@@ -51,8 +52,10 @@ def add(commands: Any) -> None:
     what = parser.add_argument_group("what is traced (default: as the scene says)")
     what.add_argument("--field-deg", type=field, nargs="+", metavar="DEG", help="field angles, degrees")
     what.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of the fields about z, degrees")
+    add_angles(what, "--pst-deg", "instead of fields: the PST at these field angles before and after what each "
+               "configuration moves, paints, coats or blocks", angles)  # fmt: skip
     what.add_argument("--wavelength-nm", type=positive, nargs="+", metavar="NM", help="wavelengths, nm")
-    add_scheduler(add_ray_tree(parser, "start rays of every row (1e6)"))
+    add_scheduler(add_ray_tree(parser, "start rays of every row (1e6; 4e6 with --pst-deg)"))
     add_scatter(parser)
     output = add_output(parser, "report.html, CSV files, JSON and a picture", formats=TABLE_FORMATS)
     output.add_argument("--no-cache", action="store_true", help="neither read results from the cache nor keep them")
@@ -61,6 +64,8 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
+    if options.pst_deg is not None:
+        return _run_pst(options)
     check_formats(options)
     start_mitsuba(options)
     from mistray.report.sweep_tables import sweep_record, sweep_text
@@ -97,6 +102,38 @@ def run(options: argparse.Namespace) -> int:
     if options.out is not None:
         files = _write(result, options)
     show(options, lambda: sweep_record(result), lambda: sweep_text(result), files)
+    return 0
+
+
+def _run_pst(options: argparse.Namespace) -> int:
+    """What the configurations do to the PST."""
+    given = {
+        "--field-deg": options.field_deg,
+        "--azimuth-deg": options.azimuth_deg,
+        "--formats": options.formats,
+        "--no-cache": options.no_cache or None,
+    }
+    for name, value in given.items():
+        if value:
+            raise MistrayError(f"{name} is for traces of fields; leave it out with --pst-deg")
+    if options.study is None:
+        raise MistrayError("--pst-deg compares configurations; give a TOML file with them")
+    start_mitsuba(options)
+    from mistray.report.pst_sweep_tables import pst_sweep_record, pst_sweep_text, write_pst_sweep
+    from mistray.sweeps import read_configurations, sweep_pst
+
+    folder = claim_output(options)
+    with workers_of(options), progress_bar(options) as progress:
+        found = sweep_pst(
+            options.scene,
+            read_configurations(options.study),
+            options.pst_deg,
+            progress=progress,
+            wavelength_nm=options.wavelength_nm,
+            **settings_of(options),
+        )
+    files = [] if folder is None else write_pst_sweep(found, folder, options.command_line)
+    show(options, lambda: pst_sweep_record(found), lambda: pst_sweep_text(found), files, "pst_sweep.csv")
     return 0
 
 

@@ -7,7 +7,7 @@ refers to it from its ``interface``. What it had before goes: R, T, table, a coa
 from __future__ import annotations
 
 import re
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -76,10 +76,7 @@ def recoated(source: str | Path, coatings: Sequence[SharedCoating], folder: str 
             if surface in done:
                 raise MistrayError(f"shape '{surface}' gets two coatings; put it into one group")
             done.add(surface)
-            place, interface = _interface(file, surface)
-            text = _coated(file, interface, name, copied=place is not interface)
-            deeper = file.indent(place)[len(file.indent(interface)) :]
-            edits.append((place.start, place.end, text.replace(b"\n", b"\n" + deeper.encode())))
+            edits.append(refitted(file, surface, is_coating, [f"<ref id={quoteattr(name)}/>"]))
     shapes = [child for child in file.root.children if child.tag == "shape"]
     at = file.head(shapes[0])
     lines = [f"<!-- {NOTE}{f': {comment_text(note)}' if note else ''} -->"]
@@ -139,12 +136,25 @@ def _removals(file: SceneFile, coatings: Sequence[Element]) -> Iterator[Edit]:
         yield start, end, b""
 
 
-def _coated(file: SceneFile, interface: Element, name: str, copied: bool) -> bytes:
-    """Text of an interface with a reference to a coating instead of what it had."""
+def refitted(file: SceneFile, surface: str, drops: Callable[[SceneFile, Element], bool], lines: Sequence[str]) -> Edit:
+    """
+    The edit that gives a shape an interface with other children.
+
+    Parameters
+    ----------
+    file : SceneFile
+    surface : str
+        Id of the shape.
+    drops : callable
+        Which children of the interface go.
+    lines : sequence of str
+        Elements that come instead.
+    """
+    place, interface = _interface(file, surface)
     shift = interface.start
     text = file.text(interface)
     tag = text[: interface.inside - shift]
-    if copied:  # a shared interface may have other users, so the surface gets one of its own
+    if place is not interface:  # a shared interface may have other users, so the surface gets one of its own
         tag = re.sub(rb"\s+id\s*=\s*(\"[^\"]*\"|'[^']*')", b"", tag, count=1)
     tag = re.sub(rb"(\stype\s*=\s*[\"'])thinfilm([\"'])", rb"\1interface\2", tag, count=1)
     if interface.end == interface.inside:  # <bsdf …/>
@@ -152,18 +162,20 @@ def _coated(file: SceneFile, interface: Element, name: str, copied: bool) -> byt
     body = b""
     position = interface.inside
     for child in interface.children:
-        if _is_coating(file, child):
+        if drops(file, child):
             start, end = file.with_blanks(child)
             body += file.data[position:start]
             position = end
     body += file.data[position : interface.close]
     pad = file.indent(interface)
     inner = f"\n{pad}{INDENT}" if pad or b"\n" in text else ""
-    reference = f"{inner}<ref id={quoteattr(name)}/>" + (f"\n{pad}" if inner else "")
-    return tag + body.rstrip() + reference.encode() + b"</bsdf>"
+    added = "".join(f"{inner}{line}" for line in lines) + (f"\n{pad}" if inner else "")
+    changed = tag + body.rstrip() + added.encode() + b"</bsdf>"
+    deeper = file.indent(place)[len(file.indent(interface)) :]
+    return place.start, place.end, changed.replace(b"\n", b"\n" + deeper.encode())
 
 
-def _is_coating(file: SceneFile, child: Element) -> bool:
+def is_coating(file: SceneFile, child: Element) -> bool:
     """Whether a child of an interface says which coating it has."""
     child = file.meant(child) or child
     if child.tag == "bsdf":

@@ -1,8 +1,9 @@
 """Fields × wavelengths × configurations of a scene, all traced in one call with the kernels compiled once."""
 
 from mistray.sweeps.configurations import Configuration
+from mistray.sweeps.pst_sweep import PstSweep, sweep_pst
 from mistray.sweeps.read_configurations import read_configurations
 from mistray.sweeps.result import Sweep
 from mistray.sweeps.run import sweep
 
-__all__ = ["Configuration", "Sweep", "read_configurations", "sweep"]
+__all__ = ["Configuration", "PstSweep", "Sweep", "read_configurations", "sweep", "sweep_pst"]

@@ -5,7 +5,7 @@ from __future__ import annotations
 import difflib
 import fnmatch
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Any
 
 import numpy as np
@@ -14,6 +14,7 @@ import numpy.typing as npt
 from mistray._mitsuba_compat import holds_numbers, peek
 from mistray.errors import MistrayError
 from mistray.optimize.parameters import Parameter, groups, parameters
+from mistray.prescription import Structure
 
 AS_IT_IS = "as it is"
 """Name of the configuration in which nothing is changed."""
@@ -33,10 +34,24 @@ class Configuration:
         ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.parameters.groups`, or patterns of both with ``*``, ``?``
         and ``[…]``. One number stands for all entries of a parameter. Where two name the same
         key, the later one holds.
+    paint : mapping of str to str or float
+        Shape ids or patterns of them → a preset of `mistray.scatter.paint.PRESETS`, or a reflectance; for `sweep_pst`.
+    coat : mapping of str to str
+        Shape ids or patterns → layers or a preset, see `mistray.coatings.coating_from_text`; for `sweep_pst`.
+    block : sequence of Structure
+        What is added: vanes, rings, tubes; for `sweep_pst`.
     """
 
     name: str
-    values: Mapping[str, float | Sequence[float]]
+    values: Mapping[str, float | Sequence[float]] = field(default_factory=dict)
+    paint: Mapping[str, str | float] = field(default_factory=dict)
+    coat: Mapping[str, str] = field(default_factory=dict)
+    block: Sequence[Structure] = ()
+
+    @property
+    def rebuilds(self) -> bool:
+        """Whether it changes more than values of parameters, so that the scene is made anew."""
+        return bool(self.paint or self.coat or self.block)
 
 
 @dataclass(frozen=True)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from mistray.optimize.section import Section
+from mistray.prescription import Structure
 from mistray.sweeps.configurations import Configuration
 
 
@@ -15,8 +16,8 @@ def read_configurations(source: str | Path) -> list[Configuration]:
     Parameters
     ----------
     source : str or Path
-        A TOML file with sections ``[[configuration]]``, each with a ``name`` and a table ``values``; see
-        docs/sweeps.md.
+        A TOML file with sections ``[[configuration]]``, each with a ``name``, tables ``values``, ``paint`` and
+        ``coat``, and a list ``block``; see docs/sweeps.md.
 
     Raises
     ------
@@ -33,6 +34,22 @@ def read_configurations(source: str | Path) -> list[Configuration]:
 
 
 def _configuration(section: Section) -> Configuration:
-    section.known(("name", "values"))
-    values = section.table("values")
-    return Configuration(section.text("name"), {key: values.numbers(key) for key in values.content})
+    section.known(("name", "values", "paint", "coat", "block"))
+    values, paint, coat = (section.table(key) for key in ("values", "paint", "coat"))
+    return Configuration(
+        section.text("name"),
+        {key: values.numbers(key) for key in values.content},
+        {key: paint.text(key) if isinstance(value, str) else paint.number(key, None, 0, 1)
+         for key, value in paint.content.items()},
+        {key: coat.text(key) for key in coat.content},
+        [_structure(item) for item in section.tables("block")],
+    )  # fmt: skip
+
+
+def _structure(section: Section) -> Structure:
+    """A frustum that absorbs all light; of a flat ring one z is enough, of a tube one radius."""
+    section.known(("name", "r0", "z0", "r1", "z1"))
+    r0, z0, r1, z1 = (section.finite(key) for key in ("r0", "z0", "r1", "z1"))
+    if r0 is None or z0 is None:
+        raise section.fail("r0" if r0 is None else "z0", "is missing; give r0 and z0, and r1, z1 or both")
+    return Structure(section.text("name"), r0, z0, r0 if r1 is None else r1, z0 if z1 is None else z1)

@@ -84,7 +84,11 @@ def sweep(
     source: Source = find(scene) if isinstance(scene, str | Path) else scene
     contents = SceneContents(source) if isinstance(source, Path) and cache is not False else None  # before it is read
     loaded = source if isinstance(source, mi.Scene) else load(source)
-    chosen = resolve(loaded, mi.traverse(loaded), as_configurations(configurations))
+    wanted = as_configurations(configurations)
+    rebuilt = [one.name for one in wanted if one.rebuilds]
+    if rebuilt:
+        raise MistrayError(f"configuration '{rebuilt[0]}' paints, coats or blocks; compare its PST, see sweep_pst")
+    chosen = resolve(loaded, mi.traverse(loaded), wanted)
     wavelengths = _wavelengths(loaded, wavelength_nm)
     angles = _angles(loaded, fields_deg, azimuth_deg, wavelengths[0])
     arguments = {key: value for key, value in {"azimuth_deg": azimuth_deg, **settings}.items() if value is not None}

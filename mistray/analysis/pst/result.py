@@ -141,18 +141,18 @@ class Pst:
 
     def map(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
         """PST of the cells and its standard error, (n, m) each."""
-        return self._estimate(self.samples(classes), self.weight)
+        return self.estimate(self.samples(classes), self.weight)
 
     def curve(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
         """PST over field angle, the mean over azimuths, and its standard error, (n,) each."""
         samples, weight = self.samples(classes), self.weight
         if weight.ndim == 1:
-            return self._estimate(samples.mean(axis=1), weight)
-        value, se = self._estimate(samples, weight)  # every cell has its own start rays
+            return self.estimate(samples.mean(axis=1), weight)
+        value, se = self.estimate(samples, weight)  # every cell has its own start rays
         return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
 
     @staticmethod
-    def _estimate(samples: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    def estimate(samples: np.ndarray, weight: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Weighted mean over the batches (last axis) and its standard error from their spread."""
         value = np.sum(weight * samples, axis=-1)
         used = np.maximum(np.count_nonzero(weight, axis=-1), 2)

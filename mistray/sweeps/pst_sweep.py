@@ -1,0 +1,221 @@
+"""The PST of a scene before and after edits: what moves, what is blocked, painted or coated."""
+
+from __future__ import annotations
+
+import fnmatch
+import tempfile
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.run import pst
+from mistray.coatings import Stack, coating_from_text
+from mistray.errors import MistrayError
+from mistray.optimize.scene_values import assign
+from mistray.scene import find, load
+from mistray.scene.add_structures import add_structures
+from mistray.scene.check import check_overlaps
+from mistray.scene.recoat import SharedCoating, write_recoated
+from mistray.scene.repaint import write_repainted
+from mistray.sweeps.configurations import AS_IT_IS, Configuration, Given, as_configurations, resolve
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Progress = Callable[[float, float], None]
+
+
+@dataclass(frozen=True)
+class Changed:
+    """
+    What an edit does to the PST at one field angle.
+
+    Attributes
+    ----------
+    before, before_se, after, after_se : float
+        PST and standard errors.
+    ratio, ratio_se : float
+        After over before; the error is that of runs with the same random numbers, from the batches of start rays, and
+        smaller than that of two runs. NaN where nothing was before.
+    """
+
+    before: float
+    before_se: float
+    after: float
+    after_se: float
+    ratio: float
+    ratio_se: float
+
+
+class PstSweep:
+    """
+    Result of `sweep_pst`.
+
+    Attributes
+    ----------
+    configurations : tuple of str
+        Names; the first is the scene as it is.
+    angles_deg : (n,) float64
+    pst : dict of str to Pst
+        By configuration.
+    """
+
+    def __init__(self, found: Mapping[str, Pst]) -> None:
+        self.pst = dict(found)
+        self.configurations = tuple(found)
+        self.angles_deg = next(iter(found.values())).angles_deg
+
+    def changed(self, configuration: str, angle_deg: float, classes: str | Sequence[str] = "stray") -> Changed:
+        """
+        What a configuration does at one field angle.
+
+        Parameters
+        ----------
+        configuration : str
+        angle_deg : float
+            One of `angles_deg`.
+        classes : str or sequence of str
+            "stray", "total" or classes of light, see `Pst.samples`.
+
+        Raises
+        ------
+        MistrayError
+            If there is no such configuration or angle.
+        """
+        if configuration not in self.pst:
+            raise MistrayError(f"PST sweep: no configuration '{configuration}'; choose from {', '.join(self.pst)}")
+        places = np.flatnonzero(np.isclose(self.angles_deg, angle_deg))
+        if len(places) != 1:
+            listed = ", ".join(f"{angle:g}" for angle in self.angles_deg)
+            raise MistrayError(f"PST sweep: no field angle {angle_deg:g}°; choose from {listed}")
+        at = int(places[0])
+        first, other = self.pst[self.configurations[0]], self.pst[configuration]
+        (b, b_se), (a, a_se) = ((float(x[at]) for x in one.curve(classes)) for one in (first, other))
+        if b == 0:
+            return Changed(b, b_se, a, a_se, float("nan"), float("nan"))
+        # d(a/b) = (da - (a/b) db)/b, batch by batch; azimuths have rays of their own where each cell has
+        parts = (other.samples(classes)[at] - a / b * first.samples(classes)[at]) / b
+        weight = first.weight if first.weight.ndim == 1 else first.weight[at]
+        if first.weight.ndim == 1:
+            _, se = Pst.estimate(parts.mean(axis=0), weight)
+        else:
+            _, each = Pst.estimate(parts, weight)
+            se = np.sqrt(np.sum(each**2)) / len(each)
+        return Changed(b, b_se, a, a_se, a / b, float(se))
+
+    def to_pandas(self, classes: str | Sequence[str] = "stray") -> pd.DataFrame:
+        """
+        One row for each configuration but the first, and field angle.
+
+        Returns
+        -------
+        DataFrame
+            Columns configuration, angle_deg, before, before_se, after, after_se, ratio, ratio_se.
+        """
+        import pandas as pd
+
+        rows = [
+            {"configuration": name, "angle_deg": float(angle), **vars(self.changed(name, float(angle), classes))}
+            for name in self.configurations[1:]
+            for angle in self.angles_deg
+        ]
+        return pd.DataFrame(rows)
+
+
+def sweep_pst(
+    scene: str | Path,
+    configurations: Given,
+    angles_deg: Sequence[float] = range(0, 81, 10),
+    *,
+    progress: Progress | None = None,
+    **arguments: Any,
+) -> PstSweep:
+    """
+    PST of a scene as it is and of each configuration, with the same random numbers.
+
+    Parameters
+    ----------
+    scene : str or Path
+        Scene XML file, or the name of a shipped scene.
+    configurations : mapping of str to mapping, or sequence of Configuration
+        What is changed; a mapping gives values of parameters only.
+    angles_deg : sequence of float
+        Field angles, degrees.
+    progress : callable, optional
+        Called after every PST with (PSTs done, PSTs to do).
+    **arguments
+        rays, method, seed and the others of `mistray.pst`, but for those that let runs differ in length.
+
+    Returns
+    -------
+    PstSweep
+
+    Raises
+    ------
+    MistrayError
+        If a configuration names what the scene has not, makes surfaces overlap or an edit is impossible, an argument
+        is unknown, or what `mistray.pst` raises.
+    """
+    for key in ("relative_error", "state", "resume"):
+        if key in arguments:
+            raise MistrayError(f"sweep_pst: {key} would give the runs different rays; give rays instead")
+    source, wanted = find(scene), as_configurations(configurations)
+    if any(one.name == AS_IT_IS for one in wanted):
+        raise MistrayError(
+            f"configuration '{AS_IT_IS}': this name is that of the scene without changes; choose another"
+        )
+    found = {}
+    for done, one in enumerate([Configuration(AS_IT_IS), *wanted]):
+        try:
+            with tempfile.TemporaryDirectory() as folder:
+                found[one.name] = pst(_edited(source, one, Path(folder)), angles_deg, **arguments)
+        except MistrayError as error:
+            raise MistrayError(f"configuration '{one.name}': {error}") from None
+        if progress is not None:
+            progress(done + 1, len(wanted) + 1)
+    return PstSweep(found)
+
+
+def _edited(source: Path, one: Configuration, folder: Path) -> mi.Scene:
+    """The scene with a configuration's edits: blocked, coated and painted in the file, moved in the scene."""
+    file = source
+    if one.rebuilds:
+        names = [shape.id() for shape in load(source).shapes()]
+        target = folder / "scene.xml"
+        if one.block:
+            file = add_structures(file, one.block, target)
+        if one.coat:
+            file = write_recoated(file, _coatings(one.coat, names), target)
+        if one.paint:
+            paints = {name: paint for key, paint in one.paint.items() for name in _matching(key, names)}
+            file = write_repainted(file, paints, target)
+    scene = load(file)
+    if one.values:
+        params = mi.traverse(scene)
+        (resolved,) = resolve(scene, params, [Configuration(one.name, one.values)])
+        assign(params, resolved.values)
+        check_overlaps(scene)
+    return scene
+
+
+def _coatings(coat: Mapping[str, str], names: Iterable[str]) -> list[SharedCoating]:
+    found = []
+    for number, (key, text) in enumerate(coat.items(), start=1):
+        stack = coating_from_text(text)
+        if not isinstance(stack, Stack):
+            raise MistrayError(f"coat '{key}': '{text}' has no layers; give layers such as 'MgF2 99.64', or a preset")
+        found.append(SharedCoating(f"coat_{number}", stack, tuple(_matching(key, names))))
+    return found
+
+
+def _matching(pattern: str, names: Iterable[str]) -> list[str]:
+    """Ids of shapes that a pattern stands for."""
+    found = fnmatch.filter(names, pattern)
+    if not found:
+        raise MistrayError(f"no shape is called '{pattern}'; correct the pattern")
+    return found
