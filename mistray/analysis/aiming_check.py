@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from mistray.trace import Trace
 
-LEAST_LANDED = 0.1  # share of the aimed rays of a surface that should reach the detector
+LEAST_LANDED = 0.2  # share of the aimed rays of a surface that should reach the detector
 LEAST_HITS, MOST_HITS = 0.1, 10.0  # hits of the detector by scattered rays, per start ray; about 1 is right
 LARGEST_SHARE = 0.05  # of the scattered light, by one ray
 FEWEST_AIMED = 100  # aimed rays of a surface below which the share that lands says little
@@ -27,12 +28,16 @@ class AimedRow:
         Share of them that reached the detector without a further reflection.
     low : bool
         The share is below `LEAST_LANDED`, and enough rays were aimed to say so.
+    tight : bool
+        All of them did, and enough rays were aimed to say so, at something else than the detector itself: the target
+        may be smaller than what leads to the detector.
     """
 
     surface: str
     aimed: int
     share_landed: float
     low: bool
+    tight: bool
 
 
 @dataclass(frozen=True)
@@ -61,6 +66,12 @@ class SamplingCheck:
     warnings: tuple[str, ...]
 
 
+def _names(found: Sequence[str]) -> str:
+    """The first of some names, and how many more there are."""
+    more = f" and {len(found) - NAMES_SHOWN} more" if len(found) > NAMES_SHOWN else ""
+    return ", ".join(found[:NAMES_SHOWN]) + more
+
+
 def sampling_check(trace: Trace) -> SamplingCheck:
     """
     Judge how the scattered light of a trace was sampled.
@@ -76,6 +87,7 @@ def sampling_check(trace: Trace) -> SamplingCheck:
             round(entry.aimed),
             entry.landed / entry.aimed,
             entry.aimed >= FEWEST_AIMED and entry.landed < LEAST_LANDED * entry.aimed,
+            entry.aimed >= FEWEST_AIMED and entry.landed == entry.aimed and not entry.at_detector,
         )
         for entry in trace.aiming
     )
@@ -83,13 +95,23 @@ def sampling_check(trace: Trace) -> SamplingCheck:
     warnings = []
     low = sorted((row for row in rows if row.low), key=lambda row: row.share_landed)
     if low:
-        named = ", ".join(f"{row.surface} {100 * row.share_landed:.2g} %" for row in low[:NAMES_SHOWN])
-        more = f" and {len(low) - NAMES_SHOWN} more" if len(low) > NAMES_SHOWN else ""
+        named = _names([f"{row.surface} {100 * row.share_landed:.2g} %" for row in low])
         warnings.append(
-            f"less than {100 * LEAST_LANDED:g} % of the aimed rays reach the detector from {named}{more}; "
+            f"less than {100 * LEAST_LANDED:g} % of the aimed rays reach the detector from {named}; "
             "give them a smaller target, or several (from structure that sees no more than a lens it cannot be higher)"
         )
-    if rows or hits > 0:
+    tight = [row.surface for row in rows if row.tight]
+    if tight:
+        warnings.append(
+            f"all aimed rays reach the detector from {_names(tight)}: their targets may be too small to hold all that "
+            "leads to it; enlarge them until some rays miss"
+        )
+    if trace.silent:
+        warnings.append(
+            f"no scattered light of {_names(trace.silent)} reaches the detector; where some should, give a target or "
+            "raise rays, max_scatters or max_reflections"
+        )
+    if rows or hits > 0 or trace.silent:
         if hits < LEAST_HITS:
             warnings.append(
                 f"{hits:.2g} scattered rays reach the detector per start ray, less than {LEAST_HITS:g}; "

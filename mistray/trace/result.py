@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.books import AIMED, LANDED, SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
+from mistray.trace.aimed_rays import aimed_surfaces, silent_places
+from mistray.trace.books import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.trace.by_parts import TraceTask, maps_by_parts
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
 from mistray.trace.history import Ray, RayHistory, read_rays
@@ -28,25 +28,6 @@ from mistray.trace.workers import current_workers
 
 if TYPE_CHECKING:
     import pandas as pd
-
-
-@dataclass(frozen=True)
-class AimedSurface:
-    """
-    Aimed rays of a surface or of a medium, whose name is in brackets.
-
-    Attributes
-    ----------
-    id : str
-    aimed : float
-        Rays that it sent to targets.
-    landed : float
-        Those of them that reached the detector without a further reflection.
-    """
-
-    id: str
-    aimed: float
-    landed: float
 
 
 class Trace:
@@ -81,7 +62,10 @@ class Trace:
     notes : list of str
         What was assumed: media that were taken as opaque because no light gets through their bodies.
     aiming : list of AimedSurface
-        Surfaces that aimed rays at targets.
+        Surfaces and media that aimed rays at targets.
+    silent : list of str
+        Surfaces and media that scatter and got light, but sent nothing to the detector in this trace; empty if traced
+        with ``ledger=False``.
     segments : int
         Ray segments that were traced.
     seconds : float
@@ -108,7 +92,7 @@ class Trace:
         self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
         self.notes = list(dict.fromkeys(text for run in runs for text in run.table.optics.notes))
-        self.aiming = _aimed_surfaces(runs)
+        self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
         self.segments = round(sum(float(run.reasons[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)
 
@@ -391,14 +375,3 @@ class Trace:
         if self.rays_traced != self.rays_planned:
             count = f"unfinished: {self.rays_traced} of {self.rays_planned} rays, {count}"
         return f"Trace({count}, {self.segments:.3g} segments, {detected})"
-
-
-def _aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
-    """Aimed rays of the surfaces and media of some runs together, in the scene's order."""
-    sums: dict[str, np.ndarray] = {}
-    for run in runs:
-        table, found = run.table, run.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
-        for i in (*table.listed, *range(table.count, len(found))):
-            name = table.event_ids[i]
-            sums[name] = sums.get(name, np.zeros(2)) + found[i]
-    return [AimedSurface(name, *map(float, found)) for name, found in sums.items() if found[0] > 0]

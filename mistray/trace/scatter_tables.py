@@ -240,6 +240,8 @@ class ScatterTables:
     ----------
     any : bool
         Whether a surface scatters.
+    aims : mapping
+        As given.
     bulk : BulkScattering or None
         Scatter in media, if any scatters.
     all_cases : list of Case
@@ -254,7 +256,7 @@ class ScatterTables:
         backward: bool = False,
     ) -> None:
         bsdfs = optics.bsdfs
-        self.backward = backward
+        self.backward, self.aims = backward, aims
         self.bulk = BulkScattering(optics, aims) if optics.scatters else None
         self.all_cases: list[Case] = []
         count = len(bsdfs)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import mitsuba as mi
 import numpy as np
 import pytest
 
+import mistray
 from mistray.analysis.aiming_check import sampling_check
 
 
@@ -16,6 +18,7 @@ class Surface:
     id: str
     aimed: float
     landed: float
+    at_detector: bool = True
 
 
 @dataclass
@@ -24,6 +27,7 @@ class Traced:
     scattered_rays_per_start: float = 1.0
     largest_ray_share: float = 0.001
     effective_scattered_rays: float = 5000.0
+    silent: list[str] = field(default_factory=list)
 
 
 def warnings_of(**values: Any) -> tuple[str, ...]:
@@ -46,7 +50,7 @@ def test_nothing_scatters_nothing_to_say():
     assert np.isnan(check.largest_share)
 
 
-@pytest.mark.parametrize(("landed", "low"), [(99, True), (100, False), (0, True)])
+@pytest.mark.parametrize(("landed", "low"), [(199, True), (200, False), (0, True)])
 def test_few_aimed_rays_that_land_are_named(landed, low):
     check = sampling_check(Traced([Surface("window_front", 1000, landed)]))
     assert check.rows[0].low is low
@@ -81,3 +85,53 @@ def test_one_ray_that_brings_much():
     assert warnings_of(largest_ray_share=0.049) == ()
     (text,) = warnings_of(largest_ray_share=0.2)
     assert "20 %" in text
+
+
+@pytest.mark.parametrize(
+    ("landed", "at_detector", "tight"), [(1000, False, True), (1000, True, False), (999, False, False)]
+)
+def test_all_that_land_are_named_unless_the_target_is_the_detector(landed, at_detector, tight):
+    check = sampling_check(Traced([Surface("window_front", 1000, landed, at_detector)]))
+    assert check.rows[0].tight is tight
+    assert any("window_front" in text for text in check.warnings) is tight
+
+
+def test_places_that_send_nothing_are_named():
+    texts = warnings_of(silent=[f"wall_{k}" for k in range(7)], scattered_rays_per_start=0.0)
+    assert any("wall_0, wall_1, wall_2, wall_3, wall_4 and 2 more" in text for text in texts)
+    assert any("less than 0.1" in text for text in texts)
+
+
+def hazy_scene(target: dict[str, Any] | None = None) -> Any:
+    """A block that scatters in a beam, and a small detector beside it, 40 degrees off."""
+    glass, at = {"type": "interface", "front": "1.0 scatter=0.01"}, mi.ScalarTransform4f().translate
+    place = mi.ScalarTransform4f().look_at([64.279, 0, 76.604], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}
+    more = {} if target is None else {"aim": target | {"to_world": place}}
+    return mistray.load({
+        "type": "scene", "beam": {"type": "collimated", "radius": 1.0},
+        "a": {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "1.0 scatter=0.01"}},
+        "e": {"type": "frustum", "r0": 5.0, "z0": 0.0, "r1": 5.0, "z1": 10.0, "bsdf": glass},
+        "b": {"type": "asphere", "semi_diameter": 5.0, "to_world": at([0, 0, 10]), "bsdf": glass},
+        "det": {"type": "asphere", "half_width": 0.3, "half_height": 0.3, "to_world": place,
+                "bsdf": {"type": "interface", "R": 0.0}, "sensor": {"type": "irradiancemeter", "film": film}},
+    } | more)  # fmt: skip
+
+
+def test_a_medium_whose_light_is_not_found_is_named():
+    """Without aim no ray finds the detector (2e-6 of them would): the trace says so instead of 0 ± 0 alone."""
+    blind = mistray.trace(hazy_scene(), rays=5000, aim="none")
+    assert blind.energy.detected_W == 0
+    assert blind.silent == ["(1.0_scatter=0.01)"]
+    assert any("(1.0_scatter=0.01)" in text for text in sampling_check(blind).warnings)
+    aimed = mistray.trace(hazy_scene(), rays=5000)
+    assert aimed.silent == []
+    assert not any("no scattered light" in text for text in sampling_check(aimed).warnings)
+
+
+@pytest.mark.parametrize(("scale", "low", "tight"), [(0.1, False, True), (0.35, False, False), (9.0, True, False)])
+def test_targets_of_a_wrong_size_are_named(scale, low, tight):
+    """A disc inside the square detector, one about as large, and a far larger one."""
+    disc = {"type": "disk", "bsdf": {"type": "target", "surfaces": "*", "scale": scale}}
+    (row,) = sampling_check(mistray.trace(hazy_scene(disc), rays=5000)).rows
+    assert (row.low, row.tight) == (low, tight)

@@ -10,9 +10,9 @@ import numpy as np
 from report.fake_ledger import GLASS, SENSOR, STRUCTURE, decoded, encode, fake_run, hit_sums
 
 from mistray.trace import Energy, FluxReport, Settings, SurfaceFlux
+from mistray.trace.aimed_rays import AimedSurface
 from mistray.trace.ledger import BATCHES, SUMS
 from mistray.trace.paths import path_table
-from mistray.trace.result import AimedSurface
 
 PARTS = {
     "window_front": "window",
@@ -81,7 +81,7 @@ class FakeTrace:
         self.wavelengths_nm = sorted(self.shares)
         self.settings = SETTINGS | {"field_deg": field_deg, "wavelength_nm": self.wavelengths_nm}
         self.irradiance, self.irradiance_se = self.irradiance_of(range(len(paths)))
-        self.aiming, self.largest_ray_share = [], math.nan
+        self.aiming, self.silent, self.largest_ray_share = [], [], math.nan
         self.scattered_rays_per_start, self.effective_scattered_rays = 0.0, 0.0
         self.energy = self._energy(detected, 1.0, cut_events)
         self.surfaces = self._surfaces(1.0)

@@ -1,0 +1,121 @@
+"""What became of the rays that places of scatter sent: how many landed of those aimed, and which sent nothing."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.trace.books import AIMED, HITS, LANDED
+from mistray.trace.host_points import outline
+from mistray.trace.ledger import EVENT_BITS
+from mistray.trace.path_events import EVENT_MASK, FIRST_SCATTERED
+from mistray.trace.scattering_bodies import medium_of
+from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.targets import AimSet, Inside, Target
+from mistray.trace.tracer import Run
+
+FEWEST_HITS = 100.0  # of a place below which it says little that none of its rays arrives
+SAME = 1e-6  # of the size of the detector
+
+
+@dataclass(frozen=True)
+class AimedSurface:
+    """
+    Aimed rays of a surface or of a medium, whose name is in brackets.
+
+    Attributes
+    ----------
+    id : str
+    aimed : float
+        Rays that it sent to targets.
+    landed : float
+        Those of them that reached the detector without a further reflection.
+    at_detector : bool
+        Whether each of its targets is the detector itself, or a part of its plane that holds it.
+    """
+
+    id: str
+    aimed: float
+    landed: float
+    at_detector: bool = False
+
+
+def aimed_surfaces(runs: Sequence[Run]) -> list[AimedSurface]:
+    """Aimed rays of the surfaces and media of some runs together, in the scene's order."""
+    sums: dict[str, np.ndarray] = {}
+    for run in runs:
+        table, found = run.table, run.surfaces[:, [AIMED, LANDED]].sum(axis=-1)
+        for i in (*table.listed, *range(table.count, len(found))):
+            name = table.event_ids[i]
+            sums[name] = sums.get(name, np.zeros(2)) + found[i]
+    elsewhere = _aims_elsewhere(runs)
+    return [
+        AimedSurface(name, float(aimed), float(landed), name not in elsewhere)
+        for name, (aimed, landed) in sums.items()
+        if aimed > 0
+    ]
+
+
+def _aims_elsewhere(runs: Sequence[Run]) -> set[str]:
+    """Names of the places that have a target which does not hold the detector."""
+    names = set()
+    for run in runs:
+        table = run.table
+        detector = outline(table.shapes[table.detector])
+        for place, aim in run.scattering.tables.aims.items():
+            if not _holds(aim, detector):
+                if isinstance(place, Inside):  # in front of a wall may be any of the media
+                    numbers = [table.count + medium for medium in np.flatnonzero(table.optics.host_scattering).tolist()]
+                else:
+                    numbers = [place[0]]
+                names |= {table.event_ids[number] for number in numbers}
+    return names
+
+
+def _holds(aim: AimSet, detector: Target) -> bool:
+    """Whether all targets have the centre of the detector and are at least as large."""
+    size = max(detector.size)
+    return all(
+        isinstance(target, Target)
+        and float(np.linalg.norm(target.centre - detector.centre)) < SAME * size
+        and min(target.size) >= (1 - SAME) * min(detector.size)
+        and max(target.size) >= (1 - SAME) * size
+        for target in aim.targets
+    )
+
+
+def silent_places(runs: Sequence[Run]) -> list[str]:
+    """
+    Names of the surfaces and media that scatter and got light, but sent nothing that arrived, the most often hit first.
+
+    Empty where paths were not kept, or nothing may scatter.
+    """
+    most: dict[str, float] = {}
+    heard: set[str] = set()
+    for run in runs:
+        settings = run.settings
+        if run.paths is None or not settings.max_scatters or settings.ray_control != "allow_all":
+            return []
+        table, events = run.table, run.paths.events
+        hits = run.surfaces[: table.count, HITS].sum(axis=-1)
+        for place, lit in _lit_places(table, hits).items():
+            most[table.event_ids[place]] = most.get(table.event_ids[place], 0.0) + lit
+        places = np.unique(events[(events & EVENT_MASK) >= FIRST_SCATTERED] >> EVENT_BITS)
+        heard |= {table.event_ids[place] for place in places.tolist()}
+    quiet = [name for name, lit in most.items() if lit >= FEWEST_HITS and name not in heard]
+    return sorted(quiet, key=lambda name: -most[name])
+
+
+def _lit_places(table: SurfaceTable, hits: np.ndarray) -> dict[int, float]:
+    """Hits of the places that scatter; of a medium those of the surface on it that is hit most."""
+    lit = {i: float(hits[i]) for i in table.listed if table.interfaces[i].scatter and i != table.detector}
+    if table.optics.scatters:
+        for i in table.listed:
+            for side in (Inside(i, False), Inside(i, True)):
+                medium = medium_of(table, side)
+                if table.optics.host_scattering[medium] > 0:
+                    place = table.count + medium
+                    lit[place] = max(lit.get(place, 0.0), float(hits[i]))
+    return lit
