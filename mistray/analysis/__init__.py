@@ -10,6 +10,7 @@ if TYPE_CHECKING:
     from mistray.analysis.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
     from mistray.analysis.objects.search import Objects, objects
     from mistray.analysis.objects.sources import DiskSource
+    from mistray.analysis.path_analysis import path_analysis
     from mistray.analysis.pst.first_level import FirstLevel, first_level
     from mistray.analysis.pst.result import Pst
     from mistray.analysis.pst.run import pst
@@ -34,6 +35,7 @@ __all__ = [
     "log10_image",
     "mirror_asymmetry",
     "objects",
+    "path_analysis",
     "pst",
     "statistics",
     "study",
@@ -48,6 +50,7 @@ lazy_package(
         "irradiance": ("MapStatistics", "log10_image", "mirror_asymmetry", "statistics"),
         "objects.search": ("Objects", "objects"),
         "objects.sources": ("DiskSource",),
+        "path_analysis": ("path_analysis",),
         "pst.first_level": ("FirstLevel", "first_level"),
         "pst.result": ("Pst",),
         "pst.run": ("pst",),

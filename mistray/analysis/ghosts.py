@@ -21,6 +21,7 @@ import pandas as pd
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.irradiance import Map, MapStatistics, mirror_asymmetry, pixel_size, statistics
+from mistray.analysis.path_analysis import path_analysis
 from mistray.analysis.path_maps import FieldMaps, PathMap
 from mistray.analysis.pool import by_path
 from mistray.analysis.ranking import DirectImage, direct_image, ranked
@@ -266,6 +267,14 @@ class GhostReport(Mapping[float, Trace]):
     def filtered(self, field_deg: float, selection: str) -> Filtered:
         """Paths of a field that pass a filter, see `mistray.trace.path_filter`, and their power together."""
         return filtered(self[field_deg], self._rows(self[field_deg]), selection)
+
+    def aliased(self, field_deg: float, aliases: Mapping[str, str] | str) -> pd.DataFrame:
+        """Path table of a field with surfaces under other names, see `mistray.trace.PathTable.by_way`."""
+        return self[field_deg].paths.by_way(aliases)
+
+    def path_analysis(self, field_deg: float, sort: str = "power_W", least_share: float = 0.0) -> pd.DataFrame:
+        """Paths of a field with their lengths and objects, see `mistray.analysis.path_analysis`."""
+        return path_analysis(self[field_deg], sort, least_share)
 
     def power_of(self, field_deg: float, rows: pd.DataFrame) -> Estimate:
         """Power of some rows of a table of this field together, W; the error is that of the sum."""

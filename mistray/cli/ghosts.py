@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import RAW, count, field, finite
@@ -32,8 +33,15 @@ from mistray.errors import MistrayError, UnfinishedError
 if TYPE_CHECKING:
     from pathlib import Path
 
+    import pandas as pd
+
     from mistray.analysis import GhostReport
     from mistray.report import Look
+
+
+ALL_ALIASES = ("part", "space")
+# Of `mistray.analysis.path_analysis`, which is not imported to parse a command line
+SORT_KEYS = ("power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions")
 
 
 def add(commands: Any) -> None:
@@ -64,6 +72,17 @@ def add(commands: Any) -> None:
     output.add_argument("--per-wavelength", action="store_true", help="add paths and ledgers at each wavelength")
     output.add_argument("--levels", action="store_true",
                         help="print stray light by level of scatter or splitting and by critical surface")  # fmt: skip
+    output.add_argument("--alias", nargs="+", type=_alias, metavar="PATTERN=NAME",
+                        help="add the paths with surfaces under other names, such as 'L1_*=L1'; or part or space: by "
+                        "part, by optical space; with --out aliased_paths.csv")  # fmt: skip
+    output.add_argument(
+        "--path-analysis",
+        choices=SORT_KEYS,
+        metavar="KEY",
+        help=f"add the paths sorted by a key: {', '.join(SORT_KEYS)}; with --out path_analysis.csv",
+    )
+    output.add_argument("--least-share", type=finite, metavar="S",
+                        help="in the path analysis paths below this share of all light stand together (0)")  # fmt: skip
     output.add_argument("--filter", metavar="EXPR",
                         help="add the paths that pass a filter, such as 'G(lens*) & !S' (docs/rays.md), and with --out "
                         "filtered_paths.csv and filtered_rays.csv")  # fmt: skip
@@ -85,7 +104,6 @@ def run(options: argparse.Namespace) -> int:
     start_mitsuba(options)
     from mistray.analysis import ghosts
     from mistray.report import main_table
-    from mistray.report.level_tables import filter_text, level_text
     from mistray.scene import load
     from mistray.trace.path_filter import PathFilter
 
@@ -93,6 +111,11 @@ def run(options: argparse.Namespace) -> int:
     check_formats(options)
     look = _look(options)
     PathFilter(options.filter or "")  # an error in its text shows before the trace
+    _aliases(options.alias)
+    if options.least_share is not None and options.path_analysis is None:
+        raise MistrayError("--least-share is about the path analysis; add --path-analysis power_W, or leave it out")
+    if not 0 <= (options.least_share or 0.0) < 1:
+        raise MistrayError(f"--least-share is {options.least_share:g}; it is a share of all light, 0 to 1")
     claim_output(options)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
@@ -114,15 +137,14 @@ def run(options: argparse.Namespace) -> int:
                     progress=progress,
                     **settings_of(options),
                 )
-            for field in report if options.filter else ():  # so does a name that the scene does not have
-                report.filtered(field, options.filter)
+            extra = _Extra(report, options)
             if options.out is not None:
                 from mistray.report import write_all
 
                 with working("drawing the report", options.quiet):
                     title = scene_title(options.scene)
                     files = write_all(report, options.out, title, options.command_line, lines, look)
-                    files += _write_filtered(report, options) + _write_formats(report, options)
+                    files += extra.write() + _write_formats(report, options)
     except UnfinishedError as error:
         if report is not None:  # all is traced, but for the maps
             error.partial = report
@@ -130,26 +152,71 @@ def run(options: argparse.Namespace) -> int:
         raise
 
     def text() -> str:
-        parts = [main_table(report, WORST_SHOWN, lines)]
-        parts += [level_text(report)] if options.levels else []
-        parts += [filter_text(report, options.filter)] if options.filter else []
-        return "\n\n".join(parts)
+        return "\n\n".join([main_table(report, WORST_SHOWN, lines), *extra.texts()])
 
-    show(options, lambda: as_json(report, lines, options.filter), text, files)
+    show(options, lambda: as_json(report, lines, options.filter, extra.tables), text, files)
     return 0
 
 
-def _write_filtered(report: GhostReport, options: argparse.Namespace) -> list[Path]:
-    """The paths that pass the filter, and rays of them."""
-    from mistray.replace_file import replace_file
-    from mistray.report.csv_tables import filter_frame, filter_rays
+class _Extra:
+    """Tables that are asked for beside the main ones; made at once, so that a wrong name shows before the drawing."""
 
-    if not options.filter:
-        return []
-    return [
-        replace_file(options.out / name, make(report, options.filter).to_csv(index=False, lineterminator="\n"), "table")
-        for name, make in (("filtered_paths.csv", filter_frame), ("filtered_rays.csv", filter_rays))
-    ]
+    def __init__(self, report: GhostReport, options: argparse.Namespace) -> None:
+        from mistray.report.csv_tables import alias_frame, analysis_frame, filter_frame, filter_rays
+
+        self._report, self._options = report, options
+        self._aliases = _aliases(options.alias)
+        self.tables: dict[str, pd.DataFrame] = {}
+        self._rays = None
+        if options.filter:
+            self._filtered = filter_frame(report, options.filter)
+            self._rays = partial(filter_rays, report, options.filter)
+        if self._aliases is not None:
+            self.tables["aliased_paths"] = alias_frame(report, self._aliases)
+        if options.path_analysis:
+            self.tables["path_analysis"] = analysis_frame(report, options.path_analysis, options.least_share or 0.0)
+
+    def texts(self) -> list[str]:
+        """What is printed."""
+        from mistray.report.level_tables import alias_text, analysis_text, filter_text, level_text
+
+        options = self._options
+        parts = [level_text(self._report)] if options.levels else []
+        parts += [alias_text(self._report, self._aliases)] if self._aliases is not None else []
+        if options.path_analysis:
+            parts.append(analysis_text(self.tables["path_analysis"], options.path_analysis))
+        return parts + ([filter_text(self._report, options.filter)] if options.filter else [])
+
+    def write(self) -> list[Path]:
+        """The tables as CSV."""
+        from mistray.replace_file import replace_file
+
+        tables = dict(self.tables)
+        if self._rays is not None:
+            tables |= {"filtered_paths": self._filtered, "filtered_rays": self._rays()}
+        return [
+            replace_file(self._options.out / f"{name}.csv", table.to_csv(index=False, lineterminator="\n"), "table")
+            for name, table in tables.items()
+        ]
+
+
+def _alias(text: str) -> str:
+    """PATTERN=NAME, or a word for all surfaces."""
+    if text not in ALL_ALIASES and not all(part for part in (*text.rpartition("="),)):
+        raise argparse.ArgumentTypeError(f"'{text}' is no alias; give PATTERN=NAME, part or space")
+    return text
+
+
+def _aliases(words: list[str] | None) -> dict[str, str] | str | None:
+    """What `mistray.trace.PathTable.by_way` takes."""
+    if words is None:
+        return None
+    alone = [word for word in words if word in ALL_ALIASES]
+    if alone and len(words) > 1:
+        raise MistrayError(f"--alias {alone[0]} stands for all surfaces; give it alone")
+    if alone:
+        return alone[0]
+    return {pattern: name for pattern, _, name in (word.rpartition("=") for word in words)}
 
 
 def _write_unfinished(error: UnfinishedError, options: argparse.Namespace) -> None:

@@ -6,6 +6,10 @@ from dataclasses import asdict
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
+    from collections.abc import Mapping
+
+    import pandas as pd
+
     from mistray.analysis.filtered import Filtered
     from mistray.analysis.ghosts import GhostReport
     from mistray.trace import Energy
@@ -13,7 +17,12 @@ if TYPE_CHECKING:
 WORST_SHOWN = 4
 
 
-def as_json(report: GhostReport, per_wavelength: bool = False, selection: str | None = None) -> dict[str, Any]:
+def as_json(
+    report: GhostReport,
+    per_wavelength: bool = False,
+    selection: str | None = None,
+    more: Mapping[str, pd.DataFrame] | None = None,
+) -> dict[str, Any]:
     """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
     from mistray.analysis.stray_levels import LEVELS
     from mistray.report.csv_tables import summary_frame
@@ -30,6 +39,8 @@ def as_json(report: GhostReport, per_wavelength: bool = False, selection: str | 
         }
         if selection:
             row["filtered"] = _filtered(report.filtered(row["field_deg"], selection))
+        for name, table in (more or {}).items():
+            row[name] = table[table.field_deg == row["field_deg"]].drop(columns="field_deg").to_dict("records")
         if per_wavelength:
             row["per_wavelength"] = _lines(report, row["field_deg"])
         fields.append(row)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -90,6 +90,19 @@ def filter_frame(report: GhostReport, selection: str) -> pd.DataFrame:
 def filter_rays(report: GhostReport, selection: str) -> pd.DataFrame:
     """Rays of all fields that pass a filter: field_deg, then the columns of `mistray.trace.Trace.rays`."""
     tables = [t.rays(selection).assign(field_deg=field) for field, t in report.items()]
+    return _first(pd.concat(tables, ignore_index=True), "field_deg")
+
+
+def alias_frame(report: GhostReport, aliases: Mapping[str, str] | str) -> pd.DataFrame:
+    """Paths of all fields with surfaces under other names: field_deg, then the columns of `GhostReport.aliased`."""
+    tables = [report.aliased(field, aliases).assign(field_deg=field) for field in report]
+    table = _first(pd.concat(tables, ignore_index=True), "field_deg")
+    return table.assign(path_ids=[" ".join(map(str, path_ids)) for path_ids in table.path_ids])
+
+
+def analysis_frame(report: GhostReport, sort: str, least_share: float) -> pd.DataFrame:
+    """Path analysis of all fields: field_deg, then the columns of `mistray.analysis.path_analysis`."""
+    tables = [report.path_analysis(field, sort, least_share).assign(field_deg=field) for field in report]
     return _first(pd.concat(tables, ignore_index=True), "field_deg")
 
 

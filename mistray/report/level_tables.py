@@ -1,6 +1,10 @@
-"""Stray light by level and critical surface, and the paths that pass a filter, as tables."""
+"""Stray light by level and critical surface, paths that pass a filter, under other names, by other keys: as text."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+
+import pandas as pd
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
@@ -72,3 +76,38 @@ def filter_text(report: GhostReport, selection: str) -> str:
             power = with_error(Estimate(row.power_W, row.power_se_W))
             rows.append(["", str(row.path_id), row.kind, places, f"{row.wavelength_nm:g}", str(row.rays), power, ""])
     return f"Paths that pass the filter {selection}\n" + text_table(columns, rows, left=(2, 3))
+
+
+def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
+    """The strongest paths of each field with surfaces under other names."""
+    columns = [("field", "deg"), ("paths", ""), ("events", ""), ("kind", ""), ("rays", ""), ("power", "W")]
+    rows = []
+    for field in report:
+        table = report.aliased(field, aliases)
+        for row in table.head(PATHS_SHOWN).itertuples(index=False):
+            power = with_error(Estimate(row.power_W, row.power_se_W))
+            rows.append([f"{field:g}", str(len(row.path_ids)), row.events, row.kind, str(row.rays), power])
+        rest = table.iloc[PATHS_SHOWN:]
+        if len(rest):
+            power = with_error(report.power_of(field, rest))
+            rows.append([f"{field:g}", str(sum(map(len, rest.path_ids))), f"… and {len(rest)} more", "", "", power])
+    return "Paths under other names; paths: how many are one row\n" + text_table(columns, rows, left=(2, 3))
+
+
+def analysis_text(table: pd.DataFrame, sort: str) -> str:
+    """A path analysis, the first paths of each field and what is uncategorised."""
+    columns = [("field", "deg"), ("path", ""), ("kind", ""), ("power", "W"), ("branches", ""), ("objects", ""),
+               ("unique", "objects"), ("last object", ""), ("diffractions", ""), ("mean OPL", "mm")]  # fmt: skip
+    rows = []
+    for field, own in table.groupby("field_deg", sort=False):
+        first = own[own.path_id >= 0].head(PATHS_SHOWN)
+        for row in pd.concat([first, own[own.path_id < 0]]).itertuples(index=False):
+            power = with_error(Estimate(row.power_W, row.power_se_W))
+            counts = [row.objects, row.unique_objects, row.last_object, row.diffractions]
+            cells = [str(v) for v in counts] if row.path_id >= 0 else [ABSENT] * 4
+            length = with_error(Estimate(row.opl_mm, row.opl_se_mm)) if row.path_id >= 0 else ABSENT
+            name = str(row.path_id) if row.path_id >= 0 else ""
+            rows.append([f"{field:g}", name, row.kind, power, str(row.branches), *cells, length])
+        if len(own[own.path_id >= 0]) > len(first):
+            rows.append([f"{field:g}", "", f"… and {(own.path_id >= 0).sum() - len(first)} more", *[""] * 7])
+    return f"Path analysis by {sort}\n" + text_table(columns, rows, left=(2, 7))

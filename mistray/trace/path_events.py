@@ -238,13 +238,13 @@ def describe_events(
         "structure_bounces": structure,
         "tir": tir,
         "objects": lengths,
-        "unique_objects": _distinct(surfaces, e.inside),
+        "unique_objects": distinct(surfaces, e.inside),
         "last_object": np.array([*ids, "-"], dtype=object)[last],
         "critical": _nth_name((reflecting | scattering)[:, ::-1], 1, surfaces[:, ::-1], ids),
     }
 
 
-def _distinct(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
+def distinct(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
     """(p,) number of different values of each row, of those inside."""
     order = np.sort(np.where(inside, values.astype(np.int64), -1), axis=1)
     new = np.diff(order, axis=1, prepend=-1) != 0

@@ -216,11 +216,21 @@ _HAPPENS: dict[str, Callable[[Events, int], np.ndarray]] = {
 
 def _places(name: str, rows: Rows) -> np.ndarray:
     """(s,) which places of events a name means."""
-    names = list(zip(rows.ids, rows.parts, strict=True))
-    found = np.array([any(map(_like_pattern(name), pair)) for pair in names], dtype=bool)
+    found = named_like(name, rows.ids, rows.parts)
     if not found.any():
-        raise _UnknownError(f"no surface, part or material is called '{name}'{_like(name, [*rows.ids, *rows.parts])}")
+        raise _UnknownError(unknown_name(name, rows.ids, rows.parts))
     return found
+
+
+def named_like(name: str, ids: Sequence[str], parts: Sequence[str]) -> np.ndarray:
+    """(s,) which surfaces or materials have this name or are of a part that has it; * and ? stand for any letters."""
+    fits = _like_pattern(name)
+    return np.array([any(map(fits, pair)) for pair in zip(ids, parts, strict=True)], dtype=bool)
+
+
+def unknown_name(name: str, ids: Sequence[str], parts: Sequence[str]) -> str:
+    """What to say of a name that there is not."""
+    return f"no surface, part or material is called '{name}'{_like(name, [*ids, *parts])}"
 
 
 def _like_pattern(name: str) -> Callable[[str], bool]:

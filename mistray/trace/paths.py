@@ -14,6 +14,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES, host_keys
+from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
 from mistray.trace.path_events import INTERCEPTS, LETTERS, Events, describe_events, way, way_letters, way_text
 from mistray.trace.path_filter import PathFilter, Rows
 from mistray.trace.path_numbers import CHUNK, path_numbers
@@ -321,9 +322,17 @@ class PathTable(Sequence[PathRow]):
             total += book.unit * np.einsum("pbk,pk->b", sums, coefficients[here])
         return total
 
-    def by_way(self) -> pd.DataFrame:
+    def by_way(self, aliases: Mapping[str, str] | str | None = None) -> pd.DataFrame:
         """
         The table with one row for each way of the light, whether it was scattered at random or aimed.
+
+        Parameters
+        ----------
+        aliases : mapping of str to str, "part" or "space", optional
+            Report surfaces under other names: by their part, their optical space, or as a mapping of patterns to names
+            says, see `mistray.trace.path_aliases.alias_names`. What light does in a row within one name is one
+            visit, and paths that differ in nothing else are one row. A row has one `kind` still, and all its light the
+            same number of reflections and scatter events.
 
         Returns
         -------
@@ -334,11 +343,23 @@ class PathTable(Sequence[PathRow]):
         """
         table = self.to_pandas()
         table["events"], table["path"] = way_text(table.events), way_letters(table.path)
+        apart = np.zeros((len(self), 0), dtype=np.uint32)
+        if aliases is not None:
+            numbers = [np.unique(self._columns[name], return_inverse=True)[1] for name in KEPT_APART]
+            apart = np.stack(numbers, axis=1).astype(np.uint32)
         head = np.arange(len(self))  # the strongest path of the same way
         for number, book in enumerate(self._books):
-            ids = np.flatnonzero((self._run == number) & (self._columns["scatters"] > 0))
+            ids = np.flatnonzero((self._run == number) & ((self._columns["scatters"] > 0) | (aliases is not None)))
             place = self._place[ids]
-            keys = host_keys(way(book.paths.events[place]), book.paths.lengths[place])
+            codes, lengths = way(book.paths.events[place]), book.paths.lengths[place]
+            if aliases is not None:
+                names = alias_names(book.table, aliases)
+                codes, lengths, columns = aliased(codes, lengths, names)
+                of = dict(zip(book.table.event_ids, names, strict=True))
+                columns |= {name: np.array([of.get(v, v) for v in self._columns[name][ids]], object) for name in NAMES}
+                for name, values in columns.items():
+                    table.loc[ids, name] = values
+            keys = host_keys(np.hstack([apart[ids], codes]), lengths + apart.shape[1])
             _, first, group, count = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
             head[ids] = ids[first][group]
             members = np.argsort(group, kind="stable")

@@ -1,0 +1,109 @@
+"""The paths of a trace, as OpticStudio's path analysis lists them: sorted by one of seven keys, weak ones together."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import pandas as pd
+
+from mistray.errors import MistrayError
+from mistray.trace import Trace
+
+RAYS = 64  # of a path, for its mean optical path length
+UNCATEGORISED = "uncategorised"
+# Key: whether the largest comes first
+SORT_KEYS = {
+    "power_W": True,
+    "objects": True,
+    "branches": True,
+    "last_object": False,
+    "unique_objects": True,
+    "opl_mm": True,
+    "diffractions": True,
+}
+COLUMNS = (
+    "path_id", "wavelength_nm", "kind", "power_W", "power_se_W", "percent", "branches", "objects", "unique_objects",
+    "last_object", "diffractions", "opl_mm", "opl_se_mm", "events",
+)  # fmt: skip
+
+
+def path_analysis(
+    trace: Trace, sort: str = "power_W", least_share: float = 0.0, path_ids: Sequence[int] | None = None
+) -> pd.DataFrame:
+    """
+    The paths of a trace with what describes them.
+
+    Parameters
+    ----------
+    trace : Trace
+    sort : {"power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions"}
+        Key of the order: text from A to Z, numbers from the largest; equal ones by power.
+    least_share : float
+        Paths with less than this share of all detected power stand together in a last row, "uncategorised"; 0 … 1.
+    path_ids : sequence of int, optional
+        These paths only, such as those of a filter. Default: all.
+
+    Returns
+    -------
+    DataFrame
+        path_id (-1: the uncategorised ones), wavelength_nm, kind, power_W with its standard error, percent (of all
+        detected power), branches (rays that came this way), objects (surfaces met, the detector included),
+        unique_objects, last_object (before the detector), diffractions, opl_mm (mean optical path length from the
+        start of the rays, with the flux as weight) with the standard error of this mean over at most `RAYS` rays (as of
+        independent ones; infinite for a single ray), events. Of the last row power and branches are sums; what
+        describes one path only is NaN, -1 or "-".
+
+    Raises
+    ------
+    MistrayError
+        For another key, or a share that is none.
+    """
+    if sort not in SORT_KEYS:
+        raise MistrayError(f"path_analysis: sort is '{sort}'; use {', '.join(SORT_KEYS)}")
+    if not 0 <= least_share < 1:
+        raise MistrayError(f"path_analysis: least_share is {least_share:g}; it must lie between 0 and 1")
+    table = trace.paths.to_pandas()
+    total = float(table.power_W.sum())
+    if path_ids is not None:
+        for path_id in path_ids:
+            trace.paths.locate(path_id)
+        table = table[table.path_id.isin(list(path_ids))]
+    strong = table.power_W >= least_share * total
+    weak, table = table[~strong], table[strong].rename(columns={"rays": "branches"})
+    lengths = mean_lengths(trace, table.path_id.tolist())
+    table["opl_mm"] = [lengths[path_id][0] for path_id in table.path_id]
+    table["opl_se_mm"] = [lengths[path_id][1] for path_id in table.path_id]
+    table = table.sort_values([sort, "power_W"], ascending=[not SORT_KEYS[sort], False], kind="stable")[list(COLUMNS)]
+    if len(weak):
+        power, se = trace.paths.power(weak.path_id.to_numpy())
+        rest = {
+            "path_id": -1, "wavelength_nm": math.nan, "kind": UNCATEGORISED, "power_W": power, "power_se_W": se,
+            "percent": 100 * power / total, "branches": int(weak.rays.sum()), "objects": -1, "unique_objects": -1,
+            "last_object": "-", "diffractions": -1, "opl_mm": math.nan, "opl_se_mm": math.nan, "events": "-",
+        }  # fmt: skip
+        table = pd.concat([table, pd.DataFrame([rest])]) if len(table) else pd.DataFrame([rest])
+    return table.reset_index(drop=True)
+
+
+def mean_lengths(trace: Trace, path_ids: Sequence[int]) -> Mapping[int, tuple[float, float]]:
+    """Mean optical path length of each of some paths with its standard error, mm."""
+    found = {
+        path_id: ([ray.opl_mm[-1] for ray in rays], [ray.flux_W[-1] for ray in rays])
+        for path_id, rays in trace.sampled_rays(path_ids, RAYS).items()
+        if rays
+    }
+    rare = [path_id for path_id in path_ids if path_id not in found]
+    if rare:  # no ray of the sample takes them: all rays once more, for these paths alone
+        rays = trace.rays(" | ".join(f"path_id = {path_id}" for path_id in rare), n=None)
+        found |= {int(k): (own.opl_mm.tolist(), own.flux_W.tolist()) for k, own in rays.groupby("path_id")}
+    return {path_id: _mean(*(np.array(v) for v in found[path_id])) for path_id in path_ids}
+
+
+def _mean(values: np.ndarray, weights: np.ndarray) -> tuple[float, float]:
+    count, whole = len(values), weights.sum()
+    mean = float(weights @ values / whole)
+    if count == 1:
+        return mean, math.inf
+    return mean, float(np.sqrt(count / (count - 1) * np.sum((weights * (values - mean)) ** 2)) / whole)

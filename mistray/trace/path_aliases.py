@@ -1,0 +1,114 @@
+"""Other names of the surfaces in a path table: of a lens for its faces, of a body for the faces of its CAD model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import groupby
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.trace.ledger import EVENT_BITS, TRANSMITTED
+from mistray.trace.path_events import EVENT_MASK, Events, distinct, event_text, way
+from mistray.trace.path_filter import named_like, unknown_name
+
+if TYPE_CHECKING:
+    from mistray.trace.surfaces import SurfaceTable
+
+PART, SPACE = "part", "space"
+NAMES = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")  # columns that name a surface
+KEPT_APART = ("kind", "order", "scatters", "diffractions", "structure_bounces", "tir")
+
+
+def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[str]:
+    """
+    The name under which each place of events is reported.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    aliases : mapping of str to str, or "part" or "space"
+        Pattern of surfaces or parts, with * and ? for any letters, → name; the first that fits counts, and what none
+        fits keeps its own name. "part" stands for the part of each surface, "space" for the optical space that the
+        scene declares for it, as ``space_2``; surfaces without one keep their names.
+
+    Raises
+    ------
+    MistrayError
+        For a pattern that fits nothing, a name with blanks, or another word.
+    """
+    ids, parts = table.event_ids, table.event_parts
+    if aliases == PART:
+        return [part.replace(" ", "_") if k < table.count else ids[k] for k, part in enumerate(parts)]
+    if aliases == SPACE:
+        spaces = [*table.spaces, *(-1 for _ in ids[table.count :])]
+        return [f"space_{n}" if n >= 0 else name for n, name in zip(spaces, ids, strict=True)]
+    if isinstance(aliases, str):
+        raise MistrayError(f"aliases is '{aliases}'; use 'part', 'space', or a mapping of patterns to names")
+    names = list(ids)
+    free = np.full(len(ids), True)
+    for pattern, name in aliases.items():
+        if not name or any(letter.isspace() for letter in name):
+            raise MistrayError(f"alias '{name}' of '{pattern}': a name has letters and no blanks; write a_b for 'a b'")
+        found = named_like(pattern, ids, parts)
+        if not found.any():
+            raise MistrayError(f"alias '{name}': {unknown_name(pattern, ids, parts)}")
+        for k in np.flatnonzero(found & free):
+            names[k] = name
+        free &= ~found
+    return names
+
+
+def aliased(
+    codes: np.ndarray, lengths: np.ndarray, names: Sequence[str]
+) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+    """
+    Event lists under other names, scattered light being aimed or not.
+
+    What happens in a row at surfaces of one name is one visit: of its events transmissions are left out, unless there
+    is nothing else, so that light that passes a lens is ``lens:T`` and light that is reflected within it ``lens:R``.
+
+    Parameters
+    ----------
+    codes, lengths
+        As of `mistray.trace.path_events.Events`.
+    names : sequence of str
+        Of each place.
+
+    Returns
+    -------
+    codes, lengths
+        The lists with the number of the name instead of that of the place.
+    columns : dict
+        events, path, objects and unique_objects of `PathRow`, (p,) each.
+    """
+    numbers = {name: k for k, name in enumerate(dict.fromkeys(names))}
+    number = np.array([numbers[name] for name in names], dtype=np.uint32)
+    renamed = (number[codes >> EVENT_BITS] << EVENT_BITS) | (way(codes) & EVENT_MASK)
+    lists = [_short(row[:length]) for row, length in zip(renamed.tolist(), lengths.tolist(), strict=True)]
+    short = np.array([len(row) for row in lists], dtype=np.int64)
+    result = np.zeros((len(lists), int(short.max(initial=0))), dtype=np.uint32)
+    for k, row in enumerate(lists):
+        result[k, : len(row)] = row
+    events = Events(result, short, np.zeros(len(numbers), dtype=np.uint32))
+    text, letters = event_text(result, short, list(numbers))
+    return (
+        result,
+        short,
+        {
+            "events": np.array(text, dtype=object),
+            "path": np.array(letters, dtype=object),
+            "objects": short,
+            "unique_objects": distinct(events.places, events.inside),
+        },
+    )
+
+
+def _short(events: Sequence[int]) -> list[int]:
+    """Events without the transmissions beside another event of the same name; of transmissions alone one is kept."""
+    kept: list[int] = []
+    for _, same in groupby(events, lambda code: code >> EVENT_BITS):
+        run = list(same)
+        kept += [code for code in run if code & EVENT_MASK != TRANSMITTED] or run[:1]
+    return kept
