@@ -40,7 +40,9 @@ def add(commands: Any) -> None:
         "  mistray bsdf abg --A 2e-5 --B 1e-6 --g 2 --event transmission --hit-deg 30 --hit-sr 4e-6 --hit-before 0.125",
         formatter_class=RAW,
     )
-    parser.add_argument("model", metavar="MODEL", help=f"{', '.join(bsdf_models.KINDS)}, or a file .bsdf or .csv")
+    parser.add_argument(
+        "model", metavar="MODEL", help=f"{', '.join(bsdf_models.KINDS)}, a file .bsdf or .csv, or ABG_DATA.DAT:NAME"
+    )
     parser.add_argument("--angles-deg", type=finite, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
                         help="angles of incidence (0 15 30 45 60 75)")  # fmt: skip
     parser.add_argument("--event", choices=EVENTS, help="what is drawn and written (what the model scatters first)")

@@ -124,7 +124,7 @@ def model_of(name: str, options: argparse.Namespace) -> Scatter:
     Parameters
     ----------
     name : str
-        A key of `KINDS`, or a file .bsdf or .csv.
+        A key of `KINDS`, a file .bsdf or .csv, or ABG_DATA.DAT:NAME.
     options : argparse.Namespace
 
     Raises
@@ -133,17 +133,18 @@ def model_of(name: str, options: argparse.Namespace) -> Scatter:
         If there is none of this name, an option is missing or belongs to another model, or a parameter is out of range.
     """
     given = {key: getattr(options, key) for key in OPTIONS if getattr(options, key) is not None}
-    is_file = name.lower().endswith((".bsdf", ".csv"))
-    kind = TABLE if is_file else KINDS.get(name)
+    is_table, is_catalogue = name.lower().endswith((".bsdf", ".csv")), ".dat:" in name.lower()
+    kind = TABLE if is_table else CATALOGUE if is_catalogue else KINDS.get(name)
     if kind is None:
-        raise MistrayError(f"scatter model '{name}' is unknown; use {', '.join(KINDS)}, or a file .bsdf or .csv")
+        files = "a file .bsdf or .csv, or ABG_DATA.DAT:NAME"
+        raise MistrayError(f"scatter model '{name}' is unknown; use {', '.join(KINDS)}, {files}")
     for key in given:
         if key not in kind.options:
             allowed = ", ".join(map(flag, kind.options))
             raise MistrayError(f"{name} has no {flag(key)}; its options are {allowed}")
     if options.event is not None:
         given["event"] = options.event
-    if is_file:
+    if is_table or is_catalogue:
         given["file"] = name
     return kind.make(given, options)
 
@@ -265,6 +266,12 @@ def _paint(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
     return Paint.preset(name, **event)
 
 
+def _catalogue(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
+    from mistray.scatter.zemax_abg import abg_from_catalogue
+
+    return abg_from_catalogue(given.pop("file"), **given)
+
+
 def _table(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
     from mistray.scatter.tabulated import Tabulated
 
@@ -291,4 +298,5 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
         "paint": Kind(("reflectance", "b0", "l", "s", "n", "preset"), _paint),
     }
 )  # fmt: skip
+CATALOGUE = Kind((), _catalogue)
 TABLE = Kind(("cosine_corrected", "beyond"), _table)

@@ -10,6 +10,7 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.prescription.coating import check_name
+from mistray.scatter.abg import ABg
 from mistray.scatter.k_correlation import KCorrelation
 from mistray.scatter.kinds import KINDS
 from mistray.scatter.lobe import Placement
@@ -36,6 +37,13 @@ def _table(file: str, cosine_corrected: bool = False, beyond: str = "error", **p
     Placement(**placement)
 
 
+def _abg(file: str | None = None, **properties: Any) -> ABg | None:
+    if file is None:
+        return ABg(**properties)
+    Placement(**properties)
+    return None
+
+
 def _psd_table(
     file: str,
     beyond: str = "error",
@@ -50,6 +58,7 @@ def _psd_table(
 MODELS: Mapping[str, Callable[..., Any]] = MappingProxyType(
     {
         **KINDS,
+        "abg": _abg,
         "k_correlation": _k_correlation,
         "paint": _paint,
         "polynomial": Polynomial.of,

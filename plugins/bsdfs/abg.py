@@ -4,11 +4,14 @@ from __future__ import annotations
 
 import mitsuba as mi
 
+from mistray.errors import MistrayError
 from mistray.physics import abg
+from mistray.plugins.bsdfs.interface import _resolve
 from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
 from mistray.scatter.abg import ABg as Model
+from mistray.scatter.zemax_abg import abg_from_catalogue
 
 
 class ABg(Scatterer):
@@ -26,6 +29,8 @@ class ABg(Scatterer):
                                                       (differentiable)
     g                 1       ≥ 0          required   slope; 0: Lambertian, reflectance π A/(1 + B)
                                                       (differentiable)
+    file              file                 none       instead of these and ``reference_nm``: a name of a catalogue
+                                                      of OpticStudio, ``ABG_DATA.DAT:NAME``
     reference_nm      nm      > 0          none       wavelength at which A and B hold; at others the scatter of
                                                       a smooth surface is scaled. None: the same at all
                                                       wavelengths
@@ -66,8 +71,17 @@ class ABg(Scatterer):
     kind = "abg"
 
     def _read(self, props: mi.Properties) -> None:
-        self._take(props, "A", "B", "g")
-        self._reference_nm = self._optional(props, "reference_nm")
+        if "file" not in props:
+            self._take(props, "A", "B", "g")
+            self._reference_nm = self._optional(props, "reference_nm")
+            return
+        given = [key for key in ("A", "B", "g", "reference_nm") if key in props]
+        if given:
+            raise MistrayError(f"{self.title}: file and {given[0]} given; give the name in the file or the numbers")
+        path, colon, name = str(props.get("file")).rpartition(":")
+        known = abg_from_catalogue(f"{_resolve(path)}{colon}{name}")
+        self.values |= {key: mi.Float(getattr(known, key)) for key in ("A", "B", "g")}
+        self._reference_nm = known.reference_nm
 
     def _model_of(self, **values: float) -> Model:
         return Model(**values, reference_nm=self._reference_nm, name=self.name, **self._placement)

@@ -1,0 +1,132 @@
+"""The ABg catalogue of Zemax OpticStudio (ABG_DATA.DAT).
+
+    NAME name
+    WAVE wavelength            µm at which A and B hold; 0, or no line: the same at all wavelengths
+    angle A B g                one line for each angle of incidence, degrees; the word ABG may stand before it
+
+These are the fields of its dialog "ABg Scatter Data Catalogs" (OpticStudio user guide). Its own file is not described
+there; a line of another form is an error that names it. Lines that begin with ! or # are comments. OpticStudio
+interpolates between angles; mistray has one A, B and g for all, and refuses an entry whose lines differ.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.scatter.abg import ABg
+from mistray.scatter.bsdf_csv import numbers, read_lines
+
+NAMED = re.compile(r"(.+\.dat):(.+)", re.IGNORECASE)
+UM = 1e3  # nm
+
+
+@dataclass
+class AbgEntry:
+    """
+    One name of a catalogue.
+
+    Attributes
+    ----------
+    name : str
+    line : int
+        Where it begins.
+    wavelength_um : float
+        0: its numbers hold at all wavelengths.
+    rows : list of tuple
+        Angle of incidence in degrees, A, B and g.
+    """
+
+    name: str
+    line: int
+    wavelength_um: float = 0.0
+    rows: list[tuple[float, float, float, float]] = field(default_factory=list)
+
+
+def read_abg_data(path: str | Path) -> dict[str, AbgEntry]:
+    """
+    Read a catalogue.
+
+    Returns
+    -------
+    dict of str to AbgEntry
+        By name in capitals: names ignore case.
+
+    Raises
+    ------
+    MistrayError
+        If the file is missing, a line has another form, or a name is there twice or has no numbers; with the line.
+    """
+    found: dict[str, AbgEntry] = {}
+    entry = None
+    for number, line in read_lines(path, "ABg catalogue"):
+        where, words = f"ABg catalogue '{path}', line {number}", line.split()
+        if not words or words[0][0] in "!#":
+            continue
+        key = words[0].upper()
+        if key == "NAME":
+            name = " ".join(words[1:])
+            if not name or name.upper() in found:
+                raise MistrayError(f"{where}: NAME {name or 'without a name'}; give each entry a name of its own")
+            entry = found[name.upper()] = AbgEntry(name, number)
+        elif entry is None:
+            raise MistrayError(
+                f"{where}: '{line.strip()}' before the first NAME; begin an entry with NAME and its name"
+            )
+        elif key == "WAVE":
+            (entry.wavelength_um,) = numbers(words[1:], 1, where)
+            if entry.wavelength_um < 0:
+                raise MistrayError(f"{where}: wavelength {entry.wavelength_um:g} µm; give µm, or 0 for all wavelengths")
+        else:
+            angle, a, b, g = numbers(words[1:] if key == "ABG" else words, 4, f"{where}, angle A B g")
+            if not 0 <= angle <= 90:
+                raise MistrayError(f"{where}: angle of incidence {angle:g}°; give 0 … 90°")
+            entry.rows.append((angle, a, b, g))
+    for entry in found.values():
+        if not entry.rows:
+            raise MistrayError(f"ABg catalogue '{path}', line {entry.line}: '{entry.name}' has no line angle A B g")
+    return found
+
+
+def abg_from_catalogue(spec: str, **placement: Any) -> ABg:
+    """
+    The model that a catalogue has under a name.
+
+    Parameters
+    ----------
+    spec : str
+        ``ABG_DATA.DAT:NAME``.
+    **placement
+        As in `mistray.scatter.lobe.Placement`.
+
+    Raises
+    ------
+    MistrayError
+        If it is not of this form, there is no such name, its numbers change with the angle, or ABg refuses them.
+    """
+    match = NAMED.fullmatch(spec.strip())
+    if match is None:
+        raise MistrayError(f"ABg catalogue '{spec}': which entry? Write ABG_DATA.DAT:NAME")
+    path, name = match[1], match[2].strip()
+    entries = read_abg_data(path)
+    entry = entries.get(name.upper())
+    if entry is None:
+        close = difflib.get_close_matches(name.upper(), entries, n=1)
+        names = ", ".join(item.name for item in entries.values())
+        hint = f"did you mean '{entries[close[0]].name}'? There are" if close else "there are"
+        raise MistrayError(f"ABg catalogue '{path}': no entry '{name}'; {hint} {names or 'none'}")
+    where = f"ABg catalogue '{path}', line {entry.line}"
+    if len({row[1:] for row in entry.rows}) > 1:
+        raise MistrayError(
+            f"{where}: A, B and g of '{entry.name}' change with the angle of incidence; write one line for the angle "
+            "that counts, or a table (plugin tabulated)"
+        )
+    _, a, b, g = entry.rows[0]
+    try:
+        return ABg(a, b, g, reference_nm=entry.wavelength_um * UM or None, **placement)
+    except MistrayError as error:
+        raise MistrayError(f"{where}: {error}") from None
