@@ -76,6 +76,7 @@ OPTIONS: Mapping[str, Option] = MappingProxyType(
         "d": Option("polynomial: the Lorentzian part bends at |β - β0| = d^(-j/2) (1e4)"),
         "file": Option("psd_table: CSV file of the spectrum", str, metavar="FILE"),
         "scale": Option("psd_table: factor of the spectrum (1)"),
+        "anisotropy": Option("table: rotations of the sample that differ (error)", ("error", "mean")),
         "beyond": Option("table: what holds past its last polar angle (error); psd_table: above its last frequency",
                          ("error", "hold", "slope", "zero")),
     }
@@ -299,4 +300,4 @@ KINDS: Mapping[str, Kind] = MappingProxyType(
     }
 )  # fmt: skip
 CATALOGUE = Kind((), _catalogue)
-TABLE = Kind(("cosine_corrected", "beyond"), _table)
+TABLE = Kind(("cosine_corrected", "beyond", "anisotropy"), _table)

@@ -33,7 +33,9 @@ def _k_correlation(substrate: str | None = None, **properties: Any) -> KCorrelat
 # The files of these stand beside a scene that may not exist yet: their readers check them
 
 
-def _table(file: str, cosine_corrected: bool = False, beyond: str = "error", **placement: Any) -> None:
+def _table(
+    file: str, cosine_corrected: bool = False, beyond: str = "error", anisotropy: str = "error", **placement: Any
+) -> None:
     Placement(**placement)
 
 

@@ -15,7 +15,7 @@ from mistray.scatter.samples import Samples, half_circle
 COLUMNS = ("theta_i_deg", "theta_s_deg", "phi_deg", "bsdf")
 
 
-def read_bsdf_csv(path: str | Path) -> Samples:
+def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> Samples:
     """
     Read a CSV file.
 
@@ -23,6 +23,12 @@ def read_bsdf_csv(path: str | Path) -> Samples:
     theta_s_deg and phi_deg, the scattered direction: its angle with the normal and its azimuth, 0 on the side of the
     specular direction, over 0 … 180° or 0 … 360°; bsdf, 1/sr. Rows in any order, a full grid. Lines that start with
     # are comments.
+
+    Parameters
+    ----------
+    path : str or Path
+    anisotropy : {"error", "mean"}
+        What becomes of sides of the plane of incidence that differ, see `half_circle`.
 
     Raises
     ------
@@ -50,7 +56,7 @@ def read_bsdf_csv(path: str | Path) -> Samples:
     if len(set(zip(*(data[key].tolist() for key in COLUMNS[:3]), strict=True))) != len(rows):
         raise MistrayError(f"{what}: a combination of angles is there twice; give every one once")
     values = data["bsdf"][order].reshape(len(specular), len(azimuth), len(polar))
-    return Samples(str(path), "normal", specular, *_swap(half_circle(what, azimuth, values), polar))
+    return Samples(str(path), "normal", specular, *_swap(half_circle(what, azimuth, values, anisotropy), polar))
 
 
 def write_bsdf_csv(samples: Samples, path: str | Path, comment: str = "") -> None:

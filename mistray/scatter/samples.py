@@ -14,6 +14,7 @@ FRAMES = ("specular", "normal")
 ANGLE_ROUNDING_DEG = 1e-6
 SYMMETRY_TOLERANCE = 1e-3  # of the largest value, between the two sides of the plane of incidence
 FINE_POLAR, FINE_AZIMUTH = 720, 180  # nodes of the integral over the hemisphere
+ANISOTROPY = ("error", "mean")
 BEYOND = ("error", "hold", "zero")
 # A direction below this cosine has no density of its own: there f cos θs, which instruments measure, is 0/0 for f
 HORIZON = 1e-6
@@ -229,7 +230,62 @@ class Samples:
         return np.array(found)
 
 
-def half_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def check_anisotropy(title: str, anisotropy: str) -> None:
+    """Refuse what is none of `ANISOTROPY`."""
+    if anisotropy not in ANISOTROPY:
+        raise MistrayError(f"{title}: anisotropy is '{anisotropy}'; use {' or '.join(map(repr, ANISOTROPY))}")
+
+
+def one_rotation(title: str, rotation_deg: np.ndarray, values: np.ndarray, anisotropy: str = "error") -> np.ndarray:
+    """
+    Reduce data of several sample rotations to what an isotropic surface has.
+
+    Parameters
+    ----------
+    title : str
+        For messages.
+    rotation_deg : (d,) float64
+        Ascending. All round, with or without 360° beside 0°, or a part of the circle that stands for the whole.
+    values : (d, …) float64
+    anisotropy : {"error", "mean"}
+        Whether to take the mean over the angle, which scatters as much as the surface in the mean over all positions.
+
+    Returns
+    -------
+    (…) float64
+
+    Raises
+    ------
+    MistrayError
+        If the angles do not ascend, or rotations differ by more than 0.1 % of the largest value and are not averaged.
+    """
+    check_anisotropy(title, anisotropy)
+    if np.any(np.diff(rotation_deg) <= 0) or rotation_deg[-1] - rotation_deg[0] > 360 + ANGLE_ROUNDING_DEG:
+        raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
+    if anisotropy == "error":
+        difference = np.max(np.abs(values - values[0]), axis=tuple(range(1, values.ndim)))
+        worst = int(np.argmax(difference))
+        if difference[worst] > SYMMETRY_TOLERANCE * float(np.max(values)):
+            raise MistrayError(
+                f"{title}: sample rotations {rotation_deg[0]:g} and {rotation_deg[worst]:g}° differ by "
+                f"{difference[worst]:.3g} 1/sr; anisotropic scatter is not modelled, set anisotropy to 'mean'"
+            )
+        return np.asarray(values[0])
+    gaps = np.diff(rotation_deg)
+    left = 360 - (rotation_deg[-1] - rotation_deg[0])
+    weight = np.zeros(len(rotation_deg))
+    weight[:-1] += gaps
+    weight[1:] += gaps
+    if len(gaps) and left <= 1.5 * float(np.max(gaps)):  # all round: the last one is a neighbour of the first
+        weight[[0, -1]] += left
+    elif not len(gaps):
+        weight[:] = 1.0
+    return np.asarray(np.tensordot(weight / weight.sum(), values, axes=1))
+
+
+def half_circle(
+    title: str, azimuth_deg: np.ndarray, values: np.ndarray, anisotropy: str = "error"
+) -> tuple[np.ndarray, np.ndarray]:
     """
     Reduce data over 0 … 360° to 0 … 180°.
 
@@ -240,31 +296,37 @@ def half_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tupl
     azimuth_deg : (b,) float64
         Ascending from 0.
     values : (a, b, c) float64
+    anisotropy : {"error", "mean"}
+        Whether to take the mean of both sides of the plane of incidence.
 
     Raises
     ------
     MistrayError
         If the two sides of the plane of incidence differ by more than 0.1 % of the largest value, which is
-        anisotropic scatter.
+        anisotropic scatter, and are not averaged.
     """
+    check_anisotropy(title, anisotropy)
     if azimuth_deg[-1] <= 180 + ANGLE_ROUNDING_DEG:
         return azimuth_deg, values
     first = azimuth_deg <= 180 + ANGLE_ROUNDING_DEG
     half = azimuth_deg[first]
-    over, side = 360 - azimuth_deg[::-1], values[:, ::-1]
+    over, side, means = 360 - azimuth_deg[::-1], values[:, ::-1], values[:, first].copy()
     for j, angle in enumerate(half):
         near = np.abs(over - angle) < ANGLE_ROUNDING_DEG
         if not np.any(near):
             if angle > ANGLE_ROUNDING_DEG or azimuth_deg[0] > ANGLE_ROUNDING_DEG:
                 raise MistrayError(f"{title}: azimuth {angle:g}° has no mirror image {360 - angle:g}°; give both")
             continue
+        if anisotropy == "mean":
+            means[:, j] = 0.5 * (values[:, j] + side[:, near][:, 0])
+            continue
         difference = float(np.max(np.abs(side[:, near][:, 0] - values[:, j])))
         if difference > SYMMETRY_TOLERANCE * float(np.max(values)):
             raise MistrayError(
                 f"{title}: azimuths {angle:g} and {360 - angle:g}° differ by {difference:.3g} 1/sr; anisotropic "
-                "scatter is not modelled, give the mean of both sides of the plane of incidence"
+                "scatter is not modelled, set anisotropy to 'mean' for the mean of both sides"
             )
-    return half, values[:, first]
+    return half, means
 
 
 def _cell(nodes: np.ndarray, x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

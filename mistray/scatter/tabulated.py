@@ -83,13 +83,16 @@ class Tabulated(Placement):
             )
 
     @classmethod
-    def read(cls, path: str | Path, **options: Any) -> Tabulated:
+    def read(cls, path: str | Path, anisotropy: str = "error", **options: Any) -> Tabulated:
         """
         Read a table: a Zemax tabular BSDF (.bsdf) or a CSV file of angles.
 
         Parameters
         ----------
         path : str or Path
+        anisotropy : {"error", "mean"}
+            What becomes of scatter that is not the same at all rotations of the sample and on both sides of the plane
+            of incidence: refused, or averaged. A trace has isotropic scatter only.
         **options
             The other attributes.
 
@@ -102,7 +105,7 @@ class Tabulated(Placement):
         suffix = Path(path).suffix.lower()
         if suffix not in readers:
             raise MistrayError(f"BSDF table '{path}': its name must end in .bsdf (Zemax) or .csv")
-        return cls(readers[suffix](path), **options)
+        return cls(readers[suffix](path, anisotropy), **options)
 
     @property
     def title(self) -> str:

@@ -17,7 +17,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
 from mistray.scatter.bsdf_csv import numbers, read_lines
-from mistray.scatter.samples import Samples, half_circle
+from mistray.scatter.samples import Samples, half_circle, one_rotation
 
 GRIDS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 EVENTS = {"brdf": "reflection", "btdf": "transmission"}
@@ -63,21 +63,27 @@ class _Lines:
         return found
 
 
-def read_zemax_bsdf(path: str | Path) -> Samples:
+def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> Samples:
     """
-    Read a file of an isotropic surface at one wavelength or in grey.
+    Read a file at one wavelength or in grey.
+
+    Parameters
+    ----------
+    path : str or Path
+    anisotropy : {"error", "mean"}
+        What becomes of sample rotations and of sides of the plane of incidence that differ, see `one_rotation` and
+        `half_circle`.
 
     Raises
     ------
     MistrayError
-        If the file is missing or malformed, with the number of the line; holds several sample rotations, colours or
-        anisotropic scatter; or what `Samples` finds wrong.
+        If the file is missing or malformed, with the number of the line; holds colours, or anisotropic scatter that is
+        not to be averaged; or what `Samples` finds wrong.
     """
     rows = ((n, line.split()) for n, line in read_lines(path) if line.strip() and not line.lstrip().startswith("#"))
     lines = _Lines(path, rows)
     lines.choice("Source", ("Measured",))
-    if lines.choice("Symmetry", ("PlaneSymmetrical", "Asymmetrical", "Asymmetrical4D")) == "asymmetrical4d":
-        raise MistrayError(f"{lines.where}: Asymmetrical4D is anisotropic scatter, which is not modelled")
+    lines.choice("Symmetry", ("PlaneSymmetrical", "Asymmetrical", "Asymmetrical4D"))
     if lines.choice("SpectralContent", ("Monochrome", "XYZ")) == "xyz":
         raise MistrayError(f"{lines.where}: XYZ are colours, not wavelengths; give a file with Monochrome")
     event = EVENTS[lines.choice("ScatterType", ("BRDF", "BTDF"))]
@@ -86,19 +92,19 @@ def read_zemax_bsdf(path: str | Path) -> Samples:
         words = lines.next(key)
         if words[0].lower() != key.lower() or len(words) != 2 or not words[1].isdigit() or int(words[1]) < 1:
             raise MistrayError(f"{lines.where}: '{' '.join(words)}'; expected {key} and how many angles there are")
-        if key == "SampleRotation" and int(words[1]) > 1:
-            raise MistrayError(f"{lines.where}: {words[1]} sample rotations; anisotropic scatter is not modelled")
         grids[key] = np.array(lines.values(int(words[1]), f"the angles of {key}"))
     for word in ("Monochrome", "DataBegin"):
         words = lines.next(word)
         if [word.lower()] != [part.lower() for part in words]:
             raise MistrayError(f"{lines.where}: '{' '.join(words)}'; expected {word}")
-    specular, azimuth, radial = (grids[key] for key in GRIDS[1:])
-    values = [_block(lines, len(azimuth), len(radial), angle) for angle in specular]
+    rotation, specular, azimuth, radial = (grids[key] for key in GRIDS)
+    values = [[_block(lines, len(azimuth), len(radial), angle) for angle in specular] for _ in rotation]
     words = lines.next("DataEnd")
     if words[0].lower() != "dataend":
         raise MistrayError(f"{lines.where}: '{' '.join(words[:5])}'; expected DataEnd, there are more data than angles")
-    half, kept = half_circle(f"BSDF file '{path}'", azimuth, np.array(values))
+    title = f"BSDF file '{path}'"
+    one = one_rotation(title, rotation, np.array(values), anisotropy)
+    half, kept = half_circle(title, azimuth, one, anisotropy)
     return Samples(str(path), "specular", specular, half, radial, kept, event)
 
 

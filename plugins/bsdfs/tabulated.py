@@ -26,6 +26,9 @@ class Tabulated(Scatterer):
     cosine_corrected  bool                 false      the values are BSDF · cos θs
     beyond            string               error      past the last angle of the table: ``error``, ``hold`` the
                                                       last value, or ``zero``
+    anisotropy        string               error      scatter that differs between rotations of the sample, or
+                                                      between the sides of the plane of incidence: ``error``, or
+                                                      ``mean``
     event             string               both       what scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
@@ -62,7 +65,7 @@ class Tabulated(Scatterer):
     def _read(self, props: mi.Properties) -> None:
         if "file" not in props:
             raise MistrayError(f"{self.title}: file is missing; name a .bsdf or .csv file")
-        options = {"beyond": str(props.get("beyond", "error"))}
+        options = {key: str(props.get(key, "error")) for key in ("beyond", "anisotropy")}
         self._read_model = Model.read(
             _resolve(str(props.get("file"))),
             cosine_corrected=bool(props.get("cosine_corrected", False)),

@@ -119,8 +119,7 @@ class TestZemax:
     @pytest.mark.parametrize(
         ("old", "new", "words"),
         [
-            ("SampleRotation  1\n0", "SampleRotation 2\n0 90", "line 6: 2 sample rotations; anisotropic"),
-            ("PlaneSymmetrical", "Asymmetrical4D", "line 3: Asymmetrical4D is anisotropic"),
+            ("SampleRotation  1\n0", "SampleRotation 2\n0 90", "DataEnd after 0 of"),
             ("PlaneSymmetrical", "Round", "line 3: Symmetry is Round; use PlaneSymmetrical or"),
             ("SpectralContent  Monochrome", "SpectralContent XYZ", "line 4: XYZ are colours"),
             ("ScatterType  BRDF", "ScatterType BSSRDF", "line 5: ScatterType is BSSRDF; use BRDF or BTDF"),
@@ -200,3 +199,50 @@ class TestCsv:
         (tmp_path / "a.csv").write_bytes(b"\xff\xfe\x00")
         with pytest.raises(MistrayError, match="it is no text file"):
             read_bsdf_csv(tmp_path / "a.csv")
+
+
+class TestAnisotropy:
+    """Sample rotations and sides of the plane of incidence that differ."""
+
+    AZIMUTHS = np.array([0.0, 90, 180, 270, 360])
+
+    def file(self, folder: Path, rotations: list[float], twice: float, side: float) -> Path:
+        """0.1 (1 + twice cos 2ρ + side sin φ) 1/sr at 0° and 30°: a brushed surface with a tilt of its grooves."""
+        blocks = []
+        for rho in np.radians(rotations):
+            rows = 0.1 * (1 + twice * np.cos(2 * rho) + side * np.sin(np.radians(self.AZIMUTHS)))
+            blocks += ["\n".join(["TIS 0.3", *(f"{value:.9g} {value:.9g} {value:.9g}" for value in rows)])] * 2
+        grid = "\n".join(blocks)
+        head = "Source Measured\nSymmetry Asymmetrical4D\nSpectralContent Monochrome\nScatterType BRDF\n"
+        head += f"SampleRotation {len(rotations)}\n{' '.join(map(str, rotations))}\nAngleOfIncidence 2\n0 30\n"
+        head += "ScatterAzimuth 5\n0 90 180 270 360\nScatterRadial 3\n0 45 120\n\nMonochrome\nDataBegin\n"
+        return write(folder / "brushed.bsdf", f"{head}{grid}\nDataEnd\n")
+
+    @pytest.mark.parametrize(
+        "rotations", [[0, 90, 180, 270], [0, 45, 90, 135, 180, 225, 270, 315, 360], [0, 45, 90, 135, 180], [0, 90]]
+    )
+    def test_mean(self, tmp_path: Path, rotations: list[float]) -> None:
+        """The mean over all rotations and both sides is the even part, all round or over a part of the circle."""
+        file = self.file(tmp_path, rotations, 0.5, 0.3)
+        samples = read_zemax_bsdf(file, "mean")
+        np.testing.assert_allclose(samples.azimuth_deg, [0, 90, 180])
+        np.testing.assert_allclose(samples.values, 0.1, rtol=1e-8)
+        model = Tabulated.read(file, anisotropy="mean")
+        out = np.array([[0.3, 0.1, np.sqrt(0.9)]])
+        found = bsdf(model.lobes(550.0, 1.0, 1.5, True), "reflection", 0.9, out, 1.0, 1.5, 1.0)
+        assert found[0] == pytest.approx(0.1, rel=1e-6)
+
+    def test_is_refused_unless_it_is_asked_for(self, tmp_path: Path) -> None:
+        with pytest.raises(
+            MistrayError, match=r"sample rotations 0 and 90° differ by 0.1 1/sr; .*anisotropy to 'mean'"
+        ):
+            read_zemax_bsdf(self.file(tmp_path, [0, 45, 90], 0.5, 0.0))
+        with pytest.raises(MistrayError, match=r"azimuths 90 and 270° differ by .*anisotropy to 'mean'"):
+            read_zemax_bsdf(self.file(tmp_path, [0], 0.0, 0.3))
+        with pytest.raises(MistrayError, match="anisotropy is 'maen'; use 'error' or 'mean'"):
+            read_zemax_bsdf(self.file(tmp_path, [0], 0.0, 0.0), "maen")
+        with pytest.raises(MistrayError, match="the sample rotations do not ascend"):
+            read_zemax_bsdf(self.file(tmp_path, [90, 0], 0.0, 0.0))
+
+    def test_equal_rotations_are_isotropic(self, tmp_path: Path) -> None:
+        np.testing.assert_allclose(read_zemax_bsdf(self.file(tmp_path, [0, 90], 0.0, 0.0)).values, 0.1, rtol=1e-8)
