@@ -130,6 +130,7 @@ class Interface(mi.BSDF):
                 "setting of the trace"
             )
         self._take_glasses()  # an unknown material is an error of the scene, now
+        self._turned: bool | None = None
         self._own_ideal = False
         self._R, self._T = mi.Float(0), mi.Float(0)
         self._own: Coating = Bare()
@@ -396,6 +397,19 @@ class Interface(mi.BSDF):
         scale = dr.select(total > 0, dr.rcp(dr.select(total > 0, total, 1)), 0)
         return [(slot, weight * scale) for slot, weight in lobes], scale
 
+    def carried(self, by: str, turned: bool) -> None:
+        """Called by a shape that carries this interface: whether the normals of its mesh look to the front."""
+        if self._turned not in (None, turned) and self.front != self.back:
+            raise MistrayError(
+                f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector and "
+                f"a shape that does not detect, the last '{by}'; give the detector an interface of its own"
+            )
+        self._turned = turned
+
+    def _turn(self, v: mi.Vector3f) -> mi.Vector3f:
+        """From the local frame of a hit to the one whose z axis points to the back, or the other way round."""
+        return mi.Vector3f(v.x, v.y, -v.z) if self._turned else v
+
     def sample(
         self,
         ctx: mi.BSDFContext,
@@ -404,14 +418,15 @@ class Interface(mi.BSDF):
         sample2: mi.Point2f,
         active: mi.Mask = True,
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
-        r, t, cos_t, eta = self._specular(si.wi.z, active)
-        beams = self._beams(ctx, si.wi.z, r, t, cos_t, active)
-        lobes, scale = self._choices(ctx, si.wi, (r, t), beams)
+        wi = self._turn(si.wi)
+        r, t, cos_t, eta = self._specular(wi.z, active)
+        beams = self._beams(ctx, wi.z, r, t, cos_t, active)
+        lobes, scale = self._choices(ctx, wi, (r, t), beams)
         active = active & (scale > 0)
         # The lobes come first; what they leave of sample1 chooses between the beams
         choice, rest = None, sample1
         if lobes:
-            choice, rest = self._lobe_sum().choose(ctx, si.wi, lobes, sample1, sample2, active)
+            choice, rest = self._lobe_sum().choose(ctx, wi, lobes, sample1, sample2, active)
         probability = dr.detach(beams[0]) * scale
         reflected = active & (rest <= probability) & (probability > 0)
         bs = dr.zeros(mi.BSDFSample3f)
@@ -420,15 +435,13 @@ class Interface(mi.BSDF):
         bs.sampled_type = dr.select(
             reflected, mi.UInt32(+mi.BSDFFlags.DeltaReflection), mi.UInt32(+mi.BSDFFlags.DeltaTransmission)
         )
-        bs.wo = dr.select(
-            reflected, mi.Vector3f(-si.wi.x, -si.wi.y, si.wi.z), mi.Vector3f(-eta * si.wi.x, -eta * si.wi.y, cos_t)
-        )
+        bs.wo = dr.select(reflected, mi.Vector3f(-wi.x, -wi.y, wi.z), mi.Vector3f(-eta * wi.x, -eta * wi.y, cos_t))
         # Radiance, unlike flux, scales with the square of the index
         index = dr.square(eta) if ctx.mode == mi.TransportMode.Radiance else mi.Float(1)
         weight = dr.select(reflected, beams[0], beams[1] * index) / dr.select(bs.pdf > 0, bs.pdf, 1)
         weight = dr.select(active & (bs.pdf > 0), weight, 0)
         if choice is not None:
-            value, pdf = self._scattered(ctx, si.wi, choice.wo, lobes, choice.valid)
+            value, pdf = self._scattered(ctx, wi, choice.wo, lobes, choice.valid)
             use = choice.valid & (pdf > 0)
             bs.wo = dr.select(choice.chosen, choice.wo, bs.wo)
             bs.pdf = dr.select(choice.chosen, dr.select(use, pdf, 0), bs.pdf)
@@ -438,7 +451,8 @@ class Interface(mi.BSDF):
             )
             bs.sampled_type = dr.select(choice.chosen, glossy, bs.sampled_type)
             weight = dr.select(choice.chosen, dr.select(use, value / dr.select(use, pdf, 1), 0), weight)
-        bs.eta = dr.select(bs.wo.z * si.wi.z > 0, 1, 1 / eta)
+        bs.eta = dr.select(bs.wo.z * wi.z > 0, 1, 1 / eta)
+        bs.wo = self._turn(bs.wo)
         return bs, mi.Spectrum(weight) & active
 
     def _scattered(
@@ -460,18 +474,20 @@ class Interface(mi.BSDF):
     ) -> mi.Spectrum:
         if not self.scatterers:
             return mi.Spectrum(0)
-        light = wo if ctx.mode == mi.TransportMode.Radiance else si.wi
+        wi, wo = self._turn(si.wi), self._turn(wo)
+        light = wo if ctx.mode == mi.TransportMode.Radiance else wi
         shares = self._specular(light.z, active)[:2]
-        return mi.Spectrum(self._lobe_sum().value(ctx, si.wi, wo, shares, mi.Mask(active)))
+        return mi.Spectrum(self._lobe_sum().value(ctx, wi, wo, shares, mi.Mask(active)))
 
     def pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
     ) -> mi.Float:
         if not self.scatterers:
             return mi.Float(0)
-        r, t, cos_t, _ = self._specular(si.wi.z, active)
-        lobes, _ = self._choices(ctx, si.wi, (r, t), self._beams(ctx, si.wi.z, r, t, cos_t, active))
-        return self._lobe_sum().density(ctx, si.wi, wo, lobes, mi.Mask(active))
+        wi, wo = self._turn(si.wi), self._turn(wo)
+        r, t, cos_t, _ = self._specular(wi.z, active)
+        lobes, _ = self._choices(ctx, wi, (r, t), self._beams(ctx, wi.z, r, t, cos_t, active))
+        return self._lobe_sum().density(ctx, wi, wo, lobes, mi.Mask(active))
 
     def eval_pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True

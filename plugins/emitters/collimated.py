@@ -41,8 +41,11 @@ class Collimated(mi.Emitter):
     =================== ========= =================== ========= ===================================================
 
     With ``plane="axis"`` the flux is irradiance · area · cos θ. A ``grid`` is an equal-area map of a square grid
-    onto the cross-section; standard errors are then those of random positions, an upper bound. A stock integrator
-    starts the beam 100 times its size upstream of the pivot unless ``distance`` is given.
+    onto the cross-section; standard errors are then those of random positions, an upper bound.
+
+    To stock integrators the beam has one direction, so that ``path`` and ``direct`` render what it lights in the open
+    and ``ptracer`` what it lights through glass as well, but none connects a camera or a detector to the beam itself.
+    They start it 100 times its size upstream of the pivot unless ``distance`` is given.
 
     .. code-block:: xml
 
@@ -176,7 +179,7 @@ class Collimated(mi.Emitter):
         self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.Ray3f, mi.Spectrum]:
         pivot, direction, u, v = self.frame()
-        start = pivot - (self.distance or STOCK_DISTANCE * max(self.size)) * direction
+        start = pivot - self._stock_distance * direction
         x, y = self.positions(sample2)
         ray = dr.zeros(mi.Ray3f, dr.width(sample2))
         ray.o = mi.Point3f(*start.tolist()) + mi.Vector3f(*u.tolist()) * x + mi.Vector3f(*v.tolist()) * y
@@ -200,8 +203,36 @@ class Collimated(mi.Emitter):
             wavelengths += float(self.wavelengths_nm[0])
         return wavelengths, mi.Spectrum(self.power())
 
-    def sample_direction(self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True):  # type: ignore[no-untyped-def]
-        return dr.zeros(mi.DirectionSample3f, dr.width(it)), mi.Spectrum(0)
+    def sample_direction(
+        self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
+    ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
+        """The one direction from which the beam lights a point, and its irradiance there; 0 outside of the beam."""
+        pivot, direction, u, v = self.frame()
+        normal = np.cross(u, v)
+        d, n = mi.Vector3f(*direction.tolist()), mi.Normal3f(*normal.tolist())
+        offset = it.p - mi.Point3f(*pivot.tolist())
+        along = dr.dot(offset, n) / float(normal @ direction)  # from the cross-section at the pivot
+        q = offset - along * d
+        x, y = dr.dot(q, mi.Vector3f(*u.tolist())), dr.dot(q, mi.Vector3f(*v.tolist()))
+        dist = along + self._stock_distance
+        lit = mi.Mask(active) & self._within(x, y) & (dist > 0)
+        ds = dr.zeros(mi.DirectionSample3f, dr.width(it))
+        ds.p, ds.n, ds.d, ds.dist = it.p - dist * d, mi.Normal3f(d), -d, dist
+        ds.time, ds.pdf, ds.delta, ds.emitter = it.time, dr.select(lit, mi.Float(1), 0), True, mi.EmitterPtr(self)
+        return ds, dr.select(lit, mi.Spectrum(self.irradiance), 0)
+
+    def _within(self, x: mi.Float, y: mi.Float) -> mi.Mask:
+        """Whether coordinates along u and v lie in the cross-section."""
+        a, b = self.size
+        if self.rectangular:
+            return (dr.abs(x) <= a) & (dr.abs(y) <= b)
+        r2 = x * x + y * y
+        return (r2 <= a * a) & (r2 >= b * b)
+
+    @property
+    def _stock_distance(self) -> float:
+        """From the pivot upstream to the start, mm, where stock integrators trace the beam."""
+        return self.distance or STOCK_DISTANCE * max(self.size)
 
     def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Mask = True) -> mi.Float:
         return mi.Float(0)

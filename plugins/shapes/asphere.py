@@ -51,7 +51,8 @@ class Asphere(Revolution):
     part                    string                shape id  name of the object the surface belongs to
     space                   integer               -1        optical space, for grouping in reports
     (nested) bsdf           bsdf                  required  an ``interface``
-    (nested) sensor         sensor                none      an ``irradiancemeter``: makes this shape the detector
+    (nested) sensor         sensor                none      an ``irradiancemeter``: makes this shape the detector; of
+                                                            its mesh stock integrators see the front
     ======================= ============ ======== ========= =======================================================
 
     Source of the formula: the usual even asphere (ISO 10110-12), written out in `mistray.physics.sag`.

@@ -32,6 +32,8 @@ class Revolution(mi.Mesh):
         The parameters, those of the subclass and then `POSE`.
     base : (4, 4) float64
         The frame that ``to_world`` gives.
+    detects : bool
+        Whether a sensor is nested. The mesh then has its normals towards the front, where the light comes from.
     """
 
     kind = ""
@@ -46,6 +48,8 @@ class Revolution(mi.Mesh):
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:
         self.values = values | {key: float_property(props, key, 0.0) for key in POSE}
+        objects = (props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object)
+        self.detects = any(isinstance(item, mi.Sensor) for item in objects)
         self._check_all()
         self.parameters = {
             key: (mi.Float64 if key in self.in_double else mi.Float)(value) for key, value in self.values.items()
@@ -53,6 +57,8 @@ class Revolution(mi.Mesh):
         vertices, faces = self._checked_mesh()
         mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
         write_mesh(self, vertices, faces)
+        if hasattr(self.bsdf(), "carried"):
+            self.bsdf().carried(self.name, self.detects)
 
     def _check_all(self) -> None:
         for key, value in self.values.items():
@@ -96,7 +102,8 @@ class Revolution(mi.Mesh):
     def _tessellate(self) -> tuple[np.ndarray, np.ndarray]:
         vertices, faces = self._local_mesh()
         matrix = self.matrix
-        return vertices @ matrix[:3, :3].T + matrix[:3, 3], faces
+        # A stock sensor looks along the normals of its mesh
+        return vertices @ matrix[:3, :3].T + matrix[:3, 3], faces[:, ::-1] if self.detects else faces
 
     def traverse(self, callback: mi.TraversalCallback) -> None:
         mi.Mesh.traverse(self, callback)
