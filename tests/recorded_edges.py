@@ -39,8 +39,8 @@ def edge_hits(
             portion = {
                 "codes": np.array(paths.codes).reshape(paths.capacity, -1)[row],
                 "lengths": np.array(paths.length)[row],
-                "points": nodes[row, :, :3].astype(np.float64),
-                "origin": np.array(start.o).T[lane].astype(np.float64),
+                "points": nodes[row, :, :3].astype(np.float64) + edges._table.centre,
+                "origin": edges._table.download_points(start.o)[lane],
                 "direction": np.array(start.d).T[lane].astype(np.float64),
                 "rim": np.array(events.rim),
                 "joined": np.array(events.joined),

@@ -25,6 +25,7 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)[:count]
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count]
     nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)[:count].astype(np.float64)
+    nodes[:, :, :3] += of.table.centre
     origins, directions = of.start_rays(lanes)
     codes = np.where(np.arange(codes.shape[1]) < lengths[:, None], codes, 0)
     lists, group = np.unique(codes, axis=0, return_inverse=True)

@@ -41,6 +41,7 @@ from mistray.trace.sky import PathBook, Sky, Thrift
 from mistray.trace.sources import spectrum_of
 from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.thin_gaps import thin_gaps
 from mistray.trace.upload import upload
 from mistray.trace.workers import current_workers
 
@@ -147,7 +148,7 @@ class BackwardTrace:
         self.bands = []
         for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
             table = first if wavelength == first.wavelength_nm else first.at(wavelength)
-            scattering = Scattering(ScatterTables(table.ids, table.optics, found.aims, backward=True))
+            scattering = Scattering(ScatterTables(table, found.aims, backward=True))
             light = found.light if found.light is not None else axis
             self.bands.append(Band(table, scattering, DetectorStart(table, light, found.start, both_sides), share))
         start = self.bands[0].start
@@ -168,8 +169,11 @@ class BackwardTrace:
 
     @property
     def notes(self) -> list[str]:
-        """What was assumed of the media, see `Optics.notes`."""
-        return list(dict.fromkeys(text for band in self.bands for text in band.table.optics.notes))
+        """Gaps too thin for float32, and what was assumed of the media, see `Optics.notes`."""
+        return [
+            *thin_gaps(self.table),
+            *dict.fromkeys(text for band in self.bands for text in band.table.optics.notes),
+        ]
 
     @property
     def lists_paths(self) -> bool:

@@ -17,12 +17,13 @@ import numpy as np
 
 from mistray.physics.henyey_greenstein import phase_about, sampled_cosine
 from mistray.trace.device_targets import DeviceTargets
-from mistray.trace.optics import THIN, Optics
+from mistray.trace.optics import THIN
 from mistray.trace.targets import AimSet, Inside, Place
 from mistray.trace.upload import upload
 
 if TYPE_CHECKING:
     from mistray.trace.interaction import Interaction
+    from mistray.trace.surfaces import SurfaceTable
 
 
 @dataclass
@@ -48,12 +49,13 @@ class BulkScattering:
 
     Parameters
     ----------
-    optics : Optics
+    table : SurfaceTable
     aims : mapping
         `Inside` → targets; other keys are left out.
     """
 
-    def __init__(self, optics: Optics, aims: Mapping[Place, AimSet]) -> None:
+    def __init__(self, table: SurfaceTable, aims: Mapping[Place, AimSet]) -> None:
+        optics = table.optics
         rows = np.zeros((2 * len(optics.bsdfs), 4), dtype=np.uint32)
         sets, first = [], 0
         for place, aim in aims.items():
@@ -62,7 +64,7 @@ class BulkScattering:
                 sets.append(aim)
                 first += len(aim.targets)
         self._optics, self._aimed = optics, bool(sets)
-        self._rows, self._targets = upload(mi.UInt32, rows), DeviceTargets(sets)
+        self._rows, self._targets = upload(mi.UInt32, rows), DeviceTargets(sets, table.centre)
 
     def aim(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> BulkAim:
         """What the segments aim at that end at the surfaces s."""

@@ -52,7 +52,7 @@ class DetectorStart:
         self._table = table
         self.width, self.height, (x0, x1, y0, y1) = table.film()
         self.extent = (x0, x1, y0, y1)
-        self._targets = (DeviceTargets([aim]), len(aim.targets)) if aim is not None else None
+        self._targets = (DeviceTargets([aim], table.centre), len(aim.targets)) if aim is not None else None
         self._half = [dr.opaque(mi.Float, 0.5 * (x1 - x0)), dr.opaque(mi.Float, 0.5 * (y1 - y0))]
         self._round = False
         self._curved = False
@@ -62,7 +62,7 @@ class DetectorStart:
         else:
             origin, x_axis, y_axis = table.detector_axes
             self._origin, self._axes = origin, [x_axis, y_axis, dr.cross(x_axis, y_axis)]
-            normal = table.stock_normal(np.array(origin).ravel(), np.array(self._axes[2]).ravel())
+            normal = table.stock_normal(table.download_points(origin)[0], np.array(self._axes[2]).ravel())
             if normal @ np.array(self._axes[2]).ravel() < 0:
                 self._axes[2] = -self._axes[2]
         normal = np.array(self._axes[2]).ravel()
@@ -75,7 +75,7 @@ class DetectorStart:
     def _analytic(self) -> None:
         table = self._table
         piece = table.pieces[table.detector]
-        self._origin = mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in table.vertices[table.detector]))
+        self._origin = table.upload_point(table.vertices[table.detector])
         axes = table.rotations[table.detector].T
         self._axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in axis)) for axis in axes]
         self._round = piece.outer > 0

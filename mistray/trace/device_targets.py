@@ -27,11 +27,13 @@ class DeviceTargets:
     Parameters
     ----------
     sets : sequence of AimSet
+    centre : (3,) float64
+        What positions on the device are relative to, mm.
     """
 
-    def __init__(self, sets: Sequence[AimSet]) -> None:
+    def __init__(self, sets: Sequence[AimSet], centre: np.ndarray) -> None:
         targets = [target for aim in sets for target in aim.targets]
-        rows = [row for aim in sets for row in _rows(aim)]
+        rows = [row for aim in sets for row in _rows(aim, centre)]
         self._values = upload(mi.Float, np.array(rows if rows else [np.zeros(4 * VECTORS)]))
         # What no target is takes no time
         self._ellipsoids = any(isinstance(target, Ellipsoid) for target in targets)
@@ -169,7 +171,7 @@ def _within(axis: mi.Vector3f, width: mi.Float, u: mi.Float, sine: mi.Float, cos
     return (1 - less) * axis + aside * (cosine * across + sine * beside)
 
 
-def _rows(aim: AimSet) -> list[np.ndarray]:
+def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
     """
     Targets as the kernel reads them.
 
@@ -180,7 +182,7 @@ def _rows(aim: AimSet) -> list[np.ndarray]:
     rows, so_far = [], 0.0
     for target in aim.targets:
         so_far += target.share
-        shape, one, two, three, first, second = _vectors(target)
+        shape, one, two, three, first, second = _vectors(target, centre)
         sign = -1.0 if target.reverse else 1.0
         rows.append(
             np.concatenate([shape, one, [*two, target.share], [*three, sign], [*first, so_far], [*second, 0.0]])
@@ -188,13 +190,13 @@ def _rows(aim: AimSet) -> list[np.ndarray]:
     return rows
 
 
-def _vectors(target: AnyTarget) -> tuple[Any, ...]:
+def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
     """The rows of a target without its share, its sign and the sum of shares."""
     nothing = np.zeros(3)
     if isinstance(target, Cone):
         width = target.width
         return (
-            [*target.axis, CONES[target.about]],
+            [*(target.axis - origin if target.about == "point" else target.axis), CONES[target.about]],
             [width, 0.0, 0.0, 1 / target.solid_angle],
             nothing,
             nothing,
@@ -204,9 +206,9 @@ def _vectors(target: AnyTarget) -> tuple[Any, ...]:
     if isinstance(target, Ellipsoid):
         one, two, three = (axis / np.dot(axis, axis) for axis in target.axes)
         lengths = np.linalg.norm(target.axes, axis=1)
-        return [*target.centre, ELLIPSOID], [*one, 1 / np.prod(lengths)], two, three, nothing, nothing
+        return [*(target.centre - origin), ELLIPSOID], [*one, 1 / np.prod(lengths)], two, three, nothing, nothing
     normal = np.cross(target.u, target.v)
     along, beside = np.cross(target.v, normal), np.cross(normal, target.u)
     along, beside = along / np.dot(along, target.u), beside / np.dot(beside, target.v)
     shape = {"parallelogram": PARALLELOGRAM, "triangle": TRIANGLE}.get(target.shape, target.hole)
-    return [*target.centre, shape], [*along, 1 / target.area], beside, target.normal, target.u, target.v
+    return [*(target.centre - origin), shape], [*along, 1 / target.area], beside, target.normal, target.u, target.v

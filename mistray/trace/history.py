@@ -166,6 +166,7 @@ def bundles(
         numbers = np.array(same)
         length = lengths[numbers[0]]
         events, hits = codes[numbers[0], :length].copy(), nodes[numbers, :length]
-        exact = retrace(run.table, origins[numbers], directions[numbers], events, hits[:, :, :3])
+        places = hits[:, :, :3] + run.table.centre
+        exact = retrace(run.table, origins[numbers], directions[numbers], events, places)
         flux = run.unit * np.concatenate([np.ones((len(numbers), 1)), hits[:, :, 6]], axis=1)
         yield Bundle(numbers, events, *exact, flux)

@@ -158,31 +158,31 @@ def interact(
     a, b, e, g = row.quadric
     r2 = dr.fma(q.x, q.x, q.y * q.y)
     value = dr.fma(a, r2, dr.fma(dr.fma(b, q.z, e), q.z, g))
-    gx, gy, gz = a * q.x, a * q.y, dr.fma(b, q.z, 0.5 * e)
+    across, along_z = a, dr.fma(b, q.z, 0.5 * e)  # the gradient is (across x, across y, along_z)
     if table.coefficient_count:
         aspheric = active & ((word & ASPHERIC) != 0)
         shape = table.asphere_sag(s, aspheric)
         slope = sag_derivative(r2, *shape)
         # F = 2 (sag - z), to be of the same sign and scale as the quadric
         value = dr.select(aspheric, 2 * (sag(r2, *shape) - q.z), value)
-        gx, gy, gz = (
-            dr.select(aspheric, 2 * slope * q.x, gx),
-            dr.select(aspheric, 2 * slope * q.y, gy),
-            dr.select(aspheric, -1, gz),
-        )
+        across, along_z = dr.select(aspheric, 2 * slope, across), dr.select(aspheric, -1, along_z)
     if table.stock_scene is not None:
         assert stock_normal is not None
         stock = s >= len(table.pieces)
         value = dr.select(stock, 0, value)
-        gx, gy, gz = (dr.select(stock, n, v) for n, v in zip(stock_normal, (gx, gy, gz), strict=True))
 
     # One Newton step along the ray removes the rounding of a distant origin
-    along = 2 * (gx * dl.x + gy * dl.y + gz * dl.z)
+    along = 2 * (across * dr.fma(q.x, dl.x, q.y * dl.y) + along_z * dl.z)
     step = -value / along
     step = dr.select(step * step < 1e-6 * (1 + r2), step, 0)
     p, q = dr.fma(step, d, p), dr.fma(step, dl, q)
 
-    normal = mi.Vector3f(gx, gy, gz) * dr.mulsign(dr.rsqrt(gx * gx + gy * gy + gz * gz), vertex.w)
+    # There, not where the step began: after 10 m of way that may be 1e-6 rad
+    along_z = dr.fma(dr.select(aspheric, 0, b) if table.coefficient_count else b, step * dl.z, along_z)
+    gradient = mi.Vector3f(across * q.x, across * q.y, along_z)
+    if table.stock_scene is not None:
+        gradient = dr.select(stock, stock_normal, gradient)
+    normal = gradient * dr.mulsign(dr.rsqrt(dr.squared_norm(gradient)), vertex.w)
     if table.rotated:
         rotated = frame.outward(normal)
         normal = rotated if table.stock_scene is None else dr.select(stock, normal, rotated)

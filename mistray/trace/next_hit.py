@@ -30,7 +30,7 @@ def next_hit(
     if normal is not None:  # leave a stock surface behind by a few roundings, along the ray so that it stays the same
         slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)
         skip = dr.select(last >= len(table.pieces), table.stock_epsilon / slant, 0)
-    ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o)), d)
+    ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o) + table.stock_offset), d)
     ray.maxt = dr.select(dr.isfinite(t), t - skip, dr.largest(mi.Float))
     hit = table.stock_scene.ray_intersect_preliminary(ray, coherent=False, active=active)
     nearer = active & hit.is_valid() & (hit.t + skip < t)

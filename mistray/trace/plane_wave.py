@@ -104,8 +104,12 @@ class PlaneWave:
         """Rays that a request for `rays` starts."""
         return rays
 
+    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The rays themselves: their directions are random."""
+        return o, d
+
     def start(
-        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray
+        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
         """
         Origins and directions of the start rays of one pass; arguments as of `Beam.start`.
@@ -134,7 +138,7 @@ class PlaneWave:
         is_round = dr.opaque(mi.Bool, self.is_round)
         x = dr.select(is_round, disk.x, 2 * sample.x - 1) * number(self.half[0]) + number(self.middle[0])
         y = dr.select(is_round, disk.y, 2 * sample.y - 1) * number(self.half[1]) + number(self.middle[1])
-        return vector(self.centre) + u * x + v * y - number(self.distance) * d, d
+        return vector(self.centre - centre) + u * x + v * y - number(self.distance) * d, d
 
 
 class PlaneWaves:

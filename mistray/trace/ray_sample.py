@@ -45,7 +45,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
     for number in np.unique(lanes // PASS_LANES):
         own = lanes[lanes // PASS_LANES == number] - number * PASS_LANES
         sample = run.start_pass(int(number)).take(upload(mi.UInt32, own))
-        origins, directions = (np.array(v).T.astype(np.float64) for v in (sample.o, sample.d))
+        origins, directions = run.exact(sample)
         place = {int(lane): k for k, lane in enumerate(np.array(sample.lane))}
         for part in np.split(np.arange(len(own)), FIRST * 2 ** np.arange(int(np.log2(START_RAYS / FIRST)) + 1)):
             if not len(part):

@@ -97,7 +97,7 @@ class ReplaySurfaces:
         self._ideal_stride = dr.opaque(mi.UInt32, ideal.size if wanted.rows else 0)
         self._rotations = upload(mi.Float64, table.rotations)
         # Vertices, and whether F grows along the normal: it does for cones only, see `_surface`
-        places = np.column_stack([table.vertices, np.full(self.count, -1.0)])
+        places = np.column_stack([table.vertices - table.centre, np.full(self.count, -1.0)])
         for piece in table.pieces:
             places[piece.index, 3] = 1.0 if piece.kind == "cone" else -1.0
         self._places = upload(mi.Float64, places)

@@ -23,6 +23,7 @@ from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.run_gradient import run_gradient
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.thin_gaps import thin_gaps
 from mistray.trace.tracer import Run
 from mistray.trace.workers import current_workers
 
@@ -60,7 +61,8 @@ class Trace:
     effective_scattered_rays : float
         (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
     notes : list of str
-        What was assumed: media that were taken as opaque because no light gets through their bodies.
+        What a reader must know: gaps too thin for float32, see `mistray.trace.thin_gaps`, and media that were taken as
+        opaque because no light gets through their bodies.
     aiming : list of AimedSurface
         Surfaces and media that aimed rays at targets.
     silent : list of str
@@ -91,7 +93,8 @@ class Trace:
         self.scattered_rays_per_start = hits / self.rays_traced
         self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
-        self.notes = list(dict.fromkeys(text for run in runs for text in run.table.optics.notes))
+        self.notes = thin_gaps(runs[0].table)
+        self.notes += dict.fromkeys(text for run in runs for text in run.table.optics.notes)
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
         self.segments = round(sum(float(run.reasons[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)

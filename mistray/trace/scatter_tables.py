@@ -10,7 +10,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -26,6 +26,9 @@ from mistray.trace.lobes import RadialSampler, trilinear
 from mistray.trace.optics import OPAQUE, Optics
 from mistray.trace.targets import AimSet, Place
 from mistray.trace.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.trace.surfaces import SurfaceTable
 
 EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
 CASES = 4  # of a surface
@@ -226,10 +229,8 @@ class ScatterTables:
 
     Parameters
     ----------
-    ids : sequence of str
-        Names of the surfaces, for messages.
-    optics : Optics
-        Their coatings and materials at a wavelength.
+    table : SurfaceTable
+        The surfaces with their coatings and materials at a wavelength.
     aims : mapping
         Where light is scattered → targets.
     backward : bool
@@ -250,14 +251,14 @@ class ScatterTables:
 
     def __init__(
         self,
-        ids: Sequence[str],
-        optics: Optics,
+        table: SurfaceTable,
         aims: Mapping[Place, AimSet],
         backward: bool = False,
     ) -> None:
+        optics = table.optics
         bsdfs = optics.bsdfs
         self.backward, self.aims = backward, aims
-        self.bulk = BulkScattering(optics, aims) if optics.scatters else None
+        self.bulk = BulkScattering(table, aims) if optics.scatters else None
         self.all_cases: list[Case] = []
         count = len(bsdfs)
         # By side: first row of the totals of transmission and reflection, aimed rays of either, the first of them with
@@ -271,7 +272,7 @@ class ScatterTables:
         for s, bsdf in enumerate(bsdfs):
             if not bsdf.scatter:
                 continue
-            found = self._sides_of(ids, optics, s)
+            found = self._sides_of(table.ids, optics, s)
             for side, from_front in enumerate((True, False)):
                 sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT
                 for number, event in enumerate(EVENT_NAMES):
@@ -304,7 +305,7 @@ class ScatterTables:
         packed = pack(self.all_cases)
         self.flags = packed.flags
         self._upload_lobes(packed)
-        self.targets = DeviceTargets(aim_sets)
+        self.targets = DeviceTargets(aim_sets, table.centre)
         self.radial = RadialSampler(packed.tables)
         dr.eval(self.sides, self.cases, self.transmission_rows, self.totals, self.lobes, self.ratios)
 

@@ -39,9 +39,12 @@ class Source(Protocol):
         """Positions of the rays: "random" or "grid"."""
 
     def start(
-        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray
+        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
         """Origins and directions of the start rays of one pass, see `Beam.start`."""
+
+    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Start rays in the world, (n, 3) float64 each, without the rounding that the device has left on them."""
 
 
 @dataclass(frozen=True)
@@ -82,8 +85,13 @@ class Beam:
         """Rays that a request for `rays` starts: a grid has a square number."""
         return int(np.sqrt(rays)) ** 2 if self.pattern == "grid" else rays
 
+    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same lines from one plane normal to the exact direction: o, d (n, 3) float64 → (n, 3) float64 each."""
+        ahead = (o - self.pivot) @ self.direction + self.distance
+        return o - ahead[:, None] * self.direction, np.broadcast_to(self.direction, d.shape).copy()
+
     def start(
-        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray
+        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
         """
         Origins and directions of the start rays of one pass.
@@ -100,6 +108,8 @@ class Beam:
             One generator a lane; three numbers are drawn.
         closing : (BATCHES,) float
             Independent exponential variables.
+        centre : (3,) float64
+            What the origins are relative to, mm.
         """
         if self.pattern == "grid":
             side = int(np.sqrt(rays))
@@ -107,13 +117,12 @@ class Beam:
         else:
             sample = sorted_points(batch, rng, closing)
         x, y = self.emitter.positions(sample)
-        names = ("pivot", "direction", "u", "v")
-        opaque = {key: [dr.opaque(mi.Float, float(c)) for c in getattr(self, key)] for key in names}
-        direction, u, v = (mi.Vector3f(*opaque[key]) for key in ("direction", "u", "v"))
+        vectors = (self.pivot - centre, self.direction, self.u, self.v)
+        pivot, direction, u, v = (mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in vector)) for vector in vectors)
         offset = u * x + v * y
         # All rays start on one plane normal to the beam, also where the cross-section is not
         back = dr.opaque(mi.Float, self.distance) + dr.dot(offset, direction)
-        origin = mi.Vector3f(*opaque["pivot"]) + offset - back * direction
+        origin = pivot + offset - back * direction
         return origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction
 
 

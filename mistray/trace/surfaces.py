@@ -5,12 +5,16 @@ Surfaces that the plugins `asphere` and `frustum` describe are one family, a qua
     F(x, y, z) = a (x² + y²) + b z² + e z + g = 0
 
 in the frame of their vertex, with bounds in radius (or a rectangle) or in z, plus an even polynomial for aspheres.
+Positions on the device are in float32, which has 7 digits: they are relative to `SurfaceTable.centre`. On the host all
+are in the world, in float64.
+
 Every other shape of the scene ("stock": meshes, Mitsuba's own primitives) goes to one Mitsuba scene of its own and is
 hit through its acceleration structure.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from copy import copy
 from typing import Any
 
@@ -77,6 +81,12 @@ class SurfaceTable:
     ------
     MistrayError
         For a shape without interface, a missing or ambiguous detector, a missing material.
+
+    Attributes
+    ----------
+    centre : (3,) float64
+        What positions on the device are relative to, mm: the middle of the surfaces, or the origin if that is not far
+        from them.
     """
 
     def __init__(
@@ -126,6 +136,18 @@ class SurfaceTable:
         """Words of the places of events; those of media are 0."""
         return np.concatenate([self.optics.host_words, np.zeros(len(self.optics.media), dtype=np.uint32)])
 
+    def upload_point(self, point: np.ndarray) -> mi.Vector3f:
+        """A point of the world, (3,) float64 in mm, on the device."""
+        return mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in point - self.centre))
+
+    def upload_points(self, points: np.ndarray) -> mi.Vector3f:
+        """Points of the world, (n, 3) float64 in mm, on the device."""
+        return mi.Vector3f(*(upload(mi.Float, column) for column in (points - self.centre).T))
+
+    def download_points(self, points: mi.Vector3f) -> np.ndarray:
+        """Points of the device in the world, (n, 3) float64 in mm."""
+        return np.array(points, dtype=np.float64).T + self.centre
+
     def frame(self, s: mi.UInt32, active: mi.Bool | bool = True) -> LocalFrame:
         """The frames of the surfaces s."""
         if not self.rotated:
@@ -168,26 +190,27 @@ class SurfaceTable:
         self.pieces: list[Piece] = []
         vertices = np.zeros((self.count, 3))
         rotations = np.tile(np.eye(3), (self.count, 1, 1))
-        for i, shape in enumerate(shapes):
-            matrix = vertex_frame(shape.kind, shape.values, shape.matrix)
+        own = [piece_numbers(shape.kind, shape.values) for shape in shapes]
+        matrices = [vertex_frame(shape.kind, shape.values, shape.matrix) for shape in shapes]
+        self.centre = _centre([matrix[:3, 3] for matrix in matrices], [shape.outer_radius for shape in shapes])
+        for i, (piece, matrix) in enumerate(zip(own, matrices, strict=True)):
             rotation, position = matrix[:3, :3], matrix[:3, 3]
             same = (np.allclose(known, rotation, rtol=0, atol=SAME_FRAME) for known in self.frames)
             frame = next((k for k, known in enumerate(same) if known), None)
             if frame is None:
                 frame = len(self.frames)
                 self.frames.append(rotation)
-            local = self.frames[frame].T @ position
+            local = self.frames[frame].T @ (position - self.centre)
             axis_key = (frame, round(float(local[0]), 9), round(float(local[1]), 9))
             if axis_key not in self.axes:
                 self.axes.append(axis_key)
-            piece = piece_numbers(shape.kind, shape.values)
             self.pieces.append(Piece(index=i, frame=frame, axis=self.axes.index(axis_key), z=float(local[2]), **piece))
             vertices[i], rotations[i] = position, self.frames[frame]
         self.vertices, self.rotations = vertices, rotations
         self.rotated = len(self.frames) > 1
         quadric = np.zeros((self.count, 4))
         vertex = np.zeros((self.count, 4))
-        vertex[:, :3], vertex[:, 3] = vertices, 1.0
+        vertex[:, :3], vertex[:, 3] = vertices - self.centre, 1.0
         self.coefficient_count = max((len(p.coefficients) for p in self.pieces), default=0)
         polynomial = np.zeros((self.count, 4 * POLYNOMIAL_VECTORS))
         for p in self.pieces:
@@ -221,6 +244,7 @@ class SurfaceTable:
         self.stock_lookup = upload(mi.UInt32, lookup)
         size = float(np.max(np.abs([*self.stock_scene.bbox().min, *self.stock_scene.bbox().max])))
         self.stock_epsilon = 4e-6 * (1.0 + size)
+        self.stock_offset = mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in self.centre))
 
     def stock_normal(self, point: np.ndarray, direction: np.ndarray) -> np.ndarray:
         """Normal of the stock shape that a ray along `direction` meets at `point`, float64."""
@@ -256,9 +280,19 @@ class SurfaceTable:
             return width, height, (-half[0], half[0], -half[1], half[1])
         matrix = _rectangle_matrix(shape, self.ids[self.detector])
         half = float(np.linalg.norm(matrix[:3, 0])), float(np.linalg.norm(matrix[:3, 1]))
-        axes = (matrix[:3, 3], matrix[:3, 0] / half[0], matrix[:3, 1] / half[1])
+        axes = (matrix[:3, 3] - self.centre, matrix[:3, 0] / half[0], matrix[:3, 1] / half[1])
         self.detector_axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in axis)) for axis in axes]
         return width, height, (-half[0], half[0], -half[1], half[1])
+
+
+def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarray:
+    """Middle of surfaces with these vertices and radii, or the origin if it is no farther from it than they reach."""
+    if not vertices:
+        return np.zeros(3)
+    places, reach = np.array(vertices), np.array(radii)[:, None]
+    low, high = (places - reach).min(axis=0), (places + reach).max(axis=0)
+    middle = 0.5 * (low + high)
+    return middle if np.linalg.norm(middle) > np.linalg.norm(high - low) else np.zeros(3)
 
 
 def solid_shapes(scene: mi.Scene) -> list[Any]:

@@ -128,7 +128,7 @@ class Run:
         batch = scrambled % BATCHES if self.beam.pattern == "grid" else blocks
         dr.eval(lane, batch, rng)
         closing = np.random.default_rng((self.seed, number)).exponential(size=BATCHES)
-        o, d = self.beam.start(lane, batch, self.rays, rng, closing)
+        o, d = self.beam.start(lane, batch, self.rays, rng, closing, self.table.centre)
         dr.eval(o, d, rng)
         return StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes))
 
@@ -146,10 +146,13 @@ class Run:
         origins, directions = np.zeros((len(lanes), 3)), np.zeros((len(lanes), 3))
         for number in np.unique(lanes // PASS_LANES):
             here = lanes // PASS_LANES == number
-            start = self.start_pass(int(number))
-            index = lanes[here] - number * PASS_LANES
-            origins[here], directions[here] = np.array(start.o).T[index], np.array(start.d).T[index]
+            index = upload(mi.UInt32, lanes[here] - number * PASS_LANES)
+            origins[here], directions[here] = self.exact(self.start_pass(int(number)).take(index))
         return origins, directions
+
+    def exact(self, start: StartRays) -> tuple[np.ndarray, np.ndarray]:
+        """Origins (mm) and directions of start rays in the world, without rounding of the device; (n, 3) float64."""
+        return self.beam.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
 
     def make_tallies(self, film: Film, maps: int = 0) -> Tallies:
         """Sums at zero, for as many maps of the detector."""
@@ -363,12 +366,12 @@ def runs_of(scene: mi.Scene, settings: Settings, sources: Sequence[Beam], detect
     first = SurfaceTable(scene, sources[0].wavelength_nm, detector, settings.stokes)
     intersector = Intersector(first)
     targets = aims(first, scene, settings)
-    tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first.ids, first.optics, targets)))}
+    tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first, targets)))}
     runs = []
     for number, beam in enumerate(sources):
         if beam.wavelength_nm not in tables:
             other = first.at(beam.wavelength_nm)
-            tables[beam.wavelength_nm] = other, Scattering(ScatterTables(other.ids, other.optics, targets))
+            tables[beam.wavelength_nm] = other, Scattering(ScatterTables(other, targets))
         count = beam.count(max(1, round(settings.rays * beam.power / total)))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
         table, scattering = tables[beam.wavelength_nm]

@@ -186,7 +186,7 @@ def test_detector_is_lambertian(detector_table, name: str, how: str, both_sides:
     start = DetectorStart(table, AXIS, AIM if how == "aimed" else None, both_sides)
     assert start.area == pytest.approx(detector.area, rel=1e-6)
     found = rays_of(start)
-    p, d, w, normal = (host(v) for v in (found.o, found.d, found.w, found.normal))
+    p, (d, w, normal) = table.download_points(found.o), (host(v) for v in (found.d, found.w, found.normal))
     own = p - AT
     np.testing.assert_allclose(detector.off(own), 0, atol=2e-5)
     np.testing.assert_allclose(np.linalg.norm(d, axis=1), 1, atol=1e-5)
@@ -228,7 +228,7 @@ def test_aimed_rays_go_to_the_targets(detector_table) -> None:
     share = []
     for aim in (None, disc):
         found = rays_of(DetectorStart(detector_table("rectangle"), AXIS, aim, False))
-        p, d = host(found.o), host(found.d)
+        p, d = detector_table("rectangle").download_points(found.o), host(found.d)
         met = p + ((AT[2] - 40 - p[:, 2]) / d[:, 2])[:, None] * d
         share.append(np.mean(np.hypot(*(met - AT)[:, :2].T) < 3.0))
     assert share[0] < 0.02
@@ -239,7 +239,7 @@ def test_pixels_are_those_of_the_places(detector_table) -> None:
     """Row 0 at the smallest y of the detector's frame, which a `lookat` turns about z."""
     table = detector_table("rectangle")
     found = rays_of(DetectorStart(table, AXIS, None, False), lanes=3200)
-    own = (host(found.o) - AT) @ table.rotations[table.detector]
+    own = (table.download_points(found.o) - AT) @ table.rotations[table.detector]
     column, row = np.floor((own[:, 0] / 3 + 1) * 2), np.floor((own[:, 1] / 2 + 1) * 2)
     expected = 4 * row + column
     assert np.mean(np.array(found.pixel) == expected) > 0.999  # on the edge rounding decides

@@ -100,7 +100,7 @@ class Scene:
         """Hits (n, 3), moved onto the surface as the kernel does it, and surfaces in XML order (-1: none)."""
         origin, direction, start = rays
         last = np.where(start < 0, NO_SURFACE, self.number[start]).astype(np.uint32)
-        o = mi.Vector3f(origin.T.astype(np.float32))
+        o = self.table.upload_points(origin)
         d = dr.normalize(mi.Vector3f(direction.T.astype(np.float32)))
         t, surface = self.intersector.nearest(o, d, mi.UInt32(last), mi.Bool(True))
         hit = surface != NO_SURFACE
@@ -110,7 +110,7 @@ class Scene:
         order[self.number] = np.arange(len(self.ids))
         found = np.full(len(numbers), -1)
         found[numbers != NO_SURFACE] = order[numbers[numbers != NO_SURFACE]]
-        return np.array(at.p, dtype=np.float64).T, found
+        return self.table.download_points(at.p), found
 
     def oracle(self, rays: Rays) -> tuple[np.ndarray, np.ndarray]:
         origin, direction, start = rays

@@ -95,7 +95,8 @@ def test_numbers_of_the_last_rays() -> None:
     assert r2.max() <= 25 * (1 + 1e-6)
     assert r2.mean() == pytest.approx(12.5, abs=5 * 25 / 12**0.5 / len(r2) ** 0.5)
     origins, _ = run.start_rays(lanes[[0, -1]])
-    np.testing.assert_array_equal(origins, points[[0, -1]])
+    # Found in float64 on the exact start plane, where the device's float32 has rounded
+    np.testing.assert_allclose(origins, points[[0, -1]], rtol=0, atol=1e-6)
 
 
 def test_the_last_pass_of_a_grid_is_the_last_rows() -> None:
@@ -111,7 +112,7 @@ def test_the_last_pass_of_a_grid_is_the_last_rows() -> None:
     rays = run.beam.count(MOST_RAYS)
     assert rays == 65535**2
     lane = mi.UInt32([0, rays - 1])
-    run.beam.start(lane, dr.zeros(mi.UInt32, 2), rays, None, None)
+    run.beam.start(lane, dr.zeros(mi.UInt32, 2), rays, None, None, run.table.centre)
     np.testing.assert_allclose(np.array(sample[0]).T, [[0.5 / 65535] * 2, [1 - 0.5 / 65535] * 2], rtol=1e-6)
 
 

@@ -89,7 +89,7 @@ def branches(t: Any) -> dict[tuple[tuple[str, str], ...], Branches]:
         length = lengths[chosen[0]]
         path = codes[chosen[0], :length]
         events = tuple((run.table.ids[c >> EVENT_BITS], INTERCEPTS[int(c) & EVENT_MASK]) for c in path)
-        hits = nodes[chosen, :length, :3]
+        hits = nodes[chosen, :length, :3] + run.table.centre
         found[events] = Branches(events, path, lanes[chosen], hits, nodes[chosen, :length, 6])
     return found
 

@@ -48,7 +48,7 @@ def table_of(load_scene: Load, *models: str, back: str = str(GLASS)) -> SurfaceT
 
 
 def scattering_of(table: SurfaceTable, backward: bool) -> Scattering:
-    return Scattering(ScatterTables(table.ids, table.optics, {}, backward))
+    return Scattering(ScatterTables(table, {}, backward))
 
 
 def model_xml(form: Form) -> str:

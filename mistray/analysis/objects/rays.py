@@ -149,7 +149,7 @@ class ChainTracer:
             Step by step the rays that leave the scene and the hits of the others.
         """
         table, n = self.table, len(start.o)
-        o, d = (mi.Vector3f(*(upload(mi.Float, column) for column in v.T)) for v in (start.o, start.d))
+        o, d = table.upload_points(start.o), mi.Vector3f(*(upload(mi.Float, column) for column in start.d.T))
         w = upload(mi.Float, start.weight)
         index = dr.full(mi.Float, 1, n)
         last = dr.full(mi.UInt32, NO_SURFACE if start.left < 0 else start.left, n)
@@ -210,7 +210,7 @@ class ChainTracer:
                     lane=lane[met],
                     surface=np.array(s, dtype=np.int64)[met],
                     from_front=np.array(it.from_front)[met],
-                    point=_rows(it.p)[met],
+                    point=table.download_points(it.p)[met],
                     direction=_rows(d)[met],
                     normal=_rows(it.axis)[met],
                     weight=np.array(w, dtype=np.float64)[met],

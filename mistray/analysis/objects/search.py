@@ -29,6 +29,7 @@ from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sources import spectrum_of
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.thin_gaps import thin_gaps
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -188,6 +189,7 @@ class Objects:
             found.append(f"… and in {len(shots) - SHOTS_TOLD} more ways")
         if not self._traced.critical.ways_out():
             found.append("no ray from the detector leaves the scene: it is closed in, or the rays are too few")
+        found += thin_gaps(self._traced.table)
         lost = max(view.lost for view in (self._traced.critical, *self._traced.illuminated))
         if lost > threshold:
             found.append(
@@ -318,10 +320,7 @@ def objects(
     wavelength = float(spectrum_of(scene, wavelength_nm, None)[0][0])
     table = SurfaceTable(scene, wavelength, detector)
     intersector = Intersector(table)
-    scattering = {
-        backward: Scattering(ScatterTables(table.ids, table.optics, {}, backward=backward))
-        for backward in (False, True)
-    }
+    scattering = {backward: Scattering(ScatterTables(table, {}, backward=backward)) for backward in (False, True)}
 
     def tracer(mirrors: np.ndarray, backward: bool = False) -> ChainTracer:
         return ChainTracer(

@@ -19,6 +19,7 @@ from mistray.trace.directions import DirectionGrid
 from mistray.trace.plane_wave import Entrance
 from mistray.trace.settings import Settings
 from mistray.trace.sources import spectrum_of
+from mistray.trace.thin_gaps import thin_gaps
 from mistray.trace.workers import Workers, current_workers, do_parts
 
 Progress = Callable[[PstProgress], None]
@@ -254,7 +255,7 @@ def _result(
         maps=np.moveaxis(stack("map"), 2, 0) if cells.has_maps else None,
         extent_mm=cells.extent,
     )
-    lines = notes(result, largest)
+    lines = [*thin_gaps(cells.table), *notes(result, largest)]
     if late[np.isfinite(errors)].any():
         worst = float(errors[late & np.isfinite(errors)].max())
         lines.append(

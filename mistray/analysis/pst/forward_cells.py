@@ -259,7 +259,7 @@ class ForwardCells:
         self._runs = []
         for wavelength, share in zip(wavelengths_nm.tolist(), shares.tolist(), strict=True):
             table = self.table if wavelength == self.table.wavelength_nm else self.table.at(wavelength)
-            scattering = Scattering(ScatterTables(table.ids, table.optics, targets))
+            scattering = Scattering(ScatterTables(table, targets))
             wave = self._waves.at(0, 0, wavelength, share)
             self._runs.append(
                 CellRun(wave, table, scattering, intersector, settings, 0, 0, 0.0, map_size=self._map_size)

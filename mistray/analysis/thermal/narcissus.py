@@ -93,7 +93,7 @@ def _follow(table: SurfaceTable, light: np.ndarray, lanes: int, seed: int, max_e
     A ray that has not been reflected has two children at each surface, one that has been only the transmitted one.
     """
     intersector = Intersector(table)
-    scattering = Scattering(ScatterTables(table.ids, table.optics, {}, backward=True))
+    scattering = Scattering(ScatterTables(table, {}, backward=True))
     has_stock = table.stock_scene is not None
     start = DetectorStart(table, light, None, False).pass_rays(seed, lanes, 1.0)
     full = dr.zeros(mi.Float, lanes)
