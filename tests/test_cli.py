@@ -117,6 +117,8 @@ def test_ghosts_passes_every_option_on(capsys, fake):
         "aimed_rays": 7,
         "aim": "targets",
         "flux_threshold": 1e-6,
+        "cut_below": "R=1e-6, t=1e-9",
+        "cut_below_W": "T=1e-3",
         "scatter_threshold": 1e-3,
         "splitting": "one",
         "below_threshold": "roulette",

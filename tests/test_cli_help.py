@@ -103,6 +103,9 @@ def test_defaults_are_those_that_hold(name: str) -> None:
             default = SETTINGS[action.dest]
             if isinstance(default, str):
                 assert told == default, action.dest
+            elif isinstance(default, tuple):
+                assert told == "none", action.dest
+                assert not any(default), action.dest
             elif told != "no limit":
                 assert float(told or "nan") == default, action.dest
             else:

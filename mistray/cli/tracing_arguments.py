@@ -44,6 +44,11 @@ def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
     group.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one path (64)")
     group.add_argument("--flux-threshold", type=finite, metavar="F",
                        help="flux below which a ray ends, relative to its start ray (1e-8)")  # fmt: skip
+    group.add_argument("--cut-below", metavar="LIST",
+                       help="flux below which branches end, relative to the start ray, by kind, such as "
+                       "'R=1e-6, t=1e-9': R and T are specular reflection and transmission, r and t "
+                       "scattered ones (none)")  # fmt: skip
+    group.add_argument("--cut-below-W", metavar="LIST", help="the same in W (none)")
     group.add_argument("--splitting", choices=("split", "one"),
                        help="follow both rays at a surface, or one of them by chance (split)")  # fmt: skip
     group.add_argument("--below-threshold", choices=("cut", "roulette"),

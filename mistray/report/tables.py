@@ -13,6 +13,7 @@ from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.report.scatter_tables import scatter_text
 from mistray.report.text import ABSENT, number, text_table, with_error
+from mistray.trace.settings import BRANCHES
 
 LIMIT_WARNING = 1e-6  # of the launched flux
 COATING_WARNING = 1e-4  # of R and T, by interpolation over the angle
@@ -24,6 +25,10 @@ CUT_TEXTS = {
     "max_scatters": "not scattered beyond max_scatters = {max_scatters} or another limit of scatter; raise it to see "
     "where that goes",
     "max_events": "cut by max_events = {max_events}; raise it",
+    **{
+        f"{branch}_below": f"cut by what cut_below says of {branch.replace('_', ' ')}; lower it"
+        for branch in BRANCHES.values()
+    },
     "medium": "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap",
 }
 ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")

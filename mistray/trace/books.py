@@ -12,6 +12,7 @@ import mitsuba as mi
 from mistray.errors import MistrayError
 from mistray.trace.ledger import BATCHES, Ledger
 from mistray.trace.packets import add_packet
+from mistray.trace.settings import BRANCHES
 
 # Rows of the tally: what is not tied to a surface
 ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)
@@ -19,7 +20,8 @@ ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS,
 # squared flux of the hits of the detector by scattered rays
 SCATTERS, SAMPLING, SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES = range(9, 14)
 CONTROL = 14  # what `ray_control` keeps back
-REASONS = 15
+CUT_BRANCHES = 15  # what `cut_below` does, in the order of its branches
+REASONS = CUT_BRANCHES + len(BRANCHES)
 # Columns of the tally of a surface; the last two count its aimed rays and those that reach the detector undeflected
 HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
 SURFACE_SUMS = 5

@@ -11,6 +11,7 @@ import numpy as np
 from mistray.trace.books import (
     ABSORBED_HERE,
     CONTROL,
+    CUT_BRANCHES,
     ESCAPED,
     EVENTS,
     HITS,
@@ -22,6 +23,7 @@ from mistray.trace.books import (
     SCATTERS,
     THRESHOLD,
 )
+from mistray.trace.settings import BRANCHES
 from mistray.trace.tracer import Run
 
 if TYPE_CHECKING:
@@ -36,6 +38,7 @@ CUTS = {
     "max_events": EVENTS,
     "medium": MEDIUM,
     "ray_control": CONTROL,
+    **{f"{branch}_below": CUT_BRANCHES + k for k, branch in enumerate(BRANCHES.values())},
 }
 
 
@@ -56,7 +59,9 @@ class Energy:
     cut : dict
         Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_scatters" (all
         limits of scatter events), "max_events", "ray_control", "roulette" (0 on average: what Russian roulette removed
-        less what it added), "scatter_sampling" (0 on average: what surfaces scatter less what the scattered rays carry)
+        less what it added), "specular_reflection_below", "specular_transmission_below", "scattered_reflection_below",
+        "scattered_transmission_below" (what `cut_below` and `cut_below_W` cut), "scatter_sampling" (0 on average: what
+        surfaces scatter less what the scattered rays carry)
         and "medium" (a ray met a surface from a material that is not there: a gap or an overlap in the geometry).
 
         Where `max_random_scatters` leaves a hit nothing but its aimed rays, "max_scatters" holds what it scatters less

@@ -44,6 +44,8 @@ def trace(
     aimed_rays: int | None = None,
     aim: str | None = None,
     flux_threshold: float | None = None,
+    cut_below: Any = None,
+    cut_below_W: Any = None,
     scatter_threshold: float | None = None,
     splitting: str | None = None,
     below_threshold: str | None = None,
@@ -76,7 +78,9 @@ def trace(
         Limits of a path, see `mistray.trace.Settings`.
     scatter_rays, aimed_rays, aim
         Scattered rays at every hit and where they are aimed at, see there.
-    flux_threshold, scatter_threshold, splitting, below_threshold, seed, ray_control, polarization
+    flux_threshold, cut_below, cut_below_W, scatter_threshold, below_threshold
+        Where branches end that are too weak, see there.
+    splitting, seed, ray_control, polarization
         See there.
     detector : str
         Id of the detector, if the scene has several.
@@ -110,6 +114,8 @@ def trace(
         aimed_rays=aimed_rays,
         aim=aim,
         flux_threshold=flux_threshold,
+        cut_below=cut_below,
+        cut_below_W=cut_below_W,
         scatter_threshold=scatter_threshold,
         splitting=splitting,
         below_threshold=below_threshold,

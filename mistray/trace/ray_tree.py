@@ -16,10 +16,12 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
+from mistray.errors import MistrayError
 from mistray.trace.adjoint import Adjoint
 from mistray.trace.books import (
     AIMED,
     CONTROL,
+    CUT_BRANCHES,
     ESCAPED,
     EVENTS,
     FIRST_MISS,
@@ -135,6 +137,9 @@ def walk(
     max_reflections, max_generations, scatter_rays = (
         dr.opaque(mi.UInt32, v) for v in (settings.max_reflections, settings.max_generations, settings.scatter_rays)
     )
+    if any(settings.cut_below_W):
+        raise MistrayError("cut_below_W is in watts of a source, and this trace starts from none; use cut_below")
+    cut_below = [dr.opaque(mi.Float, limit) for limit in settings.cut_below]
     recorded_floats = recorder.node_floats if recorder is not None else POINT_FLOATS if rims is not None else 0
     split, roulette = settings.splitting == "split", settings.below_threshold == "roulette"
 
@@ -494,6 +499,18 @@ def walk(
             add_reason(remainder, -child, (scatter | cloud) & (child > 0))
             if tallies is not None:
                 tallies.add_surface(place, AIMED, batch, 1.0, aim)
+
+        if any(settings.cut_below):
+            scattered = scatter | cloud if scatters else mi.Bool(False)
+            below = dr.select(
+                scattered,
+                dr.select(reflect, cut_below[2], cut_below[3]),
+                dr.select(reflect, cut_below[0], cut_below[1]),
+            )
+            branch = dr.select(reflect, mi.UInt32(0), 1) + dr.select(scattered, mi.UInt32(2), 0)
+            cut = visit & (child > 0) & (child < below)
+            add_reason(CUT_BRANCHES + branch, child, cut)
+            child = dr.select(cut, 0, child)
 
         go = visit & (child > 0)
         # ---- keep the node: for its second visit, and as part of the path

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,13 @@ from mistray.errors import MistrayError
 NO_LIMIT = 2**15 - 1  # of reflections or scatters: more than a path can have
 MOST_RAYS_PER_HIT = 255
 RAY_CONTROLS = ("allow_all", "transmit_specular", "reflect_specular", "halt_all")
+BRANCHES = {
+    "R": "specular_reflection",
+    "T": "specular_transmission",
+    "r": "scattered_reflection",
+    "t": "scattered_transmission",
+}  # letters of the branches that `cut_below` tells apart, in its order; what a medium scatters is transmitted
+LARGEST = 1e30  # threshold: the kernel has float32
 MAX_EVENTS = 64  # the pending children of a path are the bits of one 64-bit word
 
 
@@ -44,6 +52,14 @@ class Settings:
     aim : {"auto", "targets", "none"}
         Aim scattered rays at the targets of the scene and, where a surface has none, at automatic ones; only at targets
         of the scene; or not at all. The result is the same but for its error.
+    cut_below : tuple of four float
+        Smallest flux of specularly reflected, specularly transmitted, reflected scattered and transmitted scattered
+        branches, relative to the start ray; weaker ones are cut, before and after scatter, and `Energy.cut` has
+        them by kind. Given as such numbers, as a mapping from the letters R, T, r and t, or as a text such as
+        "R=1e-6, t=1e-9"; what is not named is 0, which cuts nothing. A scattered branch is one ray, and the more rays
+        are sent the weaker it is: unlike `scatter_threshold` this changes the result.
+    cut_below_W : tuple of four float
+        The same in W, of a trace with the light.
     scatter_threshold : float
         Below this share of the flux with which a ray started, at the source or where it was scattered last, its hits
         scatter with a probability in proportion to the flux, and after a scatter event its weak branches are followed
@@ -72,6 +88,8 @@ class Settings:
     aimed_rays: int = 1
     aim: str = "auto"
     flux_threshold: float = 1e-8
+    cut_below: Any = (0.0, 0.0, 0.0, 0.0)
+    cut_below_W: Any = (0.0, 0.0, 0.0, 0.0)
     scatter_threshold: float = 0.1
     splitting: str = "split"
     below_threshold: str = "cut"
@@ -104,6 +122,8 @@ class Settings:
             fail("max_events", f"it must lie between 1 and {MAX_EVENTS}")
         if not 0 <= self.flux_threshold < 1:
             fail("flux_threshold", "it is relative to a start ray and must lie between 0 and 1")
+        for key in ("cut_below", "cut_below_W"):
+            object.__setattr__(self, key, _by_branch(key, getattr(self, key)))
         if not 0 <= self.scatter_threshold < 1:
             fail("scatter_threshold", "it is relative to the start of a ray and must lie between 0 and 1")
         if self.aim not in ("auto", "targets", "none"):
@@ -129,6 +149,15 @@ class Settings:
         values = {f.name: getattr(own, f.name) for f in fields(cls)}
         return cls(**(values | {key: value for key, value in given.items() if value is not None}))
 
+    def with_unit(self, unit_W: float) -> Settings:
+        """The same for start rays of this flux, W, with `cut_below_W` in `cut_below`."""
+        if not any(self.cut_below_W):
+            return self
+        relative = (max(a, float(b) / float(unit_W)) for a, b in zip(self.cut_below, self.cut_below_W, strict=True))
+        return replace(
+            self, cut_below=tuple(min(value, LARGEST) for value in relative), cut_below_W=(0.0,) * len(BRANCHES)
+        )
+
     @property
     def scatter_limits(self) -> tuple[int, int, int]:
         """Most scatter events along a path: in all, at random, at surfaces that transmit."""
@@ -138,3 +167,28 @@ class Settings:
     def stokes(self) -> bool:
         """Whether branches carry their polarisation."""
         return self.polarization == "stokes"
+
+
+def _by_branch(key: str, given: Any) -> tuple[float, ...]:
+    """Numbers by branch, see `Settings.cut_below`, from any of their forms."""
+    letters = ", ".join(BRANCHES)
+    if isinstance(given, str):
+        parts = [part.partition("=") for part in given.replace(",", " ").split()]
+        given = {letter: value for letter, _, value in parts}
+        if len(given) < len(parts):
+            raise MistrayError(f"{key} names a branch twice; give each of {letters} once")
+    if isinstance(given, Mapping):
+        unknown = [str(letter) for letter in given if letter not in BRANCHES]
+        if unknown:
+            raise MistrayError(f"{key} has '{unknown[0]}'; its branches are {letters}, as in 'R=1e-6, t=1e-9'")
+        given = [given.get(letter, 0.0) for letter in BRANCHES]
+    try:
+        found = tuple(float(value) for value in given)
+    except (TypeError, ValueError):
+        raise MistrayError(f"{key} is {given!r}; give a number for {letters}, as in 'R=1e-6, t=1e-9'") from None
+    if len(found) != len(BRANCHES):
+        raise MistrayError(f"{key} has {len(found)} numbers; give one for each of {letters}")
+    for letter, value in zip(BRANCHES, found, strict=True):
+        if not 0 <= value < float("inf"):
+            raise MistrayError(f"{key} is {letter}={value:g}; it must be finite and not negative")
+    return found

@@ -375,5 +375,6 @@ def runs_of(scene: mi.Scene, settings: Settings, sources: Sequence[Beam], detect
         count = beam.count(max(1, round(settings.rays * beam.power / total)))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
         table, scattering = tables[beam.wavelength_nm]
-        runs.append(Run(beam, table, scattering, intersector, settings, count, stream, beam.power / count))
+        unit = beam.power / count
+        runs.append(Run(beam, table, scattering, intersector, settings.with_unit(unit), count, stream, unit))
     return runs

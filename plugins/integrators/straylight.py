@@ -51,6 +51,11 @@ class StrayLight(mi.CppADIntegrator):
                                  targets, none             or not at all
     flux_threshold        1      0 … 1         1e-8        smallest flux of an unscattered branch relative to its start
                                                            ray
+    cut_below             string ≥ 0           none        smallest flux of branches relative to their start ray, by
+                                                           kind: ``R`` and ``T`` of specular reflection and
+                                                           transmission, ``r`` and ``t`` of scattered ones, as in
+                                                           "R=1e-6, t=1e-9"
+    cut_below_W           string ≥ 0           none        the same in W
     scatter_threshold     1      0 … 1         0.1         below this share of a ray's first flux hits scatter, and
                                                            branches after a scatter go on, by roulette (unbiased)
     splitting             string split, one    split       follow both children, or one at random
