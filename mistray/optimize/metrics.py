@@ -20,7 +20,7 @@ from mistray.trace import trace
 from mistray.trace.path_events import DIRECT
 
 AXIS_DEG = 0.0
-LARGEST_STEP_DEG = 0.5  # between the fields of a slope
+SMALLEST_STEP_DEG, LARGEST_STEP_DEG = 0.02, 0.5  # between the fields of a slope
 
 
 @dataclass(frozen=True)
@@ -324,8 +324,8 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
     scene : mi.Scene
     step_deg : float, optional
         Two more angles are traced for the slope: this and twice this nearer to the axis, or on either side of the axis
-        for the slope there. None: a thirtieth of the smallest field off the axis, at most 0.5°. The slope is wrong by
-        about step² d³r/dθ³ / 3.
+        for the slope there. None: a tenth of the smallest field off the axis, 0.02° … 0.5°, in the field. The slope is
+        wrong by about step² d³r/dθ³ / 3.
     **traced
         As for `path_power`, with `fields_deg`; the axis is traced as well.
     """
@@ -335,7 +335,8 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
     if not off_axis:
         raise MistrayError("relative illumination needs fields_deg off the axis, 15 or (10, 15) say")
     if step_deg is None:
-        step_deg = min(LARGEST_STEP_DEG, min(map(abs, off_axis)) / 30)
+        nearest = min(map(abs, off_axis))  # no step leads out of the field
+        step_deg = min(LARGEST_STEP_DEG, max(nearest / 10, min(nearest, SMALLEST_STEP_DEG)))
     if not 0 < step_deg < 45:
         raise MistrayError(f"step_deg is {step_deg:g}; give a small angle greater than 0, 0.5 say")
     inwards = [(angle, -math.copysign(step_deg, angle)) for angle in off_axis]

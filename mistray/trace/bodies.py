@@ -29,6 +29,7 @@ class Bodies:
 
     def __init__(self, table: SurfaceTable) -> None:
         self._table = table
+        self._thickness: dict[int, np.ndarray] = {}
 
     @cached_property
     def size(self) -> float:
@@ -38,16 +39,16 @@ class Bodies:
         high = np.max([np.array(box.max, dtype=np.float64).ravel() for box in boxes], axis=0)
         return float(np.linalg.norm(high - low))
 
-    @cached_property
-    def thickness(self) -> np.ndarray:
-        """(s, 2) float64: the least distance along the normal to the next surface, in front and behind, mm; or inf."""
-        result = np.full((self._table.count, 2), np.inf)
-        for surface in range(self._table.count):
+    def thickness(self, surface: int) -> np.ndarray:
+        """(2,) float64: the least distance along the normal to the next surface, in front and behind, mm; or inf."""
+        if surface not in self._thickness:
             points, normal = self._points(surface)
+            result = np.full(2, np.inf)
             for side, d in enumerate((-normal, normal)):
                 hit, end, _ = first_hit(self._table, points, d, np.full(len(points), surface))
-                result[surface, side] = np.linalg.norm(end - points, axis=1)[hit >= 0].min(initial=np.inf)
-        return result
+                result[side] = np.linalg.norm(end - points, axis=1)[hit >= 0].min(initial=np.inf)
+            self._thickness[surface] = result
+        return self._thickness[surface]
 
     def _points(self, surface: int) -> tuple[np.ndarray, np.ndarray]:
         """Points (n, 3) of a surface off its rims, and its unit normals there, from front to back."""

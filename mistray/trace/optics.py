@@ -422,11 +422,16 @@ class Optics:
     def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[str]]:
         """(s, 2) bool: the sides of surfaces on which nothing travels; and what a reader should know of them."""
         n = np.array(self.complex_indices)
-        if not n.imag.any() or not np.any(is_dark(n, self.wavelength_nm, bodies.size)):
+        if not n.imag.any():
             return np.zeros(n.shape, dtype=bool), []
+        doubtful = is_dark(n, self.wavelength_nm, bodies.size)
         # One answer for all surfaces of a body: the thinnest place counts. What nothing closes is as thick as may be
-        closed = np.isfinite(bodies.thickness)
-        length = np.where(closed, bodies.thickness, bodies.size)
+        length = np.full(n.shape, bodies.size)
+        closed = np.zeros(n.shape, dtype=bool)
+        for i in np.flatnonzero(doubtful.any(axis=1)).tolist():
+            thickness = bodies.thickness(i)
+            closed[i] = np.isfinite(thickness)
+            length[i, closed[i]] = thickness[closed[i]]
         for index in np.unique(n):
             same = closed & (n == index)
             length[same] = length[same].min(initial=np.inf)

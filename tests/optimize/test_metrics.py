@@ -154,7 +154,7 @@ class TestNumbers:
         # The centroids are those of the same random places in the beam; what is left is the difference for the slope
         for step in (None, 1.0, 0.05):
             found = relative_illumination(scene, step_deg=step, fields_deg=fields, rays=500).value()
-            bound = 2 * np.radians(1 / 3 if step is None else step) ** 2 + 2e-5
+            bound = 2 * np.radians(0.5 if step is None else step) ** 2 + 2e-5
             assert found == pytest.approx(expected, rel=bound), step
         assert found != pytest.approx(np.mean(np.cos(inside) ** 3), rel=0.01)
 
