@@ -20,21 +20,23 @@ import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.filtered import Filtered, filtered
-from mistray.analysis.irradiance import Map, MapStatistics, mirror_asymmetry, pixel_size, statistics
+from mistray.analysis.irradiance import Map, MapStatistics, brightest, mirror_asymmetry, pixel_size, statistics
 from mistray.analysis.path_analysis import path_analysis
 from mistray.analysis.path_maps import FieldMaps, PathMap
 from mistray.analysis.pool import by_path
-from mistray.analysis.ranking import DirectImage, direct_image, ranked
+from mistray.analysis.ranking import DirectImage, direct_image, ranked, stray_to_direct
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.trace import Settings, Trace, trace
+from mistray.trace.books import groups_of
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
+from mistray.trace.sampled import Sampled
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 CELLS, CELLS_OF_ALL = 96, 256  # along the longer side of the map of a path in a report, and of that of all light
 MAP_BYTES = 400e6  # of the maps of all paths of a field while they are summed
-BYTES_PER_PIXEL = 16
+BYTES_PER_PIXEL = 8  # of a map; of one with standard errors for each group of batches
 RAYS_KEPT = 21  # of a path, to choose those from that are drawn
 NOMINAL_FIELD_DEG = 0.0
 
@@ -95,10 +97,10 @@ class FieldSummary:
 
 @dataclass(frozen=True)
 class _FieldMaps:
-    """Maps with standard errors: of the direct image, of all stray light, and of the worst paths by path_id."""
+    """Maps: of the direct image, of all stray light, and with standard errors of the worst paths by path_id."""
 
-    direct: tuple[Map, Map]
-    stray: tuple[Map, Map]
+    direct: Sampled
+    stray: Sampled
     paths: dict[int, tuple[Map, Map]]
 
 
@@ -134,7 +136,7 @@ class GhostReport(Mapping[float, Trace]):
         self.arguments = dict(arguments)
         self.nominal_trace = nominal_trace
         self.wavelengths_nm = list(nominal_trace.wavelengths_nm)
-        self.nominal = direct_image(self._rows(nominal_trace))
+        self.nominal = direct_image(nominal_trace.paths)
 
     def __getitem__(self, field_deg: float) -> Trace:
         try:
@@ -151,8 +153,7 @@ class GhostReport(Mapping[float, Trace]):
 
     def nominal_at(self, wavelength_nm: float) -> DirectImage:
         """Direct image on axis at one wavelength."""
-        table = self._rows(self.nominal_trace)
-        return direct_image(table[table.wavelength_nm == self._known(wavelength_nm)])
+        return direct_image(self.nominal_trace.paths, self._known(wavelength_nm))
 
     def weight(self, wavelength_nm: float) -> float:
         """Share of a wavelength in the launched flux."""
@@ -185,8 +186,8 @@ class GhostReport(Mapping[float, Trace]):
         """
         key = field_deg, per_wavelength
         if key not in self._tables:
-            table = self._rows(self[field_deg])
-            self._tables[key] = self._by_wavelength(table) if per_wavelength else self._all_light(table)
+            t = self[field_deg]
+            self._tables[key] = self._by_wavelength(t) if per_wavelength else self._all_light(t)
         return self._tables[key]
 
     def _rows(self, t: Trace) -> pd.DataFrame:
@@ -195,14 +196,14 @@ class GhostReport(Mapping[float, Trace]):
             self._frames[t] = t.paths.by_way()
         return self._frames[t]
 
-    def _all_light(self, table: pd.DataFrame) -> pd.DataFrame:
-        return ranked(by_path(table), self.nominal.rms_irradiance_W_mm2)
+    def _all_light(self, t: Trace) -> pd.DataFrame:
+        return ranked(by_path(self._rows(t), t.paths), t.paths, self.nominal)
 
-    def _by_wavelength(self, table: pd.DataFrame) -> pd.DataFrame:
-        parts = []
+    def _by_wavelength(self, t: Trace) -> pd.DataFrame:
+        parts, table = [], self._rows(t)
         for wavelength in self.wavelengths_nm:
-            rows = by_path(table[table.wavelength_nm == wavelength])
-            parts.append(ranked(rows, self.nominal_at(wavelength).rms_irradiance_W_mm2))
+            rows = by_path(table[table.wavelength_nm == wavelength], t.paths)
+            parts.append(ranked(rows, t.paths, self.nominal_at(wavelength)))
         return pd.concat(parts).sort_values("path_id", ignore_index=True)
 
     def top(self, field_deg: float, count: int = 4, by: str = "rms_irradiance") -> pd.DataFrame:
@@ -302,7 +303,8 @@ class GhostReport(Mapping[float, Trace]):
 
     def stray_map(self, field_deg: float) -> tuple[Map, Map]:
         """Irradiance map of all but the direct paths and its standard error, (H, W) in W/mm²."""
-        return self._field_maps(field_deg).stray
+        stray = self._field_maps(field_deg).stray
+        return stray.value, stray.se
 
     def stray_statistics(self, field_deg: float) -> MapStatistics:
         """Statistics block of the map without the direct image."""
@@ -313,8 +315,9 @@ class GhostReport(Mapping[float, Trace]):
 
     def peak_to_nominal(self, field_deg: float) -> Estimate:
         """Brightest pixel of the stray light over the brightest pixel of the direct image on axis."""
-        stray = self.stray_statistics(field_deg)
-        return Estimate(stray.maximum, stray.maximum_se).over(self._nominal_peak())
+        stray, nominal = self._field_maps(field_deg).stray, self._nominal_map()
+        found = brightest(stray).over(brightest(nominal), independent=self[field_deg] is not self.nominal_trace)
+        return Estimate(float(found.value), float(found.se))
 
     def path_maps(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
         """
@@ -340,33 +343,36 @@ class GhostReport(Mapping[float, Trace]):
     def _mapped(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:
         t, table = self[field_deg], self.table(field_deg)
         width, height = pixel_size(t.irradiance, t.extent)
-        most = max(int(MAP_BYTES / (BYTES_PER_PIXEL * t.irradiance.size)) - 2, 0)
-        chosen = list(path_ids)[:most]
         members = dict(zip(table.path_id, table.path_ids, strict=True))
         direct = set(table.path_id[table.kind == DIRECT])
+        worst = set(self.top(field_deg, MAPPED_PATHS).path_id)
+        images = [groups_of(t.irradiance.size) if path_id in direct | worst else 1 for path_id in path_ids]
+        room = MAP_BYTES / (BYTES_PER_PIXEL * t.irradiance.size) - groups_of(t.irradiance.size) - 1
+        chosen = list(path_ids)[: np.searchsorted(np.cumsum(images), room, side="right")]
         others = [path_id for path_id in members if path_id not in set(chosen)]
         # What is left, direct and stray apart, then path by path
         groups = [[path_id for path_id in others if (path_id in direct) == wanted] for wanted in (True, False)]
         groups += [[path_id] for path_id in chosen]
         ways = [[i for path_id in group for i in members[path_id]] for group in groups]
-        worst = set(self.top(field_deg, MAPPED_PATHS).path_id)
-        sums = {kind: (np.zeros_like(t.irradiance), np.zeros_like(t.irradiance)) for kind in ("direct", "stray")}
-        rest, paths, full = np.zeros_like(t.irradiance), {}, {}
-        for number, (image, se) in enumerate(t.each_map(ways) if len(table) else ()):
-            light, variance = sums["direct" if number == 0 or set(groups[number]) & direct else "stray"]
-            light += image
-            variance += se**2
+        is_direct = [number == 0 or bool(set(group) & direct) for number, group in enumerate(groups)]
+        noisy = [known or bool(set(group) & worst) for known, group in zip(is_direct, groups, strict=True)]
+        direct_light, stray, rest = t.light.scaled(0.0), np.zeros_like(t.irradiance), np.zeros_like(t.irradiance)
+        paths, full = {}, {}
+        for number, found in enumerate(t.each_map(ways, noisy) if len(table) else ()):
+            if is_direct[number]:
+                direct_light = direct_light + found
+            else:
+                stray += found.value
             if number < 2:
-                rest += image
+                rest += found.value
                 continue
             (path_id,) = groups[number]
-            paths[path_id] = PathMap.of(image * (width * height), CELLS)
+            paths[path_id] = PathMap.of(found.value * (width * height), CELLS)
             if path_id in worst:
-                full[path_id] = image, se
+                full[path_id] = found.value, found.se
         if worst <= set(full):
-            both = ((light, np.sqrt(variance)) for light, variance in sums.values())
-            self._maps.setdefault(field_deg, _FieldMaps(next(both), next(both), full))
-        light, stray, rest = (image * (width * height) for image in (t.irradiance, sums["stray"][0], rest))
+            self._maps.setdefault(field_deg, _FieldMaps(direct_light, _without(t.light, direct_light, stray), full))
+        light, stray, rest = (image * (width * height) for image in (t.irradiance, stray, rest))
         whole = (PathMap.of(image, CELLS_OF_ALL) for image in (light, stray))
         return FieldMaps(next(whole), next(whole), paths, PathMap.of(rest, CELLS))
 
@@ -395,31 +401,31 @@ class GhostReport(Mapping[float, Trace]):
         together = dict.fromkeys([path_id, *direct, *self.top(field_deg, MAPPED_PATHS).path_id])
         return self.rays_of_paths(field_deg, list(together))[path_id]
 
-    def _nominal_peak(self) -> Estimate:
+    def _nominal_map(self) -> Sampled:
         field = next((field for field, t in self.items() if t is self.nominal_trace), None)
         if field is not None:
-            image, se = self._field_maps(field).direct
-        else:
-            table = self._rows(self.nominal_trace)
-            image, se = self.nominal_trace.irradiance_of(list(table.path_id[table.kind == DIRECT]))
-        brightest = np.unravel_index(np.argmax(image), image.shape)
-        return Estimate(float(image[brightest]), float(se[brightest]))
+            return self._field_maps(field).direct
+        (image,) = self.nominal_trace.each_map([self.nominal.path_ids], [True])
+        return image
 
     def _field_maps(self, field_deg: float) -> _FieldMaps:
         """The maps of a field, from one more run of the same rays, made when they are first asked for."""
         if field_deg not in self._maps:
             table = self.table(field_deg)
             if table.empty:
-                dark = np.zeros_like(self[field_deg].irradiance)
-                return _FieldMaps((dark, dark), (dark, dark), {})
+                dark = self[field_deg].light
+                return _FieldMaps(dark, dark, {})
             members = dict(zip(table.path_id, table.path_ids, strict=True))
             worst = [int(path_id) for path_id in self.top(field_deg, MAPPED_PATHS).path_id]
             direct = [i for path_id in table.path_id[table.kind == DIRECT] for i in members[path_id]]
             others = [i for path_id in table.path_id[table.kind != DIRECT] if path_id not in worst
                       for i in members[path_id]]  # fmt: skip
-            first, *rest = self[field_deg].maps([direct, others, *(members[path_id] for path_id in worst)])
-            stray = np.sum([image for image, _ in rest], axis=0), np.sqrt(np.sum([se**2 for _, se in rest], axis=0))
-            self._maps[field_deg] = _FieldMaps(first, stray, dict(zip(worst, rest[1:], strict=True)))
+            groups = [direct, others, *(members[path_id] for path_id in worst)]
+            t, noisy = self[field_deg], [True, False, *[True] * len(worst)]
+            first, *rest = t.each_map(groups, noisy)
+            stray = _without(t.light, first, np.sum([found.value for found in rest], axis=0))
+            maps = {path_id: (found.value, found.se) for path_id, found in zip(worst, rest[1:], strict=True)}
+            self._maps[field_deg] = _FieldMaps(first, stray, maps)
         return self._maps[field_deg]
 
     def summary(self, field_deg: float, wavelength_nm: float | None = None) -> FieldSummary:
@@ -446,7 +452,7 @@ class GhostReport(Mapping[float, Trace]):
         else:
             nominal, irradiance = self.nominal_at(wavelength_nm), t.irradiance_at(wavelength_nm)
             rows, table = (part[part.wavelength_nm == wavelength_nm] for part in (rows, table))
-        direct, stray = direct_image(rows), _power(t, rows[rows.kind != DIRECT])
+        direct = direct_image(t.paths, wavelength_nm)
         worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
         asymmetry, expected = mirror_asymmetry(*irradiance)
         return FieldSummary(
@@ -455,10 +461,10 @@ class GhostReport(Mapping[float, Trace]):
             paths=len(table),
             paths_of_kind={kind: int((table.kind == kind).sum()) for kind in (DIRECT, *STRAY_KINDS)},
             direct=direct,
-            stray_W=stray,
+            stray_W=_power(t, rows[rows.kind != DIRECT]),
             stray_of_kind_W={kind: _power(t, rows[rows.kind == kind]) for kind in STRAY_KINDS},
-            ghost_to_signal=stray.over(direct.power_W),
-            stray_to_nominal=stray.over(nominal.power_W),
+            ghost_to_signal=stray_to_direct(t.paths, direct, wavelength_nm),
+            stray_to_nominal=stray_to_direct(t.paths, nominal, wavelength_nm),
             brightest=int(worst.path_id.iloc[0]) if len(worst) else None,
             brightest_normalised=(
                 Estimate(
@@ -471,6 +477,11 @@ class GhostReport(Mapping[float, Trace]):
             asymmetry=asymmetry,
             asymmetry_expected=expected,
         )
+
+
+def _without(light: Sampled, direct: Sampled, value: Map) -> Sampled:
+    """Map of the stray light, whose value is known, with the noise of all light less the direct image."""
+    return Sampled(value, np.where(value[..., None] > 0, (light - direct).apart, 0.0))
 
 
 def _power(t: Trace, rows: pd.DataFrame) -> Estimate:

@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
+from mistray.trace.sampled import Sampled
 
 Map = npt.NDArray[np.float64]
 Extent = tuple[float, float, float, float]
@@ -70,6 +71,11 @@ def statistics(irradiance: Map, irradiance_se: Map, extent: Extent, incident_ray
         incident_rays=int(incident_rays),
         pixel_mm=pixel,
     )
+
+
+def brightest(image: Sampled) -> Sampled:
+    """The brightest pixel of a map with its noise."""
+    return image[np.unravel_index(int(np.argmax(image.value)), image.value.shape)]
 
 
 def pixel_size(irradiance: Map, extent: Extent) -> tuple[float, float]:

@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from typing import Literal
 
 import numpy as np
 import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.pool import pooled, power
 from mistray.trace.path_events import DIRECT
+from mistray.trace.paths import PathTable
+from mistray.trace.sampled import Sampled
 
 FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain to rank by
 
@@ -24,32 +26,62 @@ class DirectImage:
     power_W, rms_radius_mm, rms_irradiance_W_mm2 : Estimate
         Absorbed power, RMS radius about the centroid and ``P / (π r_rms²)``. The last two are NaN, and the power is 0,
         where no direct light reaches the detector.
+    paths : PathTable
+        Of the trace.
+    path_ids : tuple of int
+        Paths that are the image.
     """
 
     power_W: Estimate
     rms_radius_mm: Estimate
     rms_irradiance_W_mm2: Estimate
+    paths: PathTable = field(repr=False, compare=False)
+    path_ids: tuple[int, ...] = field(repr=False, compare=False)
+
+    def dividing(self, above: Sampled, of: PathTable, what: Literal["light", "density"]) -> Sampled:
+        """Numbers of a path table over the power of the image ("light") or its RMS irradiance; NaN without one."""
+        if not self.path_ids:
+            return Sampled(np.full_like(above.value, np.nan), np.full_like(above.apart, np.nan))
+        own: Sampled = getattr(self.paths.numbers([self.path_ids]), what)
+        return above.over(own if above.value.ndim else own[0], independent=of is not self.paths)
 
 
-def direct_image(table: pd.DataFrame) -> DirectImage:
+def direct_image(paths: PathTable, wavelength_nm: float | None = None) -> DirectImage:
     """
-    Direct image from the rows of a path table; see `mistray.analysis.pool.pooled` for the errors.
+    Direct image of a trace.
 
     Parameters
     ----------
-    table : DataFrame
-        ``Trace.paths.to_pandas()``, or its rows of one wavelength.
+    paths : PathTable
+    wavelength_nm : float, optional
+        Of this wavelength alone. Default: of all light.
     """
-    rows = table[table.kind == DIRECT]
-    light = power(rows)
-    if light.value <= 0:
-        return DirectImage(Estimate(0.0, light.se), UNKNOWN, UNKNOWN)
-    numbers = rows.iloc[0] if len(rows) == 1 else pooled(rows)
-    return DirectImage(
-        light,
-        Estimate(float(numbers["rms_radius_mm"]), float(numbers["rms_radius_se_mm"])),
-        Estimate(float(numbers["rms_irradiance_W_mm2"]), float(numbers["rms_irradiance_se_W_mm2"])),
+    ids = tuple(paths.ids(True, wavelength_nm).tolist())
+    if not ids:
+        return DirectImage(Estimate(0.0, 0.0), UNKNOWN, UNKNOWN, paths, ids)
+    numbers = paths.numbers([ids]).columns
+    radius, density = (
+        Estimate(float(numbers[f"{name}{unit}"][0]), float(numbers[f"{name}_se{unit}"][0]))
+        for name, unit in (("rms_radius", "_mm"), ("rms_irradiance", "_W_mm2"))
     )
+    return DirectImage(Estimate(*paths.power(ids)), radius, density, paths, ids)
+
+
+def stray_to_direct(paths: PathTable, image: DirectImage, wavelength_nm: float | None = None) -> Estimate:
+    """
+    Power of all light of a trace but its direct image over that of a direct image; NaN without one.
+
+    Parameters
+    ----------
+    paths : PathTable
+        Of the stray light.
+    image : DirectImage
+        Of the same trace or of another one.
+    wavelength_nm : float, optional
+        Of this wavelength alone. Default: of all light.
+    """
+    found = image.dividing(paths.light(paths.ids(False, wavelength_nm)), paths, "light")
+    return Estimate(float(found.value), float(found.se))
 
 
 def label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str = "-", scatters: int = 0) -> str:
@@ -61,16 +93,17 @@ def label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str = "-", scatters:
     return ghosts or ("direct image" if kind == DIRECT else kind)
 
 
-def ranked(table: pd.DataFrame, yardstick: Estimate) -> pd.DataFrame:
+def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.DataFrame:
     """
     A path table with labels, normalised RMS irradiance and ranks.
 
     Parameters
     ----------
     table : DataFrame
-        Columns as in ``Trace.paths``.
-    yardstick : Estimate
-        The RMS irradiance that each row is divided by, W/mm².
+        Rows of ``paths.by_way()``, or what `mistray.analysis.pool.by_path` makes of them.
+    paths : PathTable
+    nominal : DirectImage
+        Its RMS irradiance is what that of each row is divided by.
 
     Returns
     -------
@@ -80,14 +113,14 @@ def ranked(table: pd.DataFrame, yardstick: Estimate) -> pd.DataFrame:
     table = table.copy()
     words = table[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]]
     table["label"] = [label(*row) for row in words.itertuples(index=False)]
-    pairs = table[["rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"]].itertuples(index=False)
-    normalised = [Estimate(*pair).over(yardstick) for pair in pairs]
-    table["normalised_rms_irradiance"] = [estimate.value for estimate in normalised]
-    table["normalised_rms_irradiance_se"] = [estimate.se for estimate in normalised]
+    numbers = paths.numbers(list(table.path_ids))
+    normalised = nominal.dividing(numbers.density, paths, "density")
+    table["normalised_rms_irradiance"], table["normalised_rms_irradiance_se"] = normalised.value, normalised.se
     table["well_sampled"] = table.rays.to_numpy(np.int64) >= FEWEST_RAYS
     stray = table.kind != DIRECT
-    for name, power_name in (("percent_of_stray", "power_W"), ("percent_of_stray_se", "power_se_W")):
-        table[name] = (100 * table[power_name] / table.power_W[stray].sum()).where(stray)
+    of_stray = numbers.light.over(numbers.light[stray.to_numpy()].total()[None]).scaled(100.0)
+    for name, values in (("percent_of_stray", of_stray.value), ("percent_of_stray_se", of_stray.se)):
+        table[name] = np.where(stray, values, np.nan)
     light, irradiance = (table[name].to_numpy(np.float64) for name in ("power_W", "rms_irradiance_W_mm2"))
     irradiance = np.where(np.isfinite(irradiance), irradiance, 0.0)
     orders = {

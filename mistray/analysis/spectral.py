@@ -66,9 +66,9 @@ def spectral_maps(t: Trace) -> SpectralMaps:
     for wavelength in t.wavelengths_nm:
         rows = table[table.wavelength_nm == wavelength]
         groups = [list(rows.path_id[rows.kind == DIRECT]), list(rows.path_id[rows.kind != DIRECT])]
-        (image, _), (others, _) = t.maps(groups)
-        direct.append(image)
-        stray.append(others)
+        image, others = t.each_map(groups, [False, False])
+        direct.append(image.value)
+        stray.append(others.value)
         hits.append(float(rows.rays[rows.kind != DIRECT].sum()))
     launched = [t.energy_at(wavelength).launched_W for wavelength in t.wavelengths_nm]
     return SpectralMaps(

@@ -156,7 +156,7 @@ def gradient(
                 raws[shared] = raw
         noise, batches = observation.noise()
         variance += noise
-        by_batch += batches
+        by_batch = add_batches(by_batch, batches)
     places = {(id(p.owner), p.name) for p in chosen.values()}
 
     def is_chosen(owner: Any, name: str) -> bool:
@@ -185,7 +185,7 @@ def gradient(
             checks[key] = (narrow - wide).sum(axis=0)
     return Gradient(
         float(dr.detach(value)[0]),
-        float(np.sqrt(variance + batch_error(by_batch, EQUAL) ** 2)),
+        float(np.sqrt(variance + batch_error(by_batch, np.ones(len(by_batch))) ** 2)),
         result,
         errors,
         checks,
@@ -193,6 +193,12 @@ def gradient(
         left_out,
         (sum(o.seconds for o in observations), seconds),
     )
+
+
+def add_batches(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Sums by batch or by group of consecutive batches, by the fewer of them."""
+    count = min(len(a), len(b))
+    return np.asarray(a.reshape(count, -1).sum(axis=1) + b.reshape(count, -1).sum(axis=1))
 
 
 def _jumps(raw: RawGradient) -> bool:

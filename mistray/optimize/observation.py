@@ -18,6 +18,7 @@ from mistray.trace import PathRow, Trace
 from mistray.trace.ledger import BATCHES
 from mistray.trace.path_events import DIRECT, LETTERS, STRAY_KINDS, way_text
 from mistray.trace.raw_gradient import MOMENTS, HitDerivative, RawGradient, Wanted
+from mistray.trace.sampled import Sampled
 from mistray.trace.upload import upload
 
 Selection = str | Sequence[str] | Callable[[PathRow], bool]
@@ -84,7 +85,7 @@ class Observation:
         self._moments_of_rows = result.paths.moments()
         self.irradiance = leaf(result.irradiance)
         self._sums: dict[tuple[tuple[int, ...], ...], tuple[mi.Float64, ...]] = {}
-        self._maps: dict[tuple[int, ...], tuple[mi.Float64, np.ndarray]] = {}
+        self._maps: dict[tuple[int, ...], tuple[mi.Float64, Sampled]] = {}
 
     @property
     def launched_W(self) -> float:
@@ -176,8 +177,8 @@ class Observation:
             return self.irradiance
         if chosen not in self._maps:
             with dr.suspend_grad():
-                value, se = self.trace.irradiance_of([self._rows[k].path_id for k in chosen])
-            self._maps[chosen] = leaf(value), se
+                (found,) = self.trace.each_map([[self._rows[k].path_id for k in chosen]], [True])
+            self._maps[chosen] = leaf(found.value), found
         return self._maps[chosen][0]
 
     def peak(self, selection: Selection = ALL, norm: float = NORM) -> mi.Float64:
@@ -294,21 +295,24 @@ class Observation:
 
     def noise(self) -> tuple[float, np.ndarray]:
         """
-        Noise of the value to first order: variance by pixels, which are taken for independent, and sums by batch.
+        Noise of the value to first order.
 
         Returns
         -------
         variance : float
-        by_batch : (BATCHES,) float64
-            Sums that add up to what the paths contribute; their spread is its error.
+            Of what has no batches: 0.
+        by_batch : (b,) float64
+            Sums by batch, or by group of batches, whose spread is the error of the value.
         """
         by_sum = self._by_sum()
         by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)
-        area = self._pixel_area
-        variance = float(np.sum(np.square(area * self._by_pixel(self.irradiance) * self.trace.irradiance_se)))
-        for image, se in self._maps.values():
-            variance += float(np.sum(np.square(area * self._by_pixel(image) * se)))
-        return variance, by_batch
+        images = [(self.irradiance, self.trace.light), *self._maps.values()]
+        for image, found in images:
+            by_pixel = self._by_pixel(image)
+            if np.any(by_pixel):
+                batches = self._pixel_area * np.einsum("yx,yxb->b", by_pixel, found.by_batch)
+                by_batch = by_batch.reshape(len(batches), -1).sum(axis=1) + batches
+        return 0.0, by_batch
 
     def clear(self) -> None:
         """Forget the derivatives of values before."""

@@ -8,7 +8,7 @@ from typing import Any
 import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.ranking import direct_image, ranked
+from mistray.analysis.ranking import direct_image, ranked, stray_to_direct
 from mistray.trace import Trace
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
@@ -37,9 +37,8 @@ def numbers_of(t: Trace) -> Numbers:
         closure have a standard error, ``_se`` before the unit.
     """
     rows = t.paths.by_way()
-    direct = direct_image(rows)
-    stray = _power(t, rows[rows.kind != DIRECT])
-    table = ranked(rows, direct.rms_irradiance_W_mm2)
+    direct = direct_image(t.paths)
+    table = ranked(rows, t.paths, direct)
     worst = table[table.kind != DIRECT].sort_values("rank_rms_irradiance").head(1)
     numbers: Numbers = {
         "rays": int(t.settings["rays"]),
@@ -47,8 +46,8 @@ def numbers_of(t: Trace) -> Numbers:
         "launched_W": float(t.energy.launched_W),
         **_pair("detected", "_W", Estimate(t.energy.detected_W, t.energy.detected_se_W)),
         **_pair("direct", "_W", _power(t, rows[rows.kind == DIRECT])),
-        **_pair("stray", "_W", stray),
-        **_pair("ghost_to_signal", "", stray.over(direct.power_W)),
+        **_pair("stray", "_W", _power(t, rows[rows.kind != DIRECT])),
+        **_pair("ghost_to_signal", "", stray_to_direct(t.paths, direct)),
     }
     for kind, name in KIND_COLUMNS.items():
         numbers |= _pair(name, "_W", _power(t, rows[rows.kind == kind]))

@@ -161,7 +161,8 @@ class BackwardTrace:
         )
         cells = int(np.prod(grid.shape))
         self._book = PathBook(PATH_SLOTS, ENTRY_SLOTS, settings.max_events, cells) if paths else None
-        self.film = Film(1, 1, *(dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0)))
+        corner_x, corner_y, per_mm_x, per_mm_y = (dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0))
+        self.film = Film(1, 1, corner_x, corner_y, per_mm_x, per_mm_y, groups=1)
         self.passes = 0
         self.pass_rays: list[int] | None = []
         self.seconds = 0.0

@@ -8,10 +8,10 @@ from typing import Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.ledger import BATCHES, Ledger
-from mistray.trace.packets import add_packet
 from mistray.trace.settings import BRANCHES
 
 # Rows of the tally: what is not tied to a surface
@@ -26,25 +26,26 @@ REASONS = CUT_BRANCHES + len(BRANCHES)
 HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
 SURFACE_SUMS = 5
 HIT_SUMS = 3  # the first of them, which every hit adds to
+FILM_BYTES, LEAST_GROUPS = 1 << 24, 8  # of the images of the detector of a run, by groups of batches
 NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
 POINT_FLOATS = 3  # of them the point
 
 
 class Tallies:
     """
-    Float64 sums by batch: some for each surface, one for each medium and reason, and the film with its squares.
+    Float64 sums by batch: some for each surface, one for each medium and reason, and images of the detector.
 
     Media scatter as well: their aimed rays and those that land stand behind the sums of the surfaces.
 
     `largest` is the largest flux of a scattered ray at the detector, as the bits of a float32.
     """
 
-    def __init__(self, surfaces: int, media: int, pixels: int, maps: int = 0) -> None:
+    def __init__(self, surfaces: int, media: int, pixels: int) -> None:
         self.count = surfaces
         self.surfaces = dr.zeros(mi.Float64, (surfaces + media) * SURFACE_SUMS * BATCHES)
         self.media = dr.zeros(mi.Float64, media * BATCHES)
         self.reasons = dr.zeros(mi.Float64, REASONS * BATCHES)
-        self.film = dr.zeros(mi.Float64, pixels * max(maps, 1) * 2)
+        self.film = dr.zeros(mi.Float64, pixels)
         self.largest = dr.zeros(mi.UInt32, 1)
         dr.eval(self.surfaces, self.media, self.reasons, self.film, self.largest)
 
@@ -97,8 +98,8 @@ class Tallies:
         )
 
     def add_to_film(self, pixel: mi.UInt32, flux: mi.Float64, active: mi.Bool) -> None:
-        """Add flux and its square to a pixel."""
-        add_packet(self.film, [flux, flux * flux], pixel, active)
+        """Add flux to a pixel of one of the images."""
+        dr.scatter_reduce(dr.ReduceOp.Add, self.film, flux, pixel, active)
 
     def add_scattered(self, sums: tuple[Any, ...], flux: mi.Float, active: mi.Bool) -> None:
         """Book a hit of the detector by a ray that has been scattered."""
@@ -129,8 +130,10 @@ class Film:
     tent : bool
         Spread a hit over the four nearest pixels, in proportion to how near their centres are; else it counts in the
         pixel that holds it.
-    map_of_slot : mi.UInt32 or None
-        For maps of single paths: number of the map + 1 for each ledger slot, 0 for none.
+    groups : int
+        Of batches, a power of two; the film has an image for each of them, whose spread is the error of their sum.
+    image_of_slot : mi.UInt32 or None
+        For maps of single paths: the `image_word` of the map of each ledger slot, 0 for none.
     """
 
     width: int
@@ -139,9 +142,19 @@ class Film:
     y0: mi.Float
     per_mm_x: mi.Float
     per_mm_y: mi.Float
+    groups: int
     incident: bool = False
-    map_of_slot: mi.UInt32 | None = None
+    image_of_slot: mi.UInt32 | None = None
     tent: bool = False
+
+    def image(self, batch: mi.UInt32, slot: mi.UInt32 | None, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+        """First pixel of the image where a hit counts, and whether it does."""
+        group = batch >> dr.opaque(mi.UInt32, (BATCHES // self.groups).bit_length() - 1)
+        if self.image_of_slot is not None:
+            word = dr.gather(mi.UInt32, self.image_of_slot, slot, active)
+            active &= word > 0
+            group = (word >> 1) - 1 + dr.select((word & 1) > 0, group, 0)
+        return group * (self.width * self.height), active
 
     def places(self, x: mi.Float, y: mi.Float) -> list[tuple[mi.UInt32, mi.Float | None]]:
         """
@@ -168,6 +181,17 @@ class Film:
         """Number of a pixel, or of the nearest one beyond the border."""
         column, row = dr.clip(column, 0, self.width - 1), dr.clip(row, 0, self.height - 1)
         return mi.UInt32(row * self.width + column)
+
+
+def image_word(first: int, by_group: bool) -> int:
+    """The map of a path: number of its first image, and whether it has one for each group of batches or one in all."""
+    return 2 * (first + 1) + by_group
+
+
+def groups_of(pixels: int) -> int:
+    """Groups of batches that have an image of so many pixels each: fewer where the images would be large."""
+    most = FILM_BYTES // (8 * pixels)
+    return int(np.clip(1 << max(most, 1).bit_length() - 1, LEAST_GROUPS, BATCHES))
 
 
 def spreads(film: mi.Film) -> bool:

@@ -102,7 +102,7 @@ class TraceTask:
         run = made[part.run]
         run.parts = (part.part,)
         if isinstance(part, MapPlace):
-            return pack(_maps(run, part))
+            return pack(_images(run, part))
         run.execute(self.ledger, None)
         return PartSums.of(run, part.part)
 
@@ -173,8 +173,8 @@ class _Merged:
 
     def __post_init__(self) -> None:
         run = self.run
-        width, height, _ = run.table.film()
-        self.film = np.zeros((2, height, width))
+        film = run.make_film()
+        self.film = np.zeros((film.groups, film.height, film.width))
         self.surfaces = np.zeros((run.table.count + len(run.table.optics.media), SURFACE_SUMS, BATCHES))
         self.media = np.zeros((len(run.table.optics.media), BATCHES))
         self.reasons = np.zeros((REASONS, BATCHES))
@@ -279,35 +279,35 @@ def execute_by_parts(workers: Workers, task: TraceTask, runs: Sequence[Run], pro
 
 
 class MapPlace(NamedTuple):
-    """A part of a run for so many maps: keys of paths, uint64, and the number of the map of each, uint32."""
+    """A part of a run for so many images: keys of paths, uint64, and where the light of each goes, uint32."""
 
     run: int
     part: Part
     keys: bytes
-    numbers: bytes
-    maps: int
+    words: bytes
+    images: int
     capacity: int  # of the table of paths
 
 
-def maps_by_parts(
-    workers: Workers, task: TraceTask, runs: Sequence[Run], numbers: Sequence[Mapping[int, int]], count: int
+def images_by_parts(
+    workers: Workers, task: TraceTask, runs: Sequence[Run], words: Sequence[Mapping[int, int]], count: int
 ) -> list[np.ndarray]:
     """
-    What `Run.maps` gives for some runs of a trace, by workers.
+    What `Run.images` gives for some runs of a trace, by workers.
 
     Parameters
     ----------
     workers : Workers
     task : TraceTask
     runs : sequence of Run
-    numbers : sequence of mapping of int to int
-        For each run ledger slot → number of the map; one without is not traced.
+    words : sequence of mapping of int to int
+        For each run ledger slot → where its light goes; a run without is not traced.
     count : int
-        Of maps.
+        Of images.
     """
-    totals = [np.zeros((count, *run.film.shape)) for run in runs]
+    totals = [np.zeros((count, *run.film.shape[1:])) for run in runs]
     groups, capacities = {}, {}
-    for number, (run, slots) in enumerate(zip(runs, numbers, strict=True)):
+    for number, (run, slots) in enumerate(zip(runs, words, strict=True)):
         assert run.paths is not None
         assert run.ledger is not None
         capacities[number] = run.ledger.capacity
@@ -316,7 +316,7 @@ def maps_by_parts(
     places = [
         MapPlace(place.run, place.part, *groups[place.run], count, capacities[place.run])
         for place in _traced(runs, workers.count())
-        if numbers[place.run]
+        if words[place.run]
     ]
     with do_parts(workers, task, places) as results:
         for place, found in results:
@@ -331,14 +331,14 @@ def _traced(runs: Sequence[Run], workers: int) -> list[Place]:
     return [Place(k, part) for k, run in enumerate(runs) for part in run.parts or map(Part, range(run.passes))]
 
 
-def _maps(run: Run, place: MapPlace) -> np.ndarray:
-    """Maps of a part, at a worker: its ledger knows the paths that count before the rays come."""
+def _images(run: Run, place: MapPlace) -> np.ndarray:
+    """Images of a part, at a worker: its ledger knows the paths that count before the rays come."""
     before = run.ledger
     keys = np.frombuffer(place.keys, dtype=np.uint64)
     empty = np.zeros((len(keys), 0), dtype=np.uint32)
     run.ledger, slots = _filled(run, keys, empty, np.zeros(len(keys)), place.capacity)
     try:
-        numbers = np.frombuffer(place.numbers, dtype=np.uint32).tolist()
-        return run.maps(dict(zip(slots.tolist(), numbers, strict=True)), place.maps)
+        words = np.frombuffer(place.words, dtype=np.uint32).tolist()
+        return run.images(dict(zip(slots.tolist(), words, strict=True)), place.images)
     finally:
         run.ledger = before

@@ -23,6 +23,7 @@ from mistray.trace.books import (
     SCATTERS,
     THRESHOLD,
 )
+from mistray.trace.sampled import Sampled
 from mistray.trace.settings import BRANCHES
 from mistray.trace.tracer import Run
 
@@ -135,9 +136,7 @@ class FluxReport(Sequence[SurfaceFlux]):
 
 def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
     """Standard error of a sum over batches (last axis) of `rays` start rays each, from the spread of their means."""
-    expected = by_batch.sum(axis=-1, keepdims=True) * (rays / rays.sum())
-    used = max(int(np.count_nonzero(rays)), 2)
-    return np.sqrt(used / (used - 1) * np.sum(np.square(by_batch - expected), axis=-1))
+    return Sampled.of(by_batch, rays).se
 
 
 def flux_report(runs: Sequence[Run]) -> FluxReport:

@@ -2,24 +2,25 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
 import numpy as np
 
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import SUMS
+from mistray.trace.sampled import Sampled
 
 CHUNK = 1024  # paths that are worked out together
+RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, POLARIZED = range(7)  # columns of `RunSums.columns`
 
 
-def path_numbers(sums: np.ndarray, started: np.ndarray, unit: float, branching: np.ndarray) -> dict[str, np.ndarray]:
+class RunSums(NamedTuple):
     """
-    Power, centroid and radius of paths from their sums by batch.
+    What a run has found of some paths.
 
-    The error of the power is that of a mean over the start rays. Where each of them takes the path at most once it is
-    se² = Σa² - (Σa)²/N. Where a start ray branches, because a hit scatters several rays, it follows from the spread of
-    the batches. Centroid and radius are ratios of sums; their errors come from leaving out one batch at a time
-    (jackknife).
-
-    Parameters
+    Attributes
     ----------
     sums : (p, BATCHES, SUMS or STOKES_SUMS) float64
         See `mistray.trace.ledger`.
@@ -29,41 +30,113 @@ def path_numbers(sums: np.ndarray, started: np.ndarray, unit: float, branching: 
         Flux of a start ray, W.
     branching : (p,) bool
         Paths that one start ray can take several times.
-
-    Returns
-    -------
-    dict
-        Columns of `PathRow` from ``rays`` to ``polarization_se`` but for the percentages, (p,) each.
     """
+
+    sums: np.ndarray
+    started: np.ndarray
+    unit: float
+    branching: np.ndarray
+
+    @property
+    def columns(self) -> tuple[np.ndarray, np.ndarray]:
+        """Sums in W over all batches, (p, 7), and over all but one, scaled to as many rays, (p, BATCHES, 7)."""
+        total, rays = self.sums.sum(axis=1), self.started.sum()
+        without = (total[:, None] - self.sums) * (rays / np.maximum(rays - self.started, 1))[:, None]
+        return self._in_watt(total), self._in_watt(without)
+
+    def _in_watt(self, sums: np.ndarray) -> np.ndarray:
+        found = self.unit * sums[..., [0, 1, 2, 4, 5, 6, 6]]
+        found[..., RAYS] = sums[..., 0]
+        stokes = sums[..., SUMS:]
+        found[..., POLARIZED] = self.unit * np.linalg.norm(stokes, axis=-1) if stokes.shape[-1] else np.nan
+        return found
+
+    @property
+    def variance(self) -> np.ndarray:
+        """
+        Squared standard error of the power, (p,), W².
+
+        That of a mean over the start rays. Where each of them takes the path at most once it is Σa² - (Σa)²/N. Where a
+        start ray branches, because a hit scatters several rays, it follows from the spread of the batches.
+        """
+        absorbed, squares = self.sums[:, :, 2].sum(axis=1), self.sums[:, :, 3].sum(axis=1)
+        single = np.maximum(squares - absorbed**2 / self.started.sum(), 0.0)
+        by_batch = np.square(batch_error(self.sums[:, :, 2], self.started))
+        return np.asarray(self.unit**2 * np.where(self.branching, by_batch, single))
+
+
+@dataclass(frozen=True, eq=False)
+class PathNumbers:
+    """
+    Numbers of paths.
+
+    Attributes
+    ----------
+    columns : dict
+        Columns of `PathRow` from ``rays`` to ``polarization_se`` but for the percentages, (p,) each.
+    light, density : Sampled
+        Power, W, and RMS irradiance, W/mm², with what they have in common with others of the same trace.
+    """
+
+    columns: dict[str, np.ndarray]
+    light: Sampled
+    density: Sampled
+
+    def __getitem__(self, chosen: np.ndarray) -> PathNumbers:
+        columns = {name: column[chosen] for name, column in self.columns.items()}
+        return PathNumbers(columns, self.light[chosen], self.density[chosen])
+
+    @classmethod
+    def joined(cls, parts: Sequence[PathNumbers]) -> PathNumbers:
+        """Some after the others."""
+        light, density = (
+            Sampled(np.concatenate([one.value for one in each]), np.concatenate([one.apart for one in each]))
+            for each in ([part.light for part in parts], [part.density for part in parts])
+        )
+        columns = {name: np.concatenate([part.columns[name] for part in parts]) for name in parts[0].columns}
+        return cls(columns, light, density)
+
+
+def path_numbers(runs: Sequence[RunSums]) -> PathNumbers:
+    """
+    Power, centroid and radius of paths, each of the light of some runs together.
+
+    Centroid, radius and RMS irradiance are ratios of sums; their errors come from leaving out one batch at a time
+    (jackknife).
+
+    Parameters
+    ----------
+    runs : sequence of RunSums
+        Of as many paths each; light of several runs (wavelengths, sources) adds up.
+    """
+    count = len(runs[0].sums)
     parts = [
-        _chunk(sums[first : first + CHUNK], started, unit, branching[first : first + CHUNK])
-        for first in range(0, max(len(sums), 1), CHUNK)
+        _chunk([run._replace(sums=run.sums[k : k + CHUNK], branching=run.branching[k : k + CHUNK]) for run in runs])
+        for k in range(0, max(count, 1), CHUNK)
     ]
-    return {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    return PathNumbers.joined(parts)
 
 
-def _chunk(sums: np.ndarray, started: np.ndarray, unit: float, branching: np.ndarray) -> dict[str, np.ndarray]:
-    total, rays = sums.sum(axis=1), started.sum()
-    count, incident, absorbed, squares = total[:, :4].T
-    single = np.sqrt(np.maximum(squares - absorbed**2 / rays, 0.0))
-    relative = np.where(branching, batch_error(sums[:, :, 2], started), single) / absorbed
-
-    values = _shape(total, unit)
-    # Without the batch, and the flux scaled to that of all batches
-    without = total[:, None] - sums
-    without[:, :, 2:] *= (rays / np.maximum(rays - started, 1))[:, None]
-    left_out = _shape(without, unit)
+def _chunk(runs: Sequence[RunSums]) -> PathNumbers:
+    each = [run.columns for run in runs]
+    total, without = (np.sum([columns[k] for columns in each], axis=0) for k in (0, 1))
+    variances = np.array([run.variance for run in runs])
+    power, incident = total[:, ABSORBED], total[:, INCIDENT]
+    values, left_out = _shape(total), _shape(without)
     n = left_out.shape[2]
-    known = np.isfinite(left_out).all(axis=2)  # not where a batch holds all rays, or all but one
-    with np.errstate(invalid="ignore"):
-        spread = np.sum(np.square(left_out - left_out.mean(axis=2, keepdims=True)), axis=2)
-        se = np.where(known, np.sqrt((n - 1) / n * spread), np.inf)
-    return {
-        "rays": count.round().astype(np.int64),
-        "power_W": unit * absorbed,
-        "power_se_W": unit * absorbed * relative,
-        "incident_W": unit * incident,
-        "incident_se_W": unit * incident * relative,
+    known = np.isfinite(left_out).all(axis=2, keepdims=True)  # not where a batch holds all rays, or all but one
+    with np.errstate(divide="ignore", invalid="ignore"):
+        spread = np.sqrt((n - 1) / n) * (left_out.mean(axis=2, keepdims=True) - left_out)
+        apart = np.where(known, spread, np.inf)
+        se = np.sqrt(np.sum(np.square(apart), axis=2))
+        # What is absorbed of the light of a run is about the same share of all of it
+        shares = [np.where(here[:, ABSORBED] > 0, here[:, INCIDENT] / here[:, ABSORBED], 0) for here, _ in each]
+    columns = {
+        "rays": total[:, RAYS].round().astype(np.int64),
+        "power_W": power,
+        "power_se_W": np.sqrt(variances.sum(axis=0)),
+        "incident_W": incident,
+        "incident_se_W": np.sqrt(np.sum(np.square(shares) * variances, axis=0)),
         "x_mm": values[0],
         "x_se_mm": se[0],
         "y_mm": values[1],
@@ -75,14 +148,14 @@ def _chunk(sums: np.ndarray, started: np.ndarray, unit: float, branching: np.nda
         "polarization": values[4],
         "polarization_se": np.where(np.isfinite(values[4]), se[4], np.nan),
     }
+    light = [Sampled.of(run.sums[:, :, 2], run.started).scaled(run.unit) for run in runs]
+    return PathNumbers(columns, sum(light[1:], start=light[0]), Sampled(values[3], apart[3]))
 
 
-def _shape(sums: np.ndarray, unit: float) -> np.ndarray:
-    """(5, …): x, y, RMS radius, RMS irradiance and degree of polarisation of sums (…, SUMS or STOKES_SUMS)."""
-    a = sums[..., 2]
+def _shape(sums: np.ndarray) -> np.ndarray:
+    """(5, …): x, y, RMS radius, RMS irradiance and degree of polarisation of sums (…, 7) in W."""
+    power = sums[..., ABSORBED]
     with np.errstate(divide="ignore", invalid="ignore"):
-        x, y = sums[..., 4] / a, sums[..., 5] / a
-        variance = np.maximum(sums[..., 6] / a - x * x - y * y, 0.0)
-        polarised = sums.shape[-1] > SUMS
-        degree = np.linalg.norm(sums[..., SUMS:], axis=-1) / a if polarised else np.full(a.shape, np.nan)
-        return np.stack([x, y, np.sqrt(variance), a * unit / (np.pi * variance), degree])
+        x, y = sums[..., BY_X] / power, sums[..., BY_Y] / power
+        variance = np.maximum(sums[..., BY_SQUARE] / power - x * x - y * y, 0.0)
+        return np.stack([x, y, np.sqrt(variance), power / (np.pi * variance), sums[..., POLARIZED] / power])

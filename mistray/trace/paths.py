@@ -15,9 +15,10 @@ from mistray.errors import MistrayError
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES, host_keys
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
-from mistray.trace.path_events import INTERCEPTS, LETTERS, Events, describe_events, way, way_letters, way_text
+from mistray.trace.path_events import DIRECT, INTERCEPTS, LETTERS, Events, describe_events, way, way_letters, way_text
 from mistray.trace.path_filter import PathFilter, Rows
-from mistray.trace.path_numbers import CHUNK, path_numbers
+from mistray.trace.path_numbers import CHUNK, PathNumbers, RunSums, path_numbers
+from mistray.trace.sampled import Sampled
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -83,7 +84,8 @@ class PathRow:
     incident_W : float
         Flux that reaches the detector.
     percent : float
-        Of the power of all paths.
+        Of the power of all paths. Its error knows that the path is one of them: it comes from the spread of the batches
+        of start rays.
     x_mm, y_mm : float
         Centroid in the detector's frame.
     rms_radius_mm : float
@@ -164,11 +166,19 @@ class PathTable(Sequence[PathRow]):
         The ledgers of the runs.
     run, place : (p,) int
         For each path the number of its run and its place in that run's ledger.
+    numbers : PathNumbers
+        Of the paths.
     """
 
     def __init__(
-        self, columns: Mapping[str, np.ndarray], books: Sequence[Book], run: np.ndarray, place: np.ndarray
+        self,
+        columns: Mapping[str, np.ndarray],
+        books: Sequence[Book],
+        run: np.ndarray,
+        place: np.ndarray,
+        numbers: PathNumbers,
     ) -> None:
+        self._numbers = numbers
         self._columns = {f.name: np.asarray(columns[f.name]) for f in fields(PathRow)}
         self._books, self._run, self._place = list(books), run, place
 
@@ -287,6 +297,55 @@ class PathTable(Sequence[PathRow]):
                 variance += float(book.unit * batch_error(by_batch, book.started)) ** 2
         return float(self._columns["power_W"][ids].sum()), float(np.sqrt(variance))
 
+    def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
+        """Ids of the paths of the direct image, or of all others; of one wavelength or of all."""
+        chosen = (self._columns["kind"] == DIRECT) == direct
+        if wavelength_nm is not None:
+            chosen &= self._columns["wavelength_nm"] == wavelength_nm
+        return np.flatnonzero(chosen)
+
+    def light(self, path_ids: Sequence[int] | np.ndarray) -> Sampled:
+        """Power of some paths together, W, with what it has in common with other numbers of the trace."""
+        return self._numbers.light[np.asarray(path_ids, dtype=np.int64)].total()
+
+    def numbers(self, groups: Sequence[Sequence[int]]) -> PathNumbers:
+        """
+        Numbers of groups of paths, each group as one path.
+
+        Parameters
+        ----------
+        groups : sequence of sequences of int
+            Path ids, at least one in each.
+        """
+        counts = np.array([len(group) for group in groups], dtype=np.int64)
+        heads = np.array([group[0] for group in groups], dtype=np.int64)
+        alone = self._numbers[heads]
+        if not len(groups) or counts.max() == 1:
+            return alone
+        many = np.flatnonzero(counts > 1)
+        parts = []
+        for chosen in np.array_split(many, -(-len(many) // CHUNK)):
+            group = np.repeat(np.arange(len(chosen)), counts[chosen])
+            ids = np.concatenate([np.asarray(groups[k], dtype=np.int64) for k in chosen])
+            parts.append(path_numbers([self._sums(k, ids, group) for k in np.unique(self._run[ids])]))
+        order = np.empty(len(groups), dtype=np.int64)
+        order[counts == 1] = np.arange(len(groups) - len(many))
+        order[many] = np.arange(len(groups) - len(many), len(groups))
+        return PathNumbers.joined([alone[counts == 1], *parts])[order]
+
+    def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> RunSums:
+        """What a run has found of groups of paths; `group` is ascending and has the number of that of each path."""
+        book, here = self._books[run], self._run[ids] == run
+        sums = np.zeros((int(group[-1]) + 1, *book.paths.sums.shape[1:]))
+        np.add.at(sums, group[here], book.paths.sums[self._place[ids[here]]])
+        scattered = np.bincount(group[here], self._columns["scatters"][ids[here]] > 0, minlength=len(sums))
+        several = np.bincount(group[here], minlength=len(sums)) > 1
+        return RunSums(sums, book.started, book.unit, several | (scattered > 0))
+
+    def percents(self, light: Sampled) -> dict[str, np.ndarray]:
+        """Columns ``percent`` and ``percent_se`` of the powers of paths of this table, or of groups of them."""
+        return _percents(light, self._numbers.light.total())
+
     def moments(self) -> np.ndarray:
         """
         Flux that the detector absorbs of each path, and its moments over the detector.
@@ -360,18 +419,13 @@ class PathTable(Sequence[PathRow]):
                 for name, values in columns.items():
                     table.loc[ids, name] = values
             keys = host_keys(np.hstack([apart[ids], codes]), lengths + apart.shape[1])
-            _, first, group, count = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+            _, first, group = np.unique(keys, return_index=True, return_inverse=True)
             head[ids] = ids[first][group]
-            members = np.argsort(group, kind="stable")
-            members = members[count[group[members]] > 1]
-            for name, values in _together(book, place[members], count[count > 1]).items():
-                table.loc[ids[first[count > 1]], name] = values
-        for name in ("percent", "percent_se"):
-            table[name] = 100 * table[name.replace("percent", "power") + "_W"] / self._columns["power_W"].sum()
         order = np.argsort(head, kind="stable")
         kept, starts = np.unique(head[order], return_index=True)
-        table = table.loc[kept]
-        table["path_ids"] = [tuple(ids.tolist()) for ids in np.split(order, starts[1:])] if len(kept) else []
+        ways = [tuple(ids.tolist()) for ids in np.split(order, starts[1:])] if len(kept) else []
+        numbers = self.numbers(ways)
+        table = table.loc[kept].assign(**numbers.columns, **self.percents(numbers.light), path_ids=ways)
         return table.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -422,40 +476,29 @@ def rows_of(
 def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTable:
     """The table of all paths of all runs; paths without a hit are left out."""
     books = [Book(paths, run.started, run.unit, run.table) for run, paths in zip(runs, decoded, strict=True)]
-    parts, places = [], []
+    parts, places, numbers = [], [], []
     for run, book in zip(runs, books, strict=True):
         place = np.flatnonzero(book.paths.sums[:, :, 0].any(axis=1))
         facts = describe_events(
             book.paths.events[place], book.paths.lengths[place], run.table.event_ids, run.table.event_words
         )
-        numbers = path_numbers(book.paths.sums[place], book.started, book.unit, facts["scatters"] > 0)
+        numbers.append(path_numbers([RunSums(book.paths.sums[place], book.started, book.unit, facts["scatters"] > 0)]))
         source = np.full(len(place), run.beam.name, dtype=object)
-        parts.append({"source": source, "wavelength_nm": np.full(len(place), run.beam.wavelength_nm)} | facts | numbers)
+        parts.append({"source": source, "wavelength_nm": np.full(len(place), run.beam.wavelength_nm)} | facts)
         places.append(place)
-    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
+    found = PathNumbers.joined(numbers)
+    columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} | found.columns
     number = np.repeat(np.arange(len(places)), [len(place) for place in places])
     # By power; equal ones by source, wavelength and events, whatever the order of the shapes in the file
     keys = list(zip((-columns["power_W"]).tolist(), number.tolist(), columns["events"], strict=True))
     order = np.array(sorted(range(len(keys)), key=keys.__getitem__), dtype=np.int64)
     columns = {name: column[order] for name, column in columns.items()}
     columns["path_id"] = np.arange(len(order))
-    for name in ("percent", "percent_se"):
-        columns[name] = 100 * columns[name.replace("percent", "power") + "_W"] / columns["power_W"].sum()
-    return PathTable(columns, books, number[order], np.concatenate(places)[order])
+    columns |= _percents(found.light[order], found.light.total())
+    return PathTable(columns, books, number[order], np.concatenate(places)[order], found[order])
 
 
-def _together(book: Book, places: np.ndarray, counts: np.ndarray) -> dict[str, np.ndarray]:
-    """Numbers of groups of paths, each as one path; the first `counts[0]` of the places in the ledger are the first."""
-    ends = np.cumsum(counts)
-    starts = ends - counts
-    sums = [
-        np.add.reduceat(
-            book.paths.sums[places[starts[k] : ends[min(k + CHUNK, len(counts)) - 1]]],
-            starts[k : k + CHUNK] - starts[k],
-            axis=0,
-        )
-        for k in range(0, len(counts), CHUNK)
-    ]
-    if not sums:
-        return {}
-    return path_numbers(np.concatenate(sums), book.started, book.unit, np.full(len(counts), True))
+def _percents(light: Sampled, of: Sampled) -> dict[str, np.ndarray]:
+    """Columns ``percent`` and ``percent_se`` of the powers of paths, or of groups of them."""
+    found = light.over(of[None]).scaled(100.0)
+    return {"percent": found.value, "percent_se": found.se}

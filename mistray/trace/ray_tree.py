@@ -309,17 +309,12 @@ def walk(
                 tallies.add_scattered(sums, absorbed, detected & (state["scatters"] != 0))
                 landed = detected & (state["aimed_from"] != NO_SURFACE)
                 tallies.add_surface(state["aimed_from"], LANDED, batch, 1.0, landed)
-            on_film = detected
-            if film.map_of_slot is not None:
-                number = dr.gather(mi.UInt32, film.map_of_slot, slot, booked)
-                on_film = booked & (number > 0)
+            image, on_film = film.image(batch, slot, booked)
             for pixel, share in film.places(x, y):
-                if film.map_of_slot is not None:
-                    pixel += (number - 1) * (film.width * film.height)
                 flux = mi.Float64(w if film.incident else absorbed)
                 if share is not None:
                     flux *= mi.Float64(share)
-                tallies.add_to_film(pixel, flux, on_film)
+                tallies.add_to_film(image + pixel, flux, on_film)
 
         # ---- children
         visit = first | again

@@ -159,7 +159,7 @@ def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | Non
                     gatherer.replay_edges(start, events)
     raw = gatherer.result()
     if edges is not None and traced:
-        strange = float(adjoint.unknown[0]) / max(float(run.film[0].sum()), np.finfo(float).tiny)
+        strange = float(adjoint.unknown[0]) / max(float(run.film.sum()), np.finfo(float).tiny)
         if strange > UNKNOWN_SHARE:
             raw.left_out.append(
                 f"light past rims on paths that the trace has not met: {strange:.1e} of what is detected"

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, NamedTuple
 
@@ -14,11 +14,22 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import CHANNELS, Adjoint
 from mistray.trace.aiming import aims
-from mistray.trace.books import REASONS, STARTED, SURFACE_SUMS, Film, PathChoice, Recorder, Tallies, spreads
+from mistray.trace.books import (
+    REASONS,
+    STARTED,
+    SURFACE_SUMS,
+    Film,
+    PathChoice,
+    Recorder,
+    Tallies,
+    groups_of,
+    spreads,
+)
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES, DecodedPaths, Ledger
 from mistray.trace.raw_gradient import MOMENTS, PathDerivative
 from mistray.trace.ray_tree import walk
+from mistray.trace.sampled import Sampled
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
@@ -64,8 +75,8 @@ class Run:
     media : (m, BATCHES) float64
         Flux that each medium absorbs, in `unit`.
     reasons : (REASONS, BATCHES) float64
-    film : (2, height, width) float64
-        Sums of detected flux and of its square, in `unit` and `unit`².
+    film : (groups, height, width) float64
+        Detected flux by group of batches, in `unit`; see `mistray.trace.books.groups_of`.
     paths : DecodedPaths or None
     ledger : Ledger or None
     seconds : float
@@ -102,6 +113,7 @@ class Run:
             dr.opaque(mi.Float, y0),
             dr.opaque(mi.Float, width / (x1 - x0)),
             dr.opaque(mi.Float, height / (y1 - y0)),
+            groups_of(width * height),
             tent=spreads(self.table.shapes[self.table.detector].sensor().film()),
         )
 
@@ -154,9 +166,10 @@ class Run:
         """Origins (mm) and directions of start rays in the world, without rounding of the device; (n, 3) float64."""
         return self.beam.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
 
-    def make_tallies(self, film: Film, maps: int = 0) -> Tallies:
-        """Sums at zero, for as many maps of the detector."""
-        return Tallies(self.table.count, len(self.table.optics.media), film.width * film.height, maps)
+    def make_tallies(self, film: Film, images: int | None = None) -> Tallies:
+        """Sums at zero, for as many images of the detector; by default those of its film."""
+        pixels = film.width * film.height * (film.groups if images is None else images)
+        return Tallies(self.table.count, len(self.table.optics.media), pixels)
 
     def launch(
         self,
@@ -210,7 +223,7 @@ class Run:
         self.largest = float(np.array(tallies.largest).view(np.float32)[0])
         self.media = np.array(tallies.media).reshape(-1, BATCHES)
         self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
-        self.film = np.moveaxis(np.array(tallies.film).reshape(film.height, film.width, 2), 2, 0)
+        self.film = np.array(tallies.film).reshape(film.groups, film.height, film.width)
         self.paths = self.ledger.decode() if self.ledger else None
 
     @property
@@ -222,31 +235,30 @@ class Run:
         """Whether there is a ledger that needs more room."""
         return self.ledger is not None and self.ledger.full
 
-    def maps(self, number_of_slot: dict[int, int], count: int) -> np.ndarray:
+    def images(self, word_of_slot: Mapping[int, int], count: int) -> np.ndarray:
         """
-        Detector maps of groups of paths, by tracing the same rays again.
+        Images of the light of some paths on the detector, by tracing the same rays again.
 
         Parameters
         ----------
-        number_of_slot : dict
-            Ledger slot → number of the map it goes to.
+        word_of_slot : mapping
+            Ledger slot → where its light goes, see `mistray.trace.books.image_word`.
         count : int
-            Number of maps.
+            Number of images.
 
         Returns
         -------
-        (count, 2, height, width) float64
-            Sums of flux and of its square, in `unit` and `unit`².
+        (count, height, width) float64
+            Flux, in `unit`.
         """
         assert self.ledger is not None
         film = self.make_film()
-        numbers = np.zeros(self.ledger.capacity, dtype=np.uint32)
-        for slot, number in number_of_slot.items():
-            numbers[slot] = number + 1
-        film.map_of_slot = upload(mi.UInt32, numbers)
+        words = np.zeros(self.ledger.capacity, dtype=np.uint32)
+        words[list(word_of_slot)] = list(word_of_slot.values())
+        film.image_of_slot = upload(mi.UInt32, words)
         tallies = self.make_tallies(film, count)
         self.launch(film, tallies, self.ledger)
-        return np.moveaxis(np.array(tallies.film).reshape(count, film.height, film.width, 2), 3, 1)
+        return np.array(tallies.film).reshape(count, film.height, film.width)
 
     @property
     def pixel_area(self) -> float:
@@ -345,6 +357,22 @@ class Run:
                 if int(recorder.count[0]) >= count:
                     return recorder
         return recorder
+
+
+def image(film: np.ndarray, started: np.ndarray) -> Sampled:
+    """
+    An image of the detector with its noise, which is not known (NaN) where there is one image of all batches.
+
+    Parameters
+    ----------
+    film : (groups, height, width) float64
+        Flux by group of batches.
+    started : (BATCHES,) float64
+        Start rays of the batches.
+    """
+    if len(film) == 1:
+        return Sampled(film[0], np.full((*film.shape[1:], 1), np.nan))
+    return Sampled.of(np.moveaxis(film, 0, -1), started.reshape(len(film), -1).sum(axis=1))
 
 
 def prepare(

@@ -54,7 +54,7 @@ def traces(scene) -> list[mistray.Trace]:
 
 
 def ghosts(t: mistray.Trace) -> Any:
-    table = by_path(t.paths.by_way())
+    table = by_path(t.paths.by_way(), t.paths)
     return table[(table.kind == "ghost") & (table.rays >= 30)]
 
 

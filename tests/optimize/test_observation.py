@@ -15,7 +15,9 @@ from oracles.derivatives import central_differences
 from mistray.errors import MistrayError
 from mistray.optimize.metrics import Metric
 from mistray.optimize.observation import Observation, smooth_maximum, smooth_minimum
+from mistray.trace.energy import batch_error
 from mistray.trace.paths import PathRow
+from mistray.trace.sampled import Sampled
 
 HALF_MM, PIXELS = 2.0, 8
 # Kind and events of each path; the third is the second at another wavelength, the last are scattered and aimed alike
@@ -76,16 +78,23 @@ def observed(hits: np.ndarray = HITS) -> Observation:
         np.add.at(flux, (row.astype(int), column.astype(int)), chosen[:, FLUX])
         return flux / (2 * HALF_MM / PIXELS) ** 2
 
+    def sampled(ids: Any) -> Sampled:
+        """Noise of 10 % in each pixel, from groups of batches."""
+        apart = np.random.default_rng(6).normal(size=(PIXELS, PIXELS, 8))
+        apart -= apart.mean(axis=2, keepdims=True)
+        apart *= 0.1 / np.linalg.norm(apart, axis=2, keepdims=True)
+        return Sampled(image(ids), image(ids)[..., None] * apart)
+
     everything = image(range(len(PATHS)))
     result: Any = SimpleNamespace(
         paths=Paths(hits),
         irradiance=everything,
-        irradiance_se=0.1 * everything,
+        light=sampled(range(len(PATHS))),
         extent=(-HALF_MM, HALF_MM, -HALF_MM, HALF_MM),
         energy=SimpleNamespace(launched_W=100.0),
         settings={"field_deg": 3.0},
         surfaces=[SimpleNamespace(id=name) for name in ("lens_front", "lens_rear", "detector")],
-        irradiance_of=lambda ids: (image(ids), 0.1 * image(ids)),
+        each_map=lambda groups, _: [sampled(ids) for ids in groups],
         seconds=0.0,
     )
     return Observation(result)
@@ -242,9 +251,17 @@ class TestDerivatives:
         o = observed()
         dr.backward(Metric(None, lambda seen: dr.sum(seen[0].map("ghost"))).evaluate([o]))
         variance, by_batch = o.noise()
-        expected = np.sum(np.square(0.1 * np.array(o.map("ghost"))))
-        assert variance == pytest.approx(expected, rel=1e-12)
-        assert not by_batch.any()
+        assert variance == 0
+        (ghosts,) = o.trace.each_map([[1, 2, 3]], [True])
+        assert by_batch.sum() == pytest.approx(ghosts.value.sum(), rel=1e-12)
+        # Of all pixels together, which share start rays
+        error = np.linalg.norm(ghosts.apart.sum(axis=(0, 1)))
+        assert batch_error(by_batch, np.ones(8)) == pytest.approx(error, rel=1e-9)
+        both = Metric(None, lambda seen: dr.sum(seen[0].map("ghost")) + seen[0].power("direct"))
+        o.clear()
+        dr.backward(both.evaluate([o]))
+        assert o.noise()[1].sum() == pytest.approx(ghosts.value.sum() + moments(0)[0], rel=1e-12)
+        o.clear()
         dr.backward(Metric(None, lambda seen: seen[0].power("ghost")).evaluate([o]))
         variance, by_batch = o.noise()
         assert variance == 0

@@ -44,7 +44,8 @@ def scene() -> Any:
 def by_batch(scene: Any) -> np.ndarray:
     """Detected power over the launched one, by batch of start rays."""
     trace = mistray.trace(scene, rays=RETRACED, field_deg=FIELD_DEG, **TRACED)
-    return trace.by_batch(np.ones(len(trace.paths))) / trace.energy.launched_W
+    only_power = np.tile([1.0, 0.0, 0.0, 0.0], (len(trace.paths), 1))
+    return trace.paths.by_batch(only_power) / trace.energy.launched_W
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from mistray.trace import Energy, FluxReport, Settings, SurfaceFlux
 from mistray.trace.aimed_rays import AimedSurface
 from mistray.trace.ledger import BATCHES, SUMS
 from mistray.trace.paths import path_table
+from mistray.trace.sampled import Sampled
 
 PARTS = {
     "window_front": "window",
@@ -143,24 +144,30 @@ class FakeTrace:
     def surfaces_at(self, wavelength_nm):
         return self._surfaces(self.shares[wavelength_nm])
 
-    def irradiance_of(self, path_ids):
+    def _sampled(self, path_ids):
         x0, x1, y0, y1 = EXTENT
         pixel = (x1 - x0) / SHAPE[1] * (y1 - y0) / SHAPE[0]
-        total, variance = np.zeros(SHAPE), np.zeros(SHAPE)
+        by_batch = np.zeros((*SHAPE, BATCHES))
         for path in (self.fakes[path_id] for path_id in path_ids):
-            counts, _, _ = np.histogram2d(*path.points[:, ::-1].T, bins=SHAPE, range=[(y0, y1), (x0, x1)])
-            weight = path.power / path.rays / pixel
-            total += counts * weight
-            variance += counts * weight**2
-        return total, np.sqrt(variance)
+            places = np.column_stack([path.points[:, ::-1], path.batch])
+            limits = [(y0, y1), (x0, x1), (0, BATCHES)]
+            counts, _ = np.histogramdd(places, bins=by_batch.shape, range=limits)
+            by_batch += counts * path.power / path.rays / pixel
+        return Sampled.of(by_batch, np.full(BATCHES, START_RAYS / BATCHES))
 
-    def maps(self, groups):
+    def irradiance_of(self, path_ids):
+        found = self._sampled(path_ids)
+        return found.value, found.se
+
+    @property
+    def light(self):
+        return self._sampled(range(len(self.fakes)))
+
+    def each_map(self, groups, with_noise):
         ids = [path_id for group in groups for path_id in group]
         assert len(ids) == len(set(ids)), "a path belongs to one map"
-        return [self.irradiance_of(group) for group in groups]
-
-    def each_map(self, groups):
-        return iter(self.maps(groups))
+        assert len(with_noise) == len(groups)
+        return (self._sampled(group) for group in groups)
 
     def sampled_rays(self, path_ids, n=8):
         return {path_id: [SimpleNamespace(points=ray) for ray in self.history(path_id, n).rays] for path_id in path_ids}

@@ -18,6 +18,7 @@ from report.test_embedded import stored
 from mistray.analysis.ghosts import GhostReport
 from mistray.report.html import html_text
 from mistray.report.html_fields import explored_paths
+from mistray.trace.ledger import BATCHES
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="no node to run the scripts of a report; install nodejs")
@@ -99,7 +100,7 @@ def test_rays_and_events_of_a_path(report, data):
 
 def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
     monkeypatch.setattr(
-        importlib.import_module("mistray.analysis.ghosts"), "MAP_BYTES", 16.0 * SHAPE[0] * SHAPE[1] * (2 + 2)
+        importlib.import_module("mistray.analysis.ghosts"), "MAP_BYTES", 8.0 * SHAPE[0] * SHAPE[1] * (1 + 3 * BATCHES)
     )
     t = trace_at(0.0)
     report = GhostReport(lens_scene(), {0.0: t}, t, {})

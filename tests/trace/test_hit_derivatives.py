@@ -15,7 +15,7 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 import mistray
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import Adjoint
-from mistray.trace.books import NODE_FLOATS, spreads
+from mistray.trace.books import NODE_FLOATS, image_word, spreads
 from mistray.trace.ray_tree import walk
 from mistray.trace.settings import Settings
 from mistray.trace.tracer import Run, prepare
@@ -75,16 +75,16 @@ class TestTent:
         x, y, w, _ = recorded(run)
         zero = np.zeros((0, len(x), 3))
         expected = tent_image([Hits(x, y, 0.9 * w, w, zero, [])], (-1.5, 1.5, -1.0, 1.0), (8, 8))
-        np.testing.assert_allclose(run.film[0], expected, rtol=2e-4, atol=1e-6 * expected.max())
-        np.testing.assert_allclose(run.film[0].sum(), 0.9 * w.sum(), rtol=1e-6)
+        np.testing.assert_allclose(run.film.sum(axis=0), expected, rtol=2e-4, atol=1e-6 * expected.max())
+        np.testing.assert_allclose(run.film.sum(), 0.9 * w.sum(), rtol=1e-6)
         assert np.any(np.abs(x) > 1.5 - 1.5 / 8)  # beyond the centres of the outer pixels
 
     def test_a_box_counts_in_one(self, load_scene) -> None:
         run = executed(load_scene(lens_text()))
         x, y, w, _ = recorded(run)
         expected, _, _ = np.histogram2d(y, x, bins=8, range=((-1.0, 1.0), (-1.5, 1.5)), weights=0.9 * w)
-        np.testing.assert_allclose(run.film[0], expected, rtol=2e-3, atol=1e-3 * expected.max())
-        np.testing.assert_allclose(run.film[0].sum(), 0.9 * w.sum(), rtol=1e-6)
+        np.testing.assert_allclose(run.film.sum(axis=0), expected, rtol=2e-3, atol=1e-3 * expected.max())
+        np.testing.assert_allclose(run.film.sum(), 0.9 * w.sum(), rtol=1e-6)
 
     def test_maps_of_paths_are_spread_as_well(self, load_scene) -> None:
         t = mistray.trace(load_scene(lens_text('<rfilter type="tent"/>')), rays=RAYS)
@@ -111,7 +111,7 @@ class TestDerivativeOfHits:
     def test_by_pixels(self, load_scene, film: str) -> None:
         run = executed(load_scene(lens_text(f'<rfilter type="{film}"/>')))
         pixel = np.random.default_rng(2).normal(size=(8, 8))
-        expected = np.sum(pixel * run.film[0])
+        expected = np.sum(pixel * run.film)
         assert gains(run, Adjoint(0, upload(mi.Float, pixel))) == pytest.approx(expected, rel=1e-5)
 
     def test_by_moments_of_paths(self, load_scene) -> None:
@@ -162,8 +162,8 @@ class TestDerivativeOfHits:
         number = np.zeros(run.ledger.capacity, dtype=np.uint32)
         number[slots[0]], number[slots[2:]] = 1, 2
         pixel = np.random.default_rng(4).normal(size=(2, 8, 8))
-        maps = run.maps({int(slot): int(number[slot]) - 1 for slot in slots if number[slot]}, 2)
-        expected = np.sum(pixel * maps[:, 0])
+        words = {int(slot): image_word(int(number[slot]) - 1, by_group=False) for slot in slots if number[slot]}
+        expected = np.sum(pixel * run.images(words, 2))
         adjoint = Adjoint(0, upload(mi.Float, pixel), map_of_slot=upload(mi.UInt32, number))
         assert gains(run, adjoint) == pytest.approx(expected, rel=1e-5)
 

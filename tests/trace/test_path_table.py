@@ -173,9 +173,11 @@ def test_one_way_is_one_row_with_the_numbers_of_all_its_light(hits: Hits) -> Non
         assert {table[path_id].events for path_id in row.path_ids} == names
         assert row.path_id == min(row.path_ids)
     assert rows.percent.sum() == pytest.approx(100, rel=1e-12)
-    assert rows.percent_se.iloc[1] == pytest.approx(
-        rows.percent.iloc[1] * rows.power_se_W.iloc[1] / rows.power_W.iloc[1]
-    )
+    # The error of a share knows that the path is in the whole: the spread of what is left of both
+    share = rows.power_W.iloc[1] / rows.power_W.sum()
+    flux = 2 * hits.flux * (np.isin(hits.path, groups["tTA"]) - share)
+    spread = np.std(np.bincount(hits.batch, flux, BATCHES), ddof=1) * np.sqrt(BATCHES)
+    assert rows.percent_se.iloc[1] == pytest.approx(100 * spread / rows.power_W.sum(), rel=1e-9)
     assert sorted(path_id for ids in rows.path_ids for path_id in ids) == list(range(len(table)))
     assert rows.power_W.is_monotonic_decreasing
 

@@ -8,13 +8,14 @@ from typing import Any
 import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.irradiance import brightest
 from mistray.analysis.metrics.extended_source import Cover, Disc, ExtendedSource, Sky, cover
 from mistray.analysis.metrics.metric import DEFINITIONS, Metric
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.sums import quotient, weighted_sum
+from mistray.analysis.ranking import direct_image, stray_to_direct
 from mistray.errors import MistrayError
 from mistray.trace import Trace
-from mistray.trace.path_events import DIRECT
 
 PLACES = {
     "map": "the pixel of the detector where the middle of the patch is imaged",
@@ -236,10 +237,12 @@ def glare_spread(
     """
     if isinstance(light, Trace):
         direct, stray = _direct_and_stray(light)
-        flux = Estimate(*light.paths.power(direct))
+        flux = light.paths.light(direct)
         if not flux.value > 0:
             raise MistrayError("the trace has no direct image to compare with; trace a field angle within the field")
-        value, se = light.irradiance_of(stray) if stray else (np.zeros_like(light.irradiance),) * 2
+        (glare,) = light.each_map([stray], [True])
+        found = glare.over(flux)
+        spread, se = found.value, found.se
         extent, words = light.extent, "stray light alone"
     else:
         value, se = light.irradiance(angle_deg, azimuth_deg)
@@ -247,19 +250,15 @@ def glare_spread(
         i, j = light.grid.nearest(reference, azimuth_deg)
         cell = np.zeros(light.grid.shape)
         cell[i, j] = light.facts["detector_area_mm2"]
-        flux = weighted_sum(light.to("normal"), cell, "direct")
-        if not flux.value > 0:
+        image = weighted_sum(light.to("normal"), cell, "direct")
+        if not image.value > 0:
             raise MistrayError(
                 f"no direct light from {reference:g}° meets the detector; give a reference_deg within the field"
             )
         extent, words = light.extent_mm, f"all light, and the flux of the direct image at {reference:g}°"
-    spread = value / flux.value
-    return GlareSpread(
-        spread,
-        np.hypot(se, spread * flux.se) / flux.value,
-        extent,
-        DEFINITIONS["gsf"].format(light=words),
-    )
+        spread = value / image.value
+        se = np.hypot(se, spread * image.se) / image.value
+    return GlareSpread(spread, se, extent, DEFINITIONS["gsf"].format(light=words))
 
 
 def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[Metric, Metric]:
@@ -291,37 +290,23 @@ def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[Metric, Met
     direct, _ = _direct_and_stray(signal)
     if not direct:
         raise MistrayError("no direct light meets the detector; give a nominal trace of a field angle within the field")
-    above, below = (Estimate(*trace.paths.power(ids)) for trace, ids in ((t, stray), (signal, direct)))
-    integrated = above.over(below)
-    if own:  # numbers of the same rays: the error of the residual by batch
-        number = {row.path_id: k for k, row in enumerate(t.paths)}
-        weights = np.zeros(len(number))
-        weights[[number[i] for i in stray]] = 1
-        weights[[number[i] for i in direct]] = -integrated.value
-        residual = t.by_batch(weights)
-        used = max(int(np.count_nonzero(t.by_batch(np.ones(len(number))))), 2)
-        spread = np.sqrt(used / (used - 1) * np.sum(np.square(residual)))
-        integrated = Estimate(integrated.value, float(spread) / below.value)
-    dark = np.zeros_like(t.irradiance)
+    integrated = stray_to_direct(t.paths, direct_image(signal.paths))
     if own:
-        image, glare = t.maps([direct, stray]) if stray else (t.irradiance_of(direct), (dark, dark))
+        image, glare = t.each_map([direct, stray], [True, True])
     else:
-        image, glare = signal.irradiance_of(direct), t.irradiance_of(stray) if stray else (dark, dark)
-    peak = _brightest(*glare).over(_brightest(*image))
+        (image,), (glare,) = signal.each_map([direct], [True]), t.each_map([stray], [True])
+    peak = brightest(glare).over(brightest(image), independent=not own)
     facts = {"field_deg": t.settings["field_deg"], "signal_field_deg": signal.settings["field_deg"]}
     return (
         Metric.of("gsr", integrated, facts=facts),
-        Metric.of("gsr_peak", peak, facts=facts | {"pixels": f"{t.irradiance.shape[1]} x {t.irradiance.shape[0]}"}),
+        Metric.of(
+            "gsr_peak",
+            Estimate(float(peak.value), float(peak.se)),
+            facts=facts | {"pixels": f"{t.irradiance.shape[1]} x {t.irradiance.shape[0]}"},
+        ),
     )
 
 
 def _direct_and_stray(t: Trace) -> tuple[list[int], list[int]]:
     """Path ids of the direct image, and of all other light."""
-    table = t.paths.to_pandas()
-    is_direct = table.kind == DIRECT
-    return list(table.path_id[is_direct]), list(table.path_id[~is_direct])
-
-
-def _brightest(value: np.ndarray, se: np.ndarray) -> Estimate:
-    pixel = np.unravel_index(int(np.argmax(value)), value.shape)
-    return Estimate(float(value[pixel]), float(se[pixel]))
+    return t.paths.ids(True).tolist(), t.paths.ids(False).tolist()

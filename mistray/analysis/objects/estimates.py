@@ -28,7 +28,6 @@ from scipy.spatial import cKDTree
 from mistray.analysis.objects.patches import Patches
 from mistray.analysis.objects.view import SIDES, Samples, View
 from mistray.scatter.evaluate import bsdf
-from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import OPAQUE
 from mistray.trace.scatter_tables import side_of
@@ -43,14 +42,19 @@ FEW = 32  # a part of those that see it, one in so many, is near
 
 @dataclass(frozen=True)
 class Product:
-    """The factors of an object and their product, with its relative standard error; W for 1 W/mm² across the beam."""
+    """
+    The factors of an object and their product with its standard error; W for 1 W/mm² across the beam.
+
+    The error comes from leaving out one batch of the rays of both views at a time (jackknife), so that rays that are
+    partners in many pairs count once.
+    """
 
     flux: float
     flux_se: float
     bsdf: float
     gcf: float
     detector: float
-    relative_error: float
+    detector_se: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -112,7 +116,6 @@ def product_estimates(
     for number, row, side, seen in seen_objects:
         for angle, view in zip(angles_deg, illuminated, strict=True):
             product = estimate(table, detector_area, seen, view, number)
-            error = product.relative_error * product.detector
             found.append(
                 {
                     "angle_deg": angle,
@@ -128,9 +131,9 @@ def product_estimates(
                     "bsdf_1_sr": product.bsdf,
                     "gcf": product.gcf,
                     "detector_W": product.detector,
-                    "detector_W_se": error,
+                    "detector_W_se": product.detector_se,
                     "pst": product.detector / detector_area,
-                    "pst_se": error / detector_area,
+                    "pst_se": product.detector_se / detector_area,
                 }
             )
     columns = ["angle_deg", "id", "part", "side", "between", "stop", "optic", "scatters", "flux_W", "flux_W_se",
@@ -165,39 +168,78 @@ def estimate(table: SurfaceTable, detector_area: float, view: Seen, illuminated:
         return Product(flux, flux_se, 0.0, 0.0, 0.0, 0.0)
     surface = number // SIDES
     patches = Patches.of(table, surface, min(len(lit.weight), len(seen.weight)))
-    areas = patches.areas
     at_lit, at_seen = patches.numbers(lit.point), patches.numbers(seen.point)
-    # Projected solid angle of the detector from each patch, by batch of the rays that see it
-    weight = seen.weight / seen.index**2
-    by_batch = np.bincount(at_seen * BATCHES + seen.batch, weight, minlength=patches.count * BATCHES)
-    omega = np.pi * detector_area / seen.rays * by_batch.reshape(-1, BATCHES) / areas[:, None]
-    of_patch = omega.sum(axis=1)
-    share = np.bincount(at_lit, lit.weight, minlength=patches.count) / lit.weight.sum()
-    mean = float(share @ of_patch)
-    if mean == 0:
+    # Projected solid angle of the detector from each patch
+    scale = np.pi * detector_area / seen.rays / patches.areas[:, None]
+    omega = scale * _all_and_without(at_seen, seen.batch, seen.weight / seen.index**2, patches.count)
+    light = _all_and_without(at_lit, lit.batch, lit.weight, patches.count)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        mean = np.nan_to_num(np.sum(light * omega, axis=0) / light.sum(axis=0))
+    if mean[0] == 0:
         return Product(flux, flux_se, 0.0, 0.0, 0.0, 0.0)
-    values = _pairs(table, surface, lit, view, lit.weight * of_patch[at_lit])
-    value = float(values.mean())
-    spread = float(values.std(ddof=1) / np.sqrt(len(values)) / value) if value > 0 and len(values) > 1 else 0.0
-    rays = np.full(BATCHES, 1 / BATCHES)
-    lit_batches = np.bincount(lit.batch, lit.weight * of_patch[at_lit], minlength=BATCHES)
-    errors = (
-        float(batch_error(lit_batches, rays)) / float(lit_batches.sum()),
-        float(batch_error(share @ omega, rays)) / mean,
-        spread,
-    )
-    return Product(flux, flux_se, value, mean / np.pi, flux * value * mean, float(np.linalg.norm(errors)))
+    pairs = _pairs(table, surface, lit, view, lit.weight * omega[at_lit, 0])
+    value = pairs.means(omega[at_lit[pairs.lit]] / omega[at_lit[pairs.lit], :1])
+    hits = _all_and_without(np.zeros(BATCHES, dtype=int), np.arange(BATCHES), illuminated.flux[number], 1)[0]
+    product = flux * hits / hits[0] * value * mean
+    left_out = product[1:]
+    error = float(np.sqrt((BATCHES - 1) / BATCHES * np.sum(np.square(left_out - left_out.mean()))))
+    return Product(flux, flux_se, float(value[0]), float(mean[0]) / np.pi, float(product[0]), error)
 
 
-def _pairs(table: SurfaceTable, surface: int, lit: Samples, view: Seen, chance: np.ndarray) -> np.ndarray:
+def _all_and_without(place: np.ndarray, batch: np.ndarray, weight: np.ndarray, count: int) -> np.ndarray:
+    """Sums of weights by place of all batches, and of all but one scaled to as many rays, (count, 1 + BATCHES)."""
+    by_batch = np.bincount(place * BATCHES + batch, weight, minlength=count * BATCHES).reshape(count, BATCHES)
+    total = by_batch.sum(axis=1, keepdims=True)
+    return np.concatenate([total, (total - by_batch) * (BATCHES / (BATCHES - 1))], axis=1)
+
+
+@dataclass(frozen=True, eq=False)
+class _Pairs:
     """
-    BSDF from rays that light a surface, chosen by `chance`, to rays nearby that see it.
+    BSDF from rays that light a surface to rays nearby that see it.
 
-    Returns
-    -------
-    (LIT,) float64
-        1/sr; of every ray that lights it the mean over the rays that see it.
+    Attributes
+    ----------
+    lit : (LIT,) int
+        Which rays light it.
+    lit_batch : (LIT,) int
+        Their batches.
+    batch : (LIT, k) int
+        Batches of those that see it.
+    weight, value : (LIT, k) float64
+        Weights of these, and the BSDF, 1/sr.
     """
+
+    lit: np.ndarray
+    lit_batch: np.ndarray
+    batch: np.ndarray
+    weight: np.ndarray
+    value: np.ndarray
+
+    def means(self, chance: np.ndarray) -> np.ndarray:
+        """
+        Mean BSDF of all pairs, and without the rays of either kind of each batch, (1 + BATCHES,).
+
+        Parameters
+        ----------
+        chance : (LIT, 1 + BATCHES) float64
+            What the solid angles of the patches that are left have become of those by which the rays were chosen.
+        """
+        rows = np.broadcast_to(np.arange(len(self.lit))[:, None], self.batch.shape).ravel()
+        bsdf, weight = (
+            _all_and_without(rows, self.batch.ravel(), terms.ravel(), len(self.lit))
+            for terms in (self.weight * self.value, self.weight)
+        )
+        left = np.ones((len(self.lit), 1 + BATCHES))
+        left[np.arange(len(self.lit)), 1 + self.lit_batch] = 0.0
+        known = chance * left * (weight > 0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            found = np.sum(known * np.where(weight > 0, bsdf / weight, 0.0), axis=0) / known.sum(axis=0)
+        return np.asarray(np.nan_to_num(found))
+
+
+def _pairs(table: SurfaceTable, surface: int, lit: Samples, view: Seen, chance: np.ndarray) -> _Pairs:
+    """Rays that light a surface, chosen by `chance`, with those that see it near each."""
     rng, seen = np.random.default_rng(surface), view.hits
     sums = np.cumsum(chance)
     chosen = np.searchsorted(sums, (np.arange(LIT) + rng.random()) / LIT * sums[-1], side="right")
@@ -215,7 +257,7 @@ def _pairs(table: SurfaceTable, surface: int, lit: Samples, view: Seen, chance: 
         -seen.direction[partners],
         seen.from_front[partners] == lit.from_front[chosen][:, None],
     )
-    return np.asarray(np.sum(weight * values, axis=1) / np.sum(weight, axis=1))
+    return _Pairs(chosen, lit.batch[chosen], seen.batch[partners], weight, values)
 
 
 def surface_bsdf(

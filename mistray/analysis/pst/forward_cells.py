@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.trace.aiming import aims
-from mistray.trace.books import SCATTERED_FLUX, SEGMENTS, Film
+from mistray.trace.books import SCATTERED_FLUX, SEGMENTS, Film, groups_of
 from mistray.trace.by_parts import tables_of
 from mistray.trace.design_path import find_design_path
 from mistray.trace.directions import DirectionGrid
@@ -26,7 +26,7 @@ from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sky import CLASSES
 from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.tracer import Run
+from mistray.trace.tracer import Run, image
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -55,7 +55,7 @@ class CellRun(Run):
         corner_x, corner_y, per_mm_x, per_mm_y = (
             dr.opaque(mi.Float, v) for v in (x0, y0, columns / (x1 - x0), rows / (y1 - y0))
         )
-        return Film(columns, rows, corner_x, corner_y, per_mm_x, per_mm_y, incident=True)
+        return Film(columns, rows, corner_x, corner_y, per_mm_x, per_mm_y, groups_of(columns * rows), incident=True)
 
 
 class Ways:
@@ -138,8 +138,8 @@ class Sums:
         Number of hits of each.
     started : (BATCHES,) float64
         Start rays.
-    film : (2, h, w) float64
-        Sums of flux and of its square in each pixel.
+    film : (g, h, w) float64
+        Flux in each pixel by group of batches.
     largest, scattered : float
         Largest flux of a scattered ray at the detector and the flux of all of them, of what it absorbs.
     segments : float
@@ -148,7 +148,7 @@ class Sums:
     ways: np.ndarray = field(default_factory=lambda: np.zeros((0, BATCHES)))
     hits: np.ndarray = field(default_factory=lambda: np.zeros(0))
     started: np.ndarray = field(default_factory=lambda: np.zeros(BATCHES))
-    film: np.ndarray = field(default_factory=lambda: np.zeros((2, 1, 1)))
+    film: np.ndarray = field(default_factory=lambda: np.zeros((1, 1, 1)))
     largest: float = 0.0
     scattered: float = 0.0
     segments: float = 0.0
@@ -373,9 +373,7 @@ class ForwardCells:
         columns, rows = self._map_size
         x0, x1, y0, y1 = self.extent
         pixels = self.area * columns * rows / ((x1 - x0) * (y1 - y0))  # on the detector
-        value, variance = np.zeros((2, rows, columns))
-        for scale, part in zip(self._scales(sums), sums, strict=True):
-            flux, square = part.film
-            value += pixels * scale * flux
-            variance += (pixels * scale) ** 2 * np.maximum(square - flux**2 / part.started.sum(), 0.0)
+        found = [image(part.film, part.started) for part in sums]
+        value = sum(pixels * scale * one.value for scale, one in zip(self._scales(sums), found, strict=True))
+        variance = sum(np.square(pixels * scale * one.se) for scale, one in zip(self._scales(sums), found, strict=True))
         return np.stack([value, np.sqrt(variance)])

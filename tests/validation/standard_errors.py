@@ -1,0 +1,302 @@
+"""Every printed standard error against the spread of repeated runs: the entries, their kinds and the table.
+
+`python tests/validation/standard_errors.py [SEEDS]` prints the table.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections import defaultdict
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pandas as pd
+
+import mistray
+from mistray.analysis.metrics import glare, ratios
+from mistray.analysis.metrics.extended_source import Disc, Sky, source_irradiance
+from mistray.optimize import metrics
+from mistray.trace.sky import CLASSES
+
+SEEDS = 100
+Entry = tuple[str, str, float, float]  # kind, name, value, standard error
+NUMBERS = {
+    "power": ("power_W", "power_se_W"),
+    "percent": ("percent", "percent_se"),
+    "centroid": ("y_mm", "y_se_mm"),
+    "RMS radius": ("rms_radius_mm", "rms_radius_se_mm"),
+    "RMS irradiance": ("rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"),
+}
+SHAPES = ("centroid", "RMS radius", "RMS irradiance")
+FEW = 100  # rays, below which the shape of a path is not compared: its distribution is far from normal
+
+
+def painted_screen(pixels: int = 8) -> mi.Scene:
+    """A beam on a painted screen and a detector beside it, in whose pixels many scattered rays of one start land."""
+    place = mi.ScalarTransform4f().look_at([6, 0, -6], [0, 0, 0], [0, 1, 0])
+    film = {"type": "hdrfilm", "width": pixels, "height": pixels, "rfilter": {"type": "box"}}
+    scene: mi.Scene = mistray.load(
+        {
+            "type": "scene",
+            "beam": {"type": "collimated", "radius": 1.0},
+            "screen": {
+                "type": "asphere",
+                "semi_diameter": 5.0,
+                "bsdf": {"type": "interface", "R": 0.0, "m": {"type": "paint", "reflectance": 0.5}},
+            },
+            "detector": {
+                "type": "asphere",
+                "half_width": 5.0,
+                "half_height": 5.0,
+                "to_world": place,
+                "bsdf": {"type": "interface", "R": 0.0},
+                "sensor": {"type": "irradiancemeter", "film": film},
+            },
+        }
+    )
+    return scene
+
+
+def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Iterator[Entry]:
+    """Numbers of the rows of a path table."""
+    for row in table.itertuples():
+        for name, (value, se) in NUMBERS.items():
+            if name in SHAPES and (row.rays < FEW or row.rms_radius_mm < 1e-6):
+                continue
+            yield (
+                f"{kind}{name}",
+                f"{row.wavelength_nm if wavelength else 0:.0f} {row.events}",
+                getattr(row, value),
+                getattr(row, se),
+            )
+
+
+def pixels_of(kind: str, value: np.ndarray, se: np.ndarray, block: int = 1) -> Iterator[Entry]:
+    """Pixels of a map."""
+    for place in np.argwhere(value > 0):
+        yield kind, str(tuple(place // block * block)), float(value[tuple(place)]), float(se[tuple(place)])
+
+
+def estimate(kind: str, name: str, found: Any) -> Entry:
+    """An entry of a number with its error."""
+    return kind, name, float(found.value), float(found.se)
+
+
+def of_trace(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
+    """What a trace prints: paths, pixels, energy, boxes and maps of paths."""
+    t = mistray.trace(scene, seed=seed, **settings)
+    yield from rows_of(t.paths.by_way())
+    yield from pixels_of("pixel", t.irradiance, t.irradiance_se)
+    for row in t.surfaces:
+        yield "surface", row.id + " incident", row.incident_W, row.incident_se_W
+        yield "surface", row.id + " absorbed", row.absorbed_W, row.absorbed_se_W
+    yield "energy", "detected", t.energy.detected_W, t.energy.detected_se_W
+    yield "energy", "escaped", t.energy.escaped_W, t.energy.escaped_se_W
+    frame = t.paths.to_pandas()
+    stray = list(frame.path_id[frame.kind != "direct"])
+    yield from pixels_of("pixel of paths", *t.irradiance_of(stray))
+    x0, x1, y0, y1 = t.extent
+    middle = t.box(0.4 * x0, 0.4 * x1, 0.4 * y0, 0.4 * y1).by_way()
+    yield from (entry for entry in rows_of(middle, "box ") if "box power" in entry or "box percent" in entry)
+
+
+def of_ghosts(scene: mi.Scene, seed: int, fields_deg: tuple[float, ...], **settings: Any) -> Iterator[Entry]:
+    """What the ghost report prints."""
+    report = mistray.ghosts(scene, fields_deg=fields_deg, seed=seed, **settings)
+    yield estimate("ghost summary", "nominal power", report.nominal.power_W)
+    yield estimate("ghost summary", "nominal radius", report.nominal.rms_radius_mm)
+    yield estimate("ghost summary", "nominal density", report.nominal.rms_irradiance_W_mm2)
+    for field in fields_deg:
+        table = report.table(field)
+        for kind, *rest in rows_of(table, "ghost ", wavelength=False):
+            yield kind, f"{field:g} {rest[0]}", *rest[1:]
+        for row in table.itertuples():
+            name = f"{field:g} {row.events}"
+            if row.kind != "direct":
+                yield "ghost percent of stray", name, row.percent_of_stray, row.percent_of_stray_se
+            if row.rays >= FEW:
+                yield (
+                    "ghost normalised", name, row.normalised_rms_irradiance, row.normalised_rms_irradiance_se,
+                )  # fmt: skip
+        one = report.summary(field)
+        for name in ("stray_W", "ghost_to_signal", "stray_to_nominal"):
+            yield estimate("ghost summary", f"{field:g} {name}", getattr(one, name))
+        yield from pixels_of("ghost pixel", *report.stray_map(field))
+        for row in report.scatter_surfaces(field).itertuples():
+            yield "ghost scatter surface", f"{field:g} {row.surface}", row.power_W, row.power_se_W
+
+
+def of_image(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
+    """Glare of a trace."""
+    t = mistray.trace(scene, seed=seed, **settings)
+    yield estimate("trace metric", "ghost to signal", glare.ghost_to_signal(t)[0])
+    spread = glare.glare_spread(t)
+    yield from pixels_of("trace metric pixel", spread.value, spread.se)
+
+
+def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **settings: Any) -> Iterator[Entry]:
+    """What a PST prints, and the metrics that are computed from it."""
+    more = {"map_pixels": maps} if maps else {}
+    p = mistray.pst(scene, angles_deg=angles, seed=seed, **more, **settings)
+    for name in ("total", *CLASSES):
+        for angle, value, se in zip(p.angles_deg, *p.curve(name), strict=True):
+            if value > 0:
+                yield "PST by class", f"{name} {angle:g}", value, se
+    sky = Sky(to_deg=float(angles[-1]))
+    yield estimate("PST metric", "sky", source_irradiance(p, sky))
+    yield estimate("PST metric", "disc", source_irradiance(p, Disc(4.0, 1.0, angles[len(angles) // 2])))
+    yield estimate("PST metric", "vgi", glare.veiling_glare_index(p, 4.0, source_deg=angles[-1], place="mean"))
+    yield estimate("PST metric", "throughput", ratios.image_throughput(p))
+    yield estimate("PST metric", "radiance", ratios.equivalent_stray_radiance(p, sky))
+    yield estimate("PST metric", "stray to signal", ratios.stray_to_signal(p, sky, 1.0))
+    curve = ratios.rejection_ratio(p)
+    for angle, value, se in zip(curve.angles_deg, curve.value, curve.se, strict=True):
+        if se > 0:
+            yield "PST metric", f"psrr {angle:g}", value, se
+    if maps:
+        yield estimate("PST map metric", "vgi", glare.veiling_glare_index(p, 4.0, source_deg=angles[-1]))
+        for angle in angles[:2]:
+            yield from pixels_of("PST pixel", *p.irradiance(angle))
+
+
+def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
+    """What the lists of objects print."""
+    found = mistray.objects(scene, seed=seed, **settings)
+    for which in ("critical", "illuminated"):
+        for row in getattr(found, which):
+            if row.rays >= FEW:
+                yield "object power", f"{which} {row.id} {row.side}", row.power, row.power_se
+    for shot in found.straight_shots:
+        if shot.rays >= FEW:
+            yield "straight shot", " ".join(shot.surfaces), shot.share, shot.share_se
+    for row in found.estimates().itertuples():
+        name = f"{row.angle_deg:g} {row.id} {row.side}"
+        yield "object flux", name, row.flux_W, row.flux_W_se
+        if row.detector_W > 0:
+            yield "object PST", name, row.pst, row.pst_se
+
+
+def of_gradient(scene: mi.Scene, seed: int, keys: list[str], **settings: Any) -> Iterator[Entry]:
+    """Metrics with derivatives."""
+    params = mi.traverse(scene)
+    made: dict[str, Callable[..., metrics.Metric]] = {
+        "ghost power": metrics.path_power, "ghost to signal": metrics.ghost_to_signal,
+        "peak": metrics.peak_irradiance, "transmission": metrics.transmission, "spot": metrics.rms_spot,
+    }  # fmt: skip
+    for name, make in made.items():
+        g = mistray.gradient(make(scene, seed=seed, **settings), params, keys=keys)
+        yield "gradient value", name, g.value, g.value_se
+        for key, values in g.gradient.items():
+            for k, value in enumerate(values):
+                if value:
+                    yield "gradient", f"{name} {key} {k}", value, g.standard_error[key][k]
+
+
+def of_thermal(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
+    """The thermal report."""
+    report = mistray.thermal(scene, seed=seed, **settings)
+    for e in report.emitters:
+        if e.hits >= FEW:
+            yield estimate("thermal", f"{e.name} emission", e.emission)
+            yield estimate("thermal", f"{e.name} irradiance", e.irradiance_W_mm2)
+            if e.kind == "surface":
+                yield estimate("thermal", f"{e.name} share", e.share)
+    yield estimate("thermal", "total", report.total_W_mm2)
+    yield estimate("thermal", "scene", report.scene_W_mm2)
+
+
+CASES: dict[str, Callable[[int], Iterator[Entry]]] = {}
+
+
+def case(function: Callable[[mi.Scene, int], Iterator[Entry]], name: str, make: Callable[[], mi.Scene]) -> None:
+    """A case by its name; its scene is loaded once."""
+    loaded: list[mi.Scene] = []
+
+    def run(seed: int) -> Iterator[Entry]:
+        if not loaded:
+            loaded.append(make())
+        return function(loaded[0], seed)
+
+    CASES[name] = run
+
+
+SCATTERING = {"rays": 5000, "field_deg": 5.0, "max_reflections": 1, "max_scatters": 2}
+case(lambda s, k: of_trace(s, k, **SCATTERING), "newtonian_scatter", lambda: mistray.load("newtonian_scatter"))
+case(lambda s, k: of_trace(s, k, rays=2000, aimed_rays=16), "painted screen", painted_screen)
+case(lambda s, k: of_trace(s, k, rays=4000, field_deg=5.0, wavelength_nm=[480.0, 550.0, 650.0]),
+     "double_gauss", lambda: mistray.load("double_gauss"))  # fmt: skip
+case(lambda s, k: of_ghosts(s, k, (0.0, 8.0), rays=6000, wavelength_nm=[500.0, 600.0]),
+     "double_gauss, ghosts", lambda: mistray.load("double_gauss"))  # fmt: skip
+case(lambda s, k: of_ghosts(s, k, (0.0,), rays=4000, max_scatters=1, max_reflections=1),
+     "newtonian_scatter, ghosts", lambda: mistray.load("newtonian_scatter"))  # fmt: skip
+case(
+    lambda s, k: of_ghosts(s, k, (0.0, 5.0), rays=4000), "cooke_triplet, ghosts", lambda: mistray.load("cooke_triplet")
+)
+case(
+    lambda s, k: of_image(s, k, rays=4000, field_deg=3.0), "cooke_triplet, glare", lambda: mistray.load("cooke_triplet")
+)
+case(lambda s, k: of_pst(s, k, [0.0, 4.0, 8.0, 12.0, 16.0, 20.0], 8, rays=20_000),
+     "cooke_triplet, PST", lambda: mistray.load("cooke_triplet"))  # fmt: skip
+case(lambda s, k: of_objects(s, k, rays=20_000, angles_deg=[0.0, 10.0]), "phone_camera_scatter, objects",
+     lambda: mistray.load("phone_camera_scatter"))  # fmt: skip
+case(
+    lambda s, k: of_objects(s, k, rays=20_000), "newtonian_scatter, objects", lambda: mistray.load("newtonian_scatter")
+)
+case(lambda s, k: of_gradient(s, k, ["*.bsdf.R", "*curvature", "*semi_diameter"], rays=4000, max_reflections=2),
+     "singlet, gradients", lambda: mistray.load("singlet_window_detector"))  # fmt: skip
+case(lambda s, k: of_thermal(s, k, rays=4000), "cassegrain, thermal", lambda: mistray.load("cassegrain"))
+
+
+def repeats(name: str, seeds: int) -> pd.DataFrame:
+    """
+    The entries of a case in repeated runs.
+
+    Returns
+    -------
+    DataFrame
+        For each entry that was there in all runs: kind, name, mean, std (over the runs) and rms_se (root mean square of
+        the errors).
+    """
+    found: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
+    for seed in range(seeds):
+        for kind, entry, value, se in CASES[name](seed):
+            found[kind, entry].append((value, se))
+    rows = []
+    for (kind, entry), pairs in found.items():
+        if len(pairs) < seeds:
+            continue
+        value, se = np.array(pairs).T
+        rows.append((name, kind, entry, value.mean(), value.std(ddof=1), np.sqrt(np.mean(np.square(se)))))
+    frame = pd.DataFrame(rows, columns=["case", "kind", "entry", "mean", "std", "rms_se"])
+    return frame[frame["std"] > 1e-6 * frame["mean"].abs()]  # what does not vary has no error to compare
+
+
+def table(frames: list[pd.DataFrame]) -> pd.DataFrame:
+    """std/SE by case and kind: pooled over the entries, and of the worst ones."""
+    whole = pd.concat(frames)
+    ratio = np.square(whole["std"]) / np.square(whole["rms_se"])
+    groups = ratio.groupby([whole["case"], whole["kind"]])
+    return pd.DataFrame(
+        {
+            "entries": groups.size(),
+            "std/SE": np.sqrt(groups.mean()),
+            "least": np.sqrt(groups.min()),
+            "most": np.sqrt(groups.max()),
+        }
+    )
+
+
+def main() -> None:
+    """Print the table, case by case."""
+    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS
+    for name in CASES if len(sys.argv) < 3 else [name for name in CASES if any(word in name for word in sys.argv[2:])]:
+        print(
+            table([repeats(name, seeds)]).to_string(float_format="%.3f", header=name == next(iter(CASES))), flush=True
+        )
+
+
+if __name__ == "__main__":
+    mistray.set_threads(1)
+    main()
