@@ -144,7 +144,8 @@ class FakeTrace:
     def surfaces_at(self, wavelength_nm):
         return self._surfaces(self.shares[wavelength_nm])
 
-    def _sampled(self, path_ids):
+    def sampled(self, path_ids):
+        """Irradiance of some paths."""
         x0, x1, y0, y1 = EXTENT
         pixel = (x1 - x0) / SHAPE[1] * (y1 - y0) / SHAPE[0]
         by_batch = np.zeros((*SHAPE, BATCHES))
@@ -156,18 +157,18 @@ class FakeTrace:
         return Sampled.of(by_batch, np.full(BATCHES, START_RAYS / BATCHES))
 
     def irradiance_of(self, path_ids):
-        found = self._sampled(path_ids)
+        found = self.sampled(path_ids)
         return found.value, found.se
 
     @property
     def light(self):
-        return self._sampled(range(len(self.fakes)))
+        return self.sampled(range(len(self.fakes)))
 
     def each_map(self, groups, with_noise):
         ids = [path_id for group in groups for path_id in group]
         assert len(ids) == len(set(ids)), "a path belongs to one map"
         assert len(with_noise) == len(groups)
-        return (self._sampled(group) for group in groups)
+        return (self.sampled(group) for group in groups)
 
     def sampled_rays(self, path_ids, n=8):
         return {path_id: [SimpleNamespace(points=ray) for ray in self.history(path_id, n).rays] for path_id in path_ids}

@@ -15,6 +15,8 @@ from mistray.coatings import preset
 from mistray.errors import MistrayError
 from mistray.report.colour import ColourPictures, Look, check_wavelengths, develop, observer, xyz
 from mistray.report.plots import as_png
+from mistray.trace.ledger import BATCHES
+from mistray.trace.sampled import Sampled
 
 VISIBLE = np.arange(400.0, 701.0, 10.0)
 DESIGN_NM, GLASS = 550.0, 1.5168
@@ -23,7 +25,7 @@ DESIGN_NM, GLASS = 550.0, 1.5168
 class SmoothTrace(FakeTrace):
     """Its paths are discs without noise."""
 
-    def irradiance_of(self, path_ids):
+    def sampled(self, path_ids):
         x0, x1, y0, y1 = EXTENT
         x = np.linspace(x0, x1, 2 * SHAPE[1] + 1)[1::2]
         y = np.linspace(y0, y1, 2 * SHAPE[0] + 1)[1::2][:, None]
@@ -31,7 +33,7 @@ class SmoothTrace(FakeTrace):
         for path in (self.fakes[path_id] for path_id in path_ids):
             inside = np.hypot(x - path.x, y - path.y) < path.radius
             image[inside] += path.power / (np.pi * path.radius**2)
-        return image, np.zeros(SHAPE)
+        return Sampled(image, np.zeros((*SHAPE, BATCHES)))
 
 
 IMAGE = f"{LENS} detector:A"

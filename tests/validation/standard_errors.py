@@ -1,6 +1,6 @@
 """Every printed standard error against the spread of repeated runs: the entries, their kinds and the table.
 
-`python tests/validation/standard_errors.py [SEEDS]` prints the table.
+`python tests/validation/standard_errors.py [SEEDS [WORD …]]` prints the table.
 """
 
 from __future__ import annotations
@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
+from dataclasses import dataclass
 from typing import Any
 
 import mitsuba as mi
@@ -73,10 +74,10 @@ def rows_of(table: pd.DataFrame, kind: str = "", wavelength: bool = True) -> Ite
             )
 
 
-def pixels_of(kind: str, value: np.ndarray, se: np.ndarray, block: int = 1) -> Iterator[Entry]:
+def pixels_of(kind: str, value: np.ndarray, se: np.ndarray, of: float = 0.0) -> Iterator[Entry]:
     """Pixels of a map."""
     for place in np.argwhere(value > 0):
-        yield kind, str(tuple(place // block * block)), float(value[tuple(place)]), float(se[tuple(place)])
+        yield kind, f"{of:g} {tuple(place.tolist())}", float(value[tuple(place)]), float(se[tuple(place)])
 
 
 def estimate(kind: str, name: str, found: Any) -> Entry:
@@ -123,7 +124,7 @@ def of_ghosts(scene: mi.Scene, seed: int, fields_deg: tuple[float, ...], **setti
         one = report.summary(field)
         for name in ("stray_W", "ghost_to_signal", "stray_to_nominal"):
             yield estimate("ghost summary", f"{field:g} {name}", getattr(one, name))
-        yield from pixels_of("ghost pixel", *report.stray_map(field))
+        yield from pixels_of("ghost pixel", *report.stray_map(field), field)
         for row in report.scatter_surfaces(field).itertuples():
             yield "ghost scatter surface", f"{field:g} {row.surface}", row.power_W, row.power_se_W
 
@@ -151,14 +152,16 @@ def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **set
     yield estimate("PST metric", "throughput", ratios.image_throughput(p))
     yield estimate("PST metric", "radiance", ratios.equivalent_stray_radiance(p, sky))
     yield estimate("PST metric", "stray to signal", ratios.stray_to_signal(p, sky, 1.0))
-    curve = ratios.rejection_ratio(p)
+    curve = ratios.rejection_ratio(p, reference_deg=float(angles[2]))  # that of 0° has few rays: a ratio would be skew
     for angle, value, se in zip(curve.angles_deg, curve.value, curve.se, strict=True):
         if se > 0:
             yield "PST metric", f"psrr {angle:g}", value, se
     if maps:
-        yield estimate("PST map metric", "vgi", glare.veiling_glare_index(p, 4.0, source_deg=angles[-1]))
-        for angle in angles[:2]:
-            yield from pixels_of("PST pixel", *p.irradiance(angle))
+        yield estimate(
+            "PST map metric", "vgi", glare.veiling_glare_index(p, 4.0, source_deg=angles[-1], at_mm=(1.0, 1.0))
+        )
+        for angle in angles[2:4]:
+            yield from pixels_of("PST pixel", *p.irradiance(angle), angle)
 
 
 def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
@@ -207,46 +210,44 @@ def of_thermal(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
     yield estimate("thermal", "scene", report.scene_W_mm2)
 
 
-CASES: dict[str, Callable[[int], Iterator[Entry]]] = {}
+@dataclass(frozen=True)
+class Case:
+    """What is repeated: entries of a scene, shipped (by name) or made, at some settings."""
+
+    entries: Callable[..., Iterator[Entry]]
+    scene: str | Callable[[], mi.Scene]
+    settings: dict[str, Any]
+
+    def load(self) -> mi.Scene:
+        """The scene."""
+        return mistray.load(self.scene) if isinstance(self.scene, str) else self.scene()
 
 
-def case(function: Callable[[mi.Scene, int], Iterator[Entry]], name: str, make: Callable[[], mi.Scene]) -> None:
-    """A case by its name; its scene is loaded once."""
-    loaded: list[mi.Scene] = []
-
-    def run(seed: int) -> Iterator[Entry]:
-        if not loaded:
-            loaded.append(make())
-        return function(loaded[0], seed)
-
-    CASES[name] = run
-
-
-SCATTERING = {"rays": 5000, "field_deg": 5.0, "max_reflections": 1, "max_scatters": 2}
-case(lambda s, k: of_trace(s, k, **SCATTERING), "newtonian_scatter", lambda: mistray.load("newtonian_scatter"))
-case(lambda s, k: of_trace(s, k, rays=2000, aimed_rays=16), "painted screen", painted_screen)
-case(lambda s, k: of_trace(s, k, rays=4000, field_deg=5.0, wavelength_nm=[480.0, 550.0, 650.0]),
-     "double_gauss", lambda: mistray.load("double_gauss"))  # fmt: skip
-case(lambda s, k: of_ghosts(s, k, (0.0, 8.0), rays=6000, wavelength_nm=[500.0, 600.0]),
-     "double_gauss, ghosts", lambda: mistray.load("double_gauss"))  # fmt: skip
-case(lambda s, k: of_ghosts(s, k, (0.0,), rays=4000, max_scatters=1, max_reflections=1),
-     "newtonian_scatter, ghosts", lambda: mistray.load("newtonian_scatter"))  # fmt: skip
-case(
-    lambda s, k: of_ghosts(s, k, (0.0, 5.0), rays=4000), "cooke_triplet, ghosts", lambda: mistray.load("cooke_triplet")
-)
-case(
-    lambda s, k: of_image(s, k, rays=4000, field_deg=3.0), "cooke_triplet, glare", lambda: mistray.load("cooke_triplet")
-)
-case(lambda s, k: of_pst(s, k, [0.0, 4.0, 8.0, 12.0, 16.0, 20.0], 8, rays=20_000),
-     "cooke_triplet, PST", lambda: mistray.load("cooke_triplet"))  # fmt: skip
-case(lambda s, k: of_objects(s, k, rays=20_000, angles_deg=[0.0, 10.0]), "phone_camera_scatter, objects",
-     lambda: mistray.load("phone_camera_scatter"))  # fmt: skip
-case(
-    lambda s, k: of_objects(s, k, rays=20_000), "newtonian_scatter, objects", lambda: mistray.load("newtonian_scatter")
-)
-case(lambda s, k: of_gradient(s, k, ["*.bsdf.R", "*curvature", "*semi_diameter"], rays=4000, max_reflections=2),
-     "singlet, gradients", lambda: mistray.load("singlet_window_detector"))  # fmt: skip
-case(lambda s, k: of_thermal(s, k, rays=4000), "cassegrain, thermal", lambda: mistray.load("cassegrain"))
+TRIPLET, SCATTERED, GAUSS = "cooke_triplet", "newtonian_scatter", "double_gauss"
+KEYS = ["*.bsdf.R", "*curvature", "*semi_diameter"]
+CASES = {
+    "scattered paths": Case(
+        of_trace, SCATTERED, {"rays": 5000, "field_deg": 5.0, "max_reflections": 1, "max_scatters": 2}
+    ),
+    "painted screen": Case(of_trace, painted_screen, {"rays": 2000, "aimed_rays": 16}),
+    "ghost paths": Case(of_trace, GAUSS, {"rays": 4000, "field_deg": 5.0, "wavelength_nm": [480.0, 550.0, 650.0]}),
+    "ghost report, two wavelengths": Case(
+        of_ghosts, GAUSS, {"fields_deg": (0.0, 8.0), "rays": 6000, "wavelength_nm": [500.0, 600.0]}
+    ),
+    "ghost report, scatter": Case(
+        of_ghosts, SCATTERED, {"fields_deg": (0.0,), "rays": 4000, "max_scatters": 1, "max_reflections": 1}
+    ),
+    "ghost report": Case(of_ghosts, TRIPLET, {"fields_deg": (0.0, 5.0), "rays": 4000}),
+    "glare of a trace": Case(of_image, TRIPLET, {"rays": 4000, "field_deg": 3.0}),
+    "PST": Case(of_pst, TRIPLET, {"angles": [0.0, 4.0, 8.0, 12.0, 16.0, 20.0], "maps": 8, "rays": 60_000}),
+    "PST with the light": Case(
+        of_pst, TRIPLET, {"angles": [0.0, 6.0, 12.0, 18.0], "maps": 8, "rays": 2000, "method": "forward"}
+    ),
+    "objects at two angles": Case(of_objects, "phone_camera_scatter", {"rays": 20_000, "angles_deg": [0.0, 10.0]}),
+    "objects": Case(of_objects, SCATTERED, {"rays": 20_000}),
+    "gradients": Case(of_gradient, "singlet_window_detector", {"keys": KEYS, "rays": 4000, "max_reflections": 2}),
+    "thermal": Case(of_thermal, "cassegrain", {"rays": 4000}),
+}
 
 
 def repeats(name: str, seeds: int) -> pd.DataFrame:
@@ -260,11 +261,14 @@ def repeats(name: str, seeds: int) -> pd.DataFrame:
         the errors).
     """
     found: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
+    case = CASES[name]
+    scene = case.load()
     for seed in range(seeds):
-        for kind, entry, value, se in CASES[name](seed):
+        for kind, entry, value, se in case.entries(scene, seed, **case.settings):
             found[kind, entry].append((value, se))
     rows = []
     for (kind, entry), pairs in found.items():
+        assert len(pairs) <= seeds, f"{name}: two entries are called {kind} {entry}"
         if len(pairs) < seeds:
             continue
         value, se = np.array(pairs).T
@@ -289,12 +293,11 @@ def table(frames: list[pd.DataFrame]) -> pd.DataFrame:
 
 
 def main() -> None:
-    """Print the table, case by case."""
-    seeds = int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS
-    for name in CASES if len(sys.argv) < 3 else [name for name in CASES if any(word in name for word in sys.argv[2:])]:
-        print(
-            table([repeats(name, seeds)]).to_string(float_format="%.3f", header=name == next(iter(CASES))), flush=True
-        )
+    """Print the table, case by case: all of them, or those whose names hold one of some words."""
+    seeds, words = int(sys.argv[1]) if len(sys.argv) > 1 else SEEDS, sys.argv[2:] or [""]
+    for name in CASES:
+        if any(word in name for word in words):
+            print(table([repeats(name, seeds)]).to_string(float_format="%.3f"), flush=True)
 
 
 if __name__ == "__main__":

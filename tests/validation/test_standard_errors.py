@@ -1,0 +1,71 @@
+"""Printed standard errors are those of repeated runs."""
+
+from __future__ import annotations
+
+import numpy as np
+import pandas as pd
+import pytest
+from scipy.stats import f
+from validation.standard_errors import CASES, SEEDS, Case, of_trace, painted_screen, repeats, table
+
+POOLED = 0.85, 1.15  # std/SE of a kind of entries
+LEAST_ENTRIES = 8  # of a kind whose pooled std/SE is compared; of fewer the single entries are
+FAMILY = 0.01  # chance that any entry of a right program fails
+GROUPS = 8  # an error comes from so many groups of start rays at least
+
+
+def limits(entries: int, seeds: int, false_alarm: float) -> tuple[float, float]:
+    """
+    Least and largest std/SE of so many entries, which a right program breaks with the given chance.
+
+    (Šidák) The variance over the seeds has seeds - 1 degrees of freedom, the mean of the squared errors at least
+    (GROUPS - 1) for each seed.
+    """
+    single = -np.expm1(np.log1p(-false_alarm) / entries)
+    law = f(seeds - 1, seeds * (GROUPS - 1))
+    return float(np.sqrt(law.ppf(single / 2))), float(np.sqrt(law.isf(single / 2)))
+
+
+def check_entries(found: pd.DataFrame, seeds: int, false_alarm: float) -> None:
+    """Every entry by itself."""
+    low, high = limits(len(found), seeds, false_alarm)
+    ratio = found["std"] / found["rms_se"]
+    wrong = found.assign(ratio=ratio)[(ratio < low) | (ratio > high)]
+    assert wrong.empty, f"std/SE outside of {low:.2f} … {high:.2f}:\n{wrong.to_string()}"
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", CASES)
+def test_every_printed_error(name: str) -> None:
+    """
+    Pooled by kind within 0.85 to 1.15, and each entry within what chance allows.
+
+    One in a hundred right programs fails in the single entries of all cases together. Of 8 independent entries the
+    pooled std/SE has an error of 0.027, and the limits are five of those away; but the entries of a trace share start
+    rays.
+    """
+    found = repeats(name, SEEDS)
+    pooled = table([found])
+    pooled = pooled[pooled["entries"] >= LEAST_ENTRIES]["std/SE"]
+    assert pooled.between(*POOLED).all(), pooled.to_string()
+    check_entries(found, SEEDS, FAMILY / len(CASES))
+
+
+QUICK = {
+    "pixel": Case(of_trace, lambda: painted_screen(4), {"rays": 400, "aimed_rays": 16}),
+    "percent": Case(of_trace, "newtonian_scatter", {"rays": 1000, "field_deg": 5.0, "max_scatters": 1}),
+}
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_errors_of_a_trace(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    """
+    Twenty runs of a screen whose start rays send sixteen others into the pixels, and of a scene with many paths.
+
+    One in a thousand right programs fails. Errors that took the hits in a pixel for independent were 3 times too small
+    here, those of percents that knew nothing of the whole up to 5 times.
+    """
+    monkeypatch.setitem(CASES, kind, QUICK[kind])
+    found = repeats(kind, 20)
+    assert {kind, "power", "energy"} <= set(found["kind"])
+    check_entries(found, 20, 1e-3)
