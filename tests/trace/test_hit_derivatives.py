@@ -48,7 +48,7 @@ def executed(scene: Any, **settings: Any) -> Run:
 
 def recorded(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[bytes]]:
     """x, y (mm), weight and events of every hit of a plane detector that is not tilted, from the recorder."""
-    recorder = run.record(0, 100_000)
+    recorder = run.record(None, 100_000)
     n = int(recorder.count[0])
     nodes = np.array(recorder.nodes).reshape(recorder.capacity, -1, NODE_FLOATS)
     length = np.array(recorder.length)[:n]

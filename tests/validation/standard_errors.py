@@ -85,8 +85,8 @@ def estimate(kind: str, name: str, found: Any) -> Entry:
     return kind, name, float(found.value), float(found.se)
 
 
-def of_trace(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
-    """What a trace prints: paths, pixels, energy, boxes and maps of paths."""
+def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) -> Iterator[Entry]:
+    """What a trace prints: paths, pixels, energy, and by tracing its rays again boxes and maps of paths."""
     t = mistray.trace(scene, seed=seed, **settings)
     yield from rows_of(t.paths.by_way())
     yield from pixels_of("pixel", t.irradiance, t.irradiance_se)
@@ -95,6 +95,8 @@ def of_trace(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
         yield "surface", row.id + " absorbed", row.absorbed_W, row.absorbed_se_W
     yield "energy", "detected", t.energy.detected_W, t.energy.detected_se_W
     yield "energy", "escaped", t.energy.escaped_W, t.energy.escaped_se_W
+    if not again:
+        return
     frame = t.paths.to_pandas()
     stray = list(frame.path_id[frame.kind != "direct"])
     yield from pixels_of("pixel of paths", *t.irradiance_of(stray))

@@ -52,8 +52,8 @@ def test_every_printed_error(name: str) -> None:
 
 
 QUICK = {
-    "pixel": Case(of_trace, lambda: painted_screen(4), {"rays": 400, "aimed_rays": 16}),
-    "percent": Case(of_trace, "newtonian_scatter", {"rays": 1000, "field_deg": 5.0, "max_scatters": 1}),
+    "pixel": Case(of_trace, lambda: painted_screen(4), {"again": False, "rays": 400, "aimed_rays": 16}),
+    "percent": Case(of_trace, "newtonian_scatter", {"again": False, "rays": 4000, "field_deg": 5.0, "max_scatters": 1}),
 }
 
 
