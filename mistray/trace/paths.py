@@ -424,8 +424,8 @@ class PathTable(Sequence[PathRow]):
         order = np.argsort(head, kind="stable")
         kept, starts = np.unique(head[order], return_index=True)
         ways = [tuple(ids.tolist()) for ids in np.split(order, starts[1:])] if len(kept) else []
-        numbers = self.numbers(ways)
-        table = table.loc[kept].assign(**numbers.columns, **self.percents(numbers.light), path_ids=ways)
+        together = self.numbers(ways)
+        table = table.loc[kept].assign(**together.columns, **self.percents(together.light), path_ids=ways)
         return table.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)
 
     def to_pandas(self) -> pd.DataFrame:
