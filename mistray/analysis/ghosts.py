@@ -316,7 +316,7 @@ class GhostReport(Mapping[float, Trace]):
     def peak_to_nominal(self, field_deg: float) -> Estimate:
         """Brightest pixel of the stray light over the brightest pixel of the direct image on axis."""
         stray, nominal = self._field_maps(field_deg).stray, self._nominal_map()
-        found = brightest(stray).over(brightest(nominal), independent=self[field_deg] is not self.nominal_trace)
+        found = brightest(stray).over(brightest(nominal))
         return Estimate(float(found.value), float(found.se))
 
     def path_maps(self, field_deg: float, path_ids: Sequence[int]) -> FieldMaps:

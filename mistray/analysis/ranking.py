@@ -38,12 +38,12 @@ class DirectImage:
     paths: PathTable = field(repr=False, compare=False)
     path_ids: tuple[int, ...] = field(repr=False, compare=False)
 
-    def dividing(self, above: Sampled, of: PathTable, what: Literal["light", "density"]) -> Sampled:
+    def dividing(self, above: Sampled, what: Literal["light", "density"]) -> Sampled:
         """Numbers of a path table over the power of the image ("light") or its RMS irradiance; NaN without one."""
         if not self.path_ids:
             return Sampled(np.full_like(above.value, np.nan), np.full_like(above.apart, np.nan))
         own: Sampled = getattr(self.paths.numbers([self.path_ids]), what)
-        return above.over(own if above.value.ndim else own[0], independent=of is not self.paths)
+        return above.over(own if above.value.ndim else own[0])
 
 
 def direct_image(paths: PathTable, wavelength_nm: float | None = None) -> DirectImage:
@@ -80,7 +80,7 @@ def stray_to_direct(paths: PathTable, image: DirectImage, wavelength_nm: float |
     wavelength_nm : float, optional
         Of this wavelength alone. Default: of all light.
     """
-    found = image.dividing(paths.light(paths.ids(False, wavelength_nm)), paths, "light")
+    found = image.dividing(paths.light(paths.ids(False, wavelength_nm)), "light")
     return Estimate(float(found.value), float(found.se))
 
 
@@ -114,7 +114,7 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
     words = table[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]]
     table["label"] = [label(*row) for row in words.itertuples(index=False)]
     numbers = paths.numbers(list(table.path_ids))
-    normalised = nominal.dividing(numbers.density, paths, "density")
+    normalised = nominal.dividing(numbers.density, "density")
     table["normalised_rms_irradiance"], table["normalised_rms_irradiance_se"] = normalised.value, normalised.se
     table["well_sampled"] = table.rays.to_numpy(np.int64) >= FEWEST_RAYS
     stray = table.kind != DIRECT

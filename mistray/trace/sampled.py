@@ -28,7 +28,8 @@ class Sampled:
     apart : (…, b) float64
         What each batch, or each group of consecutive batches, adds to the error of the value: independent numbers of
         mean 0, the sum of whose squares is the square of the standard error. Batches of independent runs may share a
-        place.
+        place, and so may those of traces with the same seed at two field angles, whose start rays are alike: what they
+        have in common is seen, and where there is nothing, their squares add.
     """
 
     value: Numbers
@@ -82,14 +83,13 @@ class Sampled:
         """The numbers times one that has no error."""
         return Sampled(self.value * factor, self.apart * factor)
 
-    def over(self, other: Sampled, independent: bool = False) -> Sampled:
-        """Quotient with a number of the same trace, or of an independent one; NaN where that is 0."""
+    def over(self, other: Sampled) -> Sampled:
+        """Quotient; NaN where the other is 0."""
         with np.errstate(divide="ignore", invalid="ignore"):
-            a, b = (self, other) if independent else _alike(self, other)
+            a, b = _alike(self, other)
             below = np.where(b.value == 0, np.nan, b.value)
             value = np.asarray(a.value / below)
-            terms = np.broadcast_arrays(a.apart / below[..., None], value[..., None] * b.apart / below[..., None])
-            return Sampled(value, np.concatenate(terms, axis=-1) if independent else terms[0] - terms[1])
+            return Sampled(value, (a.apart - value[..., None] * b.apart) / below[..., None])
 
     def total(self) -> Sampled:
         """Sum over the first axis."""

@@ -295,7 +295,7 @@ def ghost_to_signal(t: Trace, nominal: Trace | None = None) -> tuple[Metric, Met
         image, glare = t.each_map([direct, stray], [True, True])
     else:
         (image,), (glare,) = signal.each_map([direct], [True]), t.each_map([stray], [True])
-    peak = brightest(glare).over(brightest(image), independent=not own)
+    peak = brightest(glare).over(brightest(image))
     facts = {"field_deg": t.settings["field_deg"], "signal_field_deg": signal.settings["field_deg"]}
     return (
         Metric.of("gsr", integrated, facts=facts),
