@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
+    from mistray.analysis.critical_rays import critical_rays
     from mistray.analysis.estimate import Estimate
     from mistray.analysis.ghosts import FieldSummary, GhostReport, ghosts
     from mistray.analysis.irradiance import MapStatistics, log10_image, mirror_asymmetry, statistics
@@ -30,6 +31,7 @@ __all__ = [
     "Pst",
     "Study",
     "ThermalReport",
+    "critical_rays",
     "first_level",
     "ghosts",
     "log10_image",
@@ -45,6 +47,7 @@ __all__ = [
 lazy_package(
     __name__,
     {
+        "critical_rays": ("critical_rays",),
         "estimate": ("Estimate",),
         "ghosts": ("FieldSummary", "GhostReport", "ghosts"),
         "irradiance": ("MapStatistics", "log10_image", "mirror_asymmetry", "statistics"),

@@ -7,7 +7,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import RAW
+from mistray.cli.arguments import RAW, field, finite
 from mistray.cli.tracing_arguments import print_json
 from mistray.errors import MistrayError
 
@@ -16,12 +16,15 @@ def add(commands: Any) -> None:
     """Declare the command."""
     parser = commands.add_parser(
         "export",
-        help="write the optical surfaces of a scene as a lens file",
+        help="write the optical surfaces of a scene as a lens file, or its critical rays",
         description="Write the optical surfaces of a scene, in the order of light, as a sequential lens for Zemax "
         "OpticStudio and programs that read its files. Structure, scatter and coatings without a name are left out, "
-        "and the command says what was.",
+        "and the command says what was.\n"
+        "Into a .csv file: the critical rays, centre and rim of the beam of each field, node by node, to check mounts\n"
+        "and baffles with.",
         epilog="examples:\n"
         "  mistray export cooke_triplet -o triplet.zmx\n"
+        "  mistray export cooke_triplet -o critical.csv --field-deg 0 7 10\n"
         "  mistray export camera.xml -o camera.zmx --json",
         formatter_class=RAW,
     )
@@ -29,8 +32,13 @@ def add(commands: Any) -> None:
         "scene", metavar="SCENE", help="scene XML file, or the name of a shipped scene such as cooke_triplet"
     )
     parser.add_argument(
-        "-o", "--output", metavar="ZMX", type=Path, help="file to write (default: SCENE with .zmx, in this folder)"
-    )
+        "-o", "--output", metavar="FILE", type=Path,
+        help="file to write, .zmx or .csv (default: SCENE with .zmx, in this folder)",
+    )  # fmt: skip
+    parser.add_argument("--field-deg", type=field, nargs="+", metavar="DEG",
+                        help="of critical rays: field angles, degrees (that of the scene)")  # fmt: skip
+    parser.add_argument("--wavelength-nm", type=finite, nargs="+", metavar="NM",
+                        help="of critical rays: wavelengths, nm (those of the scene)")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
     parser.set_defaults(run=run)
 
@@ -42,10 +50,16 @@ def run(options: argparse.Namespace) -> int:
     from mistray.scene.read_optics import read_optics
 
     output = options.output or Path(f"{Path(options.scene).stem}.zmx")
-    if output.suffix.lower() != ".zmx":
-        raise MistrayError(f"output '{output}': files of type '{output.suffix}' cannot be written; end it in .zmx")
     if not output.parent.is_dir():
         raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
+    if output.suffix.lower() == ".csv":
+        return _critical_rays(output, options)
+    for name in ("field_deg", "wavelength_nm"):
+        if getattr(options, name) is not None:
+            option = f"--{name.replace('_', '-')}"
+            raise MistrayError(f"{option} is about critical rays; name a .csv file as output, or leave it out")
+    if output.suffix.lower() != ".zmx":
+        raise MistrayError(f"output '{output}': '{output.suffix}' cannot be written; end it in .zmx or .csv")
     prescription, left_out = read_optics(options.scene)
     lens = to_sequential(prescription)
     if left_out:
@@ -66,4 +80,23 @@ def run(options: argparse.Namespace) -> int:
     print(f"{output}: {surfaces} surfaces, entrance pupil {lens.aperture:.6g} mm")
     for note in (*lens.notes, *lost):
         print(f"  {note}")
+    return 0
+
+
+def _critical_rays(output: Path, options: argparse.Namespace) -> int:
+    """Write the critical rays."""
+    from mistray._variant import ensure_variant
+    from mistray.analysis.critical_rays import critical_rays
+    from mistray.replace_file import replace_file
+    from mistray.scene import load
+
+    ensure_variant()
+    table = critical_rays(load(options.scene), options.field_deg, options.wavelength_nm)
+    replace_file(output, table.to_csv(index=False, lineterminator="\n"), "ray file")
+    count = int(table.ray.max()) + 1
+    if options.json:
+        fields, lines = (table[name].unique().tolist() for name in ("field_deg", "wavelength_nm"))
+        print_json({"rays": count, "fields_deg": fields, "wavelengths_nm": lines}, [output])
+    else:
+        print(f"{output}: {count} critical rays")
     return 0

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, NamedTuple
 
@@ -56,6 +56,10 @@ class RayHistory:
 
     def __len__(self) -> int:
         return len(self._rays)
+
+    def __getitem__(self, numbers: Sequence[int]) -> RayHistory:
+        """Some of the rays."""
+        return RayHistory(self._run, [self._rays[number] for number in numbers])
 
     @property
     def rays(self) -> list[np.ndarray]:

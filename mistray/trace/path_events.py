@@ -197,8 +197,8 @@ def describe_events(
     Returns
     -------
     dict
-        Columns events, path, order, kind, ghost_1, ghost_2, scatter_1, scatters, diffractions, structure_bounces, tir,
-        objects, unique_objects, last_object and critical of `PathRow`, (p,) each.
+        Columns events, path, order, kind, ghost_1, ghost_2, scatter_1, edges, scatters, diffractions,
+        structure_bounces, tir, objects, unique_objects, last_object and critical of `PathRow`, (p,) each.
     """
     e = Events(events, lengths, words)
     surfaces, reflecting, scattering = e.places, e.reflected, e.deflected
@@ -233,6 +233,7 @@ def describe_events(
         "ghost_1": _nth_name(reflecting, 1, surfaces, ids),
         "ghost_2": _nth_name(reflecting, 2, surfaces, ids),
         "scatter_1": _nth_name(scattering, 1, surfaces, ids),
+        "edges": _names(e.before_the_end & e.at(WALL) & ~e.at(OPAQUE) & ~e.at(DIFFRACTS), surfaces, ids),
         "scatters": scatters,
         "diffractions": diffractions,
         "structure_bounces": structure,
@@ -249,6 +250,14 @@ def distinct(values: np.ndarray, inside: np.ndarray) -> np.ndarray:
     order = np.sort(np.where(inside, values.astype(np.int64), -1), axis=1)
     new = np.diff(order, axis=1, prepend=-1) != 0
     return np.asarray(new.sum(axis=1))
+
+
+def _names(chosen: np.ndarray, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:
+    """Names of the surfaces of the chosen events of each list, with blanks between, or "-"."""
+    names = np.full(len(chosen), "-", dtype=object)
+    for row in np.flatnonzero(chosen.any(axis=1)):
+        names[row] = " ".join(ids[k] for k in surfaces[row][chosen[row]])
+    return names
 
 
 def _nth_name(chosen: np.ndarray, n: int, surfaces: np.ndarray, ids: Sequence[str]) -> np.ndarray:

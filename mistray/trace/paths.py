@@ -64,6 +64,8 @@ class PathRow:
         First and second surface that reflects specularly, mirrors and total internal reflection apart, or "-".
     scatter_1 : str
         First surface that scatters or diffracts, or "-".
+    edges : str
+        Edges, bevels and flanges of lenses that the light meets, in its order, with blanks between, or "-".
     scatters : int
         Scatter events, those of diffraction included.
     diffractions : int
@@ -106,6 +108,7 @@ class PathRow:
     ghost_1: str
     ghost_2: str
     scatter_1: str
+    edges: str
     scatters: int
     diffractions: int
     structure_bounces: int

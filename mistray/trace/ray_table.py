@@ -91,21 +91,16 @@ def ray_table(
         table = pd.DataFrame({name: values[kept] for name, values in whole.items()} | texts)
         table.insert(0, "ray", np.arange(len(table)))
         return table
-    tables = []
-    for place, k in enumerate(kept):
-        number, ray = rays[k]
-        table = RayHistory(runs[number], [ray]).to_pandas().assign(ray=place)
+    tables, done = [], 0
+    for number, run in enumerate(runs):
+        own = [k for k in kept.tolist() if rays[k][0] == number]
+        table = RayHistory(run, [rays[k][1] for k in own]).to_pandas()
         for name in ("kind", "path_id"):
-            table.insert(2, name, whole[name][k])
+            table.insert(2, name, whole[name][np.array(own, dtype=np.int64)][table.ray.to_numpy(np.int64)].tolist())
+        table["ray"] += done
+        done += len(own)
         tables.append(table)
-    return pd.concat(tables, ignore_index=True) if tables else _no_events(runs[0])
-
-
-def _no_events(run: Run) -> pd.DataFrame:
-    table = RayHistory(run, []).to_pandas()
-    for name in ("kind", "path_id"):
-        table.insert(2, name, [])
-    return table
+    return pd.concat([table for table in tables if len(table)] or tables[:1], ignore_index=True)
 
 
 def _check_pixels(pixels: Sequence[int], run: Run) -> None:

@@ -88,6 +88,16 @@ def test_surfaces_are_named_in_the_order_of_the_light() -> None:
     assert [mirror[name] for name in names] == ["-", "-", "-", 0, 0, 0, 0]
 
 
+def test_edges_and_bevels_are_named() -> None:
+    rows = facts(
+        "L1_front:T L1_edge:T L1_rear:I L1_edge:R detector:A",
+        "L1_front:T L1_rear:T detector:A",
+        "barrel:r L1_front:T L1_edge:t detector:A",
+        "L1_edge:I L1_front:T detector:A",
+    )
+    assert [row["edges"] for row in rows] == ["L1_edge L1_edge", "-", "L1_edge", "L1_edge"]
+
+
 def test_a_list_is_read_to_its_end_and_no_further() -> None:
     """Lists are filled up to the length of the longest: what stands there says nothing."""
     long = "barrel:r L1_front:t L1_rear:R L1_front:R L1_edge:T L1_rear:I detector:A"

@@ -1,0 +1,98 @@
+"""Critical rays: those by which a mechanical design is checked, from the centre and the rim of the beam of each field.
+
+As OpticStudio's critical ray set: whoever changes a mount or a baffle traces these rays again and sees that the image
+keeps its light.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mistray.errors import MistrayError
+from mistray.trace import trace
+from mistray.trace.path_events import DIRECT
+
+RIM = 8
+RAYS = 4000
+
+
+def critical_rays(
+    scene: Any,
+    fields_deg: Sequence[float] | None = None,
+    wavelength_nm: float | Sequence[float] | None = None,
+    azimuth_deg: float | None = None,
+    rim: int = RIM,
+    rays: int = RAYS,
+) -> pd.DataFrame:
+    """
+    The ray next to the centre of the light that forms the image, and the outermost ones round it, node by node.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    fields_deg : sequence of float, optional
+        Field angles, degrees. Default: that of the scene's source.
+    wavelength_nm, azimuth_deg
+        As in `mistray.trace`.
+    rim : int
+        Rays round the rim, at equal angles about the beam; at least 1.
+    rays : int
+        Start rays at each field, of which the critical ones are chosen: the rim is found to about 1/√rays.
+
+    Returns
+    -------
+    DataFrame
+        field_deg, name ("centre", "rim 0°", … counted about the beam from the scene's x axis towards y), and the
+        columns of `mistray.trace.RayHistory.to_pandas`; positions in float64. A field and wavelength has rim + 1 rays,
+        fewer where one ray is the outermost in two directions.
+
+    Raises
+    ------
+    MistrayError
+        If no light of a field forms an image, or what `mistray.trace` raises.
+    """
+    if rim < 1:
+        raise MistrayError(f"rim is {rim}; ask for at least one ray")
+    tables: list[pd.DataFrame] = []
+    for field in [None] if fields_deg is None else list(dict.fromkeys(fields_deg)):
+        t = trace(
+            scene, rays=rays, field_deg=field, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg, max_reflections=0,
+            max_scatters=0,
+        )  # fmt: skip
+        angle = float(t.settings["field_deg"])
+        image = [row for row in t.paths if row.kind == DIRECT]
+        if not image:
+            raise MistrayError(f"field {angle:g} deg: no light forms an image; leave the field out")
+        # The strongest path of each source and wavelength: others are the same light by another way
+        for row in {(row.source, row.wavelength_nm): row for row in reversed(image)}.values():
+            history = t.history(row.path_id, row.rays)
+            starts = np.array([points[0] for points in history.rays])
+            first = history.to_pandas().query("node == 0")[["dx", "dy", "dz"]].to_numpy(np.float64)
+            chosen = _outermost(starts, first.mean(axis=0), rim)
+            table = history[list(chosen.values())].to_pandas()
+            table.insert(0, "name", [list(chosen)[number] for number in table.ray])
+            table.insert(0, "field_deg", angle)
+            table["ray"] += tables[-1].ray.max() + 1 if tables else 0
+            tables.append(table)
+    return pd.concat(tables, ignore_index=True)
+
+
+def _outermost(starts: np.ndarray, along: np.ndarray, rim: int) -> dict[str, int]:
+    """Numbers of the ray next to the centre and of those at the rim, by their names."""
+    along = along / np.linalg.norm(along)
+    across = np.array([1.0, 0.0, 0.0]) - along[0] * along
+    if np.linalg.norm(across) < 1e-6:
+        across = np.array([0.0, 1.0, 0.0]) - along[1] * along
+    across /= np.linalg.norm(across)
+    plane = (starts - starts.mean(axis=0)) @ np.column_stack([across, np.cross(along, across)])
+    found = {"centre": int(np.argmin(np.linalg.norm(plane, axis=1)))}
+    for k in range(rim):
+        turn = 2 * np.pi * k / rim
+        number = int(np.argmax(plane @ [np.cos(turn), np.sin(turn)]))
+        if number not in found.values():
+            found[f"rim {360 * k / rim:g}°"] = number
+    return found
