@@ -40,27 +40,22 @@ from mistray.trace.books import (
     Tallies,
     record_branch,
 )
+from mistray.trace.event_codes import diffraction_count, event_code
 from mistray.trace.extrema import larger
 from mistray.trace.interaction import counts_as_reflection, interact, is_aside
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import (
     ABSORBED,
-    AIMED_TRANSMITTED,
     COUNT_MASK,
-    DIFFRACTED_SHIFT,
     EVENT_BITS,
     FIRST_KEY,
     OPTICAL_SHIFT,
     RANDOM_SHIFT,
-    RANDOM_TRANSMITTED,
-    REFLECTED,
-    TOTAL,
-    TRANSMITTED,
     Ledger,
     extend_key,
 )
 from mistray.trace.next_hit import film_coordinates, next_hit
-from mistray.trace.optics import DETECTOR, DIFFRACTS, NO_LOSS, ONE_CHILD, OPAQUE
+from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
 from mistray.trace.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
 from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.rims import RimBook
@@ -286,9 +281,8 @@ def walk(
         if box is not None:
             booked = detected & (x >= box.x) & (x <= box.y) & (y >= box.z) & (y <= box.w)
         if recorder is not None:
-            wanted = recorder.wants(key, w, detected) & booked
-            last_node, place = (*p, *d, w), (x, y)
-            record_branch(recorder, path, event, wanted, last_node, depth, lane, key, mi.Float64(w), place=place)
+            wanted, last_node = recorder.wants(key, w, detected) & booked, (*p, *d, w)
+            record_branch(recorder, path, event, wanted, last_node, depth, lane, key, mi.Float64(w), place=(x, y))
         if rims is not None:
             rims.visit(rim_events, path, event, it, state, batch, lane, visited, first)
         if ledger is not None:
@@ -514,14 +508,9 @@ def walk(
         path = nodes.keep(path, node, depth, push, push | go, recorded_floats)
         bit = mi.UInt64(1) << mi.UInt64(depth)
         pending = dr.select(push, state["pending"] | bit, state["pending"])
-        what = dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
-        if scatters:
-            technique = dr.select(aim, mi.UInt32(AIMED_TRANSMITTED), mi.UInt32(RANDOM_TRANSMITTED))
-            if sky is not None:  # nobody asks how a direction against the light was found
-                technique = mi.UInt32(RANDOM_TRANSMITTED)
-            what = dr.select(scatter, technique + dr.select(reflect, mi.UInt32(1), 0), what)
-            what = dr.select(cloud, technique, what)
-        code = (place << EVENT_BITS) | what
+        # Nobody asks how a direction against the light was found
+        how = (scatter, cloud, aim if sky is None else mi.Bool(False)) if scatters else None
+        code = event_code(place, it, reflect, how)
         codes.write(code, depth, go)
         if adjoint is not None and adjoint.rows:
             adjoint.enter(events, depth, it, reflect, slope, total, go)
@@ -536,12 +525,10 @@ def walk(
         bounced = reflect & counted & ~scatter
         aside, diffraction = state["aside"], mi.UInt32(0)
         if sky is not None:
-            if scatters and table.optics.diffracts:
-                edge = scatter & ~reflect & ((it.word & DIFFRACTS) != 0)
-                diffraction = dr.select(edge, mi.UInt32(1 << DIFFRACTED_SHIFT), 0)
-            after = state["scatters"] + diffraction
+            after = state["scatters"]
             if scatters:
-                after = after + dr.select(scatter | cloud, mi.UInt32(1), 0)
+                diffraction = diffraction_count(table.optics, it, scatter, reflect)
+                after = after + diffraction + dr.select(scatter | cloud, mi.UInt32(1), 0)
             bounces = reflections + dr.select(bounced, mi.UInt32(1), 0)
             aside = aside | is_aside(it, reflect)
             path_key, leaving = extend_key(state["key"], code), go & ~hit

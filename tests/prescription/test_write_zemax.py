@@ -336,7 +336,7 @@ def test_command_prints_one_json_object(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (["newtonian", "-o", "lens.txt"], "files of type '.txt' cannot be written"),
+        (["newtonian", "-o", "lens.txt"], "'.txt' cannot be written"),
         (["newtonian", "-o", "no/lens.zmx"], "the folder 'no' does not exist"),
         (["newtonion", "-o", "lens.zmx"], "such as newtonian"),
     ],

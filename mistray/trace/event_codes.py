@@ -1,0 +1,51 @@
+"""The code of an event in the kernel: where it is, and what happens there."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.trace.interaction import Interaction
+from mistray.trace.ledger import (
+    AIMED_TRANSMITTED,
+    DIFFRACTED_SHIFT,
+    EVENT_BITS,
+    RANDOM_TRANSMITTED,
+    REFLECTED,
+    TOTAL,
+    TRANSMITTED,
+)
+from mistray.trace.optics import DIFFRACTS, Optics
+
+
+def event_code(
+    place: mi.UInt32, it: Interaction, reflect: mi.Bool, scattered: tuple[mi.Bool, mi.Bool, mi.Bool] | None
+) -> mi.UInt32:
+    """
+    Code of an event, see `mistray.trace.ledger`.
+
+    Parameters
+    ----------
+    place : mi.UInt32
+        Number of the surface or medium.
+    it : Interaction
+    reflect : mi.Bool
+        Whether the ray leaves on the side that it came from.
+    scattered : tuple of mi.Bool or None
+        Whether the surface scattered it, whether the medium did, and whether it was aimed; None: nothing scatters.
+    """
+    what = dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
+    if scattered is not None:
+        surface, medium, aim = scattered
+        technique = dr.select(aim, mi.UInt32(AIMED_TRANSMITTED), mi.UInt32(RANDOM_TRANSMITTED))
+        what = dr.select(surface, technique + dr.select(reflect, mi.UInt32(1), 0), what)
+        what = dr.select(medium, technique, what)
+    return (place << EVENT_BITS) | what
+
+
+def diffraction_count(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.UInt32:
+    """What a scatter event adds to the count of a path's diffractions, see `mistray.trace.ledger.COUNT_MASK`."""
+    if not optics.diffracts:
+        return mi.UInt32(0)
+    edge = scatter & ~reflect & ((it.word & DIFFRACTS) != 0)
+    return dr.select(edge, mi.UInt32(1 << DIFFRACTED_SHIFT), 0)
