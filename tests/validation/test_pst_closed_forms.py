@@ -287,6 +287,9 @@ def cavity_text(*parts: str, wall: str, inner: str = "air", glass_from: float | 
 
 WHITE = wall_xml(1.0)
 GLOSSY = scattering_xml([bsdf_xml("harvey_shack", b0=1.0, l=0.1, s=-2.2)], R=1.0)
+PHONG = scattering_xml([bsdf_xml("phong", b0=1.5, exponent=8.0)], R=1.0)
+FIT = bsdf_xml("polynomial", c000=-0.3, c100=0.2, c010=-0.4, c001=0.3, l10=-0.5, d=30.0)
+FITTED = placed_xml("asphere", "sheet", scattering_xml([FIT], R=0.3, T=0.7), at=(0, 0, 0.3), semi_diameter=1.0)
 SHEET = placed_xml(
     "asphere",
     "sheet",
@@ -305,10 +308,12 @@ class TestWhiteFurnace:
         [
             (cavity_text(wall=WHITE), 1.0),
             (cavity_text(wall=GLOSSY), 1.0),
+            (cavity_text(wall=PHONG), 1.0),
             (cavity_text(SHEET, wall=WHITE), 1.0),
+            (cavity_text(FITTED, wall=WHITE), 1.0),
             (cavity_text(wall=WHITE, inner="1.2", glass_from=0.9), 1.2**2),
         ],
-        ids=["white", "glossy", "sheet", "glass"],
+        ids=["white", "glossy", "phong", "sheet", "fitted sheet", "glass"],
     )
     def test_cavity(self, load_scene: Load, text: str, squared_index: float, method: str) -> None:
         """Nothing absorbs, so that what 64 events cut would have come out; they cut less than 1e-3 here."""
