@@ -20,6 +20,8 @@ D = 1e4  # FRED's own start
 # Of the ratio to the carrier: the angle of the specular direction, log r and ψ; past the horizon only the first cell is
 # read, and further out a polynomial may be anything
 NODES, R_MIN, MOST_U = (37, 121, 37), 1e-3, 1.5
+# Of the check of a fit: nodes, and the largest BSDF, 1/sr, that single precision still takes
+FEW, LARGEST = (7, 9, 7), 1e12
 
 
 def is_coefficient(name: str) -> bool:
@@ -90,6 +92,14 @@ class Polynomial(Placement):
         if "c000" not in names or len(set(names)) < len(names):
             raise MistrayError(f"{self.title}: coefficients {', '.join(names) or 'none'}; give each once, and c000")
         need_positive(self.title, "d", self.d)
+        with np.errstate(all="ignore"):
+            whole, over_carrier = self._tabled(FEW)
+        largest = float(np.max(np.maximum(whole, over_carrier)))
+        if not (np.all(whole > 0) and largest < LARGEST):  # NaN is refused too
+            raise MistrayError(
+                f"{self.title}: its BSDF runs from {np.min(whole):.3g} to {np.max(whole):.3g} 1/sr over all directions; "
+                "the coefficients are too large, fit fewer"
+            )
 
     @classmethod
     def of(cls, **properties: Any) -> Polynomial:
@@ -104,14 +114,19 @@ class Polynomial(Placement):
         def profile(r: np.ndarray) -> np.ndarray:
             return np.asarray(carrier(r, named, self.d))
 
-        ratio = None if depends_on_distance_alone(named) else self._ratio(named)
+        ratio = None if depends_on_distance_alone(named) else self._ratio()
         return tuple(Lobe(event, profile, shares=self.shares, ratio=ratio) for event in self.events(from_front))
 
-    def _ratio(self, named: dict[str, float]) -> RatioTable:
+    def _ratio(self) -> RatioTable:
         """The BSDF over its carrier; the invariants go on smoothly past the horizon."""
-        sine, r = np.sin(np.linspace(0, np.pi / 2, NODES[0])), np.geomspace(R_MIN, 2, NODES[1])
-        sine, r, psi = np.ix_(sine, r, np.linspace(0, np.pi, NODES[2]))
+        return RatioTable(np.ascontiguousarray(self._tabled(NODES)[1]), R_MIN, "angular")
+
+    def _tabled(self, nodes: tuple[int, int, int]) -> tuple[np.ndarray, np.ndarray]:
+        """The BSDF, and the same over its carrier, over the angle of the specular direction, log r and ψ."""
+        named = dict(self.coefficients)
+        sine, r = np.sin(np.linspace(0, np.pi / 2, nodes[0])), np.geomspace(R_MIN, 2, nodes[1])
+        sine, r, psi = np.ix_(sine, r, np.linspace(0, np.pi, nodes[2]))
         along, w = sine * r * np.cos(psi), sine * sine
         u = np.minimum(w + 2 * along + r * r, MOST_U)
         whole = polynomial.bsdf((u + w, u * w, w + along), r * r, *sums_of(named), self.d)
-        return RatioTable(np.ascontiguousarray(whole / carrier(r, named, self.d)), R_MIN, "angular")
+        return np.asarray(whole), np.asarray(whole / carrier(r, named, self.d))

@@ -20,6 +20,7 @@ from mistray.scatter.rough_surface import RoughSurface
 FREQUENCIES = {"frequency_1_um": 1.0, "frequency_1_mm": 1e-3}  # column → 1/µm
 SPECTRA = {"psd_um4": 1.0, "psd_nm2_mm2": 1.0}  # column → µm⁴; nm² mm² is the same
 BEYOND = ("error", "slope", "zero")
+LARGEST_UM4 = 1e12
 
 
 @dataclass(frozen=True)
@@ -64,11 +65,12 @@ class PsdTable(RoughSurface):
             raise MistrayError(f"{self.title}: {f.size} frequencies and {psd.size} values; give two or more of each")
         if not (np.all(np.isfinite(f)) and np.all(np.diff(f) > 0) and f[0] > 0):
             raise MistrayError(f"{self.title}: the frequencies must be above 0 and ascend; sort them, each once")
-        if not np.all(np.isfinite(psd) & (psd > 0)):
-            k = int(np.argmin(np.isfinite(psd) & (psd > 0)))
+        good = (psd > 0) & (psd <= LARGEST_UM4)
+        if not np.all(good):
+            k = int(np.argmin(good))
             raise MistrayError(
                 f"{self.title}: spectrum {psd[k]:g} µm⁴ at {f[k]:g} 1/µm; give values > 0, and leave out what is below "
-                "the noise"
+                f"the noise; no smooth surface has more than {LARGEST_UM4:g}"
             )
         if self.beyond not in BEYOND:
             raise MistrayError(f"{self.title}: beyond is '{self.beyond}'; use 'error', 'slope' or 'zero'")

@@ -90,6 +90,12 @@ def test_refuses(coefficients: tuple[tuple[str, float], ...], message: str) -> N
         Polynomial(coefficients)
 
 
+@pytest.mark.parametrize("coefficients", [{"c000": 400.0}, {"c000": -400.0}, {"c000": -1.0, "c900": 900.0}])
+def test_refuses_what_no_number_holds(coefficients: dict[str, float]) -> None:
+    with pytest.raises(MistrayError, match=r"^Polynomial: its BSDF runs from .* the coefficients are too large"):
+        model(**coefficients)
+
+
 def test_refuses_the_knee() -> None:
     with pytest.raises(MistrayError, match="d is 0; give a number > 0"):
         model(0.0, c000=-1.0)
