@@ -97,7 +97,7 @@ class Polynomial(Placement):
         largest = float(np.max(np.maximum(whole, over_carrier)))
         if not (np.all(whole > 0) and largest < LARGEST):  # NaN is refused too
             raise MistrayError(
-                f"{self.title}: its BSDF runs from {np.min(whole):.3g} to {np.max(whole):.3g} 1/sr over all directions; "
+                f"{self.title}: its BSDF runs from {np.min(whole):.3g} to {np.max(whole):.3g} 1/sr; "
                 "the coefficients are too large, fit fewer"
             )
 
