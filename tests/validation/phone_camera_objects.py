@@ -226,7 +226,8 @@ def products(angle_deg: float, rays: int, trace_rays: int) -> list[dict[str, Any
                 "traced_se": se,
                 "product": float(own.detector_W.sum()),
                 "product_se": float(np.sqrt((own.detector_W_se**2).sum())),
-                "flux": float(own.flux_W.sum()),
+                # A surface that transmits has a row for each side on which it is seen, with the same flux
+                "flux": float(own.flux_W.drop_duplicates().sum()),
                 "bsdf": float(own.bsdf_1_sr.iloc[0]) if len(own) else 0.0,
                 "gcf": float(own.gcf.iloc[0]) if len(own) else 0.0,
             }
