@@ -15,7 +15,7 @@ from validation.tables import markdown, number, write
 
 if TYPE_CHECKING:
     import pandas as pd
-    from validation.lsst import Comparison, Sums
+    from validation.beside_batoid import Comparison, Sums
 
 IMAGE_RAYS = 40_000
 ON_AXIS_RAYS = 4_000_000
@@ -327,6 +327,38 @@ def write_lsst() -> None:
     )
 
 
+def write_telescopes() -> None:
+    """docs/validation/telescopes.md."""
+    from validation.beside_batoid import differences
+    from validation.test_telescopes import FAINT, RAYS, TELESCOPES
+
+    rows = []
+    for telescope, fields in TELESCOPES.values():
+        for field in fields:
+            result = telescope.compare(field, RAYS)
+            ours, star = result.image
+            ghosts = {names: pair for names, pair in result.ghosts().items() if pair[1].flux > FAINT * star.flux}
+            more = {names: pair for names, pair in ghosts.items() if pair[0].rays > pair[1].rays}
+            given_up = {names: telescope.unconverged(names, result) for names in more}
+            whole = {names: pair for names, pair in ghosts.items() if not given_up.get(names)}
+            rows.append(
+                (
+                    telescope.file,
+                    f"{field:g}",
+                    f"{1e3 * ours.rms_mm:.3f}",
+                    f"{1e3 * star.rms_mm:.3f}",
+                    str(len(ghosts)),
+                    f"{differences(whole)['flux']:.1e}",
+                    str(len(ghosts) - len(whole)),
+                    str(sum(pair[0].rays - pair[1].rays for pair in more.values())),
+                    str(sum(given_up.values())),
+                )
+            )
+    header = ("telescope", "field °", "RMS spot µm", "batoid µm", "ghosts", "Δ flux / flux", "with rays given up",
+              "more rays", "given up")  # fmt: skip
+    write("telescopes.md", {"telescopes": markdown(header, rows)})
+
+
 def _most_rays(result: Comparison) -> int:
     return max(ours.rays for ours, _ in result.paths.values())
 
@@ -346,6 +378,7 @@ REPORTS: dict[str, Callable[[], None]] = {
     "phone_camera": write_phone_camera,
     "phone_camera_pst": write_phone_camera_pst,
     "lsst": write_lsst,
+    "telescopes": write_telescopes,
 }
 
 if __name__ == "__main__":

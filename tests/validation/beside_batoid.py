@@ -1,0 +1,195 @@
+"""Telescopes that batoid ships, ray by ray beside its split trace.
+
+Both programs get the same start rays, so that nothing differs by chance. batoid knows the order of the elements and
+lets light go to a neighbour only, so that none comes back from a mirror to the camera; `Comparison.more` holds such
+paths. Its search for a hit of a strong asphere near the rim does not always converge: `Telescope.unconverged` counts
+these rays.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import batoid
+import numpy as np
+
+import mistray
+from mistray.prescription import Prescription, from_batoid
+
+REFLECTANCE = 0.02
+Names = tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class Sums:
+    """A path in one of the programs: rays, part of the launched flux, centroid and RMS radius in mm."""
+
+    rays: int
+    flux: float
+    x_mm: float
+    y_mm: float
+    rms_mm: float
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """
+    Both programs at one field.
+
+    Attributes
+    ----------
+    trace : mistray.Trace
+    paths : dict
+        Surfaces of a path → (mistray, batoid), for the paths that both find.
+    more, missing : dict
+        Those that only mistray finds, with batoid's figures from following the named surfaces, and those that only
+        batoid finds.
+    order : dict
+        Ghost reflections of every path.
+    """
+
+    trace: mistray.Trace
+    paths: dict[Names, tuple[Sums, Sums]]
+    more: dict[Names, tuple[Sums, Sums]]
+    missing: dict[Names, Sums]
+    order: dict[Names, int]
+
+    def ghosts(self) -> dict[Names, tuple[Sums, Sums]]:
+        """The two-reflection paths that both find."""
+        return {names: sums for names, sums in self.paths.items() if self.order[names] == 2}
+
+    @property
+    def image(self) -> tuple[Sums, Sums]:
+        """The path without ghost reflections."""
+        return next(pair for names, pair in self.paths.items() if self.order[names] == 0)
+
+
+@dataclass(frozen=True)
+class Telescope:
+    """A telescope of batoid's with R = 2 % on every refracting surface and on the detector."""
+
+    file: str
+    wavelength_nm: float
+
+    @cached_property
+    def prescription(self) -> Prescription:
+        """For mistray."""
+        optic = batoid.Optic.fromYaml(self.file)
+        return from_batoid(optic, wavelength_nm=self.wavelength_nm, reflectance=REFLECTANCE)
+
+    @cached_property
+    def coated(self) -> batoid.Optic:
+        """For batoid."""
+        optic = batoid.Optic.fromYaml(self.file)
+        for name in [name for name in self.sequence if name not in self.mirrors]:
+            for side in ("forwardCoating", "reverseCoating"):
+                setattr(optic[name], side, batoid.SimpleCoating(REFLECTANCE, 1 - REFLECTANCE))
+        return optic
+
+    @cached_property
+    def sequence(self) -> list[str]:
+        """Names of the surfaces in the order of the light."""
+        return [*(surface.name for surface in self.prescription.surfaces), self.prescription.detector.name]
+
+    @cached_property
+    def mirrors(self) -> set[str]:
+        """Names of the mirrors."""
+        return {surface.name for surface in self.prescription.surfaces if surface.mirror}
+
+    @cached_property
+    def scene(self) -> Any:
+        """For mistray."""
+        return self.prescription.to_scene()
+
+    def compare(self, field_deg: float, rays: int) -> Comparison:
+        """Trace the field with both programs, up to two ghost reflections."""
+        t = mistray.trace(self.scene, rays=rays, field_deg=field_deg, max_reflections=2, flux_threshold=1e-6)
+        run = t._runs[0]
+        origin, direction = run.start_rays(np.arange(run.rays))
+        ours = {tuple(name for name, _ in row.event_list): row for row in t.paths}
+        order = {names: row.order for names, row in ours.items()}
+        forward, _ = self.coated.traceSplit(self._rays(origin, direction), minFlux=1e-4)
+        theirs: dict[Names, Sums] = {}
+        for bundle in forward:
+            names = tuple(bundle.path)
+            order.setdefault(names, len(self._turns(names)))
+            if order[names] <= 2:
+                theirs[names] = _sums(bundle, bundle.flux, run.rays)
+
+        def sums(row: Any) -> Sums:
+            return Sums(row.rays, row.power_W / t.energy.launched_W, row.x_mm, row.y_mm, row.rms_radius_mm)
+
+        return Comparison(
+            t,
+            {names: (sums(row), theirs[names]) for names, row in ours.items() if names in theirs},
+            {
+                names: (sums(row), self._follow(names, row, origin, direction))
+                for names, row in ours.items()
+                if names not in theirs
+            },
+            {names: value for names, value in theirs.items() if names not in ours},
+            order,
+        )
+
+    def unconverged(self, names: Names, comparison: Comparison) -> int:
+        """
+        Rays of a path that batoid gives up although the hit is there.
+
+        They have failed, and the point where mistray says that they go on lies on the surface, within its aperture.
+        """
+        t = comparison.trace
+        row = next(row for row in t.paths if tuple(name for name, _ in row.event_list) == names)
+        rays = t.history(row.path_id, n=row.rays)._rays
+        start = [np.array([getattr(ray, what)[0] for ray in rays]) for what in ("points", "directions")]
+        found = 0
+        for k in np.flatnonzero(self.coated.trace(self._rays(*start), path=list(names)).failed):
+            steps = self.coated.traceFull(self._rays(*(v[[k]] for v in start)), path=list(names))
+            step = next(i for i, one in enumerate(steps.values()) if one["out"].failed[0])
+            element = self.coated[names[step]]
+            x, y, z = rays[k].points[step + 1] / 1e3 - element.coordSys.origin
+            off = abs(z - element.surface.sag(x, y))
+            found += bool(off < 1e-9 and not element.obscuration.contains(x, y))
+        return found
+
+    def label(self, names: Names) -> str:
+        """The surfaces at which a path of neighbours turns."""
+        return " → ".join(self._turns(names)) or "image"
+
+    def _turns(self, names: Names) -> list[str]:
+        steps = np.diff([self.sequence.index(name) for name in names])
+        return [names[i + 1] for i in np.flatnonzero(np.diff(steps))]
+
+    def _rays(self, origin: np.ndarray, direction: np.ndarray) -> batoid.RayVector:
+        """Start rays in mm as batoid's, of unit flux."""
+        n = len(origin)
+        columns = [np.ascontiguousarray(column) for column in (*(origin.T / 1e3), *direction.T)]
+        return batoid.RayVector(*columns, np.zeros(n), np.full(n, self.wavelength_nm * 1e-9), np.ones(n))
+
+    def _follow(self, names: Names, row: Any, origin: np.ndarray, direction: np.ndarray) -> Sums:
+        """batoid's sequential trace along a path that its split trace does not try; the flux by counting events."""
+        rays = self.coated.trace(self._rays(origin, direction), path=list(names))
+        good = ~(rays.vignetted | rays.failed)
+        split = [kind for name, kind in row.event_list if name not in self.mirrors]
+        reflected = sum(kind == "SpecRefl" for kind in split)
+        flux = REFLECTANCE**reflected * (1 - REFLECTANCE) ** (len(split) - reflected)
+        return _sums(rays[good], np.full(int(good.sum()), flux), len(rays))
+
+
+def _sums(rays: batoid.RayVector, flux: np.ndarray, launched: int) -> Sums:
+    share = flux / flux.sum()
+    x, y = share @ rays.x, share @ rays.y
+    rms = np.sqrt(share @ ((rays.x - x) ** 2 + (rays.y - y) ** 2))
+    return Sums(len(rays), float(flux.sum()) / launched, 1e3 * float(x), 1e3 * float(y), 1e3 * float(rms))
+
+
+def differences(pairs: dict[Names, tuple[Sums, Sums]]) -> dict[str, float]:
+    """Largest differences between the programs: rays, flux (relative), centroid in mm, RMS radius (relative)."""
+    both = list(pairs.values())
+    return {
+        "rays": max(abs(a.rays - b.rays) for a, b in both),
+        "flux": max(abs(a.flux / b.flux - 1) for a, b in both),
+        "centroid_mm": max(float(np.hypot(a.x_mm - b.x_mm, a.y_mm - b.y_mm)) for a, b in both),
+        "rms": max(abs(a.rms_mm / b.rms_mm - 1) for a, b in both),
+    }
