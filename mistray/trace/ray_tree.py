@@ -40,6 +40,7 @@ from mistray.trace.books import (
     Tallies,
     record_branch,
 )
+from mistray.trace.branch_limits import kept_by_control, too_weak
 from mistray.trace.event_codes import diffraction_count, event_code
 from mistray.trace.extrema import larger
 from mistray.trace.interaction import counts_as_reflection, interact, is_aside
@@ -326,11 +327,7 @@ def walk(
         w_t = dr.select(room, w_t, 0)
         w_r = dr.select(room & may_reflect, w_r, 0)
         if settings.ray_control != "allow_all":
-            goes_through = settings.ray_control == "transmit_specular"
-            kept_t = w_t if goes_through else mi.Float(0)
-            kept_r = dr.select(~counted, w_r, 0) if goes_through else w_r
-            if settings.ray_control == "halt_all":
-                kept_r = mi.Float(0)
+            kept_t, kept_r = kept_by_control(settings.ray_control, counted, w_t, w_r)
             add_reason(CONTROL, w_t - kept_t + w_r - kept_r + w_s + w_b, first & room)
             w_t, w_r, w_s, w_b = kept_t, kept_r, mi.Float(0), mi.Float(0)
         transmits = (it.word & OPAQUE) == 0
@@ -490,14 +487,8 @@ def walk(
                 tallies.add_surface(place, AIMED, batch, 1.0, aim)
 
         if any(settings.cut_below):
-            scattered = scatter | cloud if scatters else mi.Bool(False)
-            below = dr.select(
-                scattered,
-                dr.select(reflect, cut_below[2], cut_below[3]),
-                dr.select(reflect, cut_below[0], cut_below[1]),
-            )
-            branch = dr.select(reflect, mi.UInt32(0), 1) + dr.select(scattered, mi.UInt32(2), 0)
-            cut = visit & (child > 0) & (child < below)
+            weak, branch = too_weak(cut_below, scatter | cloud, reflect, child)
+            cut = visit & (child > 0) & weak
             add_reason(CUT_BRANCHES + branch, child, cut)
             child = dr.select(cut, 0, child)
 
@@ -508,8 +499,7 @@ def walk(
         path = nodes.keep(path, node, depth, push, push | go, recorded_floats)
         bit = mi.UInt64(1) << mi.UInt64(depth)
         pending = dr.select(push, state["pending"] | bit, state["pending"])
-        # Nobody asks how a direction against the light was found
-        how = (scatter, cloud, aim if sky is None else mi.Bool(False)) if scatters else None
+        how = (scatter, cloud, aim if sky is None else mi.Bool(False)) if scatters else None  # the sky does not ask
         code = event_code(place, it, reflect, how)
         codes.write(code, depth, go)
         if adjoint is not None and adjoint.rows:
@@ -525,10 +515,8 @@ def walk(
         bounced = reflect & counted & ~scatter
         aside, diffraction = state["aside"], mi.UInt32(0)
         if sky is not None:
-            after = state["scatters"]
-            if scatters:
-                diffraction = diffraction_count(table.optics, it, scatter, reflect)
-                after = after + diffraction + dr.select(scatter | cloud, mi.UInt32(1), 0)
+            diffraction = diffraction_count(table.optics, it, scatter, reflect) if scatters else mi.UInt32(0)
+            after = state["scatters"] + diffraction + (dr.select(scatter | cloud, mi.UInt32(1), 0) if scatters else 0)
             bounces = reflections + dr.select(bounced, mi.UInt32(1), 0)
             aside = aside | is_aside(it, reflect)
             path_key, leaving = extend_key(state["key"], code), go & ~hit
