@@ -18,6 +18,7 @@ import pytest
 from oracles import closed_forms
 
 import mistray
+from mistray.trace.books import SURFACE_SUMS
 from mistray.trace.ledger import BATCHES, Ledger
 from mistray.trace.settings import Settings
 from mistray.trace.tracer import PASS_LANES, Run, prepare
@@ -132,5 +133,5 @@ def test_sums_go_on_beyond_32_bits() -> None:
     rays = dr.width(start.lane)
     hits = np.array(ledger.sums).reshape(ledger.capacity, BATCHES, -1)[:, :, 0] - before
     assert sorted(hits.sum(axis=1))[-2:] == [rays, rays]  # the direct path and the ghost
-    surfaces = np.array(tallies.surfaces).reshape(run.table.count, -1, BATCHES)[:, 0] - before
+    surfaces = np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: run.table.count, 0] - before
     assert surfaces.sum(axis=1).max() >= 2 * rays
