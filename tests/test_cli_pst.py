@@ -276,8 +276,9 @@ def test_a_detector_in_a_closed_box_has_the_pst_0_and_a_line_says_why(capfd: Any
     code, text, err = run(capfd, scene, "--angles-deg", ANGLES, "--rays", "1e4", "--out", str(out))
     assert (code, err) == (0, "")
     assert text.count("warning: ") == 1
-    assert "warning: PST is 0: no light from these angles reaches the detector" in text
-    assert "No light reaches the detector: the PST is 0." in (out / "report.html").read_text(encoding="utf-8")
+    assert "warning: no light was seen at" in text
+    assert "sets no upper limit" in text
+    assert "No light was seen at any angle." in (out / "report.html").read_text(encoding="utf-8")
 
 
 class TestSavedRun:

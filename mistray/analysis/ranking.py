@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.trace.path_events import DIRECT
+from mistray.trace.path_events import DIRECT, path_names
 from mistray.trace.paths import PathTable
 from mistray.trace.sampled import Sampled
 
@@ -85,7 +85,7 @@ def stray_to_direct(paths: PathTable, image: DirectImage, wavelength_nm: float |
 
 
 def label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str = "-", scatters: int = 0) -> str:
-    """A path in words: its ghost surfaces in the order of the light and where it scatters, or its kind."""
+    """A path in short: its ghost surfaces in the order of the light and where it scatters, or its kind."""
     ghosts = " → ".join(name for name in (ghost_1, ghost_2) if name != "-")
     if scatters:
         more = f" and {scatters - 1} more" if scatters > 1 else ""
@@ -112,7 +112,8 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
     """
     table = table.copy()
     words = table[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]]
-    table["label"] = [label(*row) for row in words.itertuples(index=False)]
+    labels = [label(*row) for row in words.itertuples(index=False)]
+    table["label"] = path_names(table.events.tolist(), labels)
     numbers = paths.numbers(list(table.path_ids))
     normalised = nominal.dividing(numbers.density, "density")
     table["normalised_rms_irradiance"], table["normalised_rms_irradiance_se"] = normalised.value, normalised.se

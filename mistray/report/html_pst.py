@@ -108,7 +108,7 @@ def _head(pst: Pst, title: str, links: str) -> str:
 def _finding(pst: Pst) -> str:
     """The result in two sentences."""
     if pst.is_dark:
-        return "No light reaches the detector: the PST is 0."
+        return "No light was seen at any angle."
     angles, (total, total_se), (stray, stray_se) = pst.angles_deg, pst.curve(), pst.curve("stray")
     first = f"PST({angles[0]:g}°) = <b>{with_error(Estimate(float(total[0]), float(total_se[0])))}</b>"
     edge = field_edge(pst)

@@ -68,7 +68,7 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
     limits = _pst_range(pst)
     above.set_yscale("log")
     if limits is None:
-        above.text(0.5, 0.5, "PST is 0: no light", ha="center", va="center", transform=above.transAxes)
+        above.text(0.5, 0.5, "no light was seen", ha="center", va="center", transform=above.transAxes)
         above.set_ylim(1e-12, 1.0)
     else:
         above.set_ylim(*limits)

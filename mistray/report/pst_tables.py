@@ -109,23 +109,17 @@ def top_paths_text(pst: Pst, count: int) -> str:
     tops = {angle: stray_paths(pst, angle, count) for angle in pst.angles_deg}
     shown = max((len(top) for top in tops.values()), default=0)
     if not shown:
-        return "no stray light reaches the detector"
+        return "no stray light was seen"
     columns = [("angle", "deg")]
     for k in range(shown):
         columns += [(f"{k + 1}.", ""), ("", "%")]
     rows = []
     for angle, top in tops.items():
         cells = [f"{angle:g}"]
-        same = top.label.duplicated(keep=False)
-        for row, is_same in zip(top.itertuples(index=False), same, strict=True):
-            cells += [_turns(row.events) if is_same else str(row.label), number(float(row.percent_of_stray), 3)]
+        for row in top.itertuples(index=False):
+            cells += [str(row.label), number(float(row.percent_of_stray), 3)]
         rows.append(cells + [""] * (len(columns) - len(cells)))
     return text_table(columns, rows, left=range(1, 2 * shown, 2))
-
-
-def _turns(events: str) -> str:
-    """The events of a path without those that only transmit, which tell apart paths of one label."""
-    return " ".join(word for word in events.split()[:-1] if not word.endswith(":T"))
 
 
 def breaks_text(found: Sequence[Break]) -> str:

@@ -43,10 +43,12 @@ from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.thin_gaps import thin_gaps
 from mistray.trace.upload import upload
+from mistray.trace.way_table import WayTable
 from mistray.trace.workers import current_workers
 
 FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the fifth and all that follow
 PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
+FIRST_SEARCH = 1 << 24  # number of a pass, beyond those of any run
 # Of a ray that meets all optics about so many hits scatter, and so many reflections are followed; but a surface that
 # sees the sky scatters with so many times the share of its rays that get there
 SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
@@ -87,6 +89,8 @@ class BackwardTrace:
         Keep a table of the paths.
     both_sides : bool
         Light that meets the detector from behind counts as well, as in a trace with the light.
+    left_out : tuple of (p,) uint64 and (p,) int, optional
+        Keys of ways, in the order of the rays, and cells that are counted elsewhere and not here.
 
     Attributes
     ----------
@@ -119,6 +123,7 @@ class BackwardTrace:
         map_pixels: int = 0,
         paths: bool = False,
         both_sides: bool = True,
+        left_out: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         if settings.stokes:
             raise MistrayError("polarization is 'stokes'; rays against the light know unpolarised light only")
@@ -130,7 +135,10 @@ class BackwardTrace:
         self.grid, self.settings = grid, settings
         self._scene = scene
         self._elsewhere: Ahead | None = None
-        self._arguments = (grid, settings, wavelength_nm, weights, detector, map_pixels, paths, both_sides)
+        self._arguments = (grid, settings, wavelength_nm, weights, detector, map_pixels, paths, both_sides, left_out)
+        self._left_out: WayTable | None = None
+        if left_out is not None:
+            self.leave_out(*left_out)
         self._paths_elsewhere: dict[str, np.ndarray] = {}
         wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
         self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
@@ -167,6 +175,11 @@ class BackwardTrace:
         self.pass_rays: list[int] | None = []
         self.seconds = 0.0
         self.sums: dict[str, np.ndarray] = {}
+
+    def leave_out(self, keys: np.ndarray, cells: np.ndarray) -> None:
+        """Do not count ways in cells from now on, see `left_out`."""
+        self._arguments = (*self._arguments[:-1], (keys, cells))
+        self._left_out = WayTable(keys, cells) if len(keys) else None
 
     @property
     def notes(self) -> list[str]:
@@ -232,6 +245,35 @@ class BackwardTrace:
             "rays": np.full(BATCHES, rays * one.share / BATCHES),
         }
 
+    def find(self, rays: int, number: int) -> tuple[dict[str, np.ndarray], float]:
+        """
+        List the ways by which light reaches the detector, from rays that are in no sums.
+
+        Parameters
+        ----------
+        rays : int
+        number : int
+            Of this search: another number is another sample.
+
+        Returns
+        -------
+        book : dict
+            See `PathBook.read`.
+        segments : float
+            Ray segments that were traced.
+        """
+        book = PathBook(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
+        sky = Sky(self.grid, self._thrift, 0, book, self.has_optics)
+        segments = 0.0
+        for band, one in enumerate(self.bands):
+            tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
+            start = self.start_pass(band, FIRST_SEARCH + number, rays)
+            walk(one.table, one.scattering, self.intersector, start, self.settings, self.film, tallies, sky=sky)
+            dr.eval()
+            dr.sync_thread()
+            segments += float(np.array(tallies.reasons).reshape(REASONS, BATCHES)[SEGMENTS].sum())
+        return book.read(), segments
+
     def forget_paths(self) -> None:
         """Empty the table of the paths."""
         if self._book is not None:
@@ -254,8 +296,9 @@ class BackwardTrace:
     def make_sky(self, derivative: np.ndarray | None = None, maps: bool = False) -> Sky:
         """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `Sky`."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
-        book = self._book if derivative is None else None
-        return Sky(self.grid, self._thrift, pixels, book, self.has_optics, derivative)
+        if derivative is not None:  # the gradient is that of the rays against the light alone, which have the same mean
+            return Sky(self.grid, self._thrift, pixels, None, self.has_optics, derivative)
+        return Sky(self.grid, self._thrift, pixels, self._book, self.has_optics, left_out=self._left_out)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
         """The start rays of a wavelength in a pass of so many rays, after so many passes."""

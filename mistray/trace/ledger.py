@@ -59,9 +59,14 @@ def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
     """
     keys = np.full(len(events), FIRST_KEY, dtype=np.uint64)
     for k in range(events.shape[1]):
-        longer = (keys ^ (events[:, k].astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
-        keys = np.where(k < lengths, longer ^ (longer >> np.uint64(29)), keys)
+        keys = np.where(k < lengths, host_extend(keys, events[:, k]), keys)
     return keys
+
+
+def host_extend(keys: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """(p,) uint64: what `extend_key` makes of keys and codes, computed on the host."""
+    longer = (keys ^ (codes.astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
+    return np.asarray(longer ^ (longer >> np.uint64(29)))
 
 
 @dataclass

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -175,6 +175,59 @@ def event_text(events: np.ndarray, lengths: np.ndarray, ids: Sequence[str]) -> t
         [" ".join([words[code] for code in row]) for row in lists],
         ["".join([LETTERS[code & EVENT_MASK] for code in row]) for row in lists],
     )
+
+
+def path_names(events: Sequence[str], labels: Sequence[str]) -> list[str]:
+    """
+    Names of the paths of one table that tell them apart.
+
+    A path keeps its label where no other path of the table has the same one. Paths that share a label are named by
+    their reflections and scatter events; where these are the same too, the surfaces that the light passes on one of
+    these paths and not on all of them are added; and last, if need be, all events.
+
+    Parameters
+    ----------
+    events : sequence of str
+        As of `event_text`, the absorption in the detector at the ends.
+    labels : sequence of str
+        What the paths are called in short, none of them blank.
+
+    Returns
+    -------
+    list of str
+        Different for different event lists.
+    """
+    groups: dict[str, list[int]] = {}
+    for number, label in enumerate(labels):
+        groups.setdefault(label, []).append(number)
+    names = list(labels)
+    for label, members in groups.items():
+        words = {k: events[k].split()[:-1] for k in members}
+        if len({tuple(some) for some in words.values()}) == 1:
+            continue
+        common = set.intersection(*(set(some) for some in words.values()))
+        for form in (_turns, lambda some, common=common: _turns(some, common), " ".join):
+            detail = {k: form(some) for k, some in words.items()}
+            of_name: dict[str, set[tuple[str, ...]]] = {}
+            for k, text in detail.items():
+                of_name.setdefault(text, set()).add(tuple(words[k]))
+            done = [k for k, text in detail.items() if text and len(of_name[text]) == 1]
+            for k in done:
+                passed_only = all(word.endswith(":T") for word in detail[k].split())
+                names[k] = (
+                    f"{label} through {', '.join(w.removesuffix(':T') for w in detail[k].split())}"
+                    if passed_only
+                    else detail[k]
+                )
+                del words[k]
+        for k in words:  # it meets nothing
+            names[k] = f"{label} past all surfaces"
+    return names
+
+
+def _turns(words: Sequence[str], common: Set[str] | None = None) -> str:
+    """The events that turn the light, and those surfaces that it passes which are not common to all paths."""
+    return " ".join(w for w in words if not w.endswith(":T") or (common is not None and w not in common))
 
 
 def describe_events(

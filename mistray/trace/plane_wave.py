@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
@@ -116,29 +117,57 @@ class PlaneWave:
 
         Five random numbers a lane. The positions of a batch are sorted along a curve.
         """
-
-        def number(value: float) -> mi.Float:
-            return dr.opaque(mi.Float, float(value))
-
-        def vector(values: np.ndarray) -> mi.Vector3f:
-            return mi.Vector3f(*(number(value) for value in values))
-
         sample = sorted_points(batch, rng, closing)
-        # sin²(θ/2) is uniform where the solid angle is, and keeps its digits near the axis
-        low, high = (number(value) for value in self.half_sine2)
-        h = dr.lerp(low, high, rng.next_float32())
-        cosine, sine = 1 - 2 * h, 2 * dr.sqrt(h * (1 - h))
-        s, c = dr.sincos(number(self.azimuth[0]) + number(self.azimuth[1]) * (2 * rng.next_float32() - 1))
-        x_axis, y_axis, z_axis = (vector(column) for column in self.rotation.T)
-        radial = c * y_axis - s * x_axis
-        d = dr.normalize(sine * radial + cosine * z_axis)
-        u, v = c * x_axis + s * y_axis, cosine * radial - sine * z_axis
+        numbers = [dr.opaque(mi.Float, value) for value in self.numbers]
+        return wave_rays(numbers, self.rotation, self.centre - centre, sample, rng.next_float32(), rng.next_float32())
 
-        disk = mi.warp.square_to_uniform_disk_concentric(sample)
-        is_round = dr.opaque(mi.Bool, self.is_round)
-        x = dr.select(is_round, disk.x, 2 * sample.x - 1) * number(self.half[0]) + number(self.middle[0])
-        y = dr.select(is_round, disk.y, 2 * sample.y - 1) * number(self.half[1]) + number(self.middle[1])
-        return vector(self.centre - centre) + u * x + v * y - number(self.distance) * d, d
+    @property
+    def numbers(self) -> list[float]:
+        """What differs from cell to cell, in the order in which `wave_rays` takes it."""
+        values = (*self.half_sine2, *self.azimuth, *self.middle, *self.half, self.is_round, self.distance)
+        return [float(value) for value in values]
+
+
+def wave_rays(
+    numbers: Sequence[mi.Float],
+    rotation: np.ndarray,
+    centre: np.ndarray,
+    sample: mi.Point2f,
+    u: mi.Float,
+    v: mi.Float,
+) -> tuple[mi.Vector3f, mi.Vector3f]:
+    """
+    Origins and directions of the rays of plane waves.
+
+    Parameters
+    ----------
+    numbers : sequence of mi.Float
+        `PlaneWave.numbers` of each ray's wave.
+    rotation, centre
+        Of all waves, see `PlaneWave`; the centre in the coordinates of the kernel.
+    sample : mi.Point2f
+        Places in the cross-section, in the unit square.
+    u, v : mi.Float
+        0 … 1: field angle and azimuth within the cell.
+    """
+    low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, distance = numbers
+
+    def vector(values: np.ndarray) -> mi.Vector3f:
+        return mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in values))
+
+    # sin²(θ/2) is uniform where the solid angle is, and keeps its digits near the axis
+    h = dr.lerp(low, high, u)
+    cosine, sine = 1 - 2 * h, 2 * dr.sqrt(h * (1 - h))
+    s, c = dr.sincos(azimuth + half_azimuth * (2 * v - 1))
+    x_axis, y_axis, z_axis = (vector(column) for column in rotation.T)
+    radial = c * y_axis - s * x_axis
+    d = dr.normalize(sine * radial + cosine * z_axis)
+    across, along = c * x_axis + s * y_axis, cosine * radial - sine * z_axis
+
+    disk = mi.warp.square_to_uniform_disk_concentric(sample)
+    x = dr.select(is_round > 0, disk.x, 2 * sample.x - 1) * half_x + middle_x
+    y = dr.select(is_round > 0, disk.y, 2 * sample.y - 1) * half_y + middle_y
+    return vector(centre) + across * x + along * y - distance * d, d
 
 
 class PlaneWaves:

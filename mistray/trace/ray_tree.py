@@ -18,6 +18,7 @@ import mitsuba as mi
 
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import Adjoint
+from mistray.trace.arrivals import ArrivalBook
 from mistray.trace.books import (
     AIMED,
     CONTROL,
@@ -88,6 +89,7 @@ def walk(
     adjoint: Adjoint | None = None,
     sky: Sky | None = None,
     rims: RimBook | None = None,
+    arrivals: ArrivalBook | None = None,
 ) -> mi.Float64 | None:
     """
     Trace the trees of a set of start rays; results are added to the tallies, the film, the ledger and the recorder.
@@ -114,6 +116,8 @@ def walk(
         Takes the rays that leave the scene, which go against the light then; the detector is a surface like others,
         and what a surface absorbs of a ray is what it emits towards the detector. `scattering` must be for such rays.
         In an adjoint walk its `Sky.gain` is asked instead.
+    arrivals : ArrivalBook, optional
+        Takes the rays that meet the detector, by way and by the cell of directions that they come from.
     rims : RimBook, optional
         Takes the hits close to rims, in an adjoint walk of a scene whose media do not scatter.
 
@@ -293,6 +297,9 @@ def walk(
                 slot, booked, new = ledger.find(key, booked)
                 ledger.record(slot, batch, w, absorbed, x, y, stokes, booked)
                 ledger.write_events(slot, depth + 1, event, new)
+        if arrivals is not None:
+            pixel = film.places(x, y)[0][0]
+            arrivals.record(key, depth + 1, event, start.cell, batch, w, state["scatters"], pixel, detected)
         if adjoint is not None:
             derivative = adjoint.derivative(film, x, y, slot, booked)
             gained = derivative * mi.Float64(w if film.incident else absorbed)
@@ -499,7 +506,8 @@ def walk(
         path = nodes.keep(path, node, depth, push, push | go, recorded_floats)
         bit = mi.UInt64(1) << mi.UInt64(depth)
         pending = dr.select(push, state["pending"] | bit, state["pending"])
-        how = (scatter, cloud, aim if sky is None else mi.Bool(False)) if scatters else None  # the sky does not ask
+        by_way = sky is not None or arrivals is not None  # they do not ask how a direction was found
+        how = (scatter, cloud, mi.Bool(False) if by_way else aim) if scatters else None
         code = event_code(place, it, reflect, how)
         codes.write(code, depth, go)
         if adjoint is not None and adjoint.rows:

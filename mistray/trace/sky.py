@@ -14,6 +14,7 @@ from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.ledger import BATCHES, COUNT_MASK, DIFFRACTED_SHIFT, MULTIPLIER, claim, host_keys, write_list
 from mistray.trace.upload import upload
+from mistray.trace.way_table import WayTable
 
 if TYPE_CHECKING:
     from mistray.trace.start_rays import StartRays
@@ -150,6 +151,8 @@ class Sky:
         Whether light must pass a lens or a mirror to be part of the direct image.
     derivative : (CLASS_COUNT, n, m) float64, optional
         Derivative of a metric by the sums of the weights of each class in each cell, for `gain`.
+    left_out : WayTable, optional
+        Ways and cells that are counted elsewhere; keys in the order of the rays.
     """
 
     def __init__(
@@ -160,7 +163,9 @@ class Sky:
         paths: PathBook | None = None,
         has_optics: bool = True,
         derivative: np.ndarray | None = None,
+        left_out: WayTable | None = None,
     ) -> None:
+        self._left_out = left_out
         self._has_optics = has_optics
         self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
         self.thrift = thrift
@@ -225,6 +230,8 @@ class Sky:
         w = mi.Float64(weight)
         dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, w, batch, active & ~inside)
         inside &= active
+        if self._left_out is not None:
+            inside &= ~self._left_out.find(key, cell, inside)[1]
         kind = self._kind(reflections, scatters, aside, length)
         dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, (kind * self.cells + cell) * BATCHES + batch, inside)
         scattered = inside & ((scatters & COUNT_MASK) > 0)

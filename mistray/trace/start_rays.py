@@ -47,6 +47,8 @@ class StartRays:
         Its normal at the origins.
     pixel : mi.UInt32, optional
         Pixel of the detector that they start from.
+    cell : mi.UInt32, optional
+        Cell of directions that they come from.
     medium : mi.UInt32, optional
         Number of the material that they start in; 0 is not known.
     depth, reflections, scatters : mi.UInt32, optional
@@ -73,6 +75,7 @@ class StartRays:
     left: mi.UInt32 | None = None
     normal: mi.Vector3f | None = None
     pixel: mi.UInt32 | None = None
+    cell: mi.UInt32 | None = None
     medium: mi.UInt32 | None = None
     depth: mi.UInt32 | None = None
     reflections: mi.UInt32 | None = None

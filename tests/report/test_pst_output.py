@@ -122,7 +122,7 @@ def test_report_says_what_matters(written) -> None:
 
 def test_report_of_a_dark_pst() -> None:
     text = html_text(fake_pst(dark_from_deg=0, notes=["PST is 0: it sees no opening"]))
-    assert "No light reaches the detector: the PST is 0." in text
+    assert "No light was seen at any angle." in text
     assert "it sees no opening" in text
 
 

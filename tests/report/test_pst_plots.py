@@ -87,7 +87,7 @@ def test_deep_curves_stay_on_the_axis() -> None:
 
 def test_a_dark_pst_says_so() -> None:
     above, _ = pst_curve(fake_pst(dark_from_deg=0)).axes
-    assert [text.get_text() for text in above.texts] == ["PST is 0: no light"]
+    assert [text.get_text() for text in above.texts] == ["no light was seen"]
     assert as_png(pst_causes(fake_pst(dark_from_deg=0))).startswith(b"\x89PNG")
 
 

@@ -10,6 +10,7 @@ import pandas as pd
 
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.ranking import label
+from mistray.trace.path_events import path_names
 
 GHOSTS = "ghosts"
 STRAIGHT_SHOTS = "straight shots"
@@ -27,8 +28,8 @@ def stray_paths(pst: Pst, angle_deg: float, n: int | None = None) -> pd.DataFram
     Returns
     -------
     DataFrame
-        The columns of `Pst.paths` and ``label``, the path in words. The errors of several azimuths are added in
-        quadrature, as if their rays were different ones.
+        The columns of `Pst.paths` and ``label``, the name of the path, see `mistray.trace.path_events.path_names`. The
+        errors of several azimuths are added in quadrature, as if their rays were different ones.
     """
     azimuths = pst.grid.azimuths_deg
     parts = [pst.paths(angle_deg, azimuth) for azimuth in azimuths]
@@ -38,12 +39,13 @@ def stray_paths(pst: Pst, angle_deg: float, n: int | None = None) -> pd.DataFram
         rows = _mean_of(pd.concat(parts, ignore_index=True), len(azimuths), float(pst.stray[i]), float(pst.value[i]))
     rows = rows[rows.percent_of_stray.notna()].reset_index(drop=True)
     words = rows[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]]
-    rows["label"] = np.array([_label(*row) for row in words.itertuples(index=False)], dtype=object)
+    labels = [_label(*row) for row in words.itertuples(index=False)]
+    rows["label"] = np.array(path_names(rows.events.tolist(), labels), dtype=object)
     return rows if n is None else rows.head(n)
 
 
 def _label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str, scatters: int) -> str:
-    """A path in words; the kind stands with reflections at structure, which read like the surface alone."""
+    """A path in short; the kind stands with reflections at structure, which read like the surface alone."""
     text = label(ghost_1, ghost_2, kind, scatter_1, scatters)
     return f"{text} ({kind})" if kind.startswith("structure") else text
 

@@ -255,7 +255,7 @@ def _result(
         maps=np.moveaxis(stack("map"), 2, 0) if cells.has_maps else None,
         extent_mm=cells.extent,
     )
-    lines = [*thin_gaps(cells.table), *notes(result, largest)]
+    lines = [*thin_gaps(cells.table), *notes(result, largest, float(stack("rays").min()))]
     if late[np.isfinite(errors)].any():
         worst = float(errors[late & np.isfinite(errors)].max())
         lines.append(

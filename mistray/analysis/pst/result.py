@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from mistray.analysis.pst.pilot import SELDOM
 from mistray.errors import MistrayError
 from mistray.trace.backward_gradient import backward_gradient
 from mistray.trace.directions import DirectionGrid
@@ -67,6 +68,9 @@ class Pst:
         x0, x1, y0, y1 of the detector, in its own frame.
     source : BackwardTrace, optional
         What it comes from, for derivatives.
+    hidden_variance : (c, n, m) float64, optional
+        Variance of PST_normal that the spread of the batches does not show: of paths by which light is known to
+        arrive, and which the rays have met too seldom. Standard errors contain it.
     """
 
     grid: DirectionGrid
@@ -80,6 +84,7 @@ class Pst:
     maps: np.ndarray | None = None
     extent_mm: tuple[float, float, float, float] = (0.0, 0.0, 0.0, 0.0)
     source: BackwardTrace | None = field(default=None, repr=False, compare=False)
+    hidden_variance: np.ndarray | None = None
 
     def raw_gradients(
         self, derivative: np.ndarray, wanted: Wanted, groups: np.ndarray | None = None
@@ -129,25 +134,25 @@ class Pst:
 
     def samples(self, classes: str | Sequence[str] = "total") -> np.ndarray:
         """The PST from each batch, (n, m, b): "total", "stray" (all but "direct"), a class, or several together."""
-        groups = {"total": CLASSES, "stray": STRAY}
-        names = groups.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
-        unknown = [name for name in names if name not in CLASSES]
-        if unknown:
-            raise MistrayError(
-                f"class '{unknown[0]}' of light does not exist; use {', '.join(CLASSES)}, stray or total"
-            )
-        chosen = [CLASSES.index(name) for name in names]
-        return np.asarray(self.by_batch[chosen].sum(axis=0) * self._factor[:, None, None])
+        return np.asarray(self.by_batch[_numbers(classes)].sum(axis=0) * self._factor[:, None, None])
+
+    def hidden(self, classes: str | Sequence[str] = "total") -> np.ndarray:
+        """(n, m) variance of the PST that `samples` do not show, see `hidden_variance`."""
+        if self.hidden_variance is None:
+            return np.zeros(self.grid.shape)
+        return np.asarray(self.hidden_variance[_numbers(classes)].sum(axis=0) * self._factor[:, None] ** 2)
 
     def map(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
         """PST of the cells and its standard error, (n, m) each."""
-        return self.estimate(self.samples(classes), self.weight)
+        value, se = self.estimate(self.samples(classes), self.weight)
+        return value, np.sqrt(se**2 + self.hidden(classes))
 
     def curve(self, classes: str | Sequence[str] = "total") -> tuple[np.ndarray, np.ndarray]:
         """PST over field angle, the mean over azimuths, and its standard error, (n,) each."""
         samples, weight = self.samples(classes), self.weight
         if weight.ndim == 1:
-            return self.estimate(samples.mean(axis=1), weight)
+            value, se = self.estimate(samples.mean(axis=1), weight)
+            return value, np.sqrt(se**2 + self.hidden(classes).sum(axis=1) / samples.shape[1] ** 2)
         value, se = self.estimate(samples, weight)  # every cell has its own start rays
         return value.mean(axis=1), np.sqrt(np.sum(se**2, axis=1)) / value.shape[1]
 
@@ -181,7 +186,7 @@ class Pst:
 
     @property
     def is_dark(self) -> bool:
-        """Whether nothing at all reaches the detector."""
+        """Whether no ray has seen any light."""
         return not np.any(self.by_batch)
 
     def to(self, convention: str) -> Pst:
@@ -265,23 +270,55 @@ class Pst:
         self.to_pandas().to_csv(path, index=False, float_format="%.9g")
 
 
-def notes(found: Pst, largest: np.ndarray) -> list[str]:
-    """What a reader of a PST should know, one line each."""
+def members(classes: str | Sequence[str]) -> tuple[str, ...]:
+    """The classes of light of a group ("total", "stray"), a class, or several."""
+    groups = {"total": CLASSES, "stray": STRAY}
+    names = groups.get(classes, (classes,)) if isinstance(classes, str) else tuple(classes)
+    unknown = [name for name in names if name not in CLASSES]
+    if unknown:
+        raise MistrayError(f"class '{unknown[0]}' of light does not exist; use {', '.join(CLASSES)}, stray or total")
+    return names
+
+
+def _numbers(classes: str | Sequence[str]) -> list[int]:
+    """Numbers of the classes within `CLASSES`."""
+    return [CLASSES.index(name) for name in members(classes)]
+
+
+def notes(found: Pst, largest: np.ndarray, rays: float, seldom: Sequence[Mapping[str, Any]] = ()) -> list[str]:
+    """
+    What a reader of a PST should know, one line each.
+
+    Parameters
+    ----------
+    found : Pst
+    largest : (n, m) float64
+        See `Pst.largest_share`.
+    rays : float
+        Rays that have looked for the light of each cell.
+    seldom : sequence of mapping
+        Paths that were sampled too seldom, with "angle_deg" and "events".
+    """
     lines = []
-    if found.is_dark:
-        lines.append(
-            "PST is 0: no light from these angles reaches the detector; it sees no opening, or limits cut all paths"
-        )
-        return lines
     value, _ = found.map()
-    dark = found.grid.angles_deg[np.all(value == 0, axis=1)]
+    dark = found.grid.angles_deg[np.any(value == 0, axis=1)]
     if dark.size:
-        lines.append(f"no light was found at {_angles(dark)}: the PST there is below what so many rays can see")
+        lines.append(
+            f"no light was seen at {_angles(dark)} in {rays:.3g} rays. That sets no upper limit: a path that rays "
+            "seldom find can carry light. If more rays see none either, the detector may be closed in, or limits cut "
+            "all paths"
+        )
     heavy = found.grid.angles_deg[np.any(largest > 0.1, axis=1)]
     if heavy.size:
         lines.append(
             f"single rays carry more than 10 % of the scattered light at {_angles(heavy)}; errors there may be too "
             "low, take more rays"
+        )
+    if seldom:
+        angles = np.unique([path["angle_deg"] for path in seldom])
+        lines.append(
+            f"fewer than {SELDOM} rays met each of {len(seldom)} paths that light takes at {_angles(angles)}, such as "
+            f"{seldom[0]['events']}; the errors there are larger for it, take more rays"
         )
     return lines
 

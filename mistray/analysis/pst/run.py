@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -15,16 +15,26 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.pst.forward import forward_pst
+from mistray.analysis.pst.pilot import (
+    BACKWARD,
+    FORWARD,
+    PILOT_SHARE,
+    Pilot,
+    Plan,
+    with_the_light,
+)
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
+from mistray.analysis.pst.with_light import PLAN, SUMS, WithLight, saved_plan
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.trace.all_cells import AllCells
 from mistray.trace.backward import FIRST_PASS, BackwardTrace
 from mistray.trace.directions import DirectionGrid
-from mistray.trace.ledger import ABSORBED, EVENT_BITS
+from mistray.trace.ledger import host_keys
 from mistray.trace.path_books import join_books
 from mistray.trace.path_events import DIRECT, describe_events
 from mistray.trace.settings import Settings
-from mistray.trace.sky import DIFFRACTED, MULTIPLE, SINGLE
+from mistray.trace.sky import CLASS_COUNT, DIFFRACTED, MULTIPLE, SINGLE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -33,7 +43,10 @@ METHODS = ("adjoint", "forward")
 RAYS = {"adjoint": 4_000_000, "forward": 200_000}  # where a call says nothing; forward: at each angle
 MOST_RAYS = 2_000_000_000  # where a call wants an error and does not say how many rays it may take
 PATHS_LISTED = 200  # of a cell, the strongest
+SELDOM_LISTED = 40  # ways that were sampled too seldom
+TOLD = 1e-3  # share of a cell's light that such a way must add to the error to be listed
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
+FIRST_SEARCH = 1 << 16  # rays of the first pilot where an error is asked for
 SAVING = 0.1  # share of the time that saving the state may take
 
 Progress = Callable[[PstProgress], None]
@@ -154,7 +167,7 @@ def pst(
         )
         return found.to(convention)
     trace = BackwardTrace(scene, grid, chosen, wavelength_nm, weights, detector, int(map_pixels), paths)
-    run = _AdjointRun(trace, Path(state) if state is not None else None, resume)
+    run = _AdjointRun(scene, trace, Path(state) if state is not None else None, resume)
     try:
         run.go_on(relative_error, error_up_to_deg, progress)
     except UnfinishedError as error:
@@ -165,10 +178,21 @@ def pst(
 
 
 class _AdjointRun:
-    """Passes of a backward trace, until it is good enough; what is finished can be saved and continued."""
+    """
+    Passes of a backward trace, as many as its pilot asks for; what is finished can be saved and continued.
 
-    def __init__(self, trace: BackwardTrace, state: Path | None, resume: bool) -> None:
+    Ways that the rays against the light find by chance only are counted with the light, see
+    `mistray.analysis.pst.pilot`.
+    """
+
+    def __init__(self, scene: mi.Scene, trace: BackwardTrace, state: Path | None, resume: bool) -> None:
         self._trace, self._state = trace, state
+        tables, shares = zip(*((band.table, band.share) for band in trace.bands), strict=True)
+        self._cells = AllCells(
+            scene, trace.grid, trace.settings, tables, shares, trace.intersector, trace.map_size, trace.extent
+        )
+        self._with_light: WithLight | None = None
+        self._pilot_seconds = 0.0
         self._wanted: tuple[float | None, float | None] = (None, None)
         self._before: dict[str, np.ndarray] = {}  # path table of the run that this one goes on from
         self._book: dict[str, np.ndarray] | None = None  # the path table of both, once it is read
@@ -188,26 +212,32 @@ class _AdjointRun:
             arrays, facts = load_state(state)
             require_same(state, facts, self._signature)
             self._before = {key[5:]: values for key, values in arrays.items() if key.startswith("path_")}
-            sums = {key: values for key, values in arrays.items() if not key.startswith("path_")}
+            self._with_light = WithLight(trace, self._cells, saved_plan(arrays), arrays)
+            others = ("path_", PLAN, SUMS)
+            sums = {key: values for key, values in arrays.items() if not key.startswith(others)}
             trace.go_on_from(sums, int(facts["passes"]), float(facts["seconds"]))
 
     def go_on(self, wanted: float | None, up_to_deg: float | None, progress: Progress | None) -> None:
         """Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost."""
         self._wanted = wanted, up_to_deg
-        trace, most = self._trace, self._trace.settings.rays
+        trace = self._trace
         before = float(trace.rays.sum())
-        worst = self._worst(up_to_deg) if trace.passes else np.inf
         started, saved, saving = time.perf_counter(), -np.inf, 0.0
         all_saved = True
+        if self._with_light is None:
+            self._with_light = WithLight(trace, self._cells, self._search(wanted, up_to_deg))
+            self._pilot_seconds = time.perf_counter() - started
+        most = self._budget(self._with_light.plan, wanted, up_to_deg)
         with _interrupt_later() as interrupted, trace.shared(most):
-            while trace.rays.sum() < most and not (wanted is not None and worst <= wanted) and not interrupted():
+            self._with_light.go_on(self._with_light.plan.forward_rays(max(most, before), wanted))
+            while trace.rays.sum() < most and not interrupted():
                 # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
                 try:
                     trace.advance(most if most < FIRST_PASS else None)
                 except UnfinishedError as error:
                     self._keep(error, not all_saved)
                     raise
-                self._book, all_saved, worst = None, False, self._worst(up_to_deg)
+                self._book, all_saved = None, False
                 now = time.perf_counter()
                 if self._state is not None and saving <= SAVING * (now - saved):
                     self._save()
@@ -215,11 +245,41 @@ class _AdjointRun:
                     saving = saved - now
                 if progress:
                     done = round(float(trace.rays.sum()))
+                    worst = self._worst(up_to_deg)
                     progress(PstProgress.after(done, max(most, done), worst, wanted, now - started, round(before)))
             if self._state is not None and not all_saved:
                 self._save()
             if interrupted():
                 raise KeyboardInterrupt
+
+    def _search(self, wanted: float | None, up_to_deg: float | None) -> Plan:
+        """What a pilot finds: of a fixed share of the rays, or of those that the error asks for."""
+        pilot = Pilot(self._trace, self._cells)
+        rays = FIRST_SEARCH if wanted is not None else self._trace.settings.rays / PILOT_SHARE
+        while True:
+            pilot.search(rays)
+            plan = pilot.plan()
+            asked = self._budget(plan, wanted, up_to_deg) / PILOT_SHARE
+            if asked <= pilot.rays[BACKWARD, 0]:
+                return plan
+            rays = min(asked, 2 * pilot.rays[BACKWARD, 0])  # its first variances know little: it grows in steps
+
+    def _budget(self, plan: Plan, wanted: float | None, up_to_deg: float | None) -> int:
+        """
+        Rays against the light that there will be.
+
+        Cells in which the pilot finds no light get `DARK_AFTER` of them, and are taken for dark after that.
+        """
+        most = self._trace.settings.rays
+        if wanted is None:
+            return most
+        counts = np.repeat(self._counts(up_to_deg), self._trace.grid.shape[1])
+        least = DARK_AFTER if np.any(plan.light[counts] == 0) else 1
+        return min(max(plan.rays_for(wanted, counts), least), most)
+
+    def _counts(self, up_to_deg: float | None) -> np.ndarray:
+        """(n,) bool: the field angles whose error counts."""
+        return np.asarray(self._trace.grid.angles_deg <= (90.0 if up_to_deg is None else up_to_deg))
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
         """Save what was finished, and tell with an error that the workers are gone where it is."""
@@ -233,21 +293,16 @@ class _AdjointRun:
         error.partial = self.result() if self._trace.passes else None
 
     def _worst(self, up_to_deg: float | None) -> float:
-        """
-        Largest relative standard error of the cells that count; infinite where one has no light yet.
-
-        Cells in which so many rays find no light are taken for dark: they do not count any more.
-        """
-        value, se = self._pst().map()
-        counts = self._trace.grid.angles_deg <= (90.0 if up_to_deg is None else up_to_deg)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            error = np.where(value > 0, se / value, 0.0 if self._trace.rays.sum() >= DARK_AFTER else np.inf)
-        return float(np.max(error[counts]))
+        """Largest relative standard error of the cells that count and have light; infinite where none has light yet."""
+        value, se = (part[self._counts(up_to_deg)] for part in self._pst().map())
+        lit = value > 0
+        return float(np.max(se[lit] / value[lit], initial=0.0)) if lit.any() else np.inf
 
     def _save(self) -> None:
         assert self._state is not None
         paths = self._paths()
-        arrays = self._trace.sums | {f"path_{key}": values for key, values in paths.items()}
+        assert self._with_light is not None
+        arrays = self._trace.sums | {f"path_{key}": values for key, values in paths.items()} | self._with_light.arrays()
         facts = {
             "signature": self._signature,
             "passes": self._trace.passes,
@@ -264,85 +319,184 @@ class _AdjointRun:
         return self._book
 
     def _pst(self) -> Pst:
+        assert self._with_light is not None
         trace = self._trace
         rays = trace.rays
         scale = np.pi / trace.grid.solid_angle[None, :, None, None]
-        return Pst(trace.grid, scale * trace.sums["cells"] / rays, rays / rays.sum())
+        by_batch = scale * trace.sums["cells"] / rays + self._with_light.by_batch
+        return Pst(trace.grid, by_batch, rays / rays.sum())
 
     def result(self) -> Pst:
         """The PST of all that has been traced."""
-        trace, bare = self._trace, self._pst()
+        assert self._with_light is not None
+        trace, bare, light = self._trace, self._pst(), self._with_light
         table, rays = trace.table, float(trace.rays.sum())
-        scattered = trace.sums["cells"][[SINGLE, MULTIPLE, DIFFRACTED]].sum(axis=(0, 3))
-        with np.errstate(divide="ignore", invalid="ignore"):
-            largest = np.where(scattered > 0, trace.sums["largest"] / scattered, 0.0)
+        unit = np.pi / trace.grid.solid_angle[:, None] / rays
+        scattered = np.mean(bare.by_batch[[SINGLE, MULTIPLE, DIFFRACTED]].sum(axis=0), axis=-1)
+        largest = np.maximum(unit * trace.sums["largest"], light.largest)
+        largest = np.divide(largest, scattered, out=np.zeros_like(largest), where=scattered > 0)
         maps = None
         if "maps" in trace.sums:
             columns, rows = trace.map_size
             n, m = trace.grid.shape
-            weight, squares = trace.sums["maps"].reshape(2, n, m, rows, columns)
+            weight, squares = trace.sums["maps"].reshape(2, n, m, -1)
+            value, variance = light.maps
+            value = value + unit[..., None] * weight
+            variance = variance + unit[..., None] ** 2 * np.maximum(squares - weight**2 / rays, 0)
             # The map is a rectangle; a round detector does not fill it
             x0, x1, y0, y1 = trace.extent
             pixels = rows * columns * trace.area / ((x1 - x0) * (y1 - y0))
-            unit = np.pi * pixels / trace.grid.solid_angle[:, None, None, None] / rays
-            maps = np.stack([unit * weight, unit * np.sqrt(np.maximum(squares - weight**2 / rays, 0))])
+            maps = pixels * np.stack([value, np.sqrt(variance)]).reshape(2, n, m, rows, columns)
+        pairs = self._found_pairs()
+        hidden, seldom = self._seldom(pairs)
         facts = {
             "detector": table.ids[table.detector],
             "detector_area_mm2": trace.area,
             "wavelength_nm": list(trace.wavelength_nm),
             "weights": list(trace.weights),
             "rays": round(rays),
+            "rays_with_the_light": round(light.rays.sum()),
+            "pilot_rays": round(light.plan.rays[BACKWARD].max(initial=0)),
+            "pilot_rays_with_the_light": round(light.plan.rays[FORWARD].sum()),
             "segments": trace.segments,
-            "seconds": trace.seconds,
+            "seconds": self._pilot_seconds + light.seconds + trace.seconds,
             "settings": asdict(trace.settings),
             "relative_error": self._wanted[0],
             "error_up_to_deg": self._wanted[1],
-            "notes": [*notes(bare, largest), *trace.notes],
+            "seldom_sampled": seldom,
+            "notes": [*notes(bare, largest, rays, seldom), *trace.notes],
         }
         return Pst(
             trace.grid,
             bare.by_batch,
             bare.weight,
+            hidden_variance=hidden,
             method="adjoint",
             facts=facts,
             largest_share=largest,
-            path_rows=self._path_rows(rays),
+            path_rows=self._path_rows(pairs),
             maps=maps,
             extent_mm=trace.extent,
             source=trace,
         )
 
-    def _path_rows(self, rays: float) -> pd.DataFrame | None:
-        import pandas as pd
-
-        book = self._paths()
+    def _found_pairs(self) -> _Pairs:
+        """What the run has found by way and cell, in both directions."""
+        assert self._with_light is not None
+        trace, plan, book = self._trace, self._with_light.plan, self._paths()
         if not book:
-            return None
-        m = self._trace.grid.shape[1]
-        kept = _strongest(book["cell"], book["weight"], PATHS_LISTED)
-        path, cell = book["path"][kept], book["cell"][kept]
-        used, place = np.unique(path, return_inverse=True)
-        events, lengths = with_the_light(book["events"][used], book["lengths"][used], self._trace.table.detector)
-        facts = describe_events(events, lengths, self._trace.table.event_ids, self._trace.table.event_words)
+            nothing = np.zeros(0)
+            book = {name: nothing for name in ("hits", "weight", "squares")}
+            book |= {name: nothing.astype(np.int64) for name in ("lengths", "path", "cell")}
+            book["events"] = np.zeros((0, 1), dtype=np.uint32)
+        turned, lengths = with_the_light(book["events"], book["lengths"], trace.table.detector)
+        longest = max(turned.shape[1], plan.events.shape[1])
+        events = np.concatenate(
+            [np.pad(part, ((0, 0), (0, longest - part.shape[1]))) for part in (turned, plan.events)]
+        )
+        lengths = np.concatenate([lengths, plan.lengths])
+        _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
+        planned = place[len(turned) :][plan.way]
+        numbers, hits, value, variance = self._with_light.pairs()
+        met = hits > 0
+        rays = float(trace.rays.sum())
+        unit = np.repeat(np.pi / trace.grid.solid_angle, trace.grid.shape[1])[book["cell"]] / rays
+        spread = unit**2 * np.maximum(book["squares"] - book["weight"] ** 2 / rays, 0)
+        return _Pairs(
+            events=events[chosen],
+            lengths=lengths[chosen],
+            way=np.concatenate([place[book["path"]], planned[numbers[met]]]),
+            cell=np.concatenate([book["cell"], plan.cell[numbers[met]]]),
+            hits=np.concatenate([book["hits"], hits[met]]),
+            value=np.concatenate([unit * book["weight"], value[met]]),
+            variance=np.concatenate([spread, variance[met]]),
+            planned=planned,
+        )
+
+    def _describe(self, pairs: _Pairs, ways: np.ndarray) -> dict[str, np.ndarray]:
+        """The columns of `describe_events` of some ways."""
+        table, lengths = self._trace.table, pairs.lengths[ways]
+        facts = describe_events(pairs.events[ways], lengths, table.event_ids, table.event_words)
         if not self._trace.has_optics:  # light that meets nothing is the image then
             facts["kind"][lengths == 1] = DIRECT
-        unit = np.pi / self._trace.grid.solid_angle[cell // m] / rays
-        weight, squares = book["weight"][kept], book["squares"][kept]
-        columns: dict[str, Any] = {"cell": cell // m, "azimuth_cell": cell % m}
-        columns |= {name: values[place] for name, values in facts.items()}
-        columns["rays"] = book["hits"][kept].astype(np.int64)
-        columns["pst_normal"] = unit * weight
-        columns["pst_normal_se"] = unit * np.sqrt(np.maximum(squares - weight**2 / rays, 0.0))
+        return facts
+
+    def _seldom(self, pairs: _Pairs) -> tuple[np.ndarray, list[dict[str, Any]]]:
+        """Variance that is missing of ways which were sampled too seldom, by class and cell, and those ways."""
+        assert self._with_light is not None
+        trace, light, plan = self._trace, self._with_light, self._with_light.plan
+        cells = plan.rays.shape[1]
+        rays = np.where(plan.forward, light.rays[plan.cell], float(trace.rays.sum()))
+        if trace.lists_paths:
+            found, wanted = pairs.way * cells + pairs.cell, pairs.planned * cells + plan.cell
+            order = np.argsort(found)
+            place = order[np.minimum(np.searchsorted(found, wanted, sorter=order), max(len(order) - 1, 0))]
+            there = found[place] == wanted if len(found) else np.zeros(len(wanted), dtype=bool)
+            hits, variance = (np.where(there, part[place], 0.0) for part in (pairs.hits, pairs.variance))
+        else:  # nobody has counted them: as many as in the pilot
+            own = np.where(plan.forward, FORWARD, BACKWARD)
+            before = own, np.arange(len(own))
+            hits = plan.hits[before] * rays / plan.rays[own, plan.cell]
+            variance = plan.second[before] / np.maximum(rays, 1)
+        missing = plan.widening(hits, variance, rays)
+        hidden = np.zeros((CLASS_COUNT, cells))
+        np.add.at(hidden, (light.classes, plan.cell), missing)
+        listed = np.flatnonzero(missing > (TOLD * plan.light[plan.cell]) ** 2)
+        listed = listed[np.argsort(-missing[listed], kind="stable")][:SELDOM_LISTED]
+        facts = self._describe(pairs, pairs.planned[listed])
+        angle, azimuth = np.divmod(plan.cell[listed], trace.grid.shape[1])
+        columns = {
+            "angle_deg": trace.grid.angles_deg[angle],
+            "azimuth_deg": trace.grid.azimuths_deg[azimuth],
+            "events": facts["events"],
+            "rays": hits[listed].astype(np.int64),
+            "pilot_rays": plan.hits[np.where(plan.forward, BACKWARD, FORWARD), np.arange(len(missing))][listed],
+            "pst_normal": plan.mean[np.where(plan.forward, BACKWARD, FORWARD), np.arange(len(missing))][listed],
+        }
+        rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
+        return hidden.reshape(CLASS_COUNT, *trace.grid.shape), [dict(zip(columns, row, strict=True)) for row in rows]
+
+    def _path_rows(self, pairs: _Pairs) -> pd.DataFrame | None:
+        import pandas as pd
+
+        if not self._trace.lists_paths:
+            return None
+        m = self._trace.grid.shape[1]
+        kept = _strongest(pairs.cell, pairs.value, PATHS_LISTED)
+        used, place = np.unique(pairs.way[kept], return_inverse=True)
+        columns: dict[str, Any] = {"cell": pairs.cell[kept] // m, "azimuth_cell": pairs.cell[kept] % m}
+        columns |= {name: values[place] for name, values in self._describe(pairs, used).items()}
+        columns["rays"] = pairs.hits[kept].astype(np.int64)
+        columns["pst_normal"] = pairs.value[kept]
+        columns["pst_normal_se"] = np.sqrt(pairs.variance[kept])
         return pd.DataFrame(columns)
 
 
-def with_the_light(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
-    """Event lists of rays against the light as those of the light, the absorption in the detector at their ends."""
-    order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
-    turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
-    turned = np.where(order >= 0, turned, 0).astype(np.uint32)
-    turned[np.arange(len(turned)), lengths] = (detector << EVENT_BITS) | ABSORBED
-    return turned, lengths + 1
+@dataclass(frozen=True)
+class _Pairs:
+    """
+    Light by way and cell.
+
+    Attributes
+    ----------
+    events : (w, k) uint32
+    lengths : (w,) int
+        Ways, in the order of the light.
+    way, cell : (p,) int
+    hits, value, variance : (p,) float64
+        Rays, PST_normal and its variance.
+    planned : (q,) int
+        Ways of the pairs of the plan.
+    """
+
+    events: np.ndarray
+    lengths: np.ndarray
+    way: np.ndarray
+    cell: np.ndarray
+    hits: np.ndarray
+    value: np.ndarray
+    variance: np.ndarray
+    planned: np.ndarray
 
 
 def _strongest(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:

@@ -18,7 +18,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
 
-FORM = 1  # changes when the content does
+FORM = 2  # changes when the content does
 _FACTS, _ARRAY = "facts", "array_"  # entries of the file; the prefix keeps names of arrays apart from all others
 _HASH = re.compile("[0-9a-f]{16,}")
 _ABSENT = "absent"

@@ -12,7 +12,8 @@ from collections.abc import Sequence
 import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.result import Pst, members
+from mistray.trace.sky import CLASSES
 
 Light = str | Sequence[str]
 
@@ -29,7 +30,8 @@ def weighted_sum(pst: Pst, coefficients: np.ndarray, classes: Light = "total") -
     classes : str or sequence of str
         See `Pst.samples`.
     """
-    return _summed(coefficients[..., None] * pst.samples(classes), pst.weight)
+    hidden = np.sum(coefficients**2 * pst.hidden(classes))
+    return _summed(coefficients[..., None] * pst.samples(classes), pst.weight, float(hidden))
 
 
 def quotient(
@@ -53,14 +55,19 @@ def quotient(
     if not base > floor:
         return UNKNOWN
     value = _summed(upper, pst.weight).value / base
-    return Estimate(value, _summed(upper - value * lower, pst.weight).se / base)
+    # What is hidden is independent from class to class: in both sums it counts with the difference of its coefficients
+    hidden = 0.0
+    for name in CLASSES:
+        k = sum(sign * part[0] for sign, part in ((1.0, above), (-value, below)) if name in members(part[1]))
+        hidden += float(np.sum(np.square(k) * pst.hidden(name)))
+    return Estimate(value, _summed(upper - value * lower, pst.weight, hidden).se / base)
 
 
-def _summed(parts: np.ndarray, weight: np.ndarray) -> Estimate:
-    """Sum of the cells' parts, (n, m, b), over cells and batches."""
+def _summed(parts: np.ndarray, weight: np.ndarray, hidden: float = 0.0) -> Estimate:
+    """Sum of the cells' parts, (n, m, b), over cells and batches, and the variance that they do not show."""
     if weight.ndim == 1:
         parts = parts.sum(axis=(0, 1))
     value = np.sum(weight * parts, axis=-1)
     used = np.maximum(np.count_nonzero(weight, axis=-1), 2)
     spread = np.sum(np.square(weight * (parts - value[..., None])), axis=-1) * used / (used - 1)
-    return Estimate(float(np.sum(value)), float(np.sqrt(np.sum(spread))))
+    return Estimate(float(np.sum(value)), float(np.sqrt(np.sum(spread) + hidden)))

@@ -91,8 +91,8 @@ def _facts(pst: Pst) -> tuple[Fact, ...]:
 def _warnings(pst: Pst) -> tuple[str, ...]:
     if pst.is_dark:
         return (
-            "PST is 0 at every angle: no light from outside reaches the detector; it is closed in, or nothing within "
-            "the limits of the trace leads there",
+            "no light from outside was seen at any angle; more rays may find some, unless the detector is closed in or "
+            "nothing within the limits of the trace leads there",
         )
     return ()
 
