@@ -73,7 +73,7 @@ def add(commands: Any) -> None:
                         help="E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ) (normal)")  # fmt: skip
     result.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
     result.add_argument("--relative-error", type=positive, metavar="E",
-                        help="go on until the standard error over the PST is below this at every angle")  # fmt: skip
+                        help="take the rays that this standard error over the PST needs at every angle")  # fmt: skip
     result.add_argument("--up-to-deg", type=finite, metavar="DEG",
                         help="angles beyond this do not count for --relative-error")  # fmt: skip
     source = parser.add_argument_group("source (default: as the scene says)")

@@ -208,7 +208,7 @@ def test_a_way_that_the_run_has_missed_widens_its_error_by_its_light() -> None:
     plan = small_plan(hits=np.array([[100.0, 9.0], [0.0, 0.0]]), mean=np.array([[1.0, 0.5], [0.0, 0.0]]))
     rays = np.array([9000.0, 9000.0])
     missing = plan.widening(np.zeros(2), np.zeros(2), rays)
-    assert missing[0] == 0  # nobody has seen it against the light
+    assert missing[0] == pytest.approx(50 * 1000 / 10_000 / 9000)  # the pilot's own rays alone know it
     assert missing[1] == pytest.approx(0.25 * 10_000 / 9000)
     assert np.all(plan.widening(np.full(2, SELDOM), np.zeros(2), rays) == 0)
     assert plan.hits[FORWARD, 1] > plan.hits[BACKWARD, 1]

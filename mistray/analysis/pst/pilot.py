@@ -143,8 +143,9 @@ class Plan:
         """
         Variance that pairs are missing which a run has sampled too seldom.
 
-        A pair that the other direction has seen in the pilot brings at least the variance that its light, known from
-        there, has at the share of rays that hit it; where the run's own is less, the difference is missing.
+        A pair that the pilot has seen brings the variance of its rays and those of the run together, and one that the
+        other direction has seen at least the variance that its light, known from there, has at the share of rays that
+        hit it; where the run's own is less, the difference is missing.
 
         Parameters
         ----------
@@ -162,8 +163,10 @@ class Plan:
         seen, light = self.hits[1 - own, pair], self.mean[1 - own, pair]
         before, pilot = self.hits[own, pair], self.rays[own, self.cell]
         share = (hits + before + 1) / (rays + pilot)
-        missing = np.divide(light**2, share * rays, out=np.zeros(len(own)), where=rays > 0) - variance
-        return np.where((seen >= SEEN) & (hits < SELDOM), np.maximum(missing, 0.0), 0.0)
+        together = (self.second[own, pair] * pilot + variance * rays**2) / (rays + pilot)
+        second = np.maximum(np.where(seen >= SEEN, light**2 / share, 0.0), np.where(before >= SEEN, together, 0.0))
+        missing = np.divide(second, rays, out=np.zeros(len(own)), where=rays > 0) - variance
+        return np.where(hits < SELDOM, np.maximum(missing, 0.0), 0.0)
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:
         """(c,) each: variance per ray of what is counted with the light and against it."""

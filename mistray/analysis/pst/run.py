@@ -105,7 +105,7 @@ def pst(
         Start rays: of the whole trace (adjoint, 4e6), or at each angle (forward, 2e5). With `relative_error` the most
         there may be.
     relative_error : float, optional
-        Go on until the relative standard error of the PST is below this at all angles.
+        Take as many rays as this relative standard error of the PST needs at all angles, as a pilot says.
     error_up_to_deg : float, optional
         Only angles up to this one count for `relative_error`.
     paths : bool
@@ -349,6 +349,13 @@ class _AdjointRun:
             maps = pixels * np.stack([value, np.sqrt(variance)]).reshape(2, n, m, rows, columns)
         pairs = self._found_pairs()
         hidden, seldom = self._seldom(pairs)
+        lines = [*notes(bare, largest, rays, seldom), *trace.notes]
+        wanted, up_to_deg = self._wanted
+        if wanted is not None and (worst := self._worst(up_to_deg)) > wanted and np.isfinite(worst):
+            lines.append(
+                f"errors of up to {100 * worst:.2g} % are left where {100 * wanted:.2g} % was asked for; ask for "
+                "less, or allow more rays"
+            )
         facts = {
             "detector": table.ids[table.detector],
             "detector_area_mm2": trace.area,
@@ -364,7 +371,7 @@ class _AdjointRun:
             "relative_error": self._wanted[0],
             "error_up_to_deg": self._wanted[1],
             "seldom_sampled": seldom,
-            "notes": [*notes(bare, largest, rays, seldom), *trace.notes],
+            "notes": lines,
         }
         return Pst(
             trace.grid,
