@@ -135,7 +135,7 @@ class AllCells:
         lanes = np.where(wanted > 0, np.maximum(np.round(wanted / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
         # The share of a wavelength is that of its rays, but for rounding
         weight = np.divide(wanted, passes * lanes, out=np.zeros(len(lanes)), where=lanes > 0)
-        tallies = Tallies(table.count, len(table.optics.media), 1)
+        tallies = Tallies(table.count, len(table.optics.media), self._film.width * self._film.height)
         for k in range(passes):
             start = self._start((number, band, k), lanes, weight)
             walk(table, scattering, self._intersector, start, self._settings, self._film, tallies, arrivals=book)

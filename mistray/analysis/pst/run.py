@@ -228,8 +228,9 @@ class _AdjointRun:
             self._with_light = WithLight(trace, self._cells, self._search(wanted, up_to_deg))
             self._pilot_seconds = time.perf_counter() - started
         most = self._budget(self._with_light.plan, wanted, up_to_deg)
+        # First of all: what is left out against the light is in no sum otherwise
+        self._with_light.go_on(self._with_light.plan.forward_rays(max(most, before), wanted))
         with _interrupt_later() as interrupted, trace.shared(most):
-            self._with_light.go_on(self._with_light.plan.forward_rays(max(most, before), wanted))
             while trace.rays.sum() < most and not interrupted():
                 # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
                 try:
