@@ -71,13 +71,13 @@ class AllCells:
         self.grid, self._settings, self._intersector, self._map_size = grid, settings, intersector, map_size
         targets = aims(tables[0], scene, settings)
         self._bands = [
-            (table, Scattering(ScatterTables(table.ids, table.optics, targets)), share)
+            (table, Scattering(ScatterTables(table, targets)), share)
             for table, share in zip(tables, shares, strict=True)
         ]
         waves = PlaneWaves(tables[0], grid)
         cells = [waves.at(i, j, 0.0, 1.0) for i, j in np.ndindex(*grid.shape)]
         self.areas = np.array([wave.area for wave in cells]).reshape(grid.shape)
-        self._rotation, self._centre = cells[0].rotation, cells[0].centre
+        self._rotation, self._centre = cells[0].rotation, cells[0].centre - tables[0].centre
         self._numbers = [upload(mi.Float, column) for column in np.array([wave.numbers for wave in cells]).T]
         x0, x1, y0, y1 = extent
         columns, rows = (max(size, 1) for size in map_size)

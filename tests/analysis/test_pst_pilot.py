@@ -30,7 +30,10 @@ def tube(length: float, *more: dict[str, Any], radius: float = 12.0) -> mi.Scene
         "half_height": 4.0,
         "to_world": mi.ScalarTransform4f().translate([0, 0, length - 1]),
         "bsdf": {"type": "interface", "R": 0.2},
-        "sensor": {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 8, "height": 8}},
+        "sensor": {
+            "type": "irradiancemeter",
+            "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}},
+        },
     }
     wall = {"type": "frustum", "r0": radius, "z0": -20.0, "r1": radius, "z1": length, "bsdf": PAINT}
     parts = {f"part_{k}": part for k, part in enumerate(more)}
