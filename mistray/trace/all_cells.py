@@ -83,7 +83,7 @@ class AllCells:
         columns, rows = (max(size, 1) for size in map_size)
         per_mm = columns / (x1 - x0), rows / (y1 - y0)
         left, low, per_x, per_y = (dr.opaque(mi.Float, float(v)) for v in (x0, y0, *per_mm))
-        self._film = Film(columns, rows, left, low, per_x, per_y, incident=True)
+        self._film = Film(columns, rows, left, low, per_x, per_y, groups=1, incident=True)
 
     def find(self, rays: np.ndarray, number: int) -> tuple[dict[str, np.ndarray], float]:
         """

@@ -6,7 +6,6 @@ import pytest
 
 import mistray
 from mistray.analysis.pst.causes import stray_paths
-from mistray.analysis.ranking import direct_image, ranked
 from mistray.trace.path_events import path_names
 
 
@@ -49,8 +48,6 @@ def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
 
 @pytest.mark.parametrize(("scene", "field"), [("phone_camera", 20.0), ("double_gauss", 20.0), ("newtonian", 0.2)])
 def test_no_name_is_blank_or_given_twice_in_a_table_of_ghosts(scene: str, field: float) -> None:
-    trace = mistray.trace(mistray.load(scene), rays=20_000, field_deg=field)
-    table = trace.paths.by_way()
-    table = ranked(table, direct_image(table).rms_irradiance_W_mm2)
+    table = mistray.ghosts(mistray.load(scene), fields_deg=[0.0, field], rays=20_000).table(field)
     assert table.label.is_unique
     assert table.label.str.strip().astype(bool).all()
