@@ -46,6 +46,7 @@ TABLES = {
     "surface_budget": "R + T + TIS + A of every surface",
     "scatter_models": "TIS of every scatter model alone",
     "targets": "Targets of every surface that scatters",
+    "paraxial_targets": "Paraxial images of the detector behind the surfaces of the path, beside the targets traced",
     "aimed_rays": "Aimed rays in the check, and their share that reaches the detector without a further reflection",
     "pst": "PST by class of the light, and the main cause of the stray light",
     "pst_top_paths": "The strongest stray paths of every angle",

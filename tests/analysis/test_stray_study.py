@@ -138,6 +138,13 @@ def test_targets_say_where_and_how_large(camera):
     assert rows.leaves["filter_rear"] == "back"
     assert math.isinf(rows.distance_mm["filter_front"])
     assert 0 < rows.half_angle_deg["filter_front"] < 90
+    beside = step.tables["paraxial_targets"].set_index("surface")
+    assert list(beside.index) == [table.ids[s.surface] for s in path.steps[:-1]]
+    last = beside.loc["filter_rear"]
+    assert (last.distance_mm, last.half_width_mm) == pytest.approx((0.1363, 4.36788654 / 2), rel=1e-6)
+    assert last.traced_distance_mm == pytest.approx(last.distance_mm)
+    optics = [s for s in path.steps[:-1] if table.interfaces[s.surface].scatter]
+    assert beside.traced_distance_mm[[table.ids[s.surface] for s in optics]].notna().all()
 
 
 # ---- the whole

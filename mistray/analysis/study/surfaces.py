@@ -20,6 +20,7 @@ from mistray.scatter.particulate import particle_indices
 from mistray.scatter.total import Totals, model_lobes, totals
 from mistray.trace import Trace
 from mistray.trace.design_path import DesignPath
+from mistray.trace.detector_images import DetectorImages
 from mistray.trace.host_rays import normals
 from mistray.trace.optics import OPAQUE
 from mistray.trace.surfaces import SurfaceTable
@@ -236,7 +237,11 @@ def importance_sampling(
     Columns of the table: surface, role, leaves ("front", "back"; "in front", "behind": what the medium there scatters
     on the way to the surface), number (of the target), shape, distance_mm (from the vertex of the surface to the middle
     of the target; negative: virtual, inf: far away), half_width_mm, half_height_mm, half_angle_deg (the larger of both
-    as seen from the vertex), share_percent (of the aimed rays), rays (aimed at every hit).
+    as seen from the vertex), share_percent (of the aimed rays), rays (aimed at every hit). "paraxial_targets" has what
+    first-order optics says beside it: for each surface of the path the image of the detector in the space that the
+    light enters, in columns surface, leaves, distance_mm, half_width_mm and half_height_mm as above, that of the first
+    target that is traced from there as traced_distance_mm, traced_half_width_mm and traced_half_height_mm (NaN where
+    none is). Traced targets are as large as real rays need, see `mistray.trace.detector_images`.
     """
     rows = []
     far_away = FAR_SIZES * float(np.linalg.norm(np.ptp(table.vertices, axis=0)))
@@ -276,11 +281,12 @@ def importance_sampling(
         "light enters, the detector itself, or lenses that the surface sees. What is sent elsewhere is sampled at "
         "random, so that targets change the error of a result and not the result."
     )
+    tables = {"targets": frame, "paraxial_targets": _paraxial(table, path, frame)}
     if probe is None:
         return StudyStep.of(
             "importance_sampling",
             text,
-            tables={"targets": frame},
+            tables=tables,
             findings=("Nothing scatters, so there is nothing to aim.",),
         )
     check = sampling_check(probe)
@@ -304,11 +310,26 @@ def importance_sampling(
         "importance_sampling",
         text,
         facts=_sampling_facts(check, probe),
-        tables={"targets": frame, "aimed_rays": _aimed(check)},
+        tables={**tables, "aimed_rays": _aimed(check)},
         findings=tuple(findings),
         warnings=check.warnings,
         result=check,
     )
+
+
+def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame) -> pd.DataFrame:
+    """The paraxial images of the detector behind the surfaces of the path, beside the targets that are traced."""
+    sizes = ["distance_mm", "half_width_mm", "half_height_mm"]
+    rows = []
+    images = DetectorImages(path).paraxial if path is not None else []
+    for image, step in zip(images[1:], path.steps if path is not None else (), strict=False):
+        name, leaves = table.ids[step.surface], "back" if step.to_back else "front"
+        distance, (width, height) = float(np.linalg.norm(image.centre - step.point)), image.size
+        row = {"surface": name, "leaves": leaves, **dict(zip(sizes, (distance, width, height), strict=True))}
+        row["distance_mm"] *= -1 if image.reverse else 1
+        own = traced[(traced.surface == name) & (traced.leaves == leaves)]
+        rows.append(row | {f"traced_{key}": own[key].iloc[0] if len(own) else math.nan for key in sizes})
+    return pd.DataFrame(rows, columns=["surface", "leaves", *sizes, *(f"traced_{key}" for key in sizes)])
 
 
 def _sampling_facts(check: SamplingCheck, probe: Trace) -> tuple[Fact, ...]:
