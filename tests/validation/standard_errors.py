@@ -183,15 +183,17 @@ def of_objects(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
             yield "object PST", name, row.pst, row.pst_se
 
 
-def of_gradient(scene: mi.Scene, seed: int, keys: list[str], **settings: Any) -> Iterator[Entry]:
+def of_gradient(
+    scene: mi.Scene, seed: int, keys: list[str], chosen: tuple[str, ...], **settings: Any
+) -> Iterator[Entry]:
     """Metrics with derivatives."""
     params = mi.traverse(scene)
     made: dict[str, Callable[..., metrics.Metric]] = {
         "ghost power": metrics.path_power, "ghost to signal": metrics.ghost_to_signal,
         "peak": metrics.peak_irradiance, "transmission": metrics.transmission, "spot": metrics.rms_spot,
     }  # fmt: skip
-    for name, make in made.items():
-        g = mistray.gradient(make(scene, seed=seed, **settings), params, keys=keys)
+    for name in chosen:
+        g = mistray.gradient(made[name](scene, seed=seed, **settings), params, keys=keys)
         yield "gradient value", name, g.value, g.value_se
         for key, values in g.gradient.items():
             for k, value in enumerate(values):
@@ -227,6 +229,8 @@ class Case:
 
 TRIPLET, SCATTERED, GAUSS = "cooke_triplet", "newtonian_scatter", "double_gauss"
 KEYS = ["*.bsdf.R", "*curvature", "*semi_diameter"]
+LIMITS = {"rays": 4000, "max_reflections": 2}
+SPOT = "gradients of a spot"
 CASES = {
     "scattered paths": Case(
         of_trace, SCATTERED, {"rays": 5000, "field_deg": 5.0, "max_reflections": 1, "max_scatters": 2}
@@ -247,7 +251,12 @@ CASES = {
     ),
     "objects at two angles": Case(of_objects, "phone_camera_scatter", {"rays": 20_000, "angles_deg": [0.0, 10.0]}),
     "objects": Case(of_objects, SCATTERED, {"rays": 20_000}),
-    "gradients": Case(of_gradient, "singlet_window_detector", {"keys": KEYS, "rays": 4000, "max_reflections": 2}),
+    "gradients": Case(
+        of_gradient,
+        "singlet_window_detector",
+        {"keys": KEYS, "chosen": ("ghost power", "ghost to signal", "peak", "transmission"), **LIMITS},
+    ),
+    SPOT: Case(of_gradient, "singlet_window_detector", {"keys": KEYS, "chosen": ("spot",), **LIMITS}),
     "thermal": Case(of_thermal, "cassegrain", {"rays": 4000}),
 }
 
