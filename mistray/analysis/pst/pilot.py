@@ -137,7 +137,9 @@ class Plan:
         if relative_error is None:
             found = np.minimum(found, most)
         found = np.where(np.isfinite(found), found, most)
-        return whole_batches(np.where(used, np.maximum(found, least), 0))
+        # Powers of two, so that a scene and a slightly changed one are lit by the same rays
+        wanted = np.exp2(np.ceil(np.log2(np.maximum(found, least))))
+        return whole_batches(np.where(used, wanted, 0))
 
     def widening(self, hits: np.ndarray, variance: np.ndarray, rays: np.ndarray) -> np.ndarray:
         """
