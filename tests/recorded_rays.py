@@ -20,7 +20,7 @@ def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:
     """
     of = trace._runs[run]
     count = sum(row.rays for row in trace.paths if trace.paths.locate(row.path_id)[0] == run)
-    recorder = of.record(0, count)
+    recorder = of.record(None, count)
     assert int(recorder.count[0]) == count, "the rays that were recorded are not those of the ledger"
     lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)[:count]
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count]

@@ -76,7 +76,7 @@ def branches(t: Any) -> dict[tuple[tuple[str, str], ...], Branches]:
     """Every branch that ends in the detector, by path."""
     (run,) = t._runs
     count = sum(row.rays for row in t.paths)
-    recorder = run.record(0, max(count, 1))
+    recorder = run.record(None, max(count, 1))
     assert int(recorder.count[0]) == count
     lanes, lengths = np.array(recorder.lane)[:count], np.array(recorder.length)[:count]
     codes = np.array(recorder.codes).reshape(recorder.capacity, -1)[:count]
