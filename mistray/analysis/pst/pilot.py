@@ -143,11 +143,12 @@ class Plan:
 
     def widening(self, hits: np.ndarray, variance: np.ndarray, rays: np.ndarray) -> np.ndarray:
         """
-        Variance that pairs are missing which a run has sampled too seldom.
+        Variance that the pairs of a run are missing.
 
-        A pair that the pilot has seen brings the variance of its rays and those of the run together, and one that the
-        other direction has seen at least the variance that its light, known from there, has at the share of rays that
-        hit it; where the run's own is less, the difference is missing.
+        Rare rays of a large weight are what a run misses together with their variance, so that a low value has a small
+        error. A pair that the pilot has seen brings the variance of its rays and those of the run together; where the
+        run's own is less, the difference is missing. One that the run has sampled seldom and the other direction has
+        seen brings at least the variance that its light, known from there, has at the share of rays that hit it.
 
         Parameters
         ----------
@@ -165,10 +166,12 @@ class Plan:
         seen, light = self.hits[1 - own, pair], self.mean[1 - own, pair]
         before, pilot = self.hits[own, pair], self.rays[own, self.cell]
         share = (hits + before + 1) / (rays + pilot)
-        together = (self.second[own, pair] * pilot + variance * rays**2) / (rays + pilot)
-        second = np.maximum(np.where(seen >= SEEN, light**2 / share, 0.0), np.where(before >= SEEN, together, 0.0))
+        of_one = np.maximum(self.second[own, pair] - self.mean[own, pair] ** 2, 0.0)
+        together = (of_one * pilot + variance * rays**2) / (rays + pilot)
+        known = np.where((seen >= SEEN) & (hits < SELDOM), light**2 / share, 0.0)
+        second = np.maximum(known, np.where(before >= SEEN, together, 0.0))
         missing = np.divide(second, rays, out=np.zeros(len(own)), where=rays > 0) - variance
-        return np.where(hits < SELDOM, np.maximum(missing, 0.0), 0.0)
+        return np.maximum(missing, 0.0)
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:
         """(c,) each: variance per ray of what is counted with the light and against it."""

@@ -70,7 +70,7 @@ class Pst:
         What it comes from, for derivatives.
     hidden_variance : (c, n, m) float64, optional
         Variance of PST_normal that the spread of the batches does not show: of paths by which light is known to
-        arrive, and which the rays have met too seldom. Standard errors contain it.
+        arrive, and which the rays have met too seldom or without their strongest. Standard errors contain it.
     """
 
     grid: DirectionGrid

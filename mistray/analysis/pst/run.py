@@ -19,6 +19,7 @@ from mistray.analysis.pst.pilot import (
     BACKWARD,
     FORWARD,
     PILOT_SHARE,
+    SELDOM,
     Pilot,
     Plan,
     with_the_light,
@@ -430,7 +431,7 @@ class _AdjointRun:
         return facts
 
     def _seldom(self, pairs: _Pairs) -> tuple[np.ndarray, list[dict[str, Any]]]:
-        """Variance that is missing of ways which were sampled too seldom, by class and cell, and those ways."""
+        """Variance that the run is missing, by class and cell, and the ways that it sampled too seldom."""
         assert self._with_light is not None
         trace, light, plan = self._trace, self._with_light, self._with_light.plan
         cells = plan.rays.shape[1]
@@ -449,7 +450,7 @@ class _AdjointRun:
         missing = plan.widening(hits, variance, rays)
         hidden = np.zeros((CLASS_COUNT, cells))
         np.add.at(hidden, (light.classes, plan.cell), missing)
-        listed = np.flatnonzero(missing > (TOLD * plan.light[plan.cell]) ** 2)
+        listed = np.flatnonzero((hits < SELDOM) & (missing > (TOLD * plan.light[plan.cell]) ** 2))
         listed = listed[np.argsort(-missing[listed], kind="stable")][:SELDOM_LISTED]
         facts = self._describe(pairs, pairs.planned[listed])
         angle, azimuth = np.divmod(plan.cell[listed], trace.grid.shape[1])
