@@ -11,7 +11,8 @@ LEAST_LANDED = 0.2  # share of the aimed rays of a surface that should reach the
 LEAST_HITS, MOST_HITS = 0.1, 10.0  # hits of the detector by scattered rays, per start ray; about 1 is right
 LARGEST_SHARE = 0.05  # of the scattered light, by one ray
 FEWEST_AIMED = 100  # aimed rays of a surface below which the share that lands says little
-NAMES_SHOWN = 5
+NAMES_SHOWN = 3
+LEAST_LIT = 1e-3  # of the launched flux: a place with less of it that sends nothing is not worth a warning
 
 
 @dataclass(frozen=True)
@@ -97,34 +98,37 @@ def sampling_check(trace: Trace) -> SamplingCheck:
     if low:
         named = _names([f"{row.surface} {100 * row.share_landed:.2g} %" for row in low])
         warnings.append(
-            f"less than {100 * LEAST_LANDED:g} % of the aimed rays reach the detector from {named}; "
-            "give them a smaller target, or several (from structure that sees no more than a lens it cannot be higher)"
+            f"few aimed rays reach the detector (less than {100 * LEAST_LANDED:g} %): {named}. Give these surfaces a "
+            "smaller target or several; where only a lens is in view, more is not possible"
         )
     tight = [row.surface for row in rows if row.tight]
     if tight:
         warnings.append(
-            f"all aimed rays reach the detector from {_names(tight)}: their targets may be too small to hold all that "
-            "leads to it; enlarge them until some rays miss"
+            f"every aimed ray reaches the detector: {_names(tight)}. These targets may be too small; enlarge them "
+            "until some rays miss"
         )
-    if trace.silent:
+    silent = [f"{place.id} {100 * place.share:.2g} %" for place in trace.silent if place.share >= LEAST_LIT]
+    if silent:
+        count = f"{len(silent)} surfaces or bodies scatter" if len(silent) > 1 else "one surface or body scatters"
         warnings.append(
-            f"no scattered light of {_names(trace.silent)} reaches the detector; where some should, give a target or "
-            "raise rays, max_scatters or max_reflections"
+            f"{count} light, but none of it reaches the detector: {_names(silent)} (share of the launched "
+            "flux). If the detector sees such a place, give it a target or raise rays"
         )
     if rows or hits > 0 or trace.silent:
         if hits < LEAST_HITS:
             warnings.append(
-                f"{hits:.2g} scattered rays reach the detector per start ray, less than {LEAST_HITS:g}; "
+                f"only {hits:.2g} scattered rays reach the detector per start ray (at least {LEAST_HITS:g} is good); "
                 "raise aimed_rays, or give the surfaces that scatter a target"
             )
         if hits > MOST_HITS:
             warnings.append(
-                f"{hits:.3g} scattered rays reach the detector per start ray, more than {MOST_HITS:g}; more start rays "
-                "with fewer scattered ones tell more: lower aimed_rays or scatter_rays, or raise scatter_threshold"
+                f"{hits:.3g} scattered rays reach the detector per start ray (at most {MOST_HITS:g} is good); trace "
+                "more start rays with fewer scattered ones: lower aimed_rays or scatter_rays, or raise "
+                "scatter_threshold"
             )
     if largest > LARGEST_SHARE:
         warnings.append(
-            f"one ray brings {100 * largest:.2g} % of the scattered light, more than {100 * LARGEST_SHARE:g} %; "
-            "raise rays, or aim where it was scattered"
+            f"one ray carries {100 * largest:.2g} % of the scattered light (at most {100 * LARGEST_SHARE:g} % is "
+            "good); raise rays, or give the surface that scattered it a target"
         )
     return SamplingCheck(rows, hits, largest, trace.effective_scattered_rays, tuple(warnings))

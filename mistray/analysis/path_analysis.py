@@ -24,8 +24,8 @@ SORT_KEYS = {
     "diffractions": True,
 }
 COLUMNS = (
-    "path_id", "wavelength_nm", "kind", "power_W", "power_se_W", "percent", "branches", "objects", "unique_objects",
-    "last_object", "diffractions", "opl_mm", "opl_se_mm", "events",
+    "path_id", "wavelength_nm", "label", "kind", "power_W", "power_se_W", "percent", "branches", "objects",
+    "unique_objects", "last_object", "diffractions", "opl_mm", "opl_se_mm", "events",
 )  # fmt: skip
 
 
@@ -48,9 +48,9 @@ def path_analysis(
     Returns
     -------
     DataFrame
-        path_id (-1: the uncategorised ones), wavelength_nm, kind, power_W with its standard error, percent (of all
-        detected power), branches (rays that came this way), objects (surfaces met, the detector included),
-        unique_objects, last_object (before the detector), diffractions, opl_mm (mean optical path length from the
+        path_id (-1: the uncategorised ones), wavelength_nm, label (the name of the path), kind, power_W with
+        its standard error, percent (of all detected power), branches (rays that came this way), objects (surfaces met,
+        the detector included), unique_objects, last_object (before the detector), diffractions, opl_mm (mean optical path length from the
         start of the rays, with the flux as weight) with the standard error of this mean over at most `RAYS` rays (as of
         independent ones; infinite for a single ray), events. Of the last row power and branches are sums; what
         describes one path only is NaN, -1 or "-".
@@ -79,9 +79,10 @@ def path_analysis(
     if len(weak):
         power, se = trace.paths.power(weak.path_id.to_numpy())
         rest = {
-            "path_id": -1, "wavelength_nm": math.nan, "kind": UNCATEGORISED, "power_W": power, "power_se_W": se,
-            "percent": 100 * power / total, "branches": int(weak.rays.sum()), "objects": -1, "unique_objects": -1,
-            "last_object": "-", "diffractions": -1, "opl_mm": math.nan, "opl_se_mm": math.nan, "events": "-",
+            "path_id": -1, "wavelength_nm": math.nan, "label": "-", "kind": UNCATEGORISED, "power_W": power,
+            "power_se_W": se, "percent": 100 * power / total, "branches": int(weak.rays.sum()), "objects": -1,
+            "unique_objects": -1, "last_object": "-", "diffractions": -1, "opl_mm": math.nan, "opl_se_mm": math.nan,
+            "events": "-",
         }  # fmt: skip
         table = pd.concat([table, pd.DataFrame([rest])]) if len(table) else pd.DataFrame([rest])
     return table.reset_index(drop=True)

@@ -9,7 +9,7 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
-from mistray.trace.path_events import DIRECT, path_names
+from mistray.trace.path_events import DIRECT, path_labels
 from mistray.trace.paths import PathTable
 from mistray.trace.sampled import Sampled
 
@@ -84,15 +84,6 @@ def stray_to_direct(paths: PathTable, image: DirectImage, wavelength_nm: float |
     return Estimate(float(found.value), float(found.se))
 
 
-def label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str = "-", scatters: int = 0) -> str:
-    """A path in short: its ghost surfaces in the order of the light and where it scatters, or its kind."""
-    ghosts = " → ".join(name for name in (ghost_1, ghost_2) if name != "-")
-    if scatters:
-        more = f" and {scatters - 1} more" if scatters > 1 else ""
-        return f"{ghosts}{', ' if ghosts else ''}scatter at {scatter_1}{more}"
-    return ghosts or ("direct image" if kind == DIRECT else kind)
-
-
 def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.DataFrame:
     """
     A path table with labels, normalised RMS irradiance and ranks.
@@ -111,9 +102,7 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
         The same rows with the columns that `GhostReport.table` lists.
     """
     table = table.copy()
-    words = table[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]]
-    labels = [label(*row) for row in words.itertuples(index=False)]
-    table["label"] = path_names(table.events.tolist(), labels)
+    table["label"] = path_labels(table)
     numbers = paths.numbers(list(table.path_ids))
     normalised = nominal.dividing(numbers.density, "density")
     table["normalised_rms_irradiance"], table["normalised_rms_irradiance_se"] = normalised.value, normalised.se

@@ -200,7 +200,7 @@ def _record(traced: Trace | None, paths: int, options: argparse.Namespace) -> di
     from mistray.report.path_rays import chosen_rows
 
     rows = chosen_rows(traced, paths, options.path_ids)
-    names = ("path_id", "kind", "events", "wavelength_nm", "power_W", "power_se_W", "percent")
+    names = ("path_id", "label", "kind", "events", "wavelength_nm", "power_W", "power_se_W", "percent")
     record = {
         "field_deg": traced.settings["field_deg"],
         "wavelength_nm": traced.wavelengths_nm,

@@ -197,10 +197,9 @@ def layout_figure(
     drawn: list[Chosen] = []
     title = ""
     if trace is not None:
-        lines = len(trace.wavelengths_nm)
         for row, colour in zip(chosen_rows(trace, paths, path_ids), itertools.cycle(PATH_COLOURS), strict=False):
             history = trace.history(row.path_id, CANDIDATES * rays).rays
-            drawn.append((meridional(history, rays), colour, row_name(row, lines > 1)))
+            drawn.append((meridional(history, rays), colour, row_name(row)))
         title = f"field {trace.settings['field_deg']:g}°, section x = 0; rays projected onto it"
     return _figure(scene, drawn, title, width=PAPER_WIDTH, size=7.0)
 

@@ -63,7 +63,7 @@ def level_text(report: GhostReport) -> str:
 
 def filter_text(report: GhostReport, selection: str) -> str:
     """How much light passes a filter at each field, and by which paths."""
-    columns = [("field", "deg"), ("path", ""), ("kind", ""), ("reflects and scatters at", ""), ("λ", "nm"),
+    columns = [("field", "deg"), ("path", ""), ("kind", ""), ("name", ""), ("λ", "nm"),
                ("rays", ""), ("power", "W"), ("share", "% of stray light")]  # fmt: skip
     rows = []
     for field in report:
@@ -72,9 +72,8 @@ def filter_text(report: GhostReport, selection: str) -> str:
         whole = [with_error(found.power_W), number(found.percent_of_stray, 4)]
         rows.append([f"{field:g}", "all", count, "", "", str(found.table.rays.sum()), *whole])
         for row in found.table.head(PATHS_SHOWN).itertuples(index=False):
-            places = " ".join(name for name in (row.ghost_1, row.ghost_2, row.scatter_1) if name != "-")
             power = with_error(Estimate(row.power_W, row.power_se_W))
-            rows.append(["", str(row.path_id), row.kind, places, f"{row.wavelength_nm:g}", str(row.rays), power, ""])
+            rows.append(["", str(row.path_id), row.kind, row.label, f"{row.wavelength_nm:g}", str(row.rays), power, ""])
     return f"Paths that pass the filter {selection}\n" + text_table(columns, rows, left=(2, 3))
 
 
@@ -96,8 +95,9 @@ def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
 
 def analysis_text(table: pd.DataFrame, sort: str) -> str:
     """A path analysis, the first paths of each field and what is uncategorised."""
-    columns = [("field", "deg"), ("path", ""), ("kind", ""), ("power", "W"), ("branches", ""), ("objects", ""),
-               ("unique", "objects"), ("last object", ""), ("diffractions", ""), ("mean OPL", "mm")]  # fmt: skip
+    columns = [("field", "deg"), ("path", ""), ("name", ""), ("kind", ""), ("power", "W"), ("branches", ""),
+               ("objects", ""), ("unique", "objects"), ("last object", ""), ("diffractions", ""),
+               ("mean OPL", "mm")]  # fmt: skip
     rows = []
     for field, own in table.groupby("field_deg", sort=False):
         first = own[own.path_id >= 0].head(PATHS_SHOWN)
@@ -107,7 +107,7 @@ def analysis_text(table: pd.DataFrame, sort: str) -> str:
             cells = [str(v) for v in counts] if row.path_id >= 0 else [ABSENT] * 4
             length = with_error(Estimate(row.opl_mm, row.opl_se_mm)) if row.path_id >= 0 else ABSENT
             name = str(row.path_id) if row.path_id >= 0 else ""
-            rows.append([f"{field:g}", name, row.kind, power, str(row.branches), *cells, length])
+            rows.append([f"{field:g}", name, row.label, row.kind, power, str(row.branches), *cells, length])
         if len(own[own.path_id >= 0]) > len(first):
-            rows.append([f"{field:g}", "", f"… and {(own.path_id >= 0).sum() - len(first)} more", *[""] * 7])
-    return f"Path analysis by {sort}\n" + text_table(columns, rows, left=(2, 7))
+            rows.append([f"{field:g}", "", f"… and {(own.path_id >= 0).sum() - len(first)} more", *[""] * 8])
+    return f"Path analysis by {sort}\n" + text_table(columns, rows, left=(2, 3, 8))

@@ -10,7 +10,6 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
-from mistray.trace.ledger import AIMED_REFLECTED, AIMED_TRANSMITTED
 from mistray.trace.path_events import INTERCEPTS, LETTERS
 
 if TYPE_CHECKING:
@@ -19,7 +18,6 @@ if TYPE_CHECKING:
 
 Floats = npt.NDArray[np.float64]
 
-_AIMED = {INTERCEPTS[code] for code in (AIMED_TRANSMITTED, AIMED_REFLECTED)}
 _LETTER = {INTERCEPTS[code]: letter for code, letter in LETTERS.items()}
 
 
@@ -120,15 +118,6 @@ def rays_of_paths(trace: Trace, path_ids: Iterable[int] | None = None, n: int = 
     return lines
 
 
-def row_name(row: PathRow, wavelength: bool = False) -> str:
-    """
-    A row of the path table in short: id, kind, where it reflects and scatters, power; perhaps the wavelength.
-
-    "(aimed)" tells light that was aimed at a target from the row of light that takes the same way by chance.
-    """
-    reflects = " ".join(place for place in (row.ghost_1, row.ghost_2) if place != "-")
-    aimed = " (aimed)" if any(intercept in _AIMED for _, intercept in row.event_list) else ""
-    scatters = f"scatters at {row.scatter_1}{aimed}" if row.scatter_1 != "-" else ""
-    at = f"{row.wavelength_nm:g} nm" if wavelength else ""
-    words = [f"{row.path_id} {row.kind}", reflects, scatters, at, f"{row.power_W:.4g} W"]
-    return ", ".join(word for word in words if word)
+def row_name(row: PathRow) -> str:
+    """A row of the path table in a legend: id, name and power."""
+    return f"{row.path_id} {row.label}, {row.power_W:.4g} W"

@@ -21,9 +21,9 @@ CLOSURE_WARNING = 1e-5
 CUT_TEXTS = {
     "flux_threshold": "cut by flux_threshold = {flux_threshold:g} (after scatter: scatter_threshold = "
     "{scatter_threshold:g}); lower it, or use below_threshold = roulette",
-    "max_reflections": "not followed beyond max_reflections = {max_reflections}; raise it to see where that goes",
-    "max_scatters": "not scattered beyond max_scatters = {max_scatters} or another limit of scatter; raise it to see "
-    "where that goes",
+    "max_reflections": "not followed beyond max_reflections = {max_reflections}; raise it to see where it goes",
+    "max_scatters": "not scattered: max_scatters = {max_scatters} or another limit of scatter; raise it to see where "
+    "it goes",
     "max_events": "cut by max_events = {max_events}; raise it",
     **{
         f"{branch}_below": f"cut by what cut_below says of {branch.replace('_', ' ')}; lower it"

@@ -166,7 +166,7 @@ def view(
     figure.add_traces(glass_faces(go, scene, surfaces, cut))
     scales = flux_scales(shown, flux)
     figure.add_traces(scale_marks(go, scales, box))
-    figure.add_traces(path_lines(go, rows, lines, len(trace.wavelengths_nm) if trace is not None else 1))
+    figure.add_traces(path_lines(go, rows, lines))
     arrange(figure, box, cut)
     add_buttons(figure, scales, by, shown, cut)
     return View(figure, surfaces, lines, title, _note(trace, rows, cut))

@@ -117,12 +117,12 @@ def glass_faces(go: Any, scene: Any, surfaces: Sequence[OpenSurface], cut: CutPl
     return faces
 
 
-def path_lines(go: Any, rows: Sequence[PathRow], lines: Sequence[RayLine], wavelengths: int) -> list[Any]:
-    """Rays of each path as one ``scatter3d`` named like the row; `wavelengths` is how many there are in the table."""
+def path_lines(go: Any, rows: Sequence[PathRow], lines: Sequence[RayLine]) -> list[Any]:
+    """Rays of each path as one ``scatter3d`` named like the row."""
     traces = []
     for number, row in enumerate(rows):
         own = [line for line in lines if line.path_id == row.path_id]
-        name = row_name(row, wavelengths > 1)
+        name = row_name(row)
         texts: list[str] = []
         for line in own:
             places = ["start", *line.events.split()]
@@ -137,7 +137,7 @@ def path_lines(go: Any, rows: Sequence[PathRow], lines: Sequence[RayLine], wavel
                     "width": 2,
                     "dash": DASHES[number // len(PATH_COLOURS) % len(DASHES)],
                 },
-                name=name.replace(", scatters", ",<br>scatters") if own else f"{name}, too rare to draw",
+                name=name.replace(", scatter at", ",<br>scatter at") if own else f"{name}, too rare to draw",
                 text=texts,
                 hovertemplate=f"<b>{escape(name)}</b><br>%{{text}}<br>x %{{x:.5g}}, y %{{y:.5g}}, z %{{z:.5g}} mm"
                 "<extra></extra>",

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mistray.trace.books import AIMED, HITS, LANDED
+from mistray.trace.books import AIMED, HITS, INCIDENT, LANDED
 from mistray.trace.host_points import outline
 from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.path_events import EVENT_MASK, FIRST_SCATTERED
@@ -86,36 +86,59 @@ def _holds(aim: AimSet, detector: Target) -> bool:
     )
 
 
-def silent_places(runs: Sequence[Run]) -> list[str]:
+@dataclass(frozen=True)
+class SilentPlace:
     """
-    Names of the surfaces and media that scatter and got light, but sent nothing that arrived, the most often hit first.
+    A place that scatters and got light, of which nothing arrived.
+
+    Attributes
+    ----------
+    id : str
+        Name of a surface, or of a medium in brackets.
+    share : float
+        Flux on it, at each visit, over the launched flux; of a medium that on the surface of it that gets most.
+    """
+
+    id: str
+    share: float
+
+
+def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
+    """
+    The surfaces and media that scatter and got light, but sent nothing that arrived, the one with most light first.
 
     Empty where paths were not kept, or nothing may scatter.
     """
-    most: dict[str, float] = {}
+    lit: dict[str, np.ndarray] = {}
     heard: set[str] = set()
     for run in runs:
         settings = run.settings
         if run.paths is None or not settings.max_scatters or settings.ray_control != "allow_all":
             return []
         table, events = run.table, run.paths.events
-        hits = run.surfaces[: table.count, HITS].sum(axis=-1)
-        for place, lit in _lit_places(table, hits).items():
-            most[table.event_ids[place]] = most.get(table.event_ids[place], 0.0) + lit
+        sums = run.surfaces[: table.count, [HITS, INCIDENT]].sum(axis=-1) * [1.0, run.unit]
+        for place, found in _lit_places(table, sums).items():
+            name = table.event_ids[place]
+            lit[name] = lit.get(name, np.zeros(2)) + found
         places = np.unique(events[(events & EVENT_MASK) >= FIRST_SCATTERED] >> EVENT_BITS)
         heard |= {table.event_ids[place] for place in places.tolist()}
-    quiet = [name for name, lit in most.items() if lit >= FEWEST_HITS and name not in heard]
-    return sorted(quiet, key=lambda name: -most[name])
+    launched = sum(run.beam.power for run in runs)
+    quiet = [
+        SilentPlace(name, float(flux) / launched)
+        for name, (hits, flux) in lit.items()
+        if hits >= FEWEST_HITS and name not in heard
+    ]
+    return sorted(quiet, key=lambda place: -place.share)
 
 
-def _lit_places(table: SurfaceTable, hits: np.ndarray) -> dict[int, float]:
-    """Hits of the places that scatter; of a medium those of the surface on it that is hit most."""
-    lit = {i: float(hits[i]) for i in table.listed if table.interfaces[i].scatter and i != table.detector}
+def _lit_places(table: SurfaceTable, sums: np.ndarray) -> dict[int, np.ndarray]:
+    """Hits and flux of the places that scatter; of a medium those of the surface on it that gets most flux."""
+    lit = {i: sums[i] for i in table.listed if table.interfaces[i].scatter and i != table.detector}
     if table.optics.scatters:
         for i in table.listed:
             for side in (Inside(i, False), Inside(i, True)):
                 medium = medium_of(table, side)
                 if table.optics.host_scattering[medium] > 0:
                     place = table.count + medium
-                    lit[place] = max(lit.get(place, 0.0), float(hits[i]))
+                    lit[place] = max(lit.get(place, sums[i]), sums[i], key=lambda found: float(found[1]))
     return lit

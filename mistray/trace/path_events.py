@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from collections.abc import Iterable, Sequence, Set
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -20,6 +22,9 @@ from mistray.trace.ledger import (
     TRANSMITTED,
 )
 from mistray.trace.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 EVENT_MASK = (1 << EVENT_BITS) - 1
 FIRST_SCATTERED = RANDOM_TRANSMITTED  # this event and those above it are scattered ones
@@ -175,6 +180,48 @@ def event_text(events: np.ndarray, lengths: np.ndarray, ids: Sequence[str]) -> t
         [" ".join([words[code] for code in row]) for row in lists],
         ["".join([LETTERS[code & EVENT_MASK] for code in row]) for row in lists],
     )
+
+
+def path_labels(table: pd.DataFrame) -> list[str]:
+    """
+    Names of the paths of a table: what they are called in short, made longer where that does not tell them apart.
+
+    In short that is the surfaces that reflect and scatter, or the kind where none does. Paths of the same events at
+    several wavelengths or from several sources have these in their names.
+
+    Parameters
+    ----------
+    table : DataFrame
+        With the columns events, kind, ghost_1, ghost_2, scatter_1 and scatters of `mistray.trace.paths.PathRow`, and
+        where there are any source and wavelength_nm.
+
+    Returns
+    -------
+    list of str
+        One for each row, none of them blank.
+    """
+    short = table[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]].itertuples(index=False)
+    names = path_names(table.events.tolist(), [short_label(*row) for row in short])
+    for column, form in (("wavelength_nm", "{:.9g} nm"), ("source", "{}")):
+        if column in table and table[column].nunique() > 1:
+            count = Counter(names)
+            values = table[column].tolist()
+            names = [
+                f"{name}, {form.format(value)}" if count[name] > 1 else name
+                for name, value in zip(names, values, strict=True)
+            ]
+    return names
+
+
+def short_label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str = "-", scatters: int = 0) -> str:
+    """A path in short: its ghost surfaces in the order of the light and where it scatters, or its kind."""
+    ghosts = " → ".join(name for name in (ghost_1, ghost_2) if name != "-")
+    if kind.startswith("structure"):
+        ghosts += f" ({kind})"  # reads like the surface alone
+    if scatters:
+        more = f" and {scatters - 1} more" if scatters > 1 else ""
+        return f"{ghosts}{', ' if ghosts else ''}scatter at {scatter_1}{more}"
+    return ghosts or ("direct image" if kind == DIRECT else kind)
 
 
 def path_names(events: Sequence[str], labels: Sequence[str]) -> list[str]:

@@ -15,7 +15,17 @@ from mistray.errors import MistrayError
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES, host_keys
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
-from mistray.trace.path_events import DIRECT, INTERCEPTS, LETTERS, Events, describe_events, way, way_letters, way_text
+from mistray.trace.path_events import (
+    DIRECT,
+    INTERCEPTS,
+    LETTERS,
+    Events,
+    describe_events,
+    path_labels,
+    way,
+    way_letters,
+    way_text,
+)
 from mistray.trace.path_filter import PathFilter, Rows
 from mistray.trace.path_numbers import CHUNK, PathNumbers, RunSums, path_numbers
 from mistray.trace.sampled import Sampled
@@ -28,6 +38,7 @@ if TYPE_CHECKING:
     from mistray.trace.tracer import Run
 
 ROWS_PRINTED = 20
+LABELLED_BY = ("events", "kind", "ghost_1", "ghost_2", "scatter_1", "scatters", "source", "wavelength_nm")
 MOMENT_SUMS = [2, 4, 5, 6]  # of the ledger: absorbed, absorbed · x, absorbed · y, absorbed · (x² + y²)
 
 
@@ -43,6 +54,8 @@ class PathRow:
     source : str
         Id of the source.
     wavelength_nm : float
+    label : str
+        Name of the path, another one for each path of the table, see `mistray.trace.path_events.path_labels`.
     events : str
         Surfaces and what happened there, ``L1_front:T L1_rear:R … detector:A``; T transmitted, R reflected, I totally
         internally reflected, A absorbed; scattered or diffracted at random: t in transmission, r in reflection;
@@ -101,6 +114,7 @@ class PathRow:
     path_id: int
     source: str
     wavelength_nm: float
+    label: str
     events: str
     path: str
     order: int
@@ -429,6 +443,7 @@ class PathTable(Sequence[PathRow]):
         ways = [tuple(ids.tolist()) for ids in np.split(order, starts[1:])] if len(kept) else []
         together = self.numbers(ways)
         table = table.loc[kept].assign(**together.columns, **self.percents(together.light), path_ids=ways)
+        table["label"] = path_labels(table)
         return table.sort_values("power_W", ascending=False, kind="stable", ignore_index=True)
 
     def to_pandas(self) -> pd.DataFrame:
@@ -449,14 +464,11 @@ class PathTable(Sequence[PathRow]):
         write_parquet(self.to_pandas(), path)
 
     def __str__(self) -> str:
-        lines = [
-            f"{'id':>4} {'power W':>12} {'± se':>9} {'% of all':>9} {'rays':>9} {'rms mm':>10} {'kind':<16} "
-            f"{'reflects at':<24} scatters at"
-        ]
+        lines = [f"{'id':>4} {'power W':>12} {'± se':>9} {'% of all':>9} {'rays':>9} {'rms mm':>10} {'kind':<20} path"]
         for row in self[:ROWS_PRINTED]:
             lines.append(
                 f"{row.path_id:>4} {row.power_W:>12.5e} {row.power_se_W:>9.1e} {row.percent:>9.4g} {row.rays:>9} "
-                f"{row.rms_radius_mm:>10.4g} {row.kind:<16} {f'{row.ghost_1} {row.ghost_2}':<24} {row.scatter_1}"
+                f"{row.rms_radius_mm:>10.4g} {row.kind:<20} {row.label}"
             )
         more = self._columns["percent"][ROWS_PRINTED:]
         if len(more):
@@ -478,6 +490,8 @@ def rows_of(
 
 def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTable:
     """The table of all paths of all runs; paths without a hit are left out."""
+    import pandas as pd
+
     books = [Book(paths, run.started, run.unit, run.table) for run, paths in zip(runs, decoded, strict=True)]
     parts, places, numbers = [], [], []
     for run, book in zip(runs, books, strict=True):
@@ -497,6 +511,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     order = np.array(sorted(range(len(keys)), key=keys.__getitem__), dtype=np.int64)
     columns = {name: column[order] for name, column in columns.items()}
     columns["path_id"] = np.arange(len(order))
+    columns["label"] = np.array(path_labels(pd.DataFrame({name: columns[name] for name in LABELLED_BY})), dtype=object)
     columns |= _percents(found.light[order], found.light.total())
     return PathTable(columns, books, number[order], np.concatenate(places)[order], found[order])
 

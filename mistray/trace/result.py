@@ -67,9 +67,9 @@ class Trace:
         opaque because no light gets through their bodies.
     aiming : list of AimedSurface
         Surfaces and media that aimed rays at targets.
-    silent : list of str
-        Surfaces and media that scatter and got light, but sent nothing to the detector in this trace; empty if traced
-        with ``ledger=False``.
+    silent : list of SilentPlace
+        Surfaces and media that scatter and got light, but sent nothing to the detector in this trace, each with its
+        share of the launched flux; the one with most light first. Empty if traced with ``ledger=False``.
     segments : int
         Ray segments that were traced.
     seconds : float

@@ -11,6 +11,7 @@ import pytest
 
 import mistray
 from mistray.analysis.aiming_check import sampling_check
+from mistray.trace.aimed_rays import SilentPlace
 
 
 @dataclass
@@ -27,7 +28,7 @@ class Traced:
     scattered_rays_per_start: float = 1.0
     largest_ray_share: float = 0.001
     effective_scattered_rays: float = 5000.0
-    silent: list[str] = field(default_factory=list)
+    silent: list[SilentPlace] = field(default_factory=list)
 
 
 def warnings_of(**values: Any) -> tuple[str, ...]:
@@ -65,11 +66,11 @@ def test_a_share_of_a_few_rays_is_no_reason_to_warn():
 def test_the_worst_surfaces_come_first_and_not_all():
     surfaces = [Surface(f"s{k}", 1000, 10 * k) for k in reversed(range(8))]
     (text,) = warnings_of(aiming=surfaces)
-    assert "from s0 0 %, s1 1 %, s2 2 %, s3 3 %, s4 4 % and 3 more;" in text
+    assert "s0 0 %, s1 1 %, s2 2 % and 5 more" in text
 
 
 @pytest.mark.parametrize(
-    ("hits", "words"), [(0.099, "less than 0.1"), (0.1, None), (10.0, None), (10.1, "more than 10"), (0.0, "less than")]
+    ("hits", "words"), [(0.099, "at least 0.1"), (0.1, None), (10.0, None), (10.1, "at most 10"), (0.0, "at least 0.1")]
 )
 def test_hits_per_start_ray(hits, words):
     texts = warnings_of(aiming=[Surface("a", 1000, 500)], scattered_rays_per_start=hits)
@@ -96,10 +97,22 @@ def test_all_that_land_are_named_unless_the_target_is_the_detector(landed, at_de
     assert any("window_front" in text for text in check.warnings) is tight
 
 
-def test_places_that_send_nothing_are_named():
-    texts = warnings_of(silent=[f"wall_{k}" for k in range(7)], scattered_rays_per_start=0.0)
-    assert any("wall_0, wall_1, wall_2, wall_3, wall_4 and 2 more" in text for text in texts)
-    assert any("less than 0.1" in text for text in texts)
+def test_places_that_send_nothing_are_one_line_of_a_count_and_the_three_with_most_light():
+    places = [SilentPlace(f"wall_{k}", 0.3 / 10**k) for k in range(7)]
+    (text,) = (text for text in warnings_of(silent=places, scattered_rays_per_start=0.5) if "wall" in text)
+    assert text.startswith("3 surfaces")
+    assert "wall_0 30 %, wall_1 3 %, wall_2 0.3 % (" in text
+    many = [SilentPlace(f"wall_{k}", 0.5) for k in range(7)]
+    (text,) = warnings_of(silent=many)
+    assert text.startswith("7 surfaces")
+    assert "wall_2 50 % and 4 more" in text
+    (text,) = warnings_of(silent=many, scattered_rays_per_start=0.0)[1:]
+    assert "at least 0.1" in text
+
+
+def test_places_with_little_light_are_no_warning():
+    assert warnings_of(silent=[SilentPlace("wall", 0.9e-3)]) == ()
+    assert len(warnings_of(silent=[SilentPlace("wall", 1e-3)])) == 1
 
 
 def hazy_scene(target: dict[str, Any] | None = None) -> Any:
@@ -122,11 +135,13 @@ def test_a_medium_whose_light_is_not_found_is_named():
     """Without aim no ray finds the detector (2e-6 of them would): the trace says so instead of 0 ± 0 alone."""
     blind = mistray.trace(hazy_scene(), rays=5000, aim="none")
     assert blind.energy.detected_W == 0
-    assert blind.silent == ["(1.0_scatter=0.01)"]
+    (place,) = blind.silent
+    assert place.id == "(1.0_scatter=0.01)"
+    assert 0.9 < place.share < 1.1  # the whole beam, less what is scattered before, and once more what comes back
     assert any("(1.0_scatter=0.01)" in text for text in sampling_check(blind).warnings)
     aimed = mistray.trace(hazy_scene(), rays=5000)
     assert aimed.silent == []
-    assert not any("no scattered light" in text for text in sampling_check(aimed).warnings)
+    assert not any("(1.0_scatter=0.01)" in text for text in sampling_check(aimed).warnings)
 
 
 @pytest.mark.parametrize(("scale", "low", "tight"), [(0.1, False, True), (0.35, False, False), (9.0, True, False)])

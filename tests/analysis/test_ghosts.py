@@ -10,10 +10,11 @@ from report.fake_trace import LENS, FakePath, FakeTrace, trace_at, trace_in_colo
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport, ghosts
-from mistray.analysis.ranking import direct_image, label
+from mistray.analysis.ranking import direct_image
 from mistray.analysis.spectral import spectral_maps
 from mistray.errors import MistrayError
 from mistray.trace.path_events import STRAY_KINDS
+from mistray.trace.path_events import short_label as label
 
 
 @pytest.fixture

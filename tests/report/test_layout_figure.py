@@ -22,7 +22,7 @@ def figure(scene, trace):
 def test_rays_are_those_of_the_history_near_the_section(figure, trace):
     axes = figure.axes[0]
     handles, labels = axes.get_legend_handles_labels()
-    assert labels == ["0 direct, 3 W", "1 ghost, detector window_rear, 0.0002 W"]
+    assert labels == ["0 direct image, 3 W", "1 detector → window_rear, 0.0002 W"]
     for path_id, handle in enumerate(handles):
         drawn = [line for line in axes.lines if line.get_color() == handle.get_color() and len(line.get_xdata())]
         wanted = meridional(trace.history(path_id, CANDIDATES * 4).rays, 4)
@@ -81,7 +81,7 @@ def test_svg_has_lines_and_text(scene, trace, figure, tmp_path):
     """Text as text, so that a paper's own font and a search find it; the same file every time."""
     path = write_layout(figure, tmp_path / "layout.svg")
     text = path.read_text(encoding="utf-8")
-    assert "".join(ET.fromstring(text).itertext()).count("0 direct, 3 W") == 1
+    assert "".join(ET.fromstring(text).itertext()).count("0 direct image, 3 W") == 1
     assert "<image" not in text
     assert (
         write_layout(layout_figure(scene, trace, paths=2, rays=4), tmp_path / "again.svg").read_text(encoding="utf-8")

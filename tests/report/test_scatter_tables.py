@@ -9,7 +9,6 @@ from report.fake_scene import lens_scene
 from report.fake_trace import FakePath, FakeTrace, scatter_trace_at, trace_at
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.ranking import label
 from mistray.cli.ghosts_json import as_json
 from mistray.report.csv_tables import csv_tables, write_csv
 from mistray.report.html import html_text
@@ -18,6 +17,7 @@ from mistray.report.plots import KIND_COLOURS, KIND_MARKERS
 from mistray.report.scatter_tables import scatter_text
 from mistray.report.tables import main_table, warnings
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
+from mistray.trace.path_events import short_label as label
 
 WINDOW, STOP, GHOST, TWICE = 8e-5, 2e-5, 4e-6, 1e-6
 STRAY = 2e-4 + 1e-4 + 3e-6 + 1e-9 + WINDOW + STOP + GHOST + TWICE

@@ -68,9 +68,9 @@ def test_legend_rows_are_the_rows_of_the_path_table(shown, trace):
     drawn = of(shown.figure, "path_id")
     rows = [(lines.name, lines.showlegend) for lines in drawn.values()]
     assert rows == [
-        ("0 direct, 3 W", True),
-        ("1 ghost, detector window_rear, 0.0002 W", True),
-        ("2 ghost, detector L1_rear, 0.0001 W", True),
+        ("0 direct image, 3 W", True),
+        ("1 detector → window_rear, 0.0002 W", True),
+        ("2 detector → L1_rear, 0.0001 W", True),
     ]
     assert len({lines.line.color for lines in drawn.values()}) == 3
     # one row of the other legend for each role, which switches all of its surfaces, outlines and cut faces
@@ -89,7 +89,7 @@ def test_path_ids_choose_the_rows(scene, trace):
 def test_wavelengths_are_named_where_there_are_several(scene):
     several = RayTrace(trace_in_colours(0.0).fakes, shares=SHARES)
     names = [lines.name for lines in of(view(scene, several, paths=2, rays=1).figure, "path_id").values()]
-    assert names[0] == "0 direct, 550 nm, 1.5 W"
+    assert names[0] == "0 direct image, 550 nm, 1.5 W"
 
 
 def test_hovering_says_id_part_and_flux(shown):
@@ -272,4 +272,4 @@ def test_a_path_that_no_ray_is_found_of_says_so(scene):
             return found if path_id else type(found)(rays=[], to_pandas=lambda: table[:0])
 
     shown = view(scene, Rare(paths_at(0.0)), paths=2, rays=1)
-    assert of(shown.figure, "path_id")[0].name == "0 direct, 3 W, too rare to draw"
+    assert of(shown.figure, "path_id")[0].name == "0 direct image, 3 W, too rare to draw"

@@ -2,10 +2,14 @@
 
 from __future__ import annotations
 
+import warnings
+
 import pytest
 
 import mistray
 from mistray.analysis.pst.causes import stray_paths
+from mistray.errors import MistrayWarning
+from mistray.scene.load import shipped_scenes
 from mistray.trace.path_events import path_names
 
 
@@ -51,3 +55,17 @@ def test_no_name_is_blank_or_given_twice_in_a_table_of_ghosts(scene: str, field:
     table = mistray.ghosts(mistray.load(scene), fields_deg=[0.0, field], rays=20_000).table(field)
     assert table.label.is_unique
     assert table.label.str.strip().astype(bool).all()
+
+
+@pytest.mark.parametrize("scene", sorted(shipped_scenes()))
+def test_every_path_of_a_trace_has_a_name_of_its_own(scene: str) -> None:
+    """At two wavelengths, so that the same events occur twice; in the ledger, in its print and with ways added up."""
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", MistrayWarning)  # of improbable scatter
+        loaded = mistray.load(scene)
+    paths = mistray.trace(loaded, field_deg=0.1, rays=512, wavelength_nm=[550.0, 600.0]).paths
+    for table in (paths.to_pandas(), paths.by_way()):
+        assert table.label.is_unique
+        assert table.label.str.strip().astype(bool).all()
+    for line, row in zip(str(paths).splitlines()[1:21], paths, strict=False):
+        assert line.endswith(row.label)

@@ -9,8 +9,7 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.ranking import label
-from mistray.trace.path_events import path_names
+from mistray.trace.path_events import path_labels
 
 GHOSTS = "ghosts"
 STRAIGHT_SHOTS = "straight shots"
@@ -28,7 +27,7 @@ def stray_paths(pst: Pst, angle_deg: float, n: int | None = None) -> pd.DataFram
     Returns
     -------
     DataFrame
-        The columns of `Pst.paths` and ``label``, the name of the path, see `mistray.trace.path_events.path_names`. The
+        The columns of `Pst.paths` and ``label``, the name of the path, see `mistray.trace.path_events.path_labels`. The
         errors of several azimuths are added in quadrature, as if their rays were different ones.
     """
     azimuths = pst.grid.azimuths_deg
@@ -38,16 +37,8 @@ def stray_paths(pst: Pst, angle_deg: float, n: int | None = None) -> pd.DataFram
         i, _ = pst.grid.nearest(angle_deg, azimuths[0])
         rows = _mean_of(pd.concat(parts, ignore_index=True), len(azimuths), float(pst.stray[i]), float(pst.value[i]))
     rows = rows[rows.percent_of_stray.notna()].reset_index(drop=True)
-    words = rows[["ghost_1", "ghost_2", "kind", "scatter_1", "scatters"]]
-    labels = [_label(*row) for row in words.itertuples(index=False)]
-    rows["label"] = np.array(path_names(rows.events.tolist(), labels), dtype=object)
+    rows["label"] = np.array(path_labels(rows), dtype=object)
     return rows if n is None else rows.head(n)
-
-
-def _label(ghost_1: str, ghost_2: str, kind: str, scatter_1: str, scatters: int) -> str:
-    """A path in short; the kind stands with reflections at structure, which read like the surface alone."""
-    text = label(ghost_1, ghost_2, kind, scatter_1, scatters)
-    return f"{text} ({kind})" if kind.startswith("structure") else text
 
 
 def _mean_of(rows: pd.DataFrame, azimuths: int, stray: float, total: float) -> pd.DataFrame:
