@@ -48,12 +48,12 @@ def path_analysis(
     Returns
     -------
     DataFrame
-        path_id (-1: the uncategorised ones), wavelength_nm, label (the name of the path), kind, power_W with
-        its standard error, percent (of all detected power), branches (rays that came this way), objects (surfaces met,
-        the detector included), unique_objects, last_object (before the detector), diffractions, opl_mm (mean optical path length from the
-        start of the rays, with the flux as weight) with the standard error of this mean over at most `RAYS` rays (as of
-        independent ones; infinite for a single ray), events. Of the last row power and branches are sums; what
-        describes one path only is NaN, -1 or "-".
+        path_id (-1: the uncategorised ones), wavelength_nm, label (the name of the path), kind, power_W with its
+        standard error, percent (of all detected power), branches (rays that came this way), objects (surfaces met, the
+        detector included), unique_objects, last_object (before the detector), diffractions, opl_mm (mean optical path
+        length from the start of the rays, with the flux as weight) with the standard error of this mean over at most
+        `RAYS` rays (as of independent ones; infinite for a single ray), events. Of the last row power and branches are
+        sums; what describes one path only is NaN, -1 or "-".
 
     Raises
     ------
