@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import fnmatch
 import tempfile
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -13,7 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.run import pst_of_each
 from mistray.coatings import Stack, coating_from_text
 from mistray.errors import MistrayError
 from mistray.optimize.scene_values import assign
@@ -169,15 +169,25 @@ def sweep_pst(
         raise MistrayError(
             f"configuration '{AS_IT_IS}': this name is that of the scene without changes; choose another"
         )
-    found = {}
-    for done, one in enumerate([Configuration(AS_IT_IS), *wanted]):
-        try:
+    every = [Configuration(AS_IT_IS), *wanted]
+    at: list[str] = []  # the configuration that is being made, for messages
+
+    def scenes() -> Iterator[mi.Scene]:
+        for one in every:
+            at[:] = [f"configuration '{one.name}': "]
             with tempfile.TemporaryDirectory() as folder:
-                found[one.name] = pst(_edited(source, one, Path(folder)), angles_deg, **arguments)
-        except MistrayError as error:
-            raise MistrayError(f"configuration '{one.name}': {error}") from None
-        if progress is not None:
-            progress(done + 1, len(wanted) + 1)
+                yield _edited(source, one, Path(folder))
+        at.clear()
+
+    found: dict[str, Pst] = {}
+    try:
+        for one, result in zip(every, pst_of_each(scenes(), angles_deg, **arguments), strict=True):
+            found[one.name] = result
+            if progress is not None:
+                progress(len(found), len(every))
+    except MistrayError as error:
+        error.args = ("".join(at) + str(error),)
+        raise
     return PstSweep(found)
 
 

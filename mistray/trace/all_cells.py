@@ -11,7 +11,6 @@ import numpy as np
 from mistray.trace.aiming import aims
 from mistray.trace.arrivals import ArrivalBook, CountedWays, FoundWays
 from mistray.trace.books import REASONS, SEGMENTS, Film, Tallies
-from mistray.trace.directions import DirectionGrid
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES
 from mistray.trace.plane_wave import PlaneWaves, wave_rays
@@ -37,7 +36,8 @@ class AllCells:
     Parameters
     ----------
     scene : mi.Scene
-    grid : DirectionGrid
+    waves : PlaneWaves
+        Of the scene, or of all that share their rays.
     settings : Settings
         But for the number of rays.
     tables : sequence of SurfaceTable
@@ -60,7 +60,7 @@ class AllCells:
     def __init__(
         self,
         scene: mi.Scene,
-        grid: DirectionGrid,
+        waves: PlaneWaves,
         settings: Settings,
         tables: Sequence[SurfaceTable],
         shares: Sequence[float],
@@ -68,15 +68,14 @@ class AllCells:
         map_size: tuple[int, int],
         extent: tuple[float, float, float, float],
     ) -> None:
-        self.grid, self._settings, self._intersector, self._map_size = grid, settings, intersector, map_size
+        self._settings, self._intersector, self._map_size = settings, intersector, map_size
         targets = aims(tables[0], scene, settings)
         self._bands = [
             (table, Scattering(ScatterTables(table, targets)), share)
             for table, share in zip(tables, shares, strict=True)
         ]
-        waves = PlaneWaves(tables[0], grid)
-        cells = [waves.at(i, j, 0.0, 1.0) for i, j in np.ndindex(*grid.shape)]
-        self.areas = np.array([wave.area for wave in cells]).reshape(grid.shape)
+        cells = [waves.at(i, j, 0.0, 1.0) for i, j in np.ndindex(*waves.grid.shape)]
+        self.areas = np.array([wave.area for wave in cells]).reshape(waves.grid.shape)
         self._rotation, self._centre = cells[0].rotation, cells[0].centre - tables[0].centre
         self._numbers = [upload(mi.Float, column) for column in np.array([wave.numbers for wave in cells]).T]
         x0, x1, y0, y1 = extent

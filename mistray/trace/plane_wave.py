@@ -172,19 +172,20 @@ def wave_rays(
 
 class PlaneWaves:
     """
-    The plane waves of a grid that cover all surfaces of a scene.
+    The plane waves of a grid that cover all surfaces of a scene, or of several scenes that are compared.
 
     Parameters
     ----------
-    table : SurfaceTable
+    points : (p, 3) float64
+        From `hull_points`.
     grid : DirectionGrid
     entrance : Entrance, optional
         Cover this disc only.
     """
 
-    def __init__(self, table: SurfaceTable, grid: DirectionGrid, entrance: Entrance | None = None) -> None:
+    def __init__(self, points: np.ndarray, grid: DirectionGrid, entrance: Entrance | None = None) -> None:
         self.grid, self.entrance = grid, entrance
-        self._points = hull_points(table)
+        self._points = points
         self._centre = 0.5 * (self._points.min(axis=0) + self._points.max(axis=0))
 
     def at(self, i: int, j: int, wavelength_nm: float, share: float) -> PlaneWave:
@@ -241,8 +242,12 @@ class PlaneWaves:
         return self._centre, 0.5 * (low + high), 0.5 * (high - low), False, distance
 
 
-def hull_points(table: SurfaceTable) -> np.ndarray:
-    """(p, 3) float64: points whose convex hull holds all surfaces of a scene, mm; rims are polygons around them."""
+def hull_points(*tables: SurfaceTable) -> np.ndarray:
+    """(p, 3) float64: points whose convex hull holds all surfaces of scenes, mm; rims are polygons around them."""
+    return np.concatenate([part for table in tables for part in _hull_parts(table)])
+
+
+def _hull_parts(table: SurfaceTable) -> list[np.ndarray]:
     turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)
     corners = np.array([[x, y] for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
@@ -255,4 +260,4 @@ def hull_points(table: SurfaceTable) -> np.ndarray:
             points.append(local @ table.rotations[number].T + table.vertices[number])
     for shape in table.shapes[len(table.pieces) :]:
         points.append(box_corners([shape.bbox()]))
-    return np.concatenate(points)
+    return points

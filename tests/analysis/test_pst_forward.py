@@ -297,7 +297,7 @@ class TestPlaneWave:
         scene = mistray.load("newtonian")
         table = SurfaceTable(scene, 550.0)
         grid = DirectionGrid.of([angle_deg], azimuths_deg)
-        wave = PlaneWaves(table, grid).at(0, 0, 550.0, 1.0)
+        wave = PlaneWaves(hull_points(table), grid).at(0, 0, 550.0, 1.0)
         rng = np.random.default_rng(0)
         points = hull_points(table) - wave.centre
         beyond = []

@@ -17,6 +17,7 @@ from mistray.trace.all_cells import AllCells
 from mistray.trace.backward import BackwardTrace
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.ledger import ABSORBED, EVENT_BITS, REFLECTED, TRANSMITTED, host_keys
+from mistray.trace.plane_wave import PlaneWaves, hull_points
 from mistray.trace.settings import Settings
 from mistray.trace.sky import CLASS_COUNT, SINGLE
 
@@ -168,7 +169,14 @@ def pilot() -> tuple[BackwardTrace, AllCells, Pilot]:
     trace = BackwardTrace(scene, DirectionGrid.of([20.0, 45.0], cell_deg=2.0), Settings.of(scene), paths=True)
     band = trace.bands[0]
     cells = AllCells(
-        scene, trace.grid, trace.settings, [band.table], [1.0], trace.intersector, trace.map_size, trace.extent
+        scene,
+        PlaneWaves(hull_points(trace.table), trace.grid),
+        trace.settings,
+        [band.table],
+        [1.0],
+        trace.intersector,
+        trace.map_size,
+        trace.extent,
     )
     found = Pilot(trace, cells)
     found.search(0)

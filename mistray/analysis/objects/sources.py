@@ -17,7 +17,7 @@ from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.host_points import across, detector_area, outline, surface_points
 from mistray.trace.ledger import BATCHES
-from mistray.trace.plane_wave import PlaneWave, PlaneWaves
+from mistray.trace.plane_wave import PlaneWave, PlaneWaves, hull_points
 from mistray.trace.surfaces import SurfaceTable
 
 SMALL_FIELD_DEG = 1.0
@@ -166,7 +166,7 @@ class Surroundings:
         _check_angle("half_angle_deg", half_angle_deg)
         grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
         return cls(
-            PlaneWaves(table, grid).at(0, 0, table.wavelength_nm, 1.0),
+            PlaneWaves(hull_points(table), grid).at(0, 0, table.wavelength_nm, 1.0),
             f"a distant source within {half_angle_deg:g}° of the axis",
         )
 
@@ -179,7 +179,10 @@ class Surroundings:
             raise MistrayError(f"azimuth_deg is {azimuth_deg:g}; give a finite angle in degrees")
         turned = azimuth_deg + 180 if angle_deg < 0 else azimuth_deg
         grid = _one_cell(abs(angle_deg), abs(angle_deg), turned, 0.0, axes)
-        return cls(PlaneWaves(table, grid).at(0, 0, table.wavelength_nm, 1.0), f"a distant source at {angle_deg:g}°")
+        return cls(
+            PlaneWaves(hull_points(table), grid).at(0, 0, table.wavelength_nm, 1.0),
+            f"a distant source at {angle_deg:g}°",
+        )
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
         """Start points; every weight is the cross-section."""

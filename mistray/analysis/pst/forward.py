@@ -38,6 +38,7 @@ def forward_pst(
     paths: bool = True,
     map_pixels: int = 0,
     entrance: Entrance | None = None,
+    points: np.ndarray | None = None,
     progress: Progress | None = None,
     settings: Settings | None = None,
 ) -> Pst:
@@ -71,6 +72,8 @@ def forward_pst(
         Longer side of the maps of the detector; 0: no maps.
     entrance : Entrance, optional
         Trace the light through this disc only.
+    points : (p, 3) float64, optional
+        What the light covers, mm, see `mistray.trace.plane_wave.hull_points`. Default: the scene.
     progress : callable, optional
         Called after each pass of a cell.
     settings : Settings, optional
@@ -102,7 +105,7 @@ def forward_pst(
     wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
     wavelengths, shares = wavelengths[shares > 0], shares[shares > 0]
     started = time.perf_counter()
-    arguments = (grid, settings, wavelengths, shares, detector, entrance, map_pixels)
+    arguments = (grid, settings, wavelengths, shares, detector, entrance, map_pixels, points)
     cells = ForwardCells(scene, *arguments)
     n, m = grid.shape
     most = [settings.rays if counts or relative_error is None else min(FIRST_RAYS, settings.rays) for counts in limited]

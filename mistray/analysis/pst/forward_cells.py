@@ -20,7 +20,7 @@ from mistray.trace.host_points import detector_area
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES, host_keys
 from mistray.trace.path_events import DIRECT, describe_events, way
-from mistray.trace.plane_wave import Entrance, PlaneWaves
+from mistray.trace.plane_wave import Entrance, PlaneWaves, hull_points
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
@@ -233,6 +233,8 @@ class ForwardCells:
     entrance : Entrance, optional
     map_pixels : int
         Longer side of the maps; 0: none.
+    points : (p, 3) float64, optional
+        What the light covers, from `hull_points`; by default the scene.
     """
 
     def __init__(
@@ -245,6 +247,7 @@ class ForwardCells:
         detector: str | None = None,
         entrance: Entrance | None = None,
         map_pixels: int = 0,
+        points: np.ndarray | None = None,
     ) -> None:
         self.settings, self.grid, self.entrance = settings, grid, entrance
         self.wavelengths_nm, self.shares = wavelengths_nm, shares
@@ -254,7 +257,7 @@ class ForwardCells:
         pixels = max(map_pixels, 1) / max(width, height)
         self._map_size = max(1, round(pixels * width)), max(1, round(pixels * height))
         self.has_maps = map_pixels > 0
-        self._waves = PlaneWaves(self.table, grid, entrance)
+        self._waves = PlaneWaves(hull_points(self.table) if points is None else points, grid, entrance)
         intersector, targets = Intersector(self.table), aims(self.table, scene, settings)
         self._runs = []
         for wavelength, share in zip(wavelengths_nm.tolist(), shares.tolist(), strict=True):

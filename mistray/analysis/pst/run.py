@@ -6,7 +6,7 @@ import contextlib
 import signal
 import threading
 import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -25,6 +25,7 @@ from mistray.analysis.pst.pilot import (
     with_the_light,
 )
 from mistray.analysis.pst.result import Pst, notes
+from mistray.analysis.pst.shared_plan import share
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
 from mistray.analysis.pst.with_light import PLAN, SUMS, WithLight, saved_plan
 from mistray.errors import MistrayError, UnfinishedError
@@ -34,8 +35,11 @@ from mistray.trace.directions import DirectionGrid
 from mistray.trace.ledger import host_keys
 from mistray.trace.path_books import join_books
 from mistray.trace.path_events import DIRECT, describe_events
+from mistray.trace.plane_wave import PlaneWaves, hull_points
 from mistray.trace.settings import Settings
 from mistray.trace.sky import CLASS_COUNT, DIFFRACTED, MULTIPLE, SINGLE
+from mistray.trace.sources import spectrum_of
+from mistray.trace.surfaces import SurfaceTable
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -135,6 +139,75 @@ def pst(
         If workers of `mistray.distribute` are gone; ``partial`` is the PST of the passes before, or, forward, the
         finished cells by their numbers of angle and azimuth.
     """
+    found = pst_of_each(
+        [scene],
+        angles_deg,
+        method=method,
+        convention=convention,
+        azimuths_deg=azimuths_deg,
+        cell_deg=cell_deg,
+        azimuth_cell_deg=azimuth_cell_deg,
+        wavelength_nm=wavelength_nm,
+        weights=weights,
+        detector=detector,
+        rays=rays,
+        relative_error=relative_error,
+        error_up_to_deg=error_up_to_deg,
+        paths=paths,
+        map_pixels=map_pixels,
+        state=state,
+        resume=resume,
+        progress=progress,
+        **settings,
+    )
+    return next(found)
+
+
+def pst_of_each(
+    scenes: Iterable[mi.Scene],
+    angles_deg: Sequence[float] | np.ndarray = range(0, 81, 2),
+    *,
+    method: str = "adjoint",
+    convention: str = "normal",
+    azimuths_deg: Sequence[float] | np.ndarray | None = None,
+    cell_deg: float | None = None,
+    azimuth_cell_deg: float | None = None,
+    wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
+    detector: str | None = None,
+    rays: int | None = None,
+    relative_error: float | None = None,
+    error_up_to_deg: float | None = None,
+    paths: bool = True,
+    map_pixels: int = 0,
+    state: str | Path | None = None,
+    resume: bool = False,
+    progress: Progress | None = None,
+    **settings: Any,
+) -> Iterator[Pst]:
+    """
+    The PST of scenes that are compared, by runs of the same random numbers.
+
+    Light covers the surfaces of all scenes, and equal ways of the light are counted from the same direction by as many
+    rays: what two scenes have in common is equal in both, ray by ray.
+
+    Parameters
+    ----------
+    scenes : iterable of mi.Scene
+        All are taken before the first run. Angles are measured from the axis of each scene's own source.
+    angles_deg and others
+        See `pst`. With `relative_error`, `state` or `resume` one scene only.
+
+    Yields
+    ------
+    Pst
+        Of each scene.
+
+    Raises
+    ------
+    MistrayError, UnfinishedError
+        See `pst`.
+    """
     if method not in METHODS:
         raise MistrayError(f"method is '{method}'; use 'adjoint' or 'forward'")
     if relative_error is not None and not 0 < relative_error < 1:
@@ -143,39 +216,69 @@ def pst(
         raise MistrayError(f"map_pixels is {map_pixels}; give a whole number between 0 (no maps) and 4096")
     if resume and state is None:
         raise MistrayError("resume needs the file of the state; give state=…")
-    grid = DirectionGrid.of(angles_deg, azimuths_deg, cell_deg, azimuth_cell_deg, _axes(scene))
-    if error_up_to_deg is not None and not np.any(grid.angles_deg <= error_up_to_deg):
-        raise MistrayError(f"error_up_to_deg is {error_up_to_deg:g}; no angle is as small as that")
+    if method == "forward" and state is not None:
+        raise MistrayError("state is given with method 'forward'; only the adjoint method can be continued")
     if rays is None:
         rays = RAYS[method] if relative_error is None else MOST_RAYS
-    chosen = Settings.of(scene, rays=rays, **settings)
+    prepared, traces = [], []
+    for scene in scenes:
+        grid = DirectionGrid.of(angles_deg, azimuths_deg, cell_deg, azimuth_cell_deg, _axes(scene))
+        if error_up_to_deg is not None and not np.any(grid.angles_deg <= error_up_to_deg):
+            raise MistrayError(f"error_up_to_deg is {error_up_to_deg:g}; no angle is as small as that")
+        chosen = Settings.of(scene, rays=rays, **settings)
+        if method == "adjoint":
+            trace = BackwardTrace(scene, grid, chosen, wavelength_nm, weights, detector, int(map_pixels), paths)
+            traces.append(trace)
+        prepared.append((scene, grid, chosen))
     if method == "forward":
-        if state is not None:
-            raise MistrayError("state is given with method 'forward'; only the adjoint method can be continued")
-        found = forward_pst(
-            scene,
-            grid,
-            wavelength_nm=wavelength_nm,
-            weights=weights,
-            detector=detector,
-            rays=rays,
-            relative_error=relative_error,
-            error_up_to_deg=error_up_to_deg,
-            paths=paths,
-            map_pixels=int(map_pixels),
-            progress=progress,
-            settings=chosen,
-        )
-        return found.to(convention)
-    trace = BackwardTrace(scene, grid, chosen, wavelength_nm, weights, detector, int(map_pixels), paths)
-    run = _AdjointRun(scene, trace, Path(state) if state is not None else None, resume)
-    try:
-        run.go_on(relative_error, error_up_to_deg, progress)
-    except UnfinishedError as error:
-        if error.partial is not None:
-            error.partial = error.partial.to(convention)
-        raise
-    return run.result().to(convention)
+        points = _hull([scene for scene, *_ in prepared], wavelength_nm, weights, detector)
+        for scene, grid, chosen in prepared:
+            found = forward_pst(
+                scene,
+                grid,
+                wavelength_nm=wavelength_nm,
+                weights=weights,
+                detector=detector,
+                rays=rays,
+                relative_error=relative_error,
+                error_up_to_deg=error_up_to_deg,
+                paths=paths,
+                map_pixels=int(map_pixels),
+                points=points,
+                progress=progress,
+                settings=chosen,
+            )
+            yield found.to(convention)
+        return
+    lit = hull_points(*(trace.table for trace in traces))
+    place = Path(state) if state is not None else None
+    runs = [_AdjointRun(scene, trace, lit, place, resume) for (scene, *_), trace in zip(prepared, traces, strict=True)]
+    wanted = relative_error, error_up_to_deg
+    plans = [run.plan(*wanted) for run in runs]
+    if len(runs) > 1:
+        plans = share(plans, [trace.table for trace in traces])
+    with_light = np.max([run.rays_with_light(plan) for run, plan in zip(runs, plans, strict=True)], axis=0)
+    for run, plan in zip(runs, plans, strict=True):
+        try:
+            run.go_on(plan, with_light, progress)
+        except UnfinishedError as error:
+            if error.partial is not None:
+                error.partial = error.partial.to(convention)
+            raise
+        yield run.result().to(convention)
+
+
+def _hull(
+    scenes: Sequence[mi.Scene],
+    wavelength_nm: float | Sequence[float] | None,
+    weights: Sequence[float] | None,
+    detector: str | None,
+) -> np.ndarray | None:
+    """What light covers in all scenes, see `hull_points`; None for a single one, which knows itself."""
+    if len(scenes) == 1:
+        return None
+    first = [float(spectrum_of(scene, wavelength_nm, weights)[0][0]) for scene in scenes]
+    return hull_points(*(SurfaceTable(scene, one, detector) for scene, one in zip(scenes, first, strict=True)))
 
 
 class _AdjointRun:
@@ -186,11 +289,14 @@ class _AdjointRun:
     `mistray.analysis.pst.pilot`.
     """
 
-    def __init__(self, scene: mi.Scene, trace: BackwardTrace, state: Path | None, resume: bool) -> None:
+    def __init__(
+        self, scene: mi.Scene, trace: BackwardTrace, points: np.ndarray, state: Path | None, resume: bool
+    ) -> None:
         self._trace, self._state = trace, state
         tables, shares = zip(*((band.table, band.share) for band in trace.bands), strict=True)
+        waves = PlaneWaves(points, trace.grid)
         self._cells = AllCells(
-            scene, trace.grid, trace.settings, tables, shares, trace.intersector, trace.map_size, trace.extent
+            scene, waves, trace.settings, tables, shares, trace.intersector, trace.map_size, trace.extent
         )
         self._with_light: WithLight | None = None
         self._pilot_seconds = 0.0
@@ -218,19 +324,33 @@ class _AdjointRun:
             sums = {key: values for key, values in arrays.items() if not key.startswith(others)}
             trace.go_on_from(sums, int(facts["passes"]), float(facts["seconds"]))
 
-    def go_on(self, wanted: float | None, up_to_deg: float | None, progress: Progress | None) -> None:
-        """Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost."""
+    def plan(self, wanted: float | None, up_to_deg: float | None) -> Plan:
+        """What a pilot finds for a relative error up to a field angle; that of the run which this one continues."""
         self._wanted = wanted, up_to_deg
+        if self._with_light is not None:
+            return self._with_light.plan
+        started = time.perf_counter()
+        plan = self._search(wanted, up_to_deg)
+        self._pilot_seconds = time.perf_counter() - started
+        return plan
+
+    def rays_with_light(self, plan: Plan) -> np.ndarray:
+        """(c,) rays that a plan wants with the light."""
+        wanted, _ = self._wanted
+        return plan.forward_rays(max(self._budget(plan, *self._wanted), float(self._trace.rays.sum())), wanted)
+
+    def go_on(self, plan: Plan, with_light: np.ndarray, progress: Progress | None) -> None:
+        """Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost."""
+        wanted, up_to_deg = self._wanted
         trace = self._trace
         before = float(trace.rays.sum())
-        started, saved, saving = time.perf_counter(), -np.inf, 0.0
+        started, saved, saving = time.perf_counter() - self._pilot_seconds, -np.inf, 0.0
         all_saved = True
         if self._with_light is None:
-            self._with_light = WithLight(trace, self._cells, self._search(wanted, up_to_deg))
-            self._pilot_seconds = time.perf_counter() - started
-        most = self._budget(self._with_light.plan, wanted, up_to_deg)
+            self._with_light = WithLight(trace, self._cells, plan)
+        most = self._budget(plan, wanted, up_to_deg)
         # First of all: what is left out against the light is in no sum otherwise
-        self._with_light.go_on(self._with_light.plan.forward_rays(max(most, before), wanted))
+        self._with_light.go_on(with_light)
         with _interrupt_later() as interrupted, trace.shared(most):
             while trace.rays.sum() < most and not interrupted():
                 # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
