@@ -106,7 +106,9 @@ class PstSweep:
         else:
             _, each = Pst.estimate(parts, weight)
             se = np.sqrt(np.sum(each**2)) / len(each)
-        return Changed(b, b_se, a, a_se, a / b, float(se))
+        # What rays have met too seldom they have met too seldom in both
+        unseen_b, unseen_a = (np.sqrt(one.hidden(classes)[at].sum()) / len(parts) for one in (first, other))
+        return Changed(b, b_se, a, a_se, a / b, float(np.hypot(se, (unseen_a - a / b * unseen_b) / b)))
 
     def to_pandas(self, classes: str | Sequence[str] = "stray") -> pd.DataFrame:
         """
@@ -137,6 +139,9 @@ def sweep_pst(
 ) -> PstSweep:
     """
     PST of a scene as it is and of each configuration, with the same random numbers.
+
+    All runs count equal ways of the light from the same direction, by as many rays, and rays with the light cover the
+    surfaces of all configurations: what an edit does not touch is equal in both, ray by ray.
 
     Parameters
     ----------

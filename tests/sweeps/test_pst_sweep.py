@@ -84,7 +84,16 @@ def test_a_block(scene: Path) -> None:
         *(Configuration(name, block=[Structure(name, r0, 19.0, r1, 19.0)]) for name, (r0, r1) in discs.items()),
     )
     assert found.changed("covers", ANGLE, "direct").after == 0
-    assert found.changed("aside", ANGLE, "total").ratio == pytest.approx(1, abs=1e-6)
+    aside = found.changed("aside", ANGLE, "total")
+    assert (aside.ratio, aside.ratio_se) == (pytest.approx(1, abs=1e-6), pytest.approx(0, abs=1e-6))
+
+
+def test_a_block_by_rays_with_the_light(scene: Path) -> None:
+    """A far disc widens the beam of both runs."""
+    aside = Configuration("aside", block=[Structure("aside", 50.0, 19.0, 51.0, 19.0)])
+    change = swept(scene, aside, method="forward").changed("aside", ANGLE, "total")
+    assert change.ratio == pytest.approx(1, abs=1e-6)
+    assert change.before_se > 0
 
 
 def test_the_error_of_the_ratio(scene: Path) -> None:

@@ -257,7 +257,10 @@ def pst_of_each(
     plans = [run.plan(*wanted) for run in runs]
     if len(runs) > 1:
         plans = share(plans, [trace.table for trace in traces])
-    with_light = np.max([run.rays_with_light(plan) for run, plan in zip(runs, plans, strict=True)], axis=0)
+
+    def with_light(rays: float) -> np.ndarray:
+        return np.max([plan.forward_rays(rays, relative_error) for plan in plans], axis=0)
+
     for run, plan in zip(runs, plans, strict=True):
         try:
             run.go_on(plan, with_light, progress)
@@ -334,13 +337,17 @@ class _AdjointRun:
         self._pilot_seconds = time.perf_counter() - started
         return plan
 
-    def rays_with_light(self, plan: Plan) -> np.ndarray:
-        """(c,) rays that a plan wants with the light."""
-        wanted, _ = self._wanted
-        return plan.forward_rays(max(self._budget(plan, *self._wanted), float(self._trace.rays.sum())), wanted)
+    def go_on(self, plan: Plan, with_light: Callable[[float], np.ndarray], progress: Progress | None) -> None:
+        """
+        Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost.
 
-    def go_on(self, plan: Plan, with_light: np.ndarray, progress: Progress | None) -> None:
-        """Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost."""
+        Parameters
+        ----------
+        plan : Plan
+        with_light : callable
+            Gives (c,) rays with the light beside so many against it.
+        progress : callable, optional
+        """
         wanted, up_to_deg = self._wanted
         trace = self._trace
         before = float(trace.rays.sum())
@@ -349,8 +356,8 @@ class _AdjointRun:
         if self._with_light is None:
             self._with_light = WithLight(trace, self._cells, plan)
         most = self._budget(plan, wanted, up_to_deg)
-        # First of all: what is left out against the light is in no sum otherwise
-        self._with_light.go_on(with_light)
+        if wanted is not None:
+            self._with_light.go_on(with_light(max(most, before)))
         with _interrupt_later() as interrupted, trace.shared(most):
             while trace.rays.sum() < most and not interrupted():
                 # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
@@ -359,6 +366,8 @@ class _AdjointRun:
                 except UnfinishedError as error:
                     self._keep(error, not all_saved)
                     raise
+                if wanted is None:  # in steps that hang on what is done alone, so that a run may be continued
+                    self._with_light.go_on(with_light(2.0 ** np.floor(np.log2(trace.rays.sum()))))
                 self._book, all_saved = None, False
                 now = time.perf_counter()
                 if self._state is not None and saving <= SAVING * (now - saved):
@@ -375,12 +384,14 @@ class _AdjointRun:
                 raise KeyboardInterrupt
 
     def _search(self, wanted: float | None, up_to_deg: float | None) -> Plan:
-        """What a pilot finds: of a fixed share of the rays, or of those that the error asks for."""
+        """What a pilot finds: of the least size, so that a run may be continued, or of what the error asks for."""
         pilot = Pilot(self._trace, self._cells)
-        rays = FIRST_SEARCH if wanted is not None else self._trace.settings.rays / PILOT_SHARE
+        rays = FIRST_SEARCH if wanted is not None else 0.0
         while True:
             pilot.search(rays)
             plan = pilot.plan()
+            if wanted is None:
+                return plan
             asked = self._budget(plan, wanted, up_to_deg) / PILOT_SHARE
             if asked <= pilot.rays[BACKWARD, 0]:
                 return plan
