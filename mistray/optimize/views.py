@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analysis.pst.run import RAYS, pst
+from mistray.analysis.pst.run import RAYS, pst_of_each
 from mistray.errors import MistrayError
 from mistray.optimize.observation import Observation
 from mistray.optimize.pst_observation import PstObservation
@@ -69,7 +69,9 @@ class PstView(View):
 
     def observe(self, scene: Any, times: float, changes: Mapping[str, Any]) -> PstObservation:
         """Compute the PST with so many times the rays; `changes` replace some of the arguments."""
-        return PstObservation(pst(scene, paths=False, **self._arguments(scene, times, changes)))
+        return PstObservation(
+            next(pst_of_each([scene], paths=False, one_direction=True, **self._arguments(scene, times, changes)))
+        )
 
     def _usual_rays(self, scene: Any) -> int:
         return RAYS["adjoint"]

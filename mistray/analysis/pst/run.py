@@ -7,7 +7,7 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -183,6 +183,7 @@ def pst_of_each(
     state: str | Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
+    one_direction: bool = False,
     **settings: Any,
 ) -> Iterator[Pst]:
     """
@@ -197,6 +198,8 @@ def pst_of_each(
         All are taken before the first run. Angles are measured from the axis of each scene's own source.
     angles_deg and others
         See `pst`. With `relative_error`, `state` or `resume` one scene only.
+    one_direction : bool
+        Count nothing with the light beside an adjoint run: derivatives know rays against the light only.
 
     Yields
     ------
@@ -255,6 +258,8 @@ def pst_of_each(
     runs = [_AdjointRun(scene, trace, lit, place, resume) for (scene, *_), trace in zip(prepared, traces, strict=True)]
     wanted = relative_error, error_up_to_deg
     plans = [run.plan(*wanted) for run in runs]
+    if one_direction:
+        plans = [replace(plan, forward=np.zeros_like(plan.forward)) for plan in plans]
     if len(runs) > 1:
         plans = share(plans, [trace.table for trace in traces])
 
