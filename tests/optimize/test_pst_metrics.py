@@ -18,6 +18,7 @@ import mistray
 from mistray import MistrayError
 from mistray.analysis.metrics.glare import veiling_glare_index
 from mistray.analysis.pst.result import Pst
+from mistray.analysis.pst.run import pst_of_each
 from mistray.analysis.pst.sums import weighted_sum
 from mistray.optimize import views
 from mistray.optimize.metrics import Metric, combine, log
@@ -196,7 +197,7 @@ TRACED = {"rays": 20_000, "max_scatters": 1}
 class TestMetrics:
     def test_against_the_curve(self, scene) -> None:
         angles = (0.0, 20.0, 40.0)
-        pst = mistray.pst(scene, angles, paths=False, **TRACED)
+        pst = next(pst_of_each([scene], angles, paths=False, one_direction=True, **TRACED))
         stray = pst.curve("stray")[0]
         at_40 = pst_bin(scene, 40, angles_deg=angles, **TRACED)
         assert at_40.value() == pytest.approx(stray[2], rel=1e-12)
@@ -218,7 +219,7 @@ class TestMetrics:
         angles, width = view.arguments["angles_deg"], view.arguments["cell_deg"]
         assert len(angles) == 15
         assert width == 2
-        wide = mistray.pst(scene, (35,), cell_deg=30, paths=False, **TRACED)
+        wide = next(pst_of_each([scene], (35,), cell_deg=30, paths=False, one_direction=True, **TRACED))
         assert band.value() == pytest.approx(wide.curve("stray")[0][0], rel=1e-6)  # angles are in single precision
         integral = pst_band(scene, 20, 50, quantity="integral", **TRACED)
         assert integral.value() == pytest.approx(band.value() * wide.grid.solid_angle[0], rel=1e-9)
@@ -234,13 +235,12 @@ class TestMetrics:
 
     def test_equal_runs_are_made_once(self, scene, monkeypatch: pytest.MonkeyPatch) -> None:
         made: list[Any] = []
-        pst = views.pst
 
         def counted(*args: Any, **more: Any) -> Any:
             made.append(more["rays"])
-            return pst(*args, **more)
+            return pst_of_each(*args, **more)
 
-        monkeypatch.setattr(views, "pst", counted)
+        monkeypatch.setattr(views, "pst_of_each", counted)
         angles = [20.0, 40.0]
         parts = {
             "a": pst_bin(scene, 20, angles_deg=angles, **TRACED),
