@@ -50,7 +50,7 @@ def test_quotient_propagates_both_errors():
     ("row", "words"),
     [
         (("detector", "window_rear", "ghost"), "detector → window_rear"),
-        (("stop_wall", "-", "structure"), "stop_wall"),
+        (("stop_wall", "-", "structure"), "stop_wall (structure)"),
         (("-", "-", "direct"), "direct image"),
         (("-", "-", "straight shot"), "straight shot"),
     ],
