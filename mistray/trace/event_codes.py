@@ -8,8 +8,11 @@ import mitsuba as mi
 from mistray.trace.interaction import Interaction
 from mistray.trace.ledger import (
     AIMED_TRANSMITTED,
+    COUNT_MASK,
     DIFFRACTED_SHIFT,
     EVENT_BITS,
+    OPTICAL_SHIFT,
+    RANDOM_SHIFT,
     RANDOM_TRANSMITTED,
     REFLECTED,
     TOTAL,
@@ -41,6 +44,16 @@ def event_code(
         what = dr.select(surface, technique + dr.select(reflect, mi.UInt32(1), 0), what)
         what = dr.select(medium, technique, what)
     return (place << EVENT_BITS) | what
+
+
+def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
+    """Scatter events of a path by their word: all, those that were not aimed, those at optical surfaces."""
+    return [(word >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
+
+
+def scatter_count(aim: mi.Bool, optical: mi.Bool) -> mi.UInt32:
+    """What a scatter event adds to the word of `scatters_done`."""
+    return 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
 
 
 def diffraction_count(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.UInt32:

@@ -42,20 +42,11 @@ from mistray.trace.books import (
     record_branch,
 )
 from mistray.trace.branch_limits import kept_by_control, too_weak
-from mistray.trace.event_codes import diffraction_count, event_code
+from mistray.trace.event_codes import diffraction_count, event_code, scatter_count, scatters_done
 from mistray.trace.extrema import larger
 from mistray.trace.interaction import counts_as_reflection, interact, is_aside
 from mistray.trace.intersect import Intersector
-from mistray.trace.ledger import (
-    ABSORBED,
-    COUNT_MASK,
-    EVENT_BITS,
-    FIRST_KEY,
-    OPTICAL_SHIFT,
-    RANDOM_SHIFT,
-    Ledger,
-    extend_key,
-)
+from mistray.trace.ledger import ABSORBED, COUNT_MASK, EVENT_BITS, FIRST_KEY, Ledger, extend_key
 from mistray.trace.next_hit import film_coordinates, next_hit
 from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
 from mistray.trace.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
@@ -343,7 +334,7 @@ def walk(
         bulk_aim = scattering.bulk.aim(s, it, visit) if scatters and scattering.bulk is not None else None
         clouded_rays = mi.UInt32(0)
         if scatters:
-            done = [(state["scatters"] >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
+            done = scatters_done(state["scatters"])
             may_scatter = room & young & (done[0] < scatter_limits[0])
             at_random, at_optics = done[1] < scatter_limits[1], done[2] < scatter_limits[2]
             random_clouds = dr.select(at_random, mi.UInt32(1), 0)
@@ -555,7 +546,7 @@ def walk(
         if scatters:
             scattered = scatter | cloud
             optical = transmits | cloud
-            count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
+            count = scatter_count(aim, optical)
             count += diffraction
             aimed_from = dr.select(bounced, NO_SURFACE, state["aimed_from"])
             aimed_from = dr.select(scattered, dr.select(aim, place, NO_SURFACE), aimed_from)

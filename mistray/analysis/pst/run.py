@@ -7,22 +7,21 @@ import signal
 import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, replace
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.pst.forward import forward_pst
+from mistray.analysis.pst.found_ways import FoundWays
 from mistray.analysis.pst.pilot import (
     BACKWARD,
     FORWARD,
     PILOT_SHARE,
-    SELDOM,
     Pilot,
     Plan,
-    with_the_light,
 )
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.shared_plan import share
@@ -32,24 +31,16 @@ from mistray.errors import MistrayError, UnfinishedError
 from mistray.trace.all_cells import AllCells
 from mistray.trace.backward import FIRST_PASS, BackwardTrace
 from mistray.trace.directions import DirectionGrid
-from mistray.trace.ledger import host_keys
 from mistray.trace.path_books import join_books
-from mistray.trace.path_events import DIRECT, describe_events
 from mistray.trace.plane_wave import PlaneWaves, hull_points
 from mistray.trace.settings import Settings
-from mistray.trace.sky import CLASS_COUNT, DIFFRACTED, MULTIPLE, SINGLE
+from mistray.trace.sky import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.trace.sources import spectrum_of
 from mistray.trace.surfaces import SurfaceTable
-
-if TYPE_CHECKING:
-    import pandas as pd
 
 METHODS = ("adjoint", "forward")
 RAYS = {"adjoint": 4_000_000, "forward": 200_000}  # where a call says nothing; forward: at each angle
 MOST_RAYS = 2_000_000_000  # where a call wants an error and does not say how many rays it may take
-PATHS_LISTED = 200  # of a cell, the strongest
-SELDOM_LISTED = 40  # ways that were sampled too seldom
-TOLD = 1e-3  # share of a cell's light that such a way must add to the error to be listed
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
 FIRST_SEARCH = 1 << 16  # rays of the first pilot where an error is asked for
 SAVING = 0.1  # share of the time that saving the state may take
@@ -485,8 +476,8 @@ class _AdjointRun:
             x0, x1, y0, y1 = trace.extent
             pixels = rows * columns * trace.area / ((x1 - x0) * (y1 - y0))
             maps = pixels * np.stack([value, np.sqrt(variance)]).reshape(2, n, m, rows, columns)
-        pairs = self._found_pairs()
-        hidden, seldom = self._seldom(pairs)
+        found = FoundWays.of(trace, light, self._paths())
+        hidden, seldom = found.seldom(trace, light)
         lines = [*notes(bare, largest, rays, seldom), *trace.notes]
         wanted, up_to_deg = self._wanted
         if wanted is not None and (worst := self._worst(up_to_deg)) > wanted and np.isfinite(worst):
@@ -519,137 +510,11 @@ class _AdjointRun:
             method="adjoint",
             facts=facts,
             largest_share=largest,
-            path_rows=self._path_rows(pairs),
+            path_rows=found.path_rows(trace),
             maps=maps,
             extent_mm=trace.extent,
             source=trace,
         )
-
-    def _found_pairs(self) -> _Pairs:
-        """What the run has found by way and cell, in both directions."""
-        assert self._with_light is not None
-        trace, plan, book = self._trace, self._with_light.plan, self._paths()
-        if not book:
-            nothing = np.zeros(0)
-            book = {name: nothing for name in ("hits", "weight", "squares")}
-            book |= {name: nothing.astype(np.int64) for name in ("lengths", "path", "cell")}
-            book["events"] = np.zeros((0, 1), dtype=np.uint32)
-        turned, lengths = with_the_light(book["events"], book["lengths"], trace.table.detector)
-        longest = max(turned.shape[1], plan.events.shape[1])
-        events = np.concatenate(
-            [np.pad(part, ((0, 0), (0, longest - part.shape[1]))) for part in (turned, plan.events)]
-        )
-        lengths = np.concatenate([lengths, plan.lengths])
-        _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
-        planned = place[len(turned) :][plan.way]
-        numbers, hits, value, variance = self._with_light.pairs()
-        met = hits > 0
-        rays = float(trace.rays.sum())
-        unit = np.repeat(np.pi / trace.grid.solid_angle, trace.grid.shape[1])[book["cell"]] / rays
-        spread = unit**2 * np.maximum(book["squares"] - book["weight"] ** 2 / rays, 0)
-        return _Pairs(
-            events=events[chosen],
-            lengths=lengths[chosen],
-            way=np.concatenate([place[book["path"]], planned[numbers[met]]]),
-            cell=np.concatenate([book["cell"], plan.cell[numbers[met]]]),
-            hits=np.concatenate([book["hits"], hits[met]]),
-            value=np.concatenate([unit * book["weight"], value[met]]),
-            variance=np.concatenate([spread, variance[met]]),
-            planned=planned,
-        )
-
-    def _describe(self, pairs: _Pairs, ways: np.ndarray) -> dict[str, np.ndarray]:
-        """The columns of `describe_events` of some ways."""
-        table, lengths = self._trace.table, pairs.lengths[ways]
-        facts = describe_events(pairs.events[ways], lengths, table.event_ids, table.event_words)
-        if not self._trace.has_optics:  # light that meets nothing is the image then
-            facts["kind"][lengths == 1] = DIRECT
-        return facts
-
-    def _seldom(self, pairs: _Pairs) -> tuple[np.ndarray, list[dict[str, Any]]]:
-        """Variance that the run is missing, by class and cell, and the ways that it sampled too seldom."""
-        assert self._with_light is not None
-        trace, light, plan = self._trace, self._with_light, self._with_light.plan
-        cells = plan.rays.shape[1]
-        rays = np.where(plan.forward, light.rays[plan.cell], float(trace.rays.sum()))
-        if trace.lists_paths:
-            found, wanted = pairs.way * cells + pairs.cell, pairs.planned * cells + plan.cell
-            order = np.argsort(found)
-            place = order[np.minimum(np.searchsorted(found, wanted, sorter=order), max(len(order) - 1, 0))]
-            there = found[place] == wanted if len(found) else np.zeros(len(wanted), dtype=bool)
-            hits, variance = (np.where(there, part[place], 0.0) for part in (pairs.hits, pairs.variance))
-        else:  # nobody has counted them: as many as in the pilot
-            own = np.where(plan.forward, FORWARD, BACKWARD)
-            before = own, np.arange(len(own))
-            hits = plan.hits[before] * rays / plan.rays[own, plan.cell]
-            variance = plan.second[before] / np.maximum(rays, 1)
-        missing = plan.widening(hits, variance, rays)
-        hidden = np.zeros((CLASS_COUNT, cells))
-        np.add.at(hidden, (light.classes, plan.cell), missing)
-        listed = np.flatnonzero((hits < SELDOM) & (missing > (TOLD * plan.light[plan.cell]) ** 2))
-        listed = listed[np.argsort(-missing[listed], kind="stable")][:SELDOM_LISTED]
-        facts = self._describe(pairs, pairs.planned[listed])
-        angle, azimuth = np.divmod(plan.cell[listed], trace.grid.shape[1])
-        columns = {
-            "angle_deg": trace.grid.angles_deg[angle],
-            "azimuth_deg": trace.grid.azimuths_deg[azimuth],
-            "events": facts["events"],
-            "rays": hits[listed].astype(np.int64),
-            "pilot_rays": plan.hits[np.where(plan.forward, BACKWARD, FORWARD), np.arange(len(missing))][listed],
-            "pst_normal": plan.mean[np.where(plan.forward, BACKWARD, FORWARD), np.arange(len(missing))][listed],
-        }
-        rows = zip(*(np.asarray(column).tolist() for column in columns.values()), strict=True)
-        return hidden.reshape(CLASS_COUNT, *trace.grid.shape), [dict(zip(columns, row, strict=True)) for row in rows]
-
-    def _path_rows(self, pairs: _Pairs) -> pd.DataFrame | None:
-        import pandas as pd
-
-        if not self._trace.lists_paths:
-            return None
-        m = self._trace.grid.shape[1]
-        kept = _strongest(pairs.cell, pairs.value, PATHS_LISTED)
-        used, place = np.unique(pairs.way[kept], return_inverse=True)
-        columns: dict[str, Any] = {"cell": pairs.cell[kept] // m, "azimuth_cell": pairs.cell[kept] % m}
-        columns |= {name: values[place] for name, values in self._describe(pairs, used).items()}
-        columns["rays"] = pairs.hits[kept].astype(np.int64)
-        columns["pst_normal"] = pairs.value[kept]
-        columns["pst_normal_se"] = np.sqrt(pairs.variance[kept])
-        return pd.DataFrame(columns)
-
-
-@dataclass(frozen=True)
-class _Pairs:
-    """
-    Light by way and cell.
-
-    Attributes
-    ----------
-    events : (w, k) uint32
-    lengths : (w,) int
-        Ways, in the order of the light.
-    way, cell : (p,) int
-    hits, value, variance : (p,) float64
-        Rays, PST_normal and its variance.
-    planned : (q,) int
-        Ways of the pairs of the plan.
-    """
-
-    events: np.ndarray
-    lengths: np.ndarray
-    way: np.ndarray
-    cell: np.ndarray
-    hits: np.ndarray
-    value: np.ndarray
-    variance: np.ndarray
-    planned: np.ndarray
-
-
-def _strongest(group: np.ndarray, values: np.ndarray, count: int) -> np.ndarray:
-    """Numbers of the largest values of each group, at most `count` of each."""
-    order = np.lexsort((-values, group))
-    sizes = np.bincount(group) if len(group) else np.zeros(0, dtype=np.int64)
-    rank = np.arange(len(order)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
-    return np.asarray(order[rank < count])
 
 
 def _axes(scene: mi.Scene) -> np.ndarray:
