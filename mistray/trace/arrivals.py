@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import Protocol
 
 import drjit as dr
@@ -14,22 +15,44 @@ from mistray.trace.sky import PathBook
 from mistray.trace.way_table import WayTable
 
 
+@dataclass(frozen=True)
+class Arrival:
+    """
+    Rays that meet the detector.
+
+    Attributes
+    ----------
+    key : mi.UInt64
+        Of their ways, see `mistray.trace.ledger.extend_key`.
+    length : mi.UInt32
+        Number of events of the ways.
+    read : callable
+        Events of the ways, `read(k, mask)`, k < length.
+    cell, batch, pixel : mi.UInt32
+        Where the rays come from, their batch, and where they meet the detector.
+    weight : mi.Float
+        In units of a start ray.
+    scatters : mi.UInt32
+        See `mistray.trace.ledger.COUNT_MASK`.
+    active : mi.Bool
+    """
+
+    key: mi.UInt64
+    length: mi.UInt32
+    read: Callable[[mi.UInt32, mi.Bool], mi.UInt32]
+    cell: mi.UInt32
+    batch: mi.UInt32
+    weight: mi.Float
+    scatters: mi.UInt32
+    pixel: mi.UInt32
+    active: mi.Bool
+
+
 class ArrivalBook(Protocol):
     """What `mistray.trace.ray_tree.walk` tells of the rays that meet the detector."""
 
-    def record(
-        self,
-        key: mi.UInt64,
-        length: mi.UInt32,
-        read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
-        cell: mi.UInt32,
-        batch: mi.UInt32,
-        weight: mi.Float,
-        scatters: mi.UInt32,
-        pixel: mi.UInt32,
-        active: mi.Bool,
-    ) -> None:
-        """Add rays of a way, whose events are `read(k, mask)`, k < length, that come from a cell."""
+    def record(self, ray: Arrival) -> None:
+        """Add rays that have met the detector."""
 
 
 class FoundWays:
@@ -44,20 +67,9 @@ class FoundWays:
     def __init__(self, book: PathBook) -> None:
         self.book = book
 
-    def record(
-        self,
-        key: mi.UInt64,
-        length: mi.UInt32,
-        read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
-        cell: mi.UInt32,
-        batch: mi.UInt32,
-        weight: mi.Float,
-        scatters: mi.UInt32,
-        pixel: mi.UInt32,
-        active: mi.Bool,
-    ) -> None:
+    def record(self, ray: Arrival) -> None:
         """See `ArrivalBook`."""
-        self.book.record(key, length, read, cell, weight, active)
+        self.book.record(ray.key, ray.length, ray.read, ray.cell, ray.weight, ray.active)
 
 
 class CountedWays:
@@ -81,29 +93,18 @@ class CountedWays:
         self._maps = dr.zeros(mi.Float64, 2 * cells * pixels) if pixels else None
         dr.eval(self._sums, self._hits, self._squares, self._largest, self._maps)
 
-    def record(
-        self,
-        key: mi.UInt64,
-        length: mi.UInt32,
-        read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
-        cell: mi.UInt32,
-        batch: mi.UInt32,
-        weight: mi.Float,
-        scatters: mi.UInt32,
-        pixel: mi.UInt32,
-        active: mi.Bool,
-    ) -> None:
+    def record(self, ray: Arrival) -> None:
         """See `ArrivalBook`."""
-        number, found = self._table.find(key, cell, active)
-        w = mi.Float64(weight)
-        dr.scatter_reduce(dr.ReduceOp.Add, self._sums, w, number * BATCHES + batch, found)
+        number, found = self._table.find(ray.key, ray.cell, ray.active)
+        w = mi.Float64(ray.weight)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._sums, w, number * BATCHES + ray.batch, found)
         dr.scatter_reduce(dr.ReduceOp.Add, self._hits, mi.Float64(1), number, found)
         dr.scatter_reduce(dr.ReduceOp.Add, self._squares, w * w, number, found)
         # The bits of positive floats are in the order of the floats
-        bits = dr.reinterpret_array(mi.UInt32, weight)
-        dr.scatter_reduce(dr.ReduceOp.Max, self._largest, bits, cell, found & (scatters != 0))
+        bits = dr.reinterpret_array(mi.UInt32, ray.weight)
+        dr.scatter_reduce(dr.ReduceOp.Max, self._largest, bits, ray.cell, found & (ray.scatters != 0))
         if self._maps is not None:
-            place = 2 * (cell * self._pixels + pixel)
+            place = 2 * (ray.cell * self._pixels + ray.pixel)
             for k, value in enumerate((w, w * w)):
                 dr.scatter_reduce(dr.ReduceOp.Add, self._maps, value, place + k, found)
 

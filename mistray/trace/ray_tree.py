@@ -18,7 +18,7 @@ import mitsuba as mi
 
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import Adjoint
-from mistray.trace.arrivals import ArrivalBook
+from mistray.trace.arrivals import Arrival, ArrivalBook
 from mistray.trace.books import (
     AIMED,
     CONTROL,
@@ -290,7 +290,7 @@ def walk(
                 ledger.write_events(slot, depth + 1, event, new)
         if arrivals is not None:
             pixel = film.places(x, y)[0][0]
-            arrivals.record(key, depth + 1, event, start.cell, batch, w, state["scatters"], pixel, detected)
+            arrivals.record(Arrival(key, depth + 1, event, start.cell, batch, w, state["scatters"], pixel, detected))
         if adjoint is not None:
             derivative = adjoint.derivative(film, x, y, slot, booked)
             gained = derivative * mi.Float64(w if film.incident else absorbed)

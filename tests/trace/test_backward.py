@@ -13,7 +13,7 @@ from oracles.statistics import assert_z
 
 import mistray
 from mistray import MistrayError
-from mistray.analysis.pst.found_ways import _strongest
+from mistray.analysis.pst.found_pairs import _strongest
 from mistray.analysis.pst.pilot import with_the_light
 from mistray.trace import backward
 from mistray.trace.backward import BackwardTrace, Seen, see

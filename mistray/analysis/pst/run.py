@@ -15,7 +15,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.pst.forward import forward_pst
-from mistray.analysis.pst.found_ways import FoundWays
+from mistray.analysis.pst.found_pairs import FoundPairs
 from mistray.analysis.pst.pilot import (
     BACKWARD,
     FORWARD,
@@ -476,7 +476,7 @@ class _AdjointRun:
             x0, x1, y0, y1 = trace.extent
             pixels = rows * columns * trace.area / ((x1 - x0) * (y1 - y0))
             maps = pixels * np.stack([value, np.sqrt(variance)]).reshape(2, n, m, rows, columns)
-        found = FoundWays.of(trace, light, self._paths())
+        found = FoundPairs.of(trace, light, self._paths())
         hidden, seldom = found.seldom(trace, light)
         lines = [*notes(bare, largest, rays, seldom), *trace.notes]
         wanted, up_to_deg = self._wanted

@@ -23,7 +23,7 @@ TOLD = 1e-3  # share of a cell's light that such a way must add to the error to 
 
 
 @dataclass(frozen=True)
-class FoundWays:
+class FoundPairs:
     """
     Light by way and cell, in both directions.
 
@@ -49,7 +49,7 @@ class FoundWays:
     planned: np.ndarray
 
     @classmethod
-    def of(cls, trace: BackwardTrace, light: WithLight, book: dict[str, np.ndarray]) -> FoundWays:
+    def of(cls, trace: BackwardTrace, light: WithLight, book: dict[str, np.ndarray]) -> FoundPairs:
         """What a run has found; `book` is the path table of all its rays against the light."""
         plan = light.plan
         if not book:
