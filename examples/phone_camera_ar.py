@@ -118,8 +118,8 @@ def measured(kind: str, layers: int, coatings: Sequence[SharedCoating], rays: in
     observations = ghost_metric(coatings, BAND_NM, rays).observe(seed=SEED)
     parts = []
     for seen in observations:
-        ghosts = np.array([float(path.kind == "ghost") for path in seen.trace.paths])
-        parts.append(seen.trace.by_batch(ghosts) / seen.launched_W)
+        ghosts = [path.path_id for path in seen.trace.paths if path.kind == "ghost"]
+        parts.append(seen.trace.paths.light(ghosts).by_batch / seen.launched_W)
     return Design(kind, layers, tuple(coatings), np.array(parts) / len(parts))
 
 

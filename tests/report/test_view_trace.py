@@ -54,7 +54,8 @@ def test_the_picture_has_the_rays_of_the_history(shown, trace):
         xyz = np.column_stack([lines.x, lines.y, lines.z])
         exact = [part for ray in trace.history(path_id, 4).rays for part in (ray, np.full((1, 3), np.nan))]
         np.testing.assert_array_equal(xyz, np.concatenate(exact))
-        assert lines.name.startswith(f"{path_id} {trace.paths[path_id].kind}")
+        assert lines.name.startswith(f"{path_id} ")
+    assert len({lines.name for lines in drawn.values()}) == len(drawn)
 
 
 def test_flux_falls_along_a_ray(trace):

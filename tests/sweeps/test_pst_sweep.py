@@ -42,7 +42,8 @@ def test_nothing_changes_nothing(scene: Path) -> None:
     found = swept(scene, Configuration("nothing"))
     assert found.configurations == ("as it is", "nothing")
     change = found.changed("nothing", ANGLE, "total")
-    assert (change.ratio, change.ratio_se) == (1, 0)
+    assert change.ratio == 1
+    assert change.ratio_se < 1e-12 * change.before_se / change.before  # sums of the same rays in another order
     assert change.before_se > 0
 
 

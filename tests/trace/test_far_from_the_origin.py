@@ -104,11 +104,14 @@ def test_detector_of_mitsuba() -> None:
 
 
 def test_against_the_light() -> None:
-    found = [
+    """The same rays to float32, but for one in many thousands that the rounding of its start moves past a rim."""
+    here, there = (
         mistray.pst(lens(p), angles_deg=[0, 10, 30], method="adjoint", rays=20_000, seed=1)
         for p in ((0.0, 0.0, 0.0), (-3e4, 5e4, -1e5))
-    ]
-    np.testing.assert_allclose(found[1].value, found[0].value, rtol=1e-4)
+    )
+    np.testing.assert_allclose(there.value[:2], here.value[:2], rtol=1e-4)
+    _, se = here.curve("total")
+    assert np.all(np.abs(there.value - here.value) < 1e-5 * here.value + 0.05 * se)
 
 
 def test_gradients() -> None:

@@ -248,6 +248,11 @@ class Places:
         assert self.path is not None
         gap, surface = int(ends.reached[ray]), int(ends.surface[ray])
         step, point, direction = self.path.steps[gap], ends.point[ray : ray + 1], ends.direction[ray : ray + 1]
+        if surface >= 0 and gap:
+            # A wall that begins at the rim of the surface passed last: which of the two is met first is rounding
+            before = self.path.steps[gap - 1]
+            if np.linalg.norm(self.path.meet(before, point, direction)[0] - point) < NEAR * self._size():
+                return ApertureStop(self.table.parts[before.surface], gap - 1, np.inf)
         rim = ApertureStop(self.table.parts[step.surface], gap, np.inf)
         if surface < 0 or not self.table.optics.host_words[surface] & OPAQUE:
             return rim if gap < self.gaps - 1 else None
