@@ -28,7 +28,7 @@ from mistray.cli.tracing_arguments import (
 from mistray.errors import MistrayError, UnfinishedError
 
 if TYPE_CHECKING:
-    from mistray.sweeps import Sweep
+    from mistray.sweeps import EditRanking, PstSweep, Sweep
 
 
 def add(commands: Any) -> None:
@@ -43,7 +43,8 @@ def add(commands: Any) -> None:
         "  mistray sweep cooke_triplet --field-deg 0 10 20 --wavelength-nm 450 550 650\n"
         "  mistray sweep cooke_triplet examples/triplet_states.toml --field-deg 0 20 --rays 1e5 --out out/sweep\n"
         "  mistray sweep scene.xml states.toml --json --no-cache\n"
-        "  mistray sweep baffle_tube edits.toml --pst-deg 10:60:10 --rays 1e6    # what each edit does to the PST",
+        "  mistray sweep baffle_tube edits.toml --pst-deg 10:60:10 --rays 1e6    # what each edit does to the PST\n"
+        "  mistray sweep baffle_tube --pst-deg 10:60:10 --rank --step rim=0.5         # which edit would pay",
         formatter_class=RAW,
     )
     add_scene(parser)
@@ -54,6 +55,13 @@ def add(commands: Any) -> None:
     what.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of the fields about z, degrees")
     add_angles(what, "--pst-deg", "instead of fields: the PST at these field angles before and after what each "
                "configuration moves, paints, coats or blocks", angles)  # fmt: skip
+    what.add_argument("--rank", action="store_true",
+                      help="with --pst-deg: rank what can be moved, blocked, painted and coated by the derivatives of "
+                      "the stray PST; STUDY may be left out")  # fmt: skip
+    what.add_argument("--step", nargs="+", type=_step, metavar="KEY=STEP",
+                      help="of --rank: steps by kind (position, tilt, rim, scatter, share, coating), key or pattern, "
+                      "in the unit of the parameter or per cent of its value, 2%% (0.1 mm and deg; 1%% of scatter and "
+                      "of R; 1 nm)")  # fmt: skip
     what.add_argument("--wavelength-nm", type=positive, nargs="+", metavar="NM", help="wavelengths, nm")
     add_scheduler(add_ray_tree(parser, "start rays of every row (1e6; 4e6 with --pst-deg)"))
     add_scatter(parser)
@@ -66,6 +74,8 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     if options.pst_deg is not None:
         return _run_pst(options)
+    if options.rank or options.step:
+        raise MistrayError("--rank and --step are about the PST; give its field angles with --pst-deg")
     check_formats(options)
     start_mitsuba(options)
     from mistray.report.sweep_tables import sweep_record, sweep_text
@@ -116,15 +126,40 @@ def _run_pst(options: argparse.Namespace) -> int:
     for name, value in given.items():
         if value:
             raise MistrayError(f"{name} is for traces of fields; leave it out with --pst-deg")
-    if options.study is None:
-        raise MistrayError("--pst-deg compares configurations; give a TOML file with them")
+    if options.study is None and not options.rank:
+        raise MistrayError("--pst-deg compares configurations; give a TOML file with them, or --rank")
+    if options.step and not options.rank:
+        raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
     start_mitsuba(options)
-    from mistray.report.pst_sweep_tables import pst_sweep_record, pst_sweep_text, write_pst_sweep
+    folder = claim_output(options)
+    records: list[dict[str, Any]] = []
+    texts: list[str] = []
+    files: list[Path] = []
+    if options.study is not None:
+        from mistray.report.pst_sweep_tables import pst_sweep_record, pst_sweep_text, write_pst_sweep
+
+        found = _swept_pst(options)
+        records.append(pst_sweep_record(found))
+        texts.append(pst_sweep_text(found))
+        files += [] if folder is None else write_pst_sweep(found, folder, options.command_line)
+    if options.rank:
+        from mistray.report.edit_ranking_tables import edit_ranking_record, edit_ranking_text, write_edit_ranking
+
+        ranking = _ranked(options)
+        records.append(edit_ranking_record(ranking))
+        texts.append(edit_ranking_text(ranking))
+        files += [] if folder is None else write_edit_ranking(ranking, folder, options.command_line)
+    record = {key: value for part in records for key, value in part.items()}
+    show(options, lambda: record, lambda: "\n\n".join(texts), files, files[-1].name if files else "")
+    return 0
+
+
+def _swept_pst(options: argparse.Namespace) -> PstSweep:
+    """The PST in each configuration."""
     from mistray.sweeps import read_configurations, sweep_pst
 
-    folder = claim_output(options)
     with workers_of(options), progress_bar(options) as progress:
-        found = sweep_pst(
+        return sweep_pst(
             options.scene,
             read_configurations(options.study),
             options.pst_deg,
@@ -132,9 +167,31 @@ def _run_pst(options: argparse.Namespace) -> int:
             wavelength_nm=options.wavelength_nm,
             **settings_of(options),
         )
-    files = [] if folder is None else write_pst_sweep(found, folder, options.command_line)
-    show(options, lambda: pst_sweep_record(found), lambda: pst_sweep_text(found), files, "pst_sweep.csv")
-    return 0
+
+
+def _ranked(options: argparse.Namespace) -> EditRanking:
+    """What can be edited, by the derivatives of the PST."""
+    from mistray.sweeps import rank_edits
+
+    settings = {"wavelength_nm": options.wavelength_nm, **settings_of(options)}
+    with workers_of(options), progress_bar(options) as progress:
+        return rank_edits(
+            options.scene,
+            options.pst_deg,
+            steps=dict(options.step or ()),
+            progress=progress,
+            **{key: value for key, value in settings.items() if value is not None},
+        )
+
+
+def _step(text: str) -> tuple[str, str]:
+    """A kind, key or pattern, and a step."""
+    key, sign, value = text.rpartition("=")
+    if not sign or not key:
+        raise argparse.ArgumentTypeError(
+            f"'{text}' is no step; write KEY=STEP, such as rim=0.5 or paint.reflectance=2%"
+        )
+    return key, value
 
 
 def _entries(options: argparse.Namespace) -> int:

@@ -134,11 +134,30 @@ def gradient(
     MistrayError
         If a key is unknown or has no derivative, or the scene or the settings have none.
     """
-    if not 0 < edge_width <= 0.5:
-        raise MistrayError(f"edge_width is {edge_width:g}; it is relative to the radius of a rim, between 0 and 0.5")
     chosen = chosen_parameters(metric.scene, params, keys)
     wanted = wanted_of(chosen.values(), edges, edge_width)
-    observations = metric.observe()
+    return gradient_seen(metric, metric.observe(), chosen, wanted)
+
+
+def gradient_seen(
+    metric: Metric,
+    observations: list[Any],
+    chosen: Mapping[str, Parameter],
+    wanted: Wanted,
+) -> Gradient:
+    """
+    `gradient` from observations that are made already: several metrics of the same views share them.
+
+    Parameters
+    ----------
+    metric : Metric
+    observations : list of Observation or PstObservation
+        From `Metric.observe`.
+    chosen : mapping of str to Parameter
+        From `chosen_parameters`.
+    wanted : Wanted
+        From `wanted_of`.
+    """
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
     sums, left_out, seconds, variance = _Sums(), [LEFT_OUT], 0.0, 0.0
@@ -166,7 +185,7 @@ def gradient(
         sums.add(sums.inner, parameter_gradient(raw, is_chosen))
         for half_width, into in enumerate(sums.edges):
             sums.add(into, edge_gradient(raw, is_chosen, bool(half_width)))
-    if wanted.moves and not edges:
+    if wanted.moves and not wanted.edges:
         left_out.append(NO_EDGES)
     if wanted.moves and any(_jumps(raw) for raw in raws.values()):
         left_out.append(ONSET)
@@ -229,6 +248,8 @@ def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str]
 
 def wanted_of(chosen: Iterable[Parameter], edges: bool, edge_width: float) -> Wanted:
     """What the tracer must gather for some parameters."""
+    if not 0 < edge_width <= 0.5:
+        raise MistrayError(f"edge_width is {edge_width:g}; it is relative to the radius of a rim, between 0 and 0.5")
     chosen = list(chosen)
     kinds = {p.kind for p in chosen}
     shapes = [p for p in chosen if p.kind not in (*COATING_KINDS, *OTHER_KINDS)]

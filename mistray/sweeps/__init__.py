@@ -1,9 +1,19 @@
 """Fields × wavelengths × configurations of a scene, all traced in one call with the kernels compiled once."""
 
 from mistray.sweeps.configurations import Configuration
+from mistray.sweeps.edit_ranking import EditRanking, rank_edits
 from mistray.sweeps.pst_sweep import PstSweep, sweep_pst
 from mistray.sweeps.read_configurations import read_configurations
 from mistray.sweeps.result import Sweep
 from mistray.sweeps.run import sweep
 
-__all__ = ["Configuration", "PstSweep", "Sweep", "read_configurations", "sweep", "sweep_pst"]
+__all__ = [
+    "Configuration",
+    "EditRanking",
+    "PstSweep",
+    "Sweep",
+    "rank_edits",
+    "read_configurations",
+    "sweep",
+    "sweep_pst",
+]
