@@ -22,6 +22,7 @@ from types import ModuleType
 
 from mistray._mitsuba_compat import import_mitsuba
 from mistray.errors import MistrayError
+from mistray.ranges import THREADS
 
 DEFAULT_VARIANT = "llvm_ad_rgb"
 OLDEST_LLVM = 17
@@ -32,7 +33,6 @@ LLVM_REMEDY = (
     "or set DRJIT_LIBLLVM_PATH to the library's file"
 )
 PLUGIN_ROOT = "mistray.plugins"
-MOST_THREADS = 1024  # far more than help: a slip, not a machine
 
 _LIBRARY_NAME = re.compile(r"libLLVM[-.\d]*\.(so|dylib)[.\d]*")
 _VERSION_IN_NAME = re.compile(r"libLLVM(?:-|\.so\.|\.)(\d+(?:\.\d+)*)")
@@ -140,19 +140,18 @@ def set_threads(count: int) -> None:
     Parameters
     ----------
     count : int
-        1 … `MOST_THREADS`, the calling thread included.
+        1 … as many as the machine has, the calling thread included.
 
     Raises
     ------
     MistrayError
         It is out of range, or no variant can be made active.
     """
-    if isinstance(count, bool) or count != int(count) or not 1 <= count <= MOST_THREADS:
-        raise MistrayError(f"{count} threads; give 1 to {MOST_THREADS}, this machine has {os.cpu_count()} processors")
+    count = THREADS.check("threads", count)
     ensure_variant()
     import drjit as dr
 
-    dr.set_thread_count(int(count))
+    dr.set_thread_count(count)
 
 
 def active_variant() -> str | None:

@@ -64,10 +64,10 @@ def test_json(capsys: Any) -> None:
         (("plate", "--angles-deg", "0:95:5"), "must lie between 0 and 90"),
         (("plate", "--angles-deg", "10", "5"), "must ascend"),
         (("plate", "--field-deg", "91"), "must lie between -90 and 90"),
-        (("plate", "--rays", "0"), "rays is 0"),
+        (("plate", "--rays", "0"), "--rays: 0 must"),
         (("plate", "--resume"), "--resume needs the folder"),
         (("plate", "--weights", "1"), "--weights without --wavelength-nm"),
-        (("plate", "--relative-error", "-1"), "must be positive"),
+        (("plate", "--relative-error", "-1"), "must lie between 1e-5 and 1"),
         (("plate", "--wavelength-nm", "red"), "'red' is not a number"),
     ],
 )

@@ -161,7 +161,7 @@ class TestSweep:
             (("no.toml",), "configurations 'no.toml': No such file or directory; check the path"),
             (("--field-deg", "95"), "95 must lie between -90 and 90"),
             (("--wavelength-nm", "500", "500"), "give every wavelength once"),
-            (("--rays", "0"), "rays is 0"),
+            (("--rays", "0"), "--rays: 0 must"),
             (("--formats", "parquet"), "--formats writes files; say with --out"),
         ],
     )

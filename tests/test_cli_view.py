@@ -127,7 +127,7 @@ def test_the_whole_scene(capsys, scene_file, traced, tmp_path):
         (("--weights", "1"), "--weights without --wavelength-nm"),
         (("--path-ids", "77", "--out", "v.html"), "path_id 77 does not exist; this trace has the paths 0 … 4"),
         (("--cut-deg", "left"), "'left' is not a number"),
-        (("--rays-per-path", "0", "--out", "v.html"), "0 rays show nothing; give 1 or more"),
+        (("--rays-per-path", "0", "--out", "v.html"), "--rays-per-path: 0 must be"),
     ],
 )
 def test_bad_input_is_one_line(capsys, scene_file, traced, tmp_path, monkeypatch, arguments, message):

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import argparse
 import math
-from collections.abc import Callable
+from dataclasses import dataclass
 from itertools import chain
 from typing import Any, NoReturn
 
 from mistray.errors import MistrayError
+from mistray.ranges import FINITE, POLAR_DEG, Range
 
 MOST_ANGLES = 10_000  # in one range
 FIELD_ANGLES = [float(angle) for angle in range(0, 81, 2)]  # of a PST, degrees
 INTERRUPTED = 130  # exit status after Ctrl-C, as of a shell
-RAW = argparse.RawDescriptionHelpFormatter
 
 
 class Parser(argparse.ArgumentParser):
@@ -24,64 +24,44 @@ class Parser(argparse.ArgumentParser):
         raise MistrayError(f"{message}; see '{self.prog} --help'")
 
 
-def finite(text: str) -> float:
-    """A number."""
-    try:
-        value = float(text)
-    except ValueError:
-        value = math.nan
-    if not math.isfinite(value):
-        raise argparse.ArgumentTypeError(f"'{text}' is not a number")
-    return value
+class Help(argparse.RawDescriptionHelpFormatter):
+    """Says the range of every number behind its help."""
+
+    def _get_help_string(self, action: argparse.Action) -> str | None:
+        told = isinstance(action.type, Range | Angles) and action.type is not FINITE
+        return f"{action.help}; {action.type}" if told else action.help
 
 
-def positive(text: str) -> float:
-    """A number above 0."""
-    value = finite(text)
-    if value <= 0:
-        raise argparse.ArgumentTypeError(f"{text} must be positive")
-    return value
+@dataclass(frozen=True)
+class Angles:
+    """
+    The type of an argument that is one angle in degrees, or a range first:last:step with both ends.
 
+    Attributes
+    ----------
+    within : Range
+        Where they must lie.
+    """
 
-def field(text: str) -> float:
-    """A field angle in degrees."""
-    value = finite(text)
-    if not -90 < value < 90:
-        raise argparse.ArgumentTypeError(f"{text} must lie between -90 and 90 degrees")
-    return value
+    within: Range
 
+    def __str__(self) -> str:
+        return str(self.within)
 
-def count(text: str) -> int:
-    """A whole number that is not negative; "1e6" is one."""
-    value = finite(text)
-    if value < 0 or value != int(value):
-        raise argparse.ArgumentTypeError(f"{text} must be a whole number that is not negative, such as 1e6")
-    return int(value)
-
-
-def angles(text: str) -> list[float]:
-    """Angles in degrees: one, or a range first:last:step with both ends."""
-    parts = text.split(":")
-    if len(parts) == 1:
-        return [finite(text)]
-    if len(parts) != 3:
-        raise argparse.ArgumentTypeError(f"'{text}' is not a range; write first:last:step, such as 0:80:2")
-    first, last, step = (finite(part) for part in parts)
-    if step <= 0 or last < first:
-        raise argparse.ArgumentTypeError(f"'{text}' must go up: first:last:step, such as 0:80:2")
-    steps = math.floor((last - first) / step * (1 + 1e-12) + 1e-9)
-    if steps >= MOST_ANGLES:
-        raise argparse.ArgumentTypeError(f"'{text}' is more than {MOST_ANGLES} angles; give a larger step")
-    return [round(first + k * step, 9) for k in range(steps + 1)]
-
-
-def incidence(text: str) -> list[float]:
-    """The same between 0 and 90 degrees."""
-    values = angles(text)
-    wrong = [value for value in values if not 0 <= value <= 90]
-    if wrong:
-        raise argparse.ArgumentTypeError(f"{wrong[0]:g} must lie between 0 and 90 degrees")
-    return values
+    def __call__(self, text: str) -> list[float]:
+        """The angles that a text means."""
+        parts = text.split(":")
+        if len(parts) == 1:
+            return [self.within(text)]
+        if len(parts) != 3:
+            raise argparse.ArgumentTypeError(f"'{text}' is not a range; write first:last:step, such as 0:80:2")
+        first, last, step = (kind(part) for kind, part in zip((self.within, self.within, FINITE), parts, strict=True))
+        if step <= 0 or last < first:
+            raise argparse.ArgumentTypeError(f"'{text}' must go up: first:last:step, such as 0:80:2")
+        if (last - first) / step >= MOST_ANGLES:
+            raise argparse.ArgumentTypeError(f"'{text}' is more than {MOST_ANGLES} angles; give a larger step")
+        steps = math.floor((last - first) / step * (1 + 1e-12) + 1e-9)
+        return [round(first + k * step, 9) for k in range(steps + 1)]
 
 
 class _Joined(argparse.Action):
@@ -91,9 +71,9 @@ class _Joined(argparse.Action):
         setattr(namespace, self.dest, list(chain(*values)))
 
 
-def add_angles(group: Any, name: str, text: str, kind: Callable[[str], list[float]] = incidence) -> None:
+def add_angles(group: Any, name: str, text: str, within: Range = POLAR_DEG) -> None:
     """Declare an argument that takes numbers and ranges first:last:step, all in one list; `text` is its help."""
-    group.add_argument(name, type=kind, nargs="+", action=_Joined, metavar="DEG", help=text)
+    group.add_argument(name, type=Angles(within), nargs="+", action=_Joined, metavar="DEG", help=text)
 
 
 def as_text(name: str) -> str:

@@ -7,9 +7,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli import bsdf_models
-from mistray.cli.arguments import RAW, finite, positive
+from mistray.cli.arguments import Help
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
+from mistray.ranges import FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -38,21 +39,21 @@ def add(commands: Any) -> None:
         "  mistray bsdf paint --preset flat_black --json\n"
         "  mistray bsdf measured.bsdf --table copy.csv\n"
         "  mistray bsdf abg --A 2e-5 --B 1e-6 --g 2 --event transmission --hit-deg 30 --hit-sr 4e-6 --hit-before 0.125",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     parser.add_argument(
         "model", metavar="MODEL", help=f"{', '.join(bsdf_models.KINDS)}, a file .bsdf or .csv, or ABG_DATA.DAT:NAME"
     )
-    parser.add_argument("--angles-deg", type=finite, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
+    parser.add_argument("--angles-deg", type=POLAR_DEG, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
                         help="angles of incidence (0 15 30 45 60 75)")  # fmt: skip
     parser.add_argument("--event", choices=EVENTS, help="what is drawn and written (what the model scatters first)")
-    parser.add_argument("--wavelength-nm", type=positive, default=550.0, metavar="NM", help="wavelength (550)")
+    parser.add_argument("--wavelength-nm", type=WAVELENGTH_NM, default=550.0, metavar="NM", help="wavelength (550)")
     parser.add_argument("--front", default="air", metavar="MATERIAL", help="material in front (air)")
     parser.add_argument("--back", default="N-BK7", metavar="MATERIAL", help="material behind (N-BK7)")
     parser.add_argument("--from-back", action="store_true", help="light comes from behind")
-    parser.add_argument("--R", type=finite, default=1.0, metavar="SHARE",
+    parser.add_argument("--R", type=SHARE, default=1.0, metavar="SHARE",
                         help="what the coating reflects (1: BSDF of the reflected beam)")  # fmt: skip
-    parser.add_argument("--T", type=finite, default=1.0, metavar="SHARE",
+    parser.add_argument("--T", type=SHARE, default=1.0, metavar="SHARE",
                         help="what it transmits (1: BSDF of the transmitted beam)")  # fmt: skip
     parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .svg or .pdf")
     parser.add_argument("--plot-particles", type=Path, metavar="FILE",
@@ -62,10 +63,10 @@ def add(commands: Any) -> None:
                         help="write a table over the hemisphere, for scenes: .bsdf (Zemax) or .csv")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON instead of the tables, with the curves")
     hits = parser.add_argument_group("a world without importance sampling: rays until one finds a small detector")
-    hits.add_argument("--hit-deg", type=finite, metavar="DEG",
+    hits.add_argument("--hit-deg", type=FIELD_DEG, metavar="DEG",
                       help="angle of the detector with the normal, at the first angle of incidence")  # fmt: skip
-    hits.add_argument("--hit-sr", type=positive, metavar="SR", help="its solid angle as seen from the surface")
-    hits.add_argument("--hit-before", type=finite, metavar="SHARE",
+    hits.add_argument("--hit-sr", type=SOLID_ANGLE_SR, metavar="SR", help="its solid angle as seen from the surface")
+    hits.add_argument("--hit-before", type=SHARE, metavar="SHARE",
                       help="chance that a ray gets to the surface (1)")  # fmt: skip
     bsdf_models.declare(parser)
     parser.set_defaults(run=run)
@@ -217,9 +218,6 @@ def _light(options: argparse.Namespace) -> Light:
     from mistray.materials import refractive_index
     from mistray.scatter.scan import Light
 
-    for name, share in (("R", options.R), ("T", options.T)):
-        if not 0 <= share <= 1:
-            raise MistrayError(f"--{name} {share:g}: a share of the light; give 0 … 1")
     sides = [refractive_index(material, options.wavelength_nm) for material in (options.front, options.back)]
     n_in, n_out = sides[::-1] if options.from_back else sides
     return Light(options.wavelength_nm, n_in, n_out, not options.from_back, options.R, options.T)

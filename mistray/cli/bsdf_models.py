@@ -8,8 +8,8 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import finite, positive
 from mistray.errors import MistrayError
+from mistray.ranges import FINITE
 
 if TYPE_CHECKING:
     from mistray.physics.abg import AbgFromRms
@@ -32,7 +32,7 @@ class Option:
     """
 
     help: str
-    type: Any = finite
+    type: Any = FINITE
     metavar: str | None = None
 
 
@@ -46,28 +46,28 @@ OPTIONS: Mapping[str, Option] = MappingProxyType(
         "l": Option("harvey_shack, paint: place of the knee, a direction cosine"),
         "s": Option("harvey_shack, paint: slope, negative"),
         "rms_nm": Option(
-            "harvey_shack, k_correlation, or abg with --correlation-um: roughness, nm", positive, metavar="NM"
+            "harvey_shack, k_correlation, or abg with --correlation-um: roughness, nm", metavar="NM"
         ),
-        "correlation_um": Option("abg from --rms-nm: length of the exponential autocovariance, µm", positive, "UM"),
-        "delta_n": Option("abg from --rms-nm: difference of the indices, 2 for a mirror in air (2)", finite),
-        "raw_integral": Option("abg from --rms-nm: integral to normalise by, instead of the exact one", positive),
-        "reference_nm": Option("abg, harvey_shack, k_correlation: where the numbers hold", positive, "NM"),
-        "B_um": Option("k_correlation: B, µm", positive, "UM"),
+        "correlation_um": Option("abg from --rms-nm: length of the exponential autocovariance, µm", metavar="UM"),
+        "delta_n": Option("abg from --rms-nm: difference of the indices, 2 for a mirror in air (2)"),
+        "raw_integral": Option("abg from --rms-nm: integral to normalise by, instead of the exact one"),
+        "reference_nm": Option("abg, harvey_shack, k_correlation: where the numbers hold", metavar="NM"),
+        "B_um": Option("k_correlation: B, µm", metavar="UM"),
         "slope": Option("k_correlation, particulate: slope of the spectrum or of the particle distribution"),
         "band_limited": Option("k_correlation: the roughness is that of the band up to 1/wavelength", bool),
         "theory": Option("k_correlation, psd_table: theory (ghs)",
                          ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")),
-        "width_mm": Option("edge_diffraction: width of the ring inside the edge, mm", positive, "MM"),
+        "width_mm": Option("edge_diffraction: width of the ring inside the edge, mm", metavar="MM"),
         "law": Option("edge_diffraction: tail of a half plane, or after Heisenberg (half_plane)",
                       ("half_plane", "heisenberg")),
         "total": Option("gaussian_lobe: scattered share at normal incidence"),
         "width": Option("gaussian_lobe: |β - β0| where the BSDF has fallen to 1/e"),
         "exponent": Option("phong: power of the cosine"),
         "level": Option("particulate: cleanliness level of IEST-STD-CC1246"),
-        "coverage_percent": Option("particulate: percent area coverage, instead of the level", finite, "PERCENT"),
+        "coverage_percent": Option("particulate: percent area coverage, instead of the level", metavar="PERCENT"),
         "particle": Option("particulate: n + ik of the particles: 'dust', 1.53+0.002i, or file.csv", str),
-        "min_um": Option("particulate: least diameter, µm", positive, "UM"),
-        "max_um": Option("particulate: greatest diameter, µm", positive, "UM"),
+        "min_um": Option("particulate: least diameter, µm", metavar="UM"),
+        "max_um": Option("particulate: greatest diameter, µm", metavar="UM"),
         "reflectance": Option("paint: reflectance of its Lambertian part"),
         "n": Option("paint: index of the binder, with which the lobe grows towards grazing angles"),
         "preset": Option("paint: a named paint", str),

@@ -6,7 +6,7 @@ import argparse
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import RAW
+from mistray.cli.arguments import Help
 from mistray.cli.tracing_arguments import (
     add_machine,
     add_output,
@@ -31,7 +31,7 @@ def add(commands: Any) -> None:
         epilog="examples:\n"
         "  mistray budget phone_camera_scatter budget.toml --out out/budget\n"
         "  mistray budget scene.xml budget.toml --json",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     parser.add_argument("budget", metavar="BUDGET", type=Path, help="TOML file")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from mistray.cli.arguments import RAW
+from mistray.cli.arguments import Help
 from mistray.cli.tracing_arguments import print_json
 
 BYTES_PER_MB = 1e6
@@ -19,7 +19,7 @@ def add(commands: Any) -> None:
         description="Results of mistray sweep are kept in the user's folder for caches, or in that of the environment\n"
         "variable MISTRAY_CACHE (off: none), up to MISTRAY_CACHE_MB (1000); docs/sweeps.md has the details.",
         epilog="examples:\n  mistray cache info\n  mistray cache clear",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     parser.add_argument(
         "action", choices=("info", "clear"), help="say where the cache is and how large, or remove all results"

@@ -6,10 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import RAW, finite, positive
+from mistray.cli.arguments import Help
 from mistray.cli.coating_json import as_json
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
+from mistray.ranges import POLAR_DEG, POSITIVE, WAVELENGTH_NM
 
 if TYPE_CHECKING:
     import numpy as np
@@ -35,7 +36,7 @@ def add(commands: Any) -> None:
         '  mistray coating "MgF2 99.64, 2.1 0.5w, 1.63 0.25w" --back N-SF6 --csv ar.csv\n'
         "  mistray coating COATING.DAT:AR --design-nm 587.6 --json\n"
         "  mistray coating cooke_triplet --plot surfaces.png",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     parser.add_argument(
         "coating", metavar="COATING",
@@ -47,9 +48,9 @@ def add(commands: Any) -> None:
     parser.add_argument("--from-back", action="store_true", help="light comes from behind")
     parser.add_argument("--wavelength-nm", nargs="+", default=[DEFAULT_WAVELENGTHS], metavar="NM",
                         help=f"wavelengths, or first:last:step ({DEFAULT_WAVELENGTHS})")  # fmt: skip
-    parser.add_argument("--angles-deg", type=finite, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
+    parser.add_argument("--angles-deg", type=POLAR_DEG, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
                         help="angles of incidence (0 15 30 45)")  # fmt: skip
-    parser.add_argument("--design-nm", type=positive, default=550.0, metavar="NM",
+    parser.add_argument("--design-nm", type=WAVELENGTH_NM, default=550.0, metavar="NM",
                         help="wavelength of thicknesses in waves and of presets (550)")  # fmt: skip
     parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .svg or .pdf")
     parser.add_argument("--csv", type=Path, metavar="FILE",
@@ -96,17 +97,18 @@ def wavelengths(words: list[str]) -> list[float]:
     for word in words:
         parts = word.split(":")
         try:
-            numbers = [positive(part) for part in parts]
+            numbers = [kind(part) for kind, part in zip((WAVELENGTH_NM, WAVELENGTH_NM, POSITIVE), parts, strict=False)]
         except argparse.ArgumentTypeError as error:
             raise MistrayError(f"--wavelength-nm {word}: {error}; give numbers, or first:last:step") from None
-        if len(numbers) == 1:
+        if len(parts) == 1:
             found += numbers
             continue
-        if len(numbers) != 3 or numbers[1] < numbers[0]:
+        if len(parts) != 3 or numbers[1] < numbers[0]:
             raise MistrayError(f"--wavelength-nm {word}: give first:last:step with the last not below the first")
-        count = int((numbers[1] - numbers[0]) / numbers[2] + 1e-9) + 1
-        if count > MOST_WAVELENGTHS:
-            raise MistrayError(f"--wavelength-nm {word}: {count} wavelengths; take a larger step")
+        steps = (numbers[1] - numbers[0]) / numbers[2]
+        if steps >= MOST_WAVELENGTHS:
+            raise MistrayError(f"--wavelength-nm {word}: {steps:g} wavelengths; take a larger step")
+        count = int(steps + 1e-9) + 1
         found += (numbers[0] + numbers[2] * np.arange(count)).tolist()
     return sorted(set(found))
 

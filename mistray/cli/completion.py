@@ -11,7 +11,7 @@ from types import MappingProxyType
 from typing import Any
 
 from mistray.cli import bsdf_models
-from mistray.cli.arguments import RAW
+from mistray.cli.arguments import Help
 
 # Placeholders of file names
 FILES = ("AGF", "BUDGET", "COATING", "DIR", "FILE", "MODEL", "SCENE", "STUDY", "XML", "ZMX")
@@ -29,7 +29,7 @@ def add(commands: Any) -> None:
         "  mistray completion bash > ~/.local/share/bash-completion/completions/mistray\n"
         "  mistray completion zsh > ~/.zfunc/_mistray    # a folder of fpath, before compinit\n"
         "  mistray completion fish > ~/.config/fish/completions/mistray.fish",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     parser.add_argument("shell", choices=SHELLS, help="for which shell")
     parser.set_defaults(run=run, commands=commands)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from mistray.cli.arguments import RAW
+from mistray.cli.arguments import Help
 from mistray.cli.tracing_arguments import working
 
 
@@ -17,7 +17,7 @@ def add(commands: Any) -> None:
         description="Look for LLVM, Mitsuba and its variants, the packages mistray needs and a GPU that the cuda\n"
         "variants can trace on, and say how to get what is missing.",
         epilog="example:\n  mistray doctor",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     parser.add_argument("--json", action="store_true", help="print JSON")
     parser.set_defaults(run=run)

@@ -7,9 +7,10 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import RAW, field, finite
+from mistray.cli.arguments import Help
 from mistray.cli.tracing_arguments import print_json
 from mistray.errors import MistrayError
+from mistray.ranges import FIELD_DEG, WAVELENGTH_NM
 
 
 def add(commands: Any) -> None:
@@ -26,7 +27,7 @@ def add(commands: Any) -> None:
         "  mistray export cooke_triplet -o triplet.zmx\n"
         "  mistray export cooke_triplet -o critical.csv --field-deg 0 7 10\n"
         "  mistray export camera.xml -o camera.zmx --json",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     parser.add_argument(
         "scene", metavar="SCENE", help="scene XML file, or the name of a shipped scene such as cooke_triplet"
@@ -35,9 +36,9 @@ def add(commands: Any) -> None:
         "-o", "--output", metavar="FILE", type=Path,
         help="file to write, .zmx or .csv (default: SCENE with .zmx, in this folder)",
     )  # fmt: skip
-    parser.add_argument("--field-deg", type=field, nargs="+", metavar="DEG",
+    parser.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG",
                         help="of critical rays: field angles, degrees (that of the scene)")  # fmt: skip
-    parser.add_argument("--wavelength-nm", type=finite, nargs="+", metavar="NM",
+    parser.add_argument("--wavelength-nm", type=WAVELENGTH_NM, nargs="+", metavar="NM",
                         help="of critical rays: wavelengths, nm (those of the scene)")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
     parser.set_defaults(run=run)

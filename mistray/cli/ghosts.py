@@ -6,7 +6,7 @@ import argparse
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import RAW, count, field, finite
+from mistray.cli.arguments import Help
 from mistray.cli.ghosts_json import WORST_SHOWN, as_json
 from mistray.cli.tracing_arguments import (
     MAP_FORMATS,
@@ -29,6 +29,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, STOPS
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -58,12 +59,12 @@ def add(commands: Any) -> None:
         "  mistray ghosts scene.xml --out out --formats parquet fits\n"
         "  mistray ghosts scene.xml --rays 1e9 --scheduler tcp://host:8786 --out out    # docs/distributed.md\n"
         "  mistray ghosts scene.xml --wavelength-nm 450 550 650 --weights 1 2 1 --colour --out out",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     source = parser.add_argument_group("source (default: as the scene says)")
-    source.add_argument("--field-deg", type=field, nargs="+", metavar="DEG", help="field angles, degrees")
-    source.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of the field about z, degrees")
+    source.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG", help="field angles, degrees")
+    source.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG", help="azimuth of the field about z, degrees")
     add_spectrum(source)
     add_scheduler(add_ray_tree(parser, "start rays at each field (1e6)"))
     add_scatter(parser)
@@ -81,20 +82,20 @@ def add(commands: Any) -> None:
         metavar="KEY",
         help=f"add the paths sorted by a key: {', '.join(SORT_KEYS)}; with --out path_analysis.csv",
     )
-    output.add_argument("--least-share", type=finite, metavar="S",
+    output.add_argument("--least-share", type=PART, metavar="S",
                         help="in the path analysis paths below this share of all light stand together (0)")  # fmt: skip
     output.add_argument("--filter", metavar="EXPR",
                         help="add the paths that pass a filter, such as 'G(lens*) & !S' (docs/rays.md), and with --out "
                         "filtered_paths.csv and filtered_rays.csv")  # fmt: skip
     colour = parser.add_argument_group("colour pictures (need --out and three wavelengths or more)")
     colour.add_argument("--colour", action="store_true", help="draw the ghosts as a photograph would show them")
-    colour.add_argument("--stops", type=finite, metavar="S",
+    colour.add_argument("--stops", type=STOPS, metavar="S",
                         help="exposure, stops over the one that just fills the brightest channel (0)")  # fmt: skip
     colour.add_argument("--reference", choices=("ghosts", "direct"),
                         help="brightest pixel of the stray light, or of the direct image on axis (ghosts)")  # fmt: skip
     colour.add_argument("--white", choices=("source", "D65"),
                         help="what comes out as grey: the light of the source, or D65 (source)")  # fmt: skip
-    colour.add_argument("--block", type=count, metavar="N",
+    colour.add_argument("--block", type=BLOCK, metavar="N",
                         help="pixels averaged along each side; 0: as many as the noise asks for (0)")  # fmt: skip
     parser.set_defaults(run=run)
 

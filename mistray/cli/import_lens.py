@@ -10,9 +10,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli import import_mechanics
-from mistray.cli.arguments import RAW, finite, positive
+from mistray.cli.arguments import Help
 from mistray.cli.arriving import arriving
 from mistray.errors import MistrayError
+from mistray.ranges import MARGIN, SIZE_MM, WAVELENGTH_NM
 
 if TYPE_CHECKING:
     from mistray.prescription import Prescription, Sequential
@@ -51,7 +52,7 @@ def add(commands: Any) -> None:
         "  mistray import scenes/phone_camera/prescription.json -o scene.xml\n"
         "  mistray import LSST_r.yaml -o lsst.xml --wavelength-nm 620\n"
         "  mistray import tube.step --into triplet.xml -o both.xml --paint 'vane*=black'",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     parser.add_argument(
         "lens",
@@ -64,7 +65,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
     group = parser.add_argument_group("lenses")
-    group.add_argument("--wavelength-nm", type=positive, metavar="NM",
+    group.add_argument("--wavelength-nm", type=WAVELENGTH_NM, metavar="NM",
                        help="wavelength of the source, nm (batoid: required; others: as the file says)")  # fmt: skip
     group.add_argument("--variant", metavar="NAME", help="design variant that a JSON file holds, such as R13=5.272")
     group = parser.add_argument_group("Zemax and CODE V files (in brackets: the default)")
@@ -77,11 +78,11 @@ def add(commands: Any) -> None:
     group.add_argument("--glass-catalogue", nargs="+", metavar="AGF", help="further glass catalogues")
     group.add_argument("--radius-mode", choices=("yes", "no"),
                        help="a .seq file gives radii (yes) or curvatures (no), where it does not say")  # fmt: skip
-    group.add_argument("--margin", type=finite, metavar="PART",
+    group.add_argument("--margin", type=MARGIN, metavar="PART",
                        help="clear radii that the file does not give exceed the rays by this part (0.02)")  # fmt: skip
     group.add_argument("--beam", metavar="KIND",
                        help="the source fills the entrance pupil (pupil) or the first surface (front)")  # fmt: skip
-    group.add_argument("--detector-half-mm", type=positive, nargs=2, metavar=("X", "Y"),
+    group.add_argument("--detector-half-mm", type=SIZE_MM, nargs=2, metavar=("X", "Y"),
                        help="half width and height of the detector, mm (as the image of all fields)")  # fmt: skip
     import_mechanics.add_options(parser)
     parser.set_defaults(run=run)

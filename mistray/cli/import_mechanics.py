@@ -10,10 +10,10 @@ from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import count, finite, positive
 from mistray.cli.arriving import arriving
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, PLACE_MM, ROWS, SECONDS, TOLERANCE_MM
 
 if TYPE_CHECKING:
     from mistray.mechanics import Finish, Mechanics
@@ -36,15 +36,15 @@ def add_options(parser: argparse.ArgumentParser) -> None:
                        "absorbs everything, as what has no paint does; names of the scene count too")  # fmt: skip
     group.add_argument("--space", nargs="+", metavar="PATTERN=N", help="optical space of parts or faces")
     group.add_argument("--unit", metavar="UNIT", help="of STL, OBJ, PLY: um, mm, cm, m, inch or ft (mm)")
-    group.add_argument("--move-mm", type=finite, nargs=3, metavar=("X", "Y", "Z"),
+    group.add_argument("--move-mm", type=PLACE_MM, nargs=3, metavar=("X", "Y", "Z"),
                        help="where the origin of the parts goes after the tilt, mm (0 0 0)")  # fmt: skip
-    group.add_argument("--tilt-deg", type=finite, nargs=3, metavar=("X", "Y", "Z"),
+    group.add_argument("--tilt-deg", type=AZIMUTH_DEG, nargs=3, metavar=("X", "Y", "Z"),
                        help="turns about x, then y, then z of the scene, degrees (0 0 0)")  # fmt: skip
-    group.add_argument("--most-analytic", type=count, metavar="N",
+    group.add_argument("--most-analytic", type=ROWS, metavar="N",
                        help="surfaces made exact at most, the largest; 0: all are meshes (64)")  # fmt: skip
-    group.add_argument("--tolerance-mm", type=positive, metavar="MM",
+    group.add_argument("--tolerance-mm", type=TOLERANCE_MM, metavar="MM",
                        help="largest distance of the facets of a STEP file from its surfaces, mm (0.01)")  # fmt: skip
-    group.add_argument("--time-limit-s", type=positive, metavar="S",
+    group.add_argument("--time-limit-s", type=SECONDS, metavar="S",
                        help="for reading a STEP file, processor time, seconds (5, and 30 for each MB)")  # fmt: skip
 
 

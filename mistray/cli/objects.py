@@ -6,7 +6,7 @@ import argparse
 from functools import partial
 from typing import Any
 
-from mistray.cli.arguments import RAW, add_angles, count, finite, positive
+from mistray.cli.arguments import Help, add_angles
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_machine,
@@ -21,6 +21,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, CONE_DEG, EVENTS, PLACE_MM, RAYS, ROWS, SEED, SHARE, WAVELENGTH_NM
 
 ROWS_SHOWN = 25
 HALF_ANGLE_DEG = 20.0
@@ -39,37 +40,37 @@ def add(commands: Any) -> None:
         "  mistray objects phone_camera --half-angle-deg 20 --out out\n"
         "  mistray objects phone_camera_scatter --angles-deg 0 10 20:40:5 --rays 3e5\n"
         "  mistray objects phone_camera --disc -5.75 3.083 --view-half-angle-deg 45 --threshold 0 --json",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     source = parser.add_argument_group("light from outside (one of the first three)")
-    source.add_argument("--half-angle-deg", type=positive, metavar="DEG",
+    source.add_argument("--half-angle-deg", type=CONE_DEG, metavar="DEG",
                         help=f"from everywhere within this angle of the axis ({HALF_ANGLE_DEG:g})")  # fmt: skip
     add_angles(source, "--angles-deg", "a distant source at field angles: numbers, and ranges first:last:step")
-    source.add_argument("--disc", type=finite, nargs=2, metavar=("Z", "RADIUS"),
+    source.add_argument("--disc", type=PLACE_MM, nargs=2, metavar=("Z", "RADIUS"),
                         help="a Lambertian disc across the z axis, mm; its cone is --half-angle-deg")  # fmt: skip
-    source.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of --angles-deg, from +y to -x (0)")
-    source.add_argument("--wavelength-nm", type=positive, metavar="NM", help="wavelength (first of the scene's source)")
+    source.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG",
+                        help="azimuth of --angles-deg, from +y to -x (0)")  # fmt: skip
+    source.add_argument("--wavelength-nm", type=WAVELENGTH_NM, metavar="NM",
+                        help="wavelength (first of the scene's source)")  # fmt: skip
     view = parser.add_argument_group("view of the detector")
-    view.add_argument("--view-half-angle-deg", type=positive, metavar="DEG",
+    view.add_argument("--view-half-angle-deg", type=CONE_DEG, metavar="DEG",
                       help="rays leave the detector within this angle of its normal (90)")  # fmt: skip
     view.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
     view.add_argument("--stop", metavar="NAME", help="part or shape that is the aperture stop (found by marginal rays)")
     tracing = parser.add_argument_group("rays (default: as the scene says, else what stands in brackets)")
-    tracing.add_argument("--rays", type=count, metavar="N",
+    tracing.add_argument("--rays", type=RAYS, metavar="N",
                          help="start rays from the detector, and from outside at each angle (1e6)")  # fmt: skip
-    tracing.add_argument("--threshold", type=finite, metavar="W",
+    tracing.add_argument("--threshold", type=SHARE, metavar="W",
                          help="flux that makes an object count, W for each W that starts (1e-6)")  # fmt: skip
     tracing.add_argument("--ray-control", choices=("transmit_specular", "reflect_specular", "allow_all", "halt_all"),
                          help="what surfaces send on (transmit_specular)")  # fmt: skip
     tracing.add_argument("--no-total-reflection", action="store_true", help="end rays in total reflection")
-    tracing.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one way (64)")
-    tracing.add_argument("--seed", type=count, metavar="N", help="seed of the random numbers (0)")
+    tracing.add_argument("--max-events", type=EVENTS, metavar="N", help="surfaces met on one way (64)")
+    tracing.add_argument("--seed", type=SEED, metavar="N", help="seed of the random numbers (0)")
     add_machine(tracing)
     output = add_output(parser, "objects.html, CSV, JSON and PNG files", formats=TABLE_FORMATS)
-    output.add_argument(
-        "--rows", type=count, default=ROWS_SHOWN, metavar="N", help=f"rows of each table ({ROWS_SHOWN})"
-    )
+    output.add_argument("--rows", type=ROWS, default=ROWS_SHOWN, metavar="N", help=f"rows of each table ({ROWS_SHOWN})")
     parser.set_defaults(run=run)
 
 

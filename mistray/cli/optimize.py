@@ -9,7 +9,7 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import INTERRUPTED, RAW, count
+from mistray.cli.arguments import INTERRUPTED, Help
 from mistray.cli.tracing_arguments import (
     add_machine,
     add_output,
@@ -21,6 +21,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import MistrayError
+from mistray.ranges import ROWS, SEEDS
 
 if TYPE_CHECKING:
     from mistray.optimize import Start, Step
@@ -37,14 +38,14 @@ def add(commands: Any) -> None:
         epilog="examples:\n"
         "  mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar\n"
         "  mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar --steps 80 --resume",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     parser.add_argument("study", metavar="STUDY", type=Path, help="TOML file")
     parser.add_argument(
-        "--steps", type=count, metavar="N", help="most steps of each search (default: as the study says)"
+        "--steps", type=ROWS, metavar="N", help="most steps of each search (default: as the study says)"
     )
-    parser.add_argument("--verification-seeds", type=count, metavar="N", default=8,
+    parser.add_argument("--verification-seeds", type=SEEDS, metavar="N", default=8,
                         help="seeds on which the result is compared with the given design, at least 2 (8)")  # fmt: skip
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
     add_machine(parser)

@@ -30,7 +30,7 @@ from mistray.cli import (
     thermal,
     view,
 )
-from mistray.cli.arguments import INTERRUPTED, RAW, Parser, as_text
+from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
 from mistray.errors import MistrayError
 
 BAD_INPUT = 2
@@ -169,7 +169,7 @@ def _parser() -> argparse.ArgumentParser:
         "  mistray ghosts phone_camera --field-deg 0 10 20 --out out\n"
         "  mistray pst phone_camera_scatter --out out/pst\n"
         "  mistray ghosts --help",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)

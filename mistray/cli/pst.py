@@ -10,7 +10,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, RAW, add_angles, angles, count, finite, positive
+from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, Help, add_angles
 from mistray.cli.tracing_arguments import (
     MAP_FORMATS,
     TABLE_FORMATS,
@@ -32,6 +32,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, PIXELS, POLAR_DEG, RELATIVE_ERROR, ROWS
 
 if TYPE_CHECKING:
     from mistray.analysis import Pst
@@ -56,15 +57,15 @@ def add(commands: Any) -> None:
         "  mistray pst scene.xml --relative-error 0.01 --up-to-deg 60 --out out --resume    # go on to 1 %\n"
         "  mistray pst scene.xml --azimuths-deg 0:350:10 --map-angles-deg 20 40 --out out\n"
         "  mistray pst scene.xml --angles-deg 0 10 20 --method forward --convention projected --json",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     directions = parser.add_argument_group("directions (angles: numbers, and ranges first:last:step)")
     add_angles(directions, "--angles-deg", "field angles, ascending (0:80:2)")
-    add_angles(directions, "--azimuths-deg", "azimuths of a map, from +y towards -x (the mean over all)", angles)
-    directions.add_argument("--cell-deg", type=positive, metavar="DEG",
+    add_angles(directions, "--azimuths-deg", "azimuths of a map, from +y towards -x (the mean over all)", AZIMUTH_DEG)
+    directions.add_argument("--cell-deg", type=CELL_WIDTH_DEG, metavar="DEG",
                             help="width of the cells of field angle that the PST is averaged over (2)")  # fmt: skip
-    directions.add_argument("--azimuth-cell-deg", type=positive, metavar="DEG",
+    directions.add_argument("--azimuth-cell-deg", type=AZIMUTH_WIDTH_DEG, metavar="DEG",
                             help="and of azimuth (the distance of two azimuths)")  # fmt: skip
     result = parser.add_argument_group("result")
     result.add_argument("--method", choices=("adjoint", "forward"), default="adjoint",
@@ -72,9 +73,9 @@ def add(commands: Any) -> None:
     result.add_argument("--convention", choices=("normal", "projected"), default="normal",
                         help="E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ) (normal)")  # fmt: skip
     result.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
-    result.add_argument("--relative-error", type=positive, metavar="E",
+    result.add_argument("--relative-error", type=RELATIVE_ERROR, metavar="E",
                         help="take the rays that this standard error over the PST needs at every angle")  # fmt: skip
-    result.add_argument("--up-to-deg", type=finite, metavar="DEG",
+    result.add_argument("--up-to-deg", type=POLAR_DEG, metavar="DEG",
                         help="angles beyond this do not count for --relative-error")  # fmt: skip
     source = parser.add_argument_group("source (default: as the scene says)")
     add_spectrum(source)
@@ -87,11 +88,11 @@ def add(commands: Any) -> None:
     saved.add_argument("--resume", action="store_true", help="go on from the saved run")
     formats = (*TABLE_FORMATS, *MAP_FORMATS)
     output = add_output(parser, "report.html, CSV, JSON and PNG files", formats=formats)
-    output.add_argument("--paths-shown", type=count, default=4, metavar="N",
+    output.add_argument("--paths-shown", type=ROWS, default=4, metavar="N",
                         help="strongest stray paths of each angle; 0: no paths (4)")  # fmt: skip
     add_angles(output, "--map-angles-deg", "field angles of irradiance maps of the detector (need --out)")
-    output.add_argument("--map-azimuth-deg", type=finite, metavar="DEG", help="their azimuth (the first one)")
-    output.add_argument("--map-pixels", type=count, metavar="N", help=f"pixels along their longer side ({MAP_PIXELS})")
+    output.add_argument("--map-azimuth-deg", type=AZIMUTH_DEG, metavar="DEG", help="their azimuth (the first one)")
+    output.add_argument("--map-pixels", type=PIXELS, metavar="N", help=f"pixels along their longer side ({MAP_PIXELS})")
     parser.set_defaults(run=run)
 
 
@@ -175,8 +176,6 @@ def _check(options: argparse.Namespace) -> None:
     for name in ("map_pixels", "map_azimuth_deg"):
         if getattr(options, name) is not None and options.map_angles_deg is None:
             raise MistrayError(f"--{name.replace('_', '-')} without --map-angles-deg; say which angles to draw")
-    if options.map_pixels == 0:
-        raise MistrayError("--map-pixels is 0; give at least 1, or leave --map-angles-deg out")
     if options.method == "forward" and (options.resume or options.state is not None):
         given = "resume" if options.resume else "state"
         raise MistrayError(f"--{given} with --method forward; only the adjoint method can go on from a saved run")

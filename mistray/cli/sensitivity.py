@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from mistray.cli.arguments import RAW, count, field, finite, positive
+from mistray.cli.arguments import Help
 from mistray.cli.tracing_arguments import (
     add_output,
     add_ray_tree,
@@ -24,6 +24,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import MistrayError
+from mistray.ranges import CONE_DEG, EDGE_WIDTH, FACTOR, FIELD_DEG, POLAR_DEG, POSITIVE, ROWS
 
 # Metrics and the arguments that they take
 PATHS = ("path_power", "ghost_to_signal", "peak_irradiance", "ghost_rms_irradiance", "ghost_focus")
@@ -55,7 +56,7 @@ def add(commands: Any) -> None:
         "  mistray sensitivity baffle_tube --metric pst_band --band-deg 20 80 --rays 2e5\n"
         "  mistray sensitivity phone_camera --parameter '*.R' --together 'L*.R' --monte-carlo 100\n"
         "  mistray sensitivity phone_camera_scatter --metric path_power --paths stray --kind scatter --json",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     what = parser.add_argument_group("metric")
@@ -63,14 +64,14 @@ def add(commands: Any) -> None:
                       help=f"{', '.join(METRICS)} (path_power)")  # fmt: skip
     what.add_argument("--paths", metavar="KIND",
                       help="of path_power and the like: ghost, stray … or the events of one path (ghost)")  # fmt: skip
-    what.add_argument("--field-deg", type=field, nargs="+", metavar="DEG",
+    what.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG",
                       help="field angles, averaged (the source's own)")  # fmt: skip
-    what.add_argument("--angle-deg", type=finite, metavar="DEG", help="of pst_bin: its field angle")
+    what.add_argument("--angle-deg", type=POLAR_DEG, metavar="DEG", help="of pst_bin: its field angle")
     what.add_argument(
-        "--band-deg", type=finite, nargs=2, metavar=("LOW", "HIGH"), help="of pst_band: its ends, degrees"
+        "--band-deg", type=POLAR_DEG, nargs=2, metavar=("LOW", "HIGH"), help="of pst_band: its ends, degrees"
     )
     what.add_argument(
-        "--patch-deg", type=positive, metavar="DEG", help="of veiling_glare: half-width of the black patch"
+        "--patch-deg", type=CONE_DEG, metavar="DEG", help="of veiling_glare: half-width of the black patch"
     )
     what.add_argument("--light", metavar="CLASS", help="of a PST: stray, ghost, single_scatter, total … (stray)")
     add_spectrum(what)
@@ -83,18 +84,18 @@ def add(commands: Any) -> None:
                        help="patterns of parameters that vary together and count as one")  # fmt: skip
     about.add_argument("--change", nargs="+", metavar="KEY",
                        help="what may be changed to lower the metric (coatings, scatter, structure)")  # fmt: skip
-    about.add_argument("--factor", type=positive, default=10.0, metavar="F", help="how much lower it shall be (10)")
-    about.add_argument("--reach", type=positive, default=10.0, metavar="N",
+    about.add_argument("--factor", type=FACTOR, default=10.0, metavar="F", help="how much lower it shall be (10)")
+    about.add_argument("--reach", type=POSITIVE, default=10.0, metavar="N",
                        help="largest change that is proposed, in tolerances; R and T have none (10)")  # fmt: skip
     about.add_argument("--no-check", action="store_true", help="do not trace the changes that are proposed")
-    about.add_argument("--monte-carlo", type=count, default=0, metavar="N", help="trace N perturbed systems (0)")
+    about.add_argument("--monte-carlo", type=ROWS, default=0, metavar="N", help="trace N perturbed systems (0)")
     about.add_argument("--no-edges", action="store_true", help="leave out what rays gain and lose at rims")
-    about.add_argument("--edge-width", type=positive, default=0.02, metavar="W",
+    about.add_argument("--edge-width", type=EDGE_WIDTH, default=0.02, metavar="W",
                        help="width of the zone at a rim in which rays count, over its radius (0.02)")  # fmt: skip
     add_scheduler(add_ray_tree(parser, "start rays at each field, or of the PST"))
     add_scatter(parser)
     output = add_output(parser, "report.html, CSV files, JSON and pictures")
-    output.add_argument("--top", type=count, default=20, metavar="N", help="rows of the table (20)")
+    output.add_argument("--top", type=ROWS, default=20, metavar="N", help="rows of the table (20)")
     parser.set_defaults(run=run)
 
 
@@ -179,4 +180,4 @@ def _tolerance(text: str) -> tuple[str, float]:
     key, sign, value = text.rpartition("=")
     if not sign or not key:
         raise argparse.ArgumentTypeError(f"'{text}' is no tolerance; write KEY=VALUE, such as 'L*_front.x=0.02'")
-    return key, positive(value)
+    return key, POSITIVE(value)

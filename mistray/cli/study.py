@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, RAW, add_angles, field, finite, positive
+from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, Help, add_angles
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_output,
@@ -30,6 +30,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, RELATIVE_ERROR
 
 STATE = "pst_state.npz"
 STEPS = 8
@@ -48,16 +49,17 @@ def add(commands: Any) -> None:
         "  mistray study scene.xml --angles-deg 0:80:2 --field-deg 0 10 18 22 --rays 4e6 --out out\n"
         "  mistray study scene.xml --relative-error 0.05 --rays 1e8 --out out    # until 5 % at every angle\n"
         "  mistray study scene.xml --quick --json",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     what = parser.add_argument_group("what is traced")
     add_angles(what, "--angles-deg", "field angles of the PST, numbers and ranges first:last:step (0:80:2)")
-    what.add_argument("--field-deg", type=field, nargs="+", metavar="DEG",
+    what.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG",
                       help="field angles of the ghosts (0, 1/2, 1 and 5/4 of the half field)")  # fmt: skip
-    what.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of these fields (as the scene says)")
+    what.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG",
+                      help="azimuth of these fields (as the scene says)")  # fmt: skip
     what.add_argument("--quick", action="store_true", help="fewer rays, for a first look")
-    what.add_argument("--relative-error", type=positive, metavar="E",
+    what.add_argument("--relative-error", type=RELATIVE_ERROR, metavar="E",
                       help="go on until the standard error over the PST is below this at every angle")  # fmt: skip
     what.add_argument("--convention", choices=("normal", "projected"), default="normal",
                       help="PST as E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ) (normal)")  # fmt: skip

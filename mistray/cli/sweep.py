@@ -7,7 +7,7 @@ import sys
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import INTERRUPTED, RAW, add_angles, angles, field, finite, positive
+from mistray.cli.arguments import INTERRUPTED, Help, add_angles
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_output,
@@ -26,6 +26,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM
 
 if TYPE_CHECKING:
     from mistray.sweeps import EditRanking, PstSweep, Sweep
@@ -45,16 +46,16 @@ def add(commands: Any) -> None:
         "  mistray sweep scene.xml states.toml --json --no-cache\n"
         "  mistray sweep baffle_tube edits.toml --pst-deg 10:60:10 --rays 1e6    # what each edit does to the PST\n"
         "  mistray sweep baffle_tube --pst-deg 10:60:10 --rank --step rim=0.5         # which edit would pay",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     parser.add_argument("study", metavar="STUDY", nargs="?", type=Path,
                         help="TOML file with the configurations (the scene as it is)")  # fmt: skip
     what = parser.add_argument_group("what is traced (default: as the scene says)")
-    what.add_argument("--field-deg", type=field, nargs="+", metavar="DEG", help="field angles, degrees")
-    what.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of the fields about z, degrees")
+    what.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG", help="field angles, degrees")
+    what.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG", help="azimuth of the fields about z, degrees")
     add_angles(what, "--pst-deg", "instead of fields: the PST at these field angles before and after what each "
-               "configuration moves, paints, coats or blocks", angles)  # fmt: skip
+               "configuration moves, paints, coats or blocks")  # fmt: skip
     what.add_argument("--rank", action="store_true",
                       help="with --pst-deg: rank what can be moved, blocked, painted and coated by the derivatives of "
                       "the stray PST; STUDY may be left out")  # fmt: skip
@@ -62,7 +63,7 @@ def add(commands: Any) -> None:
                       help="of --rank: steps by kind (position, tilt, rim, scatter, share, coating), key or pattern, "
                       "in the unit of the parameter or per cent of its value, 2%% (0.1 mm and deg; 1%% of scatter and "
                       "of R; 1 nm)")  # fmt: skip
-    what.add_argument("--wavelength-nm", type=positive, nargs="+", metavar="NM", help="wavelengths, nm")
+    what.add_argument("--wavelength-nm", type=WAVELENGTH_NM, nargs="+", metavar="NM", help="wavelengths, nm")
     add_scheduler(add_ray_tree(parser, "start rays of every row (1e6; 4e6 with --pst-deg)"))
     add_scatter(parser)
     output = add_output(parser, "report.html, CSV files, JSON and a picture", formats=TABLE_FORMATS)

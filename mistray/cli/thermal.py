@@ -5,7 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import Any
 
-from mistray.cli.arguments import RAW, finite, positive
+from mistray.cli.arguments import Help
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_output,
@@ -21,6 +21,7 @@ from mistray.cli.tracing_arguments import (
     start_mitsuba,
     working,
 )
+from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
 
 
 def add(commands: Any) -> None:
@@ -34,20 +35,20 @@ def add(commands: Any) -> None:
         "  mistray thermal scene.xml --temperature-K 293 --band-um 8 12 --out out\n"
         "  mistray thermal scene.xml --band-um 3 5 --part detector=77 'baffle_*=150' --scene-K 300\n"
         "  mistray thermal scene.xml --band-um 8 12 --wavelength-um 2 --max-scatters 3 --json",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     warmth = parser.add_argument_group("temperatures")
-    warmth.add_argument("--temperature-K", type=_kelvin, default=293.0, metavar="T",
+    warmth.add_argument("--temperature-K", type=TEMPERATURE_K, default=293.0, metavar="T",
                         help="of everything without one of its own, K (293)")  # fmt: skip
     warmth.add_argument("--part", type=_named, nargs="+", action="extend", metavar="NAME=T",
                         help="of surfaces, parts or materials by name, with * and ?; the last holds")  # fmt: skip
-    warmth.add_argument("--scene-K", type=_kelvin, metavar="T",
+    warmth.add_argument("--scene-K", type=TEMPERATURE_K, metavar="T",
                         help="of the blackbody around the system, K (--temperature-K)")  # fmt: skip
     band = parser.add_argument_group("band")
-    band.add_argument("--band-um", type=positive, nargs=2, default=(8.0, 12.0), metavar=("LOW", "HIGH"),
+    band.add_argument("--band-um", type=WAVELENGTH_UM, nargs=2, default=(8.0, 12.0), metavar=("LOW", "HIGH"),
                       help="of the detector, µm (8 12)")  # fmt: skip
-    band.add_argument("--wavelength-um", type=positive, nargs="+", metavar="UM",
+    band.add_argument("--wavelength-um", type=WAVELENGTH_UM, nargs="+", metavar="UM",
                       help="where optics are traced, µm (middle of the band, and its ends if need be)")  # fmt: skip
     band.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
     add_ray_tree(parser, "rays from the detector, for each wavelength and twice (2e5)")
@@ -91,17 +92,9 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _kelvin(text: str) -> float:
-    """A temperature in K."""
-    value = finite(text)
-    if value < 0:
-        raise argparse.ArgumentTypeError(f"{text} K is below absolute zero; temperatures are in K")
-    return value
-
-
 def _named(text: str) -> tuple[str, float]:
     """NAME=T."""
     name, found, value = text.rpartition("=")
     if not found or not name:
         raise argparse.ArgumentTypeError(f"'{text}' is no NAME=T, such as detector=77")
-    return name, _kelvin(value)
+    return name, TEMPERATURE_K(value)

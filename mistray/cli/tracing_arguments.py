@@ -13,8 +13,20 @@ from dataclasses import fields
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import as_text, count, finite, positive
+from mistray.cli.arguments import as_text
 from mistray.errors import MistrayError
+from mistray.ranges import (
+    AIMED_RAYS,
+    EVENTS,
+    LIMIT,
+    RAYS,
+    RAYS_PER_HIT,
+    SEED,
+    THREADS,
+    THRESHOLD,
+    WAVELENGTH_NM,
+    WEIGHT,
+)
 
 FIRST_SECOND = 1.0  # s, after which what is still at work says so
 
@@ -28,21 +40,21 @@ def add_scene(parser: argparse.ArgumentParser) -> None:
 
 def add_spectrum(group: Any) -> None:
     """Declare wavelengths and their weights in a group of arguments."""
-    group.add_argument("--wavelength-nm", type=positive, nargs="+", metavar="NM", help="wavelengths, nm")
-    group.add_argument("--weights", type=finite, nargs="+", metavar="W",
+    group.add_argument("--wavelength-nm", type=WAVELENGTH_NM, nargs="+", metavar="NM", help="wavelengths, nm")
+    group.add_argument("--weights", type=WEIGHT, nargs="+", metavar="W",
                        help="shares of the flux, one for each of --wavelength-nm (equal)")  # fmt: skip
 
 
 def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
     """Declare the settings of the ray tree; `rays` is the help of --rays. Returns their group."""
     group = parser.add_argument_group("ray tree (default: as the scene says, else what stands in brackets)")
-    group.add_argument("--rays", type=count, metavar="N", help=rays)
-    group.add_argument("--max-reflections", type=count, metavar="N",
+    group.add_argument("--rays", type=RAYS, metavar="N", help=rays)
+    group.add_argument("--max-reflections", type=LIMIT, metavar="N",
                        help="reflections on one path, those of mirrors and TIR not counted (2)")  # fmt: skip
-    group.add_argument("--max-generations", type=count, metavar="N",
+    group.add_argument("--max-generations", type=LIMIT, metavar="N",
                        help="reflections and scatter events together on one path (no limit)")  # fmt: skip
-    group.add_argument("--max-events", type=count, metavar="N", help="surfaces met on one path (64)")
-    group.add_argument("--flux-threshold", type=finite, metavar="F",
+    group.add_argument("--max-events", type=EVENTS, metavar="N", help="surfaces met on one path (64)")
+    group.add_argument("--flux-threshold", type=THRESHOLD, metavar="F",
                        help="flux below which a ray ends, relative to its start ray (1e-8)")  # fmt: skip
     group.add_argument("--cut-below", metavar="LIST",
                        help="flux below which branches end, relative to the start ray, by kind, such as "
@@ -53,7 +65,7 @@ def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
                        help="follow both rays at a surface, or one of them by chance (split)")  # fmt: skip
     group.add_argument("--below-threshold", choices=("cut", "roulette"),
                        help="end a ray below the threshold, or play unbiased roulette (cut)")  # fmt: skip
-    group.add_argument("--seed", type=count, metavar="N", help="seed of the random numbers (0)")
+    group.add_argument("--seed", type=SEED, metavar="N", help="seed of the random numbers (0)")
     group.add_argument("--ray-control", choices=("allow_all", "transmit_specular", "reflect_specular", "halt_all"),
                        help="what surfaces send on (allow_all)")  # fmt: skip
     group.add_argument("--polarization", choices=("unpolarized", "stokes"),
@@ -66,7 +78,7 @@ def add_machine(group: Any) -> None:
     """Declare what traces, see `start_mitsuba`."""
     group.add_argument("--variant", metavar="NAME",
                        help="Mitsuba variant; cuda_ad_rgb traces on an NVIDIA GPU (llvm_ad_rgb)")  # fmt: skip
-    group.add_argument("--threads", type=count, metavar="N", help="threads of the processor (all)")
+    group.add_argument("--threads", type=THREADS, metavar="N", help="threads of the processor (all)")
 
 
 def add_scheduler(group: Any) -> None:
@@ -87,17 +99,18 @@ def workers_of(options: argparse.Namespace) -> contextlib.AbstractContextManager
 def add_scatter(parser: argparse.ArgumentParser) -> None:
     """Declare the settings of scatter."""
     group = parser.add_argument_group("scatter (default: as the scene says, else what stands in brackets)")
-    group.add_argument("--max-scatters", type=count, metavar="N", help="scatter events on one path; 0: none (1)")
-    group.add_argument("--max-optical-scatters", type=count, metavar="N",
+    group.add_argument("--max-scatters", type=LIMIT, metavar="N", help="scatter events on one path; 0: none (1)")
+    group.add_argument("--max-optical-scatters", type=LIMIT, metavar="N",
                        help="those of them at surfaces that transmit (no limit)")  # fmt: skip
-    group.add_argument("--max-random-scatters", type=count, metavar="N",
+    group.add_argument("--max-random-scatters", type=LIMIT, metavar="N",
                        help="those of them that are not aimed at a target (no limit)")  # fmt: skip
-    group.add_argument("--scatter-rays", type=count, metavar="N", help="rays scattered at random at every hit (1)")
-    group.add_argument("--aimed-rays", type=count, metavar="N",
+    group.add_argument("--scatter-rays", type=RAYS_PER_HIT, metavar="N",
+                       help="rays scattered at random at every hit (1)")  # fmt: skip
+    group.add_argument("--aimed-rays", type=AIMED_RAYS, metavar="N",
                        help="rays aimed at the targets at every hit, to either side; 0: none (1)")  # fmt: skip
     group.add_argument("--aim", choices=("auto", "targets", "none"),
                        help="aim at the detector and targets of the scene, only at these, or not (auto)")  # fmt: skip
-    group.add_argument("--scatter-threshold", type=finite, metavar="F",
+    group.add_argument("--scatter-threshold", type=THRESHOLD, metavar="F",
                        help="flux below which hits scatter by chance, relative to the ray's start (0.1)")  # fmt: skip
 
 

@@ -8,7 +8,7 @@ from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import RAW, count, field, finite
+from mistray.cli.arguments import Help
 from mistray.cli.tracing_arguments import (
     add_ray_tree,
     add_scatter,
@@ -23,6 +23,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM, RAYS_DRAWN, ROWS
 
 if TYPE_CHECKING:
     from mistray.report import View
@@ -48,28 +49,29 @@ def add(commands: Any) -> None:
         "  mistray view cooke_triplet --field-deg 10 --layout triplet.pdf --save-rays rays.ply\n"
         "  mistray view scene.xml --cut-deg 90 --path-ids 0 3 7 --out view.html\n"
         "  mistray view scene.xml --no-trace",
-        formatter_class=RAW,
+        formatter_class=Help,
     )
     add_scene(parser)
     source = parser.add_argument_group("source (default: as the scene says)")
-    source.add_argument("--field-deg", type=field, metavar="DEG", help="field angle, degrees")
-    source.add_argument("--azimuth-deg", type=finite, metavar="DEG", help="azimuth of the field about z, degrees")
+    source.add_argument("--field-deg", type=FIELD_DEG, metavar="DEG", help="field angle, degrees")
+    source.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG", help="azimuth of the field about z, degrees")
     add_spectrum(source)
     add_ray_tree(parser, f"start rays ({RAYS}, whatever the scene says)")
     add_scatter(parser)
     picture = parser.add_argument_group("picture")
     picture.add_argument(
-        "--paths", type=count, metavar="N", help="rows of the path table, strongest first (8; 4 in a layout)"
+        "--paths", type=ROWS, metavar="N", help="rows of the path table, strongest first (8; 4 in a layout)"
     )
-    picture.add_argument("--path-ids", type=count, nargs="+", metavar="ID", help="these rows instead")
+    picture.add_argument("--path-ids", type=ROWS, nargs="+", metavar="ID", help="these rows instead")
     picture.add_argument("--filter", metavar="EXPR",
                          help="strongest rows that pass a filter, as 'G(lens*) & !S' (docs/rays.md)")  # fmt: skip
-    picture.add_argument("--rays-per-path", type=_rays, metavar="N", help="most rays of each path (10; 7 in a layout)")
+    picture.add_argument("--rays-per-path", type=RAYS_DRAWN, metavar="N",
+                         help="most rays of each path (10; 7 in a layout)")  # fmt: skip
     picture.add_argument("--colour", choices=("flux", "absorbed", "role"),
                          help="of surfaces: incident flux, absorbed flux, or what they are (flux)")  # fmt: skip
     picture.add_argument("--cut-deg", type=_cut, metavar="DEG",
                          help="azimuth of the half that is taken away, about z; none: the whole (180)")  # fmt: skip
-    picture.add_argument("--cut-mm", type=finite, metavar="MM",
+    picture.add_argument("--cut-mm", type=PLACE_MM, metavar="MM",
                          help="distance of the cut from the z axis, mm (0)")  # fmt: skip
     picture.add_argument("--no-trace", action="store_true", help="the scene alone: no rays, no flux")
     output = parser.add_argument_group("output")
@@ -211,12 +213,4 @@ def _record(traced: Trace | None, paths: int, options: argparse.Namespace) -> di
 
 def _cut(text: str) -> float | str:
     """An azimuth in degrees, or "none"."""
-    return WHOLE if text == WHOLE else finite(text)
-
-
-def _rays(text: str) -> int:
-    """A whole number above 0."""
-    value = count(text)
-    if value == 0:
-        raise argparse.ArgumentTypeError("0 rays show nothing; give 1 or more")
-    return value
+    return WHOLE if text == WHOLE else AZIMUTH_DEG(text)

@@ -12,6 +12,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.optimize.metrics import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
+from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.trace.energy import batch_error
 from mistray.trace.geometry_gradient import geometry_columns
 from mistray.trace.ledger import BATCHES
@@ -248,8 +249,7 @@ def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str]
 
 def wanted_of(chosen: Iterable[Parameter], edges: bool, edge_width: float) -> Wanted:
     """What the tracer must gather for some parameters."""
-    if not 0 < edge_width <= 0.5:
-        raise MistrayError(f"edge_width is {edge_width:g}; it is relative to the radius of a rim, between 0 and 0.5")
+    ZONE.check("edge_width", edge_width)
     chosen = list(chosen)
     kinds = {p.kind for p in chosen}
     shapes = [p for p in chosen if p.kind not in (*COATING_KINDS, *OTHER_KINDS)]

@@ -20,6 +20,7 @@ from mistray.optimize.propagation import Spread, propagate
 from mistray.optimize.proposals import SEEDS, free_keys, traced_change
 from mistray.optimize.sensitivity_rows import Line, Row, Table, lines_of, shifted_values, whole_values
 from mistray.optimize.tolerance_draws import Draws, draw_systems
+from mistray.ranges import FACTOR, POSITIVE
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -214,10 +215,8 @@ def sensitivity(
         If a key is unknown, nothing is left to differentiate by, an argument is out of range, or the metric is 0 or not
         finite.
     """
-    if not factor > 1 or not math.isfinite(factor):
-        raise MistrayError(f"factor is {factor:g}; the metric shall become smaller: give a number greater than 1")
-    if not reach > 0:
-        raise MistrayError(f"reach is {reach:g}; it must be greater than 0, in tolerances")
+    FACTOR.check("factor", factor)
+    POSITIVE.check("reach", reach)
     if monte_carlo != int(monte_carlo) or monte_carlo < 0 or monte_carlo == 1:
         raise MistrayError(f"monte_carlo is {monte_carlo}; give the number of perturbed systems, at least 2, or 0")
     given = mi.traverse(metric.scene) if params is None else params

@@ -29,6 +29,7 @@ from mistray.prescription.geometry import is_gas
 from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
 from mistray.prescription.sequential import Sequential
 from mistray.prescription.sequential_rays import curvature
+from mistray.ranges import MARGIN as MARGIN_RANGE
 
 Beam = Literal["pupil", "front"]
 MARGIN = 0.02
@@ -132,8 +133,7 @@ def build(
         raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
     if beam not in ("pupil", "front"):
         raise MistrayError(f"beam = '{beam}'; it is 'pupil' or 'front'")
-    if not (math.isfinite(margin) and margin >= 0):
-        raise MistrayError(f"margin = {margin:g}; it must be 0 or more")
+    MARGIN_RANGE.check("margin", margin)
     table = OpticalSurfaces(sequential, coatings, margin)
     cut_holes(table)
     return _structured(table, Closing(edges, ground_reflectance), beam, detector_half_mm)

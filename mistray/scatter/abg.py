@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 from mistray.errors import MistrayError
 from mistray.physics import abg
+from mistray.ranges import NOT_NEGATIVE, SLOPE, WAVELENGTH_NM
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import need_not_negative, need_positive, unusual, within
+from mistray.scatter.numbers import unusual, within
 
 SMALLEST_B = 1e-12
 
@@ -38,19 +38,15 @@ class ABg(Placement):
         If a number is out of range.
     """
 
-    A: float
-    B: float
-    g: float
-    reference_nm: float | None = None
+    A: float = NOT_NEGATIVE.field()
+    B: float = NOT_NEGATIVE.field()
+    g: float = SLOPE.field()
+    reference_nm: float | None = WAVELENGTH_NM.field(None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        need_not_negative(self.title, "A", self.A)
-        need_not_negative(self.title, "g", self.g)
-        if not math.isfinite(self.B) or self.B < 0 or (self.g > 0 and self.B <= SMALLEST_B):
+        if self.g > 0 and self.B <= SMALLEST_B:
             raise MistrayError(f"{self.title}: B is {self.B:g}; give B > {SMALLEST_B:g}, or B ≥ 0 with g = 0")
-        if self.reference_nm is not None:
-            need_positive(self.title, "reference_nm", self.reference_nm, " nm")
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""

@@ -8,8 +8,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics import diffraction
+from mistray.ranges import SIZE_MM
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import need_positive
 from mistray.scatter.radial import OCTAVES, R_MAX
 
 FIRST_R = R_MAX * 2.0**-OCTAVES  # below it the lobe is flat, as its table is
@@ -40,14 +40,13 @@ class EdgeDiffraction(Placement):
         If a number is out of range. `lobes` raises it where the ring is not much wider than a wavelength.
     """
 
-    width_mm: float
+    width_mm: float = SIZE_MM.field()
     law: str = "half_plane"
     _: KW_ONLY
     event: str = "transmission"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        need_positive(self.title, "width_mm", self.width_mm, " mm")
         diffraction.spread(self.law)
         if self.event != "transmission":
             raise MistrayError(f"{self.title}: event is '{self.event}'; an edge diffracts what passes it: transmission")

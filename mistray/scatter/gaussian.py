@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from mistray.errors import MistrayError
 from mistray.physics import gaussian
+from mistray.ranges import LOBE_WIDTH, SHARE
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import need_positive, unusual
+from mistray.scatter.numbers import unusual
 
 
 @dataclass(frozen=True)
@@ -31,14 +30,11 @@ class Gaussian(Placement):
         If a number is out of range.
     """
 
-    total: float
-    width: float
+    total: float = SHARE.field()
+    width: float = LOBE_WIDTH.field()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if not (math.isfinite(self.total) and 0 <= self.total <= 1):
-            raise MistrayError(f"{self.title}: total is {self.total:g}; give a share of light, 0 … 1")
-        need_positive(self.title, "width", self.width)
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""

@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.physics import harvey_shack
+from mistray.ranges import FALL, NOT_NEGATIVE, POSITIVE, ROUGHNESS_NM, WAVELENGTH_NM
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import need_not_negative, need_positive, unusual, within
+from mistray.scatter.numbers import unusual, within
 
 
 def index_step(event: str, n_in: Any, n_out: Any) -> Any:
@@ -70,26 +70,17 @@ class HarveyShack(Placement):
         that is not smooth at a wavelength.
     """
 
-    b0: float | None = None
-    l: float = 0.01  # noqa: E741
-    s: float = -1.5
-    reference_nm: float | None = None
-    rms_nm: float | None = None
+    b0: float | None = NOT_NEGATIVE.field(None)
+    l: float = POSITIVE.field(0.01)  # noqa: E741
+    s: float = FALL.field(-1.5)
+    reference_nm: float | None = WAVELENGTH_NM.field(None)
+    rms_nm: float | None = ROUGHNESS_NM.field(None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        need_positive(self.title, "l", self.l)
-        if not (math.isfinite(self.s) and self.s < 0):
-            raise MistrayError(f"{self.title}: s is {self.s:g}; give s < 0, so that the BSDF falls with angle")
         if (self.b0 is None) == (self.rms_nm is None):
             given = "neither" if self.b0 is None else "both"
             raise MistrayError(f"{self.title}: {given} of b0 and rms_nm given; give one of them")
-        if self.b0 is not None:
-            need_not_negative(self.title, "b0", self.b0)
-        if self.rms_nm is not None:
-            need_not_negative(self.title, "rms_nm", self.rms_nm, " nm")
-        if self.reference_nm is not None:
-            need_positive(self.title, "reference_nm", self.reference_nm, " nm")
 
     def parameters(self, wavelength_nm: float, event: str, n_in: float, n_out: float) -> tuple[float, float]:
         """

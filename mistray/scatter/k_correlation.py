@@ -11,9 +11,9 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import harvey_shack, k_correlation
+from mistray.ranges import LENGTH_UM, ROUGHNESS_NM, SPECTRUM_SLOPE, WAVELENGTH_NM
 from mistray.scatter.harvey_shack import index_step
 from mistray.scatter.lobe import Lobe
-from mistray.scatter.numbers import need_not_negative, need_positive
 from mistray.scatter.ratio_tables import Directions, over_radius
 from mistray.scatter.rough_surface import RoughSurface
 
@@ -53,19 +53,16 @@ class KCorrelation(RoughSurface):
         for the theory at a wavelength.
     """
 
-    rms_nm: float
-    B_um: float
-    slope: float
+    rms_nm: float = ROUGHNESS_NM.field()
+    B_um: float = LENGTH_UM.field()
+    slope: float = SPECTRUM_SLOPE.field()
     band_limited: bool = False
-    reference_nm: float | None = None
+    reference_nm: float | None = WAVELENGTH_NM.field(None)
 
     rougher = "use theory ghs_full, with slope 3"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        need_not_negative(self.title, "rms_nm", self.rms_nm, " nm")
-        need_positive(self.title, "B_um", self.B_um, " um")
-        need_positive(self.title, "slope", self.slope)
         if self.slope <= 2 and not self.band_limited:
             raise MistrayError(
                 f"{self.title}: slope is {self.slope:g}, whose total roughness is infinite; give slope > 2 or "
@@ -73,10 +70,8 @@ class KCorrelation(RoughSurface):
             )
         if self.theory == "ghs_full" and (self.slope != 3 or self.band_limited):
             raise MistrayError(f"{self.title}: theory ghs_full needs slope 3 and a total roughness; use ghs for others")
-        if self.reference_nm is not None:
-            need_positive(self.title, "reference_nm", self.reference_nm, " nm")
-            if not self.band_limited:
-                raise MistrayError(f"{self.title}: reference_nm goes with band_limited; leave it out or set that")
+        if self.reference_nm is not None and not self.band_limited:
+            raise MistrayError(f"{self.title}: reference_nm goes with band_limited; leave it out or set that")
 
     def amplitude_um4(self, wavelength_nm: float) -> float:
         """A' of the roughness spectrum, µm⁴; depends on the wavelength, nm, only where the band of `rms_nm` does."""

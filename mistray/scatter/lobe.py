@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ranges import check_fields
 
 EVENTS = ("reflection", "transmission")
 MEASURES = ("cosines", "angle")
@@ -200,6 +201,7 @@ class Placement:
     name: str = ""
 
     def __post_init__(self) -> None:
+        check_fields(self, self.title)
         known = (
             ("event", ("both", *EVENTS)),
             ("side", ("both", "front", "back")),

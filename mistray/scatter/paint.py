@@ -15,6 +15,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics import harvey_shack
 from mistray.physics.paint import gain
+from mistray.ranges import BINDER_INDEX, FALL, NOT_NEGATIVE, POSITIVE, SHARE
 from mistray.scatter.lobe import Lobe, Placement, RatioTable
 from mistray.scatter.total import lobe_total
 
@@ -63,27 +64,17 @@ class Paint(Placement):
         If a parameter is out of range, or more than all light is scattered at some angle.
     """
 
-    reflectance: float = 0.0
-    b0: float = 0.0
-    l: float = 0.1  # noqa: E741 (its name in the literature)
-    s: float = -2.0
-    n: float | None = None
+    reflectance: float = SHARE.field(0.0)
+    b0: float = NOT_NEGATIVE.field(0.0)
+    l: float = POSITIVE.field(0.1)  # noqa: E741 (its name in the literature)
+    s: float = FALL.field(-2.0)
+    n: float | None = BINDER_INDEX.field(None)
     _: KW_ONLY
     event: str = "reflection"
     relative_to: str = "incident"
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        rules = (
-            ("reflectance", self.reflectance, 0 <= self.reflectance <= 1, "give a number from 0 to 1"),
-            ("b0", self.b0, 0 <= self.b0 < math.inf, "give a number of 0 or more, 1/sr"),
-            ("l", self.l, 0 < self.l < math.inf, "it must be greater than 0"),
-            ("s", self.s, -math.inf < self.s < 0, "it must be negative, or the lobe does not fall"),
-            ("n", self.n, self.n is None or 1 < self.n < math.inf, "it must be greater than 1, or left out"),
-        )
-        for key, value, good, remedy in rules:
-            if not good:
-                raise MistrayError(f"{self.title}: {key} = {value:g}; {remedy}")
         if self.reflectance == 0 and self.b0 == 0:
             raise MistrayError(f"{self.title}: reflectance and b0 are 0, nothing is scattered; leave the model out")
         total = np.sum([lobe_total(lobe, CHECKED_COSINES, 1.0, 1.0) for lobe in self._lobes("reflection")], axis=0)

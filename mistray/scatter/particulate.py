@@ -11,8 +11,8 @@ from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.physics import contamination
 from mistray.physics.contamination import CLEANED_SLOPE, SMALLEST_UM, Cloud
+from mistray.ranges import COVERAGE_PERCENT, INDEX, LENGTH_UM, LEVEL, SPECTRUM_SLOPE
 from mistray.scatter.lobe import Lobe, Placement, Scatter
-from mistray.scatter.numbers import need_positive
 from mistray.scatter.particle_clouds import kept_cloud
 
 DUST = "dust"
@@ -64,13 +64,13 @@ class Particulate(Placement):
         "incident": scatter of particles is a share of the specular beam.
     """
 
-    level: float | None = None
-    coverage_percent: float | None = None
-    slope: float = CLEANED_SLOPE
+    level: float | None = LEVEL.field(None)
+    coverage_percent: float | None = COVERAGE_PERCENT.field(None)
+    slope: float = SPECTRUM_SLOPE.field(CLEANED_SLOPE)
     particle: str = DUST
-    min_um: float = SMALLEST_UM
-    max_um: float | None = None
-    immersion: float = 1.0
+    min_um: float = LENGTH_UM.field(SMALLEST_UM)
+    max_um: float | None = LENGTH_UM.field(None)
+    immersion: float = INDEX.field(1.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -79,9 +79,6 @@ class Particulate(Placement):
         if (self.level is None) == (self.coverage_percent is None):
             given = "neither" if self.level is None else "both"
             raise MistrayError(f"{self.title}: {given} of level and coverage_percent given; give one of them")
-        if self.coverage_percent is not None:
-            need_positive(self.title, "coverage_percent", self.coverage_percent, " %")
-        need_positive(self.title, "immersion", self.immersion)
         contamination.check_distribution(self.cleanliness, self.slope, self.min_um, self.max_um)
 
     @property

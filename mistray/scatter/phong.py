@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
-from mistray.errors import MistrayError
 from mistray.physics import phong
+from mistray.ranges import EXPONENT, NOT_NEGATIVE
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import need_not_negative, unusual
+from mistray.scatter.numbers import unusual
 
 
 @dataclass(frozen=True)
@@ -32,14 +31,11 @@ class Phong(Placement):
         If a number is out of range.
     """
 
-    b0: float
-    exponent: float
+    b0: float = NOT_NEGATIVE.field()
+    exponent: float = EXPONENT.field()
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        need_not_negative(self.title, "b0", self.b0)
-        if not (math.isfinite(self.exponent) and self.exponent >= 1):
-            raise MistrayError(f"{self.title}: exponent is {self.exponent:g}; give a number ≥ 1")
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""

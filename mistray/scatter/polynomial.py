@@ -12,8 +12,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics import polynomial
+from mistray.ranges import POSITIVE
 from mistray.scatter.lobe import Lobe, Placement, RatioTable
-from mistray.scatter.numbers import need_positive
 
 DIFFUSE, LORENTZIAN = re.compile(r"c(\d)(\d)(\d)"), re.compile(r"l(\d)(\d)")
 D = 1e4  # FRED's own start
@@ -79,7 +79,7 @@ class Polynomial(Placement):
     """
 
     coefficients: tuple[tuple[str, float], ...]
-    d: float = D
+    d: float = POSITIVE.field(D)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -91,7 +91,6 @@ class Polynomial(Placement):
                 raise MistrayError(f"{self.title}: {name} is {value:g}; give a finite number")
         if "c000" not in names or len(set(names)) < len(names):
             raise MistrayError(f"{self.title}: coefficients {', '.join(names) or 'none'}; give each once, and c000")
-        need_positive(self.title, "d", self.d)
         with np.errstate(all="ignore"):
             whole, over_carrier = self._tabled(FEW)
         largest = float(np.max(np.maximum(whole, over_carrier)))

@@ -12,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ranges import NOT_NEGATIVE
 from mistray.scatter.bsdf_csv import numbers, read_lines
-from mistray.scatter.numbers import need_not_negative
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.rough_surface import RoughSurface
 
@@ -56,7 +56,7 @@ class PsdTable(RoughSurface):
     frequency_1_um: tuple[float, ...]
     psd_um4: tuple[float, ...]
     beyond: str = "error"
-    scale: float = 1.0
+    scale: float = NOT_NEGATIVE.field(1.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -74,7 +74,6 @@ class PsdTable(RoughSurface):
             )
         if self.beyond not in BEYOND:
             raise MistrayError(f"{self.title}: beyond is '{self.beyond}'; use 'error', 'slope' or 'zero'")
-        need_not_negative(self.title, "scale", self.scale)
 
     @classmethod
     def read(cls, path: str | Path, **options: Any) -> PsdTable:

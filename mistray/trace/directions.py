@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, POLAR_DEG
 
 CELL_DEG = 2.0  # width of a cell where the angles say nothing
 
@@ -70,17 +71,15 @@ class DirectionGrid:
         rotation : (3, 3) float64, optional
         """
         angles = np.atleast_1d(np.asarray(angles_deg, dtype=np.float64))
-        if angles.ndim != 1 or not angles.size or not np.all(np.isfinite(angles)):
+        if angles.ndim != 1 or not angles.size:
             raise MistrayError(f"angles_deg is {_short(angles_deg)}; give one or more field angles in degrees")
-        outside = angles[(angles < 0) | (angles > 90)]
-        if outside.size:
-            raise MistrayError(f"angles_deg holds {outside[0]:g}; field angles must lie between 0 and 90 degrees")
+        for angle in angles:
+            POLAR_DEG.check("angles_deg", float(angle))
         apart = float(np.min(np.diff(angles), initial=np.inf))
         if apart <= 0:
             raise MistrayError("angles_deg must ascend; sort the field angles and give each once")
         width = min(CELL_DEG, apart) if cell_deg is None else float(cell_deg)
-        if not 0 < width <= 90:
-            raise MistrayError(f"cell_deg is {width:g}; it must be positive and at most 90 degrees")
+        CELL_WIDTH_DEG.check("cell_deg", width)
         if width > apart * (1 + 1e-9):
             raise MistrayError(
                 f"cell_deg is {width:g}; it must be at most the distance of two angles, {apart:g} degrees"
@@ -92,16 +91,19 @@ class DirectionGrid:
             azimuths, span = np.zeros(1), 360.0
         else:
             azimuths = np.atleast_1d(np.asarray(azimuths_deg, dtype=np.float64))
-            if azimuths.ndim != 1 or not azimuths.size or not np.all(np.isfinite(azimuths)):
+            if azimuths.ndim != 1 or not azimuths.size:
                 raise MistrayError(f"azimuths_deg is {_short(azimuths_deg)}; give one or more azimuths in degrees")
+            for azimuth in azimuths:
+                AZIMUTH_DEG.check("azimuths_deg", float(azimuth))
             around = np.sort(azimuths % 360)
             gaps = np.diff(np.append(around, around[0] + 360))
             span = min(10.0, float(gaps.min())) if len(around) == 1 else float(gaps.min())
             if azimuth_cell_deg is not None:
-                if not 0 < azimuth_cell_deg <= gaps.min() * (1 + 1e-9):
+                AZIMUTH_WIDTH_DEG.check("azimuth_cell_deg", azimuth_cell_deg)
+                if azimuth_cell_deg > gaps.min() * (1 + 1e-9):
                     raise MistrayError(
-                        f"azimuth_cell_deg is {azimuth_cell_deg:g}; it must be positive and at most the distance of "
-                        f"two azimuths, {gaps.min():g} degrees"
+                        f"azimuth_cell_deg is {azimuth_cell_deg:g}; it must be at most the distance of two azimuths, "
+                        f"{gaps.min():g} degrees"
                     )
                 span = float(azimuth_cell_deg)
             elif span <= 0:

@@ -11,9 +11,9 @@ import numpy as np
 
 from mistray._mitsuba_compat import mesh_arrays
 from mistray.errors import MistrayError
+from mistray.ranges import RAYS_PER_HIT
 from mistray.trace.host_points import outline, surface_points
 from mistray.trace.scattering_bodies import scattering_bodies
-from mistray.trace.settings import MOST_RAYS_PER_HIT
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.targets import AimSet, AnyTarget, Cone, Ellipsoid, Place, Target
 
@@ -78,9 +78,9 @@ def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
     """Targets of one side with their numbers of rays; the parts of one mesh share its rays by their `share`."""
     weights = [rays * target.share for rays, target in entries]
     total = round(sum(weights))
-    if total > MOST_RAYS_PER_HIT:
+    if total > RAYS_PER_HIT.high:
         raise MistrayError(
-            f"surface '{surface}': {total} aimed rays; its targets may have {MOST_RAYS_PER_HIT} together"
+            f"surface '{surface}': {total} aimed rays; its targets may have {RAYS_PER_HIT.high:g} together"
         )
     return AimSet.of([target for _, target in entries], max(total, 1), weights)
 

@@ -6,12 +6,10 @@ from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from typing import Any
 
-import numpy as np
-
 from mistray.errors import MistrayError
+from mistray.ranges import AIMED_RAYS, EVENTS, LIMIT, RAYS, RAYS_PER_HIT, SEED, THRESHOLD, check_fields
 
-NO_LIMIT = 2**15 - 1  # of reflections or scatters: more than a path can have
-MOST_RAYS_PER_HIT = 255
+NO_LIMIT = int(LIMIT.high)
 RAY_CONTROLS = ("allow_all", "transmit_specular", "reflect_specular", "halt_all")
 BRANCHES = {
     "R": "specular_reflection",
@@ -20,7 +18,6 @@ BRANCHES = {
     "t": "scattered_transmission",
 }  # letters of the branches that `cut_below` tells apart, in its order; what a medium scatters is transmitted
 LARGEST = 1e30  # threshold: the kernel has float32
-MAX_EVENTS = 64  # the pending children of a path are the bits of one 64-bit word
 
 
 @dataclass(frozen=True)
@@ -77,23 +74,23 @@ class Settings:
         Average R and T over both polarisations at every hit, or carry the Stokes vector of every branch along.
     """
 
-    rays: int = 1_000_000
-    max_reflections: int = 2
-    max_scatters: int = 1
-    max_optical_scatters: int = NO_LIMIT
-    max_random_scatters: int = NO_LIMIT
-    max_generations: int = NO_LIMIT
-    max_events: int = MAX_EVENTS
-    scatter_rays: int = 1
-    aimed_rays: int = 1
+    rays: int = RAYS.field(1_000_000)
+    max_reflections: int = LIMIT.field(2)
+    max_scatters: int = LIMIT.field(1)
+    max_optical_scatters: int = LIMIT.field(NO_LIMIT)
+    max_random_scatters: int = LIMIT.field(NO_LIMIT)
+    max_generations: int = LIMIT.field(NO_LIMIT)
+    max_events: int = EVENTS.field(int(EVENTS.high))
+    scatter_rays: int = RAYS_PER_HIT.field(1)
+    aimed_rays: int = AIMED_RAYS.field(1)
     aim: str = "auto"
-    flux_threshold: float = 1e-8
+    flux_threshold: float = THRESHOLD.field(1e-8)
     cut_below: Any = (0.0, 0.0, 0.0, 0.0)
     cut_below_W: Any = (0.0, 0.0, 0.0, 0.0)
-    scatter_threshold: float = 0.1
+    scatter_threshold: float = THRESHOLD.field(0.1)
     splitting: str = "split"
     below_threshold: str = "cut"
-    seed: int = 0
+    seed: int = SEED.field(0)
     ray_control: str = "allow_all"
     polarization: str = "unpolarized"
 
@@ -101,39 +98,15 @@ class Settings:
         def fail(key: str, what: str) -> None:
             raise MistrayError(f"{key} is {getattr(self, key)!r}; {what}")
 
-        limits = ("max_reflections", "max_scatters", "max_optical_scatters", "max_random_scatters", "max_generations")
-        whole = ("rays", *limits, "max_events", "scatter_rays", "aimed_rays", "seed")
-        for key in whole:
-            value = getattr(self, key)
-            if isinstance(value, bool) or not np.isfinite(value) or value != int(value):
-                fail(key, "it must be a whole number")
-            object.__setattr__(self, key, int(value))
-        if not 1 <= self.rays < 2**32:
-            fail("rays", "give 1 to 4.29e9 start rays; use several seeds for more")
-        for key in limits:
-            if getattr(self, key) < 0:
-                fail(key, "it must not be negative")
-            if getattr(self, key) > NO_LIMIT:
-                fail(key, f"{NO_LIMIT} is as good as no limit; give that")
-        for key, least in (("scatter_rays", 1), ("aimed_rays", 0)):
-            if not least <= getattr(self, key) <= MOST_RAYS_PER_HIT:
-                fail(key, f"it must lie between {least} and {MOST_RAYS_PER_HIT}")
-        if not 1 <= self.max_events <= MAX_EVENTS:
-            fail("max_events", f"it must lie between 1 and {MAX_EVENTS}")
-        if not 0 <= self.flux_threshold < 1:
-            fail("flux_threshold", "it is relative to a start ray and must lie between 0 and 1")
+        check_fields(self)
         for key in ("cut_below", "cut_below_W"):
             object.__setattr__(self, key, _by_branch(key, getattr(self, key)))
-        if not 0 <= self.scatter_threshold < 1:
-            fail("scatter_threshold", "it is relative to the start of a ray and must lie between 0 and 1")
         if self.aim not in ("auto", "targets", "none"):
             fail("aim", "use 'auto', 'targets' or 'none'")
         if self.splitting not in ("split", "one"):
             fail("splitting", "use 'split' or 'one'")
         if self.below_threshold not in ("cut", "roulette"):
             fail("below_threshold", "use 'cut' or 'roulette'")
-        if not 0 <= self.seed < 2**32:
-            fail("seed", "it must lie between 0 and 4294967295")
         if self.ray_control not in RAY_CONTROLS:
             fail("ray_control", f"use {', '.join(map(repr, RAY_CONTROLS[:-1]))} or {RAY_CONTROLS[-1]!r}")
         if self.polarization not in ("unpolarized", "stokes"):

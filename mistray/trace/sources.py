@@ -11,12 +11,13 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM, WEIGHT
 from mistray.trace.ledger import BATCHES
 from mistray.trace.space_filling import curve_points
 from mistray.trace.surfaces import solid_shapes
 from mistray.trace.upload import upload
 
-WAVELENGTH_NM = 550.0  # where a scene has no source
+DEFAULT_NM = 550.0  # where a scene has no source
 
 
 class Source(Protocol):
@@ -170,11 +171,10 @@ def beams(
     emitters = [emitter for emitter in scene.emitters() if hasattr(emitter, "start_distance")]
     if not emitters:
         raise MistrayError("the scene has no source; add an emitter of type 'collimated'")
-    for key, value in (("field_deg", field_deg), ("azimuth_deg", azimuth_deg)):
-        if value is not None and not np.isfinite(value):
-            raise MistrayError(f"{key} is {value}; give a finite angle in degrees")
-    if field_deg is not None and not -90 < field_deg < 90:
-        raise MistrayError(f"field_deg is {field_deg:g}; it must lie between -90 and 90 degrees")
+    if field_deg is not None:
+        FIELD_DEG.check("field_deg", field_deg)
+    if azimuth_deg is not None:
+        AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
     given = None if wavelength_nm is None and weights is None else spectrum(wavelength_nm, weights)
     bounds = mi.ScalarBoundingBox3f()
     for shape in solid_shapes(scene):
@@ -201,7 +201,7 @@ def spectrum_of(
         for emitter in scene.emitters():
             if hasattr(emitter, "wavelengths_nm"):
                 return emitter.wavelengths_nm, emitter.weights
-        return np.array([WAVELENGTH_NM]), np.ones(1)
+        return np.array([DEFAULT_NM]), np.ones(1)
     return spectrum(wavelength_nm, weights)
 
 
@@ -210,13 +210,17 @@ def spectrum(wavelength_nm: Any, weights: Any) -> tuple[np.ndarray, np.ndarray]:
     if wavelength_nm is None:
         raise MistrayError("weights are given without wavelength_nm; give one wavelength for each weight")
     wavelengths = np.atleast_1d(np.asarray(wavelength_nm, dtype=np.float64))
-    if not wavelengths.size or not np.all((wavelengths > 0) & np.isfinite(wavelengths)):
-        raise MistrayError(f"wavelength_nm is {wavelength_nm}; it must be positive (nm)")
+    if not wavelengths.size:
+        raise MistrayError("wavelength_nm is empty; give at least one")
+    for wavelength in wavelengths:
+        WAVELENGTH_NM.check("wavelength_nm", float(wavelength))
     if len(np.unique(wavelengths)) < len(wavelengths):
         raise MistrayError(f"wavelength_nm is {wavelength_nm}; give every wavelength once")
     shares = np.ones(len(wavelengths)) if weights is None else np.atleast_1d(np.asarray(weights, dtype=np.float64))
     if len(shares) != len(wavelengths):
         raise MistrayError(f"{len(shares)} weights for {len(wavelengths)} wavelengths; give one for each")
-    if not np.all((shares >= 0) & np.isfinite(shares)) or not shares.sum() > 0:
-        raise MistrayError(f"weights are {weights}; they must be at least 0 and not all 0")
+    for share in shares:
+        WEIGHT.check("weights", float(share))
+    if not shares.sum() > 0:
+        raise MistrayError(f"weights are {weights}; give one above 0")
     return wavelengths, shares / shares.sum()

@@ -24,6 +24,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.sag import in_proportion
+from mistray.ranges import FILM_PIXELS, FILM_SIDE
 from mistray.trace.bodies import Bodies
 from mistray.trace.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
 from mistray.trace.pieces import Piece, piece_numbers, vertex_frame
@@ -270,6 +271,10 @@ class SurfaceTable:
         """Pixels across and down the detector, and its extent (x0, x1, y0, y1) in its own frame, mm."""
         shape = self.shapes[self.detector]
         width, height = (int(n) for n in shape.sensor().film().size())
+        owner = f"detector '{self.ids[self.detector]}'"
+        FILM_SIDE.check("width of its film", width, owner)
+        FILM_SIDE.check("height of its film", height, owner)
+        FILM_PIXELS.check("number of its pixels", width * height, owner)
         if self.detector < len(self.pieces):
             piece = self.pieces[self.detector]
             half = piece.half_size if not piece.outer else (piece.outer, piece.outer)

@@ -17,6 +17,7 @@ from mistray.materials import complex_index, refractive_index
 from mistray.physics.fresnel import reflectance
 from mistray.plugins.bsdfs.glasses import SHIFTS, Glasses
 from mistray.plugins.bsdfs.lobe_sum import LobeSum
+from mistray.ranges import AIMED_RAYS, SHARE, WAVELENGTH_NM
 from mistray.scatter import Scatter
 from mistray.trace.optics import (
     REFLECTION_BACK,
@@ -27,7 +28,6 @@ from mistray.trace.optics import (
     total_variable,
     unpolarized_shares,
 )
-from mistray.trace.settings import MOST_RAYS_PER_HIT
 
 STOCK_WAVELENGTH_NM = 550.0
 STOCK_BODY_MM = 1.0  # stock integrators know no absorption on the way: what is dark after this length is opaque
@@ -115,7 +115,9 @@ class Interface(mi.BSDF):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.name = "" if props.id() in UNNAMED else str(props.id())
-        self.wavelength_nm = float(props.get("wavelength_nm", STOCK_WAVELENGTH_NM))
+        self.wavelength_nm = WAVELENGTH_NM.check(
+            "wavelength_nm", props.get("wavelength_nm", STOCK_WAVELENGTH_NM), self.title
+        )
         self._glasses = Glasses(props, _resolve)
         self.is_nested = False
         self.mirror = bool(props.get("mirror", False))
@@ -123,12 +125,7 @@ class Interface(mi.BSDF):
         if splitting not in ("split", "one"):
             raise MistrayError(f"{self.title}: splitting is '{splitting}'; use 'split' or 'one'")
         self.one_child = splitting == "one"
-        self.scatter_rays = int(props.get("scatter_rays", 0))
-        if not 0 <= self.scatter_rays <= MOST_RAYS_PER_HIT:
-            raise MistrayError(
-                f"{self.title}: scatter_rays is {self.scatter_rays}; give 1 to {MOST_RAYS_PER_HIT}, or 0 for the "
-                "setting of the trace"
-            )
+        self.scatter_rays = AIMED_RAYS.check("scatter_rays", props.get("scatter_rays", 0), self.title)
         self._take_glasses()  # an unknown material is an error of the scene, now
         self._turned: bool | None = None
         self._own_ideal = False
@@ -192,7 +189,7 @@ class Interface(mi.BSDF):
             self._own = self._read_table(str(props.get("table")))
         elif given:
             self._own_ideal = True
-            self._R, self._T = mi.Float(float(props.get("R"))), mi.Float(float(props.get("T", 0.0)))
+            self._R, self._T = (mi.Float(SHARE.check(key, props.get(key, 0.0), self.title)) for key in ("R", "T"))
             self._rebuild()
 
     def _read_table(self, spec: str) -> Coating:

@@ -6,8 +6,10 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.errors import MistrayError
-from mistray.trace.settings import MOST_RAYS_PER_HIT
+from mistray.ranges import PART, POSITIVE, RAYS_PER_HIT, Range
 from mistray.trace.targets import CONES
+
+TARGET_CONE_DEG = Range(0.0, 180.0, unit="degrees")
 
 
 class TargetMark(mi.BSDF):
@@ -73,22 +75,15 @@ class TargetMark(mi.BSDF):
         if "surfaces" not in props:
             raise MistrayError(f"{title}: surfaces is missing; name those that aim here, '*' for all")
         self.surfaces = tuple(part.strip() for part in str(props.get("surfaces")).split(",") if part.strip())
-        self.rays = _number(title, props, "rays", 1)
-        self.scale = _number(title, props, "scale", 1.0)
-        self.hole = _number(title, props, "hole", 0.0)
+        self.rays = RAYS_PER_HIT.check("rays", props.get("rays", 1), title)
+        self.scale = POSITIVE.check("scale", props.get("scale", 1.0), title)
+        self.hole = PART.check("hole", props.get("hole", 0.0), title)
         self.reverse = bool(props.get("reverse", False))
         if not self.surfaces:
             raise MistrayError(f"{title}: surfaces is empty; name those that aim here, '*' for all")
-        if not 1 <= self.rays <= MOST_RAYS_PER_HIT or self.rays != int(self.rays):
-            raise MistrayError(f"{title}: rays is {self.rays:g}; give a whole number from 1 to {MOST_RAYS_PER_HIT}")
-        self.rays = int(self.rays)
-        if not 0 < self.scale < float("inf"):
-            raise MistrayError(f"{title}: scale is {self.scale:g}; it must be positive and finite")
-        if not 0 <= self.hole < 1:
-            raise MistrayError(f"{title}: hole is {self.hole:g}; it is a share of the radius, 0 … below 1")
         self.entity, self.about = (str(props.get(key, "")).strip() for key in ("entity", "about"))
         self.half_axes = _lengths(title, str(props.get("half_axes", "")))
-        self.cone_deg = _number(title, props, "cone_deg", 0.0)
+        self.cone_deg = TARGET_CONE_DEG.check("cone_deg", props.get("cone_deg", 0.0), title)
         self._check(title)
         self.m_components = [mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide]
         self.m_flags = self.m_components[0]
@@ -100,8 +95,6 @@ class TargetMark(mi.BSDF):
         if bool(self.about) != bool(self.cone_deg):
             given, missing = ("about", "cone_deg") if self.about else ("cone_deg", "about")
             raise MistrayError(f"{title}: {given} without {missing}; a cone needs both")
-        if self.about and not 0 < self.cone_deg <= 180:
-            raise MistrayError(f"{title}: cone_deg is {self.cone_deg:g}; it lies above 0 and is at most 180")
         kinds = [key for key, value in (("about", self.about), ("entity", self.entity)) if value]
         sizes = {"scale": self.scale != 1, "hole": self.hole != 0, "half_axes": bool(self.half_axes)}
         unused = [key for key, given in sizes.items() if given and kinds and (self.about or key != "scale")]
@@ -146,13 +139,6 @@ class TargetMark(mi.BSDF):
 
     def to_string(self) -> str:
         return f"Target[surfaces = {', '.join(self.surfaces)}, rays = {self.rays}]"
-
-
-def _number(title: str, props: mi.Properties, key: str, default: float) -> float:
-    value = props.get(key, default)
-    if isinstance(value, bool) or not isinstance(value, int | float):
-        raise MistrayError(f"{title}: {key} is {value!r}; it must be a number")
-    return value
 
 
 def _lengths(title: str, text: str) -> tuple[float, ...]:

@@ -12,6 +12,7 @@ from mistray.coatings import LAYER_PARAMETERS, Coating, Layer, Stack, parse_laye
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.interface import SIDES, Interface, _resolve
+from mistray.ranges import WAVELENGTH_NM
 
 RECIPES = ("layers", "preset", "table", "R")
 
@@ -80,7 +81,7 @@ class ThinFilm(Interface):
         self.sides = [key for key in SIDES if key in props]
         self._layers: tuple[Layer, ...] | None = None
         self._first, self._opaque = str(props.get("first", "outside")), bool(props.get("opaque", False))
-        self.design_nm = float(props.get("design_nm", 550.0))
+        self.design_nm = WAVELENGTH_NM.check("design_nm", props.get("design_nm", 550.0), self.title)
         given = [key for key in (*RECIPES, "T") if key in props]
         if len([key for key in given if key != "T"]) != 1 or ("T" in given and "R" not in given):
             raise MistrayError(

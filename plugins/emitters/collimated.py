@@ -7,6 +7,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, POSITIVE, RADIUS_MM, SIZE_MM, WAVELENGTH_NM, WEIGHT, Range
 from mistray.trace.host_points import box_corners
 
 STOCK_DISTANCE = 100.0  # start of the beam for stock integrators, in units of its size
@@ -63,21 +64,28 @@ class Collimated(mi.Emitter):
         super().__init__(props)
         self.m_flags = +mi.EmitterFlags.DeltaDirection
         self.name = str(props.id())
-        self.field_deg = float(props.get("field_deg", 0.0))
-        self.azimuth_deg = float(props.get("azimuth_deg", 0.0))
-        self.irradiance = float(props.get("irradiance", 1.0))
-        self.distance = float(props.get("distance", 0.0))
+        owner = f"source '{self.name}'"
+
+        def number(key: str, within: Range, default: float = 0.0) -> float:
+            return float(within.check(key, props.get(key, default), owner))
+
+        self.field_deg = number("field_deg", FIELD_DEG)
+        self.azimuth_deg = number("azimuth_deg", AZIMUTH_DEG)
+        self.irradiance = number("irradiance", POSITIVE, 1.0)
+        self.distance = number("distance", RADIUS_MM)
         self.plane = str(props.get("plane", "beam"))
         self.pattern = str(props.get("pattern", "random"))
         self.matrix = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, dtype=np.float64).reshape(4, 4)
-        self.wavelengths_nm = _numbers(self.name, "wavelength_nm", props.get("wavelength_nm", 550.0))
+        self.wavelengths_nm = _numbers(owner, "wavelength_nm", props.get("wavelength_nm", 550.0), WAVELENGTH_NM)
         weights = props.get("weights", None)
-        self.weights = np.ones(len(self.wavelengths_nm)) if weights is None else _numbers(self.name, "weights", weights)
+        self.weights = (
+            np.ones(len(self.wavelengths_nm)) if weights is None else _numbers(owner, "weights", weights, WEIGHT)
+        )
         self.rectangular = "half_width" in props or "half_height" in props
         if self.rectangular:
-            self.size = (float(props.get("half_width", 0.0)), float(props.get("half_height", 0.0)))
+            self.size = (number("half_width", SIZE_MM), number("half_height", SIZE_MM))
         else:
-            self.size = (float(props.get("radius", 0.0)), float(props.get("inner_radius", 0.0)))
+            self.size = (number("radius", SIZE_MM), number("inner_radius", RADIUS_MM))
         if self.rectangular and ("radius" in props):
             raise MistrayError(f"source '{self.name}': give radius or half_width and half_height, not both")
         self._check()
@@ -91,35 +99,14 @@ class Collimated(mi.Emitter):
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5):
             fail("to_world scales or shears; use a rigid motion and set the size by radius or half_width, half_height")
         a, b = self.size
-        for key, value in (
-            ("azimuth_deg", self.azimuth_deg),
-            ("irradiance", self.irradiance),
-            ("distance", self.distance),
-        ):
-            if not np.isfinite(value):
-                fail(f"{key} is {value:g}; it must be finite")
-        if self.rectangular and not (0 < a < np.inf and 0 < b < np.inf):
-            fail(f"half_width = {a:g} mm and half_height = {b:g} mm; both must be positive")
-        if not self.rectangular and not 0 < a < np.inf:
-            fail(f"radius is {a:g} mm; give a positive radius (or half_width and half_height)")
-        if not self.rectangular and not 0 <= b < a:
+        if not self.rectangular and not b < a:
             fail(f"inner_radius is {b:g} mm; it must lie between 0 and radius = {a:g} mm")
-        if not -90 < self.field_deg < 90:
-            fail(f"field_deg is {self.field_deg:g}; it must lie between -90 and 90 degrees")
-        if not self.irradiance > 0:
-            fail(f"irradiance is {self.irradiance:g} W/mm²; it must be positive")
-        if self.distance < 0:
-            fail(f"distance is {self.distance:g} mm; it must not be negative (0: automatic)")
         if self.plane not in ("beam", "axis"):
             fail(f"plane is '{self.plane}'; use 'beam' or 'axis'")
         if self.pattern not in ("random", "grid"):
             fail(f"pattern is '{self.pattern}'; use 'random' or 'grid'")
-        if not np.all(self.wavelengths_nm > 0):
-            fail(f"wavelength_nm is {', '.join(f'{value:g}' for value in self.wavelengths_nm)}; it must be positive")
-        if len(self.weights) != len(self.wavelengths_nm) or np.any(self.weights < 0) or not self.weights.sum() > 0:
-            fail(
-                f"weights needs {len(self.wavelengths_nm)} values ≥ 0 that are not all 0; give one for each wavelength"
-            )
+        if len(self.weights) != len(self.wavelengths_nm) or not self.weights.sum() > 0:
+            fail(f"weights needs {len(self.wavelengths_nm)} values that are not all 0; give one for each wavelength")
 
     @property
     def area(self) -> float:
@@ -257,13 +244,12 @@ class Collimated(mi.Emitter):
         return f"Collimated[field = {self.field_deg:g} deg, {self.power():g} W, {wavelengths} nm]"
 
 
-def _numbers(name: str, key: str, value: object) -> np.ndarray:
+def _numbers(owner: str, key: str, value: object, within: Range) -> np.ndarray:
     try:
-        return np.array([float(part) for part in str(value).replace(",", " ").split()], dtype=np.float64)
+        found = [float(part) for part in str(value).replace(",", " ").split()]
     except ValueError:
-        raise MistrayError(
-            f"source '{name}': {key} is '{value}'; give one number or a list separated by commas"
-        ) from None
+        raise MistrayError(f"{owner}: {key} is '{value}'; give one number or a list separated by commas") from None
+    return np.array([within.check(key, number, owner) for number in found], dtype=np.float64)
 
 
 mi.register_emitter("collimated", lambda props: Collimated(props))

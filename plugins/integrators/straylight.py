@@ -12,6 +12,7 @@ import numpy as np
 from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
+from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.trace.coating_gradient import IDEAL_PARAMETERS
 from mistray.trace.forward import trace
 from mistray.trace.frozen_tangent import run_tangent
@@ -66,7 +67,7 @@ class StrayLight(mi.CppADIntegrator):
     polarization          string unpolarized,  unpolarized average s and p at every hit, or carry the Stokes vector
                                  stokes                    along
     edges                 bool                 true        count in gradients what rays gain and lose at rims
-    edge_width            1      0 … 0.5       0.05        width of the zones at rims for that, relative to their radii
+    edge_width            1      1e-6 … 0.5    0.05        width of the zones at rims for that, relative to their radii
     ===================== ====== ============= =========== =============================================================
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
@@ -95,7 +96,8 @@ class StrayLight(mi.CppADIntegrator):
             self.settings = Settings(**given)
         except MistrayError as error:
             raise MistrayError(f"integrator 'straylight': {error}") from None
-        self.edges, self.edge_width = bool(props.get("edges", True)), float(props.get("edge_width", EDGE_WIDTH))
+        self.edges = bool(props.get("edges", True))
+        self.edge_width = ZONE.check("edge_width", props.get("edge_width", EDGE_WIDTH), "integrator 'straylight'")
 
     def _settings(self, sensor: mi.Sensor, seed: mi.UInt32, spp: int) -> Settings:
         """Own settings with the arguments of a call: ``spp`` asks for rays, ``seed`` is added."""

@@ -7,11 +7,13 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.sag import in_proportion, sag
-from mistray.plugins.shapes.revolution import FARTHEST_MM, Revolution, float_property, grid
+from mistray.plugins.shapes.revolution import Revolution, float_property, grid
+from mistray.ranges import FINITE, RADIUS_MM, SIZE_MM, Range
 
 COEFFICIENTS = tuple(f"a{order}" for order in range(4, 21, 2))
-# Range of the ray tree's numbers, 1/mm and mm: single precision with room for products
-MOST, LEAST_MM = 1e30, 1e-15
+# Of the ray tree's numbers, 1/mm and mm: single precision with room for products
+MOST = FINITE.high
+COEFFICIENT = Range(-1e300, 1e300)
 
 
 class Asphere(Revolution):
@@ -76,6 +78,11 @@ class Asphere(Revolution):
 
     kind = "asphere"
     in_double = COEFFICIENTS
+    ranges = {
+        **dict.fromkeys(("semi_diameter", "half_width", "half_height"), SIZE_MM),
+        **dict.fromkeys(COEFFICIENTS, COEFFICIENT),
+        "inner_semi_diameter": RADIUS_MM, "curvature": FINITE, "conic": FINITE,
+    }  # fmt: skip
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
@@ -134,9 +141,6 @@ class Asphere(Revolution):
 
     def check(self) -> None:
         v = self.values
-        for key in ("half_width", "half_height", "semi_diameter"):
-            if key in v and not v[key] > 0:
-                raise MistrayError(f"shape '{self.name}': {key} is {v[key]:g} mm; it must be positive")
         if not self.rectangular and not 0 <= v["inner_semi_diameter"] < v["semi_diameter"]:
             raise MistrayError(
                 f"shape '{self.name}': inner_semi_diameter is {v['inner_semi_diameter']:g} mm; "
@@ -154,11 +158,7 @@ class Asphere(Revolution):
     def _check_single_precision(self) -> None:
         """Raise if the ray tree, which works in float32, cannot take a number."""
         v, size = self.values, self.outer_radius
-        if size > FARTHEST_MM:
-            return  # `check_reach` says more
-        if size < LEAST_MM:
-            raise MistrayError(f"shape '{self.name}': its aperture is {size:g} mm; float32 needs {LEAST_MM:g} mm")
-        numbers = {"curvature": v["curvature"], "conic": v["conic"], "product": v["curvature"] * (1 + v["conic"])}
+        numbers = {"product": v["curvature"] * (1 + v["conic"])}
         numbers |= dict(zip(COEFFICIENTS, in_proportion(self.coefficients, size)[0], strict=True))
         for key, number in numbers.items():
             if not abs(number) < MOST:

@@ -7,6 +7,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.plugins.shapes.revolution import Revolution, float_property
+from mistray.ranges import PLACE_MM, RADIUS_MM
 
 
 class Frustum(Revolution):
@@ -47,6 +48,7 @@ class Frustum(Revolution):
     """
 
     kind = "frustum"
+    ranges = {"r0": RADIUS_MM, "r1": RADIUS_MM, "z0": PLACE_MM, "z1": PLACE_MM}
 
     def __init__(self, props: mi.Properties) -> None:
         self._start(props)
@@ -67,9 +69,6 @@ class Frustum(Revolution):
 
     def check(self) -> None:
         v = self.values
-        for key in ("r0", "r1"):
-            if v[key] < 0:
-                raise MistrayError(f"shape '{self.name}': {key} is {v[key]:g} mm; a radius must not be negative")
         if self.flat and v["r0"] == v["r1"]:
             raise MistrayError(f"shape '{self.name}': r0 = r1 and z0 = z1; a frustum of no area, change one of them")
         if v["r0"] == v["r1"] == 0:

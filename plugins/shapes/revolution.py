@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Any
 
 import drjit as dr
@@ -11,9 +12,11 @@ import numpy as np
 from mistray._mitsuba_compat import write_mesh
 from mistray.errors import MistrayError
 from mistray.physics.pose import moved
+from mistray.ranges import AZIMUTH_DEG, PLACE_MM, Range
 
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
-FARTHEST_MM = 1e12  # from the origin; single precision goes on to 1e38
+POSE_RANGES = {**dict.fromkeys(POSE[:3], PLACE_MM), **dict.fromkeys(POSE[3:], AZIMUTH_DEG)}
+FARTHEST_MM = PLACE_MM.high  # from the origin; single precision goes on to 1e38
 AZIMUTHS = 96  # facets around the axis of the mesh that stock integrators see
 
 
@@ -38,6 +41,7 @@ class Revolution(mi.Mesh):
 
     kind = ""
     in_double: tuple[str, ...] = ()
+    ranges: Mapping[str, Range]
     values: dict[str, float]
 
     def _start(self, props: mi.Properties) -> None:
@@ -62,8 +66,7 @@ class Revolution(mi.Mesh):
 
     def _check_all(self) -> None:
         for key, value in self.values.items():
-            if not np.isfinite(value):
-                raise MistrayError(f"shape '{self.name}': {key} is {value:g}; it must be finite")
+            (POSE_RANGES.get(key) or self.ranges[key]).check(key, value, f"shape '{self.name}'")
         self.check()
 
     def check(self) -> None:

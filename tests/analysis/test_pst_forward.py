@@ -331,14 +331,14 @@ class TestBadInput:
     @pytest.mark.parametrize(
         ("arguments", "message"),
         [
-            ({"rays": 0}, "rays is 0; give 1 to 4.29e9 start rays"),
-            ({"relative_error": 0.0}, "relative_error is 0; it must lie between 0 and 1"),
-            ({"relative_error": float("nan")}, "relative_error is nan; it must lie between 0 and 1"),
+            ({"rays": 0}, "rays is 0; it must be a whole number"),
+            ({"relative_error": 0.0}, "relative_error is 0; it must lie between 1e-5 and 1"),
+            ({"relative_error": float("nan")}, "relative_error is nan; it must lie between 1e-5 and 1"),
             ({"error_up_to_deg": 30.0}, "error_up_to_deg is given without relative_error"),
             ({"relative_error": 0.1, "error_up_to_deg": 5.0}, "no angle is that small, the smallest is 10 deg"),
             ({"map_pixels": -1}, "map_pixels is -1"),
             ({"map_pixels": 2.5}, "map_pixels is 2.5"),
-            ({"wavelength_nm": -5.0}, "wavelength_nm is -5.0; it must be positive"),
+            ({"wavelength_nm": -5.0}, "wavelength_nm is -5; it must lie"),
             ({"weights": [1.0]}, "weights are given without wavelength_nm"),
             ({"detector": "nobody"}, "'nobody' is no detector of this scene; choose one of detector"),
         ],

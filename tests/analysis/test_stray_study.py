@@ -210,7 +210,7 @@ def test_bad_arguments_are_one_line():
         study(scene, [10, 5])
     with pytest.raises(MistrayError, match="convention is 'cosine'; use 'normal' or 'projected'"):
         study(scene, convention="cosine")
-    with pytest.raises(MistrayError, match=r"fields_deg is \[\]; give field angles"):
+    with pytest.raises(MistrayError, match=r"fields_deg is empty; give at least one"):
         study(scene, fields_deg=[])
     with pytest.raises(MistrayError, match="max_random_scatters is 1; a PST"):
         study(scene, max_random_scatters=1)

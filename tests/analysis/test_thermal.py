@@ -309,11 +309,11 @@ class TestWavelengths:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        ({"temperature_K": -3.0}, "temperature of -3 K; give one of 0 K or more"),
-        ({"temperatures": {"detector": math.nan}}, "temperature of nan K"),
-        ({"band_um": (12.0, 8.0)}, "band of 12 to 8 µm"),
-        ({"band_um": (0.0, 8.0)}, "band_um is 0 to 8; a system is traced in a band with two ends above 0"),
-        ({"wavelengths_um": [9.0, 8.0]}, "give one or more positive ones in ascending order"),
+        ({"temperature_K": -3.0}, "temperature_K is -3; it must lie between 0 and 1e6 K"),
+        ({"temperatures": {"detector": math.nan}}, "temperature of 'detector' is nan"),
+        ({"band_um": (12.0, 8.0)}, "band_um is 12 to 8; give the shorter"),
+        ({"band_um": (0.0, 8.0)}, "band_um is 0; it must lie between 0.01 and 10000 µm"),
+        ({"wavelengths_um": [9.0, 8.0]}, "give one or more in ascending order"),
         (
             {"temperatures": {"lense": 77.0}},
             "no surface, part or material is called 'lense'; parts are detector, window",

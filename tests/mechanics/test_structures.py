@@ -362,8 +362,8 @@ class TestCommand:
             (["--paint", "ring"], "--paint 'ring': write PATTERN=VALUE, such as 'vane*=black'"),
             (["--paint", "ring=blakc"], "paint 'blakc': there is none of this name; did you mean black"),
             (["--space", "ring=x"], "--space 'ring=x': 'x' is no optical space"),
-            (["--most-analytic", "-1"], "argument --most-analytic: -1 must be a whole number that is not negative"),
-            (["--time-limit-s", "0"], "argument --time-limit-s: 0 must be positive"),
+            (["--most-analytic", "-1"], "argument --most-analytic: -1 must be a whole number"),
+            (["--time-limit-s", "0"], "argument --time-limit-s: 0 must lie"),
             (["--into", "plaet"], "scene 'plaet': no such file"),
         ],
     )

@@ -51,14 +51,14 @@ class TestParameters:
         ("values", "message"),
         [
             ({"R": 0.6, "T": 0.5}, "interface 'coat': R = 0.6 and T = 0.5; both must lie in 0 … 1 and R + T must not"),
-            ({"R": -0.1}, "R = -0.1"),
-            ({"R": float("nan")}, "R = nan"),
+            ({"R": -0.1}, "R is -0.1; it must"),
+            ({"R": float("nan")}, "R is nan; it must"),
             ({"T": 0.5}, "interface 'coat': T is given without R; give both"),
             ({"R": 0.1, "table": "x.csv"}, "interface 'coat': give R and T or table, not both"),
             ({"back": "N-BK8"}, "material 'N-BK8' is unknown; did you mean N-BK7"),
             ({"front": "0.7"}, "index 0.7"),
             ({"table": "nowhere.csv"}, "coating table 'nowhere.csv': No such file"),
-            ({"wavelength_nm": 0.0}, "it must be greater than 0"),
+            ({"wavelength_nm": 0.0}, "wavelength_nm is 0; it must lie"),
         ],
     )
     def test_errors(self, values: dict[str, Any], message: str) -> None:

@@ -121,7 +121,7 @@ def test_a_second_of_arc_of_a_turned_surface_is_not_lost() -> None:
 
 @pytest.mark.parametrize(
     ("key", "value", "message"),
-    [("x", float("inf"), "x is inf; it must be finite"), ("tilt_z", "5 deg", "tilt_z is '5 deg'; it must be a number")],
+    [("x", float("inf"), "x is inf; it must lie"), ("tilt_z", "5 deg", "tilt_z is '5 deg'; it must be a number")],
 )
 def test_bad_values(key: str, value: Any, message: str) -> None:
     with pytest.raises(Exception, match=f"shape 'S': {message}"):

@@ -32,10 +32,10 @@ def test_parameters():
     ("values", "words"),
     [
         ({"surfaces": " , "}, "surfaces is empty"),
-        ({"rays": 0}, "rays is 0; give a whole number from 1 to 255"),
+        ({"rays": 0}, "rays is 0; it must be a whole number between 1 and 255"),
         ({"rays": 256}, "rays is 256"),
         ({"rays": 1.5}, "rays is 1.5"),
-        ({"rays": "many"}, "rays is 'many'; it must be a number"),
+        ({"rays": "many"}, "rays is 'many'; it must be a whole number"),
         ({"scale": 0.0}, "scale is 0"),
         ({"scale": float("inf")}, "scale is inf"),
         ({"hole": 1.0}, "hole is 1"),

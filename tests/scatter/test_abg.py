@@ -75,14 +75,14 @@ def test_radial_law_of_sampling() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((-1.0, 1e-3, 1.8), "A is -1; give a number ≥ 0"),
+        ((-1.0, 1e-3, 1.8), "A is -1; it must lie"),
         ((math.nan, 1e-3, 1.8), "A is nan"),
         ((1.0, 0.0, 1.8), "B is 0; give B > 1e-12, or B ≥ 0 with g = 0"),
         ((1.0, -1e-3, 0.0), "B is -0.001"),
         ((1.0, 1e-12, 2.0), "B is 1e-12"),
         ((1.0, math.inf, 2.0), "B is inf"),
         ((1.0, 1e-3, -2.0), "g is -2"),
-        ((1.0, 1e-3, 2.0, 0.0), "reference_nm is 0 nm; give a number > 0"),
+        ((1.0, 1e-3, 2.0, 0.0), "reference_nm is 0; it must lie"),
     ],
 )
 def test_refuses(arguments: tuple[float, ...], message: str) -> None:

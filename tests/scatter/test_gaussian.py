@@ -40,10 +40,10 @@ def test_events() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((-0.1, 0.1), "total is -0.1; give a share of light, 0 … 1"),
+        ((-0.1, 0.1), "total is -0.1; it must lie between 0 and 1"),
         ((1.1, 0.1), "total is 1.1"),
         ((math.nan, 0.1), "total is nan"),
-        ((0.1, 0.0), "width is 0; give a number > 0"),
+        ((0.1, 0.0), "width is 0; it must lie"),
     ],
 )
 def test_refuses(arguments: tuple[float, float], message: str) -> None:

@@ -84,15 +84,15 @@ def test_no_step_no_transmitted_scatter() -> None:
 @pytest.mark.parametrize(
     ("options", "message"),
     [
-        ({"b0": 1.0, "l": 0.0}, "l is 0; give a number > 0"),
-        ({"b0": 1.0, "s": 0.0}, "s is 0; give s < 0"),
-        ({"b0": 1.0, "s": 1.5}, "s is 1.5; give s < 0"),
+        ({"b0": 1.0, "l": 0.0}, "l is 0; it must lie"),
+        ({"b0": 1.0, "s": 0.0}, "s is 0; it must lie"),
+        ({"b0": 1.0, "s": 1.5}, "s is 1.5; it must lie"),
         ({"b0": 1.0, "s": math.nan}, "s is nan"),
-        ({"b0": -1.0}, "b0 is -1; give a number ≥ 0"),
-        ({"rms_nm": -4.0}, "rms_nm is -4 nm"),
+        ({"b0": -1.0}, "b0 is -1; it must lie"),
+        ({"rms_nm": -4.0}, "rms_nm is -4; it must"),
         ({}, "neither of b0 and rms_nm given"),
         ({"b0": 1.0, "rms_nm": 4.0}, "both of b0 and rms_nm given"),
-        ({"b0": 1.0, "reference_nm": -550.0}, "reference_nm is -550 nm"),
+        ({"b0": 1.0, "reference_nm": -550.0}, "reference_nm is -550; it must"),
     ],
 )
 def test_refuses(options: dict[str, float], message: str) -> None:

@@ -153,9 +153,9 @@ def test_event_and_side() -> None:
     [
         ({}, "Particulate: neither of level and coverage_percent given"),
         ({"level": 300.0, "coverage_percent": 0.1}, "both of level and coverage_percent given"),
-        ({"level": 0.5, "name": "dirt"}, "cleanliness level 0.5"),
-        ({"coverage_percent": -1.0}, "coverage_percent is -1 %"),
-        ({"level": 300.0, "slope": -1.0}, "slope -1"),
+        ({"level": 0.5, "name": "dirt"}, "level is 0.5; it must"),
+        ({"coverage_percent": -1.0}, "coverage_percent is -1; it must"),
+        ({"level": 300.0, "slope": -1.0}, "slope is -1"),
         ({"level": 300.0, "immersion": 0.0}, "immersion is 0"),
         ({"level": 300.0, "max_um": 400.0}, "max_um ≤ level"),
         ({"level": 300.0, "relative_to": "incident"}, "relative_to is 'incident'; particles know 'specular' only"),

@@ -58,7 +58,7 @@ def test_events() -> None:
 
 @pytest.mark.parametrize(
     ("arguments", "message"),
-    [((-0.1, 2.0), "b0 is -0.1"), ((0.1, 0.5), "exponent is 0.5; give a number ≥ 1"), ((0.1, math.inf), "exponent is")],
+    [((-0.1, 2.0), "b0 is -0.1"), ((0.1, 0.5), "exponent is 0.5; it must lie"), ((0.1, math.inf), "exponent is")],
 )
 def test_refuses(arguments: tuple[float, float], message: str) -> None:
     with pytest.raises(MistrayError, match=message):

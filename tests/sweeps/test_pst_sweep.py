@@ -141,7 +141,7 @@ def test_table_and_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFi
     [
         ({"paint": {"wal": 0.1}}, "no shape is called 'wal'"),
         ({"paint": {"wall": "flat_blak"}}, "did you mean 'flat_black'"),
-        ({"paint": {"wall": 1.5}}, "reflectance = 1.5"),
+        ({"paint": {"wall": 1.5}}, "reflectance is 1.5"),
         ({"coat": {"plate": "bare"}}, "'bare' has no layers"),
         ({"values": {"wall.zz": 1.0}}, "the scene has no parameter 'wall.zz'"),
         ({"block": [Structure("wall", 1.0, 0.0, 2.0, 0.0)]}, "it has an object 'wall' already"),

@@ -164,7 +164,7 @@ def test_parameters_keep_their_values(tmp_path: Path) -> None:
 )
 def test_numbers_that_float32_cannot_take(name: str, value: float, semi_diameter: float) -> None:
     shape = {"type": "asphere", name: value, "semi_diameter": semi_diameter, "bsdf": {"type": "interface"}}
-    with pytest.raises(MistrayError, match="float32") as error:
+    with pytest.raises(MistrayError, match=r"float32|must lie") as error:
         mistray.load({"type": "scene", "L1_front": shape})
     assert "'L1_front'" in str(error.value)
     if semi_diameter > 1e-15:

@@ -22,6 +22,7 @@ from mistray.analysis.objects.rows import LISTS, SceneObject, StraightShot, both
 from mistray.analysis.objects.sources import DetectorView, DiskSource, RaySource, Surroundings, source_axes
 from mistray.analysis.objects.view import SIDES, View
 from mistray.errors import MistrayError
+from mistray.ranges import PART
 from mistray.trace.intersect import Intersector
 from mistray.trace.optics import OPAQUE
 from mistray.trace.scatter_tables import ScatterTables
@@ -311,8 +312,7 @@ def objects(
             "that of the settings of a trace only max_events and seed matter"
         )
     chosen = Settings.of(scene, rays=rays, ray_control=ray_control, **settings)
-    if not 0 <= threshold < 1:
-        raise MistrayError(f"threshold is {threshold:g}; it is relative to the flux started and must lie in 0 … 1")
+    PART.check("threshold", threshold)
     kinds = {"half_angle_deg": half_angle_deg, "angles_deg": angles_deg, "source": source}
     given = [name for name, value in kinds.items() if value is not None]
     if len(given) > 1:

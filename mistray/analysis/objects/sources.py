@@ -14,6 +14,7 @@ import numpy as np
 
 from mistray.analysis.objects.rays import StartPoints
 from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, CONE_DEG, FIELD_DEG, PLACE_MM, SIZE_MM, check_fields
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.host_points import across, detector_area, outline, surface_points
 from mistray.trace.ledger import BATCHES
@@ -54,7 +55,7 @@ class DetectorView:
     name: str = "detector"
 
     def __post_init__(self) -> None:
-        _check_angle("view_half_angle_deg", self.half_angle_deg)
+        CONE_DEG.check("view_half_angle_deg", self.half_angle_deg)
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:
         """Start points; the weights are 1 on average."""
@@ -103,8 +104,8 @@ class DiskSource:
     """
 
     centre: tuple[float, float, float]
-    radius: float
-    half_angle_deg: float
+    radius: float = SIZE_MM.field()
+    half_angle_deg: float = CONE_DEG.field()
     inner_radius: float = 0.0
     inner_half_angle_deg: float = 0.0
     axis: tuple[float, float, float] = (0.0, 0.0, 1.0)
@@ -113,16 +114,18 @@ class DiskSource:
     def __post_init__(self) -> None:
         for key in ("centre", "axis"):
             value = np.asarray(getattr(self, key), dtype=np.float64)
-            if value.shape != (3,) or not np.all(np.isfinite(value)):
-                raise MistrayError(f"source: {key} is {getattr(self, key)}; give three finite numbers")
+            if value.shape != (3,):
+                raise MistrayError(f"source: {key} is {getattr(self, key)}; give three numbers")
+            for number in value:
+                PLACE_MM.check(key, float(number), "source")
         if not np.linalg.norm(self.axis) > 0:
             raise MistrayError("source: axis is 0, 0, 0; give the direction of the light")
-        if not 0 <= self.inner_radius < self.radius < np.inf:
+        if not 0 <= self.inner_radius < self.radius:
             raise MistrayError(
-                f"source: radius = {self.radius:g} mm, inner_radius = {self.inner_radius:g} mm; the first must be "
-                "positive, the second smaller and not negative"
+                f"source: inner_radius is {self.inner_radius:g} mm; it must lie between 0 and radius = "
+                f"{self.radius:g} mm"
             )
-        _check_angle("half_angle_deg", self.half_angle_deg)
+        check_fields(self, "source")
         if not 0 <= self.inner_half_angle_deg < self.half_angle_deg:
             raise MistrayError(
                 f"source: inner_half_angle_deg is {self.inner_half_angle_deg:g}; it must lie between 0 and "
@@ -163,7 +166,7 @@ class Surroundings:
     @classmethod
     def cone(cls, table: SurfaceTable, axes: np.ndarray, half_angle_deg: float) -> Surroundings:
         """A cone about the axis of field angles; `axes` as from `source_axes`."""
-        _check_angle("half_angle_deg", half_angle_deg)
+        CONE_DEG.check("half_angle_deg", half_angle_deg)
         grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
         return cls(
             PlaneWaves(hull_points(table), grid).at(0, 0, table.wavelength_nm, 1.0),
@@ -173,10 +176,8 @@ class Surroundings:
     @classmethod
     def direction(cls, table: SurfaceTable, axes: np.ndarray, angle_deg: float, azimuth_deg: float) -> Surroundings:
         """One field angle; azimuths count from +y towards -x, as of a `collimated` source."""
-        if not (np.isfinite(angle_deg) and -90 < angle_deg < 90):
-            raise MistrayError(f"angles_deg holds {angle_deg:g}; field angles must lie between -90 and 90 degrees")
-        if not np.isfinite(azimuth_deg):
-            raise MistrayError(f"azimuth_deg is {azimuth_deg:g}; give a finite angle in degrees")
+        FIELD_DEG.check("angles_deg", angle_deg)
+        AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
         turned = azimuth_deg + 180 if angle_deg < 0 else azimuth_deg
         grid = _one_cell(abs(angle_deg), abs(angle_deg), turned, 0.0, axes)
         return cls(
@@ -252,8 +253,3 @@ def _around(axis: np.ndarray, cosine: np.ndarray, azimuth: np.ndarray) -> np.nda
     return np.asarray(
         (sine * np.cos(azimuth))[:, None] * u + (sine * np.sin(azimuth))[:, None] * v + cosine[:, None] * axis
     )
-
-
-def _check_angle(key: str, angle_deg: float) -> None:
-    if not 0 < angle_deg <= 90:
-        raise MistrayError(f"{key} is {angle_deg:g}; it must be positive and at most 90 degrees")

@@ -15,6 +15,7 @@ from mistray.analysis.pst.forward_parts import CellPart, CellsTask
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.ranges import RELATIVE_ERROR
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.plane_wave import Entrance
 from mistray.trace.settings import Settings
@@ -150,8 +151,7 @@ def _angles_that_count(grid: DirectionGrid, relative_error: float | None, error_
                 "error_up_to_deg is given without relative_error; give the relative error that is wanted"
             )
         return np.zeros(grid.shape[0], dtype=bool)
-    if not 0 < relative_error < 1:
-        raise MistrayError(f"relative_error is {relative_error:g}; it must lie between 0 and 1, 0.02 for 2 %")
+    RELATIVE_ERROR.check("relative_error", relative_error)
     last = 90.0 if error_up_to_deg is None else float(error_up_to_deg)
     counts = grid.angles_deg <= last
     if not counts.any():

@@ -28,6 +28,7 @@ from mistray.analysis.pst.shared_plan import share
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
 from mistray.analysis.pst.with_light import PLAN, SUMS, WithLight, saved_plan
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.ranges import PIXELS_OR_NONE, RELATIVE_ERROR
 from mistray.trace.all_cells import AllCells
 from mistray.trace.backward import FIRST_PASS, BackwardTrace
 from mistray.trace.directions import DirectionGrid
@@ -204,10 +205,9 @@ def pst_of_each(
     """
     if method not in METHODS:
         raise MistrayError(f"method is '{method}'; use 'adjoint' or 'forward'")
-    if relative_error is not None and not 0 < relative_error < 1:
-        raise MistrayError(f"relative_error is {relative_error:g}; it must lie between 0 and 1, 0.02 say")
-    if not 0 <= map_pixels <= 4096 or map_pixels != int(map_pixels):
-        raise MistrayError(f"map_pixels is {map_pixels}; give a whole number between 0 (no maps) and 4096")
+    if relative_error is not None:
+        RELATIVE_ERROR.check("relative_error", relative_error)
+    map_pixels = PIXELS_OR_NONE.check("map_pixels", map_pixels)
     if resume and state is None:
         raise MistrayError("resume needs the file of the state; give state=…")
     if method == "forward" and state is not None:

@@ -23,6 +23,7 @@ from mistray.analysis.study.objects import object_steps, source_angles
 from mistray.analysis.study.step import STEPS, StudyStep
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.errors import MistrayError
+from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
 from mistray.trace import Settings, trace
 from mistray.trace.aiming import aims
 from mistray.trace.design_path import find_design_path
@@ -296,12 +297,14 @@ def _check(
     if unknown:
         raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of study; see mistray.trace.Settings")
     DirectionGrid.of(angles_deg)
-    if fields_deg is not None and (not len(fields_deg) or not all(-90 < field < 90 for field in fields_deg)):
-        raise MistrayError(f"fields_deg is {list(fields_deg)}; give field angles between -90 and 90 degrees")
+    if fields_deg is not None and not len(fields_deg):
+        raise MistrayError("fields_deg is empty; give at least one field angle in degrees")
+    for field in fields_deg or ():
+        FIELD_DEG.check("fields_deg", field)
     if convention not in CONVENTIONS:
         raise MistrayError(f"convention is '{convention}'; use {' or '.join(map(repr, CONVENTIONS))}")
-    if relative_error is not None and not 0 < relative_error < 1:
-        raise MistrayError(f"relative_error is {relative_error:g}; it must lie between 0 and 1, 0.02 say")
+    if relative_error is not None:
+        RELATIVE_ERROR.check("relative_error", relative_error)
 
 
 def _fields(numbers: FirstOrder | None) -> list[float]:

@@ -21,6 +21,7 @@ from mistray.analysis.thermal.narcissus import Return, mean_returns, returns
 from mistray.analysis.thermal.spectrum import band_weights, traced_wavelengths
 from mistray.errors import MistrayError
 from mistray.physics import planck
+from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
 from mistray.trace import Settings
 from mistray.trace.backward import Seen, see
 
@@ -212,10 +213,14 @@ def thermal(
     low, high = (float(v) for v in band_um)
     rules = {pattern: float(kelvin) for pattern, kelvin in (temperatures or {}).items()}
     outside = float(temperature_K if scene_K is None else scene_K)
-    for kelvin in (temperature_K, outside, *rules.values()):
-        planck.band_radiance(kelvin, low, high)  # refuses what is out of range
-    if not math.isfinite(high) or low <= 0:
-        raise MistrayError(f"band_um is {low:g} to {high:g}; a system is traced in a band with two ends above 0")
+    for name, kelvin in (("temperature_K", temperature_K), ("scene_K", outside)):
+        TEMPERATURE_K.check(name, kelvin)
+    for name, kelvin in rules.items():
+        TEMPERATURE_K.check(f"temperature of '{name}'", kelvin)
+    for end in (low, high):
+        WAVELENGTH_UM.check("band_um", end)
+    if low >= high:
+        raise MistrayError(f"band_um is {low:g} to {high:g}; give the shorter wavelength first")
     waves = traced_wavelengths(scene, wavelengths_um, (low, high))
     _check_names(scene, rules)
     chosen = Settings.of(scene, **settings)

@@ -11,6 +11,7 @@ import numpy as np
 from mistray.coatings import METAL_K, Stack
 from mistray.errors import MistrayError
 from mistray.physics import planck
+from mistray.ranges import WAVELENGTH_UM
 from mistray.trace.optics import unpolarized_shares
 
 if TYPE_CHECKING:
@@ -62,8 +63,10 @@ def traced_wavelengths(
         waves = np.linspace(low, high, DISPERSIVE)
     else:
         waves = np.atleast_1d(np.asarray(given, dtype=np.float64))
-        if not waves.size or not np.all((waves > 0) & np.isfinite(waves)) or np.any(np.diff(waves) <= 0):
-            raise MistrayError(f"wavelengths_um is {given}; give one or more positive ones in ascending order")
+        if not waves.size or np.any(np.diff(waves) <= 0):
+            raise MistrayError(f"wavelengths_um is {given}; give one or more in ascending order")
+        for wave in waves:
+            WAVELENGTH_UM.check("wavelengths_um", float(wave))
     depends = False
     for shape in scene.shapes():
         bsdf = shape.bsdf()

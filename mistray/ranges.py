@@ -1,0 +1,208 @@
+"""Ranges of numbers, stated once: constructors, the command line and the plugins of scenes check by the same ones.
+
+A dataclass has them as metadata of its fields, see `ranged`, and its constructor calls `check_fields`. An argument of
+the command line has one as its type, and its help then says it. Plugins call `Range.check`.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import dataclasses
+import math
+import os
+import re
+from dataclasses import dataclass
+from typing import Any
+
+from mistray.errors import MistrayError
+
+_KEY = "range"
+
+
+@dataclass(frozen=True)
+class Range:
+    """
+    A range of numbers, and the type of an argument of the command line that must lie in it.
+
+    Attributes
+    ----------
+    low, high : float
+        Its ends, in the unit of the number.
+    above, below : bool
+        Whether the number must lie above `low` or below `high`: the end does not belong to the range.
+    unit : str
+        For messages.
+    whole : bool
+        Only whole numbers; the command line takes "1e6" for one.
+    remedy : str
+        What to do about a number outside, where the range does not say enough.
+    """
+
+    low: float = -1e30
+    high: float = 1e30
+    above: bool = False
+    below: bool = False
+    unit: str = ""
+    whole: bool = False
+    remedy: str = ""
+
+    def __contains__(self, value: float) -> bool:
+        # NaN is in no range
+        return (self.low < value if self.above else self.low <= value) and (
+            value < self.high if self.below else value <= self.high
+        )
+
+    def __str__(self) -> str:
+        return f"{'> ' if self.above else ''}{_text(self.low)} … {'< ' if self.below else ''}{_text(self.high)}"
+
+    @property
+    def demand(self) -> str:
+        """What a number must do, such as "must lie between 0 and 90 degrees"."""
+        ends = {(True, True): ", both excluded", (True, False): f", {_text(self.low)} excluded",
+                (False, True): f", {_text(self.high)} excluded"}.get((self.above, self.below), "")  # fmt: skip
+        unit = f" {self.unit}" if self.unit else ""
+        remedy = f"; {self.remedy}" if self.remedy else ""
+        kind = "be a whole number" if self.whole else "lie"
+        return f"must {kind} between {_text(self.low)} and {_text(self.high)}{unit}{ends}{remedy}"
+
+    def check(self, name: str, value: Any, owner: str = "") -> Any:
+        """
+        The number, a whole one as int.
+
+        Parameters
+        ----------
+        name : str
+            Of the number, for the message.
+        value : float
+        owner : str
+            What has the number, such as "shape 'L1'".
+
+        Raises
+        ------
+        MistrayError
+            If it is no number, or lies outside.
+        """
+        number = math.nan
+        if not isinstance(value, bool | str):
+            with contextlib.suppress(TypeError, ValueError, OverflowError):
+                number = float(value)
+        if number not in self or (self.whole and number != math.floor(number)):
+            shown = f"{value:g}" if isinstance(value, float) else repr(value)
+            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {shown}; it {self.demand}")
+        return int(value) if self.whole else value
+
+    def __call__(self, text: str) -> Any:
+        """The number that a text of the command line is."""
+        number = math.nan
+        with contextlib.suppress(ValueError):
+            number = float(text)
+        if math.isnan(number):
+            raise argparse.ArgumentTypeError(f"'{text}' is not a number")
+        try:
+            return self.check("", number)
+        except MistrayError:
+            raise argparse.ArgumentTypeError(f"{text} {self.demand}") from None
+
+    def field(self, default: Any = dataclasses.MISSING) -> Any:
+        """A field of a dataclass whose number, unless it is None, lies in the range; see `check_fields`."""
+        return dataclasses.field(default=default, metadata={_KEY: self})
+
+
+def check_fields(settings: Any, owner: str = "") -> None:
+    """
+    Check the numbers of a dataclass by the ranges of its fields; None, where nothing is given, passes.
+
+    Whole numbers become int.
+
+    Parameters
+    ----------
+    settings : dataclass
+    owner : str
+        For the message, see `Range.check`.
+
+    Raises
+    ------
+    MistrayError
+    """
+    for field in dataclasses.fields(settings):
+        value = getattr(settings, field.name)
+        if _KEY in field.metadata and value is not None:
+            object.__setattr__(settings, field.name, field.metadata[_KEY].check(field.name, value, owner))
+
+
+def _text(value: float) -> str:
+    """A number as people write it: 4294967295, 1e30, 1e-6."""
+    short = f"{value:g}"
+    return re.sub(r"e\+?(-?)0*", r"e\1", short if float(short) == value else f"{value:.10g}")
+
+
+# Numbers of which nothing more is known: the kernel has float32, whose products need room
+FINITE = Range()
+NOT_NEGATIVE = Range(0.0)
+POSITIVE = Range(1e-30)
+SHARE = Range(0.0, 1.0)
+
+# Of a trace
+RAYS = Range(1, 2**32 - 1, whole=True, remedy="use several seeds for more")
+SEED = Range(0, 2**32 - 1, whole=True)
+LIMIT = Range(0, 2**15 - 1, whole=True)  # of reflections or scatters: the most is more than a path can have
+EVENTS = Range(1, 64, whole=True)  # the pending children of a path are the bits of one 64-bit word
+RAYS_PER_HIT = Range(1, 255, whole=True)
+AIMED_RAYS = Range(0, 255, whole=True)
+THRESHOLD = Range(0.0, 1.0, below=True, remedy="it is relative to a start ray")
+RELATIVE_ERROR = Range(1e-5, 1.0, below=True, remedy="0.02 is 2 %")
+THREADS = Range(1, os.cpu_count() or 1, whole=True, remedy="that is what this machine has")
+
+# Of light
+WAVELENGTH_NM = Range(10.0, 1e7, unit="nm", remedy="0.55 µm are 550 nm")
+WAVELENGTH_UM = Range(0.01, 1e4, unit="µm")
+WEIGHT = NOT_NEGATIVE
+TEMPERATURE_K = Range(0.0, 1e6, unit="K")
+
+# Of directions, degrees
+FIELD_DEG = Range(-90.0, 90.0, above=True, below=True, unit="degrees")
+POLAR_DEG = Range(0.0, 90.0, unit="degrees")
+AZIMUTH_DEG = Range(-360.0, 360.0, unit="degrees")
+CONE_DEG = Range(1e-6, 90.0, unit="degrees")  # half angle
+CELL_WIDTH_DEG = Range(1e-6, 90.0, unit="degrees")
+AZIMUTH_WIDTH_DEG = Range(1e-6, 360.0, unit="degrees")
+SOLID_ANGLE_SR = Range(1e-30, 2 * math.pi, unit="sr")
+
+# Of places and sizes
+PLACE_MM = Range(-1e12, 1e12, unit="mm")
+SIZE_MM = Range(1e-15, 1e12, unit="mm")
+RADIUS_MM = Range(0.0, 1e12, unit="mm")  # or another length that may be 0
+TOLERANCE_MM = Range(1e-6, 1e3, unit="mm")  # of facets
+MARGIN = Range(0.0, 10.0)  # of clear radii
+
+# Of what is drawn and listed
+ROWS = Range(0, 10**6, whole=True)
+PIXELS = Range(1, 4096, whole=True)  # along a side
+PIXELS_OR_NONE = Range(0, 4096, whole=True)
+BLOCK = Range(0, 4096, whole=True)  # of pixels that are averaged
+STOPS = Range(-200.0, 200.0)
+RAYS_DRAWN = Range(1, 10**5, whole=True)
+
+FILM_SIDE = Range(1, 2**16, whole=True)
+FILM_PIXELS = Range(1, 2**26, whole=True)  # 0.5 GB an image
+
+# Of searches and comparisons
+PART = Range(0.0, 1.0, below=True)
+FACTOR = Range(1.0, 1e6, above=True, remedy="it says how much smaller the metric shall become")
+EDGE_WIDTH = Range(1e-6, 0.5, remedy="it is relative to the radius of a rim")
+SEEDS = Range(2, 1000, whole=True)
+SECONDS = Range(1e-3, 1e9, unit="s")
+
+# Of scatter
+SLOPE = Range(0.0, 100.0)  # g of an ABg
+FALL = Range(-100.0, 0.0, below=True, remedy="a BSDF falls with the angle")  # s of Harvey and Shack
+SPECTRUM_SLOPE = Range(0.0, 100.0, above=True)
+EXPONENT = Range(1.0, 1e9)
+LOBE_WIDTH = Range(1e-6, 1e6)
+ROUGHNESS_NM = Range(0.0, 1e6, unit="nm")
+LENGTH_UM = Range(1e-6, 1e9, unit="µm")
+LEVEL = Range(1.0, 1e4, remedy="100 … 1000 is usual")  # of cleanliness
+COVERAGE_PERCENT = Range(0.0, 100.0, above=True, unit="%")
+INDEX = Range(0.01, 100.0)
+BINDER_INDEX = Range(1.0, 100.0, above=True)

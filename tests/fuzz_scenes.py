@@ -1,0 +1,256 @@
+"""Tiny scenes and studies on which `number_fuzz` tries its numbers, and the command lines that use them."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+from number_fuzz import Worker
+from oracles.small_scenes import interface_xml, shape_xml
+from test_plugin_pages import BLACK_BSDF, BRACKET_PLY
+
+# Plugin → its numbers, as ordinary as can be
+NUMBERS: dict[str, dict[str, Any]] = {
+    "asphere": {"semi_diameter": 4.0},
+    "frustum": {"r0": 4.0, "r1": 4.0, "z0": 1.0, "z1": 2.0},
+    "part_mesh": {"filename": "bracket.ply"},
+    "abg": {"A": 0.01, "B": 0.001, "g": 2.0},
+    "edge_diffraction": {"width_mm": 0.1},
+    "gaussian_lobe": {"total": 0.01, "width": 0.1},
+    "harvey_shack": {"b0": 0.1, "l": 0.01, "s": -1.5},
+    "k_correlation": {"rms_nm": 1.0, "B_um": 10.0, "slope": 2.5},
+    "paint": {"reflectance": 0.05, "b0": 0.1, "l": 0.1, "s": -2.0},
+    "particulate": {"level": 300.0},
+    "phong": {"b0": 0.1, "exponent": 3.0},
+    "polynomial": {"c000": -0.5, "c100": -0.4, "l10": -0.7},
+    "psd_table": {"file": "psd.csv", "beyond": "zero"},
+    "tabulated": {"file": "black.bsdf"},
+    "target": {"surfaces": "*"},
+    "thinfilm": {"layers": "1.38 99.64"},
+    "interface": {"front": "air", "back": "1.5"},
+    "collimated": {"radius": 2.0},
+    "straylight": {"rays": 256.0},
+    "film": {"width": 8, "height": 8},
+    "rectangle": {},
+}
+# Plugin and parameter → what stands there instead of the above, where the two do not go together
+INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
+    ("asphere", "half_width"): {"half_height": 2.0},
+    ("asphere", "half_height"): {"half_width": 2.0},
+    ("harvey_shack", "rms_nm"): {"l": 0.01, "s": -1.5},
+    ("k_correlation", "reference_nm"): NUMBERS["k_correlation"] | {"band_limited": True},
+    ("particulate", "coverage_percent"): {},
+    ("collimated", "half_width"): {"half_height": 2.0},
+    ("collimated", "half_height"): {"half_width": 2.0},
+    ("target", "cone_deg"): {"surfaces": "*", "about": "specular"},
+    ("target", "half_axes"): {"surfaces": "*", "entity": "ellipsoid"},
+    ("thinfilm", "R"): {"T": 0.1},
+    ("thinfilm", "T"): {"R": 0.1},
+    ("interface", "T"): NUMBERS["interface"] | {"R": 0.1},
+}
+MODELS_OF_SCATTER = ("abg", "edge_diffraction", "gaussian_lobe", "harvey_shack", "k_correlation", "paint",
+                     "particulate", "phong", "polynomial", "psd_table", "tabulated")  # fmt: skip
+PAINTS = ("paint", "tabulated")  # that scatter at the wall, not at the lens
+# Numbers within texts, and those of stock plugins: object, name, kind, text
+WITHIN: tuple[tuple[str, str, str], ...] = (
+    ("thinfilm", "layers", "1.38 {}"),
+    ("thinfilm", "layers", "{} 99.64"),
+    ("thinfilm", "n_shift", "{}"),
+    ("thinfilm", "k_shift", "{}"),
+    ("interface", "back", "{}"),
+    ("interface", "back", "nd={} Vd=40"),
+    ("interface", "back", "nd=1.6 Vd={}"),
+    ("interface", "back", "1.5+{}i"),
+    ("interface", "back", "N-BK7 shift={}"),
+    ("interface", "back", "1.5 scatter={} g=0.5"),
+    ("interface", "back", "1.5 scatter=0.1 g={}"),
+    ("collimated", "wavelength_nm", "500, {}"),
+    ("straylight", "cut_below", "R={}"),
+    ("straylight", "cut_below_W", "T={}"),
+    ("target", "half_axes", "1, {}, 1"),
+    *((kind, "to_world", '<{} {}="{{}}"/>'.format(*move)) for kind in ("asphere", "frustum", "collimated", "rectangle")
+      for move in (("translate", "z"), ("rotate", 'x="1" angle'), ("scale", "value"))),
+)  # fmt: skip
+
+
+def element(name: str, value: Any) -> str:
+    """A property in XML."""
+    if name == "to_world":
+        return f'<transform name="to_world">{value}</transform>'
+    kind = {bool: "boolean", int: "integer", float: "float"}.get(type(value), "string")
+    return f'<{kind} name="{name}" value="{str(value).lower() if kind == "boolean" else value}"/>'
+
+
+def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float") -> str:
+    """The small scene in which an object of a plugin has a property with this text; none without a name."""
+    used = dict.fromkeys(("asphere", "interface", "collimated", "straylight", "film", plugin))
+    inside = {
+        key: "".join(
+            element(*item)
+            for item in (INSTEAD.get((key, name), NUMBERS[key]) if key == plugin else NUMBERS[key]).items()
+            if key != plugin or item[0] != name
+        )
+        for key in used
+    }
+    if name:
+        inside[plugin] += element(name, text) if name == "to_world" else f'<{kind} name="{name}" value="{text}"/>'
+    scatter = plugin if plugin in MODELS_OF_SCATTER else ""
+    nested = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if scatter and scatter not in PAINTS else ""
+    film = f'<bsdf type="thinfilm">{inside["thinfilm"]}</bsdf>' if plugin == "thinfilm" else ""
+    wall = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if scatter in PAINTS else '<bsdf type="interface"/>'
+    extra = ""
+    if plugin in ("frustum", "part_mesh"):
+        extra = f'<shape type="{plugin}" id="wall">{inside[plugin]}{BLACK}</shape>'
+    elif plugin == "target":
+        extra = f'<shape type="disk" id="aim"><bsdf type="target">{inside["target"]}</bsdf></shape>'
+    elif plugin == "rectangle":
+        extra = f'<shape type="rectangle" id="wall">{inside["rectangle"]}{BLACK}</shape>'
+    elif scatter in PAINTS:
+        extra = shape_xml("frustum", "wall", bsdf=wall, r0=5.0, r1=5.0, z0=1.0, z1=9.0)
+    return (
+        f'<scene version="3.0.0"><integrator type="straylight">{inside["straylight"]}</integrator>'
+        f'<emitter type="collimated">{inside["collimated"]}</emitter>'
+        f'<shape type="asphere" id="front">{inside["asphere"]}<bsdf type="interface">{inside["interface"]}'
+        f"{film}{nested}</bsdf></shape>"
+        + shape_xml("asphere", "rear", 3.0, interface_xml("1.5", "air"), semi_diameter=4.0)
+        + shape_xml("asphere", "detector", 10.0, sensor=True, half_width=2.0, half_height=2.0).replace(
+            '<integer name="width" value="64"/><integer name="height" value="64"/>', inside["film"]
+        )
+        + extra
+        + "</scene>"
+    )
+
+
+BLACK = '<bsdf type="interface"><float name="R" value="0"/></bsdf>'
+SCENE = scene_with("abg")
+STUDY = """
+[[term]]
+kind = "path_power"
+goal = "minimise"
+wavelength_nm = 550
+rays = 32
+
+[[coating]]
+name = "AR"
+surfaces = "all"
+layers = "1.38 60"
+thickness_nm = [20, 180]
+
+[optimizer]
+starts = 1
+steps = 1
+"""
+BUDGET = """
+[[require]]
+metric = "pst_band"
+low_deg = 20
+high_deg = 40
+limit = 1.0
+
+[[choose]]
+surfaces = "front"
+parameter = "A"
+values = [0.001, 0.01]
+costs = [3, 1]
+
+[traced]
+rays = 64
+"""
+SMALL = ("--rays", "200")
+LINES = {
+    "import": ("lens.zmx", "-o", "made.xml"),
+    "export": ("scene.xml", "-o", "made.csv"),
+    "view": ("scene.xml", "--json", "--out", "view.html", *SMALL),
+    "ghosts": ("scene.xml", "--json", *SMALL),
+    "sweep": ("scene.xml", "--json", "--no-cache", *SMALL),
+    "objects": ("scene.xml", "--json", *SMALL),
+    "pst": ("scene.xml", "--json", "--angles-deg", "0", "20", *SMALL),
+    "study": ("scene.xml", "--json", "--quick", "--angles-deg", "0", "20", *SMALL),
+    "thermal": ("scene.xml", "--json", *SMALL),
+    "coating": ("bbar3", "--json", "--wavelength-nm", "500", "600"),
+    "bsdf": ("abg", "--A", "0.01", "--B", "0.001", "--g", "2", "--json"),
+    "sensitivity": ("scene.xml", "--json", "--parameter", "*.curvature", *SMALL),
+    "budget": ("scene.xml", "budget.toml", "--json"),
+    "optimize": ("scene.xml", "study.toml", "--json", "--verification-seeds", "2"),
+}
+MESH = ("tube.step", "-o", "made.xml")
+MODELS = {
+    "--b0": ("phong", "--exponent", "3"),
+    "--exponent": ("phong", "--b0", "0.1"),
+    "--l": ("harvey_shack", "--b0", "0.1", "--s", "-1.5"),
+    "--s": ("harvey_shack", "--b0", "0.1", "--l", "0.01"),
+    "--rms-nm": ("abg", "--correlation-um", "100"),
+    "--correlation-um": ("abg", "--rms-nm", "1"),
+    "--delta-n": ("abg", "--rms-nm", "1", "--correlation-um", "100"),
+    "--raw-integral": ("abg", "--rms-nm", "1", "--correlation-um", "100"),
+    "--B-um": ("k_correlation", "--rms-nm", "1", "--slope", "2.5"),
+    "--slope": ("k_correlation", "--rms-nm", "1", "--B-um", "10"),
+    "--width-mm": ("edge_diffraction",),
+    "--total": ("gaussian_lobe", "--width", "0.1"),
+    "--width": ("gaussian_lobe", "--total", "0.1"),
+    "--level": ("particulate",),
+    "--coverage-percent": ("particulate",),
+    "--particle": ("particulate", "--level", "300"),
+    "--min-um": ("particulate", "--level", "300"),
+    "--max-um": ("particulate", "--level", "300"),
+    "--reflectance": ("paint", "--b0", "0.1", "--l", "0.1", "--s", "-2"),
+    "--n": ("paint", "--b0", "0.1", "--l", "0.1", "--s", "-2", "--reflectance", "0.05"),
+    "--coefficients": ("polynomial",),
+    "--d": ("polynomial", "--coefficients", "c000=-0.5,c100=-0.4,l10=-0.7"),
+    "--scale": ("psd_table", "--file", "psd.csv", "--beyond", "zero"),
+    "--A": ("abg", "--B", "0.001", "--g", "2"),
+    "--B": ("abg", "--A", "0.01", "--g", "2"),
+    "--g": ("abg", "--A", "0.01", "--B", "0.001"),
+    "--hit-deg": (*LINES["bsdf"][:-1], "--hit-sr", "1e-6"),
+    "--hit-sr": (*LINES["bsdf"][:-1], "--hit-deg", "30"),
+    "--hit-before": (*LINES["bsdf"][:-1], "--hit-deg", "30", "--hit-sr", "1e-6"),
+}
+ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
+    **{("bsdf", option): (*line, "--json") for option, line in MODELS.items()},
+    **{
+        ("import", option): MESH
+        for option in ("--move-mm", "--tilt-deg", "--most-analytic", "--tolerance-mm", "--time-limit-s", "--space")
+    },
+    ("ghosts", "--weights"): (*LINES["ghosts"], "--wavelength-nm", "550"),
+    ("view", "--weights"): (*LINES["view"], "--wavelength-nm", "550"),
+    ("pst", "--weights"): (*LINES["pst"], "--wavelength-nm", "550"),
+    ("study", "--weights"): (*LINES["study"], "--wavelength-nm", "550"),
+    ("sensitivity", "--weights"): (*LINES["sensitivity"], "--wavelength-nm", "550"),
+    ("ghosts", "--least-share"): (*LINES["ghosts"], "--path-analysis", "power_W"),
+    ("ghosts", "--stops"): (
+        *LINES["ghosts"], "--colour", "--out", "out", "--wavelength-nm", "450", "550", "650",
+    ),
+    ("ghosts", "--block"): (
+        *LINES["ghosts"], "--colour", "--out", "out", "--wavelength-nm", "450", "550", "650",
+    ),
+    ("objects", "--azimuth-deg"): (*LINES["objects"], "--angles-deg", "10"),
+    ("pst", "--up-to-deg"): (*LINES["pst"], "--relative-error", "0.5"),
+    ("pst", "--azimuth-cell-deg"): (*LINES["pst"], "--azimuths-deg", "0", "90"),
+    ("pst", "--map-angles-deg"): (*LINES["pst"], "--out", "out"),
+    ("pst", "--map-azimuth-deg"): (*LINES["pst"], "--out", "out", "--map-angles-deg", "20"),
+    ("pst", "--map-pixels"): (*LINES["pst"], "--out", "out", "--map-angles-deg", "20"),
+    ("sensitivity", "--angle-deg"): (*LINES["sensitivity"], "--metric", "pst_bin"),
+    ("sensitivity", "--band-deg"): (*LINES["sensitivity"], "--metric", "pst_band"),
+    ("sensitivity", "--patch-deg"): (*LINES["sensitivity"], "--metric", "veiling_glare"),
+    ("sensitivity", "--tolerance"): (*LINES["sensitivity"],),
+}  # fmt: skip
+
+
+def write(folder: Path) -> None:
+    """Write what the command lines name."""
+    data = Path(__file__).parent / "data"
+    (folder / "scene.xml").write_text(SCENE, encoding="utf-8")
+    (folder / "study.toml").write_text(STUDY, encoding="utf-8")
+    (folder / "budget.toml").write_text(BUDGET, encoding="utf-8")
+    (folder / "black.bsdf").write_text(BLACK_BSDF, encoding="utf-8")
+    (folder / "bracket.ply").write_text(BRACKET_PLY, encoding="utf-8")
+    (folder / "psd.csv").write_text("frequency_1_um,psd_um4\n0.001,1e-3\n0.1,1e-7\n2,1e-12\n", encoding="utf-8")
+    (folder / "lens.zmx").write_bytes((data / "fuzz_lens.zmx").read_bytes())
+    (folder / "tube.step").write_bytes((data / "vane_tube.step").read_bytes())
+
+
+def usual_of(worker: Worker, command: str) -> list[str]:
+    """Places of the output of a command where null stands with ordinary numbers too; it must succeed."""
+    answer: dict[str, Any] = worker.run((command, *LINES[command]))
+    assert answer["code"] == 0, f"{command}: {answer}"
+    return list(answer["absent"])

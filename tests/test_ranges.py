@@ -1,0 +1,124 @@
+"""Ranges of numbers: what lies in them, what they say, and that Python, the shell and scenes use the same ones."""
+
+from __future__ import annotations
+
+import argparse
+import math
+import os
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles.small_scenes import plates_text
+
+import mistray
+from mistray import cli, ranges
+from mistray.cli.arguments import Angles, Help
+from mistray.cli.program import _parser
+from mistray.errors import MistrayError
+from mistray.ranges import FIELD_DEG, RAYS, THRESHOLD, Range, check_fields
+from mistray.trace.settings import Settings
+
+RANGES = {name: value for name, value in vars(ranges).items() if isinstance(value, Range)}
+COMMANDS: dict[str, argparse.ArgumentParser] = _parser()._subparsers._group_actions[0].choices  # type: ignore
+NOT_NUMBERS = (None, True, "5", "", [1, 2], object(), 1j)
+
+
+@pytest.mark.parametrize("name", RANGES)
+def test_ends(name: str) -> None:
+    """Each end belongs to the range unless it is said not to; the next number outside does not; NaN is in none."""
+    one = RANGES[name]
+    step = 1 if one.whole else 0
+    for end, excluded, outside in ((one.low, one.above, -math.inf), (one.high, one.below, math.inf)):
+        beyond = end + math.copysign(step, outside) if step else math.nextafter(end, outside)
+        inside = end - math.copysign(step, outside) if step else math.nextafter(end, -outside)
+        assert (end in one) is not excluded
+        assert inside in one
+        for value in (beyond, outside, math.nan):
+            assert value not in one
+            with pytest.raises(MistrayError, match=r"number is .*; it must "):
+                one.check("number", value)
+    assert one.low < one.high
+
+
+@pytest.mark.parametrize("value", NOT_NUMBERS)
+def test_what_is_no_number_is_refused(value: Any) -> None:
+    with pytest.raises(MistrayError, match=r"^shape 'a': size is "):
+        ranges.SIZE_MM.check("size", value, "shape 'a'")
+
+
+@pytest.mark.parametrize("value", [7, 7.0, np.float32(7), np.int64(7), np.array(7.0)])
+def test_whole_numbers_become_int(value: Any) -> None:
+    found = RAYS.check("rays", value)
+    assert (type(found), found) == (int, 7)
+    with pytest.raises(MistrayError, match="whole number between 1 and 4294967295"):
+        RAYS.check("rays", 7.5)
+
+
+@pytest.mark.parametrize(
+    ("one", "text", "value"),
+    [(RAYS, "1e6", 1_000_000), (RAYS, "4294967295", 2**32 - 1), (FIELD_DEG, "-89.9", -89.9), (THRESHOLD, "0", 0.0)],
+)
+def test_command_line(one: Range, text: str, value: float) -> None:
+    assert one(text) == value
+    assert isinstance(one(text), int) is one.whole
+
+
+@pytest.mark.parametrize("text", ["nan", "inf", "1e308", "90", "-90", "abc", "", "1,5"])
+def test_command_line_refuses(text: str) -> None:
+    with pytest.raises(argparse.ArgumentTypeError) as caught:
+        FIELD_DEG(text)
+    assert text in str(caught.value)
+
+
+def test_fields_of_a_dataclass() -> None:
+    @dataclass(frozen=True)
+    class Lens:
+        radius: float = ranges.SIZE_MM.field()
+        count: int = RAYS.field(3)
+        width: float | None = ranges.SIZE_MM.field(None)
+
+        def __post_init__(self) -> None:
+            check_fields(self, "lens")
+
+    assert Lens(1.0, 4.0) == Lens(1.0, 4)  # type: ignore[arg-type]
+    assert isinstance(Lens(1.0, 4.0).count, int)  # type: ignore[arg-type]
+    for wrong in ({"radius": 0.0}, {"radius": 1.0, "count": 0}, {"radius": 1.0, "width": math.nan}):
+        with pytest.raises(MistrayError, match=f"^lens: {list(wrong)[-1]} is "):
+            Lens(**wrong)  # type: ignore[arg-type]
+
+
+def test_one_range_for_python_shell_and_scene(tmp_path: Any, capsys: Any) -> None:
+    """The same end refuses the same number in all three, and says the same."""
+    path = tmp_path / "scene.xml"
+    for name, text in (("scatter_rays", "256"), ("max_reflections", "32768"), ("flux_threshold", "1")):
+        number = float(text)
+        with pytest.raises(MistrayError) as caught:
+            Settings(**{name: number})
+        demand = str(caught.value).partition("; it ")[2]
+        assert demand
+        option = f"--{name.replace('_', '-')}"
+        assert cli.main(["ghosts", "plate", option, text]) == 2
+        assert f"argument {option}: {text} {demand}" in capsys.readouterr().err
+        integrator = f'<integrator type="straylight"><float name="{name}" value="{text}"/></integrator>'
+        path.write_text(plates_text(1).replace('<integrator type="straylight"/>', integrator))
+        with pytest.raises(MistrayError) as caught:
+            mistray.load(path)
+        assert demand in str(caught.value)
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_help_says_the_range(command: str) -> None:
+    shown = " ".join(COMMANDS[command].format_help().split())
+    for action in COMMANDS[command]._actions:
+        if isinstance(action.type, Range | Angles) and action.type is not ranges.FINITE:
+            assert f"; {action.type}" in shown, action.option_strings
+    assert COMMANDS[command].formatter_class is Help
+
+
+def test_threads_are_those_of_the_machine(capsys: Any) -> None:
+    most = os.cpu_count() or 1
+    assert ranges.THREADS.high == most
+    assert cli.main(["ghosts", "plate", "--threads", str(most + 1)]) == 2
+    assert f"argument --threads: {most + 1} must be a whole number between 1 and {most}" in capsys.readouterr().err
