@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 # From the ground up. A module imports from its own layer and from those before it.
 LAYERS = [
     {"errors"},
+    {"ranges"},
     {"_lazy"},
     {"replace_file"},
     {"cache"},
@@ -37,12 +38,15 @@ LAYERS = [
 # `physics` holds equations and nothing else.
 PURE = {"physics": {"errors", "physics"}}
 # Plugins are looked up by Mitsuba: they use these, and no module imports them.
-PLUGINS_MAY_IMPORT = {"errors", "_mitsuba_compat", "physics", "materials", "coatings", "scatter", "trace", "plugins"}
+PLUGINS_MAY_IMPORT = {
+    "errors", "ranges", "_mitsuba_compat", "physics", "materials", "coatings", "scatter", "trace", "plugins",
+}  # fmt: skip
 # A shipped scene is a prescription written in Python.
 SCENES_MAY_IMPORT = {"errors", "materials", "prescription", "scenes"}
 # These work on arrays and tables, or before Mitsuba can be imported.
 NO_MITSUBA = {
     "errors",
+    "ranges",
     "replace_file",
     "cache",
     "physics",
