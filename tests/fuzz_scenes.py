@@ -240,6 +240,7 @@ def write(folder: Path) -> None:
     """Write what the command lines name."""
     data = Path(__file__).parent / "data"
     (folder / "scene.xml").write_text(SCENE, encoding="utf-8")
+    (folder / "dark.xml").write_text(scene_with("interface", "T", "0"), encoding="utf-8")
     (folder / "study.toml").write_text(STUDY, encoding="utf-8")
     (folder / "budget.toml").write_text(BUDGET, encoding="utf-8")
     (folder / "black.bsdf").write_text(BLACK_BSDF, encoding="utf-8")
@@ -249,8 +250,17 @@ def write(folder: Path) -> None:
     (folder / "tube.step").write_bytes((data / "vane_tube.step").read_bytes())
 
 
-def usual_of(worker: Worker, command: str) -> list[str]:
-    """Places of the output of a command where null stands with ordinary numbers too; it must succeed."""
-    answer: dict[str, Any] = worker.run((command, *LINES[command]))
+def usual_of(worker: Worker, command: str) -> set[str]:
+    """Places of the output of a command where null stands with ordinary numbers too: few rays, no light, no stray."""
+    line = LINES[command]
+    answer: dict[str, Any] = worker.run((command, *line), limit_s=60.0)
     assert answer["code"] == 0, f"{command}: {answer}"
-    return list(answer["absent"])
+    found = set(answer["absent"])
+    for other in (
+        (*line, "--rays", "2"),
+        (*line, "--max-scatters", "0"),
+        (*line, "--max-reflections", "0", "--max-scatters", "0"),
+        tuple("dark.xml" if word == "scene.xml" else word for word in line),
+    ):
+        found |= set(worker.run((command, *other), limit_s=60.0)["absent"])
+    return found
