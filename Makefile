@@ -23,7 +23,7 @@ help:
 	@echo "make clean     remove $(VENV), caches and results"
 
 demo: venv
-	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --rays 2e4 --out out/demo
+	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --rays 2e4 --out out/demo --force
 
 test: lint
 	$(PYTEST) -m "not gpu and not slow"

@@ -5,9 +5,91 @@ from __future__ import annotations
 import contextlib
 import os
 import secrets
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, field
+from functools import cached_property
 from pathlib import Path
 
 from mistray.errors import MistrayError
+
+
+@dataclass
+class Guard:
+    """
+    Which files the commands of a block may replace: see `guarding`.
+
+    Attributes
+    ----------
+    find_inputs : callable
+        Gives the files that are read. They are never replaced. It is asked when the first file is in the way.
+    force : bool
+        Replace other existing files. Those that the block itself wrote are always replaced.
+    """
+
+    find_inputs: Callable[[], Iterable[Path]] = tuple
+    force: bool = False
+    _written: set[str] = field(default_factory=set)
+
+    @cached_property
+    def inputs(self) -> tuple[Path, ...]:
+        """The files that are read."""
+        return tuple(self.find_inputs())
+
+    def in_the_way(self, paths: Iterable[str | Path]) -> list[Path]:
+        """
+        Which of some files exist and may not be replaced.
+
+        Raises
+        ------
+        MistrayError
+            If one of them is read; links and other spellings of its name count too.
+        """
+        # A pipe or a device is written to, and a folder has its own message
+        old = [Path(path) for path in paths if os.path.isfile(path) or _is_dangling(path)]
+        old = [path for path in old if os.path.abspath(path) not in self._written]
+        for path in old:
+            if any(_same(path, source) for source in self.inputs):
+                raise MistrayError(f"output '{path}' is a file that this command reads; write to another one")
+        return [] if self.force else old
+
+    def claim(self, paths: Iterable[str | Path]) -> None:
+        """Note that files are about to be written; raises if one of them is in the way."""
+        wanted = [Path(path) for path in paths]
+        old = self.in_the_way(wanted)
+        if old:
+            raise MistrayError(f"output '{old[0]}' exists; name another one, or replace it with --force")
+        self._written.update(map(os.path.abspath, wanted))
+
+
+def _is_dangling(path: str | Path) -> bool:
+    """Whether the path is a link to nothing."""
+    return os.path.islink(path) and not os.path.exists(path)
+
+
+def _same(path: Path, other: Path) -> bool:
+    try:
+        return os.path.samefile(path, other)
+    except OSError:  # a link to nothing, or a file that has gone
+        return False
+
+
+_guards: list[Guard] = []
+
+
+@contextlib.contextmanager
+def guarding(guard: Guard) -> Iterator[None]:
+    """Let `replace_file` ask a guard. Without one it replaces what there is, as a program that names a file expects."""
+    _guards.append(guard)
+    try:
+        yield
+    finally:
+        _guards.remove(guard)
+
+
+def claim_files(paths: Iterable[str | Path]) -> None:
+    """Ask the guard, if there is one, for several files before the first of them is written."""
+    if _guards:
+        _guards[-1].claim(paths)
 
 
 def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> Path:
@@ -33,9 +115,10 @@ def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> 
     Raises
     ------
     MistrayError
-        If it cannot be written.
+        If it cannot be written, or the guard of this block keeps it; see `guarding`.
     """
     path = Path(path)
+    claim_files([path])
     data = content.encode("utf-8") if isinstance(content, str) else content
     draft = path.with_name(f".{secrets.token_hex(4)}.part")
     try:

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import argparse
 import os
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from functools import lru_cache
+from pathlib import Path
 
 import pytest
 
@@ -67,3 +69,27 @@ def no_kernels() -> None:
 
     dr.sync_thread()  # none of them runs any more
     dr.flush_kernel_cache()
+
+
+@pytest.fixture(autouse=True)
+def outputs_are_declared(monkeypatch: pytest.MonkeyPatch) -> None:
+    """What a command writes into the folder of --out is declared, or nobody would ask for --force before the trace."""
+    from mistray.cli import claims, program
+    from mistray.replace_file import Guard
+
+    def strict(options: argparse.Namespace) -> Guard:
+        guard = claims.guard_of(options)
+
+        def claim(paths: Iterable[str | Path]) -> None:
+            paths = list(paths)
+            for path in map(os.path.abspath, paths):
+                folder = getattr(options, "out", None) if getattr(options, "folder_files", ()) else None
+                if folder is not None and os.path.dirname(path) == os.path.abspath(folder):
+                    name = os.path.basename(path)
+                    assert claims.is_declared(options, name) or name.startswith("."), f"{name} is not declared"
+            Guard.claim(guard, paths)
+
+        guard.claim = claim  # type: ignore[method-assign]
+        return guard
+
+    monkeypatch.setattr(program, "guard_of", strict)

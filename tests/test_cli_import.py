@@ -101,8 +101,6 @@ def test_zemax_file(capsys, zmx, tmp_path):
 def test_code_v_file_gives_the_same_surfaces(capsys, zmx, tmp_path):
     seq = tmp_path / "singlet.seq"
     seq.write_text(SEQ)
-    for path in (zmx, seq):
-        assert run(capsys, path, "-o", path.with_suffix(".xml"), "--json")[0] == 0
     assert run(capsys, seq, "-o", tmp_path / "seq.xml")[0] == 0
     assert run(capsys, zmx, "-o", tmp_path / "zmx.xml")[0] == 0
     both = [shapes(tmp_path / name) for name in ("seq.xml", "zmx.xml")]
@@ -121,7 +119,7 @@ def test_fields_of_a_tilted_lens_keep_their_sign(capsys, zmx, tmp_path):
     tilt = "SURF 1\n  TYPE COORDBRK\n  PARM 3 5\n  DISZ 0\nSURF 2\n  STOP"
     renumbered = zmx.read_text().replace("SURF 3", "SURF 4").replace("SURF 2", "SURF 3")
     zmx.write_text(renumbered.replace("SURF 1\n  STOP", tilt))
-    code, out, err = run(capsys, zmx, "-o", tmp_path / "a.xml")
+    code, out, err = run(capsys, zmx, "-o", tmp_path / "b.xml")
     assert code == 0, err
     assert out.splitlines()[0].endswith("--field-deg -3 0 3")
 
@@ -134,7 +132,7 @@ def test_a_telecentric_lens(capsys, zmx, tmp_path):
     assert out.splitlines()[1].endswith(", telecentric in object space")
     near = [line for line in out.splitlines() if line.startswith("note: the object lies 60 mm before the lens, but")]
     assert len(near) == 1
-    assert json_units.read(run(capsys, zmx, "-o", tmp_path / "a.xml", "--json")[1])["f_number"] is None
+    assert json_units.read(run(capsys, zmx, "-o", tmp_path / "b.xml", "--json")[1])["f_number"] is None
 
 
 def test_json(capsys, zmx, tmp_path):

@@ -111,6 +111,6 @@ def test_an_interrupt_before_anything_is_saved_says_so(
         raise KeyboardInterrupt
 
     monkeypatch.setattr(importlib.import_module("mistray.analysis.study.run"), "study", study)
-    code, _, errors = run(capsys, "plate", "--out", str(tmp_path))
+    code, _, errors = run(capsys, "plate", "--out", str(tmp_path), "--force")
     assert code == 130
     assert "nothing was written" in errors

@@ -103,7 +103,7 @@ def test_a_layout_has_the_paths_and_rays_asked_for(capsys, scene_file, traced, t
     drawn = layout.layout_figure(mistray.load(scene_file))
     monkeypatch.setattr(layout, "layout_figure", lambda scene, trace, *given: calls.append(given) or drawn)
     for options in ((), ("--paths", 1, "--rays-per-path", 2, "--rays", 0)):
-        assert run(capsys, scene_file, "--layout", tmp_path / "lens.svg", *options)[0] == 0
+        assert run(capsys, scene_file, "--layout", tmp_path / "lens.svg", "--force", *options)[0] == 0
     assert calls == [(4, None, 7), (1, None, 2)]
     assert [call["rays"] for call in traced] == [20_000, 0]  # the tracer says what is wrong with 0
 

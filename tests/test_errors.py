@@ -203,7 +203,7 @@ def check_line(err: str, words: tuple[str, ...]) -> None:
 
 
 def ghosts(case: Case) -> list[str]:
-    return ["ghosts", case.scene, "--rays", "200", *case.options, "--out", "out"]
+    return ["ghosts", case.scene, "--rays", "200", *case.options, "--out", "out", "--force"]
 
 
 def test_the_scene_is_good(capfd, tmp_path, monkeypatch):

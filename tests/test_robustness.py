@@ -280,7 +280,7 @@ def test_a_report_in_strange_surroundings(tmp_path: Path) -> None:
 
 @pytest.mark.slow
 def test_two_commands_write_the_same_folder(tmp_path: Path) -> None:
-    command = [*MISTRAY, "ghosts", "plate", "--rays", "1e4", "--quiet", "--out", str(tmp_path / "out")]
+    command = [*MISTRAY, "ghosts", "plate", "--rays", "1e4", "--quiet", "--force", "--out", str(tmp_path / "out")]
     processes = [subprocess.Popen(command, stderr=subprocess.PIPE) for _ in range(2)]
     for process in processes:
         assert process.communicate(timeout=300)[1] == b""
@@ -295,7 +295,7 @@ def test_two_commands_write_the_same_folder(tmp_path: Path) -> None:
 @pytest.mark.parametrize("delay_s", [2.0, 3.0, 3.5, 4.0, 4.5, 5.0, 6.0])
 def test_a_command_killed_at_any_time(tmp_path: Path, delay_s: float) -> None:
     """What has a name in the folder is whole; what is left over is hidden, and the next run is not in its way."""
-    command = [*MISTRAY, "ghosts", "plate", "--rays", "1e4", "--quiet", "--out", str(tmp_path / "out")]
+    command = [*MISTRAY, "ghosts", "plate", "--rays", "1e4", "--quiet", "--force", "--out", str(tmp_path / "out")]
     process = subprocess.Popen(command)
     time.sleep(delay_s)
     process.kill()

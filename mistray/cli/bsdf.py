@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.cli import bsdf_models
 from mistray.cli.arguments import Help
+from mistray.cli.claims import claim_files, declare_outputs
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
@@ -61,6 +62,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--csv", type=Path, metavar="FILE", help="write the curves in the plane of incidence")
     parser.add_argument("--table", type=Path, metavar="FILE",
                         help="write a table over the hemisphere, for scenes: .bsdf (Zemax) or .csv")  # fmt: skip
+    declare_outputs(parser, parser, "plot", "plot_particles", "csv", "table")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the tables, with the curves")
     hits = parser.add_argument_group("a world without importance sampling: rays until one finds a small detector")
     hits.add_argument("--hit-deg", type=FIELD_DEG, metavar="DEG",
@@ -83,6 +85,7 @@ def run(options: argparse.Namespace) -> int:
         raise MistrayError(f"table '{options.table}': its name must end in .bsdf (Zemax) or .csv")
     if options.plot_particles is not None and options.model != "particulate":
         raise MistrayError(f"{options.model} has no particles; leave --plot-particles out")
+    claim_files(options, options.plot, options.plot_particles, options.csv, options.table)
     model, light = bsdf_models.model_of(options.model, options), _light(options)
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
     events = [event for event in EVENTS if any(lobe.event == event for lobe in lobes)]

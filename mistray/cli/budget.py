@@ -7,17 +7,20 @@ from pathlib import Path
 from typing import Any
 
 from mistray.cli.arguments import Help
+from mistray.cli.claims import claim_folder
 from mistray.cli.tracing_arguments import (
     add_machine,
     add_output,
     add_scene,
-    claim_output,
     progress_bar,
     scene_title,
     show,
     start_mitsuba,
     working,
 )
+
+# What --out writes
+FILES = ("scene.xml", "report.html", "budget.*", "requirements.csv")
 
 
 def add(commands: Any) -> None:
@@ -36,7 +39,7 @@ def add(commands: Any) -> None:
     add_scene(parser)
     parser.add_argument("budget", metavar="BUDGET", type=Path, help="TOML file")
     add_machine(parser)
-    add_output(parser, "scene.xml, report.html, CSV files, JSON and a picture")
+    add_output(parser, "scene.xml, report.html, CSV files, JSON and a picture", FILES)
     parser.set_defaults(run=run)
 
 
@@ -47,7 +50,7 @@ def run(options: argparse.Namespace) -> int:
     from mistray.optimize.read_budget import read_budget
     from mistray.report.budget_tables import budget_record, budget_text
 
-    claim_output(options)
+    claim_folder(options)
     study = read_budget(options.budget)
     with progress_bar(options) as progress:
         result = budget(options.scene, study, progress=progress)

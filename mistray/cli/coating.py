@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import Help
+from mistray.cli.claims import claim_files, declare_outputs
 from mistray.cli.coating_json import as_json
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
@@ -55,6 +56,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .svg or .pdf")
     parser.add_argument("--csv", type=Path, metavar="FILE",
                         help="write R, T and phases; its angles are those in the material of lower index")  # fmt: skip
+    declare_outputs(parser, parser, "plot", "csv")
     parser.add_argument("--json", action="store_true", help="print JSON instead of the tables, with the whole spectrum")
     parser.set_defaults(run=run)
 
@@ -66,6 +68,7 @@ def run(options: argparse.Namespace) -> int:
     lam = wavelengths(options.wavelength_nm)
     if options.plot is not None and options.plot.suffix.lower() not in (".png", ".svg", ".pdf"):
         raise MistrayError(f"picture '{options.plot}': its name must end in .png, .svg or .pdf")
+    claim_files(options, options.plot, options.csv)
     if _is_scene(options.coating):
         return _scene(options, lam)
     coating = coating_from_text(options.coating, options.design_nm)

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.cli.arguments import Help
+from mistray.cli.claims import claim_files, declare_outputs
 from mistray.cli.tracing_arguments import print_json
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, WAVELENGTH_NM
@@ -41,6 +42,7 @@ def add(commands: Any) -> None:
     parser.add_argument("--wavelength-nm", type=WAVELENGTH_NM, nargs="+", metavar="NM",
                         help="of critical rays: wavelengths, nm (those of the scene)")  # fmt: skip
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    declare_outputs(parser, parser, "output")
     parser.set_defaults(run=run)
 
 
@@ -53,6 +55,7 @@ def run(options: argparse.Namespace) -> int:
     output = options.output or Path(f"{Path(options.scene).stem}.zmx")
     if not output.parent.is_dir():
         raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
+    claim_files(options, output)
     if output.suffix.lower() == ".csv":
         return _critical_rays(output, options)
     for name in ("field_deg", "wavelength_nm"):

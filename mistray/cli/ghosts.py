@@ -7,6 +7,7 @@ from functools import partial
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import Help
+from mistray.cli.claims import claim_folder
 from mistray.cli.ghosts_json import WORST_SHOWN, as_json
 from mistray.cli.tracing_arguments import (
     MAP_FORMATS,
@@ -19,7 +20,6 @@ from mistray.cli.tracing_arguments import (
     add_spectrum,
     check_formats,
     check_weights,
-    claim_output,
     progress_bar,
     scene_title,
     settings_of,
@@ -43,6 +43,27 @@ if TYPE_CHECKING:
 ALL_ALIASES = ("part", "space")
 # Of `mistray.analysis.path_analysis`, which is not imported to parse a command line
 SORT_KEYS = ("power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions")
+
+# What --out writes
+FILES = (
+    "report.html",
+    "summary*.csv",
+    "paths*.csv",
+    "energy*.csv",
+    "surfaces*.csv",
+    "scatter*.csv",
+    "stray_levels.csv",
+    "aiming.csv",
+    "aliased_paths.csv",
+    "path_analysis.csv",
+    "filtered_*.csv",
+    "overview.png",
+    "levels.png",
+    "ghosts_*deg.png",
+    "layout_*deg.png",
+    "colour_*deg.png",
+    "path_sort_*deg.txt",
+)
 
 
 def add(commands: Any) -> None:
@@ -69,7 +90,7 @@ def add(commands: Any) -> None:
     add_scheduler(add_ray_tree(parser, "start rays at each field (1e6)"))
     add_scatter(parser)
     formats = (*TABLE_FORMATS, *MAP_FORMATS)
-    output = add_output(parser, "report.html, CSV, PNG and path-sort files", formats=formats)
+    output = add_output(parser, "report.html, CSV, PNG and path-sort files", FILES, formats=formats)
     output.add_argument("--per-wavelength", action="store_true", help="add paths and ledgers at each wavelength")
     output.add_argument("--levels", action="store_true",
                         help="print stray light by level of scatter or splitting and by critical surface")  # fmt: skip
@@ -117,7 +138,7 @@ def run(options: argparse.Namespace) -> int:
         raise MistrayError("--least-share is about the path analysis; add --path-analysis power_W, or leave it out")
     if not 0 <= (options.least_share or 0.0) < 1:
         raise MistrayError(f"--least-share is {options.least_share:g}; it is a share of all light, 0 to 1")
-    claim_output(options)
+    claim_folder(options)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
     if look is not None:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Any
 from mistray.cli import import_mechanics
 from mistray.cli.arguments import Help
 from mistray.cli.arriving import arriving
+from mistray.cli.claims import claim_files, declare_outputs
 from mistray.errors import MistrayError
 from mistray.ranges import MARGIN, SIZE_MM, WAVELENGTH_NM
 
@@ -64,6 +65,7 @@ def add(commands: Any) -> None:
         "-o", "--output", metavar="XML", type=Path, help="file to write (default: FILE with .xml, in this folder)"
     )
     parser.add_argument("--json", action="store_true", help="print JSON instead of text")
+    declare_outputs(parser, parser, "output")
     group = parser.add_argument_group("lenses")
     group.add_argument("--wavelength-nm", type=WAVELENGTH_NM, metavar="NM",
                        help="wavelength of the source, nm (batoid: required; others: as the file says)")  # fmt: skip
@@ -104,6 +106,7 @@ def run(options: argparse.Namespace) -> int:
     output = options.output or Path(lens.with_suffix(".xml").name)
     if not output.parent.is_dir():
         raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
+    claim_files(options, output)
     if kind in _SEQUENTIAL:
         built = _from_sequential(lens, kind, options)
         prescription, record = built.prescription, _record(built)

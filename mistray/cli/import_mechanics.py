@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arriving import arriving
+from mistray.cli.claims import claim_files
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, PLACE_MM, ROWS, SECONDS, TOLERANCE_MM
@@ -66,6 +67,7 @@ def run(options: argparse.Namespace) -> int:
     output = options.output or Path(source.with_suffix(".xml").name)
     if not output.parent.is_dir():
         raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
+    claim_files(options, output)
     paint = dict(_rule(text, "--paint") for text in options.paint or [])
     spaces = {pattern: _space(pattern, value) for pattern, value in (_rule(t, "--space") for t in options.space or [])}
     known = _known(options.into) if options.into else {}

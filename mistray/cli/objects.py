@@ -7,13 +7,13 @@ from functools import partial
 from typing import Any
 
 from mistray.cli.arguments import Help, add_angles
+from mistray.cli.claims import claim_folder
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_machine,
     add_output,
     add_scene,
     check_formats,
-    claim_output,
     progress_bar,
     scene_title,
     show,
@@ -25,6 +25,9 @@ from mistray.ranges import AZIMUTH_DEG, CONE_DEG, EVENTS, PLACE_MM, RAYS, ROWS, 
 
 ROWS_SHOWN = 25
 HALF_ANGLE_DEG = 20.0
+
+# What --out writes
+FILES = ("objects.*", "objects_*.csv")
 
 
 def add(commands: Any) -> None:
@@ -69,7 +72,7 @@ def add(commands: Any) -> None:
     tracing.add_argument("--max-events", type=EVENTS, metavar="N", help="surfaces met on one way (64)")
     tracing.add_argument("--seed", type=SEED, metavar="N", help="seed of the random numbers (0)")
     add_machine(tracing)
-    output = add_output(parser, "objects.html, CSV, JSON and PNG files", formats=TABLE_FORMATS)
+    output = add_output(parser, "objects.html, CSV, JSON and PNG files", FILES, formats=TABLE_FORMATS)
     output.add_argument("--rows", type=ROWS, default=ROWS_SHOWN, metavar="N", help=f"rows of each table ({ROWS_SHOWN})")
     parser.set_defaults(run=run)
 
@@ -84,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
     from mistray.report.objects_tables import csv_tables, objects_record, objects_text
     from mistray.scene import load
 
-    claim_output(options)
+    claim_folder(options)
     half_angle = options.half_angle_deg
     source = None
     if options.disc is not None:

@@ -10,11 +10,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import INTERRUPTED, Help
+from mistray.cli.claims import claim_folder
 from mistray.cli.tracing_arguments import (
     add_machine,
     add_output,
     add_scene,
-    claim_output,
     show,
     start_mitsuba,
     terminal_bar,
@@ -25,6 +25,18 @@ from mistray.ranges import ROWS, SEEDS
 
 if TYPE_CHECKING:
     from mistray.optimize import Start, Step
+
+# What --out writes
+FILES = (
+    "scene.xml",
+    "report.html",
+    "checkpoint.json",
+    "terms.csv",
+    "variables.*",
+    "history.csv",
+    "search.png",
+    "reflectance.png",
+)
 
 
 def add(commands: Any) -> None:
@@ -49,7 +61,7 @@ def add(commands: Any) -> None:
                         help="seeds on which the result is compared with the given design, at least 2 (8)")  # fmt: skip
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
     add_machine(parser)
-    add_output(parser, "scene.xml, report.html, tables, pictures and the checkpoint")
+    add_output(parser, "scene.xml, report.html, tables, pictures and the checkpoint", FILES)
     parser.set_defaults(run=run)
 
 
@@ -63,7 +75,7 @@ def run(options: argparse.Namespace) -> int:
 
     study = read_study(options.study)
     steps = study.optimizer.steps if options.steps is None else options.steps
-    folder = claim_output(options)
+    folder = claim_folder(options)
     checkpoint = None if folder is None else folder / "checkpoint.json"
     saved = options.resume
     try:

@@ -31,7 +31,9 @@ from mistray.cli import (
     view,
 )
 from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
+from mistray.cli.claims import guard_of
 from mistray.errors import MistrayError
+from mistray.replace_file import guarding
 
 BAD_INPUT = 2
 # In the order of the help; each has `add`
@@ -103,7 +105,9 @@ def _command(arguments: list[str]) -> int:
         options = _parser().parse_args(arguments)
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
-        return int(options.run(options))
+        options.guard = guard_of(options)
+        with guarding(options.guard):
+            return int(options.run(options))
     except SystemExit as stop:
         return int(stop.code or 0)
 

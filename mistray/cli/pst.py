@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, Help, add_angles
+from mistray.cli.claims import claim_files, claim_folder
 from mistray.cli.tracing_arguments import (
     MAP_FORMATS,
     TABLE_FORMATS,
@@ -22,7 +23,6 @@ from mistray.cli.tracing_arguments import (
     add_spectrum,
     check_formats,
     check_weights,
-    claim_output,
     scene_title,
     settings_of,
     show,
@@ -41,6 +41,9 @@ if TYPE_CHECKING:
 
 MAP_PIXELS = 64
 STATE = "pst_state.npz"
+
+# What --out writes
+FILES = ("report.html", "pst.*", "pst_*.csv", "pst_*.png", "irradiance_*deg.png", STATE)
 
 
 def add(commands: Any) -> None:
@@ -87,13 +90,13 @@ def add(commands: Any) -> None:
                        help=f"what is finished, renewed as the run goes on ({STATE} in --out)")  # fmt: skip
     saved.add_argument("--resume", action="store_true", help="go on from the saved run")
     formats = (*TABLE_FORMATS, *MAP_FORMATS)
-    output = add_output(parser, "report.html, CSV, JSON and PNG files", formats=formats)
+    output = add_output(parser, "report.html, CSV, JSON and PNG files", FILES, formats=formats)
     output.add_argument("--paths-shown", type=ROWS, default=4, metavar="N",
                         help="strongest stray paths of each angle; 0: no paths (4)")  # fmt: skip
     add_angles(output, "--map-angles-deg", "field angles of irradiance maps of the detector (need --out)")
     output.add_argument("--map-azimuth-deg", type=AZIMUTH_DEG, metavar="DEG", help="their azimuth (the first one)")
     output.add_argument("--map-pixels", type=PIXELS, metavar="N", help=f"pixels along their longer side ({MAP_PIXELS})")
-    parser.set_defaults(run=run)
+    parser.set_defaults(run=run, outputs=("out", "state"))
 
 
 def run(options: argparse.Namespace) -> int:
@@ -105,7 +108,7 @@ def run(options: argparse.Namespace) -> int:
     from mistray.scene import load
     from mistray.trace.directions import DirectionGrid
 
-    claim_output(options)
+    claim_folder(options)
     grid = DirectionGrid.of(
         FIELD_ANGLES if options.angles_deg is None else options.angles_deg,
         options.azimuths_deg,
@@ -217,6 +220,8 @@ def _state(options: argparse.Namespace) -> Path | None:
         path = options.out / STATE
     if path is None:
         return None
+    if options.state is not None:
+        claim_files(options, path)
     if path.is_dir():
         raise MistrayError(f"--state {path} is a directory; name a file")
     if options.resume and not path.exists():

@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from mistray.cli.arguments import Help
+from mistray.cli.claims import claim_folder
 from mistray.cli.tracing_arguments import (
     add_output,
     add_ray_tree,
@@ -14,7 +15,6 @@ from mistray.cli.tracing_arguments import (
     add_scheduler,
     add_spectrum,
     check_weights,
-    claim_output,
     progress_bar,
     scene_title,
     settings_of,
@@ -41,6 +41,9 @@ NEEDED = {"relative_illumination": "field_deg", "pst_bin": "angle_deg", "pst_ban
           "veiling_glare": "patch_deg"}  # fmt: skip
 OWN = ("paths", "field_deg", "angle_deg", "band_deg", "patch_deg", "light")
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index")
+
+# What --out writes
+FILES = ("report.html", "sensitivity.*", "propagation.csv", "draws.csv", "ranking.png", "monte_carlo.png")
 
 
 def add(commands: Any) -> None:
@@ -94,7 +97,7 @@ def add(commands: Any) -> None:
                        help="width of the zone at a rim in which rays count, over its radius (0.02)")  # fmt: skip
     add_scheduler(add_ray_tree(parser, "start rays at each field, or of the PST"))
     add_scatter(parser)
-    output = add_output(parser, "report.html, CSV files, JSON and pictures")
+    output = add_output(parser, "report.html, CSV files, JSON and pictures", FILES)
     output.add_argument("--top", type=ROWS, default=20, metavar="N", help="rows of the table (20)")
     parser.set_defaults(run=run)
 
@@ -110,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
     from mistray.report.sensitivity_tables import sensitivity_record, sensitivity_text
     from mistray.scene import load
 
-    claim_output(options)
+    claim_folder(options)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
     settings = {key: value for key, value in settings_of(options).items() if value is not None}

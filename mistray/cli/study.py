@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, Help, add_angles
+from mistray.cli.claims import claim_folder
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_output,
@@ -20,7 +21,6 @@ from mistray.cli.tracing_arguments import (
     add_spectrum,
     check_formats,
     check_weights,
-    claim_output,
     scene_title,
     settings_of,
     show,
@@ -34,6 +34,9 @@ from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, RELATIVE_ERROR
 
 STATE = "pst_state.npz"
 STEPS = 8
+
+# What --out writes
+FILES = ("report.html", "[1-8]_*.csv", STATE)
 
 
 def add(commands: Any) -> None:
@@ -67,7 +70,9 @@ def add(commands: Any) -> None:
     rays = "start rays of the PST; objects get a fifth at each angle, ghosts a tenth (1e6; quick: 1e5)"
     add_scheduler(add_ray_tree(parser, rays))
     add_scatter(parser)
-    output = add_output(parser, "report.html and a CSV file of every table", shown="findings", formats=TABLE_FORMATS)
+    output = add_output(
+        parser, "report.html and a CSV file of every table", FILES, shown="findings", formats=TABLE_FORMATS
+    )
     output.add_argument("--resume", action="store_true", help="go on with the PST that was saved in --out")
     parser.set_defaults(run=run)
 
@@ -83,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     from mistray.report.study_tables import study_record, study_text
     from mistray.scene import load
 
-    state, folder = None, claim_output(options)
+    state, folder = None, claim_folder(options)
     if folder is not None:
         state = folder / STATE
         if options.resume and not state.exists():

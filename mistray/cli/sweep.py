@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import INTERRUPTED, Help, add_angles
+from mistray.cli.claims import claim_folder
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_output,
@@ -16,7 +17,6 @@ from mistray.cli.tracing_arguments import (
     add_scene,
     add_scheduler,
     check_formats,
-    claim_output,
     progress_bar,
     scene_title,
     settings_of,
@@ -30,6 +30,9 @@ from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM
 
 if TYPE_CHECKING:
     from mistray.sweeps import EditRanking, PstSweep, Sweep
+
+# What --out writes
+FILES = ("report.html", "configurations.csv", "sweep.*", "pst_sweep.csv", "edit_ranking.csv")
 
 
 def add(commands: Any) -> None:
@@ -66,7 +69,7 @@ def add(commands: Any) -> None:
     what.add_argument("--wavelength-nm", type=WAVELENGTH_NM, nargs="+", metavar="NM", help="wavelengths, nm")
     add_scheduler(add_ray_tree(parser, "start rays of every row (1e6; 4e6 with --pst-deg)"))
     add_scatter(parser)
-    output = add_output(parser, "report.html, CSV files, JSON and a picture", formats=TABLE_FORMATS)
+    output = add_output(parser, "report.html, CSV files, JSON and a picture", FILES, formats=TABLE_FORMATS)
     output.add_argument("--no-cache", action="store_true", help="neither read results from the cache nor keep them")
     parser.set_defaults(run=run)
 
@@ -82,7 +85,7 @@ def run(options: argparse.Namespace) -> int:
     from mistray.report.sweep_tables import sweep_record, sweep_text
     from mistray.sweeps import Sweep, read_configurations, sweep
 
-    claim_output(options)
+    claim_folder(options)
     configurations = None if options.study is None else read_configurations(options.study)
     files = []
     before = _entries(options)
@@ -132,7 +135,7 @@ def _run_pst(options: argparse.Namespace) -> int:
     if options.step and not options.rank:
         raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
     start_mitsuba(options)
-    folder = claim_output(options)
+    folder = claim_folder(options)
     records: list[dict[str, Any]] = []
     texts: list[str] = []
     files: list[Path] = []

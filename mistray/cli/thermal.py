@@ -6,6 +6,7 @@ import argparse
 from typing import Any
 
 from mistray.cli.arguments import Help
+from mistray.cli.claims import claim_folder
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_output,
@@ -13,7 +14,6 @@ from mistray.cli.tracing_arguments import (
     add_scatter,
     add_scene,
     check_formats,
-    claim_output,
     progress_bar,
     scene_title,
     settings_of,
@@ -22,6 +22,9 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
+
+# What --out writes
+FILES = ("report.html", "thermal.*", "narcissus.csv")
 
 
 def add(commands: Any) -> None:
@@ -53,7 +56,7 @@ def add(commands: Any) -> None:
     band.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
     add_ray_tree(parser, "rays from the detector, for each wavelength and twice (2e5)")
     add_scatter(parser)
-    add_output(parser, "report.html, CSV, JSON and PNG files", formats=TABLE_FORMATS)
+    add_output(parser, "report.html, CSV, JSON and PNG files", FILES, formats=TABLE_FORMATS)
     parser.set_defaults(run=run)
 
 
@@ -65,7 +68,7 @@ def run(options: argparse.Namespace) -> int:
     from mistray.report.thermal import csv_tables, thermal_record, thermal_text, write_thermal
     from mistray.scene import load
 
-    claim_output(options)
+    claim_folder(options)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
     with progress_bar(options) as progress:

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.cli.arguments import as_text
+from mistray.cli.claims import declare_outputs
 from mistray.errors import MistrayError
 from mistray.ranges import (
     AIMED_RAYS,
@@ -119,7 +120,11 @@ MAP_FORMATS = ("exr", "fits", "npy")
 
 
 def add_output(
-    parser: argparse.ArgumentParser, files: str, shown: str = "tables", formats: Sequence[str] = ()
+    parser: argparse.ArgumentParser,
+    files: str,
+    names: Sequence[str],
+    shown: str = "tables",
+    formats: Sequence[str] = (),
 ) -> argparse._ArgumentGroup:
     """
     Declare where results go.
@@ -129,6 +134,8 @@ def add_output(
     parser : ArgumentParser
     files : str
         What --out writes.
+    names : sequence of str
+        Patterns of the names of these files, see `mistray.cli.claims`.
     shown : str
         What is printed.
     formats : sequence of str
@@ -140,21 +147,13 @@ def add_output(
     """
     group = parser.add_argument_group("output")
     group.add_argument("--out", type=Path, metavar="DIR", help=f"write {files} there")
+    declare_outputs(parser, group, folder=names)
     if formats:
         what = "tables as Parquet too" + ("; irradiance with its error as EXR, FITS, NPY" if len(formats) > 1 else "")
         group.add_argument("--formats", nargs="+", choices=formats, default=[], help=f"{what} (needs --out)")
     group.add_argument("--json", action="store_true", help=f"print JSON instead of the {shown}")
     group.add_argument("--quiet", action="store_true", help=f"no progress, no {shown}")
     return group
-
-
-def claim_output(options: argparse.Namespace) -> Path | None:
-    """The folder of --out, None without one; refused, if nothing can be written there, before anything is traced."""
-    if options.out is None:
-        return None
-    from mistray.report.output import writable_directory
-
-    return writable_directory(options.out)
 
 
 def show(

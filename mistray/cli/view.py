@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import Help
+from mistray.cli.claims import claim_files, declare_outputs
 from mistray.cli.tracing_arguments import (
     add_ray_tree,
     add_scatter,
@@ -80,6 +81,7 @@ def add(commands: Any) -> None:
                         help="section y-z with rays, for papers: .svg, .pdf, .eps or .png")  # fmt: skip
     output.add_argument("--save-rays", type=Path, nargs="+", default=[], metavar="FILE",
                         help="rays of the rows as polylines: .ply, .obj, .json")  # fmt: skip
+    declare_outputs(parser, output, "out", "layout", "save_rays")
     output.add_argument("--json", action="store_true", help="print JSON instead of the names of the files")
     output.add_argument("--quiet", action="store_true", help="no progress, nothing printed")
     parser.set_defaults(run=run)
@@ -113,6 +115,7 @@ def run(options: argparse.Namespace) -> int:
         format_of(file)
     for file in filter(None, (page, options.layout, *options.save_rays)):
         writable_directory(file.parent)
+    claim_files(options, page, options.layout, *options.save_rays)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
     traced = None

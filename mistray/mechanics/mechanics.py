@@ -23,7 +23,7 @@ from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Placed, Structure
 from mistray.prescription.scene_file import comment_text, structure_text
 from mistray.prescription.sequential import Unread
-from mistray.replace_file import replace_file
+from mistray.replace_file import claim_files, replace_file
 
 STEP_SUFFIXES, MESH_SUFFIXES = (".step", ".stp"), (".stl", ".obj", ".ply")
 MOST_ANALYTIC = 64
@@ -118,6 +118,7 @@ class Mechanics:
         """
         folder = Path(folder).resolve()
         built = self._built()
+        claim_files(folder / f"{shape.name}.ply" for shape, mesh in built if mesh is not None)
         for shape, mesh in built:
             if mesh is not None:
                 replace_file(folder / f"{shape.name}.ply", mesh, "mesh")
@@ -172,6 +173,7 @@ class Mechanics:
             "</scene>",
             "",
         ]
+        claim_files([path, *meshes])
         write_meshes(meshes)
         replace_file(path, "\n".join(lines), "scene file")
         return shapes

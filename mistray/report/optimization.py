@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import tempfile
+import secrets
 from pathlib import Path
 
 import pandas as pd
@@ -26,9 +26,12 @@ def scene_text(result: Optimization, directory: Path) -> str:
         return recoated(result.source, result.coatings, directory, note)
     # Values that belong to the new coatings have a place in the file once these are on it. What stands in between lies
     # in the same directory, relative to which it names files
-    with tempfile.NamedTemporaryFile(dir=directory, prefix=".coated-", suffix=".xml") as draft:
-        coated = write_recoated(result.source, result.coatings, draft.name, note)
+    draft = directory / f".coated-{secrets.token_hex(4)}.xml"
+    try:
+        coated = write_recoated(result.source, result.coatings, draft, note)
         return rewritten(coated, result.parameters, directory, note)
+    finally:
+        draft.unlink(missing_ok=True)
 
 
 def write_optimization(result: Optimization, directory: str | Path, command: str = "") -> list[Path]:

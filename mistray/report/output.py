@@ -12,7 +12,7 @@ import pandas as pd
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
-from mistray.replace_file import replace_file
+from mistray.replace_file import claim_files, replace_file
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.csv_tables import write_csv
 from mistray.report.html import write_html
@@ -120,6 +120,7 @@ def write_all(
                 drafts.append(path)
             drafts.append(write_html(report, draft / "report.html", title, command, pictures, per_wavelength))
             target.mkdir(parents=True, exist_ok=True)
+            claim_files(target / path.name for path in drafts)
             return [path.replace(target / path.name) for path in drafts]
         finally:
             shutil.rmtree(draft, ignore_errors=True)
@@ -167,6 +168,7 @@ def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list
     target = writable_directory(directory)
     with _told(directory):
         target.mkdir(parents=True, exist_ok=True)
+    claim_files(target / name for name in files)
     return [replace_file(target / name, content) for name, content in files.items()]
 
 

@@ -48,17 +48,17 @@ def scene_files(path: Path) -> list[Path]:
             elif element.tag == "path":
                 folders.update({(folder / value).resolve(): None for folder in list(folders)})
             elif element.tag == "include":
-                for found in _found(name, folders):
+                for found in named_files(name, folders):
                     if found not in scenes:
                         scenes[found] = folders[found.parent] = None
                         read(found)
 
     read(first)
-    return list(scenes | {file: None for text in texts for file in _found(text, folders)})
+    return list(scenes | {file: None for text in texts for file in named_files(text, folders)})
 
 
-def _found(text: str, folders: Iterable[Path]) -> Iterator[Path]:
-    """Files that a value may name."""
+def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
+    """Files that exist and that a text may name: all of it, or some of its words; relative to one of the folders."""
     for name in _names(text):
         for folder in tuple(folders):
             # os.path.isfile, because that of Path raises for a text that is too long for a name

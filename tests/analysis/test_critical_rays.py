@@ -69,7 +69,7 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert {float(row["field_deg"]) for row in rows} == set(record["fields_deg"]) == {0.0, 5.0}
     assert main(["export", "cooke_triplet", "-o", str(tmp_path / "t.zmx"), "--field-deg", "0"]) == 2
     assert "--field-deg" in capsys.readouterr().err
-    assert main(["export", "cooke_triplet", "-o", str(file), "--field-deg", "80"]) == 2
+    assert main(["export", "cooke_triplet", "-o", str(file), "--force", "--field-deg", "80"]) == 2
     assert "field 80 deg" in capsys.readouterr().err
     with pytest.raises(mistray.MistrayError, match="rim is 0"):
         critical_rays(mistray.load("cooke_triplet"), rim=0)

@@ -132,7 +132,7 @@ def test_table_and_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFi
     with (out / "pst_sweep.csv").open(encoding="utf-8") as file:
         rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
     assert [float(row["after"]) for row in rows] == pytest.approx([row["after"] for row in record["rows"]])
-    assert main(command) == 0
+    assert main([*command, "--force"]) == 0
     assert "coated" in capsys.readouterr().out
 
 

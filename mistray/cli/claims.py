@@ -1,0 +1,144 @@
+"""Files that a command may write: none that it reads, and one that exists only with --force."""
+
+from __future__ import annotations
+
+import argparse
+import fnmatch
+import json
+import os
+import tomllib
+from collections.abc import Iterable, Iterator, Sequence
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.replace_file import Guard
+
+SCENE = (".xml",)
+SETTINGS = (".toml", ".json")
+
+
+def declare_outputs(parser: Any, group: Any, *options: str, folder: Sequence[str] = ()) -> None:
+    """
+    Declare --force, and which options name files that the command writes.
+
+    Parameters
+    ----------
+    parser, group : ArgumentParser or group
+        The command's, and the group that shows --force.
+    *options : str
+        Names of the options, such as "plot".
+    folder : sequence of str
+        Patterns of what is written into the folder of --out, such as "ghosts_*.png".
+    """
+    group.add_argument("--force", action="store_true", help="replace existing files; never one that is read")
+    parser.set_defaults(outputs=(*options, *(("out",) if folder else ())), folder_files=tuple(folder))
+
+
+def guard_of(options: argparse.Namespace) -> Guard:
+    """The guard of a command's files; --resume goes on with files of its own, so that these may be replaced."""
+    force = getattr(options, "force", False) or getattr(options, "resume", False)
+    return Guard(partial(input_files, options), force)
+
+
+def claim_files(options: argparse.Namespace, *paths: Path | None) -> None:
+    """Refuse files that must not be written, before anything is computed."""
+    wanted = [path for path in paths if path is not None]
+    names = [os.path.realpath(path) for path in wanted]
+    for path, name in zip(wanted, names, strict=True):
+        if names.count(name) > 1:
+            raise MistrayError(f"output '{path}' is given twice; name two files")
+    _refuse(options, wanted)
+
+
+def claim_folder(options: argparse.Namespace) -> Path | None:
+    """
+    The folder of --out, None without one; refused, before anything is computed, if it cannot be used.
+
+    Raises
+    ------
+    MistrayError
+        If nothing can be written there, or there are files of the names that the command writes, without --force.
+    """
+    if options.out is None:
+        return None
+    from mistray.report.output import writable_directory
+
+    folder = writable_directory(options.out)
+    if folder.is_dir():
+        names = sorted(entry.name for entry in os.scandir(folder))
+        _refuse(options, [options.out / name for name in names if is_declared(options, name)])
+    return folder
+
+
+def is_declared(options: argparse.Namespace, name: str) -> bool:
+    """Whether the command may write a file of this name into the folder of --out."""
+    patterns = list(options.folder_files)
+    for kind in getattr(options, "formats", ()):
+        tables = [pattern.replace(".csv", ".parquet") for pattern in options.folder_files]
+        patterns += tables if kind == "parquet" else [f"irradiance_*deg.{kind}"]
+    return any(fnmatch.fnmatch(name, pattern) for pattern in patterns)
+
+
+def _refuse(options: argparse.Namespace, paths: Sequence[Path]) -> None:
+    old = options.guard.in_the_way(paths)
+    if old:
+        more = f", and {len(old) - 1} more of its files" if len(old) > 1 else ""
+        resume = ", go on with --resume" if hasattr(options, "resume") else ""
+        raise MistrayError(f"output '{old[0]}' exists{more}; name another one{resume}, or replace with --force")
+
+
+def input_files(options: argparse.Namespace) -> list[Path]:
+    """
+    Files that a command reads: what its arguments name, and what scenes, TOML and JSON files among them name.
+
+    Words count as the name of a file where there is one: better one too many than one too few.
+    """
+    from mistray._variant import ensure_variant
+
+    ensure_variant()  # settles libLLVM before anything imports Mitsuba
+    from mistray.scene.files import named_files, scene_files
+    from mistray.scene.load import find
+
+    found: dict[Path, None] = {}
+
+    def add(file: Path) -> None:
+        if file in found:
+            return
+        found[file] = None
+        try:
+            if file.suffix.lower() in SCENE:
+                found.update(dict.fromkeys(scene_files(file)))
+            elif file.suffix.lower() in SETTINGS:
+                text = file.read_text(encoding="utf-8")
+                read(_texts(tomllib.loads(text) if file.suffix.lower() == ".toml" else json.loads(text)), file.parent)
+        except (MistrayError, ValueError, OSError, RecursionError):
+            return  # the command says what is wrong with it
+
+    def read(texts: Iterable[str], folder: Path) -> None:
+        for text in texts:
+            for file in named_files(text, (folder, Path.cwd())):
+                add(file)
+
+    own = {*options.outputs, "outputs", "folder_files", "command_line"}
+    given = {name: value for name, value in vars(options).items() if name not in own}
+    read(_texts(given), Path.cwd())
+    for name in ("scene", "coating", "into"):
+        if given.get(name) is not None:
+            try:
+                add(find(given[name]).resolve())
+            except MistrayError:
+                continue
+    return list(found)
+
+
+def _texts(value: Any) -> Iterator[str]:
+    """All text in nested values."""
+    if isinstance(value, str | Path):
+        yield str(value)
+    elif isinstance(value, dict):
+        yield from _texts(list(value.values()))
+    elif isinstance(value, list | tuple):
+        for item in value:
+            yield from _texts(item)

@@ -1,0 +1,279 @@
+"""No command replaces a file that it reads, nor, without --force, any other; it says so before it computes."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import shutil
+from pathlib import Path
+from typing import Any
+
+import pytest
+from oracles.small_scenes import plates_text, write
+
+import mistray.scene
+from mistray import cli
+from mistray.cli.claims import claim_files, claim_folder, guard_of, input_files
+from mistray.cli.program import COMMANDS, _parser
+from mistray.errors import MistrayError
+from mistray.replace_file import Guard, guarding, replace_file
+
+ZMX = """MODE SEQ
+UNIT MM X W X CM MR CPMM
+ENPD 8
+FTYP 0 0 1 1 0 0 0
+XFLN 0
+YFLN 0
+WAVM 1 0.5875618 1
+PWAV 1
+SURF 0
+  TYPE STANDARD
+  DISZ INFINITY
+SURF 1
+  STOP
+  TYPE STANDARD
+  CURV 0.02
+  DISZ 5
+  GLAS N-BK7 0 0 1.5168 64.17
+SURF 2
+  TYPE STANDARD
+  CURV -0.02
+  DISZ 46
+SURF 3
+  TYPE STANDARD
+  DISZ 0
+"""
+CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 4\nf 5 8 6\n"
+STUDY = """[[term]]
+kind = "path_power"
+goal = "minimise"
+[[coating]]
+name = "AR"
+surfaces = "all"
+layers = "1.38 60"
+thickness_nm = [20, 180]
+"""
+TABLE = "wavelength_nm,angle_deg,R,T\n" + "".join(f"{nm},{deg},0.01,0.99\n" for nm in (400, 700) for deg in (0, 45))
+NOTE = "written by hand\n"
+# The arguments of every command with --out, and a file that it writes there
+FOLDERS = {
+    ("ghosts", "scene.xml", "--formats", "fits"): ("paths.csv", "ghosts_12.5deg.png", "irradiance_0deg.fits"),
+    ("sweep", "scene.xml"): ("sweep.csv", "configurations.csv"),
+    ("objects", "scene.xml"): ("objects.html", "objects_critical.csv"),
+    ("pst", "scene.xml"): ("pst_state.npz", "pst.json", "irradiance_20deg.png"),
+    ("study", "scene.xml"): ("pst_state.npz", "3_objects.csv"),
+    ("thermal", "scene.xml", "--formats", "parquet"): ("thermal.csv", "thermal.parquet"),
+    ("sensitivity", "scene.xml"): ("sensitivity.json", "ranking.png"),
+    ("budget", "scene.xml", "study.toml"): ("scene.xml", "budget.csv"),
+    ("optimize", "scene.xml", "study.toml"): ("scene.xml", "checkpoint.json", "terms.csv"),
+}
+# The arguments of every command that is given names of files to write, without them, and the options of these
+FILES = {
+    ("import", "lens.zmx"): ("-o",),
+    ("import", "cube.obj"): ("-o",),
+    ("export", "scene.xml"): ("-o",),
+    ("view", "scene.xml", "--rays", "50"): ("--out", "--layout", "--save-rays"),
+    ("coating", "table.csv"): ("--plot", "--csv"),
+    ("bsdf", "abg", "--A", "0.01", "--B", "0.01", "--g", "2"): ("--plot", "--csv", "--table"),
+    ("pst", "scene.xml"): ("--state",),
+}
+ENDINGS = {"--plot": ".png", "--csv": ".csv", "--table": ".csv", "--layout": ".svg", "--save-rays": ".ply"}
+
+
+@pytest.fixture(autouse=True)
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """The working folder, with a file of every kind that commands read."""
+    monkeypatch.chdir(tmp_path)
+    write(tmp_path, plates_text(1)).rename(tmp_path / "scene.xml")
+    for name, text in (("lens.zmx", ZMX), ("cube.obj", CUBE), ("study.toml", STUDY), ("table.csv", TABLE)):
+        (tmp_path / name).write_text(text)
+    return tmp_path
+
+
+@pytest.fixture
+def traces(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """Scenes that a command loaded."""
+    calls: list[Any] = []
+    monkeypatch.setattr(mistray.scene, "load", lambda *given: calls.append(given))
+    return calls
+
+
+def refused(capsys: Any, *arguments: str | Path) -> str:
+    """The one line of a command that refuses."""
+    code = cli.main([str(argument) for argument in arguments])
+    out, err = capsys.readouterr()
+    assert (code, out, err.count("\n")) == (2, "", 1), err
+    return str(err)
+
+
+def parsed(*arguments: str) -> argparse.Namespace:
+    options = _parser().parse_args(list(arguments))
+    options.guard = guard_of(options)
+    return options
+
+
+def test_every_command_that_writes_is_here() -> None:
+    tried = {arguments[0] for arguments in (*FOLDERS, *FILES)}
+    commands = _parser()._subparsers._group_actions[0].choices  # type: ignore[union-attr]
+    writing = {
+        name
+        for name, parser in commands.items()
+        if {action.dest for action in parser._actions} & {"out", "output", "plot", "csv", "state"}
+    }
+    assert len(commands) == len(COMMANDS)
+    assert tried == writing == {name for name, parser in commands.items() if parser.get_default("outputs")}
+    assert all("--force" in commands[name]._option_string_actions for name in tried)
+
+
+@pytest.mark.parametrize("command", FOLDERS, ids=" ".join)
+def test_a_folder_with_results(capsys: Any, folder: Path, traces: list[Any], command: tuple[str, ...]) -> None:
+    for name in ("report.html", *FOLDERS[command]):
+        if name == "report.html" and command[0] == "objects":
+            continue
+        place = folder / "out" / name
+        place.parent.mkdir(exist_ok=True)
+        place.write_text(NOTE)
+        (place.parent / "notes.txt").write_text(NOTE)  # in nobody's way
+        assert name in refused(capsys, *command, "--out", "out")
+        assert place.read_text() == NOTE
+        claim_folder(parsed(*command, "--out", "out", "--force"))
+        place.unlink()
+        claim_folder(parsed(*command, "--out", "out"))
+    assert not traces
+
+
+@pytest.mark.parametrize("force", [False, True], ids=["", "--force"])
+@pytest.mark.parametrize("command", FOLDERS, ids=" ".join)
+def test_a_folder_with_an_input(
+    capsys: Any, folder: Path, traces: list[Any], command: tuple[str, ...], force: bool
+) -> None:
+    """Whatever the file is called that a command reads: here a scene with the name of a result, by a hard link."""
+    name = FOLDERS[command][0]
+    (folder / "out").mkdir()
+    os.link(folder / "scene.xml", folder / "out" / name)
+    before = (folder / "scene.xml").read_bytes()
+    assert name in refused(capsys, *command, "--out", "out", *(["--force"] if force else []))
+    assert (folder / "scene.xml").read_bytes() == before
+    assert not traces
+
+
+@pytest.mark.parametrize("command", FILES, ids=" ".join)
+def test_files_by_name(capsys: Any, folder: Path, command: tuple[str, ...]) -> None:
+    last = None
+    for option in FILES[command]:
+        ending = {"import": ".xml", "export": ".zmx", "view": ".html"}.get(command[0], ".npz")
+        name = f"result{ENDINGS.get(option, ending)}"
+        Path(name).write_text(NOTE)
+        assert name in refused(capsys, *command, option, name)
+        assert Path(name).read_text() == NOTE
+        if option == "--state":
+            claim_files(parsed(*command, option, name, "--force"), Path(name))
+            continue
+        assert cli.main([*command, option, name, "--force"]) == 0
+        assert Path(name).read_bytes() != NOTE.encode()
+        capsys.readouterr()
+        last = option, name
+    read = "scene.xml" if command[0] == "bsdf" else command[1]  # bsdf abg reads none
+    if command[0] != "bsdf" and last is not None:
+        option, name = last
+        shutil.copy(read, "copy")
+        Path(name).unlink()
+        Path(name).symlink_to(read)
+        for force in ([], ["--force"]):
+            assert name in refused(capsys, *command, option, name, *force)
+        assert Path(read).read_bytes() == Path("copy").read_bytes()
+        assert Path(name).is_symlink()
+
+
+def test_lens_over_itself(capsys: Any, folder: Path) -> None:
+    for force in ([], ["--force"]):
+        assert "lens.zmx" in refused(capsys, "import", "lens.zmx", "-o", "lens.zmx", *force)
+        assert "lens.zmx" in refused(capsys, "import", folder / "lens.zmx", "-o", "./lens.zmx", *force)
+        assert Path("lens.zmx").read_text() == ZMX
+
+
+def test_hand_edited_scene_under_the_default_name(capsys: Any) -> None:
+    Path("lens.xml").write_text(NOTE)
+    assert "lens.xml" in refused(capsys, "import", "lens.zmx")
+    assert Path("lens.xml").read_text() == NOTE
+    assert cli.main(["import", "lens.zmx", "--force"]) == 0
+    assert Path("lens.xml").read_text() != NOTE
+
+
+def test_export_over_the_original(capsys: Any) -> None:
+    assert cli.main(["import", "lens.zmx"]) == 0
+    capsys.readouterr()
+    assert "lens.zmx" in refused(capsys, "export", "lens.xml", "-o", "lens.zmx")
+    assert Path("lens.zmx").read_text() == ZMX
+
+
+def test_optimisation_in_the_folder_of_its_scene(capsys: Any) -> None:
+    before = Path("scene.xml").read_bytes()
+    for force in ([], ["--force"]):
+        assert "scene.xml" in refused(capsys, "optimize", "scene.xml", "study.toml", "--out", ".", *force)
+    assert Path("scene.xml").read_bytes() == before
+
+
+def test_files_that_inputs_name(folder: Path) -> None:
+    """An include, a table that the include names, a file of a TOML file, of an option NAME=FILE; the shipped scene."""
+    Path("part.xml").write_text('<scene version="3.0.0"><string name="file" value="table.csv"/></scene>')
+    Path("whole.xml").write_text('<scene version="3.0.0"><include filename="part.xml"/></scene>')
+    Path("deep").mkdir()
+    Path("deep/edits.toml").write_text('[[coating]]\nfile = "own.csv"\nother = { list = ["7 nm", "../lens.zmx"] }\n')
+    Path("deep/own.csv").write_text(TABLE)
+    read = input_files(parsed("sweep", "whole.xml", "deep/edits.toml", "--out", "cube.obj"))
+    names = ("whole.xml", "part.xml", "table.csv", "deep/edits.toml", "deep/own.csv", "lens.zmx")
+    assert {path.resolve() for path in read} == {folder / name for name in names}
+    assert Path("cube.obj").resolve() in {
+        p.resolve() for p in input_files(parsed("import", "lens.zmx", "--glass", "A=cube.obj"))
+    }
+    shipped = input_files(parsed("ghosts", "phone_camera", "--out", "out"))
+    assert any(path.parts[-2:] == ("phone_camera", "scene.xml") for path in shipped)
+
+
+def test_meshes_beside_a_scene_of_mechanics(capsys: Any, folder: Path) -> None:
+    assert cli.main(["import", "cube.obj", "-o", "parts.xml"]) == 0
+    (mesh,) = folder.glob("parts_*.ply")
+    Path("parts.xml").unlink()
+    mesh.write_text(NOTE)
+    capsys.readouterr()
+    assert mesh.name in refused(capsys, "import", "cube.obj", "-o", "parts.xml")
+    assert mesh.read_text() == NOTE
+    assert not Path("parts.xml").exists()
+
+
+def test_two_results_under_one_name(capsys: Any) -> None:
+    model = ("abg", "--A", "0.01", "--B", "0.01", "--g", "2")
+    assert "twice" in refused(capsys, "bsdf", *model, "--csv", "a.csv", "--table", "./a.csv")
+    assert not Path("a.csv").exists()
+
+
+def test_a_state_goes_on_with_resume_alone(capsys: Any, traces: list[Any]) -> None:
+    Path("out").mkdir()
+    for name in ("pst_state.npz", "report.html"):
+        Path("out", name).write_text(NOTE)
+    assert "--resume" in refused(capsys, "pst", "scene.xml", "--out", "out")
+    claim_folder(parsed("pst", "scene.xml", "--out", "out", "--resume"))
+    assert not traces
+
+
+def test_a_guard(tmp_path: Path) -> None:
+    source, link, other = tmp_path / "in", tmp_path / "link", tmp_path / "other"
+    source.write_text(NOTE)
+    link.symlink_to(source)
+    dangling = tmp_path / "dangling"
+    dangling.symlink_to(tmp_path / "nothing")
+    with guarding(Guard(lambda: [source])):
+        for text in ("1", "2"):  # what the block itself wrote it may replace
+            replace_file(other, text)
+        for path in (source, link, tmp_path / "." / "in", dangling):
+            with pytest.raises(MistrayError, match=path.name):
+                replace_file(path, "")
+    with guarding(Guard(lambda: [source], force=True)):
+        replace_file(other, "3")
+        for path in (source, link):
+            with pytest.raises(MistrayError, match=path.name):
+                replace_file(path, "")
+    assert (source.read_text(), other.read_text()) == (NOTE, "3")
+    replace_file(source, "")  # a program that names a file means it
+    assert source.read_text() == ""
