@@ -102,10 +102,10 @@ def test_a_layout_has_the_paths_and_rays_asked_for(capsys, scene_file, traced, t
     calls, layout = [], importlib.import_module("mistray.report.layout")
     drawn = layout.layout_figure(mistray.load(scene_file))
     monkeypatch.setattr(layout, "layout_figure", lambda scene, trace, *given: calls.append(given) or drawn)
-    for options in ((), ("--paths", 1, "--rays-per-path", 2, "--rays", 0)):
+    for options in ((), ("--paths", 1, "--rays-per-path", 2, "--rays", 100)):
         assert run(capsys, scene_file, "--layout", tmp_path / "lens.svg", "--force", *options)[0] == 0
     assert calls == [(4, None, 7), (1, None, 2)]
-    assert [call["rays"] for call in traced] == [20_000, 0]  # the tracer says what is wrong with 0
+    assert [call["rays"] for call in traced] == [20_000, 100]
 
 
 def test_the_whole_scene(capsys, scene_file, traced, tmp_path):
