@@ -126,28 +126,29 @@ def reference(name: str) -> tuple[float, float]:
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("name", SYSTEMS)
 @pytest.mark.parametrize(
     "wanted", [{"rays": 60_000}, {"relative_error": 0.05, "rays": 50_000_000}], ids=["rays", "error"]
 )
-def test_errors_hold_over_a_hundred_seeds(name: str, wanted: dict[str, Any]) -> None:
+def test_errors_hold_over_a_hundred_seeds(wanted: dict[str, Any]) -> None:
     """
-    Against forward runs with about a tenth of the error.
+    Against forward runs with about a tenth of the error; of 300 runs on three scenes 1 % may be beyond 3.
 
-    Errors come from 32 batches, so that z has the t distribution of 31 degrees of freedom: it is beyond 3 with 0.53 %.
-    More than one of 100 is with a chance of 10 % in each case even if all is right (of normal numbers: 3 %), so that a
-    change of the random numbers may break this; more than two with 1.6 %. The mean exceeds 0.3 with 4 %, since all
-    share the error of the reference; the spread over the error leaves 0.6 … 1.3 with less than 1e-3.
+    Errors come from 32 batches, so that z has the t distribution of 31 degrees of freedom: it is beyond 3 with 0.53 %,
+    and more than three of 300 are with 8 %, so that a change of the random numbers may break this. A scene has more
+    than three of 100 with 0.2 %, a mean above 0.3 with 4 %, since all its runs share the error of the reference, and a
+    spread over the error out of 0.6 … 1.3 with less than 1e-3.
     """
-    scene, angle, _ = SYSTEMS[name]
-    system, (value, se) = scene(), reference(name)
-    runs = [mistray.pst(system, [angle], cell_deg=2.0, seed=1000 + k, **wanted) for k in range(100)]
-    z = np.array([z_of(found, value, se) for found in runs])
-    values, errors = np.array([(found.value[0], found.standard_error[0]) for found in runs]).T
-    assert se < 0.12 * errors.mean()
-    assert np.count_nonzero(np.abs(z) > 3) <= 1
-    assert abs(z.mean()) < 0.3
-    assert 0.6 < values.std(ddof=1) / np.sqrt(np.mean(errors**2)) < 1.3
+    beyond = []
+    for name, (scene, angle, _) in SYSTEMS.items():
+        system, (value, se) = scene(), reference(name)
+        runs = [mistray.pst(system, [angle], cell_deg=2.0, seed=1000 + k, **wanted) for k in range(100)]
+        z = np.array([z_of(found, value, se) for found in runs])
+        values, errors = np.array([(found.value[0], found.standard_error[0]) for found in runs]).T
+        assert se < 0.12 * errors.mean(), name
+        assert abs(z.mean()) < 0.3, name
+        assert 0.6 < values.std(ddof=1) / np.sqrt(np.mean(errors**2)) < 1.3, name
+        beyond.append(np.count_nonzero(np.abs(z) > 3))
+    assert sum(beyond) <= 3, beyond
 
 
 def test_event_lists_turn_back() -> None:

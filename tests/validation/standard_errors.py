@@ -268,8 +268,8 @@ def repeats(name: str, seeds: int) -> pd.DataFrame:
     Returns
     -------
     DataFrame
-        For each entry that was there in all runs: kind, name, mean, std (over the runs) and rms_se (root mean square of
-        the errors).
+        For each entry that was there in all runs: kind, name, mean, std (over the runs), rms_se (root mean square of
+        the errors) and excess kurtosis (over the runs, at least 0).
     """
     found: dict[tuple[str, str], list[tuple[float, float]]] = defaultdict(list)
     case = CASES[name]
@@ -283,9 +283,18 @@ def repeats(name: str, seeds: int) -> pd.DataFrame:
         if len(pairs) < seeds:
             continue
         value, se = np.array(pairs).T
-        rows.append((name, kind, entry, value.mean(), value.std(ddof=1), np.sqrt(np.mean(np.square(se)))))
-    frame = pd.DataFrame(rows, columns=["case", "kind", "entry", "mean", "std", "rms_se"])
+        rows.append(
+            (name, kind, entry, value.mean(), value.std(ddof=1), np.sqrt(np.mean(np.square(se))), peaked(value))
+        )
+    frame = pd.DataFrame(rows, columns=["case", "kind", "entry", "mean", "std", "rms_se", "kurtosis"])
     return frame[frame["std"] > 1e-6 * frame["mean"].abs()]  # what does not vary has no error to compare
+
+
+def peaked(values: np.ndarray) -> float:
+    """Excess kurtosis, 0 where it is negative: what is seldom seen has few large values."""
+    apart = values - values.mean()
+    variance = np.mean(apart**2)
+    return max(float(np.mean(apart**4) / variance**2 - 3), 0.0) if variance > 0 else 0.0
 
 
 def table(frames: list[pd.DataFrame]) -> pd.DataFrame:
