@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+import csv
+import importlib
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -25,6 +28,7 @@ from mistray.trace.surfaces import SurfaceTable
 ANGLES = (0.0, 20.0, 40.0, 60.0)
 FIELDS = (0.0, 20.0)
 RAYS = 3000
+D_LINE_NM = 587.5618
 
 
 def prepared(name: str):
@@ -138,13 +142,64 @@ def test_targets_say_where_and_how_large(camera):
     assert rows.leaves["filter_rear"] == "back"
     assert math.isinf(rows.distance_mm["filter_front"])
     assert 0 < rows.half_angle_deg["filter_front"] < 90
-    beside = step.tables["paraxial_targets"].set_index("surface")
-    assert list(beside.index) == [table.ids[s.surface] for s in path.steps[:-1]]
-    last = beside.loc["filter_rear"]
+    beside = step.tables["paraxial_targets"]
+    assert list(dict.fromkeys(beside.surface)) == [table.ids[s.surface] for s in path.steps[:-1]]
+    last = beside[beside.surface == "filter_rear"].iloc[0]
     assert (last.distance_mm, last.half_width_mm) == pytest.approx((0.1363, 4.36788654 / 2), rel=1e-6)
     assert last.traced_distance_mm == pytest.approx(last.distance_mm)
-    optics = [s for s in path.steps[:-1] if table.interfaces[s.surface].scatter]
-    assert beside.traced_distance_mm[[table.ids[s.surface] for s in optics]].notna().all()
+    optics = [table.ids[s.surface] for s in path.steps[:-1] if table.interfaces[s.surface].scatter]
+    assert (beside.number[beside.surface.isin(optics)] > 0).all()
+
+
+def test_every_traced_target_stands_beside_the_paraxial_image(camera):
+    """A surface of the path with three targets, as a user may give them, has three rows; the others have one."""
+    scene, table, path = camera
+    found = dict(aims(table, scene, Settings.of(scene)))
+    places = [(s.surface, s.to_back) for s in path.steps[:-1]]
+    more = [replace(target, share=1 / 3) for place in places[:3] for target in found[place].targets]
+    found[places[1]] = replace(found[places[1]], targets=tuple(more))
+    step = importance_sampling(table, path, found, None)
+    beside, targets = step.tables["paraxial_targets"], step.table
+    names = {(table.ids[surface], "back" if to_back else "front") for surface, to_back in places}
+    expected = targets[[place in names for place in zip(targets.surface, targets.leaves, strict=True)]]
+    assert len(expected) == len(places) + 2
+    both = expected.merge(beside, on=["surface", "leaves", "number"], suffixes=("_all", ""))
+    assert len(both) == len(expected) == len(beside)
+    for key in ("distance_mm", "half_width_mm", "half_height_mm", "half_angle_deg"):
+        np.testing.assert_array_equal(both[f"traced_{key}"], both[f"{key}_all"])
+
+
+def test_paraxial_targets_are_those_of_table_15():
+    """
+    "Stray Light Analysis of a Mobile Phone Camera", Table 15: distance and size of the images that light should go to.
+
+    The table as audited: its own values belong to the wrong surfaces, the columns "correct" follow from its rays. The
+    detector lies in the paraxial focus and is as large as the image.
+    """
+    with (Path(__file__).parents[1] / "data" / "table15_audit.csv").open() as file:
+        audit = {row["surface"]: row for row in csv.DictReader(line for line in file if not line.startswith("#"))}
+    prescription = importlib.import_module("mistray.scenes.phone_camera_scatter.prescription").build()
+    size = float(audit["16"]["ISH_correct"])
+    focus = prescription.surfaces[-1].z + prescription.paraxial(D_LINE_NM).bfl
+    detector = replace(prescription.detector, z=focus, half_width=size, half_height=size)
+    scene = replace(prescription, detector=detector).to_scene()
+    table = SurfaceTable(scene, D_LINE_NM)
+    path = find_design_path(table, scene)
+    step = importance_sampling(table, path, aims(table, scene, Settings.of(scene)), None)
+    beside = step.tables["paraxial_targets"]
+    lenses = [table.ids[s.surface] for s in path.steps[:-1]]
+    lenses = lenses[lenses.index("L1_front") :]
+    assert len(lenses) == 12
+    for number, name in enumerate(lenses, start=5):
+        row = audit[str(number)]
+        own = beside[(beside.surface == name) & (beside.leaves == "back")]
+        assert len(own) >= 1
+        np.testing.assert_allclose(own.distance_mm, float(row["ISL_correct=-y_k/u'_k"]), rtol=1e-3)
+        np.testing.assert_allclose(own[["half_width_mm", "half_height_mm"]], float(row["ISH_correct"]), rtol=1e-3)
+    window = beside[beside.surface == "window_rear"]
+    assert np.isinf(window.distance_mm).all()
+    angle = math.degrees(math.atan(float(audit["3"]["ubar_after"])))
+    np.testing.assert_allclose(window.half_angle_deg, angle, rtol=1e-3)
 
 
 # ---- the whole

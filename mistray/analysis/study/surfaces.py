@@ -24,10 +24,11 @@ from mistray.trace.detector_images import DetectorImages
 from mistray.trace.host_rays import normals
 from mistray.trace.optics import OPAQUE
 from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.targets import AimSet, Cone, Inside, Place
+from mistray.trace.targets import AimSet, AnyTarget, Cone, Inside, Place
 
 BUDGET_ROUNDING = 1e-9
 SAME_DIGITS = 9
+SEEN = ["distance_mm", "half_width_mm", "half_height_mm", "half_angle_deg"]
 FAR_SIZES = 1e3  # distance of a target, in units of the system's size, from which on it is said to be at infinity
 
 
@@ -239,9 +240,10 @@ def importance_sampling(
     of the target; negative: virtual, inf: far away), half_width_mm, half_height_mm, half_angle_deg (the larger of both
     as seen from the vertex), share_percent (of the aimed rays), rays (aimed at every hit). "paraxial_targets" has what
     first-order optics says beside it: for each surface of the path the image of the detector in the space that the
-    light enters, in columns surface, leaves, distance_mm, half_width_mm and half_height_mm as above, that of the first
-    target that is traced from there as traced_distance_mm, traced_half_width_mm and traced_half_height_mm (NaN where
-    none is). Traced targets are as large as real rays need, see `mistray.trace.detector_images`.
+    light enters, in columns surface, leaves, distance_mm, half_width_mm, half_height_mm and half_angle_deg as above,
+    and in a row for each target that is traced from there its number (0: none is), traced_distance_mm,
+    traced_half_width_mm, traced_half_height_mm and traced_half_angle_deg. Traced targets are as large as real rays
+    need, see `mistray.trace.detector_images`.
     """
     rows = []
     far_away = FAR_SIZES * float(np.linalg.norm(np.ptp(table.vertices, axis=0)))
@@ -252,12 +254,6 @@ def importance_sampling(
             surface, leaves = place[0], "back" if place[1] else "front"
         vertex = table.vertices[surface]
         for number, target in enumerate(aim.targets, start=1):
-            if isinstance(target, Cone):
-                distance, far, width, height, angle = math.nan, False, math.nan, math.nan, target.half_angle
-            else:
-                distance = float(np.linalg.norm(target.centre - vertex))
-                far, (width, height) = distance > far_away, target.size
-                angle = math.atan2(max(width, height), distance)
             rows.append(
                 {
                     "surface": table.ids[surface],
@@ -265,23 +261,19 @@ def importance_sampling(
                     "leaves": leaves,
                     "number": number,
                     "shape": target.shape,
-                    "distance_mm": math.inf if far else -distance if target.reverse else distance,
-                    "half_width_mm": math.nan if far else width,
-                    "half_height_mm": math.nan if far else height,
-                    "half_angle_deg": math.degrees(angle),
+                    **_seen(target, vertex, far_away),
                     "share_percent": 100 * target.share,
                     "rays": aim.rays,
                 }
             )
-    columns = ["surface", "role", "leaves", "number", "shape", "distance_mm", "half_width_mm", "half_height_mm",
-               "half_angle_deg", "share_percent", "rays"]  # fmt: skip
+    columns = ["surface", "role", "leaves", "number", "shape", *SEEN, "share_percent", "rays"]
     frame = pd.DataFrame(rows, columns=columns)
     text = (
         "Where light that a surface scatters is sent besides at random: images of the detector in the space that the "
         "light enters, the detector itself, or lenses that the surface sees. What is sent elsewhere is sampled at "
         "random, so that targets change the error of a result and not the result."
     )
-    tables = {"targets": frame, "paraxial_targets": _paraxial(table, path, frame)}
+    tables = {"targets": frame, "paraxial_targets": _paraxial(table, path, frame, far_away)}
     if probe is None:
         return StudyStep.of(
             "importance_sampling",
@@ -317,19 +309,31 @@ def importance_sampling(
     )
 
 
-def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame) -> pd.DataFrame:
-    """The paraxial images of the detector behind the surfaces of the path, beside the targets that are traced."""
-    sizes = ["distance_mm", "half_width_mm", "half_height_mm"]
+def _seen(target: AnyTarget, vertex: np.ndarray, far_away: float) -> dict[str, float]:
+    """A target as seen from a surface's vertex, by the columns `SEEN`."""
+    if isinstance(target, Cone):
+        return dict(zip(SEEN, (math.nan, math.nan, math.nan, math.degrees(target.half_angle)), strict=True))
+    distance = float(np.linalg.norm(target.centre - vertex))
+    width, height = target.size
+    angle = math.degrees(math.atan2(max(width, height), distance))
+    if distance > far_away:
+        return dict(zip(SEEN, (math.inf, math.nan, math.nan, angle), strict=True))
+    return dict(zip(SEEN, (-distance if target.reverse else distance, width, height, angle), strict=True))
+
+
+def _paraxial(table: SurfaceTable, path: DesignPath | None, traced: pd.DataFrame, far_away: float) -> pd.DataFrame:
+    """The paraxial images of the detector behind the surfaces of the path, beside every target that is traced."""
     rows = []
     images = DetectorImages(path).paraxial if path is not None else []
     for image, step in zip(images[1:], path.steps if path is not None else (), strict=False):
         name, leaves = table.ids[step.surface], "back" if step.to_back else "front"
-        distance, (width, height) = float(np.linalg.norm(image.centre - step.point)), image.size
-        row = {"surface": name, "leaves": leaves, **dict(zip(sizes, (distance, width, height), strict=True))}
-        row["distance_mm"] *= -1 if image.reverse else 1
+        row = {"surface": name, "leaves": leaves, **_seen(image, step.point, far_away)}
         own = traced[(traced.surface == name) & (traced.leaves == leaves)]
-        rows.append(row | {f"traced_{key}": own[key].iloc[0] if len(own) else math.nan for key in sizes})
-    return pd.DataFrame(rows, columns=["surface", "leaves", *sizes, *(f"traced_{key}" for key in sizes)])
+        for number, target in zip(own.number, own[SEEN].itertuples(index=False), strict=True):
+            rows.append(row | {"number": number} | {f"traced_{key}": getattr(target, key) for key in SEEN})
+        if own.empty:
+            rows.append(row | {"number": 0} | {f"traced_{key}": math.nan for key in SEEN})
+    return pd.DataFrame(rows, columns=["surface", "leaves", *SEEN, "number", *(f"traced_{key}" for key in SEEN)])
 
 
 def _sampling_facts(check: SamplingCheck, probe: Trace) -> tuple[Fact, ...]:
