@@ -205,3 +205,43 @@ def test_advice(capsys) -> None:
 )
 def test_bad_input(capsys, arguments: tuple[str, ...], words: str) -> None:
     assert words in fails(capsys, *arguments)
+
+
+@pytest.mark.parametrize(
+    "arguments",
+    [
+        "phong --b0 1e308 --exponent 10",
+        "phong --b0 1e-308 --exponent 10",
+        "phong --b0 0.1 --exponent 1e308",
+        "abg --A 1e308 --B 0.001 --g 1.8",
+        "abg --A 0.0025 --B 0.001 --g 1e308",
+        "abg --A 0.0025 --B 1e308 --g 1.8",
+        "harvey_shack --b0 1e308 --l 0.01 --s=-1.5",
+        "harvey_shack --b0 1 --l 1e308 --s=-1.5",
+        "gaussian_lobe --total 1e-308 --width 0.1",
+        "gaussian_lobe --total 0.1 --width 1e-308",
+        "particulate --level 300 --slope 1e308",
+        "particulate --level 300 --slope 1e-308",
+        "particulate --level 1e308 --max-um 1000",
+        "paint --reflectance 1e-308 --b0 1 --l 0.1 --s=-2",
+        "polynomial --coefficients c000=0",
+        "polynomial --coefficients c000=1e308",
+    ],
+)
+def test_numbers_that_no_surface_has(capsys, arguments: str) -> None:
+    """One line: totals are finite and at most 1, and the tables of a trace hold the values."""
+    fails(capsys, *arguments.split())
+
+
+@pytest.mark.parametrize(
+    ("arguments", "percent"),
+    [
+        ("abg --A 0.0025 --B 0.001 --g 1e-308", 100 * 3.14159265 * 0.0025 / 1.001),
+        ("abg --A 1e-25 --B 0.001 --g 1e-308", 100 * 3.14159265e-25 / 1.001),
+        ("gaussian_lobe --total 0.1 --width 1e308", 10.0),
+        ("gaussian_lobe --total 0.1 --width 1e-7", 10.0),
+    ],
+)
+def test_extreme_numbers_that_are_right(capsys, arguments: str, percent: float) -> None:
+    out = run(capsys, *arguments.split(), "--angles-deg", "0")
+    assert rows(out)[0][0] == pytest.approx(percent, rel=6e-4)

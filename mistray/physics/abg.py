@@ -18,6 +18,7 @@ from mistray.physics._arrays import arithmetic
 
 # r^g is taken at no smaller r, for 0 to the power of 0 is NaN in Dr.Jit. It is a normal number in float32.
 _SMALLEST_R = 1e-30
+_SLIGHT, _TERMS = 0.1, 60  # g below which a series of so many terms is exact
 
 
 def bsdf(r: Any, a: Any, b: Any, g: Any) -> Any:
@@ -67,12 +68,18 @@ def tis(a: float, b: float, g: float) -> float:
     """
     from scipy.special import hyp2f1
 
-    if g == 0:
-        return math.pi * a / (1 + b)
     if b == 0:
         if g >= 2:
             raise MistrayError(f"ABg: B is 0 with g {g:g}, which scatters without limit; give B > 0")
         return 2 * math.pi * a / (2 - g)
+    if g < _SLIGHT:
+        # Pfaff's transformation, 2F1(1, 1; 1 + 2/g; 1/(1 + B)), term by term: library functions are lost here
+        power = 2 / g if g > 0 else math.inf
+        term = total = 1.0
+        for n in range(_TERMS):
+            term *= (n + 1) / ((1 + b) * (1 + power + n))
+            total += term
+        return math.pi * a / (1 + b) * total
     power = 2 / g
     if abs(power - round(power)) < 1e-9:  # the transformations of 2F1 lose digits next to an integer
         power = float(round(power))

@@ -250,6 +250,13 @@ def check_distribution(level: float, slope: float, min_um: float, max_um: float 
             f"particles: diameters {min_um:g} … {largest:g} µm at level {level:g}; they must keep "
             f"{SMALLEST_UM:g} ≤ min_um < max_um ≤ level, where the distribution is defined"
         )
+    with np.errstate(all="ignore"):  # what is not finite is refused
+        covered = coverage_percent(level, slope, min_um, max_um)
+    if not covered <= 100:
+        raise MistrayError(
+            f"particles: level {level:g} with slope {slope:g} covers {covered:.4g} % of the area, more than there is; "
+            "lower the level"
+        )
 
 
 @lru_cache(maxsize=8)

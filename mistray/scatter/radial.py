@@ -18,6 +18,7 @@ from mistray.errors import MistrayError
 R_MAX = 2.0  # the largest distance of two unit vectors
 PER_OCTAVE, OCTAVES = 64, 27
 RINGS = PER_OCTAVE * OCTAVES  # and the disc within the first node
+LEAST, MOST = 1e-30, 1e30  # of the largest value of a profile, 1/sr: what the tables of a trace hold
 FLOOR = 1e-30  # of the largest value: what is less is as good as nothing, and its logarithm is finite
 ALMOST_LOG = 1e-3  # exponents of r nearer to -2 than this are integrated as if they were -2
 
@@ -52,14 +53,16 @@ class RadialTable:
         Raises
         ------
         MistrayError
-            If it is negative, NaN, infinite, or 0 everywhere.
+            If it is negative, NaN or infinite, or its largest value is not within `LEAST` … `MOST`.
         """
         nodes = node_radii()
-        values = np.where(nodes <= r_max, np.asarray(profile(nodes), dtype=np.float64), 0.0)
-        largest = float(np.max(values)) if np.all(np.isfinite(values)) else np.nan
-        if not np.isfinite(largest) or np.any(values < 0) or largest == 0:
+        with np.errstate(all="ignore"):  # what is not finite is refused
+            values = np.where(nodes <= r_max, np.asarray(profile(nodes), dtype=np.float64), 0.0)
+        least, largest = float(np.min(values)), float(np.max(values))
+        if not (least >= 0 and LEAST <= largest <= MOST):
             raise MistrayError(
-                f"scatter profile: its values run from {np.min(values):g} to {largest:g}; give a BSDF > 0"
+                f"scatter profile: its values run from {least:g} to {largest:g} 1/sr; give a BSDF > 0 whose "
+                f"largest value is within {LEAST:g} … {MOST:g}"
             )
         logs = np.log2(np.maximum(values, FLOOR * largest))
         flux = np.concatenate([[np.pi * nodes[0] ** 2 * 2.0 ** logs[0]], ring_flux(nodes[:-1], logs)])

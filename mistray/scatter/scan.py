@@ -11,7 +11,7 @@ from mistray.errors import MistrayError
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import Scatter
 from mistray.scatter.samples import Samples
-from mistray.scatter.total import totals
+from mistray.scatter.total import check_loss, totals
 
 SMALLEST_R, LARGEST_ANGLE_DEG = 1e-7, 89.9
 NODES_R, NODES_ANGLE = 600, 720
@@ -121,7 +121,7 @@ def scan(
     Raises
     ------
     MistrayError
-        If the model has no such scatter, or an angle is out of range.
+        If the model has no such scatter, an angle is out of range, or the specular beam would lose more than it has.
     """
     light = light or Light()
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
@@ -130,6 +130,7 @@ def scan(
     sines = [light.sin_specular(event, angle) for angle in angles_deg]
     cosines = np.cos(np.radians(np.asarray(angles_deg, dtype=np.float64)))
     sums = totals(lobes, cosines, light.n_in, light.n_out)
+    check_loss("scatter", event, sums, cosines)
     scattered = sums.scattered(event, np.full(len(cosines), light.share(event)))
     found = []
     for k, (angle, sine) in enumerate(zip(angles_deg, sines, strict=True)):

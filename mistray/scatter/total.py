@@ -235,6 +235,37 @@ def totals(
     return Totals(loss, terms)
 
 
+def check_loss(title: str, event: str, sums: Totals, cos_i: np.ndarray, lit: np.ndarray | bool = True) -> None:
+    """
+    Refuse scatter that takes more of a specular beam than there is.
+
+    Parameters
+    ----------
+    title : str
+        Of what scatters.
+    event : {"reflection", "transmission"}
+    sums : Totals
+    cos_i : (m,) float64
+    lit : (m,) bool
+        Where there is a specular beam.
+
+    Raises
+    ------
+    MistrayError
+    """
+    lost = np.where(lit, sums.loss[event], 0.0)
+    worst = int(np.argmax(lost))
+    if not lost[worst] <= 1 + ROUNDING:
+        raise MistrayError(
+            f"{title}: at {_degrees(cos_i[worst]):.3g}° scatter takes {lost[worst]:.4g} of the specular {event}, which "
+            "is more than there is; make it weaker"
+        )
+
+
+def _degrees(cosine: float) -> float:
+    return float(np.degrees(np.arccos(np.clip(cosine, 0, 1))))
+
+
 def check_budget(
     title: str, sums: Totals, cos_i: np.ndarray, reflectance: np.ndarray, transmittance: np.ndarray
 ) -> np.ndarray:
@@ -254,22 +285,15 @@ def check_budget(
     MistrayError
         If the specular beam would lose more than it has, or the shares add up to more than 1; names surface and angle.
     """
-    angle = np.degrees(np.arccos(np.clip(cos_i, 0, 1)))
     for event, x in (("reflection", reflectance), ("transmission", transmittance)):
-        lost = np.where(x > 0, sums.loss[event], 0.0)
-        worst = int(np.argmax(lost))
-        if lost[worst] > 1 + ROUNDING:
-            raise MistrayError(
-                f"{title}: at {angle[worst]:.3g}° scatter takes {lost[worst]:.4g} of the specular {event}, which is "
-                "more than there is; make it weaker"
-            )
+        check_loss(title, event, sums, cos_i, x > 0)
     scattered = sums.scattered("reflection", reflectance) + sums.scattered("transmission", transmittance)
     specular = reflectance * (1 - sums.loss["reflection"]) + transmittance * (1 - sums.loss["transmission"])
     worst = int(np.argmax(scattered + specular))
     if scattered[worst] + specular[worst] > 1 + ROUNDING:
         raise MistrayError(
-            f"{title}: at {angle[worst]:.3g}° specular {specular[worst]:.4g} + scattered {scattered[worst]:.4g} is "
-            "more than 1; lower R, T or the scatter"
+            f"{title}: at {_degrees(cos_i[worst]):.3g}° specular {specular[worst]:.4g} + scattered "
+            f"{scattered[worst]:.4g} is more than 1; lower R, T or the scatter"
         )
     return np.asarray(1 - specular - scattered)
 

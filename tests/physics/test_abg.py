@@ -12,6 +12,7 @@ import numpy as np
 import pandas as pd
 import pytest
 from oracles import scatter_integrals
+from scipy.integrate import quad
 
 import mistray  # noqa: F401  (settles libLLVM and the variant)
 from mistray.errors import MistrayError
@@ -77,6 +78,14 @@ def test_tis_where_the_hypergeometric_function_degenerates(b: float, g: float, s
     g = g * (1 + step)
     expected = scatter_integrals.total_scatter(scatter_integrals.abg(1.0, b, g), 0.0)
     assert abg.tis(1.0, b, g) == pytest.approx(expected, rel=VECTORS)
+
+
+@pytest.mark.parametrize("b", [1e-12, 1e-3, 0.5, 3.0, 1e300])
+@pytest.mark.parametrize("g", [1e-308, 1e-6, 1e-2, 0.3, 0.999])
+def test_tis_of_slight_slopes(b: float, g: float) -> None:
+    """2π A ∫ r dr/(B + r^g) over r = exp(-t); the function of 1/B was lost below g 0.03."""
+    integral, _ = quad(lambda t: math.exp(-2 * t) / (b + math.exp(-g * t)), 0, 300, epsabs=0, epsrel=1e-12, limit=500)
+    assert abg.tis(1.0, b, g) == pytest.approx(2 * math.pi * integral, rel=1e-11)
 
 
 def test_tis_limits() -> None:
