@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 
 from mistray.trace import Trace
@@ -82,7 +82,101 @@ def sampling_check(trace: Trace) -> SamplingCheck:
     trace : Trace
         Result of `mistray.trace`. Where nothing scatters there are no rows and no warnings.
     """
-    rows = tuple(
+    return SamplingCheck(
+        _rows(trace),
+        trace.scattered_rays_per_start,
+        trace.largest_ray_share,
+        trace.effective_scattered_rays,
+        tuple(text for _, text in sampling_warnings([trace])),
+    )
+
+
+def sampling_warnings(traces: Sequence[Trace]) -> list[tuple[list[int], str]]:
+    """
+    What to change, each line once for all traces that it is about.
+
+    Parameters
+    ----------
+    traces : sequence of Trace
+        Of one scene, at several fields say.
+
+    Returns
+    -------
+    list of (list of int, str)
+        Numbers of the traces, and the line, with the worst figures of any of them.
+    """
+    found: list[tuple[list[int], str]] = []
+    rows = [_rows(t) for t in traces]
+
+    def named(values: Sequence[Mapping[str, float]], worst: Callable[..., float], text: str) -> None:
+        """A line about places that have a figure each, the worst place first."""
+        at = [k for k, each in enumerate(values) if each]
+        if not at:
+            return
+        places = {name: worst(each[name] for each in values if name in each) for each in values for name in each}
+        order = sorted(places, key=lambda name: places[name], reverse=worst is max)
+        names = _names([f"{name} {100 * places[name]:.2g} %" for name in order])
+        count = f"{len(places)} surfaces or bodies scatter" if len(places) > 1 else "one surface or body scatters"
+        found.append((at, text.format(names=names, count=count)))
+
+    def numbers(
+        values: Sequence[float], wrong: Callable[[float], bool], worst: Callable[..., float], text: str
+    ) -> None:
+        """A line about one figure of each trace."""
+        at = [k for k, value in enumerate(values) if wrong(value)]
+        if at:
+            found.append((at, text.format(worst(values[k] for k in at))))
+
+    named(
+        [{row.surface: row.share_landed for row in each if row.low} for each in rows],
+        min,
+        f"few aimed rays reach the detector (less than {100 * LEAST_LANDED:g} %): {{names}}. Give these surfaces a "
+        "smaller target or several; where only a lens is in view, more is not possible",
+    )
+    tight = [[row.surface for row in each if row.tight] for each in rows]
+    if any(tight):
+        names = _names(list(dict.fromkeys(name for each in tight for name in each)))
+        text = (
+            f"every aimed ray reaches the detector: {names}. These targets may be too small; enlarge them until some "
+            "rays miss"
+        )
+        found.append(([k for k, each in enumerate(tight) if each], text))
+    named(
+        [{place.id: place.share for place in t.silent if place.share >= LEAST_LIT} for t in traces],
+        max,
+        "{count} light, but none of it reaches the detector: {names} (share of the launched flux). If the detector "
+        "sees such a place, give it a target or raise rays",
+    )
+    hits = [t.scattered_rays_per_start for t in traces]
+    scatters = [bool(each or t.scattered_rays_per_start > 0 or t.silent) for each, t in zip(rows, traces, strict=True)]
+    judged = [n if any_light else LEAST_HITS for n, any_light in zip(hits, scatters, strict=True)]
+    numbers(
+        judged,
+        lambda n: n < LEAST_HITS,
+        min,
+        f"only {{:.2g}} scattered rays reach the detector per start ray (at least {LEAST_HITS:g} is good); raise "
+        "aimed_rays, or give the surfaces that scatter a target",
+    )
+    numbers(
+        judged,
+        lambda n: n > MOST_HITS,
+        max,
+        f"{{:.3g}} scattered rays reach the detector per start ray (at most {MOST_HITS:g} is good); trace more start "
+        "rays with fewer scattered ones: lower aimed_rays or scatter_rays, or raise scatter_threshold",
+    )
+    numbers(
+        [100 * t.largest_ray_share for t in traces],
+        lambda share: share > 100 * LARGEST_SHARE,
+        max,
+        f"one ray carries {{:.2g}} % of the scattered light (at most {100 * LARGEST_SHARE:g} % is good); raise rays, "
+        "or give the surface that scattered it a target",
+    )
+    return found
+
+
+def _rows(trace: Trace) -> tuple[AimedRow, ...]:
+    """What became of the aimed rays of each surface."""
+    return tuple(
         AimedRow(
             entry.id,
             round(entry.aimed),
@@ -92,43 +186,3 @@ def sampling_check(trace: Trace) -> SamplingCheck:
         )
         for entry in trace.aiming
     )
-    hits, largest = trace.scattered_rays_per_start, trace.largest_ray_share
-    warnings = []
-    low = sorted((row for row in rows if row.low), key=lambda row: row.share_landed)
-    if low:
-        named = _names([f"{row.surface} {100 * row.share_landed:.2g} %" for row in low])
-        warnings.append(
-            f"few aimed rays reach the detector (less than {100 * LEAST_LANDED:g} %): {named}. Give these surfaces a "
-            "smaller target or several; where only a lens is in view, more is not possible"
-        )
-    tight = [row.surface for row in rows if row.tight]
-    if tight:
-        warnings.append(
-            f"every aimed ray reaches the detector: {_names(tight)}. These targets may be too small; enlarge them "
-            "until some rays miss"
-        )
-    silent = [f"{place.id} {100 * place.share:.2g} %" for place in trace.silent if place.share >= LEAST_LIT]
-    if silent:
-        count = f"{len(silent)} surfaces or bodies scatter" if len(silent) > 1 else "one surface or body scatters"
-        warnings.append(
-            f"{count} light, but none of it reaches the detector: {_names(silent)} (share of the launched "
-            "flux). If the detector sees such a place, give it a target or raise rays"
-        )
-    if rows or hits > 0 or trace.silent:
-        if hits < LEAST_HITS:
-            warnings.append(
-                f"only {hits:.2g} scattered rays reach the detector per start ray (at least {LEAST_HITS:g} is good); "
-                "raise aimed_rays, or give the surfaces that scatter a target"
-            )
-        if hits > MOST_HITS:
-            warnings.append(
-                f"{hits:.3g} scattered rays reach the detector per start ray (at most {MOST_HITS:g} is good); trace "
-                "more start rays with fewer scattered ones: lower aimed_rays or scatter_rays, or raise "
-                "scatter_threshold"
-            )
-    if largest > LARGEST_SHARE:
-        warnings.append(
-            f"one ray carries {100 * largest:.2g} % of the scattered light (at most {100 * LARGEST_SHARE:g} % is "
-            "good); raise rays, or give the surface that scattered it a target"
-        )
-    return SamplingCheck(rows, hits, largest, trace.effective_scattered_rays, tuple(warnings))

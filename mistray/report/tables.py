@@ -7,7 +7,7 @@ from typing import Any
 
 import pandas as pd
 
-from mistray.analysis.aiming_check import sampling_check
+from mistray.analysis.aiming_check import sampling_warnings
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.ranking import FEWEST_RAYS
@@ -194,8 +194,8 @@ def warnings(report: GhostReport) -> list[str]:
             f"error is up to {worst:.1e}"
         )
     found += dict.fromkeys(text for t in report.values() for text in t.notes)
-    for field, t in report.items():
-        found += [f"{_fields([field])}: {text}" for text in sampling_check(t).warnings]
+    fields = list(report)
+    found += [f"{_fields([fields[k] for k in at])}: {text}" for at, text in sampling_warnings(list(report.values()))]
     few = [field for field in report if not report.top(field, 4).well_sampled.all()]
     if few:
         found.append(f"{_fields(few)}: some of the worst four paths hold fewer than {FEWEST_RAYS} rays; raise rays")

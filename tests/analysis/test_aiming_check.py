@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.analysis.aiming_check import sampling_check
+from mistray.analysis.aiming_check import sampling_check, sampling_warnings
 from mistray.trace.aimed_rays import SilentPlace
 
 
@@ -43,6 +43,24 @@ def test_shares_are_those_of_the_rays():
     ]
     assert (check.hits_per_start, check.largest_share, check.effective_hits) == (1.0, 0.001, 5000.0)
     assert check.warnings == ()
+
+
+def test_several_traces_share_a_line():
+    """Each kind of warning once, with the traces that it is about and the worst figures of any of them."""
+    traces = [
+        Traced([Surface("a", 1000, 100), Surface("b", 1000, 900)], 40.0, 0.2, silent=[SilentPlace("wall", 0.02)]),
+        Traced([Surface("a", 1000, 150), Surface("b", 1000, 50)], 50.0, 0.001),
+        Traced([], 0.0, float("nan")),
+        Traced([Surface("a", 1000, 500)], 0.01, 0.3, silent=[SilentPlace("wall", 0.5), SilentPlace("edge", 0.1)]),
+    ]
+    low, silent, few, many, single = sampling_warnings(traces)
+    assert low[0] == [0, 1]
+    assert "b 5 %, a 10 %" in low[1]
+    assert silent[0] == [0, 3]
+    assert "wall 50 %, edge 10 %" in silent[1]
+    assert (few[0], many[0], single[0]) == ([3], [0, 1], [0, 3])
+    assert ("0.01" in few[1], "50" in many[1], "30 %" in single[1]) == (True, True, True)
+    assert sampling_warnings([]) == []
 
 
 def test_nothing_scatters_nothing_to_say():
