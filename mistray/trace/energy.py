@@ -86,6 +86,15 @@ class Energy:
             self.detected_W + absorbed + self.escaped_W + sum(self.cut.values()) - self.launched_W
         ) / self.launched_W
 
+    @property
+    def greatest_loss(self) -> str:
+        """What takes most of the light that the detector does not get, and its share, in words: ``'stop' takes 93 %``."""
+        losses = {f"'{name}' takes": value for name, (value, _) in self.absorbed.items()}
+        losses |= {f"{name} absorbs": value for name, (value, _) in self.absorbed_in.items()}
+        losses |= {"the outside gets": self.escaped_W} | {f"{reason} cuts": value for reason, value in self.cut.items()}
+        what, value = max(losses.items(), key=lambda item: item[1])
+        return f"{what} {100 * value / self.launched_W:.3g} %"
+
     def __str__(self) -> str:
         def line(name: str, value: float, se: float | None = None) -> str:
             error = "" if se is None else f" ± {se:.1e}"

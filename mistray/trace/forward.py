@@ -197,7 +197,7 @@ def _result(
     emitter = first.emitter
     wavelengths = sorted({run.beam.wavelength_nm for run in runs})
     power = sum(run.beam.power for run in runs)
-    return Trace(
+    found = Trace(
         runs,
         {
             **asdict(settings),
@@ -216,3 +216,6 @@ def _result(
         },
         task,
     )
+    if field_deg is None and azimuth_deg is None and found.rays_traced and found.energy.detected_W == 0:
+        found.notes.append(f"no light reaches the detector: {found.energy.greatest_loss} of it")
+    return found

@@ -63,8 +63,9 @@ class Trace:
     effective_scattered_rays : float
         (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
     notes : list of str
-        What a reader must know: gaps too thin for float32, see `mistray.trace.thin_gaps`, and media that were taken as
-        opaque because no light gets through their bodies.
+        What a reader must know: gaps too thin for float32, see `mistray.trace.thin_gaps`, media that were taken as
+        opaque because no light gets through their bodies, and that the detector gets no light of the sources at the
+        field of their own, for which a scene is made.
     aiming : list of AimedSurface
         Surfaces and media that aimed rays at targets.
     silent : list of SilentPlace
@@ -383,6 +384,8 @@ class Trace:
         detected = f"detected {self.energy.detected_W:.6g} ± {self.energy.detected_se_W:.1g} W"
         if self.rays_traced != self.rays_planned:
             count = f"unfinished: {self.rays_traced} of {self.rays_planned} rays, {count}"
+        if self.rays_traced and self.energy.detected_W == 0:
+            detected += f", {self.energy.greatest_loss}"
         return f"Trace({count}, {self.segments:.3g} segments, {detected})"
 
 

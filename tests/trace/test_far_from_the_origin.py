@@ -140,7 +140,8 @@ def test_thin_gap(z: float, gap: float) -> None:
 def test_unresolved_gap() -> None:
     """The stop at the origin makes the scene 3 m long."""
     scene = plates(3000.0, 1e-4, stop=True)
-    (line,) = mistray.trace(scene, rays=500, max_reflections=2).notes
+    line, lost = mistray.trace(scene, rays=500, max_reflections=2).notes
+    assert lost.startswith("no light reaches the detector")
     assert "'s1'" in line
     assert "'s2'" in line
     assert "0.0001 mm" in line
