@@ -238,8 +238,8 @@ def test_numbers_that_no_surface_has(capsys, arguments: str) -> None:
     [
         ("abg --A 0.0025 --B 0.001 --g 1e-308", 100 * 3.14159265 * 0.0025 / 1.001),
         ("abg --A 1e-25 --B 0.001 --g 1e-308", 100 * 3.14159265e-25 / 1.001),
-        ("gaussian_lobe --total 0.1 --width 1e308", 10.0),
-        ("gaussian_lobe --total 0.1 --width 1e-7", 10.0),
+        ("gaussian_lobe --total 0.1 --width 1e6", 10.0),
+        ("gaussian_lobe --total 0.1 --width 1e-6", 10.0),
     ],
 )
 def test_extreme_numbers_that_are_right(capsys, arguments: str, percent: float) -> None:

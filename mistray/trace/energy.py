@@ -88,7 +88,7 @@ class Energy:
 
     @property
     def greatest_loss(self) -> str:
-        """What takes most of the light that the detector does not get, and its share, in words: ``'stop' takes 93 %``."""
+        """What takes most of the light that the detector does not get, with its share: ``'stop' takes 93 %``."""
         losses = {f"'{name}' takes": value for name, (value, _) in self.absorbed.items()}
         losses |= {f"{name} absorbs": value for name, (value, _) in self.absorbed_in.items()}
         losses |= {"the outside gets": self.escaped_W} | {f"{reason} cuts": value for reason, value in self.cut.items()}
