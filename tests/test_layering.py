@@ -13,6 +13,7 @@ ROOT = Path(__file__).parents[1]
 # From the ground up. A module imports from its own layer and from those before it.
 LAYERS = [
     {"errors"},
+    {"ids"},
     {"ranges"},
     {"_lazy"},
     {"replace_file"},
@@ -46,6 +47,7 @@ SCENES_MAY_IMPORT = {"errors", "materials", "prescription", "scenes"}
 # These work on arrays and tables, or before Mitsuba can be imported.
 NO_MITSUBA = {
     "errors",
+    "ids",
     "ranges",
     "replace_file",
     "cache",

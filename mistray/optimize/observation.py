@@ -14,6 +14,7 @@ import numpy as np
 
 from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.errors import MistrayError
+from mistray.ids import event_words
 from mistray.trace import PathRow, Trace
 from mistray.trace.ledger import BATCHES
 from mistray.trace.path_events import DIRECT, LETTERS, STRAY_KINDS, way_text
@@ -229,9 +230,9 @@ class Observation:
             raise MistrayError(
                 f"selection '{text}' is no kind of path; {hint} {', '.join(KINDS)}, or the events of one"
             )
-        met = {event.rpartition(":")[0] for events in self._ways for event in events.split()}
+        met = {event.rpartition(":")[0] for events in self._ways for event in event_words(events)}
         known = list(dict.fromkeys((*(surface.id for surface in self.trace.surfaces), *sorted(met))))
-        for event in text.split():
+        for event in event_words(text):
             surface, _, letter = event.rpartition(":")
             if surface not in known:
                 close = difflib.get_close_matches(surface, known, n=3)

@@ -8,6 +8,7 @@ from mistray.coatings import preset
 from mistray.coatings.simple import check_shares
 from mistray.coatings.stack import SIDES
 from mistray.errors import MistrayError
+from mistray.ids import check_id
 
 
 @dataclass(frozen=True)
@@ -99,5 +100,6 @@ BLACK = Coating(R=0.0)
 
 def check_name(name: str) -> None:
     """Raise if a text cannot be the id of an object of the scene."""
-    if not name or "." in name or name != name.strip():
-        raise MistrayError(f"shape '{name}': a name must not be empty, hold a dot or start or end with a blank")
+    if not name or "." in name:
+        raise MistrayError(f"shape '{name}': a name must not be empty or hold a dot")
+    check_id(name, "shape")

@@ -346,7 +346,7 @@ class Explorer {
   }
   showEvents(row) {
     const details = row.querySelector("td.path details"), list = this.panel.querySelector("ol.events");
-    this.events = details.lastChild.textContent.trim().split(/\s+/).map((word) => [word.slice(0, word.lastIndexOf(":")), word.slice(-1)]);
+    this.events = details.lastChild.textContent.trim().split(/(?<=:[ATRItrij])\s+/).map((word) => [word.slice(0, word.lastIndexOf(":")), word.slice(-1)]);
     list.replaceChildren(...this.events.map(([surface, letter]) => {
       const item = document.createElement("li");
       item.textContent = `${surface}: ${this.shared.events[letter]}`;

@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.analysis.estimate import Estimate
+from mistray.ids import event_words
 from mistray.report.cut_open import CutPlane, OpenSurface, triangulate
 from mistray.report.layout import GLASS, PATH_COLOURS, glass_bodies
 from mistray.report.markup import thousands
@@ -125,7 +126,7 @@ def path_lines(go: Any, rows: Sequence[PathRow], lines: Sequence[RayLine]) -> li
         name = row_name(row)
         texts: list[str] = []
         for line in own:
-            places = ["start", *line.events.split()]
+            places = ["start", *event_words(line.events)]
             texts += [f"{escape(place)}, {flux:.4g} W" for place, flux in zip(places, line.flux_W, strict=True)]
             texts.append("")
         traces.append(

@@ -13,6 +13,7 @@ import mitsuba as mi
 
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError, MistrayWarning
+from mistray.ids import check_id
 from mistray.materials.mate import shown
 from mistray.scene.check import check_overlaps
 from mistray.scene.depth import check_depth
@@ -65,6 +66,8 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
         raise MistrayError(explain(error, given)) from None
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f'scene: the dict describes a {type(scene).__name__}; add "type": "scene" at its top')
+    for shape in scene.shapes():
+        check_id(shape.id(), "shape")
     check_overlaps(scene)
     for text in improbable(scene):
         warnings.warn(text, MistrayWarning, stacklevel=2)

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ids import check_id
 from mistray.trace.ledger import EVENT_BITS, TRANSMITTED
 from mistray.trace.path_events import EVENT_MASK, Events, distinct, event_text, way
 from mistray.trace.path_filter import named_like, unknown_name
@@ -36,11 +37,11 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
     Raises
     ------
     MistrayError
-        For a pattern that fits nothing, a name with blanks, or another word.
+        For a pattern that fits nothing, a name that no id can be, or another word.
     """
     ids, parts = table.event_ids, table.event_parts
     if aliases == PART:
-        return [part.replace(" ", "_") if k < table.count else ids[k] for k, part in enumerate(parts)]
+        return [part if k < table.count else ids[k] for k, part in enumerate(parts)]
     if aliases == SPACE:
         spaces = [*table.spaces, *(-1 for _ in ids[table.count :])]
         return [f"space_{n}" if n >= 0 else name for n, name in zip(spaces, ids, strict=True)]
@@ -49,8 +50,9 @@ def alias_names(table: SurfaceTable, aliases: Mapping[str, str] | str) -> list[s
     names = list(ids)
     free = np.full(len(ids), True)
     for pattern, name in aliases.items():
-        if not name or any(letter.isspace() for letter in name):
-            raise MistrayError(f"alias '{name}' of '{pattern}': a name has letters and no blanks; write a_b for 'a b'")
+        if not name:
+            raise MistrayError(f"alias of '{pattern}' is empty; give a name")
+        check_id(name, "alias")
         found = named_like(pattern, ids, parts)
         if not found.any():
             raise MistrayError(f"alias '{name}': {unknown_name(pattern, ids, parts)}")

@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
+from mistray.ids import event_words
 from mistray.trace.ledger import (
     ABSORBED,
     AIMED_REFLECTED,
@@ -249,7 +250,7 @@ def path_names(events: Sequence[str], labels: Sequence[str]) -> list[str]:
         groups.setdefault(label, []).append(number)
     names = list(labels)
     for label, members in groups.items():
-        words = {k: events[k].split()[:-1] for k in members}
+        words = {k: event_words(events[k])[:-1] for k in members}
         if len({tuple(some) for some in words.values()}) == 1:
             continue
         common = set.intersection(*(set(some) for some in words.values()))
@@ -260,9 +261,9 @@ def path_names(events: Sequence[str], labels: Sequence[str]) -> list[str]:
                 of_name.setdefault(text, set()).add(tuple(words[k]))
             done = [k for k, text in detail.items() if text and len(of_name[text]) == 1]
             for k in done:
-                passed_only = all(word.endswith(":T") for word in detail[k].split())
+                passed_only = all(word.endswith(":T") for word in event_words(detail[k]))
                 names[k] = (
-                    f"{label} through {', '.join(w.removesuffix(':T') for w in detail[k].split())}"
+                    f"{label} through {', '.join(w.removesuffix(':T') for w in event_words(detail[k]))}"
                     if passed_only
                     else detail[k]
                 )

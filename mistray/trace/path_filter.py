@@ -22,6 +22,10 @@ L(x)   meets x last before the detector
 needs quotation marks if it is more than a word, and may have ``*`` and ``?``: ``kind = "single scatter"``. A text in
 quotation marks alone is a path: these events in this order, others between: ``"detector:R window_rear:R"``.
 
+A name with brackets or commas needs quotation marks of either kind: ``H("lens (1)")``. In a path a name with blanks
+stands in marks of the other kind: ``"detector:R 'window rear':R"``. For a name that holds both kinds write ``?`` for
+such a mark.
+
 Terms are joined by ``!`` (not), ``&`` (and), ``^`` (either, not both), ``|`` (or), which bind in this order, and by
 round brackets.
 """
@@ -335,7 +339,10 @@ class _Parser:
             self._fail(f"a term is missing before '{found[0].strip()}'" if found else "a term is missing at the end")
         self._at = found.end()
         if found["text"]:
-            words = tuple(found["text"][1:-1].split())
+            mark, path = found["text"][0], found["text"][1:-1]
+            inner = "'" if mark == '"' else '"'
+            pieces = re.findall(rf"{inner}[^{inner}]*{inner}\S*|\S+", path)
+            words = tuple(piece.replace(inner, "") if piece.startswith(inner) else piece for piece in pieces)
             return _Sequence(words) if words else self._fail("a path in quotation marks is empty; name its surfaces")
         word = found["word"]
         if word in FLAGS and len(word) == 1:

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple, overload
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ids import event_words
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES, host_keys
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
@@ -157,7 +158,7 @@ class PathRow:
         The types are SpecTran, SpecRefl, TIR, RandTran, RandRefl, ImpTran, ImpRefl and Absorbed.
         """
         names = {LETTERS[code]: name for code, name in INTERCEPTS.items()}
-        return [(name, names[letter]) for name, letter in (event.rsplit(":", 1) for event in self.events.split())]
+        return [(name, names[letter]) for name, letter in (event.rsplit(":", 1) for event in event_words(self.events))]
 
 
 class Book(NamedTuple):

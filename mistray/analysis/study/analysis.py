@@ -15,6 +15,7 @@ from mistray.analysis.pst.causes import Break, breaks, cause_frame, first_level_
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.study.first_order import FirstOrder
 from mistray.analysis.study.step import Fact, StudyStep
+from mistray.ids import event_words
 from mistray.trace.sky import CLASSES
 
 TOP_PATHS = 4  # of each angle, and worst ghosts of each field
@@ -175,7 +176,7 @@ def zero_order(pst: Pst, first: FirstOrder | None, design: Sequence[str] = ()) -
 
 def _surfaces(events: str) -> list[str]:
     """The surfaces of an event list, the detector too."""
-    return [word.rpartition(":")[0] for word in events.split()]
+    return [word.rpartition(":")[0] for word in event_words(events)]
 
 
 def _ghost_words(row: Any, design: Sequence[str]) -> str:

@@ -1,0 +1,52 @@
+"""What ids of objects may be, and how the events at them are told apart in a line of text."""
+
+from __future__ import annotations
+
+import re
+import unicodedata
+
+from mistray.errors import MistrayError
+
+EVENT_LETTERS = "ATRItrij"  # as of `mistray.trace.path_events.LETTERS`
+FORMULA_SIGNS = "=+-@"  # a spreadsheet that reads a table takes what begins so for a formula
+_BETWEEN = re.compile(rf"(?<=:[{EVENT_LETTERS}])\s+")
+
+
+def event_words(text: str) -> list[str]:
+    """
+    The events of a list such as ``L1 front:T window:R detector:A``, each an id, a colon and a letter.
+
+    Ids may hold blanks: an event ends with its letter.
+    """
+    return _BETWEEN.split(text.strip()) if text.strip() else []
+
+
+def check_id(name: str, what: str = "object") -> None:
+    """
+    Raise if a text cannot be an id.
+
+    Blanks, quotation marks, arrows, commas and letters of any script are allowed. Not allowed are line breaks and other
+    control characters, blanks at the ends, a sign at the start by which a spreadsheet knows a formula, and what looks
+    like the end of an event, as in ``a:T b``.
+
+    Parameters
+    ----------
+    name : str
+    what : str
+        Kind of object, for the message.
+
+    Raises
+    ------
+    MistrayError
+    """
+    if any(unicodedata.category(letter) in ("Cc", "Zl", "Zp") for letter in name):
+        why = "holds a line break or another control character"
+    elif name[:1] in tuple(FORMULA_SIGNS):
+        why = f"begins with {name[0]}, which a spreadsheet takes for a formula"
+    elif name != name.strip():
+        why = "begins or ends with a blank"
+    elif _BETWEEN.search(name):
+        why = "holds a colon, a letter and a blank, as at the end of an event"
+    else:
+        return
+    raise MistrayError(f"{what} {name!a}: its name {why}; rename it")

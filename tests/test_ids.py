@@ -1,0 +1,123 @@
+"""Ids with blanks, quotation marks, arrows: the same numbers as with plain ones, in every table and on every page."""
+
+from __future__ import annotations
+
+import csv
+import json
+from pathlib import Path
+from typing import Any
+from xml.sax.saxutils import quoteattr
+
+import pytest
+from oracles.small_scenes import plates_text, write
+
+import mistray
+from mistray import cli
+from mistray.errors import MistrayError
+from mistray.ids import check_id, event_words
+from mistray.trace.path_events import LETTERS
+
+PLAIN = ("p0_front", "p0_rear", "detector")
+STRANGE = (
+    ('lens 1 → "front", <b>&</b>', "L 'rear' ; (2) : é", "image µ"),
+    ("a b c", "a  b", "b"),
+    ("x" * 300, "Größe, 透镜", "a:T"),
+)
+FEW = {"rays": 200, "max_reflections": 2, "max_scatters": 0}
+
+
+def scene(folder: Path, names: tuple[str, ...]) -> Path:
+    text = plates_text(1)
+    for plain, name in zip(PLAIN, names, strict=True):
+        text = text.replace(f'"{plain}"', quoteattr(name))
+    return write(folder, text)
+
+
+def test_the_letters_are_those_of_events() -> None:
+    from mistray.ids import EVENT_LETTERS
+
+    assert sorted(EVENT_LETTERS) == sorted(LETTERS.values())
+
+
+@pytest.mark.parametrize("names", STRANGE)
+def test_paths_are_the_same(tmp_path: Path, names: tuple[str, ...]) -> None:
+    write(tmp_path, plates_text(1))
+    plain = mistray.trace(mistray.load(tmp_path / "scene.xml"), **FEW)
+    strange = mistray.trace(mistray.load(scene(tmp_path, names)), **FEW)
+    called = dict(zip(PLAIN, names, strict=True))
+    assert len(plain.paths) == len(strange.paths) > 1
+    for one, other in zip(plain.paths, strange.paths, strict=True):
+        assert (other.power_W, other.path) == (one.power_W, one.path)
+        assert other.event_list == [(called[name], what) for name, what in one.event_list]
+        assert event_words(other.events) == [f"{called[word[:-2]]}{word[-2:]}" for word in event_words(one.events)]
+    assert len({row.label for row in strange.paths}) == len({row.label for row in plain.paths})
+
+
+def test_a_filter_names_them(tmp_path: Path) -> None:
+    names = STRANGE[0]
+    write(tmp_path, plates_text(1))
+    plain = mistray.trace(mistray.load(tmp_path / "scene.xml"), **FEW)
+    strange = mistray.trace(mistray.load(scene(tmp_path, names)), **FEW)
+    pairs = {
+        "G(p0_rear)": """G("L 'rear' ; (2) : é")""",
+        "G(p0_front)": "G('lens 1 → \"front\", <b>&</b>')",
+        '"p0_rear p0_rear:T"': "\"'L ?rear? ; (2) : é' 'L ?rear? ; (2) : é':T\"",
+        '"p0_rear:R detector:A"': "\"'L ?rear? ; (2) : é':R 'image µ':A\"",
+        "H(detector) >= 2": "H(image µ) >= 2",
+        'last_object = "p0_rear"': 'last_object = "L ?rear? ; (2) : é"',
+    }
+    for one, other in pairs.items():
+        ids = [row.path_id for row in strange.paths.select(other)]
+        assert ids == [row.path_id for row in plain.paths.select(one)], one
+    assert [row.path_id for row in plain.paths.select("G(p0_rear)")]
+
+
+def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
+    names = STRANGE[0]
+    monkeypatch.chdir(tmp_path)
+    scene(tmp_path, names)
+    more = ("--filter", "G(lens*)", "--alias", "lens*=the lens", "--levels", "--path-analysis", "power_W")
+    few = ("--rays", "200", "--max-scatters", "0")
+    assert cli.main(["ghosts", "scene.xml", *few, *more, "--out", "out", "--json"]) == 0
+    record = json.loads(capsys.readouterr().out)
+    assert json.dumps(names[0]) in json.dumps(record)
+    with open("out/paths.csv", encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    assert {name for row in rows for name in (word[:-2] for word in event_words(row["events"]))} == set(names)
+    page = Path("out/report.html").read_text(encoding="utf-8")
+    assert "<b>&</b>" not in page
+    assert "lens 1 → " in page
+    events = rows[0]["events"]
+    for command in (
+        ("pst", "--angles-deg", "0", "20", "--rays", "2000", "--out", "pst"),
+        ("study", "--quick", "--angles-deg", "0", "20", "--field-deg", "0", "--rays", "2000", "--out", "study"),
+        ("view", *few, "--out", "view.html", "--layout", "layout.svg", "--save-rays", "rays.json"),
+        ("sensitivity", "--rays", "100", "--kind", "curvature", "--paths", events, "--no-check", "--out", "s"),
+        ("objects", "--rays", "1000", "--out", "objects"),
+    ):
+        assert cli.main([command[0], "scene.xml", *command[1:]]) == 0, capsys.readouterr().err
+        capsys.readouterr()
+    for file in tmp_path.rglob("*.html"):
+        assert "<b>&</b>" not in file.read_text(encoding="utf-8"), file
+
+
+@pytest.mark.parametrize("name", ["a\nb", "a\tb", "a\u2028b", "=1+1", "+a", "-a", "@a", " a", "a ", "a:T b"])
+def test_what_no_id_can_be(tmp_path: Path, name: str, capsys: Any) -> None:
+    with pytest.raises(MistrayError):
+        check_id(name)
+    text = quoteattr(name, {"\n": "&#10;", "\t": "&#9;"})
+    file = write(tmp_path, plates_text(1).replace('"p0_front"', text))
+    assert cli.main(["ghosts", str(file), "--rays", "100"]) == 2
+    out, err = capsys.readouterr()
+    assert (out, err.count("\n")) == ("", 1)
+
+
+def test_prescriptions_take_the_same_names() -> None:
+    from mistray.prescription.coating import check_name
+
+    for names in STRANGE:
+        for name in names:
+            check_name(name)
+    for name in ("=1", "a\nb", "a.b", ""):
+        with pytest.raises(MistrayError):
+            check_name(name)
