@@ -176,6 +176,9 @@ RADIUS_MM = Range(0.0, 1e12, unit="mm")  # or another length that may be 0
 TOLERANCE_MM = Range(1e-6, 1e3, unit="mm")  # of facets
 MARGIN = Range(0.0, 10.0)  # of clear radii
 
+SPACE = Range(-1, 10**6, whole=True)  # optical space; -1: of none
+TARGET_SCALE = Range(1e-6, 1e6)
+
 # Of what is drawn and listed
 ROWS = Range(0, 10**6, whole=True)
 PIXELS = Range(1, 4096, whole=True)  # along a side
@@ -188,11 +191,21 @@ FILM_SIDE = Range(1, 2**16, whole=True)
 FILM_PIXELS = Range(1, 2**26, whole=True)  # 0.5 GB an image
 
 # Of searches and comparisons
+CHANCE = Range(1e-30, 1.0)
 PART = Range(0.0, 1.0, below=True)
 FACTOR = Range(1.0, 1e6, above=True, remedy="it says how much smaller the metric shall become")
 EDGE_WIDTH = Range(1e-6, 0.5, remedy="it is relative to the radius of a rim")
 SEEDS = Range(2, 1000, whole=True)
 SECONDS = Range(1e-3, 1e9, unit="s")
+
+# Of materials and coatings
+INDEX = Range(1e-3, 1e5)  # n; of metals in the far infrared some thousands
+EXTINCTION = Range(0.0, 1e5)  # k
+ABBE_NUMBER = Range(1.0, 1e6)
+INDEX_SHIFT = Range(-1e3, 1e3)
+INDEX_STEP = Range(1e-6, 1e3)  # of a rough surface
+LAYER_NM = Range(0.0, 1e9, unit="nm")
+SCATTER_PER_MM = Range(0.0, 1e9, unit="per mm")
 
 # Of scatter
 SLOPE = Range(0.0, 100.0)  # g of an ABg
@@ -204,5 +217,4 @@ ROUGHNESS_NM = Range(0.0, 1e6, unit="nm")
 LENGTH_UM = Range(1e-6, 1e9, unit="µm")
 LEVEL = Range(1.0, 1e4, remedy="100 … 1000 is usual")  # of cleanliness
 COVERAGE_PERCENT = Range(0.0, 100.0, above=True, unit="%")
-INDEX = Range(0.01, 100.0)
 BINDER_INDEX = Range(1.0, 100.0, above=True)

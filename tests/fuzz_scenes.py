@@ -5,9 +5,9 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from number_fuzz import Worker
+from number_fuzz import NASTY_XML, Try, Worker
 from oracles.small_scenes import interface_xml, shape_xml
-from test_plugin_pages import BLACK_BSDF, BRACKET_PLY
+from test_plugin_pages import BLACK_BSDF, BRACKET_PLY, MANUALS
 
 # Plugin → its numbers, as ordinary as can be
 NUMBERS: dict[str, dict[str, Any]] = {
@@ -43,7 +43,6 @@ INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
     ("collimated", "half_width"): {"half_height": 2.0},
     ("collimated", "half_height"): {"half_width": 2.0},
     ("target", "cone_deg"): {"surfaces": "*", "about": "specular"},
-    ("target", "half_axes"): {"surfaces": "*", "entity": "ellipsoid"},
     ("thinfilm", "R"): {"T": 0.1},
     ("thinfilm", "T"): {"R": 0.1},
     ("interface", "T"): NUMBERS["interface"] | {"R": 0.1},
@@ -51,6 +50,7 @@ INSTEAD: dict[tuple[str, str], dict[str, Any]] = {
 MODELS_OF_SCATTER = ("abg", "edge_diffraction", "gaussian_lobe", "harvey_shack", "k_correlation", "paint",
                      "particulate", "phong", "polynomial", "psd_table", "tabulated")  # fmt: skip
 PAINTS = ("paint", "tabulated")  # that scatter at the wall, not at the lens
+ALONE = ("R", "T", "n_front_shift", "n_back_shift", "wavelength_nm")  # that a model has only by itself
 # Numbers within texts, and those of stock plugins: object, name, kind, text
 WITHIN: tuple[tuple[str, str, str], ...] = (
     ("thinfilm", "layers", "1.38 {}"),
@@ -95,9 +95,10 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
     if name:
         inside[plugin] += element(name, text) if name == "to_world" else f'<{kind} name="{name}" value="{text}"/>'
     scatter = plugin if plugin in MODELS_OF_SCATTER else ""
-    nested = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if scatter and scatter not in PAINTS else ""
+    at_wall = scatter in PAINTS or (scatter and name in ALONE)
+    nested = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if scatter and not at_wall else ""
     film = f'<bsdf type="thinfilm">{inside["thinfilm"]}</bsdf>' if plugin == "thinfilm" else ""
-    wall = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if scatter in PAINTS else '<bsdf type="interface"/>'
+    wall = f'<bsdf type="{scatter}">{inside[scatter]}</bsdf>' if at_wall else ""
     extra = ""
     if plugin in ("frustum", "part_mesh"):
         extra = f'<shape type="{plugin}" id="wall">{inside[plugin]}{BLACK}</shape>'
@@ -105,7 +106,7 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
         extra = f'<shape type="disk" id="aim"><bsdf type="target">{inside["target"]}</bsdf></shape>'
     elif plugin == "rectangle":
         extra = f'<shape type="rectangle" id="wall">{inside["rectangle"]}{BLACK}</shape>'
-    elif scatter in PAINTS:
+    elif at_wall:
         extra = shape_xml("frustum", "wall", bsdf=wall, r0=5.0, r1=5.0, z0=1.0, z1=9.0)
     return (
         f'<scene version="3.0.0"><integrator type="straylight">{inside["straylight"]}</integrator>'
@@ -121,6 +122,8 @@ def scene_with(plugin: str, name: str = "", text: str = "", kind: str = "float")
     )
 
 
+# What the manual says of parameters that are numbers
+NUMERIC = ("1", "1/mm", "1/sr", "mm", "mm^(1-order)", "deg", "degree", "nm", "um", "%", "W/mm²", "integer")
 BLACK = '<bsdf type="interface"><float name="R" value="0"/></bsdf>'
 SCENE = scene_with("abg")
 STUDY = """
@@ -174,6 +177,11 @@ LINES = {
     "optimize": ("scene.xml", "study.toml", "--json", "--verification-seeds", "2"),
 }
 MESH = ("tube.step", "-o", "made.xml")
+# Further ordinary options of commands, which leave something unknown
+MORE = {
+    "ghosts": (("--path-analysis", "power_W", "--least-share", "0.9"),),
+    "thermal": (("--scene-K", "0"), ("--temperature-K", "0")),
+}
 MODELS = {
     "--b0": ("phong", "--exponent", "3"),
     "--exponent": ("phong", "--b0", "0.1"),
@@ -236,6 +244,29 @@ ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
 }  # fmt: skip
 
 
+TRACED = ("ghosts", "try.xml", "--json", "--rays", "200")
+
+
+def scene_tries() -> list[Try]:
+    """Every number of every plugin with every nasty value; the only word of its arguments is the text of the scene."""
+    places: list[tuple[str, str, str, str]] = [
+        (manual.plugin, name, "{}", "float")
+        for manual in MANUALS
+        for parameter in manual.parameters
+        if parameter.unit in NUMERIC
+        for name in parameter.names
+        if name != "to_world" and (manual.plugin, name) != ("target", "half_axes")
+    ]
+    places += [("film", name, "{}", "integer") for name in ("width", "height")]
+    places += [("asphere", "space", "{}", "integer"), ("straylight", "rays", "{}", "integer")]
+    places += [(plugin, name, text, "string") for plugin, name, text in WITHIN]
+    return [
+        Try(plugin, f"{name} {text}", value, (scene_with(plugin, name, text.format(value), kind),))
+        for plugin, name, text, kind in places
+        for value in NASTY_XML
+    ]
+
+
 def write(folder: Path) -> None:
     """Write what the command lines name."""
     data = Path(__file__).parent / "data"
@@ -257,7 +288,8 @@ def usual_of(worker: Worker, command: str) -> set[str]:
     assert answer["code"] == 0, f"{command}: {answer}"
     found = set(answer["absent"])
     for other in (
-        (*line, "--rays", "2"),
+        *((*line, "--rays", rays) for rays in ("2", "20", "60")),
+        *((*line, *more) for more in MORE.get(command, ())),
         (*line, "--max-scatters", "0"),
         (*line, "--max-reflections", "0", "--max-scatters", "0"),
         tuple("dark.xml" if word == "scene.xml" else word for word in line),

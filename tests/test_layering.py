@@ -37,7 +37,7 @@ LAYERS = [
     {"__main__"},
 ]
 # `physics` holds equations and nothing else.
-PURE = {"physics": {"errors", "physics"}}
+PURE = {"physics": {"errors", "ranges", "physics"}}
 # Plugins are looked up by Mitsuba: they use these, and no module imports them.
 PLUGINS_MAY_IMPORT = {
     "errors", "ranges", "_mitsuba_compat", "physics", "materials", "coatings", "scatter", "trace", "plugins",

@@ -11,7 +11,7 @@ from mistray.cli.arguments import Help
 from mistray.cli.claims import claim_files, declare_outputs
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
-from mistray.ranges import FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
+from mistray.ranges import CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -68,7 +68,7 @@ def add(commands: Any) -> None:
     hits.add_argument("--hit-deg", type=FIELD_DEG, metavar="DEG",
                       help="angle of the detector with the normal, at the first angle of incidence")  # fmt: skip
     hits.add_argument("--hit-sr", type=SOLID_ANGLE_SR, metavar="SR", help="its solid angle as seen from the surface")
-    hits.add_argument("--hit-before", type=SHARE, metavar="SHARE",
+    hits.add_argument("--hit-before", type=CHANCE, metavar="SHARE",
                       help="chance that a ray gets to the surface (1)")  # fmt: skip
     bsdf_models.declare(parser)
     parser.set_defaults(run=run)

@@ -14,7 +14,7 @@ from mistray.cli.arriving import arriving
 from mistray.cli.claims import claim_files
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, PLACE_MM, ROWS, SECONDS, TOLERANCE_MM
+from mistray.ranges import AZIMUTH_DEG, PLACE_MM, ROWS, SECONDS, SPACE, TOLERANCE_MM
 
 if TYPE_CHECKING:
     from mistray.mechanics import Finish, Mechanics
@@ -24,7 +24,6 @@ SUFFIXES = (".step", ".stp", ".stl", ".obj", ".ply")
 OPTIONS = (
     "into", "paint", "space", "unit", "move_mm", "tilt_deg", "most_analytic", "tolerance_mm", "time_limit_s",
 )  # fmt: skip
-MOST_SPACE = 1_000_000
 
 
 def add_options(parser: argparse.ArgumentParser) -> None:
@@ -110,7 +109,7 @@ def _rule(text: str, option: str) -> tuple[str, str]:
 
 
 def _space(pattern: str, value: str) -> int:
-    if not value.isdecimal() or int(value) > MOST_SPACE:
+    if not value.isdecimal() or int(value) not in SPACE:
         raise MistrayError(f"--space '{pattern}={value}': '{value}' is no optical space; give a number such as 2")
     return int(value)
 

@@ -12,6 +12,7 @@ import numpy as np
 from mistray.coatings.response import Response, layered_response
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, resolved
+from mistray.ranges import INDEX_SHIFT, LAYER_NM, check_fields
 
 SIDES = ("outside", "front", "back")
 # What can be differentiated of a layer, as `thinfilm` names it; n_shift and k_shift are `Layer` attributes as well
@@ -38,9 +39,9 @@ class Layer:
     """
 
     material: str
-    thickness_nm: float
-    n_shift: float = 0.0
-    k_shift: float = 0.0
+    thickness_nm: float = LAYER_NM.field()
+    n_shift: float = INDEX_SHIFT.field(0.0)
+    k_shift: float = INDEX_SHIFT.field(0.0)
 
     def index(self, wavelength_nm: float) -> complex:
         """N = n + ik of the layer, shifts included."""
@@ -79,16 +80,7 @@ class Stack:
         if self.first not in SIDES:
             raise MistrayError(f"{self}: first = '{self.first}'; it is {', '.join(SIDES[:-1])} or {SIDES[-1]}")
         for number, layer in enumerate(self.layers, start=1):
-            if not 0 <= layer.thickness_nm < math.inf:
-                raise MistrayError(
-                    f"{self}, layer {number} ({layer.material}): thickness {layer.thickness_nm:g} nm; "
-                    "it must be 0 or greater"
-                )
-            if not (math.isfinite(layer.n_shift) and math.isfinite(layer.k_shift)):
-                raise MistrayError(
-                    f"{self}, layer {number} ({layer.material}): n_shift = {layer.n_shift:g}, k_shift = "
-                    f"{layer.k_shift:g}; both must be finite"
-                )
+            check_fields(layer, f"{self}, layer {number} ({layer.material})")
 
     def __str__(self) -> str:
         return f"coating '{self.name}'" if self.name else "coating"

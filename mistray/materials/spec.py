@@ -2,12 +2,12 @@
 
 from __future__ import annotations
 
-import math
 import re
 from dataclasses import dataclass
 from functools import lru_cache
 
 from mistray.errors import MistrayError
+from mistray.ranges import ABBE_NUMBER, EXTINCTION, INDEX, INDEX_SHIFT, SCATTER_PER_MM
 
 _NUMBER = r"(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?"
 _REAL = re.compile(rf"[-+]?{_NUMBER}")
@@ -154,14 +154,10 @@ def _form(text: str, body: str) -> Constant | AbbeNumber | Samples | UserFile | 
             raise MistrayError(f"material '{text}': k is negative; an absorbing material is n+ki with k > 0 here")
         if k == 0:
             _at_least_one(text, n)
-        if not 0 < n < math.inf:
-            raise MistrayError(f"material '{text}': index {n:g}; it must be greater than 0")
-        return Constant(n, _finite(text, k))
+        return Constant(INDEX.check("index", n, f"material '{text}'"), _extinction(text, k))
     if match := _ND_VD.fullmatch(body):
         nd, vd = _at_least_one(text, float(match[1])), float(match[2])
-        if not 0 < vd < math.inf:
-            raise MistrayError(f"material '{text}': Vd = {vd:g}; it must be greater than 0")
-        return AbbeNumber(nd, vd)
+        return AbbeNumber(nd, ABBE_NUMBER.check("Vd", vd, f"material '{text}'"))
     if _SAMPLES.fullmatch(body):
         return _samples(text, body)
     if match := _ENTRY.fullmatch(body):
@@ -183,29 +179,25 @@ def _samples(text: str, body: str) -> Samples:
 
 
 def _at_least_one(text: str, index: float) -> float:
-    if not 1 <= index < math.inf:
+    if index < 1:
         raise MistrayError(f"material '{text}': index {index:g}; a real index is at least 1")
-    return index
+    return float(INDEX.check("index", index, f"material '{text}'"))
 
 
-def _finite(text: str, k: float) -> float:
-    if not 0 <= k < math.inf:
-        raise MistrayError(f"material '{text}': k = {k:g}; it must be finite and at least 0 (n + ik, k > 0 absorbs)")
-    return k
+def _extinction(text: str, k: float) -> float:
+    return float(EXTINCTION.check("k", k, f"material '{text}'"))  # n + ik, k > 0 absorbs
 
 
 def _k(text: str, value: str) -> float:
     if not _REAL.fullmatch(value):
         raise MistrayError(f"material '{text}': k = '{value}' is no number; write for instance 'k=0' or 'k=1e-7'")
-    return _finite(text, float(value))
+    return _extinction(text, float(value))
 
 
 def _shift(text: str, value: str) -> float:
     if not _REAL.fullmatch(value):
         raise MistrayError(f"material '{text}': shift = '{value}' is no number; write for instance 'shift=-2e-4'")
-    if not math.isfinite(float(value)):
-        raise MistrayError(f"material '{text}': shift = {value}; it must be finite")
-    return float(value)
+    return float(INDEX_SHIFT.check("shift", float(value), f"material '{text}'"))
 
 
 def _bulk(text: str, given: dict[str, str]) -> BulkScatter:
@@ -220,8 +212,7 @@ def _bulk(text: str, given: dict[str, str]) -> BulkScatter:
             raise MistrayError(f"material '{text}': {key} = '{value}' is no number; write for instance '{key}=0.01'")
         values.append(float(value))
     per_mm, g = values
-    if not 0 <= per_mm < math.inf:
-        raise MistrayError(f"material '{text}': scatter = {per_mm:g} per mm; it must be finite and not negative")
+    SCATTER_PER_MM.check("scatter", per_mm, f"material '{text}'")
     if not -1 < g < 1:
         raise MistrayError(f"material '{text}': g = {g:g}; the mean cosine of the scatter lies between -1 and 1")
     return BulkScatter(per_mm, g)

@@ -15,6 +15,7 @@ from typing import Any
 from mistray.errors import MistrayError
 from mistray.physics import k_correlation
 from mistray.physics._arrays import arithmetic
+from mistray.ranges import CHANCE, INDEX_STEP, LENGTH_UM
 
 # r^g is taken at no smaller r, for 0 to the power of 0 is NaN in Dr.Jit. It is a normal number in float32.
 _SMALLEST_R = 1e-30
@@ -200,16 +201,13 @@ def abg_from_rms(
     MistrayError
         If a length is not positive, R is not in (0, 1], Δn is 0 or the surface is not smooth (σ > 0.02 λ).
     """
-    lengths = (("rms", rms_um), ("correlation length", correlation_length_um), ("wavelength", wavelength_um))
-    for name, value in lengths:
-        if not (value > 0 and math.isfinite(value)):
-            raise MistrayError(f"ABg from rms: {name} is {value:g} um; give a length above 0")
-    if not 0 < reflectance <= 1 or not (index_step != 0 and math.isfinite(index_step)):
-        raise MistrayError(
-            f"ABg from rms: reflectance {reflectance:g}, index step {index_step:g}; give 0 < R ≤ 1 and a step not 0"
-        )
-    if raw_integral is not None and not raw_integral > 0:
-        raise MistrayError(f"ABg from rms: raw integral is {raw_integral:g}; give a share of light above 0")
+    owner = "ABg from rms"
+    for name, value in (("rms", rms_um), ("correlation length", correlation_length_um), ("wavelength", wavelength_um)):
+        LENGTH_UM.check(name, value, owner)
+    CHANCE.check("reflectance", reflectance, owner)
+    INDEX_STEP.check("size of the index step", abs(index_step), owner)
+    if raw_integral is not None:
+        CHANCE.check("raw integral", raw_integral, owner)
     shortest = rms_um / 0.02
     if wavelength_um < shortest:
         raise MistrayError(

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from mistray.errors import MistrayError
 
+MOST_INDEX = 100.0  # times the size parameter it is the length of a recurrence
 SMALLEST, LARGEST = 1e-2, 2e4
 """Range of the size parameter x: below, the recurrence loses the digits that Rayleigh's formula has; above, arrays
 become too large."""
@@ -65,8 +66,11 @@ def spheres(x: ArrayLike, index: complex, angle: ArrayLike = ()) -> Spheres:
     size = np.atleast_1d(np.asarray(x, dtype=np.float64))
     angles = np.atleast_1d(np.asarray(angle, dtype=np.float64))
     m = complex(index)
-    if not (np.isfinite(m) and m.real > 0 and m.imag >= 0):
-        raise MistrayError(f"sphere: relative index {m:.6g}; n must be > 0 and k ≥ 0")
+    if not (1 / MOST_INDEX <= m.real <= MOST_INDEX and 0 <= m.imag <= MOST_INDEX):
+        raise MistrayError(
+            f"sphere: relative index {m:.6g}; n must lie between {1 / MOST_INDEX:g} and {MOST_INDEX:g}, k between 0 "
+            f"and {MOST_INDEX:g}"
+        )
     if not np.all((size >= SMALLEST) & (size <= LARGEST)):
         bad = size[~((size >= SMALLEST) & (size <= LARGEST))][0]
         raise MistrayError(

@@ -22,6 +22,7 @@ _PEAK_X = 4.965114231744276  # root of x = 5 (1 - exp(-x))
 # 2 h c² T⁴ (k/(h c))⁴ x³/(exp(x) - 1) dx is the radiance of dx; in W/(mm² sr K⁴)
 _SCALE = 1e-6 * 2 * BOLTZMANN**4 / (PLANCK**3 * LIGHT**2)
 # Panels of at most 1.1 in x, whose next singularities are 2π away: 16 nodes are exact to the rounding
+_DARK = 745.0  # x from which exp(-x) is 0
 _PANELS, _LONGEST, _ABOVE = 64, 64.0, 3.0
 _NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
 
@@ -68,7 +69,7 @@ def band_nodes(temperature_K: float, low_um: float, high_um: float) -> tuple[np.
         raise MistrayError(f"temperature of {temperature_K:g} K; give one of 0 K or more")
     if not 0 <= low_um < high_um:
         raise MistrayError(f"band of {low_um:g} to {high_um:g} µm; give 0 ≤ low < high")
-    if temperature_K == 0:
+    if temperature_K == 0 or high_um * temperature_K < C2_UM_K / _DARK:
         return np.array([high_um if math.isfinite(high_um) else low_um + 1]), np.zeros(1)
     first = C2_UM_K / (high_um * temperature_K)
     # What is left out is less than exp(-61) of the peak of the band

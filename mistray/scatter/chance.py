@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ranges import CHANCE, FIELD_DEG, SOLID_ANGLE_SR
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import Scatter
 from mistray.scatter.scan import Light
@@ -98,12 +99,9 @@ def chance(
     are those that give one hit in the mean; for 50 % 2.0e10 do.
     """
     light = light or Light()
-    if not -90 < towards_deg < 90:
-        raise MistrayError(f"scattered direction {towards_deg:g}°; give an angle with the normal, -90 … 90°")
-    if not (math.isfinite(solid_angle_sr) and 0 < solid_angle_sr <= 2 * math.pi):
-        raise MistrayError(f"solid angle {solid_angle_sr:g} sr; give 0 … 2π")
-    if not 0 <= before <= 1:
-        raise MistrayError(f"chance {before:g} of getting to the surface; give 0 … 1")
+    FIELD_DEG.check("angle of the scattered direction", towards_deg)
+    SOLID_ANGLE_SR.check("solid angle", solid_angle_sr)
+    CHANCE.check("chance of getting to the surface", before)
     light.sin_specular(event, incidence_deg)
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
     angle, cos_i = math.radians(towards_deg), math.cos(math.radians(incidence_deg))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import combinations, pairwise
 from typing import Any
@@ -71,7 +72,8 @@ def check_overlaps(scene: mi.Scene) -> None:
     Compared are the `asphere` shapes of a common axis, within the aperture that they share. Surfaces may touch, at the
     vertex or at the rim. Structure made of `frustum` shapes is left alone, because walls are often drawn into one
     another. Where nothing else refracts, the materials must also fit together along the axis: where two surfaces have
-    changed places, the one ends in a material in which the other does not begin.
+    changed places, the one ends in a material in which the other does not begin, or light starts and ends in the
+    material of the lens while the detector stands in another.
 
     Parameters
     ----------
@@ -96,9 +98,12 @@ def check_overlaps(scene: mi.Scene) -> None:
         _check_crossings(axis)
     if not all(hasattr(shape.bsdf(), "indices") for shape in shapes):
         return
+    detectors = [shape.bsdf() for shape in shapes if shape.is_sensor()]
+    around = {bsdf.indices(bsdf.wavelength_nm)[0]: bsdf.front for bsdf in detectors}
     for axis in axes:
         if not any(_crosses(shape, axis) for shape in shapes):
             _check_materials(axis)
+            _check_ends(axis, around)
 
 
 def _check_crossings(axis: _Axis) -> None:
@@ -138,3 +143,17 @@ def _check_materials(axis: _Axis) -> None:
                 f"surfaces {a} and {b}: the material between them is '{material_a}' for one and '{material_b}' for the "
                 "other; move them, or correct their front and back"
             )
+
+
+def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
+    """A lens whose rear stands ahead of its front: light starts and ends in its material, and no detector is there."""
+    passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
+    if len(passed) < 2 or not around:
+        return
+    first, last = passed[0], passed[-1]
+    (starts, material), (ends, _) = first.material(ahead=False), last.material(ahead=True)
+    if starts == ends and starts not in around:
+        raise MistrayError(
+            f"surfaces {first} and {last}: light starts in '{material}' ahead of the one and ends in it behind the "
+            f"other, and the detector stands in '{next(iter(around.values()))}'; exchange them, or correct its front"
+        )

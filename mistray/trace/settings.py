@@ -7,7 +7,7 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.ranges import AIMED_RAYS, EVENTS, LIMIT, RAYS, RAYS_PER_HIT, SEED, THRESHOLD, check_fields
+from mistray.ranges import AIMED_RAYS, EVENTS, LIMIT, NOT_NEGATIVE, RAYS, RAYS_PER_HIT, SEED, THRESHOLD, check_fields
 
 NO_LIMIT = int(LIMIT.high)
 RAY_CONTROLS = ("allow_all", "transmit_specular", "reflect_specular", "halt_all")
@@ -162,6 +162,5 @@ def _by_branch(key: str, given: Any) -> tuple[float, ...]:
     if len(found) != len(BRANCHES):
         raise MistrayError(f"{key} has {len(found)} numbers; give one for each of {letters}")
     for letter, value in zip(BRANCHES, found, strict=True):
-        if not 0 <= value < float("inf"):
-            raise MistrayError(f"{key} is {letter}={value:g}; it must be finite and not negative")
+        NOT_NEGATIVE.check(f"{key} of {letter}", value)
     return found

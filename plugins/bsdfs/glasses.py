@@ -10,6 +10,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, refractive_index, resolved, shifted
+from mistray.ranges import INDEX_SHIFT
 
 SHIFTS = ("n_front_shift", "n_back_shift")
 
@@ -52,8 +53,9 @@ class Glasses:
         """
         values = tuple(np.array(dr.detach(value), dtype=np.float64) for value in self.parameters.values())
         for name, value in zip(SHIFTS, values, strict=True):
-            if value.shape != (1,) or not np.isfinite(value[0]):
-                raise MistrayError(f"{name} is {value.tolist()}; give one finite number")
+            if value.shape != (1,):
+                raise MistrayError(f"{name} is {value.tolist()}; give one number")
+            INDEX_SHIFT.check(name, float(value[0]))
         front, back = (shifted(material, float(value[0])) for material, value in zip(self.given, values, strict=True))
         for material in (front, back):
             refractive_index(material, wavelength_nm)

@@ -6,10 +6,10 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.errors import MistrayError
-from mistray.ranges import PART, POSITIVE, RAYS_PER_HIT, Range
+from mistray.ranges import PART, RAYS_PER_HIT, TARGET_SCALE, Range
 from mistray.trace.targets import CONES
 
-TARGET_CONE_DEG = Range(0.0, 180.0, unit="degrees")
+TARGET_CONE_DEG = Range(1e-6, 180.0, unit="degrees")
 
 
 class TargetMark(mi.BSDF):
@@ -76,14 +76,14 @@ class TargetMark(mi.BSDF):
             raise MistrayError(f"{title}: surfaces is missing; name those that aim here, '*' for all")
         self.surfaces = tuple(part.strip() for part in str(props.get("surfaces")).split(",") if part.strip())
         self.rays = RAYS_PER_HIT.check("rays", props.get("rays", 1), title)
-        self.scale = POSITIVE.check("scale", props.get("scale", 1.0), title)
+        self.scale = TARGET_SCALE.check("scale", props.get("scale", 1.0), title)
         self.hole = PART.check("hole", props.get("hole", 0.0), title)
         self.reverse = bool(props.get("reverse", False))
         if not self.surfaces:
             raise MistrayError(f"{title}: surfaces is empty; name those that aim here, '*' for all")
         self.entity, self.about = (str(props.get(key, "")).strip() for key in ("entity", "about"))
         self.half_axes = _lengths(title, str(props.get("half_axes", "")))
-        self.cone_deg = TARGET_CONE_DEG.check("cone_deg", props.get("cone_deg", 0.0), title)
+        self.cone_deg = TARGET_CONE_DEG.check("cone_deg", props["cone_deg"], title) if "cone_deg" in props else 0.0
         self._check(title)
         self.m_components = [mi.BSDFFlags.Null | mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide]
         self.m_flags = self.m_components[0]

@@ -9,6 +9,7 @@ import mitsuba as mi
 from mistray._mitsuba_compat import mesh_arrays, write_mesh
 from mistray.errors import MistrayError
 from mistray.plugins.shapes.revolution import check_reach, rigid_motion
+from mistray.ranges import SPACE
 
 
 class PartMesh(mi.Mesh):
@@ -44,7 +45,7 @@ class PartMesh(mi.Mesh):
     def __init__(self, props: mi.Properties) -> None:
         self.name = str(props.id())
         self.part = str(props.get("part", self.name))
-        self.space = int(props.get("space", -1))
+        self.space = SPACE.check("space", props.get("space", -1), f"shape '{self.name}'")
         self.filename = props.get("filename", None)
         if not isinstance(self.filename, str):
             raise MistrayError(f"shape '{self.name}': filename is {self.filename!r}; name a PLY file")

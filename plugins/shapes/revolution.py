@@ -12,7 +12,7 @@ import numpy as np
 from mistray._mitsuba_compat import write_mesh
 from mistray.errors import MistrayError
 from mistray.physics.pose import moved
-from mistray.ranges import AZIMUTH_DEG, PLACE_MM, Range
+from mistray.ranges import AZIMUTH_DEG, PLACE_MM, SPACE, Range
 
 POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
 POSE_RANGES = {**dict.fromkeys(POSE[:3], PLACE_MM), **dict.fromkeys(POSE[3:], AZIMUTH_DEG)}
@@ -47,7 +47,7 @@ class Revolution(mi.Mesh):
     def _start(self, props: mi.Properties) -> None:
         self.name = str(props.id())
         self.part = str(props.get("part", self.name))
-        self.space = int(props.get("space", -1))
+        self.space = SPACE.check("space", props.get("space", -1), f"shape '{self.name}'")
         self.base = rigid_motion(props, self.name, "set the size by parameters")
 
     def _finish(self, props: mi.Properties, values: dict[str, float]) -> None:

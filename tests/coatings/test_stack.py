@@ -134,7 +134,7 @@ class TestShifts:
 class TestErrors:
     @pytest.mark.parametrize("thickness", [-1.0, float("nan"), float("inf")])
     def test_thickness(self, thickness: float) -> None:
-        with pytest.raises(MistrayError, match=r"coating 'ar', layer 1 \(1.38\): thickness .* nm; it must be 0 or gr"):
+        with pytest.raises(MistrayError, match=r"coating 'ar', layer 1 \(1.38\): thickness_nm is .*; it must lie"):
             Stack((Layer("1.38", thickness),), name="ar")
 
     def test_first(self) -> None:

@@ -33,7 +33,7 @@ def test_the_index_is_that_of_the_material() -> None:
     [
         ("1.5 g=0.9", "'g=' without 'scatter='"),
         ("1.5 scatter=much", "scatter = 'much' is no number"),
-        ("1.5 scatter=-1", "scatter = -1 per mm"),
+        ("1.5 scatter=-1", "scatter is -1; it must lie"),
         ("1.5 scatter=1 g=1", "g = 1; the mean cosine"),
         ("1.5 scatter=1 scatter=2", "'scatter=' is given twice"),
     ],

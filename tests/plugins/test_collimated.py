@@ -168,7 +168,7 @@ class TestErrors:
             emitter(radius=1.0, diameter=2.0)
 
     def test_only_rigid_motions(self) -> None:
-        with pytest.raises(RuntimeError, match="to_world scales or shears"):
+        with pytest.raises(RuntimeError, match="to_world scales, shears or mirrors"):
             emitter(radius=1.0, to_world=mi.ScalarTransform4f().scale(2.0))
 
 

@@ -75,6 +75,34 @@ def test_lenses_that_cut_into_each_other():
     )
 
 
+SENSOR = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 8, "height": 8}}
+
+
+@pytest.mark.parametrize("detector", ["asphere", "rectangle"])
+@pytest.mark.parametrize(("front", "rear"), [(0.0, -3.0), (5.0, 3.0), (20.0, 3.0), (1e9, 3.0)])
+def test_a_rear_ahead_of_its_front(detector, front, rear):
+    """Light would start in the glass; not where the detector is in it as well, nor for a gap of air in glass."""
+
+    def shapes(around="air", **of_detector):
+        image = asphere(10.0, opaque=True, **of_detector)
+        if detector == "rectangle":
+            image = {"type": "rectangle", "to_world": image["to_world"], "bsdf": image["bsdf"]}
+        return {
+            "front": asphere(front, front=around, back="1.5"), "rear": asphere(rear, front="1.5", back=around),
+            "image": image | {"sensor": SENSOR},
+        }  # fmt: skip
+
+    line = fails(shapes())
+    assert "'rear' at z = " in line
+    assert "light starts in '1.5'" in line
+    assert "stands in 'air'" in line
+    check(shapes(front="1.5"))
+    straight = shapes()
+    straight["front"], straight["rear"] = asphere(rear, back="1.5"), asphere(min(front, 8.0), front="1.5")
+    if rear < min(front, 8.0) < 10.0:
+        check(straight)
+
+
 def test_lenses_in_the_wrong_order():
     """No surface crosses another, but the second lens begins inside of the first."""
     shapes = {
