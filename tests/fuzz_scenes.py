@@ -161,9 +161,9 @@ rays = 64
 """
 SMALL = ("--rays", "200")
 LINES = {
-    "import": ("lens.zmx", "-o", "made.xml"),
-    "export": ("scene.xml", "-o", "made.csv"),
-    "view": ("scene.xml", "--json", "--out", "view.html", *SMALL),
+    "import": ("lens.zmx", "-o", "made.xml", "--force"),
+    "export": ("scene.xml", "-o", "made.csv", "--force"),
+    "view": ("scene.xml", "--json", "--out", "view.html", "--force", *SMALL),
     "ghosts": ("scene.xml", "--json", *SMALL),
     "sweep": ("scene.xml", "--json", "--no-cache", *SMALL),
     "objects": ("scene.xml", "--json", *SMALL),
@@ -176,10 +176,13 @@ LINES = {
     "budget": ("scene.xml", "budget.toml", "--json"),
     "optimize": ("scene.xml", "study.toml", "--json", "--verification-seeds", "2"),
 }
-MESH = ("tube.step", "-o", "made.xml")
+MESH = ("tube.step", "-o", "made.xml", "--force")
 # Further ordinary options of commands, which leave something unknown
 MORE = {
-    "ghosts": (("--path-analysis", "power_W", "--least-share", "0.9"),),
+    "ghosts": (
+        ("--path-analysis", "power_W", "--least-share", "0.9"),
+        *(("--rays", "60", "--seed", str(seed)) for seed in range(8)),  # paths of a single ray
+    ),
     "thermal": (("--scene-K", "0"), ("--temperature-K", "0")),
 }
 MODELS = {
@@ -226,17 +229,17 @@ ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
     ("sensitivity", "--weights"): (*LINES["sensitivity"], "--wavelength-nm", "550"),
     ("ghosts", "--least-share"): (*LINES["ghosts"], "--path-analysis", "power_W"),
     ("ghosts", "--stops"): (
-        *LINES["ghosts"], "--colour", "--out", "out", "--wavelength-nm", "450", "550", "650",
+        *LINES["ghosts"], "--colour", "--out", "out", "--force", "--wavelength-nm", "450", "550", "650",
     ),
     ("ghosts", "--block"): (
-        *LINES["ghosts"], "--colour", "--out", "out", "--wavelength-nm", "450", "550", "650",
+        *LINES["ghosts"], "--colour", "--out", "out", "--force", "--wavelength-nm", "450", "550", "650",
     ),
     ("objects", "--azimuth-deg"): (*LINES["objects"], "--angles-deg", "10"),
     ("pst", "--up-to-deg"): (*LINES["pst"], "--relative-error", "0.5"),
     ("pst", "--azimuth-cell-deg"): (*LINES["pst"], "--azimuths-deg", "0", "90"),
-    ("pst", "--map-angles-deg"): (*LINES["pst"], "--out", "out"),
-    ("pst", "--map-azimuth-deg"): (*LINES["pst"], "--out", "out", "--map-angles-deg", "20"),
-    ("pst", "--map-pixels"): (*LINES["pst"], "--out", "out", "--map-angles-deg", "20"),
+    ("pst", "--map-angles-deg"): (*LINES["pst"], "--out", "out", "--force"),
+    ("pst", "--map-azimuth-deg"): (*LINES["pst"], "--out", "out", "--force", "--map-angles-deg", "20"),
+    ("pst", "--map-pixels"): (*LINES["pst"], "--out", "out", "--force", "--map-angles-deg", "20"),
     ("sensitivity", "--angle-deg"): (*LINES["sensitivity"], "--metric", "pst_bin"),
     ("sensitivity", "--band-deg"): (*LINES["sensitivity"], "--metric", "pst_band"),
     ("sensitivity", "--patch-deg"): (*LINES["sensitivity"], "--metric", "veiling_glare"),

@@ -28,21 +28,24 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from fuzzing import unclear
+
 NASTY = ("nan", "inf", "-inf", "0", "-0.0", "-1", "1e-308", "1e308", "1e-30", "1e30", "2147483648", "0.5", "abc")
 NASTY_XML = ("nan", "inf", "-inf", "0", "-1", "1e-308", "1e308", "1e-30", "1e30", "2147483648", "0.5")
 LIMIT_S = 10.0  # of processor time, which does not grow with the load of the machine
+STOP_S = 2.0  # within which an interrupt ends a command
 STUCK_S = 120.0  # after which a worker is ended
 MEMORY = 6 << 30  # bytes beyond those of the worker at its start
 
 # Options without a type of their own that hold numbers
 TEXTS = {"cut_below": "R={}", "cut_below_W": "R={}", "coefficients": "c000={}", "particle": "{}+0.002i",
          "space": "*={}", "front": "{}", "back": "{}"}  # fmt: skip
-NOT_NUMBERS = ("state", "out", "study", "scene")
+WORK = ("--rays",)  # what takes as long as is asked for, and is stopped as by Ctrl-C: 2³¹ rays are a wish, no slip
 
 
 @dataclass(frozen=True)
 class Try:
-    """A command line with one nasty number."""
+    """A command line with one nasty number, or a scene with one: then `argv` is its text."""
 
     command: str
     option: str
@@ -103,10 +106,6 @@ def tries(lines: Mapping[str, Iterable[str]], about: Mapping[tuple[str, str], It
     return found
 
 
-class Late(BaseException):
-    """No `except Exception` takes it for its own."""
-
-
 def nothing(value: Any, path: str = "") -> Iterator[str]:
     """Places of a JSON document where null or something not finite stands; indices are left out."""
     if isinstance(value, dict):
@@ -133,7 +132,8 @@ def run_one(argv: list[str], out: Path | None, limit_s: float) -> dict[str, Any]
     from mistray.cli.program import main
 
     def late(number: int, frame: object) -> None:
-        raise Late
+        """As Ctrl-C, which a command answers by itself."""
+        signal.raise_signal(signal.SIGINT)
 
     printed, complained = io.StringIO(), io.StringIO()
     error, code = "", None
@@ -144,15 +144,13 @@ def run_one(argv: list[str], out: Path | None, limit_s: float) -> dict[str, Any]
         with contextlib.redirect_stdout(printed), contextlib.redirect_stderr(complained), warnings.catch_warnings():
             warnings.simplefilter("default")
             code = main(argv)
-    except Late:
-        error = "late"
     except BaseException as caught:
         last = traceback.extract_tb(caught.__traceback__)[-1]
         error = f"{type(caught).__name__}: {str(caught)[:200]} ({Path(last.filename).name}:{last.lineno})"
     finally:
         signal.setitimer(signal.ITIMER_PROF, 0)
     seconds = time.process_time() - began
-    if seconds > limit_s and not error:
+    if seconds > limit_s:
         error = f"late: {seconds:.1f} s"
     absent: list[str] = []
     if code == 0:
@@ -188,8 +186,6 @@ class Worker:
         line = process.stdout.readline() if ready else ""
         if line:
             answer: dict[str, Any] = json.loads(line)
-            if answer["error"].startswith("late"):
-                self.close()  # who knows what it left behind
             return answer
         self.close()
         error = "hang" if not ready else f"crash: exit status {process.returncode}"
@@ -208,7 +204,7 @@ def table(outcomes: Iterable[tuple[str, str]]) -> str:
     counts: dict[str, Counter[str]] = {}
     for command, outcome in outcomes:
         counts.setdefault(command, Counter())[outcome] += 1
-    heads = ("tries", "exit 0", "exit 2", "exceptions", "hangs", "nothing")
+    heads = ("tries", "exit 0", "exit 2", "stopped", "exceptions", "hangs", "nothing")
     lines = [f"{'':16}" + "".join(f"{head:>12}" for head in heads)]
     whole = sum(counts.values(), Counter())
     for command, count in [*counts.items(), ("all", whole)]:
@@ -217,16 +213,32 @@ def table(outcomes: Iterable[tuple[str, str]]) -> str:
     return "\n".join(lines)
 
 
-def outcome_of(answer: Mapping[str, Any], usual: Iterable[str]) -> tuple[str, str]:
-    """Kind of outcome, and what is wrong; "" if nothing is. `usual` are the places where null may stand."""
-    if answer["error"].startswith(("late", "hang")):
+def outcome_of(answer: Mapping[str, Any], usual: Iterable[str], work: bool = False) -> tuple[str, str]:
+    """
+    Kind of outcome, and what is wrong; "" if nothing is.
+
+    Parameters
+    ----------
+    answer : mapping
+        Of `run_one`.
+    usual : iterable of str
+        Places where null may stand.
+    work : bool
+        Whether it may take long, if it ends soon after an interrupt.
+    """
+    stopped = work and answer["code"] == 130 and answer["seconds"] < LIMIT_S + STOP_S
+    if answer["error"].startswith(("late", "hang")) and not stopped:
         return "hangs", answer["error"]
-    if answer["error"]:
+    if answer["error"] and not stopped:
         return "exceptions", answer["error"]
     absent = [place for place in answer["absent"] if place not in usual]
     if answer["code"] == 0 and absent:
         return "nothing", ", ".join(absent[:4])
-    return f"exit {answer['code']}", "" if answer["code"] in (0, 2) else answer["said"]
+    if stopped:
+        return "stopped", ""
+    said = answer["said"].strip().rpartition("\n")[2].removeprefix("mistray: error: ")
+    wrong = "" if answer["code"] == 0 else unclear(said) if answer["code"] == 2 else said
+    return f"exit {answer['code']}", wrong or ""
 
 
 def serve() -> None:

@@ -97,9 +97,7 @@ class Collimated(mi.Emitter):
 
         rotation = self.matrix[:3, :3]
         if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
-            fail(
-                "to_world scales, shears or mirrors; use a rigid motion and set the size by radius or half_width, half_height"
-            )
+            fail("to_world scales, shears or mirrors; use a rigid motion and set the size by radius or half widths")
         a, b = self.size
         if not self.rectangular and not b < a:
             fail(f"inner_radius is {b:g} mm; it must lie between 0 and radius = {a:g} mm")

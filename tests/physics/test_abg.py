@@ -153,13 +153,13 @@ def test_abg_from_rms_scatters_what_it_says() -> None:
 @pytest.mark.parametrize(
     ("change", "message"),
     [
-        ({"rms_um": 0.0}, "rms is 0 um"),
-        ({"rms_um": math.nan}, "rms is nan um"),
-        ({"correlation_length_um": -1.0}, "correlation length is -1 um"),
-        ({"wavelength_um": 0.0}, "wavelength is 0 um"),
+        ({"rms_um": 0.0}, "rms is 0; it must"),
+        ({"rms_um": math.nan}, "rms is nan; it must"),
+        ({"correlation_length_um": -1.0}, "correlation length is -1; it must"),
+        ({"wavelength_um": 0.0}, "wavelength is 0; it must"),
         ({"wavelength_um": 0.2}, "is not smooth at 0.2 um; give at least 0.25 um"),
-        ({"index_step": 0.0}, "index step 0"),
-        ({"reflectance": 1.2}, "reflectance 1.2"),
+        ({"index_step": 0.0}, "index step is 0"),
+        ({"reflectance": 1.2}, "reflectance is 1.2"),
         ({"raw_integral": 0.0}, "raw integral is 0"),
     ],
 )

@@ -62,9 +62,9 @@ def test_a_lambertian_and_a_share_of_the_coating() -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        ((90.0, 1e-6), "scattered direction 90°"),
-        ((30.0, 0.0), "solid angle 0 sr"),
-        ((30.0, math.nan), "solid angle nan sr"),
+        ((90.0, 1e-6), "scattered direction is 90"),
+        ((30.0, 0.0), "solid angle is 0"),
+        ((30.0, math.nan), "solid angle is nan"),
         ((0.0, 1.0), "solid angle 1 sr: too large for one value"),
     ],
 )
