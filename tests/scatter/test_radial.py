@@ -60,5 +60,5 @@ def test_the_alias_table_has_the_shares_of_the_cells(name: str) -> None:
     "bad", [lambda r: -r, lambda r: np.nan * r, lambda r: 0 * r, lambda r: 1 / np.maximum(r - 1, 0)]
 )
 def test_impossible_profiles(bad: Callable) -> None:
-    with pytest.raises(MistrayError, match="give a BSDF ≥ 1e-200"), np.errstate(divide="ignore"):
+    with pytest.raises(MistrayError, match="give a BSDF > 0"), np.errstate(divide="ignore"):
         RadialTable.of(bad)
