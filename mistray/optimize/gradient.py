@@ -19,6 +19,7 @@ from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import OPAQUE, TABLED
 from mistray.trace.parameter_gradient import edge_gradient, parameter_gradient
 from mistray.trace.raw_gradient import EDGE_WIDTH, RawGradient, Wanted
+from mistray.trace.sampled import Sampled
 
 COATING_KINDS = ("coating", "share")
 OTHER_KINDS = ("scatter", "index")
@@ -33,6 +34,8 @@ class Gradient:
     ----------
     value, value_se : float
         The metric and its standard error.
+    value_noise : (b,) float64
+        The noise of the metric by batch, or by group of batches, see `mistray.trace.sampled.Sampled.apart`.
     gradient, standard_error : dict
         Key of the parameter → (entries,) float64. The errors are those of the mean over the start rays, for the
         derivatives of the metric by the fluxes as they were traced: for a metric that is not linear in the fluxes, such
@@ -50,6 +53,7 @@ class Gradient:
 
     value: float
     value_se: float
+    value_noise: np.ndarray
     gradient: dict[str, np.ndarray]
     standard_error: dict[str, np.ndarray]
     edge_check: dict[str, np.ndarray]
@@ -161,8 +165,8 @@ def gradient_seen(
     """
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
-    sums, left_out, seconds, variance = _Sums(), [LEFT_OUT], 0.0, 0.0
-    by_batch = np.zeros(BATCHES)
+    sums, left_out, seconds = _Sums(), [LEFT_OUT], 0.0
+    noise = Sampled.of(np.zeros(BATCHES), EQUAL)
     raws: dict[tuple[Any, ...], RawGradient] = {}
     for observation in observations:
         for raw in observation.raw_gradients(wanted):
@@ -174,9 +178,7 @@ def gradient_seen(
                 raws[shared].add(raw)
             else:
                 raws[shared] = raw
-        noise, batches = observation.noise()
-        variance += noise
-        by_batch = add_batches(by_batch, batches)
+        noise = noise + observation.noise()
     places = {(id(p.owner), p.name) for p in chosen.values()}
 
     def is_chosen(owner: Any, name: str) -> bool:
@@ -205,7 +207,8 @@ def gradient_seen(
             checks[key] = (narrow - wide).sum(axis=0)
     return Gradient(
         float(dr.detach(value)[0]),
-        float(np.sqrt(variance + batch_error(by_batch, np.ones(len(by_batch))) ** 2)),
+        float(noise.se),
+        noise.apart,
         result,
         errors,
         checks,
@@ -213,12 +216,6 @@ def gradient_seen(
         left_out,
         (sum(o.seconds for o in observations), seconds),
     )
-
-
-def add_batches(a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Sums by batch or by group of consecutive batches, by the fewer of them."""
-    count = min(len(a), len(b))
-    return np.asarray(a.reshape(count, -1).sum(axis=1) + b.reshape(count, -1).sum(axis=1))
 
 
 def _jumps(raw: RawGradient) -> bool:

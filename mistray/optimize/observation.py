@@ -294,26 +294,18 @@ class Observation:
             return iter(())
         return self.trace.raw_gradients(derivative, wanted)
 
-    def noise(self) -> tuple[float, np.ndarray]:
-        """
-        Noise of the value to first order.
-
-        Returns
-        -------
-        variance : float
-            Of what has no batches: 0.
-        by_batch : (b,) float64
-            Sums by batch, or by group of batches, whose spread is the error of the value.
-        """
+    def noise(self) -> Sampled:
+        """The sum of what the value is made of, to first order, with the noise of the value by batch."""
         by_sum = self._by_sum()
         by_batch = self.trace.paths.by_batch(by_sum) if np.any(by_sum) else np.zeros(BATCHES)
+        total = Sampled.of(by_batch, np.ones(BATCHES))
         images = [(self.irradiance, self.trace.light), *self._maps.values()]
         for image, found in images:
             by_pixel = self._by_pixel(image)
             if np.any(by_pixel):
                 batches = self._pixel_area * np.einsum("yx,yxb->b", by_pixel, found.by_batch)
-                by_batch = by_batch.reshape(len(batches), -1).sum(axis=1) + batches
-        return 0.0, by_batch
+                total = total + Sampled.of(batches, np.ones(len(batches)))
+        return total
 
     def clear(self) -> None:
         """Forget the derivatives of values before."""

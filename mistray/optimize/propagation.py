@@ -64,24 +64,21 @@ class Spread:
 def propagate(
     labels: Sequence[str],
     changes: np.ndarray,
-    relative_error: float,
     groups: Sequence[tuple[str, Sequence[int]]] = (),
 ) -> Spread:
     """
     Variance of ln(metric) = Σ (s_i tol_i)² over independent parameters, and the share of each.
 
     Parameters that vary together count as one: (Σ s_i tol_i)² with their signs. The errors come from the batches of
-    start rays, so that they know how far the noise of the derivatives varies together; the error of the metric itself,
-    which all of them are divided by, is added in quadrature.
+    start rays, so that they know how far the noise of the derivatives, and of the metric that all of them are divided
+    by, varies together.
 
     Parameters
     ----------
     labels : sequence of str
         Of the parameters.
-    changes : (BATCHES, parameters) float64
+    changes : (b, parameters) float64
         s_i tol_i, change of ln(metric) per tolerance, from each batch alone; the sum over the batches is the number.
-    relative_error : float
-        Standard error of the metric over its value.
     groups : sequence of (str, sequence of int)
         Names and numbers of parameters that vary together; each parameter in at most one of them.
 
@@ -96,19 +93,17 @@ def propagate(
     rays = np.ones(len(batches))
     total = batches.sum(axis=0)
     noise = batch_error(batches.T, rays)
-    errors = np.hypot(noise, relative_error * total)
     variance = float(np.sum(total**2 - noise**2))
     se = math.sqrt(
         float(batch_error(2 * batches @ total, rays)) ** 2
         + 2 * float(np.sum(noise**4))  # of the squares of what is mostly noise
-        + (2 * variance * relative_error) ** 2
     )
     found = []
-    for (name, members), c, error, own in zip(parts, total, errors, noise, strict=True):
+    for (name, members), c, own in zip(parts, total, noise, strict=True):
         share = Estimate(math.nan, math.nan)
         if variance > 0:
             share = Estimate(max(c * c - own * own, 0.0) / variance, math.hypot(2 * c * own, own * own) / variance)
-        change = Estimate(float(c), float(error))
+        change = Estimate(float(c), float(own))
         found.append(Contribution(name, tuple(labels[number] for number in members), change, share))
     found.sort(key=lambda item: -abs(item.change.value))
     return Spread(tuple(found), Estimate(variance, se), float(np.sum(noise**2)))

@@ -14,9 +14,8 @@ from mistray.analysis.metrics.glare import glare_cells
 from mistray.analysis.pst.result import CONVENTIONS, STRAY, Pst
 from mistray.errors import MistrayError
 from mistray.optimize.observation import leaf
-from mistray.trace.energy import batch_error
-from mistray.trace.ledger import BATCHES
 from mistray.trace.raw_gradient import RawGradient, Wanted
+from mistray.trace.sampled import Sampled
 from mistray.trace.sky import CLASSES
 from mistray.trace.upload import upload
 
@@ -224,14 +223,10 @@ class PstObservation:
             return iter(())
         return self.pst.raw_gradients(derivative, wanted)
 
-    def noise(self) -> tuple[float, np.ndarray]:
-        """
-        Noise of the value to first order: its variance from the spread of the batches, and no sums by batch.
-
-        The batches of a PST have nothing in common with those of other traces.
-        """
+    def noise(self) -> Sampled:
+        """The sum of what the value is made of, to first order, with the noise of the value by batch."""
         parts = np.tensordot(self.derivative, self.pst.by_batch, axes=3) * self.pst.weight
-        return float(batch_error(parts, self.pst.weight)) ** 2, np.zeros(BATCHES)
+        return Sampled.of(parts, self.pst.weight)
 
     def clear(self) -> None:
         """Forget the derivatives of values before."""

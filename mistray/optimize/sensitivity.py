@@ -235,7 +235,7 @@ def sensitivity(
     _require_light(found)
     table = Table.of(found, lines, limits)
     rows = table.rows(free, reach, factor)
-    spread = propagate([row.label for row in rows], table.change_batches, found.value_se / found.value, groups)
+    spread = propagate([row.label for row in rows], table.change_batches, groups)
     best = best_together(table.reachable(free, reach), factor)
     changes = tuple((rows[change.number], change) for change in best)
     traced, image = None, None

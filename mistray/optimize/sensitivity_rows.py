@@ -16,6 +16,7 @@ from mistray.optimize.parameters import Parameter
 from mistray.optimize.proposals import structure
 from mistray.trace.energy import batch_error
 from mistray.trace.geometry_gradient import DISPLACEMENT, SHIFTS
+from mistray.trace.sampled import Sampled
 
 INDEX = "index"
 
@@ -200,8 +201,9 @@ class Table:
     edge_check : float64
         By how much d ln(metric) per tolerance differs with half the width of the zone at rims; NaN where rims do not
         count.
-    change_batches : (BATCHES, n) float64
-        d ln(metric) per tolerance from each batch of start rays; their sum is the whole.
+    change_batches : (b, n) float64
+        d ln(metric) per tolerance from each batch of start rays, or group of batches, with what the batch does to the
+        metric that it is divided by; their sum is the whole.
     """
 
     lines: list[Line]
@@ -235,19 +237,20 @@ class Table:
             raise MistrayError(f"the derivative by '{wrong[0]}' is not finite; leave it out")
         derivative_se = np.asarray(batch_error(batches.T, EQUAL))
         tolerance = np.array([tolerances[line.parameter.key] for line in lines])
-        slope = derivative / found.value
+        # The metric and its derivative come from the same start rays: what they have in common cancels
+        relative = Sampled.of(batches.T, EQUAL).over(Sampled(np.array(found.value), found.value_noise))
         ranges = Ranges(
             np.array([float(np.ravel(line.parameter.value)[line.entry]) for line in lines]),
             np.array([line.parameter.low for line in lines]),
             np.array([line.parameter.high for line in lines]),
             tolerance,
-            slope,
-            np.hypot(derivative_se, slope * found.value_se) / found.value,
+            relative.value,
+            relative.se,
         )
         none = {key: np.full(np.size(values), np.nan) for key, values in found.gradient.items()}
         check = summed({**none, **found.edge_check})
-        scale = tolerance / found.value
-        return cls(lines, ranges, derivative, derivative_se, check * scale, batches * scale)
+        changes = relative.by_batch.T * tolerance
+        return cls(lines, ranges, derivative, derivative_se, check * tolerance / found.value, changes)
 
     def reachable(self, free: set[str], reach: float) -> Ranges:
         """The ranges within `reach` tolerances; R and T keep theirs, and what is not free has none."""

@@ -225,10 +225,9 @@ class TestNoise:
             for k, metric in enumerate(metrics):
                 value = metric.evaluate(observations)
                 dr.backward(value)
-                noise = [o.noise() for o in observations]
-                by_batch = np.sum([batches for _, batches in noise], axis=0)
+                apart = np.sum([o.noise().apart for o in observations], axis=0)
                 values[seed, k] = float(dr.detach(value)[0])
-                variances[seed, k] = sum(v for v, _ in noise) + 32 * by_batch.var(ddof=1)
+                variances[seed, k] = np.sum(apart**2)
         ratio = values.var(axis=0, ddof=1) / variances.mean(axis=0)
         assert np.all(ratio < 2.7), ratio
         assert np.all(ratio > 0.24), ratio

@@ -19,7 +19,7 @@ def batches(changes, noise=0.0, seed=0) -> np.ndarray:
 
 def test_independent() -> None:
     """3² + 4² = 5²."""
-    spread = propagate(["a", "b", "c"], batches([3.0, -4.0, 0.0]), 0.0)
+    spread = propagate(["a", "b", "c"], batches([3.0, -4.0, 0.0]))
     assert spread.variance == pytest.approx((25.0, 0.0))
     assert spread.deviation == pytest.approx((5.0, 0.0))
     assert [item.name for item in spread.contributions] == ["b", "a", "c"]
@@ -28,7 +28,7 @@ def test_independent() -> None:
 
 def test_together() -> None:
     """What varies together adds with its signs: (3 - 4)² + 2²."""
-    spread = propagate(["a", "b", "c"], batches([3.0, -4.0, 2.0]), 0.0, [("a and b", [0, 1])])
+    spread = propagate(["a", "b", "c"], batches([3.0, -4.0, 2.0]), [("a and b", [0, 1])])
     assert spread.variance.value == pytest.approx(5.0)
     names = {item.name: item for item in spread.contributions}
     assert names["a and b"].members == ("a", "b")
@@ -37,9 +37,11 @@ def test_together() -> None:
 
 
 def test_the_error_of_the_metric() -> None:
-    """All s are divided by the metric: with 1 % in it the standard deviation has 1 %, too."""
-    spread = propagate(["a", "b"], batches([3.0, 4.0]), 0.01)
-    assert spread.deviation == pytest.approx((5.0, 0.05))
+    """All s are divided by the metric: with 1 % in it the standard deviation has 1 %, too, and 1e-4 of V are noise."""
+    of_metric = np.tile([1.0, -1.0], BATCHES // 2) * 0.01 * np.sqrt((BATCHES - 1) / BATCHES) / np.sqrt(BATCHES)
+    spread = propagate(["a", "b"], np.outer(1 / BATCHES - of_metric, [3.0, 4.0]))
+    assert spread.variance.value == pytest.approx(25 * (1 - 1e-4))
+    assert spread.deviation == pytest.approx((5.0, 0.05), rel=1e-4)
     assert spread.contributions[0].change == pytest.approx((4.0, 0.04))
 
 
@@ -50,7 +52,7 @@ def test_noise_does_not_add_up() -> None:
     """
     changes = np.zeros(200)
     changes[7] = 1.0
-    found = [propagate([str(k) for k in range(200)], batches(changes, 0.1, seed), 0.0) for seed in range(100)]
+    found = [propagate([str(k) for k in range(200)], batches(changes, 0.1, seed)) for seed in range(100)]
     values = np.array([spread.variance for spread in found])
     assert abs(values[0, 0] - 1) < 4.5 * values[0, 1]
     assert abs(values[:, 0].mean() - 1) < 0.45 * values[:, 0].std()
@@ -59,9 +61,7 @@ def test_noise_does_not_add_up() -> None:
 
 def test_standard_errors() -> None:
     """The spread over 300 draws is the error: χ² with 299 degrees of freedom, false-alarm probability 1e-6 a side."""
-    found = [
-        propagate(["a", "b", "c"], batches([1.0, -4.0, 0.5], 0.2, seed), 0.0, [("g", [1, 2])]) for seed in range(300)
-    ]
+    found = [propagate(["a", "b", "c"], batches([1.0, -4.0, 0.5], 0.2, seed), [("g", [1, 2])]) for seed in range(300)]
     values = np.array([[*spread.variance, *spread.contributions[0].change] for spread in found])
     for value, se in ((0, 1), (2, 3)):
         ratio = values[:, value].var(ddof=1) / np.mean(values[:, se] ** 2)
@@ -71,7 +71,7 @@ def test_standard_errors() -> None:
 
 
 def test_no_change_at_all() -> None:
-    spread = propagate(["a"], batches([0.0]), 0.01)
+    spread = propagate(["a"], batches([0.0]))
     assert spread.variance.value == 0
     assert spread.deviation.value == 0
     assert np.isnan(spread.contributions[0].share.value)
