@@ -7,6 +7,7 @@ numpy, so that `mistray doctor` can say that it is missing.
 from __future__ import annotations
 
 import importlib
+import os.path
 from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
@@ -58,6 +59,19 @@ def check_release(version: str) -> None:
             f"mitsuba {version} is installed and mistray is written for {SUPPORTED_RELEASE}; "
             f"run: pip install 'mitsuba=={SUPPORTED_RELEASE}.*'"
         )
+
+
+def own_folder_first(resolver: Any) -> None:
+    """
+    Let Mitsuba look in its own folder before any other, so that the libraries of its plugins are its own.
+
+    As it comes it begins with the current folder, and a library ``plugins/path.so`` there would be run.
+
+    Parameters
+    ----------
+    resolver : mi.FileResolver
+    """
+    resolver.prepend(os.path.dirname(import_mitsuba().__file__))
 
 
 def silence_warnings() -> None:

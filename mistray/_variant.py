@@ -20,7 +20,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from types import ModuleType
 
-from mistray._mitsuba_compat import import_mitsuba
+from mistray._mitsuba_compat import import_mitsuba, own_folder_first
 from mistray.errors import MistrayError
 from mistray.ranges import THREADS
 
@@ -176,6 +176,8 @@ def register_plugins() -> None:
     mi = import_mitsuba()
     mi.detail.remove_variant_callback(_on_variant_change)
     mi.detail.add_variant_callback(_on_variant_change)
+    if _registered_variant is None:
+        own_folder_first(mi.file_resolver())
     if mi.variant() != _registered_variant:
         _register_for(mi.variant())
 

@@ -12,7 +12,6 @@ from oracles import scene_xml
 
 import mistray
 from mistray.scene import find
-from mistray.scene.load import LOADING
 
 SCENES = sorted((Path(__file__).parents[1] / "scenes").glob("*/scene.xml"))
 
@@ -130,7 +129,6 @@ def test_scenes_are_loaded_one_shape_after_the_other(monkeypatch: pytest.MonkeyP
     """In parallel, Mitsuba may begin one Python plugin inside of another one's constructor, on the same thread, while
     this one waits for Dr.Jit. That has ended in a segmentation fault.
     """
-    assert LOADING == {"optimize": False, "parallel": False}
     depth = {"now": 0, "most": 0}
     from mistray.plugins.shapes import revolution
 

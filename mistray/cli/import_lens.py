@@ -187,17 +187,9 @@ def _from_json(lens: Path, options: argparse.Namespace) -> Prescription:
 def _from_batoid(lens: Path, options: argparse.Namespace) -> Prescription:
     if options.wavelength_nm is None:
         raise MistrayError(f"lens '{lens}': batoid media depend on the wavelength; give --wavelength-nm")
-    try:
-        import batoid
-    except ImportError:
-        raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
     from mistray.prescription import from_batoid
 
-    try:
-        optic = batoid.Optic.fromYaml(str(lens))
-    except Exception as error:  # yaml and batoid raise all kinds
-        raise MistrayError(f"lens '{lens}': {error}; it must be a batoid YAML file") from None
-    return from_batoid(optic, wavelength_nm=options.wavelength_nm)
+    return from_batoid(lens, wavelength_nm=options.wavelength_nm)
 
 
 def _record(built: Built) -> dict[str, Any]:

@@ -16,6 +16,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,6 +24,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.pose import fixed_angles_deg
 from mistray.prescription.batoid_baffles import DesignLight, without
+from mistray.prescription.batoid_file import read_optic
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel
 from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
@@ -35,7 +37,7 @@ _PIXELS = (512, 512)
 
 
 def from_batoid(
-    optic: batoid.Optic,
+    optic: batoid.Optic | str | Path,
     *,
     wavelength_nm: float,
     reflectance: float | None = None,
@@ -45,8 +47,10 @@ def from_batoid(
 
     Parameters
     ----------
-    optic : batoid.Optic
-        Usually a CompoundOptic, for example ``batoid.Optic.fromYaml("LSST_r.yaml")``. Understood: Mirror,
+    optic : batoid.Optic, str or Path
+        Usually a CompoundOptic, for example ``batoid.Optic.fromYaml("LSST_r.yaml")``, or a YAML file of one. A file is
+        checked before batoid reads it, see `mistray.prescription.batoid_file`: use the path where you do not know who
+        wrote the file, because ``fromYaml`` runs what it finds there. Understood: Mirror,
         RefractiveInterface, Lens, CompoundOptic, Detector, Baffle; Plane, Sphere, Paraboloid, Quadric, Asphere;
         ClearCircle, ClearAnnulus, ObscCircle, ObscAnnulus and unions of the last two on baffles.
     wavelength_nm : float
@@ -68,12 +72,15 @@ def from_batoid(
     Raises
     ------
     MistrayError
-        If batoid is missing or an element is of a kind that has no counterpart; the message names the element.
+        If batoid is missing, the file cannot be read or an element is of a kind that has no counterpart; the message
+        names the element.
     """
     try:
         import batoid
     except ImportError:
         raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
+    if isinstance(optic, str | Path):
+        optic = read_optic(optic)
     source = _source(optic, wavelength_nm)
     reader = _Reader(batoid, optic, wavelength_nm, reflectance, baffle_radius)
     for element in _elements(optic):

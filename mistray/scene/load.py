@@ -6,24 +6,24 @@ import difflib
 import os
 import os.path
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 import mitsuba as mi
 
+from mistray._mitsuba_compat import own_folder_first
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError, MistrayWarning
 from mistray.ids import check_id
 from mistray.materials.mate import shown
+from mistray.scene.allowed_plugins import RESOURCES, check_dict, check_file
 from mistray.scene.check import check_overlaps
 from mistray.scene.depth import check_depth
 from mistray.scene.improbable import improbable
 from mistray.scene.messages import explain, is_interrupt
 from mistray.scene.source import remember
-
-# Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it makes
-# one of our shapes would begin the next one inside of that wait, which has crashed the process.
-LOADING = {"optimize": False, "parallel": False}
 
 LONGEST_NAME = 400  # characters of a path that a message repeats
 NAMES_OFFERED = 5  # shipped scenes that are nearest to one that does not exist
@@ -57,9 +57,9 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
     given = source if isinstance(source, dict) else find(source)
     if isinstance(given, Path):
         check_depth(given)
-    name = "" if isinstance(given, dict) else _utf8(given)
+        name = _utf8(given)
     try:
-        scene = mi.load_dict(given, **LOADING) if isinstance(given, dict) else mi.load_file(name, **LOADING)
+        scene = _from_dict(given) if isinstance(given, dict) else _from_file(name)
     except Exception as error:  # Mitsuba raises RuntimeError and TypeError with text of many lines
         if is_interrupt(error):
             raise KeyboardInterrupt from None
@@ -73,6 +73,64 @@ def load(source: str | Path | dict[str, Any]) -> mi.Scene:
         warnings.warn(text, MistrayWarning, stacklevel=2)
     remember(scene, given)
     return scene
+
+
+def _from_file(name: str) -> Any:
+    """What a scene file describes; what it includes is looked for in its folder first."""
+    with _search(os.path.dirname(name)):
+        state = mi.parser.parse_file(_config(), name)
+        check_file(state)
+        return _built(state)
+
+
+def _from_dict(given: dict[str, Any]) -> Any:
+    """What a scene dict describes; Mitsuba looks for a plugin of each type while it reads it."""
+    folders = {
+        key: str(item.get("path", ""))
+        for key, item in given.items()
+        if isinstance(item, dict) and item.get("type") == RESOURCES
+    }
+    for key, folder in folders.items():
+        if not os.path.isdir(folder):
+            raise MistrayError(f"scene: '{key}': no folder '{folder}'; correct the path")
+    with _search(*folders.values()):
+        described = {key: item for key, item in given.items() if key not in folders}
+        check_dict(described)
+        return _built(mi.parser.parse_dict(_config(), described))
+
+
+def _config() -> Any:
+    """
+    How Mitsuba reads a scene.
+
+    Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it makes
+    one of our shapes would begin the next one inside of that wait, which has crashed the process.
+    """
+    config = mi.parser.ParserConfig(mi.variant())
+    config.parallel = config.merge_equivalent = config.merge_meshes = False
+    return config
+
+
+@contextmanager
+def _search(*folders: str) -> Iterator[None]:
+    """Look for files in some folders too, for a while; the last comes first, but for that of Mitsuba."""
+    usual = mi.file_resolver()
+    mi.set_file_resolver(resolver := mi.FileResolver(usual))
+    for folder in folders:
+        resolver.prepend(folder)
+    own_folder_first(resolver)
+    try:
+        yield
+    finally:
+        mi.set_file_resolver(usual)
+
+
+def _built(state: Any) -> Any:
+    """The objects of a scene that has been read and checked."""
+    config = _config()
+    mi.parser.transform_all(config, state)
+    own_folder_first(mi.file_resolver())  # elements <path> came before
+    return mi.parser.instantiate(config, state)
 
 
 def _utf8(path: Path) -> str:

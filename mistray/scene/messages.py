@@ -120,7 +120,8 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
         kind = re.match(r"(\w+)( '(bsdf|coating)?')?: ", own)  # a nested bsdf has no name of its own
         if kind and (kind[1] in ("interface", "thinfilm") or _is_model(kind[1], element.plugin)):
             return f"{element}: {own.partition(': ')[2]}"
-        named = any(f"'{name}'" in own for name in (element.id, element.plugin) if name)
+        name = element.id or element.plugin
+        named = bool(name) and f"'{name}'" in own
         return own if named else f"{element}: {own}"
     for pattern, remedy in _REASONS:
         match = re.search(pattern, text)

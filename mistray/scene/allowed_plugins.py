@@ -1,0 +1,121 @@
+"""
+Which plugins a scene may name: those of Mitsuba on a list, ours, and what this process registered in Python.
+
+Mitsuba takes a type that it does not know as the name of a library, ``plugins/TYPE.so``, and runs what it finds: in the
+current folder, beside the scene, or wherever a path in the type leads. So the types are looked at before it does, and
+its own folder comes first where it looks for its own plugins.
+"""
+
+from __future__ import annotations
+
+import os.path
+import re
+import sys
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.materials.mate import shown
+from mistray.scene.depth import DEEPEST
+
+# The plugins that come with Mitsuba, without `blender`, which reads memory at addresses that the scene gives
+STOCK: Mapping[str, frozenset[str]] = {
+    kind: frozenset(names.split())
+    for kind, names in {
+        "bsdf": "blendbsdf bumpmap circular conductor dielectric diffuse hair mask measured measured_polarized "
+        "normalmap null plastic polarizer pplastic principled principledthin retarder roughconductor roughdielectric "
+        "roughplastic thindielectric twosided",
+        "emitter": "area constant directional directionalarea envmap point projector spot sunsky timed_sunsky",
+        "film": "hdrfilm specfilm",
+        "integrator": "aov depth direct moment path ptracer stokes volpath volpathmis",
+        "medium": "heterogeneous homogeneous",
+        "phase": "blendphase hg isotropic rayleigh sggx tabphase",
+        "rfilter": "box catmullrom gaussian lanczos mitchell tent",
+        "sampler": "independent ldsampler multijitter orthogonal stratified",
+        "scene": "scene",
+        "sensor": "batch distant irradiancemeter orthographic perspective radiancemeter thinlens",
+        "shape": "bsplinecurve cube cylinder disk ellipsoids ellipsoidsmesh instance linearcurve merge obj ply "
+        "rectangle sdfgrid serialized shapegroup sphere",
+        "texture": "bitmap blackbody checkerboard d65 irregular mesh_attribute rawconstant regular srgb uniform volume",
+        "volume": "constvolume gridvolume",
+    }.items()
+}
+KINDS = {"PhaseFunction": "phase", "ReconstructionFilter": "rfilter"}  # where Mitsuba's word is not the element's
+VALUES = ("ref", "rgb", "spectrum")  # what a dict gives a type although it is no plugin
+RESOURCES = "resources"  # the type of an entry of a dict that says where to look for files
+SUFFIX = {"win32": ".dll", "darwin": ".dylib"}.get(sys.platform, ".so")  # of a library
+BLENDER = "blender"
+
+_NAME = re.compile(r"[A-Za-z0-9_-]+")
+
+
+def check_file(state: Any) -> None:
+    """
+    Check the plugins of a scene file that Mitsuba has read and not yet built.
+
+    Parameters
+    ----------
+    state : mi.parser.ParserState
+        Includes and parameters, ``$name``, are in place.
+
+    Raises
+    ------
+    MistrayError
+        A type is not allowed; the text names the place as Mitsuba's own errors do.
+    """
+    for node in state.nodes:
+        name, kind = node.props.plugin_name(), KINDS.get(node.type.name, node.type.name.lower())
+        if name in STOCK.get(kind, ()):
+            continue
+        reason = _refusal(name)
+        if reason:
+            raise MistrayError(f"While loading {mi.parser.file_location(state, node)}: MistrayError: {reason}")
+
+
+def check_dict(given: Mapping[str, Any]) -> None:
+    """
+    Check the plugins of a scene dict.
+
+    Raises
+    ------
+    MistrayError
+        A type is not allowed, or the dict is nested deeper than `mistray.scene.depth.DEEPEST`; the text names the place
+        as Mitsuba's own errors do.
+    """
+    for path, name in _types(given):
+        if name in VALUES or any(name in names for names in STOCK.values()):
+            continue
+        reason = _refusal(name)
+        if reason:
+            raise MistrayError(f'While loading dictionary node "{path}": MistrayError: {reason}')
+
+
+def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """The types of a dict and of those within it, with the path of keys to each."""
+    waiting: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [((), given)]
+    while waiting:
+        path, item = waiting.pop()
+        if len(path) > DEEPEST:
+            raise MistrayError(f"scene: '{path[0]}' holds dicts {DEEPEST} deep within each other; correct the dict")
+        name = item.get("type")
+        if isinstance(name, str):
+            yield ".".join(path) or "root", name
+        waiting += [((*path, str(key)), value) for key, value in item.items() if isinstance(value, dict)]
+
+
+def _refusal(name: str) -> str:
+    """Why a type that is not of Mitsuba may not be loaded; empty if Mitsuba finds it registered or not at all."""
+    remedy = "use a plugin of Mitsuba or of mistray, or one that you registered in Python"
+    for kind, names in STOCK.items():
+        if name in names:
+            return f"the type '{name}' is a {kind}; write it as one, or use a plugin of the right kind"
+    if name == BLENDER:
+        return f"the type '{name}' reads memory at any address; export a .ply file instead"
+    if not _NAME.fullmatch(name):
+        return f"the type '{shown(name.split())}' is no name of a plugin; {remedy}"
+    library = str(mi.file_resolver().resolve(f"plugins/{name}{SUFFIX}"))
+    if os.path.exists(library):
+        return f"the type '{name}' would run the library '{library}'; {remedy}"
+    return ""

@@ -1,0 +1,273 @@
+"""Opening a file runs nothing that stands in it: a payload for each way in, which would leave a mark where it ran."""
+
+from __future__ import annotations
+
+import json
+import shutil
+import subprocess
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray._mitsuba_compat import import_mitsuba
+from mistray.cli.program import main
+from mistray.errors import MistrayError
+from mistray.prescription import from_batoid
+from mistray.scene.allowed_plugins import KINDS, STOCK, SUFFIX
+
+LIBRARY = """
+#include <stdio.h>
+__attribute__((constructor)) static void payload(void) {{ FILE *f = fopen("{mark}", "w"); if (f) fclose(f); }}
+void init_plugin(void) {{}}
+"""
+HEAD = '<scene version="3.0.0">'
+
+
+class Payload:
+    """A library that leaves a mark when it is loaded; without a compiler a file that is none, whose load raises."""
+
+    def __init__(self, folder: Path) -> None:
+        self.mark = folder / "payload-was-here"
+        self.library = folder / f"payload{SUFFIX}"
+        compiler = shutil.which("cc")
+        if compiler is None:
+            self.library.write_bytes(b"no library")
+            return
+        source = folder / "payload.c"
+        source.write_text(LIBRARY.format(mark=self.mark))
+        subprocess.run([compiler, "-shared", "-fPIC", "-o", str(self.library), str(source)], check=True)
+
+    def put(self, path: Path) -> None:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(self.library, path)
+
+
+@pytest.fixture(scope="module")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Payload:
+    return Payload(tmp_path_factory.mktemp("payload"))
+
+
+@pytest.fixture
+def payload(built: Payload) -> Payload:
+    built.mark.unlink(missing_ok=True)
+    return built
+
+
+def refusal(load: Callable[[], Any]) -> str:
+    with pytest.raises(MistrayError) as caught:
+        load()
+    text = str(caught.value)
+    assert "\n" not in text
+    assert "Error while loading plugin" not in text, "Mitsuba has tried to load it"
+    return text
+
+
+def test_a_library_leaves_its_mark_where_mitsuba_loads_it(payload: Payload, tmp_path: Path, monkeypatch: Any) -> None:
+    """The payload is one: what the tests below refuse does run in Mitsuba alone."""
+    if shutil.which("cc") is None:
+        pytest.skip("no C compiler, so that there is no library to load")
+    payload.put(tmp_path / "plugins" / f"evil{SUFFIX}")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(RuntimeError):
+        mi.load_dict({"type": "evil"})
+    assert payload.mark.exists()
+
+
+@pytest.mark.parametrize("kind", ["shape", "bsdf", "emitter", "integrator", "texture"])
+@pytest.mark.parametrize("where", ["relative", "upwards", "absolute", "beside", "here"])
+def test_a_scene_file_loads_no_library(
+    payload: Payload, tmp_path: Path, monkeypatch: Any, where: str, kind: str
+) -> None:
+    folder, here = tmp_path / "scene", tmp_path / "here"
+    folder.mkdir()
+    here.mkdir()
+    monkeypatch.chdir(here)
+    place, name = {
+        "relative": (folder / "plugins" / "sub" / "evil1", "sub/evil1"),
+        "upwards": (tmp_path / "evil2", "../../evil2"),
+        "absolute": (tmp_path / "evil3", str(tmp_path / "evil3")),
+        "beside": (folder / "plugins" / "evil4", "evil4"),
+        "here": (here / "plugins" / "evil5", "evil5"),
+    }[where]
+    (folder / "plugins").mkdir(exist_ok=True)
+    payload.put(place.with_suffix(SUFFIX))
+    inner = f'<{kind} type="{name}" id="odd one"/>'
+    (folder / "scene.xml").write_text(f"{HEAD}\n{inner}</scene>")
+    text = refusal(lambda: mistray.load(folder / "scene.xml"))
+    assert "line 2" in text and "'odd one'" in text and name[:12] in text
+    assert not payload.mark.exists()
+
+
+@pytest.mark.parametrize("way", ["include", "path", "default", "alias"])
+def test_nor_by_way_of_other_elements(payload: Payload, tmp_path: Path, way: str) -> None:
+    payload.put(tmp_path / "more" / "plugins" / f"evil{SUFFIX}")
+    (tmp_path / "more" / "inner.xml").write_text(f'{HEAD}<shape type="evil"/></scene>')
+    body = {
+        "include": '<include filename="more/inner.xml"/><path value="more"/>',
+        "path": '<path value="more"/><shape type="evil"/>',
+        "default": '<default name="half" value="../more/plugins/"/><shape type="$half/evil"/>',
+        "alias": '<path value="more"/><shape type="sphere" id="a"><bsdf type="evil"/></shape><alias id="a" as="b"/>',
+    }[way]
+    (tmp_path / "scene.xml").write_text(f"{HEAD}{body}</scene>")
+    assert "evil" in refusal(lambda: mistray.load(tmp_path / "scene.xml"))
+    assert not payload.mark.exists()
+
+
+@pytest.mark.parametrize("name", ["sub/evil", "../evil", "absolute", "evil", "evil\0", "ev.il", "plugins\\evil", ""])
+@pytest.mark.parametrize("nested", [False, True])
+def test_a_scene_dict_loads_no_library(
+    payload: Payload, tmp_path: Path, monkeypatch: Any, name: str, nested: bool
+) -> None:
+    """A dict may come from a file as well, of JSON for instance."""
+    for place in ("plugins/sub/evil", "evil", "plugins/evil", "plugins/ev"):
+        payload.put(tmp_path / f"{place}{SUFFIX}")
+    monkeypatch.chdir(tmp_path)
+    entry: dict[str, Any] = {"type": str(tmp_path / "evil") if name == "absolute" else name}
+    if nested:
+        entry = {"type": "sphere", "bsdf": {"type": "twosided", "inner": entry}}
+    given = json.loads(json.dumps({"type": "scene", "wall": entry}))
+    refusal(lambda: mistray.load(given))
+    assert not payload.mark.exists()
+
+
+def test_nor_from_the_resources_of_a_dict(payload: Payload, tmp_path: Path) -> None:
+    for name in ("evil", "pplastic", "asphere"):
+        payload.put(tmp_path / "plugins" / f"{name}{SUFFIX}")
+    given = {"type": "scene", "files": {"type": "resources", "path": str(tmp_path)}}
+    refusal(lambda: mistray.load({**given, "wall": {"type": "evil"}}))
+    scene = mistray.load({**given, "wall": {"type": "sphere", "bsdf": {"type": "pplastic"}}})
+    assert len(scene.shapes()) == 1
+    assert not payload.mark.exists()
+    assert "no folder" in refusal(lambda: mistray.load({"a": {"type": "resources", "path": "nowhere"}}))
+
+
+def test_what_lies_in_the_folder_does_not_take_the_place_of_mitsubas_own(payload: Payload, tmp_path: Path) -> None:
+    """Every plugin of Mitsuba has a namesake in the current folder, beside the scene: none of them is run."""
+    for names in STOCK.values():
+        for name in names:
+            payload.put(tmp_path / "plugins" / f"{name}{SUFFIX}")
+    shutil.copy(mistray.scene.find("plate"), tmp_path / "scene.xml")
+    code = "import mistray; mistray.trace(mistray.load('scene.xml'), rays=10)"
+    done = subprocess.run([sys.executable, "-c", code], cwd=tmp_path, capture_output=True, text=True)
+    assert done.returncode == 0, done.stderr
+    assert not payload.mark.exists()
+
+
+def test_nor_that_of_one_of_ours(payload: Payload, tmp_path: Path, monkeypatch: Any) -> None:
+    payload.put(tmp_path / "plugins" / f"asphere{SUFFIX}")
+    monkeypatch.chdir(tmp_path)
+    assert "asphere" in refusal(lambda: mistray.load({"type": "scene", "a": {"type": "asphere"}}))
+    assert not payload.mark.exists()
+
+
+def test_the_list_is_mitsubas() -> None:
+    """Every plugin of Mitsuba stands in the list, by its kind, but the one that reads memory at any address."""
+    folder = Path(import_mitsuba().__file__).parent / "plugins"
+    found: dict[str, set[str]] = {}
+    for file in folder.glob(f"*{SUFFIX}"):
+        kind = mi.PluginManager.instance().plugin_type(file.stem).name
+        found.setdefault(KINDS.get(kind, kind.lower()), set()).add(file.stem)
+    found["shape"].remove("blender")
+    assert found == {kind: set(names) for kind, names in STOCK.items() if kind != "scene"}
+    assert "memory" in refusal(lambda: mistray.load({"type": "scene", "a": {"type": "blender"}}))
+
+
+def test_a_plugin_registered_in_python_is_loaded(tmp_path: Path) -> None:
+    class Grey(mi.BSDF):  # type: ignore[misc]
+        def __init__(self, props: mi.Properties) -> None:
+            super().__init__(props)
+            self.m_components = [mi.BSDFFlags.DiffuseReflection]
+            self.m_flags = self.m_components[0]
+
+        def to_string(self) -> str:
+            return "Grey[]"
+
+    mi.register_bsdf("grey_of_a_test", Grey)
+    (tmp_path / "scene.xml").write_text(f'{HEAD}<shape type="sphere"><bsdf type="grey_of_a_test"/></shape></scene>')
+    (shape,) = mistray.load(tmp_path / "scene.xml").shapes()
+    assert isinstance(shape.bsdf(), Grey)
+
+
+def test_a_kind_that_does_not_fit_is_named(tmp_path: Path) -> None:
+    (tmp_path / "scene.xml").write_text(f'{HEAD}<shape type="diffuse" id="wall"/></scene>')
+    text = refusal(lambda: mistray.load(tmp_path / "scene.xml"))
+    assert "'wall'" in text and "'diffuse' is a bsdf" in text
+
+
+MIRROR = """
+opticalSystem:
+  type: CompoundOptic
+  pupilSize: 1.0
+  items:
+    - {{type: Mirror, name: M1, surface: {surface}, obscuration: {obscuration}, inMedium: {medium}}}
+"""
+PARTS = {"surface": "{type: Plane}", "obscuration": "{type: ClearCircle, radius: 1.0}", "medium": "1.0"}
+
+
+@pytest.mark.parametrize("part", ["surface", "obscuration", "medium", "sum", "negation", "optic"])
+def test_a_batoid_file_evaluates_nothing(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], monkeypatch: Any, part: str
+) -> None:
+    pytest.importorskip("batoid")
+    mark, lens = tmp_path / "mark", tmp_path / "lens.yaml"
+    evil = f"""{{type: "__import__('pathlib').Path('{mark}').touch() or Plane"}}"""
+    text = {
+        "sum": MIRROR.format(**{**PARTS, "surface": f"{{type: Sum, items: [{{type: Plane}}, {evil}]}}"}),
+        "negation": MIRROR.format(**{**PARTS, "obscuration": f"{{type: ObscNegation, original: {evil}}}"}),
+        "optic": f"opticalSystem: {evil}",
+    }.get(part) or MIRROR.format(**{**PARTS, part: evil})
+    lens.write_text(text)
+    assert "__import__" in refusal(lambda: from_batoid(lens, wavelength_nm=550.0))
+    monkeypatch.chdir(tmp_path)
+    assert main(["import", str(lens), "--wavelength-nm", "550"]) != 0
+    told = capsys.readouterr()
+    assert len((told.out + told.err).splitlines()) == 1
+    assert not mark.exists()
+    assert not (tmp_path / "lens.xml").exists()
+
+
+@pytest.mark.parametrize(
+    "tag", ["!!python/object/apply:pathlib.Path.touch", "!!python/name:os.system", "!!python/module:antigravity"]
+)
+def test_a_batoid_file_makes_no_python_objects(tmp_path: Path, tag: str) -> None:
+    pytest.importorskip("batoid")
+    (tmp_path / "lens.yaml").write_text(f"opticalSystem: {tag} [{tmp_path / 'mark'}]")
+    refusal(lambda: from_batoid(tmp_path / "lens.yaml", wavelength_nm=550.0))
+    assert not (tmp_path / "mark").exists()
+
+
+def test_a_batoid_file_that_repeats_itself_without_end_is_refused(tmp_path: Path) -> None:
+    pytest.importorskip("batoid")
+    lens = tmp_path / "lens.yaml"
+    lens.write_text("opticalSystem: &all {type: CompoundOptic, items: [*all]}")
+    refusal(lambda: from_batoid(lens, wavelength_nm=550.0))
+    lines = [f"x{i + 1}: &x{i + 1} [{', '.join([f'*x{i}'] * 10)}]" for i in range(9)]
+    lens.write_text("\n".join(["x0: &x0 [1]", *lines, "opticalSystem: {type: Lens, items: *x9}"]))
+    refusal(lambda: from_batoid(lens, wavelength_nm=550.0))
+    lens.write_text("opticalSystem: " + "[" * 20_000)
+    refusal(lambda: from_batoid(lens, wavelength_nm=550.0))
+
+
+def test_checked_batoid_files_read_as_batoid_reads_them() -> None:
+    batoid = pytest.importorskip("batoid")
+    from mistray.prescription.batoid_file import read_optic
+
+    for name in ("LSST/LSST_r.yaml", "DECam/DECam.yaml", "HSC/HSC.yaml"):
+        file = Path(batoid.datadir) / name
+        assert read_optic(file) == batoid.Optic.fromYaml(str(file))
+
+
+class Marks:
+    """Leaves its mark when it is unpickled."""
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def __reduce__(self) -> Any:
+        return Path.touch, (self.path,)
