@@ -46,7 +46,6 @@ def read_optic(path: str | Path) -> batoid.Optic:
         names is evaluated then.
     """
     try:
-        import batoid
         import yaml  # type: ignore[import-untyped]
         from batoid.parse import parse_optic
     except ImportError:

@@ -144,7 +144,7 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
             BOX_CELL,
             *_cells(row, shown, False),
             *(cell(str(rank) if rank else ABSENT) for rank in (row.rank_rms_irradiance, row.rank_power)),
-            f'<td class="path m"><details><summary>{row.path}</summary>{escape(row.events)}</details></td>',
+            f'<td class="path m"><details><summary>{escape(row.path)}</summary>{escape(row.events)}</details></td>',
         ]
         for row in shown.itertuples(index=False)
     ]

@@ -103,8 +103,8 @@ def _config() -> Any:
     """
     How Mitsuba reads a scene.
 
-    Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it makes
-    one of our shapes would begin the next one inside of that wait, which has crashed the process.
+    Not optimised, because merged shapes lose their names. Not in parallel: a thread that waits for Dr.Jit while it
+    makes one of our shapes would begin the next one inside of that wait, which has crashed the process.
     """
     config = mi.parser.ParserConfig(mi.variant())
     config.parallel = config.merge_equivalent = config.merge_meshes = False

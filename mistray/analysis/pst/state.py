@@ -20,8 +20,13 @@ from mistray.replace_file import replace_file
 
 FORM = 2  # changes when the content does
 _FACTS, _ARRAY = "facts", "array_"  # entries of the file; the prefix keeps names of arrays apart from all others
+_DAMAGES = (
+    *(ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, MemoryError, RecursionError),
+    *(zipfile.BadZipFile, zlib.error),
+)
 _HASH = re.compile("[0-9a-f]{16,}")
 _ABSENT = "absent"
+MOST_BYTES = 4 << 30  # that a state may unpack to
 _MOST_LISTED = 6  # values of a list that a message quotes
 
 
@@ -132,7 +137,10 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
         If there is no such file, it is no state or damaged, or another version of mistray wrote it.
     """
     try:
-        with np.load(io.BytesIO(Path(path).read_bytes()), allow_pickle=False) as archive:
+        data = io.BytesIO(Path(path).read_bytes())
+        if sum(entry.file_size for entry in zipfile.ZipFile(data).infolist()) > MOST_BYTES:
+            raise MistrayError(f"state '{path}': it would unpack to more than {MOST_BYTES >> 30} GiB; remove it")
+        with np.load(data, allow_pickle=False) as archive:
             content = json.loads(str(archive[_FACTS][()]))
             arrays = {name.removeprefix(_ARRAY): archive[name] for name in archive.files if name.startswith(_ARRAY)}
         form, facts = content["form"], dict(content["facts"])
@@ -140,7 +148,7 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
         raise MistrayError(f"state '{path}': no such file; run once without resuming, or check the path") from None
     except OSError as error:
         raise MistrayError(f"state '{path}': {error.strerror or error}; check the path") from None
-    except (ValueError, KeyError, TypeError, AttributeError, IndexError, EOFError, zipfile.BadZipFile, zlib.error):
+    except _DAMAGES:
         raise MistrayError(f"state '{path}' is damaged or no state; remove it and run without resuming") from None
     if form != FORM:
         raise MistrayError(f"state '{path}' was written by another version of mistray; run without resuming")
