@@ -77,12 +77,10 @@ class Paint(Placement):
         super().__post_init__()
         if self.reflectance == 0 and self.b0 == 0:
             raise MistrayError(f"{self.title}: reflectance and b0 are 0, nothing is scattered; leave the model out")
-        total = np.sum([lobe_total(lobe, CHECKED_COSINES, 1.0, 1.0) for lobe in self._lobes("reflection")], axis=0)
-        worst = int(np.argmax(total))
-        if total[worst] > 1 + ROUNDING:
-            angle = math.degrees(math.acos(CHECKED_COSINES[worst]))
+        total, angle_deg = _most_scattered(self.reflectance, self.b0, self.l, self.s, self.n)
+        if total > 1 + ROUNDING:
             raise MistrayError(
-                f"{self.title}: scatters {total[worst]:.4g} of the light at {angle:.3g}°; lower reflectance or b0"
+                f"{self.title}: scatters {total:.4g} of the light at {angle_deg:.3g}°; lower reflectance or b0"
             )
 
     @classmethod
@@ -112,18 +110,40 @@ class Paint(Placement):
         return tuple(lobe for event in self.events(from_front) for lobe in self._lobes(event))
 
     def _lobes(self, event: str) -> tuple[Lobe, ...]:
-        lobes = []
-        if self.reflectance > 0:
-            level = self.reflectance / math.pi
-            lobes.append(Lobe(event, lambda r: np.full_like(r, level), centre="normal", shares=self.shares))
-        if self.b0 > 0:
-            lobes.append(
-                Lobe(event, self._gloss, shares=self.shares, ratio=None if self.n is None else _growth(self.n))
-            )
-        return tuple(lobes)
+        return _lobes(self.reflectance, self.b0, self.l, self.s, self.n, event=event, shares=self.shares)
 
-    def _gloss(self, r: np.ndarray) -> np.ndarray:
-        return np.asarray(harvey_shack.bsdf(r, self.b0, self.l, self.s))
+
+def _lobes(
+    reflectance: float,
+    b0: float,
+    l: float,  # noqa: E741
+    s: float,
+    n: float | None,
+    **options: Any,
+) -> tuple[Lobe, ...]:
+    lobes = []
+    if reflectance > 0:
+        level = reflectance / math.pi
+        lobes.append(Lobe(profile=lambda r: np.full_like(r, level), centre="normal", **options))
+    if b0 > 0:
+        ratio = None if n is None else _growth(n)
+        lobes.append(Lobe(profile=lambda r: np.asarray(harvey_shack.bsdf(r, b0, l, s)), ratio=ratio, **options))
+    return tuple(lobes)
+
+
+@lru_cache(maxsize=256)
+def _most_scattered(
+    reflectance: float,
+    b0: float,
+    l: float,  # noqa: E741
+    s: float,
+    n: float | None,
+) -> tuple[float, float]:
+    """The largest share of light that a paint scatters, and its angle of incidence, degrees; many walls share one."""
+    lobes = _lobes(reflectance, b0, l, s, n, event="reflection")
+    total = np.sum([lobe_total(lobe, CHECKED_COSINES, 1.0, 1.0) for lobe in lobes], axis=0)
+    worst = int(np.argmax(total))
+    return float(total[worst]), math.degrees(math.acos(CHECKED_COSINES[worst]))
 
 
 @lru_cache(maxsize=8)

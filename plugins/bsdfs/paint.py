@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import drjit as dr
 import mitsuba as mi
 
@@ -79,7 +77,7 @@ class Paint(Scatterer):
             self._take(props, "n")
 
     def _model_of(self, **values: float) -> Model:
-        return replace(Model(**values, name=self.name), **self._placement)
+        return Model(**values, name=self.name, **self._placement)
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         if lobe.centre == "normal":
