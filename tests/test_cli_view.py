@@ -146,3 +146,17 @@ def test_without_plotly(capsys, scene_file, traced, tmp_path, monkeypatch):
     assert code == 2
     assert not traced  # it says so before
     assert "needs plotly, which is not installed; pip install 'mistray[view]'" in err
+
+
+def test_a_path_is_drawn_once_for_all_wavelengths():
+    """Three wavelengths give three rows of each path; four paths take four ways, and each row is the strongest."""
+    from mistray.report.path_rays import chosen_rows
+
+    traced = mistray.trace(mistray.load("cooke_triplet"), wavelength_nm=(450, 550, 650), rays=500, max_scatters=0)
+    ways = {row.events for row in traced.paths}
+    assert len(traced.paths) == 3 * len(ways)
+    rows = chosen_rows(traced, 4)
+    assert len({row.events for row in rows}) == len(rows) == min(4, len(ways))
+    for row in rows:
+        assert row.power_W == max(other.power_W for other in traced.paths if other.events == row.events)
+    assert len(chosen_rows(traced, 100)) == len(ways)

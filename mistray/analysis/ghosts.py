@@ -491,7 +491,7 @@ def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
 
 def ghosts(
     scene: Any,
-    fields_deg: Sequence[float] | None = None,
+    fields_deg: float | Sequence[float] | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
     weights: Sequence[float] | None = None,
     azimuth_deg: float | None = None,
@@ -508,7 +508,7 @@ def ghosts(
     ----------
     scene : mi.Scene
         From `mistray.load`, with one source and one detector.
-    fields_deg : sequence of float, optional
+    fields_deg : float or sequence of float, optional
         Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
     wavelength_nm, weights, azimuth_deg
         As in `mistray.trace`; None takes the scene's own value. The rays are shared by the wavelengths.
@@ -536,7 +536,7 @@ def ghosts(
         raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of ghosts; see mistray.trace.Settings")
     given = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, **settings}
     arguments = {key: value for key, value in given.items() if value is not None}
-    wanted = [None] if fields_deg is None else list(dict.fromkeys(float(field) for field in fields_deg))
+    wanted = [None] if fields_deg is None else list(dict.fromkeys(np.atleast_1d(fields_deg).astype(float).tolist()))
     if not wanted:
         raise MistrayError("ghosts: fields_deg is empty; give at least one field angle in degrees")
     traces: dict[float, Trace] = {}

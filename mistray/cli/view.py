@@ -61,7 +61,10 @@ def add(commands: Any) -> None:
     add_scatter(parser)
     picture = parser.add_argument_group("picture")
     picture.add_argument(
-        "--paths", type=ROWS, metavar="N", help="rows of the path table, strongest first (8; 4 in a layout)"
+        "--paths",
+        type=ROWS,
+        metavar="N",
+        help="paths, strongest first, each at its strongest wavelength (8; 4 in a layout)",
     )
     picture.add_argument("--path-ids", type=ROWS, nargs="+", metavar="ID", help="these rows instead")
     picture.add_argument("--filter", metavar="EXPR",
@@ -160,10 +163,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _passing(traced: Trace, options: argparse.Namespace) -> list[int]:
     """The strongest rows that pass the filter."""
+    from mistray.report.path_rays import one_of_each
     from mistray.report.view import MOST_PATHS
 
     most = MOST_PATHS if options.paths is None else options.paths
-    found = [row.path_id for row in traced.paths.select(options.filter)[:most]]
+    found = [row.path_id for row in one_of_each(traced.paths.select(options.filter), most)]
     if not found:
         raise MistrayError(f"no path passes the filter '{options.filter}'; widen it, or see mistray ghosts --filter")
     return found

@@ -61,6 +61,11 @@ class Gradient:
     left_out: list[str]
     seconds: tuple[float, float]
 
+    @property
+    def untouched(self) -> list[str]:
+        """Keys whose derivatives are 0 in every batch: no ray says anything about them."""
+        return [key for key, parts in self.batches.items() if not np.any(parts)]
+
     def covariance(self, keys: Iterable[str] | None = None) -> np.ndarray:
         """Covariance matrix of the derivatives, their entries one after the other in the order of the keys."""
         chosen = list(self.gradient if keys is None else keys)
@@ -71,9 +76,16 @@ class Gradient:
     def __str__(self) -> str:
         lines = [f"value {self.value:.6e} ± {self.value_se:.1e}"]
         for key, values in self.gradient.items():
+            if key in self.untouched:
+                continue
             for k, (value, error) in enumerate(zip(values, self.standard_error[key], strict=True)):
                 check = f" (edge width: {self.edge_check[key][k]:+.1e})" if key in self.edge_check else ""
                 lines.append(f"d/d {key}[{k}] {value:+.5e} ± {error:.1e}{check}")
+        if self.untouched:
+            lines.append(
+                f"exactly 0, because no traced ray of the metric depends on them: {', '.join(self.untouched)}; trace "
+                "more rays or wider zones at rims (edge_width), or choose light that meets them"
+            )
         return "\n".join([*lines, *(f"left out: {text}" for text in self.left_out)])
 
 

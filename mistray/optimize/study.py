@@ -64,7 +64,7 @@ class Moved:
     Attributes
     ----------
     key : str
-        A key of ``mi.traverse(scene)``, a pattern as of `fnmatch`, or a name of `mistray.optimize.parameters.groups`.
+        A key of ``mi.traverse(scene)``, a pattern as of `fnmatch`, or a name of `mistray.optimize.groups`.
     entry : int or None
         Of a parameter that is a list; 0 is the first. None: all entries.
     factor : float

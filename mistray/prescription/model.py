@@ -393,6 +393,11 @@ class Prescription:
     provenance: str = ""
 
     def __post_init__(self) -> None:
+        if not isinstance(self.detector, Detector | None):
+            raise MistrayError(
+                f"prescription '{self.name}': detector is a {type(self.detector).__name__}; give a "
+                "mistray.prescription.Detector, such as Detector(name='detector', z=50, half_width=5, half_height=5)"
+            )
         for name, count in Counter(shape.name for shape in self.shapes()).items():
             if count > 1:
                 raise MistrayError(

@@ -61,14 +61,33 @@ class RayLine:
 
 
 def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int] | None = None) -> list[PathRow]:
-    """The `count` strongest rows of the path table, or those asked for; `MistrayError`: count below 0, unknown id."""
+    """
+    The strongest rows of the path table, or those asked for.
+
+    A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
+
+    Raises
+    ------
+    MistrayError
+        If `count` is below 0, or for an unknown id.
+    """
     if count < 0:
         raise MistrayError(f"paths is {count}; give the number of rows of the path table to draw, 0 or more")
     if path_ids is None:
-        return list(trace.paths[:count])
+        return one_of_each(trace.paths, count)
     for path_id in path_ids:
         trace.paths.locate(path_id)
     return [trace.paths[path_id] for path_id in dict.fromkeys(path_ids)]
+
+
+def one_of_each(rows: Iterable[PathRow], count: int) -> list[PathRow]:
+    """The first rows, at most `count`, that are different ways of the light; not one way at several wavelengths."""
+    found: dict[tuple[str, str], PathRow] = {}
+    for row in rows:
+        if len(found) == count:
+            break
+        found.setdefault((row.source, row.events), row)
+    return list(found.values())
 
 
 def check_count(rays: int) -> None:

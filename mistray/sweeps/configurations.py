@@ -31,7 +31,7 @@ class Configuration:
     name : str
     values : mapping of str to float or sequence of float
         Parameters and their values in their units: keys of ``mi.traverse(scene)``, names of groups such as
-        ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.parameters.groups`, or patterns of both with ``*``, ``?``
+        ``N-BK7.index`` and ``L1.z``, see `mistray.optimize.groups`, or patterns of both with ``*``, ``?``
         and ``[…]``. One number stands for all entries of a parameter. Where two name the same
         key, the later one holds.
     paint : mapping of str to str or float

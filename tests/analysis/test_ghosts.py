@@ -182,6 +182,10 @@ def test_on_axis_field_is_not_traced_twice(traced):
     assert report.nominal_trace is report[0.0]
 
 
+def test_one_field_needs_no_list(traced):
+    assert list(ghosts("scene", fields_deg=0.0)) == [0.0]
+
+
 def test_default_field_is_the_source_s_own(traced):
     assert list(ghosts("scene")) == [4.0]
 

@@ -230,3 +230,19 @@ class TestRefusals:
         metric = image_metric(load_scene(coated_plate()), lambda e: e, rays=16)
         with pytest.raises(mistray.MistrayError, match="returned 4096 values"):
             metric.value()
+
+
+def test_parameters_that_no_ray_depends_on_are_named_in_one_line() -> None:
+    from mistray.optimize.gradient import Gradient
+
+    zero, one = np.zeros((32, 2)), np.ones((32, 1)) / 32
+    keys = {"rim.r0": zero, "wall.z": zero, "L1.R": one}
+    result = Gradient(
+        1.0, 0.1, {key: part.sum(axis=0) for key, part in keys.items()},
+        {key: part.std(axis=0) for key, part in keys.items()}, {}, keys, [], (0.0, 0.0),
+    )  # fmt: skip
+    assert result.untouched == ["rim.r0", "wall.z"]
+    lines = str(result).splitlines()
+    assert len(lines) == 3
+    assert lines[1].startswith("d/d L1.R[0]")
+    assert all(key in lines[2] for key in result.untouched)

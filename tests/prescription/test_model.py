@@ -51,10 +51,10 @@ def test_bad_surfaces(keywords, wanted):
     assert wanted in message(Surface, "x", **keywords)
 
 
-@pytest.mark.parametrize("name", ["", "a.b", " a"])
+@pytest.mark.parametrize("name", ["", "a.b", " a", "=a", "a\nb"])
 def test_bad_names(name):
-    assert "must not be empty" in message(Surface, name, semi_diameter=1.0)
-    assert "must not be empty" in message(Structure, name, 1.0, 0.0, 1.0, 1.0)
+    assert ascii(name) in message(Surface, name, semi_diameter=1.0)
+    assert ascii(name) in message(Structure, name, 1.0, 0.0, 1.0, 1.0)
 
 
 @pytest.mark.parametrize(
@@ -75,7 +75,7 @@ def test_bad_names(name):
         (lambda: Coating(R=0.1, first="front"), "coating: first has no meaning beside R, which has no layers"),
         (lambda: Coating(table="x.csv", n_shift=(0.1,)), "n_shift has no meaning beside table"),
         (lambda: Coating(R=0.1, design_nm=600.0), "design_nm has no meaning beside R"),
-        (lambda: Coating(R=0.1, name="a.b"), "must not be empty, hold a dot"),
+        (lambda: Coating(R=0.1, name="a.b"), "must not be empty or hold a dot"),
         (lambda: Structure("s", 1.0, 0.0, -1.0, 1.0), "radii must be ≥ 0"),
         (lambda: Structure("s", 1.0, 0.0, 1.0, 0.0), "no area"),
         (lambda: Structure("s", 0.0, 0.0, 0.0, 1.0), "no area"),
@@ -192,3 +192,8 @@ def test_paraxial():
     assert thin.efl == pytest.approx(1 / (0.5 * (2 / 100 - 0.5 * 2 / (1.5 * 100**2))), rel=1e-12)
     mirror = Surface("m", semi_diameter=5.0, radius=-100.0, coating=Coating(R=1.0), mirror=True)
     assert "surface 'm'" in message(system(mirror).paraxial, 550.0)
+
+
+def test_a_detector_that_is_none() -> None:
+    with pytest.raises(MistrayError, match="'x': detector is a tuple"):
+        Prescription(name="x", surfaces=(), detector=("detector", 50.0))  # type: ignore[arg-type]
