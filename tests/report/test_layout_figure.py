@@ -69,9 +69,9 @@ def test_path_ids_choose_the_rows(scene, trace):
 
 
 def test_more_paths_than_colours_are_told_apart(scene):
-    """Nine paths: the ninth has the colour of the first, in dashes."""
+    """Nine rows: the ninth has the colour of the first, in dashes."""
     nine = RayTrace(trace_in_colours(10.0).fakes, 10.0, shares=SHARES)
-    handles, _ = layout_figure(scene, nine, paths=9, rays=1).axes[0].get_legend_handles_labels()
+    handles, _ = layout_figure(scene, nine, path_ids=range(9), rays=1).axes[0].get_legend_handles_labels()
     looks = [(handle.get_color(), handle.get_linestyle()) for handle in handles]
     assert len(set(looks)) == 9
     assert looks[8] == (looks[0][0], "--")
