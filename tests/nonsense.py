@@ -46,6 +46,6 @@ NONSENSE: dict[str, Callable[[Scene], None]] = {
     "rays": _setting("rays", 0),
     "reflections": _setting("max_reflections", -1),
     "threshold": _setting("flux_threshold", float("nan")),
-    "events": _setting("max_events", 65),
+    "events": _setting("max_events", 1001),
     "field": _setting("field_deg", 90.0),
 }  # fmt: skip

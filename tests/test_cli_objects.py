@@ -135,7 +135,7 @@ def test_help_names_units(capsys):
         (("--rays", "many"), "'many' is not a number"),
         (("--stop", "pupil"), "called 'pupil'"),
         (("--detector", "wall"), "'wall' is no detector"),
-        (("--ray-control", "some"), "invalid choice"),
+        (("--ray-control", "some"), "ray_control is 'some'"),
         (("--max-events", "0"), "--max-events: 0 must"),
     ],
 )

@@ -84,6 +84,7 @@ def test_every_option_is_passed_on(capsys: Any, fake: list[dict[str, Any]]) -> N
         "max_random_scatters": 1,
         "max_generations": 5,
         "max_events": 20,
+        "max_consecutive": 9,
         "scatter_rays": 2,
         "aimed_rays": 7,
         "aim": "targets",

@@ -175,7 +175,7 @@ OTHERS = [
          words=("splitting is 'both'; use 'split' or 'one'",)),
     Case("reflections", options=("--max-reflections", "-1"), words=("--max-reflections: -1 must be a whole number",)),
     Case("threshold", options=("--flux-threshold", "2"), words=("--flux-threshold: 2 must", "between 0 and 1")),
-    Case("events", options=("--max-events", "100"), words=("--max-events: 100 must", "between 1 and")),
+    Case("events", options=("--max-events", "2000"), words=("--max-events: 2000 must", "between 1 and")),
     Case("wavelength", options=("--wavelength-nm", "-550"), words=("--wavelength-nm: -550 must lie between 10 and",)),
 ]  # fmt: skip
 
@@ -267,7 +267,7 @@ def test_python_says_the_same(folder, case):
         ({"wavelength_nm": 0}, "wavelength_nm is 0; it must lie between 10 and 1e7 nm"),
         ({"wavelength_nm": [550, -1]}, "wavelength_nm is -1; it must lie between 10 and 1e7 nm"),
         ({"max_reflections": -1}, "max_reflections is -1; it must be a whole number between 0 and"),
-        ({"max_events": 65}, "max_events is 65; it must be a whole number between 1 and"),
+        ({"max_events": 1001}, "max_events is 1001; it must be a whole number between 1 and"),
         ({"flux_threshold": 1}, "flux_threshold is 1"),
         ({"splitting": "both"}, "splitting is 'both'; use 'split' or 'one'"),
         ({"below_threshold": "stop"}, "below_threshold is 'stop'; use 'cut' or 'roulette'"),

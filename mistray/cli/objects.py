@@ -9,6 +9,7 @@ from typing import Any
 from mistray.cli.arguments import Help, add_angles
 from mistray.cli.claims import claim_folder
 from mistray.cli.tracing_arguments import (
+    CONTROL_HELP,
     TABLE_FORMATS,
     add_machine,
     add_output,
@@ -66,8 +67,7 @@ def add(commands: Any) -> None:
                          help="start rays from the detector, and from outside at each angle (1e6)")  # fmt: skip
     tracing.add_argument("--threshold", type=SHARE, metavar="W",
                          help="flux that makes an object count, W for each W that starts (1e-6)")  # fmt: skip
-    tracing.add_argument("--ray-control", choices=("transmit_specular", "reflect_specular", "allow_all", "halt_all"),
-                         help="what surfaces send on (transmit_specular)")  # fmt: skip
+    tracing.add_argument("--ray-control", metavar="WHAT", help=f"{CONTROL_HELP} (transmit_specular)")
     tracing.add_argument("--no-total-reflection", action="store_true", help="end rays in total reflection")
     tracing.add_argument("--max-events", type=EVENTS, metavar="N", help="surfaces met on one way (64)")
     tracing.add_argument("--seed", type=SEED, metavar="N", help="seed of the random numbers (0)")

@@ -18,6 +18,7 @@ from mistray.cli.claims import declare_outputs
 from mistray.errors import MistrayError
 from mistray.ranges import (
     AIMED_RAYS,
+    CONSECUTIVE,
     EVENTS,
     LIMIT,
     RAYS,
@@ -29,6 +30,10 @@ from mistray.ranges import (
     WEIGHT,
 )
 
+CONTROL_HELP = (
+    "what light may do at surfaces: allow_all, transmit_specular, reflect_specular, halt_all, or letters of T, R, "
+    "I (total reflection), M (mirrors), t and r (scatter) and A (absorption), such as TIA"
+)
 FIRST_SECOND = 1.0  # s, after which what is still at work says so
 
 
@@ -55,20 +60,21 @@ def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
     group.add_argument("--max-generations", type=LIMIT, metavar="N",
                        help="reflections and scatter events together on one path (no limit)")  # fmt: skip
     group.add_argument("--max-events", type=EVENTS, metavar="N", help="surfaces met on one path (64)")
+    group.add_argument("--max-consecutive", type=CONSECUTIVE, metavar="N",
+                       help="hits of one surface in a row on one path (no limit)")  # fmt: skip
     group.add_argument("--flux-threshold", type=THRESHOLD, metavar="F",
                        help="flux below which a ray ends, relative to its start ray (1e-8)")  # fmt: skip
     group.add_argument("--cut-below", metavar="LIST",
                        help="flux below which branches end, relative to the start ray, by kind, such as "
                        "'R=1e-6, t=1e-9': R and T are specular reflection and transmission, r and t "
-                       "scattered ones (none)")  # fmt: skip
+                       "scattered ones, A absorption (none)")  # fmt: skip
     group.add_argument("--cut-below-W", metavar="LIST", help="the same in W (none)")
     group.add_argument("--splitting", choices=("split", "one"),
                        help="follow both rays at a surface, or one of them by chance (split)")  # fmt: skip
     group.add_argument("--below-threshold", choices=("cut", "roulette"),
                        help="end a ray below the threshold, or play unbiased roulette (cut)")  # fmt: skip
     group.add_argument("--seed", type=SEED, metavar="N", help="seed of the random numbers (0)")
-    group.add_argument("--ray-control", choices=("allow_all", "transmit_specular", "reflect_specular", "halt_all"),
-                       help="what surfaces send on (allow_all)")  # fmt: skip
+    group.add_argument("--ray-control", metavar="WHAT", help=f"{CONTROL_HELP} (allow_all)")
     group.add_argument("--polarization", choices=("unpolarized", "stokes"),
                        help="means of s and p at every hit, or Stokes vectors along paths (unpolarized)")  # fmt: skip
     add_machine(group)

@@ -11,6 +11,7 @@ from mistray.analysis.aiming_check import sampling_warnings
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.ranking import FEWEST_RAYS
+from mistray.ranges import EVENTS
 from mistray.report.scatter_tables import scatter_text
 from mistray.report.text import ABSENT, number, text_table, with_error
 from mistray.trace.settings import BRANCHES
@@ -24,7 +25,10 @@ CUT_TEXTS = {
     "max_reflections": "not followed beyond max_reflections = {max_reflections}; raise it to see where it goes",
     "max_scatters": "not scattered: max_scatters = {max_scatters} or another limit of scatter; raise it to see where "
     "it goes",
-    "max_events": "cut by max_events = {max_events}; raise it",
+    "max_generations": "not followed beyond max_generations = {max_generations}; raise it to see where it goes",
+    "max_events": "cut by max_events = {max_events}; ",
+    "max_consecutive": "cut by max_consecutive = {max_consecutive}; raise it to see where it goes",
+    "ray_control": "refused by ray_control = {ray_control}",
     **{
         f"{branch}_below": f"cut by what cut_below says of {branch.replace('_', ' ')}; lower it"
         for branch in BRANCHES.values()
@@ -208,4 +212,8 @@ def _fields(fields_deg: Sequence[float]) -> str:
 
 def _cut_text(reason: str, settings: dict[str, Any]) -> str:
     """How a reason of the energy ledger reads in a warning."""
-    return CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
+    text = CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
+    if reason == "max_events":
+        longest = settings["max_events"] >= EVENTS.high
+        text += "light is trapped there, and no path can be longer" if longest else f"raise it, up to {EVENTS.high}"
+    return text

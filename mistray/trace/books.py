@@ -14,13 +14,14 @@ from mistray.errors import MistrayError
 from mistray.trace.ledger import BATCHES, Ledger
 from mistray.trace.settings import BRANCHES
 
-# Rows of the tally: what is not tied to a surface
+# Rows of the tally: what is not tied to a surface. Those of any trace have sums in each lane
 ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)
 # Scatter that a limit cuts, what was to be scattered less what the scattered rays carry, and the number, flux and
 # squared flux of the hits of the detector by scattered rays
 SCATTERS, SAMPLING, SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES = range(9, 14)
-CONTROL = 14  # what `ray_control` keeps back
-CUT_BRANCHES = 15  # what `cut_below` does, in the order of its branches
+LANE_REASONS = 14
+# What `ray_control` keeps back, `max_generations`, `max_consecutive`, and `cut_below` in the order of its branches
+CONTROL, GENERATIONS, CONSECUTIVE, CUT_BRANCHES = range(LANE_REASONS, LANE_REASONS + 4)
 REASONS = CUT_BRANCHES + len(BRANCHES)
 # Columns of the tally of a surface; the last two count its aimed rays and those that reach the detector undeflected
 HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
@@ -61,14 +62,19 @@ class Tallies:
         Returns
         -------
         tuple of dr.Local
-            The first `HIT_SUMS` of `SURFACE_SUMS` of each surface, and last those of the reasons.
+            The first `HIT_SUMS` of `SURFACE_SUMS` of each surface, and last those of the first `LANE_REASONS`.
         """
-        return tuple(dr.alloc_local(mi.Float64, size, mi.Float64(0)) for size in (*(self.count,) * HIT_SUMS, REASONS))
+        sizes = (*(self.count,) * HIT_SUMS, LANE_REASONS)
+        return tuple(dr.alloc_local(mi.Float64, size, mi.Float64(0)) for size in sizes)
 
     @staticmethod
-    def add_reason(sums: tuple[Any, ...], reason: int | mi.UInt32, value: Any, active: mi.Bool) -> None:
-        """Book flux (or a count) under a reason."""
+    def add_reason(sums: tuple[Any, ...], reason: int, value: Any, active: mi.Bool) -> None:
+        """Book flux (or a count) under one of the first `LANE_REASONS`."""
         sums[-1].write(sums[-1].read(reason, active) + mi.Float64(value), reason, active)
+
+    def add_cut(self, reason: int | mi.UInt32, batch: mi.UInt32, value: mi.Float, active: mi.Bool) -> None:
+        """Book flux under one of the other reasons, which most traces have no light for."""
+        dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, mi.Float64(value), reason * BATCHES + batch, active)
 
     @staticmethod
     def add_hit(sums: tuple[Any, ...], s: mi.UInt32, incident: mi.Float, absorbed: mi.Float, active: mi.Bool) -> None:
@@ -84,11 +90,11 @@ class Tallies:
             for what in range(HIT_SUMS):
                 value = sums[what].read(k, k < self.count)
                 self.add_surface(k, what, batch, value, value != 0)
-            value = sums[-1].read(k, k < REASONS)
+            value = sums[-1].read(k, k < LANE_REASONS)
             dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, value, k * BATCHES + batch, value != 0)
             return k + 1, sums
 
-        count = dr.opaque(mi.UInt32, max(self.count, REASONS))
+        count = dr.opaque(mi.UInt32, max(self.count, LANE_REASONS))
         dr.while_loop(
             (dr.zeros(mi.UInt32, dr.width(batch)), sums),
             lambda k, sums: k < count,
@@ -308,6 +314,11 @@ class Recorder:
         """Forget all branches."""
         self.count = dr.zeros(mi.UInt32, 1)
         dr.eval(self.count)
+
+
+def as_many(capacity: int, max_events: int) -> int:
+    """Branches that take the memory of so many of 64 events."""
+    return max(1, capacity * 64 // max(max_events, 64))
 
 
 def record_branch(

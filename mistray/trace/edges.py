@@ -37,7 +37,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.sag import sag
 from mistray.trace.adjoint import Adjoint
-from mistray.trace.books import Film, Recorder
+from mistray.trace.books import Film, Recorder, as_many
 from mistray.trace.grazing import SILHOUETTE, grazing_kernel
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import EVENT_BITS, Ledger
@@ -127,7 +127,7 @@ class Edges:
     ) -> None:
         self._scene = (table, scattering, intersector)
         self._table, self._settings, self._film = table, settings, film
-        self._book = RimBook(table, width, CAPACITY, settings.max_events)
+        self._book = RimBook(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
         self._lanes = FIRST_LANES
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
@@ -183,12 +183,12 @@ class Edges:
             self._book.paths.clear()
             self._gains(part, adjoint, ledger, sky, self._book)
             hits = int(self._book.paths.count[0])
-            self._lanes = max(1, min(4 * here, int(here * ROOM * CAPACITY / max(hits, 1))))
-            if hits > CAPACITY:
+            self._lanes = max(1, min(4 * here, int(here * ROOM * self._book.paths.capacity / max(hits, 1))))
+            if hits > self._book.paths.capacity:
                 if here == 1:
                     raise MistrayError(
-                        f"a single start ray hits {hits} times close to a rim, more than {CAPACITY}; narrow the edge "
-                        "zones or lower max_reflections or max_scatters"
+                        f"a single start ray hits {hits} times close to a rim, more than "
+                        f"{self._book.paths.capacity}; narrow the edge zones or lower max_reflections or max_scatters"
                     )
                 continue
             done += here

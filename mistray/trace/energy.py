@@ -10,10 +10,12 @@ import numpy as np
 
 from mistray.trace.books import (
     ABSORBED_HERE,
+    CONSECUTIVE,
     CONTROL,
     CUT_BRANCHES,
     ESCAPED,
     EVENTS,
+    GENERATIONS,
     HITS,
     INCIDENT,
     MEDIUM,
@@ -36,7 +38,9 @@ CUTS = {
     "max_reflections": REFLECTIONS,
     "max_scatters": SCATTERS,
     "scatter_sampling": SAMPLING,
+    "max_generations": GENERATIONS,
     "max_events": EVENTS,
+    "max_consecutive": CONSECUTIVE,
     "medium": MEDIUM,
     "ray_control": CONTROL,
     **{f"{branch}_below": CUT_BRANCHES + k for k, branch in enumerate(BRANCHES.values())},
@@ -59,11 +63,12 @@ class Energy:
         Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
     cut : dict
         Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_scatters" (all
-        limits of scatter events), "max_events", "ray_control", "roulette" (0 on average: what Russian roulette removed
-        less what it added), "specular_reflection_below", "specular_transmission_below", "scattered_reflection_below",
-        "scattered_transmission_below" (what `cut_below` and `cut_below_W` cut), "scatter_sampling" (0 on average: what
-        surfaces scatter less what the scattered rays carry)
-        and "medium" (a ray met a surface from a material that is not there: a gap or an overlap in the geometry).
+        limits of scatter events), "max_generations", "max_events", "max_consecutive", "ray_control", "roulette" (0 on
+        average: what Russian roulette removed less what it added), "specular_reflection_below",
+        "specular_transmission_below", "scattered_reflection_below", "scattered_transmission_below", "absorption_below"
+        (what `cut_below` and `cut_below_W` cut), "scatter_sampling" (0 on average: what surfaces scatter less what the
+        scattered rays carry) and "medium" (a ray met a surface from a material that is not there: a gap or an overlap
+        in the geometry).
 
         Where `max_random_scatters` leaves a hit nothing but its aimed rays, "max_scatters" holds what it scatters less
         what these carry: right on average, but with the noise of the aimed rays, so that it can be below 0.

@@ -9,8 +9,8 @@ from mistray.trace.interaction import Interaction
 from mistray.trace.ledger import (
     AIMED_TRANSMITTED,
     COUNT_MASK,
-    DIFFRACTED_SHIFT,
     EVENT_BITS,
+    NOT_DIFFRACTED,
     OPTICAL_SHIFT,
     RANDOM_SHIFT,
     RANDOM_TRANSMITTED,
@@ -51,14 +51,14 @@ def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
     return [(word >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
 
 
-def scatter_count(aim: mi.Bool, optical: mi.Bool) -> mi.UInt32:
-    """What a scatter event adds to the word of `scatters_done`."""
-    return 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
+def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
+    """The word of `scatters_done` after one event more, see `mistray.trace.ledger.COUNT_MASK`."""
+    count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
+    return (word + count) | dr.select(diffracted, 0, mi.UInt32(NOT_DIFFRACTED))
 
 
-def diffraction_count(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.UInt32:
-    """What a scatter event adds to the count of a path's diffractions, see `mistray.trace.ledger.COUNT_MASK`."""
+def is_diffraction(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.Bool:
+    """Whether a scatter event is diffraction by an edge."""
     if not optics.diffracts:
-        return mi.UInt32(0)
-    edge = scatter & ~reflect & ((it.word & DIFFRACTS) != 0)
-    return dr.select(edge, mi.UInt32(1 << DIFFRACTED_SHIFT), 0)
+        return mi.Bool(False)
+    return scatter & ~reflect & ((it.word & DIFFRACTS) != 0)

@@ -40,6 +40,7 @@ def trace(
     max_random_scatters: int | None = None,
     max_generations: int | None = None,
     max_events: int | None = None,
+    max_consecutive: int | None = None,
     scatter_rays: int | None = None,
     aimed_rays: int | None = None,
     aim: str | None = None,
@@ -74,7 +75,8 @@ def trace(
         Vacuum wavelengths, nm.
     weights : sequence of float
         Shares of the flux, one for each wavelength; normalised, equal by default.
-    max_reflections, max_scatters, max_optical_scatters, max_random_scatters, max_generations, max_events
+    max_reflections, max_scatters, max_optical_scatters, max_random_scatters
+    max_generations, max_events, max_consecutive
         Limits of a path, see `mistray.trace.Settings`.
     scatter_rays, aimed_rays, aim
         Scattered rays at every hit and where they are aimed at, see there.
@@ -110,6 +112,7 @@ def trace(
         max_random_scatters=max_random_scatters,
         max_generations=max_generations,
         max_events=max_events,
+        max_consecutive=max_consecutive,
         scatter_rays=scatter_rays,
         aimed_rays=aimed_rays,
         aim=aim,

@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import CHANNELS
-from mistray.trace.books import Recorder
+from mistray.trace.books import Recorder, as_many
 from mistray.trace.edges import EdgeEvents
 from mistray.trace.grazing import SILHOUETTE, jump_distance
 from mistray.trace.pieces import NO_SURFACE
@@ -64,7 +64,7 @@ class Gatherer:
         self.table, self.scattering, self.wanted = table, scattering, wanted
         self.surfaces = ReplaySurfaces(table, wanted)
         self.scatter = ScatterReplay(table, scattering) if scattering.any else None
-        self.recorder = Recorder(CAPACITY, longest, points_only=True)
+        self.recorder = Recorder(as_many(CAPACITY, longest), longest, points_only=True)
         self.start_surface = start_surface
         # Rays at rims have only a place that changes; what it costs is in their coefficients
         places = replace(wanted, rows=False, scatter=False)
@@ -83,7 +83,7 @@ class Gatherer:
         walk : callable
             Traces some start rays with `recorder`.
         """
-        lanes = max(1, int(CAPACITY / (ROOM * max(1.0, hits_per_ray))))
+        lanes = max(1, int(self.recorder.capacity / (ROOM * max(1.0, hits_per_ray))))
         count, done = dr.width(start.lane), 0
         while done < count:
             here = min(lanes, count - done)
@@ -91,15 +91,15 @@ class Gatherer:
             self.recorder.clear()
             walk(part)
             recorded = int(self.recorder.count[0])
-            if recorded <= CAPACITY:
+            if recorded <= self.recorder.capacity:
                 yield part
                 done += here
             elif here == 1:
                 raise MistrayError(
-                    f"a single start ray has {recorded} ends, more than {CAPACITY}; raise flux_threshold or lower "
-                    "max_reflections or max_scatters"
+                    f"a single start ray has {recorded} ends, more than {self.recorder.capacity}; raise flux_threshold "
+                    "or lower max_reflections or max_scatters"
                 )
-            lanes = here // 2 if recorded > CAPACITY else lanes
+            lanes = here // 2 if recorded > self.recorder.capacity else lanes
 
     def replay(
         self,

@@ -23,9 +23,9 @@ from mistray.trace.packets import add_packet, packet_size
 ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
 RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
 EVENT_BITS = 3
-# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit, and
-# against the light those of diffraction
-COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, DIFFRACTED_SHIFT = 0xFF, 8, 16, 24
+# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; a bit
+# says whether one of them was not diffraction
+COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED = 0x3FF, 10, 20, 1 << 30
 BATCHES = 32
 # Sums of a slot and batch: rays, incident, absorbed, absorbed², absorbed · x, absorbed · y, absorbed · (x² + y²), and
 # in Stokes mode absorbed · (q, u, v)

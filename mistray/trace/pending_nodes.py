@@ -29,6 +29,8 @@ class PendingNodes:
     """
     The nodes of the current path, in local memory.
 
+    A node to which the lane comes back knows the one above it, so that they make a list of any length.
+
     Each number has an array of its own over the depth, so that all have the same index: the code then asks once whether
     all lanes are at the same depth, and if they are, a number is one load or store for all of them.
 
@@ -36,14 +38,17 @@ class PendingNodes:
     ----------
     max_events : int
         Most nodes of a path.
-    stock, stokes, scatters, bulk : bool
-        Whether the scene has stock shapes, light is polarised, something scatters, media scatter.
+    stock, stokes, scatters, bulk, runs : bool
+        Whether the scene has stock shapes, light is polarised, something scatters, media scatter, and hits of one
+        surface in a row are counted.
     """
 
-    def __init__(self, max_events: int, stock: bool, stokes: bool, scatters: bool, bulk: bool) -> None:
+    def __init__(self, max_events: int, stock: bool, stokes: bool, scatters: bool, bulk: bool, runs: bool) -> None:
         # With the names of the loop's state, the recorded ones first
         numbers: dict[str, tuple[type, int]] = {"p": (mi.Float, 3), "d": (mi.Float, 3), "w": (mi.Float, 1)}
-        numbers |= {"key": (mi.UInt64, 1), "word": (mi.UInt32, 1)}
+        numbers |= {"key": (mi.UInt64, 1), "word": (mi.UInt32, 1), "pending": (mi.UInt32, 1)}
+        if runs:
+            numbers["run"] = mi.UInt32, 1
         if stock:
             numbers["normal"] = mi.Float, 3
         if stokes:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
-from mistray.trace.books import Recorder
+from mistray.trace.books import Recorder, as_many
 from mistray.trace.history import Ray, rays_in_slots
 from mistray.trace.tracer import PASS_LANES, Run
 from mistray.trace.upload import upload
@@ -40,7 +40,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
     # of it in every batch. Multiples of the golden ratio are spread over the batches and over the curve, early ones too
     lanes = (np.arange(START_RAYS) * GOLDEN % 1 * run.rays).astype(np.int64)
     lanes = np.array(list(dict.fromkeys(lanes.tolist())))
-    recorder = Recorder(CAPACITY, run.settings.max_events)
+    recorder = Recorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
     film = run.make_film()
     for number in np.unique(lanes // PASS_LANES):
         own = lanes[lanes // PASS_LANES == number] - number * PASS_LANES

@@ -21,8 +21,6 @@ from mistray.trace.adjoint import Adjoint
 from mistray.trace.arrivals import Arrival, ArrivalBook
 from mistray.trace.books import (
     AIMED,
-    CONTROL,
-    CUT_BRANCHES,
     ESCAPED,
     EVENTS,
     FIRST_MISS,
@@ -41,8 +39,8 @@ from mistray.trace.books import (
     Tallies,
     record_branch,
 )
-from mistray.trace.branch_limits import kept_by_control, too_weak
-from mistray.trace.event_codes import diffraction_count, event_code, scatter_count, scatters_done
+from mistray.trace.branch_limits import NO_RUN, BranchLimits
+from mistray.trace.event_codes import after_scatter, event_code, is_diffraction, scatters_done
 from mistray.trace.extrema import larger
 from mistray.trace.interaction import counts_as_reflection, interact, is_aside
 from mistray.trace.intersect import Intersector
@@ -125,12 +123,12 @@ def walk(
         dr.opaque(mi.Float, limit) for limit in (settings.flux_threshold, settings.scatter_threshold)
     )
     scatter_limits = [dr.opaque(mi.UInt32, limit) for limit in settings.scatter_limits]
-    max_reflections, max_generations, scatter_rays = (
-        dr.opaque(mi.UInt32, v) for v in (settings.max_reflections, settings.max_generations, settings.scatter_rays)
+    max_reflections, scatter_rays = (
+        dr.opaque(mi.UInt32, limit) for limit in (settings.max_reflections, settings.scatter_rays)
     )
     if any(settings.cut_below_W):
         raise MistrayError("cut_below_W is in watts of a source, and this trace starts from none; use cut_below")
-    cut_below = [dr.opaque(mi.Float, limit) for limit in settings.cut_below]
+    limits, runs = BranchLimits(settings, tallies, batch), settings.limits_consecutive
     recorded_floats = recorder.node_floats if recorder is not None else POINT_FLOATS if rims is not None else 0
     split, roulette = settings.splitting == "split", settings.below_threshold == "roulette"
 
@@ -150,7 +148,7 @@ def walk(
     def full(value: int = 0) -> mi.UInt32:
         return dr.full(mi.UInt32, value, n)
 
-    nodes = PendingNodes(max_events, has_stock, settings.stokes, scatters, bulk)
+    nodes = PendingNodes(max_events, has_stock, settings.stokes, scatters, bulk, runs)
     codes = dr.alloc_local(mi.UInt32, max_events)
     rows = LaneRows(table, n) if LaneRows.pay(table) else None
     sums = tallies.lane_sums() if tallies is not None else ()
@@ -171,6 +169,8 @@ def walk(
         t, s = dr.select(under_way, t, 0), dr.select(under_way, s, start.at)
     hit = s != NO_SURFACE
     missed = ~hit & (start.w > 0)
+    first_run = start.given("run", full(NO_RUN))
+    hit = limits.arrive(first_run, s, start.w, hit)
     add_reason(ESCAPED, start.w, missed)
     add_reason(FIRST_MISS, 1.0, missed)
     add_reason(STARTED, 1.0, mi.Bool(True))
@@ -199,7 +199,8 @@ def walk(
         "reflections": mi.UInt32(first_reflections),  # counted reflections before it
         "key": mi.UInt64(first_key),  # of the events before it
         "aside": mi.Bool(first_aside),  # an event before it is none of a direct image, see `is_aside`
-        "pending": dr.zeros(mi.UInt64, n),  # bit k: a child of the node at depth k is still to come
+        "run": mi.UInt32(first_run),  # hits of one surface in a row before it
+        "pending": full(),  # depth + 1 of the deepest node before it that has a child still to come; 0: none
         "segments": full(1),
         "total": total,
         "scatters": mi.UInt32(first_scatters),  # scatter events before it, see COUNT_MASK
@@ -223,6 +224,7 @@ def walk(
     }
 
     needed = {
+        "run": runs,
         "stokes": settings.stokes,
         "normal": has_stock,
         "total": adjoint is not None,
@@ -261,10 +263,11 @@ def walk(
             R, T = R * given.reflection.kept, T * given.transmission.kept
         loss = 1 - R - T if given is None else given.absorbed
         absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
+        absorbed, counts = limits.absorb(absorbed, first)
         if tallies is not None:
             tallies.add_hit(sums, s, w, larger(absorbed, 0), first)
 
-        detected = first & ((it.word & DETECTOR) != 0) if sky is None else mi.Bool(False)
+        detected = first & ((it.word & DETECTOR) != 0) & counts if sky is None else mi.Bool(False)
         if not film.incident:
             detected &= absorbed > 0
         x, y = film_coordinates(table, it)
@@ -314,9 +317,7 @@ def walk(
         counted = counts_as_reflection(it)
         reflections = state["reflections"]
         room = depth + 1 < max_events
-        generations = reflections + (state["scatters"] & COUNT_MASK)
-        young = generations < max_generations
-        may_reflect = ~counted | ((reflections < max_reflections) & young)
+        may_reflect = ~counted | (reflections < max_reflections)
         w_t, w_r = w * T, w * R
         w_s = w * given.scattered if given is not None else mi.Float(0)
         w_b = dr.select(visit, state["clouded"], 0) if bulk else mi.Float(0)
@@ -324,10 +325,8 @@ def walk(
         add_reason(REFLECTIONS, w_r, first & room & ~may_reflect & (R > 0))
         w_t = dr.select(room, w_t, 0)
         w_r = dr.select(room & may_reflect, w_r, 0)
-        if settings.ray_control != "allow_all":
-            kept_t, kept_r = kept_by_control(settings.ray_control, counted, w_t, w_r)
-            add_reason(CONTROL, w_t - kept_t + w_r - kept_r + w_s + w_b, first & room)
-            w_t, w_r, w_s, w_b = kept_t, kept_r, mi.Float(0), mi.Float(0)
+        generations = reflections + (state["scatters"] & COUNT_MASK)
+        w_t, w_r, w_s, w_b = limits.follow(it, generations, (w_t, w_r, w_s, w_b), first & room)
         transmits = (it.word & OPAQUE) == 0
         random_rays = aimed_rays = mi.UInt32(0)
         may_scatter = may_cloud = mi.Bool(False)
@@ -335,7 +334,7 @@ def walk(
         clouded_rays = mi.UInt32(0)
         if scatters:
             done = scatters_done(state["scatters"])
-            may_scatter = room & young & (done[0] < scatter_limits[0])
+            may_scatter = room & (done[0] < scatter_limits[0])
             at_random, at_optics = done[1] < scatter_limits[1], done[2] < scatter_limits[2]
             random_clouds = dr.select(at_random, mi.UInt32(1), 0)
             if bulk_aim is not None:
@@ -484,19 +483,13 @@ def walk(
             if tallies is not None:
                 tallies.add_surface(place, AIMED, batch, 1.0, aim)
 
-        if any(settings.cut_below):
-            weak, branch = too_weak(cut_below, scatter | cloud, reflect, child)
-            cut = visit & (child > 0) & weak
-            add_reason(CUT_BRANCHES + branch, child, cut)
-            child = dr.select(cut, 0, child)
-
+        child = limits.end(child, scatter, cloud, reflect, visit)
         go = visit & (child > 0)
         # ---- keep the node: for its second visit, and as part of the path
         word = node_word(s, reflections, state["aside"] if sky is not None else None)
         node = {**state, "p": origin, "away": away, "word": word, "child": later, "boost": boost}
         path = nodes.keep(path, node, depth, push, push | go, recorded_floats)
-        bit = mi.UInt64(1) << mi.UInt64(depth)
-        pending = dr.select(push, state["pending"] | bit, state["pending"])
+        pending = dr.select(push, depth + 1, state["pending"])
         by_way = sky is not None or arrivals is not None  # they do not ask how a direction was found
         how = (scatter, cloud, mi.Bool(False) if by_way else aim) if scatters else None
         code = event_code(place, it, reflect, how)
@@ -510,15 +503,20 @@ def walk(
         left_behind = state["normal"] if has_stock else None
         t, s2, normal2 = next_hit(table, intersector, origin, heading, last, go, normal=left_behind)
         hit = go & (s2 != NO_SURFACE)
-        add_reason(ESCAPED, child, go & ~hit)
+        leaving = go & ~hit
+        add_reason(ESCAPED, child, leaving)
+        run = limits.run_after(state["run"], s, cloud)
+        hit = limits.arrive(run, s2, child, hit)
         bounced = reflect & counted & ~scatter
-        aside, diffraction = state["aside"], mi.UInt32(0)
+        aside, after = state["aside"], state["scatters"]
+        if scatters:
+            scattered, optical = scatter | cloud, transmits | cloud
+            diffracted = is_diffraction(table.optics, it, scatter, reflect)
+            after = dr.select(scattered, after_scatter(after, aim, optical, diffracted), after)
         if sky is not None:
-            diffraction = diffraction_count(table.optics, it, scatter, reflect) if scatters else mi.UInt32(0)
-            after = state["scatters"] + diffraction + (dr.select(scatter | cloud, mi.UInt32(1), 0) if scatters else 0)
             bounces = reflections + dr.select(bounced, mi.UInt32(1), 0)
             aside = aside | is_aside(it, reflect)
-            path_key, leaving = extend_key(state["key"], code), go & ~hit
+            path_key = extend_key(state["key"], code)
             if adjoint is not None or recorder is not None:
                 gained = sky.gain(heading, child, bounces, after, aside, depth + 1, leaving)
                 if adjoint is not None:
@@ -536,29 +534,24 @@ def walk(
         # ---- or back to the deepest pending node
         ended = active & ~hit
         back = ended & (pending != 0)
-        k = dr.select(back, 63 - mi.UInt32(dr.lzcnt(pending)), 0)
+        k = dr.select(back, pending - 1, 0)
         if adjoint is not None and adjoint.rows:
             adjoint.leave(events, batch, depth, k, total, ended)
         if rims is not None:
             rims.close(rim_events, depth, dr.select(back, k + 1, first_depth), total, ended)
-        pending = dr.select(back, pending & ~(mi.UInt64(1) << mi.UInt64(k)), pending)
         following = {}
         if scatters:
-            scattered = scatter | cloud
-            optical = transmits | cloud
-            count = scatter_count(aim, optical)
-            count += diffraction
             aimed_from = dr.select(bounced, NO_SURFACE, state["aimed_from"])
             aimed_from = dr.select(scattered, dr.select(aim, place, NO_SURFACE), aimed_from)
             birth = dr.select(scattered, child, state["birth"])
             following = {
-                "scatters": state["scatters"] + dr.select(scattered, count, 0),
+                "scatters": after,
                 "aimed_from": aimed_from,
                 "birth": birth,
                 "boost": dr.full(mi.Float, 1, n),
             }
             if bulk:
-                shared = dr.select(scatter | cloud, shared, state["shared"])
+                shared = dr.select(scattered, shared, state["shared"])
                 following |= {"length": t, "clouded": clouded, "away": mi.Float(0), "shared": shared}
         elif bulk:  # nothing is followed: a first visit books what the medium scatters
             following = {"clouded": clouded}
@@ -580,6 +573,7 @@ def walk(
             "reflections": dr.select(bounced, reflections + 1, reflections),
             "aside": aside,
             "key": extend_key(state["key"], code),
+            "run": run,
             "pending": pending,
             "segments": segments,
             "total": total,

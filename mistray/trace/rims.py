@@ -38,6 +38,7 @@ STATE = {
     "birth": "Float",
     "aimed_from": "UInt32",
     "aside": "Bool",
+    "run": "UInt32",
 }
 
 

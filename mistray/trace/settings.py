@@ -7,15 +7,28 @@ from dataclasses import dataclass, fields, replace
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.ranges import AIMED_RAYS, EVENTS, LIMIT, NOT_NEGATIVE, RAYS, RAYS_PER_HIT, SEED, THRESHOLD, check_fields
+from mistray.ranges import (
+    AIMED_RAYS,
+    CONSECUTIVE,
+    EVENTS,
+    LIMIT,
+    NOT_NEGATIVE,
+    RAYS,
+    RAYS_PER_HIT,
+    SEED,
+    THRESHOLD,
+    check_fields,
+)
 
 NO_LIMIT = int(LIMIT.high)
-RAY_CONTROLS = ("allow_all", "transmit_specular", "reflect_specular", "halt_all")
+OPERATIONS = "TRIMtrA"  # what light may do at a surface, see `Settings.ray_control`
+RAY_CONTROLS = {"allow_all": OPERATIONS, "transmit_specular": "TIMA", "reflect_specular": "RIMA", "halt_all": "A"}
 BRANCHES = {
     "R": "specular_reflection",
     "T": "specular_transmission",
     "r": "scattered_reflection",
     "t": "scattered_transmission",
+    "A": "absorption",
 }  # letters of the branches that `cut_below` tells apart, in its order; what a medium scatters is transmitted
 LARGEST = 1e30  # threshold: the kernel has float32
 
@@ -41,7 +54,9 @@ class Settings:
     max_generations : int
         Most reflections and scatter events together.
     max_events : int
-        Most surfaces along a path, the detector included; 1 … 64.
+        Most surfaces along a path, the detector included; 1 … 1000.
+    max_consecutive : int
+        Most hits of one surface in a row; a ray that would meet it once more ends.
     scatter_rays : int
         Rays that are scattered at random from the BSDF at every hit.
     aimed_rays : int
@@ -49,13 +64,15 @@ class Settings:
     aim : {"auto", "targets", "none"}
         Aim scattered rays at the targets of the scene and, where a surface has none, at automatic ones; only at targets
         of the scene; or not at all. The result is the same but for its error.
-    cut_below : tuple of four float
+    cut_below : tuple of five float
         Smallest flux of specularly reflected, specularly transmitted, reflected scattered and transmitted scattered
-        branches, relative to the start ray; weaker ones are cut, before and after scatter, and `Energy.cut` has
-        them by kind. Given as such numbers, as a mapping from the letters R, T, r and t, or as a text such as
-        "R=1e-6, t=1e-9"; what is not named is 0, which cuts nothing. A scattered branch is one ray, and the more rays
-        are sent the weaker it is: unlike `scatter_threshold` this changes the result.
-    cut_below_W : tuple of four float
+        branches, and of what a surface absorbs of a ray, relative to the start ray; weaker ones are cut, before and
+        after scatter, and `Energy.cut` has them by kind. Given as such numbers, as a mapping from the letters R, T, r,
+        t and A, or as a text such as "R=1e-6, t=1e-9"; what is not named is 0, which cuts nothing. A scattered branch
+        is one ray, and the more rays are sent the weaker it is: unlike `scatter_threshold` this changes the result.
+        Absorption that is cut is booked at no surface, and a hit of the detector counts nowhere then; what a medium
+        absorbs on the way is always booked.
+    cut_below_W : tuple of five float
         The same in W, of a trace with the light.
     scatter_threshold : float
         Below this share of the flux with which a ray started, at the source or where it was scattered last, its hits
@@ -67,9 +84,12 @@ class Settings:
         Below the threshold end the branch and book its flux, or play Russian roulette, which is unbiased.
     seed : int
         Of the random numbers, 0 … 2³²-1.
-    ray_control : {"allow_all", "transmit_specular", "reflect_specular", "halt_all"}
-        What surfaces send on: everything; only transmitted light (mirrors reflect, and so does total reflection); only
-        specularly reflected light; nothing, so that a ray ends at the first surface.
+    ray_control : str
+        What light may do at a surface: letters of T (be transmitted), R (be reflected), I (total internal reflection),
+        M (reflection by a surface declared ``mirror``), t and r (be scattered in transmission, also by a medium, and in
+        reflection) and A (be absorbed there); light that may not is cut. Or a name: "allow_all" is "TRIMtrA",
+        "transmit_specular" "TIMA", "reflect_specular" "RIMA" and "halt_all" "A", so that a ray ends at the first
+        surface.
     polarization : {"unpolarized", "stokes"}
         Average R and T over both polarisations at every hit, or carry the Stokes vector of every branch along.
     """
@@ -80,13 +100,14 @@ class Settings:
     max_optical_scatters: int = LIMIT.field(NO_LIMIT)
     max_random_scatters: int = LIMIT.field(NO_LIMIT)
     max_generations: int = LIMIT.field(NO_LIMIT)
-    max_events: int = EVENTS.field(int(EVENTS.high))
+    max_events: int = EVENTS.field(64)
+    max_consecutive: int = CONSECUTIVE.field(NO_LIMIT)
     scatter_rays: int = RAYS_PER_HIT.field(1)
     aimed_rays: int = AIMED_RAYS.field(1)
     aim: str = "auto"
     flux_threshold: float = THRESHOLD.field(1e-8)
-    cut_below: Any = (0.0, 0.0, 0.0, 0.0)
-    cut_below_W: Any = (0.0, 0.0, 0.0, 0.0)
+    cut_below: Any = (0.0,) * len(BRANCHES)
+    cut_below_W: Any = (0.0,) * len(BRANCHES)
     scatter_threshold: float = THRESHOLD.field(0.1)
     splitting: str = "split"
     below_threshold: str = "cut"
@@ -107,8 +128,7 @@ class Settings:
             fail("splitting", "use 'split' or 'one'")
         if self.below_threshold not in ("cut", "roulette"):
             fail("below_threshold", "use 'cut' or 'roulette'")
-        if self.ray_control not in RAY_CONTROLS:
-            fail("ray_control", f"use {', '.join(map(repr, RAY_CONTROLS[:-1]))} or {RAY_CONTROLS[-1]!r}")
+        object.__setattr__(self, "ray_control", _control(self.ray_control))
         if self.polarization not in ("unpolarized", "stokes"):
             fail("polarization", "use 'unpolarized' or 'stokes'")
 
@@ -137,9 +157,33 @@ class Settings:
         return self.max_scatters, self.max_random_scatters, self.max_optical_scatters
 
     @property
+    def allowed(self) -> str:
+        """The letters of `ray_control`."""
+        return RAY_CONTROLS.get(self.ray_control, self.ray_control)
+
+    @property
+    def limits_consecutive(self) -> bool:
+        """Whether `max_consecutive` can end a ray before `max_events` does."""
+        return self.max_consecutive < self.max_events
+
+    @property
     def stokes(self) -> bool:
         """Whether branches carry their polarisation."""
         return self.polarization == "stokes"
+
+
+def _control(given: Any) -> str:
+    """Name of a ray control, or its letters in the order of `OPERATIONS`."""
+    if given in RAY_CONTROLS:
+        return str(given)
+    letters = given.replace(",", "").replace(" ", "") if isinstance(given, str) else ""
+    if not letters or set(letters) - set(OPERATIONS):
+        names = ", ".join(map(repr, RAY_CONTROLS))
+        raise MistrayError(
+            f"ray_control is {given!r}; use {names}, or letters of {', '.join(OPERATIONS)} such as 'TIA'"
+        )
+    ordered = "".join(letter for letter in OPERATIONS if letter in letters)
+    return next((name for name, allowed in RAY_CONTROLS.items() if allowed == ordered), ordered)
 
 
 def _by_branch(key: str, given: Any) -> tuple[float, ...]:

@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
-from mistray.trace.ledger import BATCHES, COUNT_MASK, DIFFRACTED_SHIFT, MULTIPLIER, claim, host_keys, write_list
+from mistray.trace.ledger import BATCHES, COUNT_MASK, MULTIPLIER, NOT_DIFFRACTED, claim, host_keys, write_list
 from mistray.trace.upload import upload
 from mistray.trace.way_table import WayTable
 
@@ -265,9 +265,9 @@ class Sky:
         past = aside | (length == 0) if self._has_optics else aside
         direct = dr.select(past, mi.UInt32(STRAIGHT), mi.UInt32(DIRECT))
         ghost = dr.select(reflections > 0, mi.UInt32(GHOST), direct)
-        count, diffractions = scatters & COUNT_MASK, scatters >> DIFFRACTED_SHIFT
+        count = scatters & COUNT_MASK
         scattered = dr.select(count == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE))
-        scattered = dr.select(count == diffractions, mi.UInt32(DIFFRACTED), scattered)
+        scattered = dr.select((scatters & NOT_DIFFRACTED) == 0, mi.UInt32(DIFFRACTED), scattered)
         return dr.select(count == 0, ghost, scattered)
 
     def read(self) -> dict[str, Any]:

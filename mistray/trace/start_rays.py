@@ -62,6 +62,8 @@ class StartRays:
         Surface that sent it to a target, `NO_SURFACE` if none did.
     aside : mi.Bool, optional
         Whether an event before is none of a direct image.
+    run : mi.UInt32, optional
+        Hits of one surface in a row before, see `mistray.trace.branch_limits`.
     at : mi.UInt32, optional
         Surface that a ray has just arrived at, with its origin on it; `NO_SURFACE`: it is on its way.
     """
@@ -84,6 +86,7 @@ class StartRays:
     birth: mi.Float | None = None
     aimed_from: mi.UInt32 | None = None
     aside: mi.Bool | None = None
+    run: mi.UInt32 | None = None
     at: mi.UInt32 | None = None
 
     def given(self, name: str, otherwise: Any) -> Any:

@@ -44,7 +44,8 @@ class StrayLight(mi.CppADIntegrator):
     max_optical_scatters  1      ≥ 0           no limit    those at surfaces that transmit
     max_random_scatters   1      ≥ 0           no limit    those that are not aimed
     max_generations       1      ≥ 0           no limit    reflections and scatter events together
-    max_events            1      1 … 64        64          surfaces along a path, the detector included
+    max_events            1      1 … 1000      64          surfaces along a path, the detector included
+    max_consecutive       1      ≥ 1           no limit    hits of one surface in a row
     scatter_rays          1      1 … 255       1           rays scattered at random at every hit
     aimed_rays            1      0 … 255       1           rays aimed at automatic targets at every hit, in reflection
                                                            and transmission each
@@ -54,16 +55,20 @@ class StrayLight(mi.CppADIntegrator):
                                                            ray
     cut_below             string ≥ 0           none        smallest flux of branches relative to their start ray, by
                                                            kind: ``R`` and ``T`` of specular reflection and
-                                                           transmission, ``r`` and ``t`` of scattered ones, as in
-                                                           "R=1e-6, t=1e-9"
+                                                           transmission, ``r`` and ``t`` of scattered ones, ``A`` of
+                                                           absorption, as in "R=1e-6, t=1e-9"
     cut_below_W           string ≥ 0           none        the same in W
     scatter_threshold     1      0 … 1         0.1         below this share of a ray's first flux hits scatter, and
                                                            branches after a scatter go on, by roulette (unbiased)
     splitting             string split, one    split       follow both children, or one at random
     below_threshold       string cut, roulette cut         end weak branches, or play Russian roulette (unbiased)
     seed                  1      0 … 2³²-1     0           random numbers; the ``seed`` of ``mi.render`` is added
-    ray_control           string               allow_all   what surfaces send on: ``allow_all``, ``transmit_specular``,
-                                                           ``reflect_specular`` or ``halt_all`` (nothing)
+    ray_control           string               allow_all   what light may do at surfaces: letters of ``T`` and ``R``
+                                                           (be transmitted and reflected), ``I`` (total internal
+                                                           reflection), ``M`` (reflection by a ``mirror``), ``t`` and
+                                                           ``r`` (be scattered), ``A`` (be absorbed); or
+                                                           ``allow_all`` ("TRIMtrA"), ``transmit_specular`` ("TIMA"),
+                                                           ``reflect_specular`` ("RIMA"), ``halt_all`` ("A")
     polarization          string unpolarized,  unpolarized average s and p at every hit, or carry the Stokes vector
                                  stokes                    along
     edges                 bool                 true        count in gradients what rays gain and lose at rims

@@ -224,7 +224,7 @@ def test_text_forms_name_the_numbers(scene):
         ("beam", {"weights": "1,2"}, "weights needs 1 values"),
         ("beam", {"wavelength_nm": "green"}, "give one number or a list separated by commas"),
         ("integrator", {"rays": 0}, "rays is 0; it must"),
-        ("integrator", {"max_events": 65}, "it must be a whole number between 1 and"),
+        ("integrator", {"max_events": 1001}, "it must be a whole number between 1 and"),
         ("integrator", {"splitting": "both"}, "use 'split' or 'one'"),
         ("integrator", {"below_threshold": "drop"}, "use 'cut' or 'roulette'"),
         ("integrator", {"flux_threshold": 2.0}, "must lie between 0 and 1"),

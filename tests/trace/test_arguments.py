@@ -140,7 +140,7 @@ class TestArguments:
             ({"rays": 2**32}, "several seeds"),
             ({"max_reflections": -1}, "max_reflections is -1"),
             ({"max_events": 0}, "max_events is 0; it must be a whole number"),
-            ({"max_events": 65}, "max_events is 65"),
+            ({"max_events": 1001}, "max_events is 1001"),
             ({"flux_threshold": 1.0}, "flux_threshold is 1; it must lie between 0 and 1"),
             ({"flux_threshold": float("nan")}, "flux_threshold is nan"),
             ({"splitting": "both"}, "splitting is 'both'; use 'split' or 'one'"),

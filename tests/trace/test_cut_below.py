@@ -46,7 +46,7 @@ def test_each_kind_cuts_its_own_branches(load_scene) -> None:
         sum(T * R ** (1 + k) * T for k in range(1, 6)), rel=1e-5
     )
     assert found.detected_W / found.launched_W == pytest.approx(T * T, rel=1e-5)
-    found = energy(cut_below=(0.0, 0.0, 0.5, 0.5))
+    found = energy(cut_below=(0.0, 0.0, 0.5, 0.5, 0.0))
     assert found.detected_W / found.launched_W == pytest.approx(T * T * (1 + R**2 + R**4 + R**6), rel=1e-5)
     assert not any(value for reason, value in found.cut.items() if reason.endswith("_below"))
 
@@ -105,19 +105,19 @@ def test_what_a_medium_scatters_is_transmitted(load_scene) -> None:
 
 
 def test_forms_of_the_setting() -> None:
-    expected = (1e-6, 0.0, 0.0, 1e-9)
+    expected = (1e-6, 0.0, 0.0, 1e-9, 0.0)
     for given in ("R=1e-6, t=1e-9", "t=1e-9 R=1e-6", {"R": 1e-6, "t": 1e-9}, expected, list(expected)):
         assert Settings(cut_below=given).cut_below == expected
-    assert Settings().cut_below == Settings(cut_below="").cut_below == (0.0,) * 4
+    assert Settings().cut_below == Settings(cut_below="").cut_below == (0.0,) * 5
 
 
 @pytest.mark.parametrize(
     ("values", "words"),
     [
-        ({"cut_below": "x=1"}, "cut_below has 'x'; its branches are R, T, r, t"),
+        ({"cut_below": "x=1"}, "cut_below has 'x'; its branches are R, T, r, t, A"),
         ({"cut_below": "R=1e-6, R=1e-7"}, "cut_below names a branch twice"),
         ({"cut_below": "R"}, "cut_below is"),
-        ({"cut_below": 1e-6}, "cut_below is 1e-06; give a number for R, T, r, t"),
+        ({"cut_below": 1e-6}, "cut_below is 1e-06; give a number for R, T, r, t, A"),
         ({"cut_below": (1e-6,)}, "cut_below has 1 numbers"),
         ({"cut_below": "r=-1"}, "cut_below of r is -1"),
         ({"cut_below_W": "T=nan"}, "cut_below_W of T is nan"),

@@ -114,7 +114,7 @@ def test_scattered_light_is_held_back(load_scene) -> None:
 
 @pytest.mark.parametrize("value", ["all", "", 3, "Halt_all"])
 def test_bad_value_is_one_line(value: Any) -> None:
-    words = "ray_control is .*; use 'allow_all', 'transmit_specular', 'reflect_specular' or 'halt_all'"
+    words = "ray_control is .*; use 'allow_all', 'transmit_specular', 'reflect_specular', 'halt_all', or letters"
     with pytest.raises(MistrayError, match=words) as caught:
         mistray.trace(mistray.load("plate"), rays=10, ray_control=value)
     assert "\n" not in str(caught.value)

@@ -13,10 +13,10 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.trace.interaction import Interaction, counts_as_reflection, interact
+from mistray.trace.interaction import Interaction, interact
 from mistray.trace.intersect import Intersector
 from mistray.trace.next_hit import next_hit
-from mistray.trace.optics import OPAQUE
+from mistray.trace.optics import MIRROR, OPAQUE
 from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.scattering import Scattering
 from mistray.trace.surfaces import SurfaceTable
@@ -109,10 +109,10 @@ class ChainTracer:
     intersector : Intersector
     scattering : Scattering
         What scatter takes from the specular light.
-    ray_control : str
-        As in `mistray.trace.Settings`. "allow_all": reflected or transmitted by chance, in proportion to R and T.
+    allowed : str
+        As in `mistray.trace.Settings`. With R and T: reflected or transmitted by chance, in proportion to them.
     mirrors : (s,) bool
-        Surfaces that reflect whatever `ray_control` says, but for "halt_all".
+        Surfaces that are taken for declared mirrors.
     max_events : int
         Longest way, surfaces.
     total_reflection : bool
@@ -129,13 +129,13 @@ class ChainTracer:
         table: SurfaceTable,
         intersector: Intersector,
         scattering: Scattering,
-        ray_control: str,
+        allowed: str,
         mirrors: np.ndarray,
         max_events: int,
         total_reflection: bool = True,
     ) -> None:
         self.table, self.intersector, self.scattering = table, intersector, scattering
-        self.ray_control, self.max_events, self.total_reflection = ray_control, max_events, total_reflection
+        self.allowed, self.max_events, self.total_reflection = allowed, max_events, total_reflection
         self.mirrors = mi.Bool(mirrors)
         self.lost = 0.0
 
@@ -234,16 +234,16 @@ class ChainTracer:
     ) -> tuple[mi.Bool, mi.Bool, mi.Float]:
         """Whether rays go through, whether they are reflected, and their flux over the incident one."""
         opaque = (it.word & OPAQUE) != 0
-        mirror = ~counts_as_reflection(it) | dr.gather(mi.Bool, self.mirrors, s, active)
-        no = mi.Bool(False)
-        if self.ray_control == "halt_all":
-            return no, no, mi.Float(0)
-        if self.ray_control == "allow_all":
-            back = opaque | (upload(mi.Float, rng.random(n)) * (R + T) < R)
-            return ~back, back, R + T
-        if self.ray_control == "reflect_specular":
-            return no, mi.Bool(True), R
-        return ~opaque & ~mirror, mirror, dr.select(mirror, R, T)
+        mirror = ((it.word & MIRROR) != 0) | dr.gather(mi.Bool, self.mirrors, s, active)
+        total, by_mirror, other, onwards = (mi.Bool(letter in self.allowed) for letter in "IMRT")
+        back = dr.select(it.tir, total, dr.select(mirror, by_mirror, other))
+        through = onwards & ~opaque & ~it.tir
+        if "R" in self.allowed and "T" in self.allowed:
+            reflects = upload(mi.Float, rng.random(n)) * (R + T) < R
+            factor = dr.select(back, R, 0) + dr.select(through, T, 0)
+            return through & ~(back & reflects), back & (reflects | ~through), factor
+        through &= ~mirror
+        return through, back, dr.select(through, T, R)
 
 
 def _rows(vectors: mi.Vector3f) -> np.ndarray:

@@ -285,8 +285,9 @@ def objects(
         Part or shape that is the aperture stop. Default: what ends the on-axis beam.
     threshold : float
         Flux, W for each W that starts, that an object must get to count. One ray is 1/rays.
-    ray_control : {"allow_all", "transmit_specular", "reflect_specular", "halt_all"}
-        What surfaces send on, one child each, see `mistray.trace.Settings`; "allow_all" draws it by chance.
+    ray_control : str
+        What light may do at a surface, which sends on one child, see `mistray.trace.Settings`; with "allow_all" one is
+        drawn by chance.
     total_reflection : bool
         Follow rays in total reflection.
     progress : callable, optional
@@ -324,7 +325,7 @@ def objects(
 
     def tracer(mirrors: np.ndarray, backward: bool = False) -> ChainTracer:
         return ChainTracer(
-            table, intersector, scattering[backward], chosen.ray_control, mirrors, chosen.max_events, total_reflection
+            table, intersector, scattering[backward], chosen.allowed, mirrors, chosen.max_events, total_reflection
         )
 
     axes = source_axes(scene)
