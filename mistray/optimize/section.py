@@ -49,11 +49,13 @@ class Section:
             If the file is missing or no TOML.
         """
         path = Path(source)
+        if path.exists() and not path.is_file():
+            raise MistrayError(f"{kind} '{path}': it is no regular file; give a TOML file")
         try:
             content = tomllib.loads(path.read_text(encoding="utf-8"))
         except OSError as error:
             raise MistrayError(f"{kind} '{path}': {error.strerror}; check the path") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
+        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
             raise MistrayError(f"{kind} '{path}': {error}; correct the TOML") from None
         return cls(f"{kind} '{path}'", "", content, path.parent)
 

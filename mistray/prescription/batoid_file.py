@@ -50,6 +50,8 @@ def read_optic(path: str | Path) -> batoid.Optic:
         from batoid.parse import parse_optic
     except ImportError:
         raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
+    if Path(path).exists() and not Path(path).is_file():
+        raise MistrayError(f"lens '{path}': it is no regular file; give a YAML file")
     try:
         text = Path(path).read_text(encoding="utf-8")
     except OSError as error:

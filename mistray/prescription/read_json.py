@@ -61,11 +61,13 @@ def from_json(path: str | Path, *, variant: str | None = None) -> Prescription:
         If the file is missing or broken, a key is missing, or the variant is unknown.
     """
     path = Path(path)
+    if path.exists() and not path.is_file():
+        raise MistrayError(f"prescription '{path}': it is no regular file; give a JSON file")
     try:
         data = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise MistrayError(f"prescription '{path}': {error.strerror}; check the path") from None
-    except ValueError as error:
+    except (ValueError, RecursionError) as error:
         raise MistrayError(f"prescription '{path}': {error}; it must be a JSON file") from None
     try:
         return _Reader(data, path, variant).prescription()
