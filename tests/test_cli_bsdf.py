@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import csv
+import json
 import re
 from pathlib import Path
 
+import numpy as np
 import pytest
+from oracles import brushed
 
 from mistray import cli
 from mistray.scatter.tabulated import Tabulated
@@ -245,3 +248,52 @@ def test_numbers_that_no_surface_has(capsys, arguments: str) -> None:
 def test_extreme_numbers_that_are_right(capsys, arguments: str, percent: float) -> None:
     out = run(capsys, *arguments.split(), "--angles-deg", "0")
     assert rows(out)[0][0] == pytest.approx(percent, rel=6e-4)
+
+
+class TestBrushedSample:
+    """A table of a + b cos 2(φ - ρ), an anisotropic sample."""
+
+    @pytest.fixture
+    def table(self, tmp_path: Path) -> str:
+        return str(brushed.write_two_fold(tmp_path / "brushed.csv", 0.1, 0.05, step=30.0))
+
+    def test_rotations(self, capsys, table: str, tmp_path: Path) -> None:
+        """The peak, along x, is a + b cos 2ρ, the TIS π a; the curves say which is which."""
+        file, picture = tmp_path / "curves.csv", tmp_path / "brushed.png"
+        arguments = (table, "--anisotropy", "keep", "--angles-deg", "40", "--rotations-deg", "0", "30", "90")
+        record = json.loads(run(capsys, *arguments, "--json", "--csv", str(file), "--plot", str(picture)))
+        rows = {row["rotation_deg"]: row for row in record["totals"]}
+        assert [curve["rotation_deg"] for curve in record["curves"]] == list(rows) == [0, 30, 90]
+        for rotation, row in rows.items():
+            assert row["peak_1_sr"] == pytest.approx(0.1 + 0.05 * np.cos(2 * np.radians(rotation)), rel=2e-3)
+            assert row["scattered"] == pytest.approx(0.1 * np.pi, rel=2e-3)
+        assert file.read_text(encoding="utf-8").splitlines()[1].startswith("rotation_deg,theta_i_deg")
+        assert picture.stat().st_size > 0
+        text = run(capsys, *arguments)
+        assert "rotation" in text
+        assert "0.125" in text
+
+    def test_table_is_a_model_again(self, capsys, table: str, tmp_path: Path) -> None:
+        copy = tmp_path / "copy.bsdf"
+        arguments = (
+            "--anisotropy",
+            "keep",
+            "--event",
+            "reflection",
+            "--angles-deg",
+            "40",
+            "--rotations-deg",
+            "0",
+            "30",
+        )
+        run(capsys, table, *arguments, "--table", str(copy))
+        one, other = (
+            json.loads(run(capsys, name, *arguments, "--json"))["totals"] for name in (table, str(copy))
+        )  # fmt: skip
+        for row, again in zip(one, other, strict=True):
+            assert again["peak_1_sr"] == pytest.approx(row["peak_1_sr"], rel=0.02)
+            assert again["scattered"] == pytest.approx(row["scattered"], rel=0.01)
+
+    def test_refused(self, capsys, table: str) -> None:
+        for arguments in ((table,), (table, "--anisotropy", "mean", "--rotations-deg", "0")):
+            assert re.search("anisotropy|rotations-deg", fails(capsys, *arguments))

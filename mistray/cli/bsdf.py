@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -11,7 +12,7 @@ from mistray.cli.arguments import Help
 from mistray.cli.claims import claim_files, declare_outputs
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
-from mistray.ranges import CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
+from mistray.ranges import AZIMUTH_DEG, CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
 
 if TYPE_CHECKING:
     from matplotlib.figure import Figure
@@ -20,6 +21,7 @@ if TYPE_CHECKING:
     from mistray.scatter.chance import Chance
     from mistray.scatter.scan import Light, Scan
 
+DEFAULT_ROTATIONS = (0.0, 90.0)
 DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 EVENTS = ("reflection", "transmission")
 PICTURES = (".png", ".svg", ".pdf")
@@ -47,6 +49,9 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--angles-deg", type=POLAR_DEG, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
                         help="angles of incidence (0 15 30 45 60 75)")  # fmt: skip
+    parser.add_argument("--rotations-deg", type=AZIMUTH_DEG, nargs="+", metavar="DEG",
+                        help="anisotropic tables: azimuths of the sample's x axis from that of the specular direction "
+                        "(0 90)")  # fmt: skip
     parser.add_argument("--event", choices=EVENTS, help="what is drawn and written (what the model scatters first)")
     parser.add_argument("--wavelength-nm", type=WAVELENGTH_NM, default=550.0, metavar="NM", help="wavelength (550)")
     parser.add_argument("--front", default="air", metavar="MATERIAL", help="material in front (air)")
@@ -92,10 +97,15 @@ def run(options: argparse.Namespace) -> int:
     if not events:
         raise MistrayError(f"{options.model} scatters nothing from this side; raise its amount or turn --from-back")
     event = options.event or events[0]
+    turned = any(lobe.anisotropic for lobe in lobes)
+    if options.rotations_deg is not None and not turned:
+        raise MistrayError(f"{options.model} scatters alike however the sample is turned; leave --rotations-deg out")
+    rotations = (options.rotations_deg or DEFAULT_ROTATIONS) if turned else (0.0,)
+    lights = [replace(light, rotation_deg=rotation) for rotation in rotations]
     with working("evaluating the model"):
-        curves = scan(model, options.angles_deg, event, light)
-        totals = _total_rows(model, options.angles_deg, events, light)
-    unaimed = _chance(options, model, event, light)
+        curves = [one for lit in lights for one in scan(model, options.angles_deg, event, lit)]
+        totals = [row for lit in lights for row in _total_rows(model, options.angles_deg, events, lit, turned)]
+    unaimed = _chance(options, model, event, lights[0])
     title = _title(options, model)
     if options.plot is not None:
         from mistray.report.bsdf_plots import bsdf_figure
@@ -107,7 +117,7 @@ def run(options: argparse.Namespace) -> int:
 
         write_figure(_particles(model), options.plot_particles)
     if options.csv is not None:
-        _write_curves(curves, options.csv, options.command_line)
+        _write_curves(curves, options.csv, options.command_line, turned)
     if options.table is not None:
         _write_table(model, options, event, light)
     written = [path for path in (options.plot, options.plot_particles, options.csv, options.table) if path]
@@ -161,6 +171,7 @@ def _record(
         "event": curves[0].event,
         "curves": [
             {
+                **({"rotation_deg": one.rotation_deg} if "rotation_deg" in totals[0] else {}),
                 "incidence_deg": one.incidence_deg,
                 "theta_s_deg": one.theta_s_deg,
                 "distance": one.distance,
@@ -202,7 +213,9 @@ def _hits(unaimed: Chance | None) -> list[str]:
     return ["without importance sampling\n" + "\n".join(f"{name:<31} {value:.5g}" for name, value in rows)]
 
 
-def _total_rows(model: Scatter, angles_deg: list[float], events: list[str], light: Light) -> list[dict[str, Any]]:
+def _total_rows(
+    model: Scatter, angles_deg: list[float], events: list[str], light: Light, turned: bool
+) -> list[dict[str, Any]]:
     """What is scattered and what the specular beam loses, by event and angle; None where nothing is transmitted."""
     from mistray.scatter.scan import scan
 
@@ -210,6 +223,7 @@ def _total_rows(model: Scatter, angles_deg: list[float], events: list[str], ligh
     for event in events:
         for angle in angles_deg:
             row = {"event": event, "incidence_deg": angle, "scattered": None, "loss": None, "peak_1_sr": None}
+            row |= {"rotation_deg": light.rotation_deg} if turned else {}
             if event != "transmission" or not light.is_totally_reflected(angle):
                 (one,) = scan(model, [angle], event, light)
                 row |= {"scattered": one.scattered, "loss": one.loss, "peak_1_sr": one.values[one.distance.argmin()]}
@@ -277,8 +291,10 @@ def _totals(found: list[dict[str, Any]]) -> str:
     """Table of what is scattered, and what the specular beams lose."""
     from mistray.report.text import ABSENT, text_table
 
-    angles = dict.fromkeys(row["incidence_deg"] for row in found)
-    heads, columns = [("incidence", "deg")], [[f"{angle:g}" for angle in angles]]
+    places = dict.fromkeys((row.get("rotation_deg"), row["incidence_deg"]) for row in found)
+    heads, columns = [("incidence", "deg")], [[f"{angle:g}" for _, angle in places]]
+    if any(rotation is not None for rotation, _ in places):
+        heads, columns = [("rotation", "deg"), *heads], [[f"{rotation:g}" for rotation, _ in places], *columns]
     for event in dict.fromkeys(row["event"] for row in found):
         rows = [row for row in found if row["event"] == event]
         for head, unit, key, scale in (
@@ -298,13 +314,14 @@ def _particles(model: Any) -> Figure:
     return particles_figure(model.cleanliness, model.slope)
 
 
-def _write_curves(scans: list[Scan], path: Path, command: str) -> None:
+def _write_curves(scans: list[Scan], path: Path, command: str, turned: bool) -> None:
     from mistray.replace_file import replace_file
 
-    lines = [f"# {command}", "theta_i_deg,theta_s_deg,distance,bsdf"]
+    lines = [f"# {command}", ("rotation_deg," if turned else "") + "theta_i_deg,theta_s_deg,distance,bsdf"]
     for one in scans:
+        rotation = f"{one.rotation_deg:.9g}," if turned else ""
         for angle, r, value in zip(one.theta_s_deg, one.distance, one.values, strict=True):
-            lines.append(f"{one.incidence_deg:.9g},{angle:.9g},{r:.9g},{value:.9g}")
+            lines.append(f"{rotation}{one.incidence_deg:.9g},{angle:.9g},{r:.9g},{value:.9g}")
     replace_file(path, "\n".join(lines) + "\n", "curves")
 
 

@@ -76,7 +76,7 @@ OPTIONS: Mapping[str, Option] = MappingProxyType(
         "d": Option("polynomial: the Lorentzian part bends at |β - β0| = d^(-j/2) (1e4)"),
         "file": Option("psd_table: CSV file of the spectrum", str, metavar="FILE"),
         "scale": Option("psd_table: factor of the spectrum (1)"),
-        "anisotropy": Option("table: rotations of the sample that differ (error)", ("error", "mean")),
+        "anisotropy": Option("table: rotations of the sample that differ (error)", ("error", "mean", "keep")),
         "beyond": Option("table: what holds past its last polar angle (error); psd_table: above its last frequency",
                          ("error", "hold", "slope", "zero")),
     }

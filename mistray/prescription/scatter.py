@@ -34,7 +34,13 @@ def _k_correlation(substrate: str | None = None, **properties: Any) -> KCorrelat
 
 
 def _table(
-    file: str, cosine_corrected: bool = False, beyond: str = "error", anisotropy: str = "error", **placement: Any
+    file: str,
+    cosine_corrected: bool = False,
+    beyond: str = "error",
+    anisotropy: str = "error",
+    sample_axis: str = "x",
+    rotation_deg: float = 0.0,
+    **placement: Any,
 ) -> None:
     Placement(**placement)
 

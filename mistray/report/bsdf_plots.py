@@ -48,7 +48,7 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
     left, right = figure.subplots(1, 2)
     one, dashed = _is_one_curve(scans), False
     for number, scan in enumerate(scans):
-        colour, label = LINE_COLOURS[number % len(LINE_COLOURS)], f"{scan.incidence_deg:g}°"
+        colour, label = LINE_COLOURS[number % len(LINE_COLOURS)], _label(scan, scans)
         if not one:
             dashed |= _against_distance(left, scan, colour, label)
         right.plot(
@@ -81,6 +81,12 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
     right.set_xlabel("angle of scatter [deg]")
     figure.suptitle(f"{title}, {scans[0].event}", fontsize=11)
     return figure
+
+
+def _label(scan: Scan, scans: Sequence[Scan]) -> str:
+    """Angle of incidence, and how the sample lies where that differs."""
+    turned = any(other.rotation_deg != scan.rotation_deg for other in scans)
+    return f"{scan.incidence_deg:g}°" + (f", sample {scan.rotation_deg:g}°" if turned else "")
 
 
 def _against_distance(axes: Axes, scan: Scan, colour: str, label: str) -> bool:

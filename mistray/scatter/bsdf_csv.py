@@ -10,25 +10,28 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
-from mistray.scatter.samples import Samples, half_circle
+from mistray.scatter.rotations import RotatedSamples, by_rotation
+from mistray.scatter.samples import Samples
 
 COLUMNS = ("theta_i_deg", "theta_s_deg", "phi_deg", "bsdf")
+ROTATION = "rotation_deg"
 
 
-def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> Samples:
+def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> Samples | RotatedSamples:
     """
     Read a CSV file.
 
     Columns: theta_i_deg, the angle of the specular direction with the normal (of incidence too in reflection);
     theta_s_deg and phi_deg, the scattered direction: its angle with the normal and its azimuth, 0 on the side of the
-    specular direction, over 0 … 180° or 0 … 360°; bsdf, 1/sr. Rows in any order, a full grid. Lines that start with
-    # are comments.
+    specular direction, over 0 … 180° or 0 … 360°; bsdf, 1/sr; and for an anisotropic sample rotation_deg, the azimuth
+    of its x axis, 0 on the side of the specular direction too. Azimuths run counterclockwise as seen from the side that
+    the light comes from. Rows in any order, a full grid. Lines that start with # are comments.
 
     Parameters
     ----------
     path : str or Path
-    anisotropy : {"error", "mean"}
-        What becomes of sides of the plane of incidence that differ, see `half_circle`.
+    anisotropy : {"error", "mean", "keep"}
+        What becomes of sample rotations and of sides of the plane of incidence that differ, see `by_rotation`.
 
     Raises
     ------
@@ -40,26 +43,36 @@ def read_bsdf_csv(path: str | Path, anisotropy: str = "error") -> Samples:
     numbered = [(n, line) for n, line in read_lines(path) if line.strip() and not line.lstrip().startswith("#")]
     cells = [[cell.strip() for cell in row] for row in csv.reader(line for _, line in numbered)]
     header = tuple(cells[0]) if cells else ()
-    if sorted(header) != sorted(COLUMNS):
-        raise MistrayError(f"{what}: its columns are {', '.join(header) or 'missing'}; give {', '.join(COLUMNS)}")
+    columns = (ROTATION, *COLUMNS)
+    if sorted(header) not in (sorted(COLUMNS), sorted(columns)):
+        raise MistrayError(
+            f"{what}: its columns are {', '.join(header) or 'missing'}; give {', '.join(COLUMNS)}, and {ROTATION} for "
+            "an anisotropic sample"
+        )
     rows = []
     for (number, _), row in zip(numbered[1:], cells[1:], strict=True):
         rows.append(numbers(row, len(header), f"{what}, line {number}"))
     data = dict(zip(header, np.array(rows, dtype=np.float64).reshape(len(rows), len(header)).T, strict=True))
-    specular, polar, azimuth = (np.unique(data[key]) for key in COLUMNS[:3])
-    if not rows or len(rows) != len(specular) * len(polar) * len(azimuth):
+    data.setdefault(ROTATION, np.zeros(len(rows)))
+    rotation, specular, polar, azimuth = (np.unique(data[key]) for key in columns[:4])
+    if not rows or len(rows) != len(rotation) * len(specular) * len(polar) * len(azimuth):
+        turned = f"{len(rotation)} rotation × " if ROTATION in header else ""
         raise MistrayError(
-            f"{what}: {len(rows)} rows for {len(specular)} theta_i × {len(polar)} theta_s × {len(azimuth)} phi; give "
-            "every combination once"
+            f"{what}: {len(rows)} rows for {turned}{len(specular)} theta_i × {len(polar)} theta_s × {len(azimuth)} phi;"
+            " give every combination once"
         )
-    order = np.lexsort((data["theta_s_deg"], data["phi_deg"], data["theta_i_deg"]))
-    if len(set(zip(*(data[key].tolist() for key in COLUMNS[:3]), strict=True))) != len(rows):
+    order = np.lexsort((data["theta_s_deg"], data["phi_deg"], data["theta_i_deg"], data[ROTATION]))
+    if len(set(zip(*(data[key].tolist() for key in columns[:4]), strict=True))) != len(rows):
         raise MistrayError(f"{what}: a combination of angles is there twice; give every one once")
-    values = data["bsdf"][order].reshape(len(specular), len(azimuth), len(polar))
-    return Samples(str(path), "normal", specular, *_swap(half_circle(what, azimuth, values, anisotropy), polar))
+    values = data["bsdf"][order].reshape(len(rotation), len(specular), len(azimuth), len(polar))
+
+    def table_of(azimuth: np.ndarray, values: np.ndarray) -> Samples:
+        return Samples(str(path), "normal", specular, azimuth, polar, values)
+
+    return by_rotation(what, rotation, azimuth, values, anisotropy, table_of)
 
 
-def write_bsdf_csv(samples: Samples, path: str | Path, comment: str = "") -> None:
+def write_bsdf_csv(samples: Samples | RotatedSamples, path: str | Path, comment: str = "") -> None:
     """
     Write a table in the frame "normal" that `read_bsdf_csv` understands.
 
@@ -68,13 +81,19 @@ def write_bsdf_csv(samples: Samples, path: str | Path, comment: str = "") -> Non
     MistrayError
         If the table is in the other frame, or the file cannot be written.
     """
-    if samples.frame != "normal":
+    turned = isinstance(samples, RotatedSamples)
+    tables = samples.tables if isinstance(samples, RotatedSamples) else (samples,)
+    prefixes = [f"{angle:.10g}," for angle in samples.rotation_deg] if isinstance(samples, RotatedSamples) else [""]
+    if tables[0].frame != "normal":
         raise MistrayError(f"{samples.title}: a CSV table counts angles from the normal, this one from the specular")
-    lines = [f"# {line}" for line in comment.splitlines()] + [",".join(COLUMNS)]
-    for i, specular in enumerate(samples.specular_deg):
-        for j, azimuth in enumerate(samples.azimuth_deg):
-            for k, polar in enumerate(samples.polar_deg):
-                lines.append(f"{specular:.10g},{polar:.10g},{azimuth:.10g},{samples.values[i, j, k]:.10g}")
+    header = ",".join((ROTATION, *COLUMNS) if turned else COLUMNS)
+    lines = [f"# {line}" for line in comment.splitlines()] + [header]
+    for prefix, table in zip(prefixes, tables, strict=True):
+        for i, specular in enumerate(table.specular_deg):
+            for j, azimuth in enumerate(table.azimuth_deg):
+                for k, polar in enumerate(table.polar_deg):
+                    value = table.values[i, j, k]
+                    lines.append(f"{prefix}{specular:.10g},{polar:.10g},{azimuth:.10g},{value:.10g}")
     replace_file(path, "\n".join(lines) + "\n", "BSDF table")
 
 
@@ -100,8 +119,3 @@ def numbers(words: list[str], count: int, where: str) -> list[float]:
         if not math.isfinite(value):
             raise MistrayError(f"{where}: {value:g}; every value must be a finite number")
     return values
-
-
-def _swap(half: tuple[np.ndarray, np.ndarray], polar: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Azimuth, polar angles and values in the order of `Samples`."""
-    return half[0], polar, half[1]

@@ -106,7 +106,7 @@ def chance(
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
     angle, cos_i = math.radians(towards_deg), math.cos(math.radians(incidence_deg))
     out = np.array([[math.sin(angle), 0.0, math.cos(angle)]])
-    value = float(bsdf(lobes, event, cos_i, out, light.n_in, light.n_out, light.share(event))[0])
+    value = float(bsdf(lobes, event, cos_i, out, light.n_in, light.n_out, light.share(event), light.rotation)[0])
     found = value * math.cos(angle) * solid_angle_sr
     if found > 1:
         raise MistrayError(f"solid angle {solid_angle_sr:g} sr: too large for one value of the BSDF, {value:g} 1/sr")

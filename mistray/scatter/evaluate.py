@@ -20,6 +20,7 @@ def bsdf(
     n_in: float,
     n_out: float,
     share: float | np.ndarray,
+    rotation: float = 0.0,
 ) -> np.ndarray:
     """
     Sum of the lobes of one event, 1/sr.
@@ -33,11 +34,13 @@ def bsdf(
         Cosine of the angle of incidence, of all light or of that which is scattered to each direction.
     directions : (…, 3) float64
         Scattered unit vectors: x along the tangential part of the incident light, z ≥ 0 along the normal on the side
-        that the scattered light is on.
+        that the scattered light is on; x, y and the normal on the side of incidence are right-handed.
     n_in, n_out : float
         Indices on the side of incidence and on the other.
     share : float or (…) float64
         R or T of the coating at this angle.
+    rotation : float
+        Azimuth of the sample's x axis from x towards y, rad.
 
     Returns
     -------
@@ -54,12 +57,12 @@ def bsdf(
         if lobe.event != event or np.all(no_centre):
             continue
         c0, c1, c2 = lobe.shares
-        values = (c0 + c1 * share + c2 * share * share) * _shape(lobe, cos_i, sin_0, directions)
+        values = (c0 + c1 * share + c2 * share * share) * _shape(lobe, cos_i, sin_0, directions, rotation)
         total = total + np.where(no_centre, 0.0, values)
     return total
 
 
-def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndarray) -> np.ndarray:
+def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndarray, rotation: float) -> np.ndarray:
     """BSDF of a lobe per unit of its coefficient."""
     x, y, cos_s = np.moveaxis(directions, -1, 0)
     cos_0 = np.sqrt(np.maximum(0.0, 1 - sin_0 * sin_0))
@@ -71,7 +74,7 @@ def _shape(lobe: Lobe, cos_i: np.ndarray, sin_0: np.ndarray, directions: np.ndar
     r = np.hypot(x - centre, y)
     values = lobe.profile(r.ravel()).reshape(r.shape) * factor_values(lobe, cos_i, cos_s, cos_0, r)
     if lobe.ratio is not None and lobe.ratio.axes != "cosines":
-        values = values * lobe.ratio.at(cos_0, r, np.arctan2(np.abs(y), x - centre))
+        values = values * lobe.ratio.at(cos_0, r, np.arctan2(y, x - centre), rotation)
     elif lobe.ratio is not None:
-        values = values * lobe.ratio.at(cos_0, cos_s, np.arctan2(np.abs(y), x))
+        values = values * lobe.ratio.at(cos_0, cos_s, np.arctan2(y, x), rotation)
     return np.asarray(values)

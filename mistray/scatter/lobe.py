@@ -25,26 +25,36 @@ class RatioTable:
 
     Attributes
     ----------
-    values : (a, b, c) float64
-        At uniform nodes of three variables; the first is the cosine of the specular direction with the normal, 0 … 1,
-        or for "angular" this angle itself, 0 … π/2. Trilinear interpolation.
+    values : (a, b, c) or (a, d, b, c) float64
+        At uniform nodes of three variables, or of four for an anisotropic lobe; the first is the cosine of the specular
+        direction with the normal, 0 … 1, or for "angular" this angle itself, 0 … π/2. Linear interpolation along each.
     axes : {"radial", "angular", "cosines"}
-        The other two. For "radial" and "angular" log r, `r_min` … 2 (the first node also holds below), and ψ, 0 … π,
+        The last two. For "radial" and "angular" log r, `r_min` … 2 (the first node also holds below), and ψ, 0 … π,
         the angle of β - β_c against β0, 0 away from the normal and π towards it; for "cosines" the cosine of the
-        scattered direction with the normal, 0 … 1, and its azimuth φ from the specular direction, 0 … π.
+        scattered direction with the normal, 0 … 1, and its azimuth φ from the specular direction, 0 … π. With d nodes
+        of the rotation ψ and φ go from 0 to 2π, counterclockwise as seen from the side that the light comes from, the
+        last node the first again.
     r_min : float
         The smallest r of the nodes; without meaning for "cosines".
     fixed : bool
         No differentiable value of the model changes it.
+    first_rotation : float
+        Of an anisotropic lobe: the first node of the rotation ρ, rad, the last being 2π more. ρ is the azimuth of the
+        sample's x axis from that of the specular direction, in the same sense.
+    from_x : bool
+        Of an anisotropic lobe: ψ and φ are counted from the sample's x axis, so that what is between two nodes of ρ
+        turns with the sample; otherwise it stands still with the plane of incidence.
     """
 
     values: np.ndarray
     r_min: float = 1e-3
     axes: str = "radial"
     fixed: bool = False
+    first_rotation: float = 0.0
+    from_x: bool = False
 
     def __post_init__(self) -> None:
-        if self.values.ndim != 3 or min(self.values.shape) < 2 or not 0 < self.r_min < 2:
+        if self.values.ndim not in (3, 4) or min(self.values.shape) < 2 or not 0 < self.r_min < 2:
             raise MistrayError(
                 f"ratio table of shape {self.values.shape}, r_min {self.r_min:g}; give ≥ 2 nodes each way"
             )
@@ -53,19 +63,47 @@ class RatioTable:
         if self.axes not in AXES:
             raise MistrayError(f"ratio table: axes is '{self.axes}'; use {' or '.join(map(repr, AXES))}")
 
-    def at(self, cos_specular: np.ndarray, second: np.ndarray, angle: np.ndarray) -> np.ndarray:
-        """The function at broadcastable arrays of its three variables: r and ψ, or cos θs and φ, with the first."""
+    @property
+    def anisotropic(self) -> bool:
+        """Whether it depends on the rotation of the sample."""
+        return self.values.ndim == 4
+
+    def at(self, cos_specular: np.ndarray, second: np.ndarray, angle: np.ndarray, rotation: float = 0.0) -> np.ndarray:
+        """
+        The function at broadcastable arrays of its variables.
+
+        Parameters
+        ----------
+        cos_specular, second, angle : float64
+            The first variable; r or cos θs; ψ or φ from the specular direction, -π … 2π, its sign without meaning where
+            the lobe is isotropic.
+        rotation : float
+            ρ, rad; only an anisotropic lobe asks for it.
+        """
         first = np.clip(cos_specular, 0, 1)
         if self.axes == "angular":
             first = np.arccos(first) * (2 / np.pi)
         if self.axes != "cosines":
             second = np.log(np.maximum(second, self.r_min) / self.r_min) / np.log(2 / self.r_min)
-        values, places = self.values, [first, np.clip(second, 0, 1), np.clip(angle / np.pi, 0, 1)]
+        if self.anisotropic:
+            angle = np.mod((angle - (rotation if self.from_x else 0.0)) / (2 * np.pi), 1)
+        else:
+            angle = np.clip(np.abs(angle) / np.pi, 0, 1)
+        values, places = self.values, [first, np.clip(second, 0, 1), angle]
         if first.ndim == 0:  # one plane of the table holds for all
-            place = float(first) * (len(values) - 1)
-            low = min(int(place), len(values) - 2)
-            values = (low + 1 - place) * values[low] + (place - low) * values[low + 1]
             places = places[1:]
+            low, share = _cell(float(first), len(values))
+            parts = [(1 - share, values[low]), (share, values[low + 1])]
+        else:
+            parts = [(1.0, values)]
+        if self.anisotropic:
+            low, share = _cell(np.mod((rotation - self.first_rotation) / (2 * np.pi), 1), values.shape[1])
+            parts = [
+                (weight * part_share, np.take(part, low + step, axis=part.ndim - 3))
+                for weight, part in parts
+                for step, part_share in ((0, 1 - share), (1, share))
+            ]
+        values = np.asarray(sum(weight * part for weight, part in parts))
         sizes = values.shape
         places = list(np.broadcast_arrays(*(place * (n - 1) for place, n in zip(places, sizes, strict=True))))
         lows = [np.minimum(place.astype(int), n - 2) for place, n in zip(places, sizes, strict=True)]
@@ -78,6 +116,13 @@ class RatioTable:
                 index = index * n + low + step
             total += weight * flat[index]
         return total
+
+
+def _cell(place: float, nodes: int) -> tuple[int, float]:
+    """Node below a place 0 … 1 on an axis, and the share of the next one."""
+    place = place * (nodes - 1)
+    low = min(int(place), nodes - 2)
+    return low, place - low
 
 
 @dataclass(frozen=True, eq=False)
@@ -140,6 +185,11 @@ class Lobe:
             )
         if not by_angle and self.factor == "cosine":
             raise MistrayError("lobe: factor 'cosine' goes with measure 'angle'; leave it out")
+
+    @property
+    def anisotropic(self) -> bool:
+        """Whether it depends on the rotation of the sample."""
+        return self.ratio is not None and self.ratio.anisotropic
 
     @property
     def r_max(self) -> float:

@@ -14,7 +14,7 @@ FRAMES = ("specular", "normal")
 ANGLE_ROUNDING_DEG = 1e-6
 SYMMETRY_TOLERANCE = 1e-3  # of the largest value, between the two sides of the plane of incidence
 FINE_POLAR, FINE_AZIMUTH = 720, 180  # nodes of the integral over the hemisphere
-ANISOTROPY = ("error", "mean")
+ANISOTROPY = ("error", "mean", "keep")
 BEYOND = ("error", "hold", "zero")
 # A direction below this cosine has no density of its own: there f cos θs, which instruments measure, is 0/0 for f
 HORIZON = 1e-6
@@ -23,11 +23,12 @@ HORIZON = 1e-6
 @dataclass(frozen=True, eq=False)
 class Samples:
     """
-    BSDF, or BSDF times cos θs, of an isotropic surface over the directions of incidence and of scatter.
+    BSDF, or BSDF times cos θs, of a surface in one position over the directions of incidence and of scatter.
 
     Directions have a polar angle and an azimuth. In the frame "normal" the polar angle is θs and azimuth 0 is that of
     the specular direction. In the frame "specular" the polar angle is counted from the specular direction, and azimuth
-    0 points from there towards the normal.
+    0 points from there towards the normal. Azimuths run counterclockwise as seen from the side that the light comes
+    from.
 
     Attributes
     ----------
@@ -37,7 +38,7 @@ class Samples:
     specular_deg : (a,) float64
         Angles of the specular direction, reflected or refracted, with the normal; ascending, 0 … 90.
     azimuth_deg : (b,) float64
-        Ascending, 0 … 180: the surface is mirror symmetric about the plane of incidence.
+        Ascending, 0 … 180: the scatter is mirror symmetric about the plane of incidence; or 0 … 360.
     polar_deg : (c,) float64
         Ascending from 0.
     values : (a, b, c) float64
@@ -64,7 +65,7 @@ class Samples:
             raise MistrayError(f"{self.title}: frame '{self.frame}'; use {' or '.join(map(repr, FRAMES))}")
         grids = (
             ("incidence", self.specular_deg, 90.0),
-            ("azimuth", self.azimuth_deg, 180.0),
+            ("azimuth", self.azimuth_deg, 360.0),
             ("polar", self.polar_deg, 180.0),
         )
         for key, angles, most in grids:
@@ -88,7 +89,8 @@ class Samples:
                 f"{self.title}: {self.values[i, j, k]:g} at incidence {self.specular_deg[i]:g}°, azimuth "
                 f"{self.azimuth_deg[j]:g}°, polar angle {self.polar_deg[k]:g}°; a BSDF is finite and not negative"
             )
-        if self.azimuth_deg[0] > ANGLE_ROUNDING_DEG or self.azimuth_deg[-1] < 180 - ANGLE_ROUNDING_DEG:
+        needed = 360.0 if self.whole else 180.0
+        if self.azimuth_deg[0] > ANGLE_ROUNDING_DEG or self.azimuth_deg[-1] < needed - ANGLE_ROUNDING_DEG:
             raise MistrayError(
                 f"{self.title}: azimuths from {self.azimuth_deg[0]:g} to {self.azimuth_deg[-1]:g}° do not cover the "
                 "hemisphere; give 0 … 180°, or 0 … 360°"
@@ -116,6 +118,11 @@ class Samples:
         return f"BSDF table '{self.name}'"
 
     @property
+    def whole(self) -> bool:
+        """Whether the azimuths go all round, so that the two sides of the plane of incidence may differ."""
+        return bool(self.azimuth_deg[-1] > 180 + ANGLE_ROUNDING_DEG)
+
+    @property
     def last_needed_deg(self) -> float:
         """Polar angle to which the grid must go to cover the hemisphere at every angle of incidence."""
         return 90.0 if self.frame == "normal" else 90.0 + float(self.specular_deg[-1])
@@ -137,7 +144,13 @@ class Samples:
             )
 
     def directions(self) -> np.ndarray:
-        """Unit vectors of the grid, (a, b, c, 3): x along the specular side of the plane of incidence, z the normal."""
+        """
+        Unit vectors of the grid, (a, b, c, 3).
+
+        x points to the specular side of the plane of incidence, z along the normal on the side that the light comes
+        from, of what is transmitted to the other side; y is such that x, y and the normal where the light comes from
+        are right-handed.
+        """
         return self.directions_at(
             self.specular_deg[:, None, None], self.azimuth_deg[:, None], self.polar_deg[None, None, :]
         )
@@ -151,7 +164,7 @@ class Samples:
             parts = np.broadcast_arrays(towards, y, along, theta)[:3]
         else:
             x = along * np.sin(theta) - towards * np.cos(theta)
-            parts = np.broadcast_arrays(x, y, along * np.cos(theta) + towards * np.sin(theta))
+            parts = np.broadcast_arrays(x, -y, along * np.cos(theta) + towards * np.sin(theta))
         return np.stack(parts, axis=-1)
 
     def angles_of(self, specular_deg: float, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -159,8 +172,9 @@ class Samples:
         x, y, z = np.moveaxis(directions, -1, 0)
         if self.frame == "specular":
             sin, cos = np.sin(np.radians(specular_deg)), np.cos(np.radians(specular_deg))
-            x, z = z * sin - x * cos, x * sin + z * cos
-        return np.degrees(np.arctan2(np.hypot(x, y), z)), np.degrees(np.arctan2(np.abs(y), x))
+            x, y, z = z * sin - x * cos, -y, x * sin + z * cos
+        azimuth = np.degrees(np.arctan2(y if self.whole else np.abs(y), x))
+        return np.degrees(np.arctan2(np.hypot(x, y), z)), np.where(azimuth < 0, azimuth + 360, azimuth)
 
     def above(self, cosine_corrected: bool) -> np.ndarray:
         """Which nodes are above the horizon and so have a BSDF, (a, b, c) bool; on it those that are not corrected."""
@@ -219,14 +233,15 @@ class Samples:
         polar = (np.arange(FINE_POLAR) + 0.5) * (180 / FINE_POLAR)
         if self.frame == "normal":
             polar = polar / 2
-        azimuth = (np.arange(FINE_AZIMUTH) + 0.5) * (180 / FINE_AZIMUTH)
+        azimuth = (np.arange(FINE_AZIMUTH) + 0.5) * ((360 if self.whole else 180) / FINE_AZIMUTH)
+        sides = 1 if self.whole else 2
         solid_angle = np.radians(polar[1] - polar[0]) * np.radians(azimuth[1] - azimuth[0]) * np.sin(np.radians(polar))
         grid = self.held(self.bsdf(cosine_corrected), self.above(cosine_corrected))
         found = []
         for index, specular in enumerate(self.specular_deg):
             directions = self.directions_at(specular, azimuth[:, None], polar)
             values = self.at(grid, index, directions, beyond) * np.maximum(0.0, directions[..., 2])
-            found.append(2 * float(np.sum(values * solid_angle)))
+            found.append(sides * float(np.sum(values * solid_angle)))
         return np.array(found)
 
 
@@ -268,7 +283,7 @@ def one_rotation(title: str, rotation_deg: np.ndarray, values: np.ndarray, aniso
         if difference[worst] > SYMMETRY_TOLERANCE * float(np.max(values)):
             raise MistrayError(
                 f"{title}: sample rotations {rotation_deg[0]:g} and {rotation_deg[worst]:g}° differ by "
-                f"{difference[worst]:.3g} 1/sr; anisotropic scatter is not modelled, set anisotropy to 'mean'"
+                f"{difference[worst]:.3g} 1/sr; anisotropic: set anisotropy to 'keep', or set anisotropy to 'mean'"
             )
         return np.asarray(values[0])
     gaps = np.diff(rotation_deg)
@@ -323,8 +338,8 @@ def half_circle(
         difference = float(np.max(np.abs(side[:, near][:, 0] - values[:, j])))
         if difference > SYMMETRY_TOLERANCE * float(np.max(values)):
             raise MistrayError(
-                f"{title}: azimuths {angle:g} and {360 - angle:g}° differ by {difference:.3g} 1/sr; anisotropic "
-                "scatter is not modelled, set anisotropy to 'mean' for the mean of both sides"
+                f"{title}: azimuths {angle:g} and {360 - angle:g}° differ by {difference:.3g} 1/sr; "
+                "anisotropic scatter needs anisotropy 'keep', or set anisotropy to 'mean' for the mean of both sides"
             )
     return half, means
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import Scatter
+from mistray.scatter.rotations import RotatedSamples
 from mistray.scatter.samples import Samples
 from mistray.scatter.total import check_loss, totals
 
 SMALLEST_R, LARGEST_ANGLE_DEG = 1e-7, 89.9
 NODES_R, NODES_ANGLE = 600, 720
 RADIALS, FIRST_RADIAL_DEG, AZIMUTHS = 72, 0.01, 19  # of a table about the specular direction
+ROTATIONS = 24  # of an anisotropic sample
 NORMAL_STEP_DEG, PEAK_NODES = 2.0, 16  # of a table about the normal
 
 
@@ -33,6 +35,9 @@ class Light:
     from_front : bool
     R, T : float
         Shares that the coating reflects and transmits, at all angles.
+    rotation_deg : float
+        Azimuth of the sample's x axis from that of the specular direction, counterclockwise as seen from the side that
+        the light comes from; matters where the scatter is anisotropic.
     """
 
     wavelength_nm: float = 550.0
@@ -41,6 +46,12 @@ class Light:
     from_front: bool = True
     R: float = 1.0
     T: float = 1.0
+    rotation_deg: float = 0.0
+
+    @property
+    def rotation(self) -> float:
+        """The same in radians."""
+        return float(np.radians(self.rotation_deg))
 
     def share(self, event: str) -> float:
         """R or T."""
@@ -92,6 +103,8 @@ class Scan:
         Total over the hemisphere, share of the incident flux.
     loss : float
         Share of its own flux that the specular beam loses.
+    rotation_deg : float
+        Of the sample.
     """
 
     event: str
@@ -102,6 +115,7 @@ class Scan:
     values: np.ndarray
     scattered: float
     loss: float
+    rotation_deg: float = 0.0
 
 
 def scan(
@@ -129,14 +143,15 @@ def scan(
         raise MistrayError(f"the model scatters nothing in {event}; choose the other event")
     sines = [light.sin_specular(event, angle) for angle in angles_deg]
     cosines = np.cos(np.radians(np.asarray(angles_deg, dtype=np.float64)))
-    sums = totals(lobes, cosines, light.n_in, light.n_out)
+    sums = totals(lobes, cosines, light.n_in, light.n_out, rotation=light.rotation)
     check_loss("scatter", event, sums, cosines)
     scattered = sums.scattered(event, np.full(len(cosines), light.share(event)))
     found = []
     for k, (angle, sine) in enumerate(zip(angles_deg, sines, strict=True)):
         beta = _in_plane(sine)
         directions = np.stack([beta, np.zeros_like(beta), np.sqrt(1 - beta**2)], axis=-1)
-        values = bsdf(lobes, event, float(cosines[k]), directions, light.n_in, light.n_out, light.share(event))
+        share = light.share(event)
+        values = bsdf(lobes, event, float(cosines[k]), directions, light.n_in, light.n_out, share, light.rotation)
         found.append(
             Scan(
                 event,
@@ -147,6 +162,7 @@ def scan(
                 values,
                 float(scattered[k]),
                 float(sums.loss[event][k]),
+                light.rotation_deg,
             )
         )
     return found
@@ -154,9 +170,9 @@ def scan(
 
 def table(
     model: Scatter, angles_deg: Sequence[float], frame: str, event: str = "reflection", light: Light | None = None
-) -> Samples:
+) -> Samples | RotatedSamples:
     """
-    Sample a model over the hemisphere, for a file.
+    Sample a model over the hemisphere, for a file; an anisotropic one at rotations of the sample all round.
 
     Parameters
     ----------
@@ -174,7 +190,8 @@ def table(
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
     angles = np.unique(np.asarray(angles_deg, dtype=np.float64))
     specular = np.degrees(np.arcsin([light.sin_specular(event, angle) for angle in angles]))
-    azimuth = np.linspace(0, 180, AZIMUTHS)
+    turned = any(lobe.anisotropic for lobe in lobes)
+    azimuth = np.linspace(0, 360, 2 * AZIMUTHS - 1) if turned else np.linspace(0, 180, AZIMUTHS)
     if frame == "specular":
         polar = np.concatenate([[0.0], np.geomspace(FIRST_RADIAL_DEG, 90 + specular[-1], RADIALS)])
     else:
@@ -182,14 +199,22 @@ def table(
         near = (specular[:, None] + np.concatenate([-steps, [0.0], steps])).ravel()
         polar = np.concatenate([np.arange(0, 90 + NORMAL_STEP_DEG / 2, NORMAL_STEP_DEG), near])
         polar = np.unique(polar[(polar >= 0) & (polar <= 90)].round(9))
-    empty = Samples("model", frame, specular, azimuth, polar, np.zeros((len(angles), AZIMUTHS, len(polar))), event)
+    empty = Samples("model", frame, specular, azimuth, polar, np.zeros((len(angles), len(azimuth), len(polar))), event)
     directions = empty.directions()
-    values = np.zeros(empty.values.shape)
-    for k, cosine in enumerate(np.cos(np.radians(angles))):
-        above = directions[k] * np.array([1.0, 1.0, 0.0]) + np.maximum(directions[k], 0.0) * np.array([0.0, 0.0, 1.0])
-        found = bsdf(lobes, event, float(cosine), above, light.n_in, light.n_out, light.share(event))
-        values[k] = np.where(directions[k][..., 2] >= -1e-12, found, 0.0)
-    return Samples("model", frame, specular, azimuth, polar, values, event)
+
+    def at(rotation: float) -> Samples:
+        values = np.zeros(empty.values.shape)
+        for k, cosine in enumerate(np.cos(np.radians(angles))):
+            over = np.maximum(directions[k], 0.0) * np.array([0.0, 0.0, 1.0])
+            above = directions[k] * np.array([1.0, 1.0, 0.0]) + over
+            found = bsdf(lobes, event, float(cosine), above, light.n_in, light.n_out, light.share(event), rotation)
+            values[k] = np.where(directions[k][..., 2] >= -1e-12, found, 0.0)
+        return replace(empty, values=values)
+
+    if not turned:
+        return at(0.0)
+    rotations = np.arange(ROTATIONS) * (360 / ROTATIONS)
+    return RotatedSamples(rotations, tuple(at(rotation) for rotation in np.radians(rotations)))
 
 
 def _in_plane(sine: float) -> np.ndarray:

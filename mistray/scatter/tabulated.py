@@ -13,12 +13,18 @@ from mistray.errors import MistrayError
 from mistray.scatter.bsdf_csv import read_bsdf_csv
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import Lobe, Placement, RatioTable
+from mistray.scatter.radial import RadialTable
+from mistray.scatter.rotations import RotatedSamples
 from mistray.scatter.samples import BEYOND, Samples
 from mistray.scatter.total import lobe_total
 from mistray.scatter.zemax_bsdf import read_zemax_bsdf
 
 INCIDENCE_NODES, R_NODES, PSI_NODES = 49, 257, 37
 COS_NODES = 129
+# Of an anisotropic table, which has the rotation of the sample and both sides of the plane of incidence as well
+TURNED_INCIDENCE_NODES, TURNED_R_NODES, TURNED_PSI_NODES, MOST_ROTATIONS = 33, 129, 73, 36
+COARSE = 4  # every so many nodes are compared to choose the frame of an anisotropic table
+POLE = 1e-6  # sine of a direction as good as the normal
 BINS_PER_OCTAVE = 4  # of the carrier
 SMALLEST_R = 1e-6
 ROUNDING = 1e-3  # of the total: tables are printed with four digits
@@ -32,11 +38,12 @@ class Tabulated(Placement):
     The table becomes a profile over r = |β - β0|, the geometric mean of the data, times a smooth ratio over the
     specular direction, r and the azimuth about it. Between two angles of incidence it follows the specular direction,
     so that a peak moves and does not double; beyond the first and the last the scatter about the specular direction
-    stays as it is there.
+    stays as it is there. Between two rotations of the sample it turns with the sample, or stands still with the plane
+    of incidence, whichever changes it less from one to the next.
 
     Attributes
     ----------
-    samples : Samples
+    samples : Samples or RotatedSamples
         From `read`, or from arrays.
     cosine_corrected : bool
         The values are BSDF times cos θs, scattered intensity by incident flux.
@@ -53,7 +60,7 @@ class Tabulated(Placement):
         If the table does not cover the hemisphere, scatters more than all light, or scatters none.
     """
 
-    samples: Samples
+    samples: Samples | RotatedSamples
     cosine_corrected: bool = False
     beyond: str = "error"
     _: KW_ONLY
@@ -69,18 +76,21 @@ class Tabulated(Placement):
                 f"{self.title}: the table holds {measured}, the event is '{self.event}'; leave event out"
             )
         if self.beyond == "error":
-            self.samples.check_cover()
+            self._first.check_cover()
         if not np.any(self._above & (self._distances > SMALLEST_R) & (self._grid > 0)):
             raise MistrayError(f"{self.samples.title}: all values are 0; leave the model out")
-        angles = self.samples.specular_deg
+        angles, cosines = self._first.specular_deg, np.cos(np.radians(self._first.specular_deg))
         lobe = Lobe("reflection", self._carrier, ratio=self._ratio)  # angles are counted from the specular direction
-        totals = lobe_total(lobe, np.cos(np.radians(angles)), 1.0, 1.0)
-        worst = int(np.argmax(totals))
-        if totals[worst] > 1 + ROUNDING:
-            raise MistrayError(
-                f"{self.samples.title}: TIS = {totals[worst]:.4g} at {angles[worst]:g}°, more than all light; check "
-                "the unit (1/sr) and whether the values are cosine corrected"
-            )
+        profile = RadialTable.of(self._carrier)
+        for rotation in self.rotations_deg:
+            totals = lobe_total(lobe, cosines, 1.0, 1.0, profile, np.radians(rotation))
+            worst = int(np.argmax(totals))
+            if totals[worst] > 1 + ROUNDING:
+                turned = f" and rotation {rotation:g}°" if self.anisotropic else ""
+                raise MistrayError(
+                    f"{self.samples.title}: TIS = {totals[worst]:.4g} at {angles[worst]:g}°{turned}, more than all "
+                    "light; check the unit (1/sr) and whether the values are cosine corrected"
+                )
 
     @classmethod
     def read(cls, path: str | Path, anisotropy: str = "error", **options: Any) -> Tabulated:
@@ -90,9 +100,9 @@ class Tabulated(Placement):
         Parameters
         ----------
         path : str or Path
-        anisotropy : {"error", "mean"}
+        anisotropy : {"error", "mean", "keep"}
             What becomes of scatter that is not the same at all rotations of the sample and on both sides of the plane
-            of incidence: refused, or averaged. A trace has isotropic scatter only.
+            of incidence: refused, averaged, or kept. What is kept depends on how the surface is turned.
         **options
             The other attributes.
 
@@ -119,36 +129,59 @@ class Tabulated(Placement):
             events = tuple(event for event in events if event == self.samples.event)
         return tuple(Lobe(event, self._carrier, shares=self.shares, ratio=self._ratio) for event in events)
 
+    @property
+    def anisotropic(self) -> bool:
+        """Whether the scatter changes when the sample is turned about its normal, or has no mirror symmetry."""
+        return isinstance(self.samples, RotatedSamples) or self.samples.whole
+
+    @property
+    def rotations_deg(self) -> np.ndarray:
+        """Rotations of the sample in the table, (d,), see `RotatedSamples`; 0 for an isotropic one."""
+        return self.samples.rotation_deg if isinstance(self.samples, RotatedSamples) else np.zeros(1)
+
+    @property
+    def _tables(self) -> tuple[Samples, ...]:
+        """One for each rotation."""
+        return self.samples.tables if isinstance(self.samples, RotatedSamples) else (self.samples,)
+
+    @property
+    def _first(self) -> Samples:
+        """The table that has the grids of all."""
+        return self._tables[0]
+
     @cached_property
     def _above(self) -> np.ndarray:
         """Nodes that lie above the horizon, (a, b, c)."""
-        return self.samples.above(self.cosine_corrected)
+        return self._first.above(self.cosine_corrected)
 
     @cached_property
     def _grid(self) -> np.ndarray:
-        return self.samples.bsdf(self.cosine_corrected)
+        """BSDF of all rotations, (d, a, b, c)."""
+        return np.array([table.bsdf(self.cosine_corrected) for table in self._tables])
 
     @cached_property
     def _distances(self) -> np.ndarray:
         """|β - β0| of the nodes, (a, b, c)."""
-        beta = self.samples.directions()[..., :2]
-        return np.hypot(beta[..., 0] - np.sin(np.radians(self.samples.specular_deg))[:, None, None], beta[..., 1])
+        beta = self._first.directions()[..., :2]
+        return np.hypot(beta[..., 0] - np.sin(np.radians(self._first.specular_deg))[:, None, None], beta[..., 1])
 
     @cached_property
     def _nodes(self) -> tuple[np.ndarray, np.ndarray]:
-        """Nodes of the carrier: log r, and log f, the mean over the azimuths and over the angles of incidence."""
+        """Nodes of the carrier: log r, and log f, the mean over azimuths, angles of incidence and rotations."""
         used = self._above & (self._distances > SMALLEST_R) & (self._grid > 0)
         bins = np.floor(np.log2(np.maximum(self._distances, SMALLEST_R)) * BINS_PER_OCTAVE).astype(int)
-        first = bins[used].min()
-        centres = (np.arange(first, bins[used].max() + 1) + 0.5) * (np.log(2) / BINS_PER_OCTAVE)
+        one_of_any = bins[np.any(used, axis=0)]
+        first = one_of_any.min()
+        centres = (np.arange(first, one_of_any.max() + 1) + 0.5) * (np.log(2) / BINS_PER_OCTAVE)
         curves = []
-        for r, f, number, here in zip(self._distances, self._grid, bins, used, strict=True):
-            if not np.any(here):
-                continue
-            count = np.bincount(number[here] - first)
-            sums = (np.bincount(number[here] - first, np.log(column[here])) for column in (r, f))
-            mean_r, mean_f = (total[count > 0] / count[count > 0] for total in sums)
-            curves.append(np.interp(centres, mean_r, mean_f))
+        for grid, lit in zip(self._grid, used, strict=True):
+            for r, f, number, here in zip(self._distances, grid, bins, lit, strict=True):
+                if not np.any(here):
+                    continue
+                count = np.bincount(number[here] - first)
+                sums = (np.bincount(number[here] - first, np.log(column[here])) for column in (r, f))
+                mean_r, mean_f = (total[count > 0] / count[count > 0] for total in sums)
+                curves.append(np.interp(centres, mean_r, mean_f))
         return centres, np.mean(curves, axis=0)
 
     def _carrier(self, r: np.ndarray) -> np.ndarray:
@@ -165,53 +198,94 @@ class Tabulated(Placement):
         The first suits peaks that are not round, the second what changes towards the horizon. That of the two is taken
         which is nearer to the table at its own nodes.
         """
-        relative = self.samples.held(self._grid / self._carrier(self._distances), self._above)
-        choices = (self._about_specular(relative), self._about_normal(relative))
+        relative = [self._first.held(grid / self._carrier(self._distances), self._above) for grid in self._grid]
+        resample = self._turned if self.anisotropic else self._still
+        choices = (resample(relative, "radial"), resample(relative, "cosines"))
         return min(choices, key=self._misfit)
 
-    def _about_specular(self, relative: np.ndarray) -> RatioTable:
-        """Over r and ψ; between angles of incidence at equal r and ψ."""
-        samples = self.samples
-        r_min = max(SMALLEST_R, 0.5 * float(np.min(self._distances[self._above & (self._distances > SMALLEST_R)])))
-        r = np.geomspace(r_min, 2, R_NODES)[:, None]
-        psi = np.linspace(0, np.pi, PSI_NODES)
-        planes = []
-        for index, specular in enumerate(np.radians(samples.specular_deg)):
-            x, y = np.sin(specular) + r * np.cos(psi), r * np.sin(psi)
-            beta = np.hypot(x, y)
-            rim = np.maximum(1.0, beta)  # past the horizon the value at the horizon
-            above = np.stack([x / rim, y / rim, np.sqrt(np.maximum(0.0, 1 - (beta / rim) ** 2))], axis=-1)
-            planes.append(samples.at(relative, index, above, self.beyond))
-        return RatioTable(self._over_incidence(planes), r_min, fixed=True)
+    def _still(self, relative: list[np.ndarray], axes: str) -> RatioTable:
+        """The ratio of an isotropic table."""
+        nodes = self._second_nodes(axes, R_NODES), np.linspace(0, np.pi, PSI_NODES)
+        planes = self._planes(relative[0], self._first, axes, *nodes)
+        return RatioTable(self._over_incidence(planes, INCIDENCE_NODES), self._r_min, axes, fixed=True)
 
-    def _about_normal(self, relative: np.ndarray) -> RatioTable:
-        """Over cos θs and φ; between angles of incidence at equal directions."""
-        z = np.linspace(0, 1, COS_NODES)[:, None]
-        phi = np.linspace(0, np.pi, PSI_NODES)
-        sine = np.sqrt(1 - z * z)
-        directions = np.stack(np.broadcast_arrays(sine * np.cos(phi), sine * np.sin(phi), z), axis=-1)
-        planes = [
-            self.samples.at(relative, index, directions, self.beyond)
-            for index in range(len(self.samples.specular_deg))
-        ]  # fmt: skip
-        return RatioTable(self._over_incidence(planes), axes="cosines", fixed=True)
+    def _turned(self, relative: list[np.ndarray], axes: str) -> RatioTable:
+        """The ratio of an anisotropic one, in the frame in which the scatter changes less between two rotations."""
+        second, angle = self._second_nodes(axes, TURNED_R_NODES), np.linspace(0, 2 * np.pi, TURNED_PSI_NODES)
+        rotations = np.radians(self.rotations_deg)
 
-    def _over_incidence(self, planes: list[np.ndarray]) -> np.ndarray:
+        def planes(second: np.ndarray, angle: np.ndarray, from_x: bool) -> np.ndarray:
+            found = [
+                self._planes(values, table, axes, second, angle + (rotation if from_x else 0.0))
+                for values, table, rotation in zip(relative, self._tables, rotations, strict=True)
+            ]
+            return np.array(found)
+
+        def change(from_x: bool) -> float:
+            some = planes(second[::COARSE], angle[:-1:COARSE], from_x)
+            return float(np.sum(np.abs(some - np.roll(some, -1, axis=0))))
+
+        from_x = change(True) < change(False)
+        closed = _all_round(rotations, planes(second, angle, from_x))
+        values = np.stack([self._over_incidence(part, TURNED_INCIDENCE_NODES) for part in closed], axis=1)
+        return RatioTable(values, self._r_min, axes, fixed=True, first_rotation=float(rotations[0]), from_x=from_x)
+
+    @cached_property
+    def _r_min(self) -> float:
+        """The smallest r of a ratio about the specular direction."""
+        return max(SMALLEST_R, 0.5 * float(np.min(self._distances[self._above & (self._distances > SMALLEST_R)])))
+
+    def _second_nodes(self, axes: str, count: int) -> np.ndarray:
+        """Nodes of r, or of cos θs."""
+        return np.geomspace(self._r_min, 2, count) if axes == "radial" else np.linspace(0, 1, COS_NODES)
+
+    def _planes(
+        self, relative: np.ndarray, table: Samples, axes: str, second: np.ndarray, angle: np.ndarray
+    ) -> np.ndarray:
+        """A ratio at nodes of r and ψ about the specular direction, or of cos θs and φ, for each angle of incidence."""
+        planes, second = [], second[:, None]
+        for index, specular in enumerate(np.radians(table.specular_deg)):
+            if axes == "radial":
+                x, y = np.sin(specular) + second * np.cos(angle), second * np.sin(angle)
+                beta = np.hypot(x, y)
+                rim = np.maximum(1.0, beta)  # past the horizon the value at the horizon
+                parts = [x / rim, y / rim, np.sqrt(np.maximum(0.0, 1 - (beta / rim) ** 2))]
+            else:
+                # At the pole, too, each azimuth of an anisotropic table has its own value
+                sine = np.sqrt(np.maximum(1 - second * second, POLE**2 if table.whole else 0.0))
+                parts = list(np.broadcast_arrays(sine * np.cos(angle), sine * np.sin(angle), second))
+            planes.append(table.at(relative, index, np.stack(parts, axis=-1), self.beyond))
+        return np.array(planes)
+
+    def _over_incidence(self, planes: np.ndarray, nodes: int) -> np.ndarray:
         """Interpolate between the angles of incidence onto nodes of their cosine."""
-        angle = np.degrees(np.arccos(np.linspace(0, 1, INCIDENCE_NODES if len(planes) > 1 else 2)))
-        place = np.interp(angle, self.samples.specular_deg, np.arange(len(planes)))
+        angle = np.degrees(np.arccos(np.linspace(0, 1, nodes if len(planes) > 1 else 2)))
+        place = np.interp(angle, self._first.specular_deg, np.arange(len(planes)))
         low = np.minimum(place.astype(int), max(len(planes) - 2, 0))
         high = np.minimum(low + 1, len(planes) - 1)
         fraction = (place - low)[:, None, None]
-        stack = np.array(planes)
-        return (1 - fraction) * stack[low] + fraction * stack[high]
+        return np.asarray((1 - fraction) * planes[low] + fraction * planes[high])
 
     def _misfit(self, ratio: RatioTable) -> float:
-        """Mean departure from the table, relative to it, at its nodes above the horizon."""
+        """Mean departure from the table, relative to it, at its nodes above the horizon; not where azimuths meet."""
         lobes = [Lobe("reflection", self._carrier, ratio=ratio)]
-        directions, departures = self.samples.directions(), []
-        for index, cosine in enumerate(np.cos(np.radians(self.samples.specular_deg))):
-            here = self._above[index] & (self._grid[index] > 0)
-            found = bsdf(lobes, "reflection", float(cosine), directions[index][here], 1.0, 1.0, 1.0)
-            departures.append(np.abs(found / self._grid[index][here] - 1))
+        directions, departures = self._first.directions(), []
+        counts = self._above & (self._first.polar_deg > 0) if self.anisotropic else self._above
+        for grid, rotation in zip(self._grid, np.radians(self.rotations_deg), strict=True):
+            for index, cosine in enumerate(np.cos(np.radians(self._first.specular_deg))):
+                here = counts[index] & (grid[index] > 0)
+                out = directions[index][here]
+                found = bsdf(lobes, "reflection", float(cosine), out, 1.0, 1.0, 1.0, float(rotation))
+                departures.append(np.abs(found / grid[index][here] - 1))
         return float(np.mean(np.concatenate(departures)))
+
+
+def _all_round(rotations: np.ndarray, planes: np.ndarray) -> np.ndarray:
+    """Functions at rotations of a sample, (d, …), at uniform ones from the first to the same again, linear between."""
+    steps = np.diff(rotations, append=rotations[0] + 2 * np.pi)
+    count = min(MOST_ROTATIONS, int(np.ceil(2 * np.pi / float(np.min(steps)) - 1e-6)))
+    wanted = rotations[0] + np.linspace(0, 2 * np.pi, max(count, 1) + 1)
+    place = np.interp(wanted, np.append(rotations, rotations[0] + 2 * np.pi), np.arange(len(planes) + 1))
+    low = np.minimum(place.astype(int), len(planes) - 1)
+    fraction = (place - low).reshape(-1, *[1] * (planes.ndim - 1))
+    return np.asarray((1 - fraction) * planes[low] + fraction * planes[(low + 1) % len(planes)])

@@ -15,6 +15,7 @@ from mistray.scatter.radial import OCTAVES, R_MAX, RadialTable
 
 ROUNDING = 1e-6  # what the shares of a surface may exceed 1 by
 CUT_NODES, ARC_NODES, NODES_PER_OCTAVE = 96, 32, 4
+ANISOTROPIC_ARC_NODES = 80
 _GAUSS = np.polynomial.legendre.leggauss(NODES_PER_OCTAVE)
 
 
@@ -26,7 +27,12 @@ def specular_cosine(event: str, cos_i: np.ndarray, n_in: float, n_out: float) ->
 
 
 def lobe_total(
-    lobe: Lobe, cos_i: np.ndarray, n_in: float, n_out: float, table: RadialTable | None = None
+    lobe: Lobe,
+    cos_i: np.ndarray,
+    n_in: float,
+    n_out: float,
+    table: RadialTable | None = None,
+    rotation: float = 0.0,
 ) -> np.ndarray:
     """
     Flux of a lobe over the hemisphere per unit of incident flux and of its coefficient c.
@@ -40,6 +46,8 @@ def lobe_total(
         Indices on the side of incidence and on the other.
     table : RadialTable, optional
         Of the lobe's profile, if there is one already.
+    rotation : float
+        Of the sample, rad, as in `RatioTable`; only an anisotropic lobe asks for it.
 
     Returns
     -------
@@ -57,7 +65,7 @@ def lobe_total(
     else:
         shape = lobe.event, lobe.centre, lobe.factor, lobe.ratio
         ratio = 1.0 if lobe.event == "reflection" else n_out / n_in  # one table for light of both sides
-        r, weight, first = _rings(*shape, cos_i.tobytes(), ratio)
+        r, weight, first = _rings(*shape, cos_i.tobytes(), ratio, rotation if lobe.anisotropic else 0.0)
         values = np.add.reduceat(weight * table.value(r), first)
     if lobe.event == "transmission" and lobe.centre != "normal":
         values = np.where(n_in * np.sqrt(np.maximum(0, 1 - cos_i**2)) >= n_out, 0.0, values)
@@ -111,7 +119,7 @@ def _by_angle(table: RadialTable, cosine: np.ndarray, projected: bool) -> np.nda
     return np.asarray(whole + np.sum(weight * r * 2 * over_arc * table.value(r), axis=1))
 
 
-@lru_cache(maxsize=32)
+@lru_cache(maxsize=128)
 def _rings(
     event: str,
     centre: str,
@@ -119,6 +127,7 @@ def _rings(
     ratio: RatioTable | None,
     cosines: bytes,
     index_ratio: float,
+    rotation: float,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     The same as `_by_cosines` with a factor or a ratio, as a sum over radii that holds for all profiles.
@@ -131,6 +140,8 @@ def _rings(
         (m,) float64 cosines of incidence.
     index_ratio : float
         n_out/n_in; without meaning in reflection.
+    rotation : float
+        As in `lobe_total`.
 
     Returns
     -------
@@ -143,12 +154,14 @@ def _rings(
     cos_i = np.frombuffer(cosines)
     specular = specular_cosine(event, cos_i, 1.0, index_ratio)
     cosine = np.ones_like(cos_i) if centre == "normal" else specular
-    found = [_ring_weights(lobe, *row) for row in zip(cos_i, cosine, specular, strict=True)]
+    found = [_ring_weights(lobe, *row, rotation) for row in zip(cos_i, cosine, specular, strict=True)]
     first = np.cumsum([0, *(len(r) for r, _ in found[:-1])])
     return np.concatenate([r for r, _ in found]), np.concatenate([w for _, w in found]), first
 
 
-def _ring_weights(lobe: Lobe, cos_i: float, cosine: float, cos_specular: float) -> tuple[np.ndarray, np.ndarray]:
+def _ring_weights(
+    lobe: Lobe, cos_i: float, cosine: float, cos_specular: float, rotation: float
+) -> tuple[np.ndarray, np.ndarray]:
     """Radii and weights of `_rings` at one angle of incidence."""
     b = float(np.sqrt(max(0.0, 1 - cosine * cosine)))
     edge = max(cosine * cosine / (1 + b), 1e-12)
@@ -166,17 +179,18 @@ def _ring_weights(lobe: Lobe, cos_i: float, cosine: float, cos_specular: float) 
     with np.errstate(divide="ignore", invalid="ignore"):
         half = np.arccos(np.clip((r * r + b * b - 1) / (2 * b * r), -1, 1)) if b > 0 else np.where(r < 1, np.pi, 0.0)
     start = np.pi - half
-    t, wt = _smooth_nodes(ARC_NODES)
+    t, wt = _smooth_nodes(ANISOTROPIC_ARC_NODES if lobe.anisotropic else ARC_NODES)
     psi = start[:, None] + half[:, None] * t
     beta2 = b * b + r[:, None] ** 2 + 2 * b * r[:, None] * np.cos(psi)
     cos_s = np.sqrt(np.maximum(0.0, 1 - beta2))
     values = factor_values(lobe, cos_i, cos_s, cosine, r[:, None])
     if lobe.ratio is not None:
-        if lobe.ratio.axes != "cosines":
-            values = values * lobe.ratio.at(np.asarray(cos_specular), r[:, None], psi)
-        else:
-            azimuth = np.arctan2(r[:, None] * np.sin(psi), b + r[:, None] * np.cos(psi))
-            values = values * lobe.ratio.at(np.asarray(cos_specular), cos_s, azimuth)
+        second, azimuth = r[:, None], psi
+        if lobe.ratio.axes == "cosines":
+            second, azimuth = cos_s, np.arctan2(r[:, None] * np.sin(psi), b + r[:, None] * np.cos(psi))
+        sides = (azimuth, -azimuth) if lobe.anisotropic else (azimuth,)
+        ratios = [lobe.ratio.at(np.asarray(cos_specular), second, angle, rotation) for angle in sides]
+        values = values * np.mean(ratios, axis=0)
     over_arc = 2 * half * np.sum(wt * values, axis=1)
     return r, weight * r * over_arc
 
@@ -221,14 +235,33 @@ class Totals:
 
 
 def totals(
-    lobes: Sequence[Lobe], cos_i: np.ndarray, n_in: float, n_out: float, tables: Sequence[RadialTable] | None = None
+    lobes: Sequence[Lobe],
+    cos_i: np.ndarray,
+    n_in: float,
+    n_out: float,
+    tables: Sequence[RadialTable] | None = None,
+    rotation: float = 0.0,
 ) -> Totals:
-    """Sum the totals of lobes at cosines of incidence, (m,); `tables` are those of their profiles, if there are any."""
+    """
+    Sum the totals of lobes.
+
+    Parameters
+    ----------
+    lobes : sequence of Lobe
+    cos_i : (m,) float64
+        Cosines of incidence.
+    n_in, n_out : float
+        Indices on the side of incidence and on the other.
+    tables : sequence of RadialTable, optional
+        Of the lobes' profiles, if there are any.
+    rotation : float
+        Of the sample, rad, as in `RatioTable`.
+    """
     cos_i = np.asarray(cos_i, dtype=np.float64)
     loss = {event: np.zeros(len(cos_i)) for event in ("reflection", "transmission")}
     terms = {event: np.zeros((3, len(cos_i))) for event in ("reflection", "transmission")}
     for k, lobe in enumerate(lobes):
-        total = lobe_total(lobe, cos_i, n_in, n_out, tables[k] if tables else None)
+        total = lobe_total(lobe, cos_i, n_in, n_out, tables[k] if tables else None, rotation)
         terms[lobe.event] += np.array(lobe.shares)[:, None] * total
         lost = lobe.shares[1] * total if lobe.optical_depth is None else lobe.optical_depth * lobe.oblique(cos_i)
         loss[lobe.event] += lost

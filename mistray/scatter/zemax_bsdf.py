@@ -2,8 +2,10 @@
 
 Source: R. Rykowski, "Zemax Tabular BSDF data file format" (knowledge base of Zemax, first "BSDF Data Interchange file
 format", 2008). Angles are relative to the specular direction: ScatterRadial counts from there, ScatterAzimuth 0 points
-from there to the normal. AngleOfIncidence is the angle of the specular direction. Before the block of each angle of
-incidence stands a line with the TIS, in which older files were free; it is not used.
+from there to the normal, and the angle grows counterclockwise. AngleOfIncidence is the angle of the specular direction.
+SampleRotation is the angle between the normal of the plane of incidence and the +x axis of the surface; its sense is
+not said, it is counted counterclockwise here like the azimuth, as seen from the side that the light comes from. Before
+the block of each angle of incidence stands a line with the TIS, in which older files were free; it is not used.
 """
 
 from __future__ import annotations
@@ -17,11 +19,13 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
 from mistray.scatter.bsdf_csv import numbers, read_lines
-from mistray.scatter.samples import Samples, half_circle, one_rotation
+from mistray.scatter.rotations import RotatedSamples, by_rotation
+from mistray.scatter.samples import Samples
 
 GRIDS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 EVENTS = {"brdf": "reflection", "btdf": "transmission"}
 TYPES = {event: name.upper() for name, event in EVENTS.items()}
+NORMAL_OF_INCIDENCE_DEG = 90.0  # azimuth of the axis that SampleRotation counts from
 
 
 @dataclass
@@ -63,22 +67,21 @@ class _Lines:
         return found
 
 
-def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> Samples:
+def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> Samples | RotatedSamples:
     """
     Read a file at one wavelength or in grey.
 
     Parameters
     ----------
     path : str or Path
-    anisotropy : {"error", "mean"}
-        What becomes of sample rotations and of sides of the plane of incidence that differ, see `one_rotation` and
-        `half_circle`.
+    anisotropy : {"error", "mean", "keep"}
+        What becomes of sample rotations and of sides of the plane of incidence that differ, see `by_rotation`.
 
     Raises
     ------
     MistrayError
         If the file is missing or malformed, with the number of the line; holds colours, or anisotropic scatter that is
-        not to be averaged; or what `Samples` finds wrong.
+        refused; or what `Samples` finds wrong.
     """
     rows = ((n, line.split()) for n, line in read_lines(path) if line.strip() and not line.lstrip().startswith("#"))
     lines = _Lines(path, rows)
@@ -102,10 +105,12 @@ def read_zemax_bsdf(path: str | Path, anisotropy: str = "error") -> Samples:
     words = lines.next("DataEnd")
     if words[0].lower() != "dataend":
         raise MistrayError(f"{lines.where}: '{' '.join(words[:5])}'; expected DataEnd, there are more data than angles")
+
+    def table_of(azimuth: np.ndarray, values: np.ndarray) -> Samples:
+        return Samples(str(path), "specular", specular, azimuth, radial, values, event)
+
     title = f"BSDF file '{path}'"
-    one = one_rotation(title, rotation, np.array(values), anisotropy)
-    half, kept = half_circle(title, azimuth, one, anisotropy)
-    return Samples(str(path), "specular", specular, half, radial, kept, event)
+    return by_rotation(title, rotation, azimuth, np.array(values), anisotropy, table_of, NORMAL_OF_INCIDENCE_DEG)
 
 
 def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarray:
@@ -135,13 +140,13 @@ def _block(lines: _Lines, azimuths: int, radials: int, angle: float) -> np.ndarr
     return np.array(found).reshape(azimuths, radials)
 
 
-def write_zemax_bsdf(samples: Samples, path: str | Path, comment: str = "") -> None:
+def write_zemax_bsdf(samples: Samples | RotatedSamples, path: str | Path, comment: str = "") -> None:
     """
     Write a table in the frame "specular".
 
     Parameters
     ----------
-    samples : Samples
+    samples : Samples or RotatedSamples
         With its event.
     path : str or Path
     comment : str
@@ -152,19 +157,32 @@ def write_zemax_bsdf(samples: Samples, path: str | Path, comment: str = "") -> N
     MistrayError
         If the table is in the other frame or does not say its event, or the file cannot be written.
     """
-    if samples.frame != "specular" or samples.event is None:
+    turned = isinstance(samples, RotatedSamples)
+    tables = samples.tables if isinstance(samples, RotatedSamples) else (samples,)
+    one = tables[0]
+    if one.frame != "specular" or one.event is None:
         raise MistrayError(
             f"{samples.title}: a Zemax file counts angles from the specular direction and is BRDF or BTDF; give a "
             "table in the frame 'specular' with an event"
         )
-    grids = (np.zeros(1), samples.specular_deg, samples.azimuth_deg, samples.polar_deg)
+    rotations = np.zeros(1)
+    if isinstance(samples, RotatedSamples):
+        rotations = np.mod(samples.rotation_deg - NORMAL_OF_INCIDENCE_DEG, 360)
+    order = np.argsort(rotations)
+    written = [*rotations[order]]
+    if len(order) > 1 and written[0] == 0:  # the format goes from 0 to 360°
+        order, written = np.append(order, order[0]), [*written, 360.0]
+    grids = (np.array(written), one.specular_deg, one.azimuth_deg, one.polar_deg)
     lines = [f"# {line}" for line in comment.splitlines()]
-    lines += ["Source Measured", "Symmetry PlaneSymmetrical", "SpectralContent Monochrome"]
-    lines.append(f"ScatterType {TYPES[samples.event]}")
+    symmetry = "Asymmetrical4D" if turned else "Asymmetrical" if one.whole else "PlaneSymmetrical"
+    lines += ["Source Measured", f"Symmetry {symmetry}", "SpectralContent Monochrome"]
+    lines.append(f"ScatterType {TYPES[one.event]}")
     for key, grid in zip(GRIDS, grids, strict=True):
         lines += [f"{key} {len(grid)}", "\t".join(f"{angle:.10g}" for angle in grid)]
     lines += ["", "Monochrome", "DataBegin"]
-    for total, block in zip(samples.totals(), samples.values, strict=True):
-        lines.append(f"TIS {total:.6g}")
-        lines += ["\t".join(f"{value:.6e}" for value in row) for row in block]
+    for number in order:
+        table = tables[number]
+        for total, block in zip(table.totals(), table.values, strict=True):
+            lines.append(f"TIS {total:.6g}")
+            lines += ["\t".join(f"{value:.6e}" for value in row) for row in block]
     replace_file(path, "\n".join([*lines, "DataEnd"]) + "\n", "BSDF file")

@@ -24,7 +24,7 @@ from mistray.trace.books import Film
 from mistray.trace.interaction import Interaction
 from mistray.trace.ledger import BATCHES, Ledger
 from mistray.trace.raw_gradient import MOMENTS
-from mistray.trace.scattering import Given
+from mistray.trace.scatter_shares import Given
 
 CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
 

@@ -94,11 +94,11 @@ def stored_logs(table: RadialTable) -> np.ndarray:
     return np.append(table.log2_values, table.log2_values[-1])
 
 
-def trilinear(
+def multilinear(
     values: mi.Float, first: Any, sizes: Sequence[Any], places: Sequence[mi.Float], active: mi.Bool
 ) -> mi.Float:
     """
-    Interpolate in a table of three axes.
+    Interpolate in a table of several axes.
 
     Parameters
     ----------
@@ -119,9 +119,9 @@ def trilinear(
         low.append(node)
         fraction.append(place - mi.Float(node))
     result = mi.Float(0)
-    for corner in range(8):
+    for corner in range(2 ** len(sizes)):
         weight, index = mi.Float(1), mi.UInt32(0)
-        for axis in range(3):
+        for axis in range(len(sizes)):
             step = corner >> axis & 1
             weight = weight * (fraction[axis] if step else 1 - fraction[axis])
             index = index * sizes[axis] + low[axis] + step

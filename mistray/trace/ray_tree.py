@@ -50,7 +50,8 @@ from mistray.trace.optics import DETECTOR, NO_LOSS, ONE_CHILD, OPAQUE
 from mistray.trace.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
 from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.rims import RimBook
-from mistray.trace.scattering import ScatteredRay, Scattering
+from mistray.trace.scatter_shares import ScatteredRay
+from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sky import Sky
 from mistray.trace.start_rays import StartRays

@@ -321,4 +321,5 @@ def scatter_event(met: Met, split: Split, s: mi.UInt32, reflect: mi.Bool, batch:
         split.eta,
         split.R,
         split.T,
+        met.q,
     )

@@ -20,7 +20,7 @@ from mistray.trace.lobes import STRIDE, stored_logs
 from mistray.trace.scatter_replay import LOBES, LOGS, RATIOS, TOTAL_FLOATS, TOTALS
 from mistray.trace.scatter_tables import (
     LOBE_FLOATS,
-    RATIO_SIZES,
+    RATIO_HEAD,
     Case,
     PackedLobes,
     Side,
@@ -166,7 +166,8 @@ def _slopes(
                     f"{plugin.title}: its lobes at surface '{table.ids[case.surface]}' come or go with its values, so "
                     "they have no derivative there"
                 )
-        yield TOTALS, first_total(number) * TOTAL_FLOATS, _sum((w, side.rows[case.event]) for w, side in sides)
+        slopes = _sum((w, np.broadcast_to(side.rows[case.event], case.rows.shape)) for w, side in sides)
+        yield TOTALS, first_total(cases[:number]) * TOTAL_FLOATS, slopes
         for k, member in own:
             moved = [(w, side.lobes[member.number], side.tables[member.number]) for w, side in sides]
             yield LOBES, k * LOBE_FLOATS, _sum((w, lobe_floats(lobe, radial)) for w, lobe, radial in moved)
@@ -175,7 +176,7 @@ def _slopes(
             if (LOGS, place) not in done:
                 yield LOGS, place, _sum((w, stored_logs(radial)) for w, _, radial in moved)
             done.add((LOGS, place))
-            place = int(packed.words[k, 1]) + RATIO_SIZES
+            place = int(packed.words[k, 1]) + RATIO_HEAD
             if member.lobe.ratio is not None and not member.lobe.ratio.fixed and (RATIOS, place) not in done:
                 yield RATIOS, place, _sum((w, lobe.ratio.values) for w, lobe, _ in moved if lobe.ratio is not None)
                 done.add((RATIOS, place))

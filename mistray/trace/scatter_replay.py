@@ -12,7 +12,7 @@ has them. `mistray.trace.scatter_gradient` goes on from there to the values of t
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import TYPE_CHECKING
 
@@ -23,9 +23,10 @@ import numpy as np
 from mistray.scatter.radial import RINGS, RadialTable
 from mistray.trace.interaction import shares_at
 from mistray.trace.ledger import BATCHES
-from mistray.trace.lobes import STRIDE, RadialSampler, radial_place, trilinear
-from mistray.trace.scatter_tables import LOBE_FLOATS, RATIO_SIZES, PackedLobes, ScatterTables, pack
-from mistray.trace.scattering import Scattering, Shares, specular_direction
+from mistray.trace.lobes import STRIDE, RadialSampler, multilinear, radial_place
+from mistray.trace.scatter_shares import Shares
+from mistray.trace.scatter_tables import LOBE_FLOATS, RATIO_HEAD, PackedLobes, ScatterTables, pack
+from mistray.trace.scattering import Scattering, specular_direction
 
 if TYPE_CHECKING:
     from mistray.trace.surfaces import SurfaceTable
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 TOTALS, LOBES, RATIOS, LOGS = "totals", "lobes", "ratios", "logs"
 TOTAL_FLOATS = 4
 AZIMUTH = 2  # axis of a ratio table
+ROUND = (1, 3)  # axes of an anisotropic one that go all round
 EDGE_OF_PROFILE = 0.5  # change of the step of log2 f from one cell to the next that no smooth profile has
 
 Coating = Callable[[mi.Bool, mi.Float], tuple[mi.Float, mi.Float]]
@@ -63,6 +65,9 @@ class ScatterEvent:
         Index on the side of incidence over the one on the other side.
     R, T : mi.Float
         Of the coating for light along d; T = 0 in total reflection.
+    q : mi.Vector3f, optional
+        The point in the frame of the surface, mm, in which the directions are then given; needed where scatter depends
+        on how a sample is turned.
     """
 
     s: mi.UInt32
@@ -76,6 +81,7 @@ class ScatterEvent:
     eta: mi.Float
     R: mi.Float
     T: mi.Float
+    q: mi.Vector3f | None = None
 
     @property
     def side(self) -> mi.UInt32:
@@ -85,15 +91,13 @@ class ScatterEvent:
     def where(self, active: mi.Bool) -> ScatterEvent:
         """The same with harmless numbers in lanes that do not matter, so that no NaN comes out of them."""
         up = (0, 0, 1)
-        return ScatterEvent(
-            self.s,
-            self.batch,
-            self.reflect,
-            self.from_front,
-            dr.select(active, self.d, type(self.d)(*up)),
-            dr.select(active, self.axis, type(self.axis)(*up)),
-            *(dr.select(active, value, 1) for value in (self.cos_i, self.cos_t, self.eta)),
-            *(dr.select(active, value, 0.5) for value in (self.R, self.T)),
+        return replace(
+            self,
+            d=dr.select(active, self.d, type(self.d)(*up)),
+            axis=dr.select(active, self.axis, type(self.axis)(*up)),
+            **{key: dr.select(active, getattr(self, key), 1) for key in ("cos_i", "cos_t", "eta")},
+            **{key: dr.select(active, getattr(self, key), 0.5) for key in ("R", "T")},
+            q=None if self.q is None else dr.select(active, self.q, type(self.q)(1, 0, 0)),
         )
 
 
@@ -136,30 +140,39 @@ class ScatterReplay(Scattering):
 
     def log_kept(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
         """Logarithm of the share of R or T that stays in the specular beam; 0 where not active, or where it is 0."""
-        transmission, reflection, _ = self._all_shares(event, active)
+        transmission, reflection, _, _ = self._all_shares(event, active)
         kept = dr.select(event.reflect, reflection.kept, transmission.kept)
         good = active & (kept > 0)
         return dr.select(good, dr.log(dr.select(good, kept, 1)), 0)
 
     def absorbed(self, event: ScatterEvent, active: mi.Bool) -> mi.Float:
         """Share of the light that neither event takes; of light along the ray. What a detector gets."""
-        _, reflection, along = self._all_shares(event, active)
+        _, _, along, reflection = self._all_shares(event, active)
         event = event.where(active)
         specular = event.R * reflection.kept + event.T * along.kept
         return dr.select(active, 1 - specular - reflection.scattered - along.scattered, 0)
 
-    def _all_shares(self, event: ScatterEvent, active: mi.Bool) -> tuple[Shares, Shares, Shares]:
-        """Of transmission, of reflection, and of transmission of light along the ray."""
+    def _all_shares(self, event: ScatterEvent, active: mi.Bool) -> tuple[Shares, Shares, Shares, Shares]:
+        """Of transmission, of reflection, and of transmission and of reflection of light along the ray."""
         event = event.where(active)
         self._tables.batch = event.batch
         side, rarer = event.side, dr.minimum(event.cos_i, event.cos_t)
         plan = dr.gather(mi.Vector4u, self._tables.sides, side, active)
         row = dr.gather(mi.UInt32, self._tables.transmission_rows, side, active)
+        turns = self._turns(event.d, event.axis, self._sample_axis(event, active), side, active)
         return (
-            self._shares(plan.x, rarer, event.T, active),
-            self._shares(plan.y, event.cos_i, event.R, active),
-            self._shares(row, rarer, event.T, active),
+            self._shares(plan.x, rarer, event.T, active, turns["transmission"]),
+            self._shares(plan.y, event.cos_i, event.R, active, turns["reflection"]),
+            self._shares(row, rarer, event.T, active, turns["along"]),
+            self._shares(plan.y, event.cos_i, event.R, active, turns["back"]),
         )
+
+    def _sample_axis(self, event: ScatterEvent, active: mi.Bool) -> mi.Vector3f | None:
+        """The x axis of the sample in the frame of the surface, if scatter depends on it."""
+        if self._tables.frames is None or event.q is None:
+            return None
+        normal = dr.select(event.from_front, event.axis, -event.axis)
+        return self._tables.frames.local(event.s, normal, event.q, active)
 
     def log_flux(
         self, event: ScatterEvent, direction: mi.Vector3f, active: mi.Bool, coating: Coating | None = None
@@ -199,7 +212,10 @@ class ScatterReplay(Scattering):
             specular = specular_direction(event.reflect, event.d, event.axis, event.cos_i, event.cos_t, event.eta)
             lobes = self._read_lobes(plan, dr.select(event.reflect, event.R, event.T), event.cos_i)
             one = mi.Float(1)
-            flux, _, _ = self._evaluate(lobes, one, direction, cos_s, outward, specular, event.d, event.cos_i, one)
+            x_axis = self._sample_axis(event, active)
+            flux, _, _ = self._evaluate(
+                lobes, one, direction, cos_s, outward, specular, event.d, event.cos_i, one, x_axis
+            )
         good = active & (cos_s > 0) & (flux > 0)
         return dr.select(good, dr.log(dr.select(good, flux, 1)), 0)
 
@@ -219,8 +235,9 @@ class ScatterReplay(Scattering):
         eta = dr.select(event.reflect, event.eta, dr.rcp(event.eta))
         cos_t = dr.safe_sqrt(1 - dr.square(eta) * (1 - dr.square(cos_s)))
         share = dr.select(event.reflect, R, T)
+        x_axis = self._sample_axis(event, active)
         return self._against(
-            plan, event.reflect, event.axis, event.cos_i, event.eta, event.d, direction, cos_s, cos_t, share
+            plan, event.reflect, event.axis, event.cos_i, event.eta, event.d, direction, cos_s, cos_t, share, x_axis
         )
 
     def _coating(self, s: mi.UInt32, active: mi.Bool) -> Coating:
@@ -252,7 +269,7 @@ class ReplayTables(ScatterTables):
     ) -> None:
         self.backward, self.flags, self.most_lobes = tables.backward, tables.flags, tables.most_lobes
         self.sides, self.cases, self.transmission_rows = tables.sides, tables.cases, tables.transmission_rows
-        self.totals = tables.totals
+        self.totals, self.turns, self.frames = tables.totals, tables.turns, tables.frames
         self._upload_lobes(packed)
         self.radial = ReplayRadial(packed.tables, partial(self._zero, LOGS))
         self.batch = mi.UInt32(0)
@@ -275,19 +292,23 @@ class ReplayTables(ScatterTables):
 
     def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
         """As in `ScatterTables`; derivatives along the axes are differences over a cell about the place."""
-        sizes, held = self._ratio_sizes(place, active), [dr.detach(at) for at in places]
+        sizes, held = self._ratio_sizes(place, len(places), active), [dr.detach(at) for at in places]
+        turned = len(places) > 3
 
         def at(values: mi.Float, first: mi.UInt32, where: Sequence[mi.Float], lit: mi.Bool) -> mi.Float:
-            return mi.Float(trilinear(values, first + RATIO_SIZES, sizes, where, lit))
+            return mi.Float(multilinear(values, first + RATIO_HEAD, sizes, where, lit))
 
         value = at(self.ratios, place, held, active)
         for axis, (moved, still) in enumerate(zip(places, held, strict=True)):
             half = 0.5 / (mi.Float(sizes[axis]) - 1)
             low, high = dr.maximum(still - half, 0), dr.minimum(still + half, 1)
-            if axis == AZIMUTH:  # tables are the same on both sides of the plane of incidence
+            mirrored, round_ = axis == AZIMUTH and not turned, axis in ROUND and turned
+            if mirrored:  # tables are the same on both sides of the plane of incidence
                 low, high = dr.abs(still - half), 1 - dr.abs(1 - still - half)
+            if round_:
+                low, high = (end - dr.floor(end) for end in (still - half, still + half))
             ends = [at(self.ratios, place, [*held[:axis], end, *held[axis + 1 :]], active) for end in (low, high)]
-            width = 2 * half if axis == AZIMUTH else high - low
+            width = 2 * half if mirrored or round_ else high - low
             value = value + (ends[1] - ends[0]) / width * (moved - still)
         if RATIOS not in self._leaves:
             return value

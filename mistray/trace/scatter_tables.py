@@ -22,8 +22,9 @@ from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import Totals, check_budget, model_lobes, specular_cosine, totals
 from mistray.trace.bulk_scattering import BulkScattering
 from mistray.trace.device_targets import DeviceTargets
-from mistray.trace.lobes import RadialSampler, trilinear
+from mistray.trace.lobes import RadialSampler, multilinear
 from mistray.trace.optics import OPAQUE, Optics
+from mistray.trace.surface_frame import SurfaceFrames
 from mistray.trace.targets import AimSet, Place
 from mistray.trace.upload import upload
 
@@ -34,10 +35,15 @@ EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
 CASES = 4  # of a surface
 ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
 # Flags of a lobe; the number of its radial table stands above them
-BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, EDGE, COSINE, RATIO, BY_COSINES, ANGULAR = (1 << bit for bit in range(10))
-TABLE_SHIFT = 10
+BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, EDGE, COSINE, RATIO, BY_COSINES, ANGULAR, TURNED, FROM_X = (
+    1 << bit for bit in range(12)
+)
+TABLE_SHIFT = 12
 LOBE_FLOATS = 6
-RATIO_SIZES = 3  # numbers before those of a ratio table
+# Numbers before those of a ratio table: nodes along its three axes, or along the first, the rotation and the last two;
+# 0 or the first rotation of the sample, in turns
+RATIO_HEAD = 5
+TURNED_ANGLES = 64  # intervals of the totals of anisotropic lobes, which are interpolated to the others
 RANDOM_RAYS_SHIFT = 16
 
 
@@ -47,7 +53,9 @@ class Side:
 
     lobes: tuple[Lobe, ...]
     tables: tuple[RadialTable, ...]
-    rows: dict[str, np.ndarray]  # event → (ANGLES + 1, 4): loss, and three terms of what is scattered
+    # Event → (turns, ANGLES + 1, 4): loss, and three terms of what is scattered, at uniform rotations of the sample,
+    # the last one the first again; 1 where it makes no difference
+    rows: dict[str, np.ndarray]
     models: tuple[int, ...] = ()  # by lobe, number of the model that it is of
 
     def without_transmission(self) -> Side:
@@ -56,7 +64,7 @@ class Side:
         return Side(
             tuple(self.lobes[k] for k in kept),
             tuple(self.tables[k] for k in kept),
-            {**self.rows, "transmission": np.zeros((ANGLES + 1, 4))},
+            {**self.rows, "transmission": np.zeros((1, ANGLES + 1, 4))},
             tuple(self.models[k] for k in kept),
         )
 
@@ -79,19 +87,41 @@ def _known_side(
 
 
 def make_side(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
-    """Lobes and totals; uniform nodes in cos θi for reflection, in the cosine in the rarer medium for transmission."""
+    """
+    Lobes and totals.
+
+    Nodes are uniform in cos θi for reflection, in the cosine in the rarer medium for transmission, where the cosine of
+    incidence in the denser one is that of a direction refracted there.
+    """
     own = [model_lobes([model], wavelength_nm, n_in, n_out, from_front) for model in models]
     lobes = tuple(lobe for part in own for lobe in part)
     tables = tuple(RadialTable.of(lobe.profile, lobe.r_max) for lobe in lobes)
-    x = np.linspace(0.0, 1.0, ANGLES + 1)
-    denser = np.sqrt(1 - (1 - x * x) * min(n_out / n_in, 1.0) ** 2)  # cos θi where cos θt is x
     rows = {}
     for event in EVENT_NAMES:
-        cos_i = x if event == "reflection" else denser
         here = [k for k, lobe in enumerate(lobes) if lobe.event == event]
-        sums = totals([lobes[k] for k in here], cos_i, n_in, n_out, [tables[k] for k in here])
-        rows[event] = np.column_stack([sums.loss[event], *sums.terms[event]])
+        still, turned = ([k for k in here if lobes[k].anisotropic == kind] for kind in (False, True))
+
+        def block(numbers: list[int], nodes: int, rotation: float, event: str = event) -> np.ndarray:
+            x = np.linspace(0.0, 1.0, nodes)
+            cos_i = x if event == "reflection" else np.sqrt(1 - (1 - x * x) * min(n_out / n_in, 1.0) ** 2)
+            chosen, radial = [lobes[k] for k in numbers], [tables[k] for k in numbers]
+            sums = totals(chosen, cos_i, n_in, n_out, radial, rotation)
+            return np.column_stack([sums.loss[event], *sums.terms[event]])
+
+        rows[event] = block(still, ANGLES + 1, 0.0)[None]
+        if turned:
+            count = max(ratio.values.shape[1] for k in turned if (ratio := lobes[k].ratio) is not None)
+            blocks = [block(turned, TURNED_ANGLES + 1, turn) for turn in np.linspace(0, 2 * np.pi, count)[:-1]]
+            rows[event] = rows[event] + _finer(np.array([*blocks, blocks[0]]))
     return Side(lobes, tables, rows, tuple(number for number, part in enumerate(own) for _ in part))
+
+
+def _finer(rows: np.ndarray) -> np.ndarray:
+    """Rows at `TURNED_ANGLES` intervals of the cosine at `ANGLES`, linear between, (turns, ANGLES + 1, 4)."""
+    places = np.linspace(0, TURNED_ANGLES, ANGLES + 1)
+    low = np.minimum(places.astype(int), TURNED_ANGLES - 1)
+    fraction = (places - low)[:, None]
+    return np.asarray((1 - fraction) * rows[:, low] + fraction * rows[:, low + 1])
 
 
 @dataclass(frozen=True)
@@ -126,8 +156,8 @@ class Case:
     from_front : bool
         The side that the light comes from; against the light, in transmission, not that of the ray.
     event : str
-    rows : (ANGLES + 1, 4) float64
-        Totals over the angle.
+    rows : (turns, ANGLES + 1, 4) float64
+        Totals over the rotation of the sample and the angle, see `Side`.
     members : tuple of Member
     """
 
@@ -154,7 +184,7 @@ class PackedLobes:
     table_numbers : list of int
         By lobe.
     ratios : (m,) float64
-        Ratio tables, each behind its three sizes; first those that change with the models' values.
+        Ratio tables, each behind `RATIO_HEAD` numbers; first those that change with the models' values.
     moving : int
         Numbers in these.
     """
@@ -194,8 +224,9 @@ def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
     places, parts, place, moving = {}, [np.zeros(0)], 0, 0
     for key, ratio in sorted(ratios.items(), key=lambda item: item[1].fixed):
         places[key] = place
-        parts += [np.array(ratio.values.shape, dtype=np.float64), ratio.values.ravel()]
-        place += RATIO_SIZES + ratio.values.size
+        sizes = ratio.values.shape if ratio.anisotropic else (*ratio.values.shape, 0)
+        parts += [np.array([*sizes, ratio.first_rotation / (2 * np.pi)]), ratio.values.ravel()]
+        place += RATIO_HEAD + ratio.values.size
         moving = moving if ratio.fixed else place
     floats, words, numbers = np.zeros((len(members), LOBE_FLOATS)), np.zeros((len(members), 2), dtype=np.uint32), []
     for k, (member, owner) in enumerate(zip(members, owners, strict=True)):
@@ -220,7 +251,10 @@ def _flags(lobe: Lobe) -> int:
     flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE, "cosine": COSINE}[lobe.factor]
     if lobe.ratio is None:
         return flags
-    return flags | RATIO | {"radial": 0, "angular": ANGULAR, "cosines": BY_COSINES}[lobe.ratio.axes]
+    flags |= RATIO | {"radial": 0, "angular": ANGULAR, "cosines": BY_COSINES}[lobe.ratio.axes]
+    if not lobe.anisotropic:
+        return flags
+    return flags | TURNED | (FROM_X if lobe.ratio.from_x else 0)
 
 
 class ScatterTables:
@@ -265,6 +299,8 @@ class ScatterTables:
         # the random rays above; by case: first lobe, lobes, first target, targets
         sides = np.zeros((count * 2, 4), dtype=np.uint32)
         cases = np.zeros((count * CASES, 4), dtype=np.uint32)
+        # By side: rotations of the sample in the totals of transmission, reflection, and transmission of its own light
+        turns = np.ones((count * 2, 4), dtype=np.uint32)
         transmission_rows = np.zeros(count * 2, dtype=np.uint32)  # by side, that of its own light
         aim_sets: list[AimSet] = []
         targets = lobes = 0
@@ -280,12 +316,14 @@ class ScatterTables:
                     case = _case(bsdf.scatterers, s, lit == 0, event, found[lit])
                     if not case.members:
                         continue
-                    first = first_total(len(self.all_cases))
+                    first = first_total(self.all_cases)
                     sides[2 * s + side, number] = first
+                    turns[2 * s + side, number] = len(case.rows)
                     row = cases[s * CASES + 2 * side + number]
                     row[:2] = lobes, len(case.members)
                     if event == "transmission":
                         transmission_rows[2 * s + lit] = first
+                        turns[2 * s + lit, 2] = len(case.rows)
                     self.all_cases.append(case)
                     lobes += len(case.members)
                     self.most_lobes = max(self.most_lobes, len(case.members))
@@ -301,18 +339,23 @@ class ScatterTables:
         self.aimed = bool(aim_sets)
         self.sides, self.cases = upload(mi.UInt32, sides), upload(mi.UInt32, cases)
         self.transmission_rows = upload(mi.UInt32, transmission_rows)
-        self.totals = upload(mi.Float, np.concatenate([np.zeros((2, 4)), *(case.rows for case in self.all_cases)]))
+        self.totals = upload(
+            mi.Float, np.concatenate([np.zeros((2, 4)), *(case.rows.reshape(-1, 4) for case in self.all_cases)])
+        )
         packed = pack(self.all_cases)
         self.flags = packed.flags
         self._upload_lobes(packed)
+        turned = {case.surface for case in self.all_cases if any(member.lobe.anisotropic for member in case.members)}
+        self.frames = SurfaceFrames(table, sorted(turned)) if turned else None
+        self.turns = upload(mi.UInt32, turns)
         self.targets = DeviceTargets(aim_sets, table.centre)
         self.radial = RadialSampler(packed.tables)
-        dr.eval(self.sides, self.cases, self.transmission_rows, self.totals, self.lobes, self.ratios)
+        dr.eval(self.sides, self.cases, self.transmission_rows, self.turns, self.totals, self.lobes, self.ratios)
 
     @property
     def total_rows(self) -> int:
         """Number of rows of the totals."""
-        return first_total(len(self.all_cases))
+        return first_total(self.all_cases)
 
     def _upload_lobes(self, packed: PackedLobes) -> None:
         bits = packed.floats.astype(np.float32).view(np.uint32)
@@ -346,12 +389,17 @@ class ScatterTables:
         return shares, limit, log2_r_min, more.zw
 
     def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
-        """The ratio table at a place, trilinear."""
-        return trilinear(self.ratios, place + RATIO_SIZES, self._ratio_sizes(place, active), places, active)
+        """The ratio table at a place, linear along each of its three or four axes."""
+        sizes = self._ratio_sizes(place, len(places), active)
+        return multilinear(self.ratios, place + RATIO_HEAD, sizes, places, active)
 
-    def _ratio_sizes(self, place: mi.UInt32, active: mi.Bool) -> list[mi.UInt32]:
+    def first_rotation(self, place: mi.UInt32, active: mi.Bool) -> mi.Float:
+        """The first rotation of the sample of an anisotropic ratio table, in turns."""
+        return dr.gather(mi.Float, self.ratios, place + RATIO_HEAD - 1, active)
+
+    def _ratio_sizes(self, place: mi.UInt32, axes: int, active: mi.Bool) -> list[mi.UInt32]:
         """Nodes of a ratio table along its axes."""
-        numbers = [dr.gather(mi.Float, self.ratios, place + k, active) for k in range(RATIO_SIZES)]
+        numbers = [dr.gather(mi.Float, self.ratios, place + k, active) for k in range(axes)]
         return [dr.maximum(mi.UInt32(number), 2) for number in numbers]
 
 
@@ -361,9 +409,9 @@ def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float
     return (front, back) if from_front else (back, front)
 
 
-def first_total(case: int) -> int:
-    """Row of the totals where those of a case begin; two rows of zeros come first, for cases without scatter."""
-    return 2 + case * (ANGLES + 1)
+def first_total(before: Sequence[Case]) -> int:
+    """Row of the totals where those behind these cases begin; two rows of zeros come first, for what has no scatter."""
+    return 2 + sum(case.rows.shape[0] * case.rows.shape[1] for case in before)
 
 
 def _case(plugins: Sequence[Any], surface: int, from_front: bool, event: str, side: Side) -> Case:
@@ -382,9 +430,12 @@ def check_side(
     cos_i = np.linspace(0.0, 1.0, ANGLES + 1)
     rarer = np.minimum(cos_i, specular_cosine("transmission", cos_i, n_in, n_out))
     reflectance, transmittance = response(cos_i)
-    rows = {
-        event: np.array([np.interp(x, cos_i, column) for column in side.rows[event].T])
-        for event, x in (("reflection", cos_i), ("transmission", rarer))
-    }
-    sums = Totals({event: row[0] for event, row in rows.items()}, {event: row[1:] for event, row in rows.items()})
-    check_budget(title, sums, cos_i, reflectance, transmittance)
+    for turn in range(max(len(rows) for rows in side.rows.values())):
+        rows = {
+            event: np.array(
+                [np.interp(x, cos_i, column) for column in side.rows[event][turn % len(side.rows[event])].T]
+            )
+            for event, x in (("reflection", cos_i), ("transmission", rarer))
+        }
+        sums = Totals({event: row[0] for event, row in rows.items()}, {event: row[1:] for event, row in rows.items()})
+        check_budget(title, sums, cos_i, reflectance, transmittance)

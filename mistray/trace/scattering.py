@@ -14,7 +14,6 @@ surface are (E. Veach, 1997, section 5.2).
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -23,6 +22,7 @@ import mitsuba as mi
 from mistray.physics.diffraction import obliquity
 from mistray.scatter.radial import R_MAX
 from mistray.trace.interaction import Interaction, shares_at
+from mistray.trace.scatter_shares import Given, ScatteredRay, Shares, Turn
 from mistray.trace.scatter_tables import (
     ANGLES,
     ANGULAR,
@@ -30,6 +30,7 @@ from mistray.trace.scatter_tables import (
     BY_COSINES,
     COSINE,
     EDGE,
+    FROM_X,
     GHS,
     NORMAL,
     RANDOM_RAYS_SHIFT,
@@ -37,6 +38,7 @@ from mistray.trace.scatter_tables import (
     RAYLEIGH_RICE,
     RETRO,
     TABLE_SHIFT,
+    TURNED,
     ScatterTables,
 )
 
@@ -44,103 +46,9 @@ if TYPE_CHECKING:
     from mistray.trace.surfaces import SurfaceTable
 
 NO_AZIMUTH = 1e-16  # product of the squared lengths of two directions' tangential parts
+NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incidence has no plane of incidence
 ONE_LESS = 1 - 2.0**-23  # a cosine whose angle still has a finite derivative
 ANYWHERE = 0.1  # share of the rays of a lobe by angle that go against refraction anywhere
-
-
-@dataclass
-class Shares:
-    """
-    What scatter takes and gives at a node, for one event.
-
-    Attributes
-    ----------
-    kept : mi.Float
-        Share of the coating's R or T that stays in the specular beam.
-    scattered : mi.Float
-        Scattered share of the incident flux.
-    slope : mi.Float
-        Derivative of `scattered` by R or T.
-    """
-
-    kept: mi.Float
-    scattered: mi.Float
-    slope: mi.Float
-
-
-@dataclass
-class Given:
-    """
-    What scatter makes of the light of a node.
-
-    Attributes
-    ----------
-    transmission, reflection : Shares
-    scattered : mi.Float
-        Both together.
-    absorbed : mi.Float
-        Share of the light that neither event takes; of light along the ray, also where the ray goes against the light.
-    first_case : mi.UInt32
-        That of transmission; reflection is the next.
-    aimed_t, aimed_r : mi.UInt32
-        Aimed rays of either.
-    random_rays : mi.UInt32
-        Random rays that the surface asks for; 0 for those of the settings.
-    """
-
-    transmission: Shares
-    reflection: Shares
-    scattered: mi.Float
-    absorbed: mi.Float
-    first_case: mi.UInt32
-    aimed_t: mi.UInt32
-    aimed_r: mi.UInt32
-    random_rays: mi.UInt32
-
-    def ray(self, number: mi.UInt32, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
-        """The scattered ray of this number: first those at random, then the aimed ones of either event."""
-        aim = number >= random_rays
-        at_random = rng.next_float32() * self.scattered >= self.transmission.scattered
-        reflect = dr.select(aim, number >= random_rays + self.aimed_t, at_random)
-        event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
-        aimed = mi.Float(dr.select(reflect, self.aimed_r, self.aimed_t))
-        return ScatteredRay(reflect, aim, mi.Float(random_rays) * event_share, aimed)
-
-    def one_ray(self, probability: mi.Float, random_rays: mi.UInt32, rng: mi.PCG32) -> ScatteredRay:
-        """
-        One ray for all, where the node scatters with this probability; it is aimed half of the time if it can be.
-
-        Without random rays it has no weight in an event that has no target.
-        """
-        reflect = rng.next_float32() * self.scattered >= self.transmission.scattered
-        event_share = dr.select(reflect, self.reflection.scattered, self.transmission.scattered) / self.scattered
-        aimed = dr.select(reflect, self.aimed_r, self.aimed_t) > 0
-        aiming = dr.select(aimed, dr.select(random_rays > 0, mi.Float(0.5), 1), 0)
-        aim = rng.next_float32() < aiming
-        probability = probability * event_share
-        at_random = dr.select(random_rays > 0, 1 - aiming, 0)
-        return ScatteredRay(reflect, aim, probability * at_random, probability * aiming)
-
-
-@dataclass
-class ScatteredRay:
-    """
-    Which of the scattered rays of a node is to be drawn.
-
-    Attributes
-    ----------
-    reflect : mi.Bool
-        On the side of incidence.
-    aim : mi.Bool
-        Towards a target.
-    random_rays, aimed_rays : mi.Float
-        How many rays of either technique the node sends in this event on average.
-    """
-
-    reflect: mi.Bool
-    aim: mi.Bool
-    random_rays: mi.Float
-    aimed_rays: mi.Float
 
 
 class Scattering:
@@ -172,20 +80,26 @@ class Scattering:
     def arrays(self) -> list[Any]:
         """What the kernel reads of the models of the surfaces; targets, which change no result, are not among it."""
         tables = self._tables
-        return [tables.totals, tables.lobes, tables.ratios, *tables.radial.arrays] if tables.any else []
+        if not tables.any:
+            return []
+        frames = [tables.frames.rows] if tables.frames is not None else []
+        return [tables.totals, tables.lobes, tables.ratios, *tables.radial.arrays, *frames]
 
     def give(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> Given:
         """What the surfaces s scatter of the light that meets them."""
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
         plan = dr.gather(mi.Vector4u, self._tables.sides, side, active)
         rarer = dr.minimum(it.cos_i, it.cos_t)
-        transmission = self._shares(plan.x, rarer, self._transmittance(it), active)
-        reflection = self._shares(plan.y, it.cos_i, it.R, active)
-        along = transmission
+        turns = self._turns(it.reflected, it.axis, self._x_axis(s, it, active), side, active)
+        transmission = self._shares(plan.x, rarer, self._transmittance(it), active, turns["transmission"])
+        reflection = self._shares(plan.y, it.cos_i, it.R, active, turns["reflection"])
+        along, back = transmission, reflection
         if self._tables.backward:
             row = dr.gather(mi.UInt32, self._tables.transmission_rows, side, active)
-            along = self._shares(row, rarer, it.T, active)
-        absorbed = 1 - it.R * reflection.kept - it.T * along.kept - reflection.scattered - along.scattered
+            along = self._shares(row, rarer, it.T, active, turns["along"])
+            if turns["back"] is not None:
+                back = self._shares(plan.y, it.cos_i, it.R, active, turns["back"])
+        absorbed = 1 - it.R * back.kept - it.T * along.kept - back.scattered - along.scattered
         aimed_t = dr.select(transmission.scattered > 0, plan.z & ((1 << RANDOM_RAYS_SHIFT) - 1), 0)
         aimed_r = dr.select(reflection.scattered > 0, plan.w, 0)
         scattered = transmission.scattered + reflection.scattered
@@ -196,13 +110,62 @@ class Scattering:
         """T; against the light not 0 in total reflection, since light can be scattered into such directions."""
         return dr.select(it.tir, 1, it.T) if self._tables.backward else it.T
 
-    def _shares(self, first: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool) -> Shares:
+    def _x_axis(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> mi.Vector3f | None:
+        """The x axis of the sample, if there is one whose scatter depends on it."""
+        if self._tables.frames is None:
+            return None
+        return self._tables.frames.at(s, dr.select(it.from_front, it.axis, -it.axis), it.local, active)
+
+    def _turns(
+        self, heading: mi.Vector3f, axis: mi.Vector3f, x_axis: mi.Vector3f | None, side: mi.UInt32, active: mi.Bool
+    ) -> dict[str, Turn | None]:
+        """
+        How the sample lies for light that the rays stand for in transmission and reflection, and for light along them.
+
+        Parameters
+        ----------
+        heading : mi.Vector3f
+            Of a ray before or after its reflection.
+        axis : mi.Vector3f
+            The normal on the side that the ray goes to.
+        x_axis : mi.Vector3f or None
+            Of the sample; None: all lie alike.
+        side : mi.UInt32
+        active : mi.Bool
+        """
+        if x_axis is None:
+            return dict.fromkeys(("transmission", "reflection", "along", "back"))
+        _, _, along = plane_of_sample(heading - dr.dot(heading, axis) * axis, -axis, x_axis)
+        counts = dr.gather(mi.Vector4u, self._tables.turns, side, active)
+        # Light that a ray goes against comes from where it is reflected or refracted to: the axis seen from there
+        backward = self._tables.backward
+        return {
+            "transmission": Turn(0.5 - along if backward else along, counts.x),
+            "reflection": Turn(along + 0.5 if backward else along, counts.y),
+            "along": Turn(along, counts.z),
+            "back": Turn(along, counts.y),
+        }
+
+    def _shares(
+        self, first: mi.UInt32, cosine: mi.Float, x: mi.Float, active: mi.Bool, turn: Turn | None = None
+    ) -> Shares:
         """Totals of a case, whose table starts at a row, at a cosine; the coating's R or T is x."""
         here = active & (first != 0)
         place = dr.select(here, cosine * ANGLES, 0)
         node = dr.minimum(mi.UInt32(place), ANGLES - 1)
-        low, high = (self._tables.total(first + node + k, here) for k in range(2))
-        row = dr.lerp(low, high, place - mi.Float(node))
+
+        def at(start: mi.UInt32) -> mi.Vector4f:
+            low, high = (self._tables.total(start + node + k, here) for k in range(2))
+            return dr.lerp(low, high, place - mi.Float(node))
+
+        if turn is None:
+            row = at(first)
+        else:
+            block = fraction_of(turn.rotation) * mi.Float(turn.count - 1)
+            before = dr.minimum(mi.UInt32(block), dr.maximum(turn.count, 2) - 2)
+            after = dr.minimum(before + 1, turn.count - 1)
+            low, high = (at(first + number * (ANGLES + 1)) for number in (before, after))
+            row = dr.lerp(low, high, block - mi.Float(before))
         scattered = dr.fma(x, dr.fma(x, row.w, row.z), row.y)
         return Shares(
             1 - dr.select(here, dr.minimum(row.x, 1), 0),
@@ -294,12 +257,17 @@ class Scattering:
             aimed, own = self._tables.targets.sample(plan.zw, u, it.p, specular, ray.aim)
             direction = dr.select(ray.aim, aimed, direction)
         cos_s = dr.dot(direction, outward)
-        flux, slope, density = self._evaluate(lobes, total, direction, cos_s, outward, specular, d, it.cos_i, scale)
+        x_axis = self._x_axis(s, it, mi.Bool(True))
+        flux, slope, density = self._evaluate(
+            lobes, total, direction, cos_s, outward, specular, d, it.cos_i, scale, x_axis
+        )
         if self._tables.backward:
             from_front = it.from_front ^ ~ray.reflect
             R, T, cos_t = shares_at(table, s, it.word, from_front, cos_s, mi.Bool(True))
             share = dr.select(ray.reflect, R, T)
-            flux = self._against(plan, ray.reflect, it.axis, it.cos_i, it.eta, d, direction, cos_s, cos_t, share)
+            flux = self._against(
+                plan, ray.reflect, it.axis, it.cos_i, it.eta, d, direction, cos_s, cos_t, share, x_axis
+            )
         techniques = ray.random_rays * density
         if self._tables.aimed:
             there = ray.aimed_rays > 0
@@ -321,14 +289,15 @@ class Scattering:
         cos_s: mi.Float,
         cos_t: mi.Float,
         x: mi.Float,
+        x_axis: mi.Vector3f | None,
     ) -> mi.Float:
         """
         What light that comes against `direction` sends against d, as flux per solid angle of `direction`.
 
         `cos_t` is the light's own cosine of refraction, x the coating's R or T for it; `axis`, `cos_i` and `eta` are
-        those of the ray. With the étendue dG = n² cos θ dω dA of either direction the flux per étendue is the same
-        whether one follows the light or goes against it; the change from dG to dω gives the factor
-        n_i² cos θ_i/(n_o² cos θ_o).
+        those of the ray, `x_axis` is that of the sample. With the étendue dG = n² cos θ dω dA of either direction the
+        flux per étendue is the same whether one follows the light or goes against it; the change from dG to dω gives
+        the factor n_i² cos θ_i/(n_o² cos θ_o).
         """
         incident, outward, eta = -direction, -axis, dr.rcp(eta)
         specular = specular_direction(reflect, incident, dr.select(reflect, axis, outward), cos_s, cos_t, eta)
@@ -338,7 +307,7 @@ class Scattering:
         for lobe in lobes:
             lobe["here"] = lobe["here"] & (passes | ((lobe["words"].x & NORMAL) != 0))
         one = mi.Float(1)
-        flux, _, _ = self._evaluate(lobes, one, -d, cos_i, outward, specular, incident, cos_s, one)
+        flux, _, _ = self._evaluate(lobes, one, -d, cos_i, outward, specular, incident, cos_s, one, x_axis)
         return flux * cos_s / cos_i * dr.select(reflect, 1, dr.square(eta))
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
@@ -431,6 +400,7 @@ class Scattering:
         d: mi.Vector3f,
         cos_i: mi.Float,
         scale: mi.Float,
+        x_axis: mi.Vector3f | None = None,
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
         """Flux per solid angle and incident flux, its derivative by R or T, and the density of the random rays."""
         flux, slope, density = mi.Float(0), mi.Float(0), mi.Float(0)
@@ -469,7 +439,9 @@ class Scattering:
                 value *= dr.select((words.x & EDGE) != 0, grown, 1)
             if self._tables.flags & RATIO:
                 cos_specular = dr.dot(specular, outward)
-                ratio = self._ratio(lobe, words, cos_specular, cos_s, r2, across, direction, specular, outward, here)
+                ratio = self._ratio(
+                    lobe, words, cos_specular, cos_s, r2, across, direction, specular, outward, d, x_axis, here
+                )
                 value *= dr.select((words.x & RATIO) != 0, ratio, 1)
             flux += value
             slope += value * lobe["slope"]
@@ -486,9 +458,11 @@ class Scattering:
         direction: mi.Vector3f,
         specular: mi.Vector3f,
         outward: mi.Vector3f,
+        d: mi.Vector3f,
+        x_axis: mi.Vector3f | None,
         active: mi.Bool,
     ) -> mi.Float:
-        """The ratio table of a lobe, trilinear."""
+        """The ratio table of a lobe."""
         active = active & ((words.x & RATIO) != 0)
         tangent = specular - cos_specular * outward
         second = dr.clip(1 - (1 - 0.5 * dr.log2(dr.maximum(r2, 1e-30))) / (1 - lobe["log2_r_min"]), 0, 1)
@@ -505,8 +479,50 @@ class Scattering:
         if self._tables.flags & ANGULAR:
             bent = dr.acos(dr.minimum(first, ONE_LESS)) * (2 / dr.pi)
             first = dr.select((words.x & ANGULAR) != 0, bent, first)
-        places = (first, second, angle / dr.pi)
-        return self._tables.ratio(words.y, places, active)
+        turned = active & ((words.x & TURNED) != 0) if x_axis is not None else mi.Bool(False)
+        value = self._tables.ratio(words.y, (first, second, angle / dr.pi), active & ~turned)
+        if x_axis is None:
+            return value
+        lit = dr.mulsign(outward, -dr.dot(d, outward))
+        tangent, beside, rotation = plane_of_sample(tangent, lit, x_axis)
+        across = dr.select(dr.squared_norm(across) > NO_TANGENT**2, across, tangent)
+        azimuth = dr.atan2(dr.dot(across, beside), dr.dot(across, tangent)) * (0.5 / dr.pi)
+        azimuth = azimuth - dr.select((words.x & FROM_X) != 0, rotation, 0)
+        rotation = rotation - self._tables.first_rotation(words.y, turned)
+        places = (first, fraction_of(rotation), second, fraction_of(azimuth))
+        return dr.select(turned, self._tables.ratio(words.y, places, turned), value)
+
+
+def plane_of_sample(
+    tangent: mi.Vector3f, lit: mi.Vector3f, x_axis: mi.Vector3f
+) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
+    """
+    Axes of the plane of incidence on a surface, and how a sample is turned in them.
+
+    Parameters
+    ----------
+    tangent : mi.Vector3f
+        Tangential part of the light; where it has none the sample's x axis stands for it.
+    lit : mi.Vector3f
+        Unit normal on the side that the light comes from.
+    x_axis : mi.Vector3f
+        Of the sample, a unit vector.
+
+    Returns
+    -------
+    tangent, beside : mi.Vector3f
+        As long as one another; the second counterclockwise from the first as seen from the side of the light.
+    rotation : mi.Float
+        Azimuth of the sample's x axis from the first, in turns, -0.5 … 0.5.
+    """
+    tangent = dr.select(dr.squared_norm(tangent) > NO_TANGENT, tangent, x_axis)
+    beside = dr.cross(lit, tangent)
+    return tangent, beside, dr.atan2(dr.dot(x_axis, beside), dr.dot(x_axis, tangent)) * (0.5 / dr.pi)
+
+
+def fraction_of(turns: mi.Float) -> mi.Float:
+    """Of a number of turns what is more than whole ones, 0 … 1."""
+    return turns - dr.floor(turns)
 
 
 def specular_direction(

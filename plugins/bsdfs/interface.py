@@ -17,6 +17,7 @@ from mistray.materials import complex_index, refractive_index
 from mistray.physics.fresnel import reflectance
 from mistray.plugins.bsdfs.glasses import SHIFTS, Glasses
 from mistray.plugins.bsdfs.lobe_sum import LobeSum
+from mistray.plugins.bsdfs.sample_axis import SampleAxis, SampleFrame, common_axis
 from mistray.ranges import AIMED_RAYS, SHARE, WAVELENGTH_NM
 from mistray.scatter import Scatter
 from mistray.trace.optics import (
@@ -111,6 +112,7 @@ class Interface(mi.BSDF):
     """
 
     kind = "interface"
+    sample_axis: SampleAxis | None = None
 
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
@@ -141,6 +143,7 @@ class Interface(mi.BSDF):
         self._nested = self._nested_film(props, nested) if nested else None
         if self._nested is None:
             self._read_coating(props)
+        self.sample_axis = common_axis(self.scatterers, self.title)
         side = mi.BSDFFlags.FrontSide | mi.BSDFFlags.BackSide
         self.m_components = [
             mi.BSDFFlags.DeltaReflection | side,
@@ -367,20 +370,32 @@ class Interface(mi.BSDF):
         stock = self._stock_table()
         return unpolarized_shares(self.coating, self.wavelength_nm, stock["n"], stock["opaque"], from_front, cosines)
 
+    def _sample(self, si: mi.SurfaceInteraction3f) -> SampleFrame | None:
+        """How the sample lies at a hit, if a model of scatter depends on it."""
+        return None if self.sample_axis is None else self.sample_axis.local(si, bool(self._turned))
+
     def _beams(
-        self, ctx: mi.BSDFContext, cos_wi: mi.Float, r: mi.Float, t: mi.Float, cos_t: mi.Float, active: mi.Mask
+        self,
+        ctx: mi.BSDFContext,
+        wi: mi.Vector3f,
+        shares: tuple[mi.Float, mi.Float],
+        cos_t: mi.Float,
+        sample: SampleFrame | None,
+        active: mi.Mask,
     ) -> tuple[mi.Float, mi.Float]:
         """What scatter leaves of the reflected and the transmitted beam, where a context asks for them."""
         reflects = ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
         transmits = ctx.is_enabled(mi.BSDFFlags.DeltaTransmission, 1)
-        r, t = (r if reflects else mi.Float(0)), (t if transmits else mi.Float(0))
+        r, t = (shares[0] if reflects else mi.Float(0)), (shares[1] if transmits else mi.Float(0))
         if self.scatterers and (reflects or transmits):
-            lobes, from_back = self._lobe_sum(), cos_wi > 0
-            cos_i = dr.abs(cos_wi)
-            r = r * (1 - lobes.loss("reflection", cos_i, from_back, active))
-            # In the mode "radiance" light that is transmitted comes from the other side
-            side = ~from_back if ctx.mode == mi.TransportMode.Radiance else from_back
-            t = t * (1 - lobes.loss("transmission", dr.minimum(cos_i, dr.abs(cos_t)), side, active))
+            lobes, from_back = self._lobe_sum(), wi.z > 0
+            cos_i = dr.abs(wi.z)
+            # In the mode "radiance" light goes to wi, and what is transmitted comes from the other side
+            radiance = ctx.mode == mi.TransportMode.Radiance
+            side, tangent, lit = (~from_back, wi.xy, -wi.z) if radiance else (from_back, -wi.xy, wi.z)
+            turns = [None, None] if sample is None else [sample.plane(tangent, z)[2] for z in (wi.z, lit)]
+            r = r * (1 - lobes.loss("reflection", cos_i, from_back, active, turns[0]))
+            t = t * (1 - lobes.loss("transmission", dr.minimum(cos_i, dr.abs(cos_t)), side, active, turns[1]))
         return r, t
 
     def _choices(
@@ -394,14 +409,16 @@ class Interface(mi.BSDF):
         scale = dr.select(total > 0, dr.rcp(dr.select(total > 0, total, 1)), 0)
         return [(slot, weight * scale) for slot, weight in lobes], scale
 
-    def carried(self, by: str, turned: bool) -> None:
+    def carried(self, by: Any, turned: bool) -> None:
         """Called by a shape that carries this interface: whether the normals of its mesh look to the front."""
         if self._turned not in (None, turned) and self.front != self.back:
             raise MistrayError(
                 f"{self.title} has '{self.front}' and '{self.back}' on its sides and is shared by a detector and "
-                f"a shape that does not detect, the last '{by}'; give the detector an interface of its own"
+                f"a shape that does not detect, the last '{by.name}'; give the detector an interface of its own"
             )
         self._turned = turned
+        if self.sample_axis is not None:
+            self.sample_axis.carried(by)
 
     def _turn(self, v: mi.Vector3f) -> mi.Vector3f:
         """From the local frame of a hit to the one whose z axis points to the back, or the other way round."""
@@ -417,7 +434,8 @@ class Interface(mi.BSDF):
     ) -> tuple[mi.BSDFSample3f, mi.Spectrum]:
         wi = self._turn(si.wi)
         r, t, cos_t, eta = self._specular(wi.z, active)
-        beams = self._beams(ctx, wi.z, r, t, cos_t, active)
+        sample = self._sample(si)
+        beams = self._beams(ctx, wi, (r, t), cos_t, sample, active)
         lobes, scale = self._choices(ctx, wi, (r, t), beams)
         active = active & (scale > 0)
         # The lobes come first; what they leave of sample1 chooses between the beams
@@ -438,7 +456,7 @@ class Interface(mi.BSDF):
         weight = dr.select(reflected, beams[0], beams[1] * index) / dr.select(bs.pdf > 0, bs.pdf, 1)
         weight = dr.select(active & (bs.pdf > 0), weight, 0)
         if choice is not None:
-            value, pdf = self._scattered(ctx, wi, choice.wo, lobes, choice.valid)
+            value, pdf = self._scattered(ctx, wi, choice.wo, lobes, sample, choice.valid)
             use = choice.valid & (pdf > 0)
             bs.wo = dr.select(choice.chosen, choice.wo, bs.wo)
             bs.pdf = dr.select(choice.chosen, dr.select(use, pdf, 0), bs.pdf)
@@ -458,13 +476,15 @@ class Interface(mi.BSDF):
         wi: mi.Vector3f,
         wo: mi.Vector3f,
         lobes: list[tuple[Any, mi.Float]],
+        sample: SampleFrame | None,
         active: mi.Mask,
     ) -> tuple[mi.Float, mi.Float]:
         """BSDF times cosine of wo, and the density of wo, by the probabilities of the lobes."""
         light = wo if ctx.mode == mi.TransportMode.Radiance else wi
         shares = self._specular(light.z, active)[:2]
         lobe_sum = self._lobe_sum()
-        return lobe_sum.value(ctx, wi, wo, shares, active), lobe_sum.density(ctx, wi, wo, lobes, active)
+        value = lobe_sum.value(ctx, wi, wo, shares, active, sample)
+        return value, lobe_sum.density(ctx, wi, wo, lobes, active)
 
     def eval(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
@@ -474,7 +494,7 @@ class Interface(mi.BSDF):
         wi, wo = self._turn(si.wi), self._turn(wo)
         light = wo if ctx.mode == mi.TransportMode.Radiance else wi
         shares = self._specular(light.z, active)[:2]
-        return mi.Spectrum(self._lobe_sum().value(ctx, wi, wo, shares, mi.Mask(active)))
+        return mi.Spectrum(self._lobe_sum().value(ctx, wi, wo, shares, mi.Mask(active), self._sample(si)))
 
     def pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
@@ -483,7 +503,8 @@ class Interface(mi.BSDF):
             return mi.Float(0)
         wi, wo = self._turn(si.wi), self._turn(wo)
         r, t, cos_t, _ = self._specular(wi.z, active)
-        lobes, _ = self._choices(ctx, wi, (r, t), self._beams(ctx, wi.z, r, t, cos_t, active))
+        beams = self._beams(ctx, wi, (r, t), cos_t, self._sample(si), active)
+        lobes, _ = self._choices(ctx, wi, (r, t), beams)
         return self._lobe_sum().density(ctx, wi, wo, lobes, mi.Mask(active))
 
     def eval_pdf(

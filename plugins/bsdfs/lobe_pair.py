@@ -10,17 +10,23 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.physics.diffraction import obliquity
+from mistray.plugins.bsdfs.sample_axis import SampleFrame
 from mistray.scatter import Lobe
 
 
 @dataclass(frozen=True)
 class Pair:
-    """Light from i that is scattered into s, local frame, with the indices on the sides of i and of the other one."""
+    """
+    Light from i that is scattered into s, local frame, with the indices on the sides of i and of the other one.
+
+    Where a lobe is anisotropic, also how the sample lies.
+    """
 
     i: mi.Vector3f
     s: mi.Vector3f
     n_in: mi.Float
     n_out: mi.Float
+    sample: SampleFrame | None = None
 
     @property
     def eta(self) -> mi.Float:

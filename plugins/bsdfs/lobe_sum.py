@@ -18,12 +18,14 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.lobe_pair import Pair, Slot, cosine, factor
+from mistray.plugins.bsdfs.sample_axis import SampleFrame
 from mistray.scatter import Lobe
 from mistray.scatter.lobe import EVENTS
 from mistray.scatter.radial import RadialTable
-from mistray.trace.lobes import RadialSampler, trilinear
+from mistray.trace.lobes import RadialSampler, multilinear
 from mistray.trace.scatter_gradient import quotient
 from mistray.trace.scatter_tables import ANGLES, Side, check_side, side_of
+from mistray.trace.scattering import fraction_of
 from mistray.trace.upload import upload
 
 STEP = 1e-3  # relative, of a parameter, for differences of tables in single precision
@@ -91,9 +93,9 @@ class LobeSum:
         found: tuple[Lobe, ...] = model.lobes(*self._arguments(from_front))
         return found
 
-    def _side(self, model: Any, from_front: bool) -> Side:
-        """The same with what they take from the specular beams, which takes time to compute."""
-        side = side_of((model,), *self._arguments(from_front))
+    def _side(self, models: Sequence[Any], from_front: bool) -> Side:
+        """The same of several with what they take from the specular beams, which takes time to compute."""
+        side = side_of(tuple(models), *self._arguments(from_front))
         return side.without_transmission() if self.opaque else side
 
     def _pair_sides(self, tables: list[RadialTable]) -> list[Slot]:
@@ -121,19 +123,23 @@ class LobeSum:
     def _losses(self) -> mi.Float:
         """What all models together take from the specular beams, after a check of the surface's budget."""
         for from_front in (True, False):
-            sides = [self._side(model, from_front) for model in self.models]
-            rows = {event: sum(side.rows[event] for side in sides) for event in EVENTS}
             where = f"{self.title}, light from the {'front' if from_front else 'back'}"
             n_in, n_out = self.n if from_front else self.n[::-1]
-            check_side(where, Side((), (), rows), n_in, n_out, partial(self._response, from_front))
-        return upload(mi.Float, sum(map(self._loss_table, self.models)).ravel())
+            check_side(where, self._side(self.models, from_front), n_in, n_out, partial(self._response, from_front))
+        return upload(mi.Float, self._loss_table(self.models).ravel())
 
-    def _loss_table(self, model: Any) -> np.ndarray:
-        """Share that the specular beams lose: (event, side of incidence, nodes of the cosine of `loss`)."""
-        rows = [[self._side(model, from_front).rows[event][:, 0] for from_front in (True, False)] for event in EVENTS]
-        return np.array(rows)
+    def _loss_table(self, models: Sequence[Any]) -> np.ndarray:
+        """Share that the specular beams lose: (rotation, event, side of incidence, nodes of the cosine of `loss`)."""
+        rows = [
+            [self._side(models, from_front).rows[event][..., 0] for from_front in (True, False)] for event in EVENTS
+        ]
+        turns = max(len(part) for both in rows for part in both)
+        even = [[np.broadcast_to(part, (turns, ANGLES + 1)) for part in both] for both in rows]
+        return np.moveaxis(np.array(even), 2, 0)
 
-    def loss(self, event: str, cosine: mi.Float, from_back: mi.Bool, active: mi.Bool) -> mi.Float:
+    def loss(
+        self, event: str, cosine: mi.Float, from_back: mi.Bool, active: mi.Bool, rotation: mi.Float | None = None
+    ) -> mi.Float:
         """
         Share that the reflected or refracted beam loses, differentiable by the parameters of the models.
 
@@ -145,33 +151,52 @@ class LobeSum:
         from_back : mi.Bool
             Whether the light comes from the back.
         active : mi.Bool
+        rotation : mi.Float, optional
+            Of the sample, in turns, where a lobe is anisotropic.
         """
         place = dr.clip(cosine, 0, 1) * ANGLES
         node = dr.minimum(mi.UInt32(place), ANGLES - 1)
         first = (2 * EVENTS.index(event) + dr.select(from_back, mi.UInt32(1), mi.UInt32(0))) * (ANGLES + 1)
 
         def at(table: mi.Float) -> mi.Float:
-            low, high = (dr.gather(mi.Float, table, first + node + step, active) for step in range(2))
-            return dr.lerp(low, high, place - mi.Float(node))
+            block = 2 * len(EVENTS) * (ANGLES + 1)
+            turns = dr.width(table) // block
+
+            def of(number: Any) -> mi.Float:
+                where = number * block + first + node
+                low, high = (dr.gather(mi.Float, table, where + step, active) for step in range(2))
+                return dr.lerp(low, high, place - mi.Float(node))
+
+            if turns == 1 or rotation is None:
+                return of(0)
+            turn = fraction_of(rotation) * (turns - 1)
+            before = dr.minimum(mi.UInt32(turn), turns - 2)
+            return dr.lerp(of(before), of(before + 1), turn - mi.Float(before))
 
         value = at(self._losses)
         for plugin in self.plugins:
             for name, parameter in plugin.values.items():
                 if dr.grad_enabled(parameter):
-                    slope = sum(weight * self._loss_table(model) for weight, model in quotient(plugin, name, STEP))
+                    slope = sum(weight * self._loss_table([model]) for weight, model in quotient(plugin, name, STEP))
                     value += at(upload(mi.Float, slope.ravel())) * (parameter - dr.detach(parameter))
         return value
 
     # -- the lobes -----------------------------------------------------------------------------------------------
 
-    def _pair(self, mode: Any, wi: mi.Vector3f, wo: mi.Vector3f) -> Pair:
+    def _pair(self, mode: Any, wi: mi.Vector3f, wo: mi.Vector3f, sample: SampleFrame | None = None) -> Pair:
         light, seen = (wo, wi) if mode == mi.TransportMode.Radiance else (wi, wo)
         n_front, n_back = (mi.Float(n) for n in self.n)
         from_back = light.z > 0
-        return Pair(light, seen, dr.select(from_back, n_back, n_front), dr.select(from_back, n_front, n_back))
+        return Pair(light, seen, dr.select(from_back, n_back, n_front), dr.select(from_back, n_front, n_back), sample)
 
     def value(
-        self, ctx: mi.BSDFContext, wi: mi.Vector3f, wo: mi.Vector3f, shares: tuple[mi.Float, mi.Float], active: mi.Bool
+        self,
+        ctx: mi.BSDFContext,
+        wi: mi.Vector3f,
+        wo: mi.Vector3f,
+        shares: tuple[mi.Float, mi.Float],
+        active: mi.Bool,
+        sample: SampleFrame | None = None,
     ) -> mi.Float:
         """
         BSDF times the cosine of wo, without the specular beams.
@@ -184,8 +209,10 @@ class LobeSum:
         shares : tuple of mi.Float
             R and T of the coating where the light comes in: at wo in the mode "radiance", at wi in the other.
         active : mi.Bool
+        sample : SampleFrame, optional
+            Needed where a lobe is anisotropic.
         """
-        pair = self._pair(ctx.mode, wi, wo)
+        pair = self._pair(ctx.mode, wi, wo, sample)
         radiance = ctx.mode == mi.TransportMode.Radiance
         cos_o = pair.cos_i if radiance else pair.cos_s
         over_cos_s = cos_o / pair.cos_s if radiance else mi.Float(1)  # flux per solid angle is the BSDF times cos θs
@@ -245,18 +272,20 @@ class LobeSum:
         return self.sampler.value(slot.table(from_back), r2, active)
 
     def _ratio(self, slot: Slot, pair: Pair, active: mi.Bool) -> mi.Float:
-        """The lobe's ratio in closed form where there is one, else from its table, trilinear."""
+        """The lobe's ratio in closed form where there is one, else from its table."""
         both = [None if lobe is None else lobe.ratio for lobe in slot.lobes]
         if both[0] is None and both[1] is None:
             return mi.Float(1)
         known = slot.plugin.ratio(slot.lobe, dr.sqrt(pair.r2(slot.lobe)), pair, self.wavelength_nm)
         if known is not None:
             return known
-        values = [None if ratio is None else self._trilinear(ratio, slot.lobe, pair, active) for ratio in both]
+        if both[0] is both[1] and both[0] is not None:
+            return self._tabled(both[0], slot.lobe, pair, active)
+        values = [None if ratio is None else self._tabled(ratio, slot.lobe, pair, active) for ratio in both]
         front, back = (mi.Float(0) if value is None else value for value in values)
         return dr.select(pair.from_back, back, front)
 
-    def _trilinear(self, ratio: Any, lobe: Lobe, pair: Pair, active: mi.Bool) -> mi.Float:
+    def _tabled(self, ratio: Any, lobe: Lobe, pair: Pair, active: mi.Bool) -> mi.Float:
         specular = pair.centre(Lobe(lobe.event, lobe.profile))
         first = dr.clip(dr.abs(specular.z), 0, 1)
         if ratio.axes == "angular":
@@ -266,10 +295,18 @@ class LobeSum:
             second = dr.log(dr.maximum(dr.norm(side), ratio.r_min) / ratio.r_min) / float(np.log(2 / ratio.r_min))
         else:
             side, second = pair.s.xy, pair.cos_s
+        if ratio.anisotropic:
+            assert pair.sample is not None
+            tangent, beside, rotation = pair.sample.plane(specular.xy, pair.i.z)
+            azimuth = dr.atan2(dr.dot(side, beside), dr.dot(side, tangent)) * (0.5 / np.pi)
+            azimuth = fraction_of(azimuth - rotation if ratio.from_x else azimuth)
+            turn = fraction_of(rotation - ratio.first_rotation / (2 * np.pi))
+            turned = first, turn, dr.clip(second, 0, 1), azimuth
+            return multilinear(self._ratios[id(ratio)], 0, ratio.values.shape, turned, active)
         long = dr.norm(specular.xy) * dr.norm(side)
         cosine = dr.select(long > 0, dr.dot(side, specular.xy) / dr.select(long > 0, long, 1), 1)
         places = first, dr.clip(second, 0, 1), dr.safe_acos(cosine) / np.pi
-        return trilinear(self._ratios[id(ratio)], 0, ratio.values.shape, places, active)
+        return multilinear(self._ratios[id(ratio)], 0, ratio.values.shape, places, active)
 
     # -- choosing directions -------------------------------------------------------------------------------------
 

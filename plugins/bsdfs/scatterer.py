@@ -30,6 +30,8 @@ class Scatterer(Interface):
         Differentiable parameters of the model.
     alone : list of str
         Properties that only a plugin by itself may have.
+    sample_axis : SampleAxis or None
+        To be set in `_read` where a lobe is anisotropic.
     """
 
     def _read_coating(self, props: mi.Properties) -> None:

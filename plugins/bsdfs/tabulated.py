@@ -6,6 +6,7 @@ import mitsuba as mi
 
 from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.interface import _resolve
+from mistray.plugins.bsdfs.sample_axis import SampleAxis
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.tabulated import Tabulated as Model
 
@@ -16,7 +17,7 @@ class Tabulated(Scatterer):
 
     The BSDF is absolute and its light is taken from what the surface absorbs, unless ``relative_to`` says otherwise.
     Nested in an ``interface``, the R and T of that are the specular shares beside the scatter. By itself it has
-    R = T = 0.
+    R = T = 0. A surface has one sample axis: all its anisotropic models must have the same.
 
     ================= ======= ============ ========== ==========================================================
     parameter         unit    range        default    meaning
@@ -27,8 +28,13 @@ class Tabulated(Scatterer):
     beyond            string               error      past the last angle of the table: ``error``, ``hold`` the
                                                       last value, or ``zero``
     anisotropy        string               error      scatter that differs between rotations of the sample, or
-                                                      between the sides of the plane of incidence: ``error``, or
-                                                      ``mean``
+                                                      between the sides of the plane of incidence: ``error``,
+                                                      ``mean``, or ``keep``: it depends on how the sample lies
+    sample_axis       string               x          of an anisotropic sample: its x axis is that of the shape,
+                                                      ``x``, or lies in the plane through the shape's z axis,
+                                                      ``meridian``, as the marks of a lathe ask for
+    rotation_deg      deg     -360 … 360   0          right-handed turn of the sample: with ``x`` about the shape's
+                                                      z axis, with ``meridian`` about the normal, front to back
     event             string               both       what scatters: ``reflection``, ``transmission`` or
                                                       ``both``
     side              string               both       side from which light is scattered: ``front``, ``back``,
@@ -73,6 +79,8 @@ class Tabulated(Scatterer):
             **options,
             **self._placement,
         )
+        axis = SampleAxis(props, self._read_model.anisotropic, self.title)
+        self.sample_axis = axis if self._read_model.anisotropic else None
 
     def _model_of(self, **values: float) -> Model:
         return self._read_model

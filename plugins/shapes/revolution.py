@@ -62,7 +62,7 @@ class Revolution(mi.Mesh):
         mi.Mesh.__init__(self, self.name, len(vertices), len(faces), props)
         write_mesh(self, vertices, faces)
         if hasattr(self.bsdf(), "carried"):
-            self.bsdf().carried(self.name, self.detects)
+            self.bsdf().carried(self, self.detects)
 
     def _check_all(self) -> None:
         for key, value in self.values.items():

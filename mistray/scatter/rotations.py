@@ -1,0 +1,199 @@
+"""A measured BSDF of a surface whose scatter changes when it is turned about its normal."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.scatter.samples import (
+    ANGLE_ROUNDING_DEG,
+    SYMMETRY_TOLERANCE,
+    Samples,
+    check_anisotropy,
+    half_circle,
+    one_rotation,
+)
+
+LARGEST_GAP = 1.5  # of the gap that is left, in units of the others, for angles that go all round
+
+
+@dataclass(frozen=True, eq=False)
+class RotatedSamples:
+    """
+    BSDF, or BSDF times cos θs, of an anisotropic surface at several positions of the sample.
+
+    Attributes
+    ----------
+    rotation_deg : (d,) float64
+        Azimuth of the sample's x axis from that of the specular direction, counterclockwise as seen from the side that
+        the light comes from; ascending, less than 360° from the first to the last. Between two, and from the last to
+        the first, the scatter is interpolated; one holds for all.
+    tables : tuple of Samples
+        One for each, on one grid.
+
+    Raises
+    ------
+    MistrayError
+        If the angles do not ascend or do not go all round, or the tables do not go with them.
+    """
+
+    rotation_deg: np.ndarray
+    tables: tuple[Samples, ...]
+
+    def __post_init__(self) -> None:
+        angles = self.rotation_deg
+        if len(self.tables) != len(angles) or not self.tables:
+            raise MistrayError(f"{len(self.tables)} BSDF tables for {len(angles)} sample rotations; give one for each")
+        first = self.tables[0]
+        for one in self.tables[1:]:
+            grids = ("specular_deg", "azimuth_deg", "polar_deg")
+            same = all(np.array_equal(getattr(one, key), getattr(first, key)) for key in grids)
+            if not same or (one.frame, one.event) != (first.frame, first.event):
+                raise MistrayError(f"{self.title}: the tables of two sample rotations have not one grid; resample them")
+        _check_round(self.title, angles)
+
+    @cached_property
+    def _content(self) -> tuple[Any, ...]:
+        return (self.rotation_deg.tobytes(), self.tables)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, RotatedSamples) and self._content == other._content
+
+    def __hash__(self) -> int:
+        return hash(self._content)
+
+    @property
+    def name(self) -> str:
+        """File or other name, for messages."""
+        return self.tables[0].name
+
+    @property
+    def title(self) -> str:
+        """For messages."""
+        return self.tables[0].title
+
+    @property
+    def event(self) -> str | None:
+        """What was measured, if the file says it."""
+        return self.tables[0].event
+
+
+def by_rotation(
+    title: str,
+    rotation_deg: np.ndarray,
+    azimuth_deg: np.ndarray,
+    values: np.ndarray,
+    anisotropy: str,
+    table_of: Callable[[np.ndarray, np.ndarray], Samples],
+    x_axis_deg: float = 0.0,
+) -> Samples | RotatedSamples:
+    """
+    The table of data at several positions of a sample, or what is to become of it.
+
+    Parameters
+    ----------
+    title : str
+        For messages.
+    rotation_deg : (d,) float64
+        As in `RotatedSamples`; 360° beside 0° is the same position once more, and both are averaged. Angles over half
+        the circle, with 180° beside 0° or without, are those of a surface that is the same after half a turn.
+    azimuth_deg : (b,) float64
+        Ascending from 0 to 180°, to 360°, or to one step before that.
+    values : (d, a, b, c) float64
+    anisotropy : {"error", "mean", "keep"}
+        Scatter that differs between the rotations or between the sides of the plane of incidence is refused, averaged,
+        or kept.
+    table_of : callable
+        Azimuths and values (a, b, c) → the table of one position.
+    x_axis_deg : float
+        Azimuth of the sample's x axis at the rotation 0.
+
+    Returns
+    -------
+    Samples or RotatedSamples
+        The latter only where there is such a difference and it is kept.
+
+    Raises
+    ------
+    MistrayError
+        As `one_rotation`, `half_circle` and `RotatedSamples`.
+    """
+    check_anisotropy(title, anisotropy)
+
+    def isotropic(choice: str) -> Samples:
+        return table_of(*half_circle(title, azimuth_deg, one_rotation(title, rotation_deg, values, choice), choice))
+
+    if anisotropy != "keep":
+        return isotropic(anisotropy)
+    try:
+        return isotropic("error")
+    except MistrayError:
+        pass  # anisotropic, or wrong: then the following says so
+    azimuth, values = whole_circle(title, azimuth_deg, values)
+    angles, values = _one_turn(title, rotation_deg, values)
+    _check_round(title, angles)
+    angles = np.mod(angles + x_axis_deg, 360.0)
+    order = np.argsort(angles)
+    return RotatedSamples(angles[order], tuple(table_of(azimuth, values[k]) for k in order))
+
+
+def whole_circle(title: str, azimuth_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """
+    Azimuths 0 … 360° and their values, (…, b, c): the mirror image of a half circle, or the closed circle.
+
+    Raises
+    ------
+    MistrayError
+        If the azimuths cover neither.
+    """
+    last = float(azimuth_deg[-1])
+    if abs(last - 180) <= ANGLE_ROUNDING_DEG:
+        mirrored = np.concatenate([azimuth_deg, 360 - azimuth_deg[-2::-1]])
+        return mirrored, np.concatenate([values, values[..., -2::-1, :]], axis=-2)
+    if abs(last - 360) <= ANGLE_ROUNDING_DEG:
+        return azimuth_deg, values
+    if last < 180 or 360 - last > LARGEST_GAP * float(np.max(np.diff(azimuth_deg))) + ANGLE_ROUNDING_DEG:
+        raise MistrayError(
+            f"{title}: azimuths from {azimuth_deg[0]:g} to {last:g}° do not cover the hemisphere; give 0 … 180°, or "
+            "0 … 360°"
+        )
+    return np.append(azimuth_deg, 360.0), np.concatenate([values, values[..., :1, :]], axis=-2)
+
+
+def _one_turn(title: str, rotation_deg: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Rotations within 0 … 360°, each once, and their values."""
+    span = float(rotation_deg[-1] - rotation_deg[0])
+    if np.any(np.diff(rotation_deg) <= 0) or span > 360 + ANGLE_ROUNDING_DEG:
+        raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
+    step = float(np.max(np.diff(rotation_deg))) if len(rotation_deg) > 1 else 360.0
+    for turn in (360.0, 180.0):
+        if abs(span - turn) <= ANGLE_ROUNDING_DEG:
+            difference = float(np.max(np.abs(values[-1] - values[0])))
+            if turn < 360 and difference > SYMMETRY_TOLERANCE * float(np.max(values)):
+                raise MistrayError(
+                    f"{title}: sample rotations {rotation_deg[0]:g} and {rotation_deg[-1]:g}° differ by "
+                    f"{difference:.3g} 1/sr, and there are none beyond; give all rotations up to 360°"
+                )
+            ends = 0.5 * (values[:1] + values[-1:])
+            rotation_deg, values = rotation_deg[:-1], np.concatenate([ends, values[1:-1]])
+            span = float(rotation_deg[-1] - rotation_deg[0])
+    if len(rotation_deg) > 1 and span < 180 - ANGLE_ROUNDING_DEG and 180 - span <= LARGEST_GAP * step:
+        rotation_deg, values = np.concatenate([rotation_deg, rotation_deg + 180]), np.concatenate([values, values])
+    return rotation_deg, values
+
+
+def _check_round(title: str, angles: np.ndarray) -> None:
+    """Raise if rotations do not ascend within a turn, or leave a part of it open."""
+    if np.any(np.diff(angles) <= 0) or angles[-1] - angles[0] > 360 - ANGLE_ROUNDING_DEG:
+        raise MistrayError(f"{title}: the sample rotations do not ascend within 360°; sort them, each once")
+    left = 360 - (angles[-1] - angles[0])
+    if len(angles) > 1 and left > LARGEST_GAP * float(np.max(np.diff(angles))) + ANGLE_ROUNDING_DEG:
+        raise MistrayError(
+            f"{title}: sample rotations from {angles[0]:g} to {angles[-1]:g}° leave {left:g}° open; complete the "
+            "circle, as the symmetry of the surface allows, or set anisotropy to 'mean'"
+        )

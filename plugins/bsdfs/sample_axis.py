@@ -1,0 +1,145 @@
+"""How the sample of an anisotropic scatter model lies on a surface, for stock integrators."""
+
+from __future__ import annotations
+
+import weakref
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG
+from mistray.trace.surface_frame import AXES, ROW, axis_row, tangent_axis
+from mistray.trace.upload import upload
+
+KEYS = ("sample_axis", "rotation_deg")
+PLACE = 4  # vectors of a shape: its row, and the rows of its frame with the origin
+
+
+@dataclass(frozen=True)
+class SampleFrame:
+    """
+    The x axis of a sample in the local frame of a hit.
+
+    Attributes
+    ----------
+    x : mi.Vector2f
+        A unit vector.
+    mirrored : bool
+        Whether z of that frame points against the normal of the mesh, so that it is left-handed.
+    """
+
+    x: mi.Vector2f
+    mirrored: bool
+
+    def plane(self, tangent: mi.Vector2f, lit: mi.Float) -> tuple[mi.Vector2f, mi.Vector2f, mi.Float]:
+        """As `mistray.trace.scattering.plane_of_sample`; the sign of `lit` is that of z where the light comes from."""
+        tangent = dr.select(dr.squared_norm(tangent) > 1e-12, tangent, self.x)
+        beside = mi.Vector2f(-tangent.y, tangent.x) * dr.mulsign(mi.Float(-1 if self.mirrored else 1), lit)
+        return tangent, beside, dr.atan2(dr.dot(self.x, beside), dr.dot(self.x, tangent)) * (0.5 / dr.pi)
+
+
+class SampleAxis:
+    """
+    Where the x axis of a sample points, see `mistray.trace.surface_frame`.
+
+    Parameters
+    ----------
+    props : mi.Properties
+        ``sample_axis`` and ``rotation_deg`` are read.
+    anisotropic : bool
+        Whether scatter depends on the axis.
+    title : str
+        Of the plugin, for messages.
+
+    Raises
+    ------
+    MistrayError
+        If a property is impossible, or is given and nothing depends on it.
+    """
+
+    def __init__(self, props: mi.Properties, anisotropic: bool, title: str) -> None:
+        given = [key for key in KEYS if key in props]
+        if given and not anisotropic:
+            raise MistrayError(f"{title}: {given[0]} is given, but its scatter is isotropic; leave it out")
+        self.axis = str(props.get("sample_axis", "x"))
+        self.rotation_deg = float(AZIMUTH_DEG.check("rotation_deg", props.get("rotation_deg", 0.0), title))
+        if self.axis not in AXES:
+            raise MistrayError(f"{title}: sample_axis is '{self.axis}'; use {' or '.join(map(repr, AXES))}")
+        self._shapes: list[weakref.ref[Any]] = []
+        self._known: tuple[list[np.ndarray], mi.Float] | None = None
+
+    def carried(self, by: Any) -> None:
+        """Called with a shape that carries the interface and has a frame of its own, ``matrix``."""
+        self._shapes.append(weakref.ref(by))
+
+    def local(self, si: mi.SurfaceInteraction3f, mirrored: bool) -> SampleFrame:
+        """
+        The axis at a hit.
+
+        Of a shape without a frame of its own the x axis of Mitsuba's shading frame stands for "x", as it does on a
+        ``rectangle``.
+        """
+        normal = -si.sh_frame.n if mirrored else si.sh_frame.n
+        row = mi.Vector4f(*map(float, axis_row("x", self.rotation_deg)))
+        # The rotation is right-handed about the normal from front to back, against which s and t may be left-handed
+        x = mi.Vector2f(row.x, -row.y if mirrored else row.y)
+        rows = self._rows()
+        if rows is not None:
+            number = dr.reinterpret_array(mi.UInt32, si.shape)
+            known = number < dr.width(rows) // (ROW * PLACE)
+            row, *axes = (dr.gather(mi.Vector4f, rows, PLACE * number + k, known) for k in range(PLACE))
+            known &= dr.squared_norm(row.xyz) > 0
+            away = si.p - mi.Vector3f(*(axis.w for axis in axes))
+            # Columns of the frame are its axes
+            to_local = [mi.Vector3f(*(axis[k] for axis in axes)) for k in range(3)]
+
+            def inward(v: mi.Vector3f) -> mi.Vector3f:
+                return mi.Vector3f(*(dr.dot(column, v) for column in to_local))
+
+            own = tangent_axis(row, inward(normal), inward(away), self.axis == "meridian")
+            world = mi.Vector3f(*(dr.dot(axis.xyz, own) for axis in axes))
+            found = si.sh_frame.to_local(world).xy
+            x = dr.select(known, found * dr.rsqrt(dr.maximum(dr.squared_norm(found), 1e-30)), x)
+        return SampleFrame(x, mirrored)
+
+    def __eq__(self, other: object) -> bool:
+        return isinstance(other, SampleAxis) and (self.axis, self.rotation_deg) == (other.axis, other.rotation_deg)
+
+    def __str__(self) -> str:
+        return f"{self.axis} turned by {self.rotation_deg:g}°"
+
+    def __hash__(self) -> int:
+        return hash((self.axis, self.rotation_deg))
+
+    def _rows(self) -> mi.Float | None:
+        """By number in Mitsuba's registry the vectors of a shape that carries the interface; zeros of other shapes."""
+        shapes = [shape for shape in (reference() for reference in self._shapes) if shape is not None]
+        if not shapes:
+            return None
+        matrices = [shape.matrix for shape in shapes]
+        known = self._known
+        if known is None or len(known[0]) != len(matrices) or not all(map(np.array_equal, known[0], matrices)):
+            numbers = [int(dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shape))[0]) for shape in shapes]
+            rows = np.zeros((max(numbers) + 1, PLACE, ROW))
+            for number, matrix in zip(numbers, matrices, strict=True):
+                rows[number] = np.vstack([axis_row(self.axis, self.rotation_deg), matrix[:3]])
+            self._known = matrices, upload(mi.Float, rows)
+            dr.eval(self._known[1])
+        assert self._known is not None
+        return self._known[1]
+
+
+def common_axis(scatterers: Sequence[Any], title: str) -> SampleAxis | None:
+    """The axis of those models of a surface that depend on one, or None; raises where they have not the same."""
+    axes = {item.sample_axis for item in scatterers if item.sample_axis is not None}
+    if len(axes) > 1:
+        raise MistrayError(
+            f"{title}: the sample axes of its models are {' and '.join(sorted(map(str, axes)))}; give all the same "
+            "sample_axis and rotation_deg"
+        )
+    return axes.pop() if axes else None

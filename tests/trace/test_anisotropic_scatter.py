@@ -1,0 +1,288 @@
+"""Scatter that depends on how a sample lies, in a trace: closed forms, rotations, energy, both directions, gradients.
+
+A number must lie within 4 standard errors of the exact one (false alarm 6e-5 each) plus what is written at the test for
+linear interpolation in the tables.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles import brushed
+from oracles.statistics import assert_z
+
+import mistray
+from mistray.optimize import metrics
+
+T = mi.ScalarTransform4f
+FLAT, TWO_FOLD = 0.1, 0.06  # of the two-fold table, a + b cos 2(φ - ρ)
+PLATE = {"type": "asphere", "semi_diameter": 5.0}
+FRONT_NORMAL = np.array([0.0, 0.0, -1.0])
+
+
+@pytest.fixture(scope="module")
+def two_fold(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The plugin with the table a + b cos 2(φ - ρ)."""
+    file = brushed.write_two_fold(tmp_path_factory.mktemp("bsdf") / "two.csv", FLAT, TWO_FOLD)
+    return {"type": "tabulated", "file": str(file), "anisotropy": "keep"}
+
+
+@pytest.fixture(scope="module")
+def brdf(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
+    """The plugin with an Asymmetrical4D file, whose scatter and TIS change with the azimuth of incidence."""
+    rotations, incidence = np.arange(0.0, 361.0, 15.0), np.array([0.0, 20.0, 40.0, 60.0, 80.0])
+    file = brushed.write_asymmetrical_4d(tmp_path_factory.mktemp("bsdf") / "brdf.bsdf", rotations, incidence)
+    return {"type": "tabulated", "file": str(file), "anisotropy": "keep"}
+
+
+def towards(polar_deg: float, azimuth_deg: float, side: float = -1.0) -> np.ndarray:
+    """A unit vector on the side z < 0, where the light comes from, or on the other."""
+    t, p = np.radians([polar_deg, azimuth_deg])
+    return np.array([np.sin(t) * np.cos(p), np.sin(t) * np.sin(p), side * np.cos(t)])
+
+
+def beam_direction(field_deg: float, azimuth_deg: float) -> np.ndarray:
+    """Of a `collimated` source: its azimuth counts from +y towards -x."""
+    f, a = np.radians([field_deg, 90 + azimuth_deg])
+    return np.array([np.sin(f) * np.cos(a), np.sin(f) * np.sin(a), np.cos(f)])
+
+
+def scene(
+    model: dict[str, Any],
+    seen: np.ndarray,
+    field_deg: float = 20.0,
+    azimuth_deg: float = 0.0,
+    *,
+    distance: float = 60.0,
+    radius: float = 0.5,
+    plate: dict[str, Any] = PLATE,
+    behind: str = "air",
+    start: float = 0.0,
+    aim: bool = True,
+) -> mi.Scene:
+    """A narrow beam of 1 W on a plate at the origin, and a round detector that faces it, in the medium behind it."""
+    place = T().look_at(origin=(distance * seen).tolist(), target=(2 * distance * seen).tolist(), up=[0.1, 0.2, 1.0])
+    film = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+    # What transmits nothing at all is opaque, and scatters nothing to the other side
+    interface = {"type": "interface", "R": 0.0, "T": 1e-6, "back": behind, "model": model}
+    end = {"type": "interface", "R": 0.0, "front": behind, "back": behind}
+    target = {"type": "disk", "to_world": place @ T().scale(radius), "bsdf": {"type": "target", "surfaces": "plate"}}
+    beam = {"type": "collimated", "radius": 0.2, "irradiance": 1 / (np.pi * 0.04), "field_deg": field_deg}
+    return mi.load_dict(
+        {
+            "type": "scene",
+            "integrator": {"type": "straylight"},
+            "beam": beam | {"azimuth_deg": azimuth_deg, "distance": start},
+            "plate": plate | {"bsdf": interface},
+            "detector": {
+                "type": "asphere", "semi_diameter": radius, "to_world": place, "bsdf": end,
+                "sensor": {"type": "irradiancemeter", "film": film},
+            },
+            **({"target": target} if aim else {}),
+        },
+        optimize=False, parallel=False,
+    )  # fmt: skip
+
+
+def power(given: mi.Scene, rays: int = 10_000, **settings: Any) -> tuple[float, float]:
+    """Detected share of the launched light and its standard error; the books are closed."""
+    e = mistray.trace(given, rays=rays, **settings).energy
+    assert abs(e.closure) < 1e-6
+    return e.detected_W / e.launched_W, e.detected_se_W / e.launched_W
+
+
+def small_detector(f: float, polar_deg: float, distance: float = 60.0, radius: float = 0.5) -> float:
+    """f cos θs Ω of a small disc that faces the plate."""
+    return f * np.cos(np.radians(polar_deg)) * np.pi * radius**2 / (distance**2 + radius**2)
+
+
+class TestClosedForms:
+    @pytest.mark.parametrize("azimuth", [0.0, 90.0, 135.0, 250.0])
+    def test_four_azimuths(self, two_fold: dict[str, Any], azimuth: float) -> None:
+        """a + b cos 2φ at four azimuths, whatever the azimuth of the light; 0.2 % is the table's interpolation."""
+        for beam in (0.0, 75.0):
+            found, se = power(scene(two_fold, towards(40.0, azimuth), azimuth_deg=beam), rays=2_000)
+            f = FLAT + TWO_FOLD * np.cos(2 * np.radians(azimuth))
+            exact = small_detector(f, 40.0)
+            assert se < 2e-3 * exact
+            assert_z(f"beam at {beam:g}°", found, exact, se, k=4.0, floor=2e-3 * exact)
+
+    def test_file(self, brdf: dict[str, Any]) -> None:
+        """The closed form behind an Asymmetrical4D file, at odd angles: 1.5 % of A is the file's interpolation."""
+        rng = np.random.default_rng(4)
+        for _ in range(3):
+            field, beam, polar, azimuth, turn = rng.random(5) * [60, 360, 70, 360, 360]
+            seen, d = towards(polar, azimuth), beam_direction(field, beam)
+            found, se = power(scene(brdf | {"rotation_deg": turn}, seen, field, beam), rays=2_000)
+            x = np.array([np.cos(np.radians(turn)), np.sin(np.radians(turn)), 0.0])
+            exact = small_detector(brushed.bsdf(d * [1, 1, -1], seen, x, FRONT_NORMAL), polar)
+            assert_z("odd angles", found, exact, se, k=4.0, floor=small_detector(0.015 * brushed.A, polar))
+
+    def test_transmission(self, tmp_path: Path) -> None:
+        """A BTDF into glass: the specular direction is the refracted one, and the angles are seen from the light."""
+        rotations, angles = np.arange(0.0, 361.0, 15.0), np.array([0.0, 12.0, 24.0, 36.0])
+        file = brushed.write_asymmetrical_4d(tmp_path / "btdf.bsdf", rotations, angles, kind="BTDF")
+        model = {"type": "tabulated", "file": str(file), "anisotropy": "keep", "rotation_deg": 20.0}
+        field, beam, polar, azimuth = 40.0, 65.0, 30.0, 155.0
+        seen, d = towards(polar, azimuth, 1.0), beam_direction(field, beam)
+        found, se = power(scene(model, seen, field, beam, behind="1.6"), rays=2_000)
+        specular = np.append(d[:2] / 1.6, -np.sqrt(1 - d[:2] @ d[:2] / 1.6**2))
+        x = np.array([np.cos(np.radians(20.0)), np.sin(np.radians(20.0)), 0.0])
+        # Seen from the light only tangential parts count
+        exact = small_detector(brushed.bsdf(specular, seen, x, FRONT_NORMAL), polar)
+        assert_z("BTDF", found, exact, se, k=4.0, floor=small_detector(0.015 * brushed.A, polar))
+
+    @pytest.mark.parametrize("beam", [0.0, 30.0, 140.0])
+    def test_absorbed(self, brdf: dict[str, Any], beam: float) -> None:
+        """What the plate keeps is 1 - TIS, which changes with the azimuth of incidence; 0.6 % is interpolation."""
+        given = scene(brdf | {"rotation_deg": 10.0}, towards(80.0, 0.0), 60.0, beam, aim=False)
+        e = mistray.trace(given, rays=2_000).energy
+        x = np.array([np.cos(np.radians(10.0)), np.sin(np.radians(10.0)), 0.0])
+        tis = brushed.total(beam_direction(60.0, beam) * [1, 1, -1], x, FRONT_NORMAL)
+        assert e.absorbed["plate"][0] / e.launched_W == pytest.approx(1 - tis, abs=7e-3 * tis)
+        assert abs(e.closure) < 1e-6
+
+    def test_meridian(self, two_fold: dict[str, Any]) -> None:
+        """On a turned plate the axis points away from the middle, here to a spot aside."""
+        turned = two_fold | {"sample_axis": "meridian", "rotation_deg": 15.0}
+        at = np.array([3.0, 1.5, 0.0])
+        seen = towards(40.0, 100.0)
+        found, se = power(
+            scene(turned, seen, plate=PLATE | {"to_world": T().translate((-at).tolist())}),
+            rays=2_000,
+            max_reflections=0,
+        )
+        axis = np.degrees(np.arctan2(at[1], at[0])) + 15.0
+        exact = small_detector(FLAT + TWO_FOLD * np.cos(2 * np.radians(100.0 - axis)), 40.0)
+        assert_z("meridian", found, exact, se, k=4.0, floor=0.01 * exact)
+
+    def test_lathe_turned_tube(self, two_fold: dict[str, Any]) -> None:
+        """A tube looks alike from all sides: a beam to its wall sends the same back, whatever its azimuth."""
+        tube = {"type": "frustum", "r0": 10.0, "z0": -40.0, "r1": 10.0, "z1": 40.0}
+        found = []
+        for azimuth in (0.0, 70.0, 200.0):
+            model = two_fold | {"sample_axis": "meridian"}
+            end = np.array([0.0, 0.0, 1.0])
+            given = scene(model, end, 50.0, azimuth, distance=30.0, radius=5.0, plate=tube, start=2.0)
+            found.append(power(given, rays=20_000))
+        values, errors = np.array(found).T
+        assert np.all(errors < 0.01 * values)
+        assert_z("azimuths", values[1:], values[0], np.hypot(errors[1:], errors[0]), k=4.0)
+
+
+class TestRotation:
+    """A sample that is turned by 90° is the same as light and detector turned by -90° about it."""
+
+    @pytest.mark.parametrize("kind", ["asphere", pytest.param("frustum", marks=pytest.mark.slow), "rectangle"])
+    def test_power(self, brdf: dict[str, Any], kind: str) -> None:
+        shape = {
+            "asphere": PLATE,
+            "frustum": {"type": "frustum", "r0": 0.0, "z0": 0.0, "r1": 5.0, "z1": 0.0},
+            "rectangle": {"type": "rectangle", "to_world": T().scale(5.0)},
+        }[kind]
+        turned = scene(brdf | {"rotation_deg": 90.0}, towards(50.0, 70.0), 35.0, 20.0, plate=shape)
+        moved = scene(brdf, towards(50.0, -20.0), 35.0, -70.0, plate=shape)
+        still = scene(brdf, towards(50.0, 70.0), 35.0, 20.0, plate=shape)
+        (a, a_se), (b, b_se), (c, _) = (power(given, rays=2_000) for given in (turned, moved, still))
+        assert_z("turned by 90°", a, b, np.hypot(a_se, b_se), k=4.0, floor=1e-4 * b)
+        assert abs(c / a - 1) > 0.2
+        if kind == "asphere":
+            tilted = scene(brdf, towards(50.0, 70.0), 35.0, 20.0, plate=PLATE | {"tilt_z": 90.0})
+            d, d_se = power(tilted, rays=2_000)
+            assert_z("tilt_z", d, a, np.hypot(a_se, d_se), k=4.0, floor=1e-4 * a)
+
+    def test_map(self, two_fold: dict[str, Any]) -> None:
+        """The map behind a plate at normal incidence turns with the sample, in each pixel."""
+
+        def irradiance(turn: float) -> tuple[np.ndarray, np.ndarray]:
+            model = two_fold | {"event": "transmission", "rotation_deg": turn}
+            film = {"type": "hdrfilm", "width": 6, "height": 6, "rfilter": {"type": "box"}}
+            given = mi.load_dict(
+                {
+                    "type": "scene", "integrator": {"type": "straylight"},
+                    "beam": {"type": "collimated", "radius": 0.2},
+                    "plate": {"type": "asphere", "semi_diameter": 5.0,
+                              "bsdf": {"type": "interface", "R": 0.0, "T": 1e-6, "model": model}},
+                    "detector": {"type": "asphere", "half_width": 30.0, "half_height": 30.0, "to_world":
+                                 T().translate([0, 0, 15]), "bsdf": {"type": "interface", "R": 0.0},
+                                 "sensor": {"type": "irradiancemeter", "film": film}},
+                },
+                optimize=False, parallel=False,
+            )  # fmt: skip
+            found = mistray.trace(given, rays=200_000, seed=round(turn) + 1)
+            return found.irradiance, found.irradiance_se
+
+        (still, se), (turned, turned_se) = irradiance(0.0), irradiance(90.0)
+        pixels = (np.arange(6) - 2.5) * 10.0
+        x, y = np.meshgrid(pixels, pixels)
+        # Two-fold: brighter along x of the sample, by a fifth at least where the map is not near the diagonal
+        lobe = (x**2 - y**2) / (x**2 + y**2)
+        assert np.sum(still * lobe) > 0.1 * np.sum(still * np.abs(lobe))
+        both = np.hypot(np.rot90(se), turned_se)
+        chi2 = float(np.sum(((np.rot90(still) - turned) / both) ** 2))
+        assert chi2 < 36 + 5 * np.sqrt(72)
+        wrong = float(np.sum(((still - turned) / np.hypot(se, turned_se)) ** 2))
+        assert wrong > 20 * chi2
+
+
+class TestBothDirections:
+    """Rays with the light and against it give the same PST of each quadrant of azimuths."""
+
+    @pytest.mark.parametrize(
+        ("shape", "turned"),
+        [
+            (PLATE | {"radius": 12.0}, {"rotation_deg": 25.0}),
+            pytest.param(
+                {"type": "frustum", "r0": 0.0, "z0": 0.0, "r1": 5.0, "z1": 1.0},
+                {"sample_axis": "meridian", "rotation_deg": 40.0},
+                marks=pytest.mark.slow,
+            ),
+        ],
+        ids=["curved", "turned cone"],
+    )
+    def test_pst(self, brdf: dict[str, Any], shape: dict[str, Any], turned: dict[str, Any]) -> None:
+        found = []
+        for method, rays in (("adjoint", 100_000), ("forward", 60_000)):
+            given = scene(brdf | turned, towards(35.0, 70.0), distance=12.0, radius=4.0, plate=shape, aim=False)
+            pst = mistray.pst(
+                given, [40.0], azimuths_deg=[0, 90, 180, 270], cell_deg=40.0, azimuth_cell_deg=90.0, method=method,
+                rays=rays, seed=3,
+            )  # fmt: skip
+            found.append(pst.map("single_scatter"))
+        (against, against_se), (along, along_se) = found
+        both = np.hypot(against_se, along_se)
+        clean = both < 0.05 * along  # a cell that one rare ray has lit says nothing
+        assert np.sum(clean) >= 3
+        assert_z("quadrants", against[clean], along[clean], both[clean], k=4.0)
+        assert along[clean].max() > 1.2 * along[clean].min()
+
+
+class TestGradient:
+    @pytest.mark.slow
+    def test_tilts(self, tmp_path: Path) -> None:
+        """Derivatives of the scattered power by tilts of the plate; 2 % is that slopes are differences over cells."""
+        file = brushed.write_asymmetrical_4d(
+            tmp_path / "fine.bsdf", np.arange(0.0, 361.0, 10.0), np.array([0.0, 10, 20, 30, 40, 50, 60, 70, 80])
+        )
+        model = {"type": "tabulated", "file": str(file), "anisotropy": "keep", "rotation_deg": 25.0}
+        given = scene(model, towards(40.0, 70.0), 35.0, 20.0, distance=12.0, radius=3.0)
+        settings: dict[str, Any] = {"rays": 20_000, "seed": 1, "max_scatters": 1}
+        params = mi.traverse(given)
+        keys = ["plate.tilt_x", "plate.tilt_y", "plate.tilt_z"]
+        gradient = mistray.gradient(metrics.path_power(given, "single scatter", **settings), params, keys)
+        scale = max(abs(float(np.ravel(value)[0])) for value in gradient.gradient.values())
+        for key in keys:
+            ends = []
+            for step in (2.0, -2.0):
+                params[key] = mi.Float(step)
+                params.update()
+                ends.append(mistray.trace(given, **settings).energy.detected_W)
+                params[key] = mi.Float(0.0)
+                params.update()
+            assert float(np.ravel(gradient.gradient[key])[0]) == pytest.approx(
+                (ends[0] - ends[1]) / 4, abs=0.05 * scale
+            )
