@@ -146,13 +146,14 @@ def _check_materials(axis: _Axis) -> None:
 
 
 def _check_ends(axis: _Axis, around: Mapping[float, str]) -> None:
-    """A lens whose rear stands ahead of its front: light starts and ends in its material, and no detector is there."""
+    """A lens whose rear stands ahead of its front: light starts and ends in it; what the detector is in is inside."""
     passed = [item for item in axis.placed if item.inner == 0 and not item.shape.bsdf().opaque]
     if len(passed) < 2 or not around:
         return
     first, last = passed[0], passed[-1]
     (starts, material), (ends, _) = first.material(ahead=False), last.material(ahead=True)
-    if starts == ends and starts not in around:
+    gap, _ = first.material(ahead=True)
+    if starts == ends and starts not in around and gap in around:
         raise MistrayError(
             f"surfaces {first} and {last}: light starts in '{material}' ahead of the one and ends in it behind the "
             f"other, and the detector stands in '{next(iter(around.values()))}'; exchange them, or correct its front"

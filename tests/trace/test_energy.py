@@ -152,7 +152,15 @@ class TestCuts:
             scene_text(
                 shape_xml("asphere", "front", 0.0, interface_xml(outside, pair[0]), semi_diameter=2.0),
                 shape_xml("asphere", "rear", 1.0, interface_xml(pair[1], outside), semi_diameter=2.0),
-                shape_xml("asphere", "detector", 2.0, sensor=True, half_width=2.0, half_height=2.0),
+                shape_xml(
+                    "asphere",
+                    "detector",
+                    2.0,
+                    interface_xml(outside, R=0.0),
+                    sensor=True,
+                    half_width=2.0,
+                    half_height=2.0,
+                ),
             )
         )
         t = mistray.trace(scene, rays=100)
