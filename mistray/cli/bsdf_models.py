@@ -238,7 +238,9 @@ def _polynomial(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
         try:
             named[name.strip()] = float(value)
         except ValueError:
-            raise MistrayError(f"--coefficients '{item}': write NAME=NUMBER, several between commas") from None
+            raise MistrayError(
+                f"--coefficients '{item}' is no coefficient; write NAME=NUMBER, several between commas"
+            ) from None
     return Polynomial(tuple(named.items()), **given)
 
 
