@@ -72,7 +72,11 @@ def test_python_examples(tmp_path):
 
 def test_links_lead_somewhere():
     for target in re.findall(r"\]\((?!https?:)([^)]+)\)", README):
-        assert (ROOT / target).exists(), target
+        page, _, part = target.partition("#")
+        assert (ROOT / page).exists(), target
+        if part:
+            headings = re.findall(r"(?m)^#+ (.+)$", (ROOT / page).read_text(encoding="utf-8"))
+            assert part in [re.sub(r"[^\w -]", "", heading.lower()).replace(" ", "-") for heading in headings], target
 
 
 def test_scenes_and_notebooks_are_all_named():
