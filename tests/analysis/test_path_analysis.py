@@ -167,7 +167,7 @@ def test_optical_spaces(tmp_path: Path) -> None:
 def test_wrong_aliases(lenses: Any) -> None:
     for aliases, named in (
         ({"c_*": "third"}, ("third", "'c_\\*'")),
-        ({"a_*": "first lens"}, ("first lens", "a_b")),
+        ({"a_*": "=first"}, ("=first", "first")),
         ("parent", ("parent", "'part'")),
     ):
         with pytest.raises(mistray.MistrayError, match=named[0]) as caught:

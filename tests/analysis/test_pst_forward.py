@@ -250,7 +250,7 @@ class TestBudget:
         """What several passes find is as good as one of as many rays: the error falls as the root of the rays."""
         grid = DirectionGrid.of([20.0])
         one = forward_pst(bare, grid, rays=16 * FIRST_RAYS)
-        several = forward_pst(bare, grid, rays=16 * FIRST_RAYS, relative_error=1e-6)
+        several = forward_pst(bare, grid, rays=16 * FIRST_RAYS, relative_error=1e-5)
         assert several.facts["rays"] == one.facts["rays"]
         assert_z("mean", several.value, one.value, np.hypot(one.standard_error, several.standard_error))
         # 32 batches know their own spread to 13 %; both together are off by 60 % once in 1000
