@@ -137,6 +137,7 @@ def test_bad_input(capsys, arguments: tuple[str, ...], words: str) -> None:
 def test_wavelengths() -> None:
     assert wavelengths(["400:500:50"]) == [400.0, 450.0, 500.0]
     assert wavelengths(["600", "400:410:5", "405"]) == [400.0, 405.0, 410.0, 600.0]
-    assert wavelengths(["0.4:0.7:0.1"]) == pytest.approx([0.4, 0.5, 0.6, 0.7])
-    with pytest.raises(MistrayError):
-        wavelengths(["-5"])
+    assert wavelengths(["10.4:10.7:0.1"]) == pytest.approx([10.4, 10.5, 10.6, 10.7])
+    for wrong in ("-5", "0.4:0.7:0.1"):
+        with pytest.raises(MistrayError):
+            wavelengths([wrong])

@@ -33,7 +33,6 @@ LIMIT_S = 10
 STUCK_S = 60  # after which even what never comes back to Python is ended, and the tests with it
 MEMORY = 8 << 30  # more than before, bytes; a file that asks for more is refused, not the machine halted
 THOUSAND = 1000  # damaged scenes in the long tests
-PARSER = program._parser()
 
 
 @dataclass(frozen=True)
@@ -85,9 +84,8 @@ def read_scene(path: Path) -> None:
 
 def import_file(path: Path) -> None:
     """The command with all that it prints."""
-    options = PARSER.parse_args(["import", str(path), "-o", str(path.with_suffix(".xml"))])
     with contextlib.redirect_stdout(io.StringIO()):
-        assert options.run(options) == 0
+        assert program._command(["import", str(path), "-o", str(path.with_suffix(".xml")), "--force"]) == 0
 
 
 KINDS = {

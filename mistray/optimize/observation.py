@@ -234,6 +234,9 @@ class Observation:
         known = list(dict.fromkeys((*(surface.id for surface in self.trace.surfaces), *sorted(met))))
         for event in event_words(text):
             surface, _, letter = event.rpartition(":")
+            if surface not in known:  # a wrong letter does not end its event, so that the next one belongs to it
+                surface = next((name for name in known if event.startswith(f"{name}:")), surface)
+                letter = event.removeprefix(f"{surface}:").split(" ")[0]
             if surface not in known:
                 close = difflib.get_close_matches(surface, known, n=3)
                 hint = f"did you mean {', '.join(map(repr, close))}?" if close else f"use {', '.join(known)}"
