@@ -35,7 +35,7 @@ def tracing_share(name: str, rays: int, steps: int = STEPS) -> Row:
                 "kind": "path_power",
                 "goal": "minimise",
                 "selection": "ghost",
-                "fields_deg": FIELDS_DEG,
+                "field_deg": FIELDS_DEG,
                 "wavelength_nm": WAVELENGTHS_NM,
                 "rays": rays,
                 "max_reflections": 2,

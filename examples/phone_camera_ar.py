@@ -110,7 +110,7 @@ def ghost_metric(coatings: Sequence[SharedCoating], wavelength_nm: Sequence[floa
     with tempfile.TemporaryDirectory() as folder:
         scene = mistray.load(write_recoated(find(SCENE), coatings, Path(folder) / "scene.xml"))
     traced = {"max_reflections": 2, "flux_threshold": 0, "rays": rays}
-    return path_power(scene, "ghost", fields_deg=FIELDS_DEG, wavelength_nm=wavelength_nm, **traced)
+    return path_power(scene, "ghost", field_deg=FIELDS_DEG, wavelength_nm=wavelength_nm, **traced)
 
 
 def measured(kind: str, layers: int, coatings: Sequence[SharedCoating], rays: int) -> Design:

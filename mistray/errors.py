@@ -13,7 +13,7 @@ class MistrayError(ValueError):
 
 
 class MistrayWarning(UserWarning):
-    """Input that is possible but improbable; the message names the object, the value and what is usual, in one line."""
+    """Input that is possible but improbable, or has an old name; one line says what is usual, or the new name."""
 
 
 class UnfinishedError(MistrayError):

@@ -92,6 +92,30 @@ class Range:
             raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {shown}; it {self.demand}")
         return int(value) if self.whole else value
 
+    def check_each(self, name: str, values: Any, owner: str = "") -> list[float]:
+        """
+        The numbers of one number or of a sequence of them.
+
+        Parameters
+        ----------
+        name, owner
+            As for `check`.
+        values : float or sequence of float
+
+        Raises
+        ------
+        MistrayError
+            If there is none, or one is no number or lies outside.
+        """
+        numbers = [values]
+        if not isinstance(values, str):
+            with contextlib.suppress(TypeError):
+                numbers = list(values)
+        if not numbers:
+            unit = f" in {self.unit}" if self.unit else ""
+            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is empty; give at least one number{unit}")
+        return [float(self.check(name, number, owner)) for number in numbers]
+
     def __call__(self, text: str) -> Any:
         """The number that a text of the command line is."""
         number = math.nan

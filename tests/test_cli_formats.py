@@ -29,8 +29,8 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         traced.append(trace_at(field_deg or 0.0))
         return traced[-1]
 
-    def pst(scene: Any, angles_deg: Any, *, map_pixels: int = 0, **given: Any) -> Any:
-        traced.append(fake_pst(angles_deg=angles_deg, map_pixels=map_pixels))
+    def pst(scene: Any, field_deg: Any, *, map_pixels: int = 0, **given: Any) -> Any:
+        traced.append(fake_pst(field_deg=field_deg, map_pixels=map_pixels))
         return traced[-1]
 
     monkeypatch.setattr(importlib.import_module("mistray.analysis.ghosts"), "trace", trace)
@@ -73,7 +73,7 @@ def test_ghosts_in_all_formats(capsys: pytest.CaptureFixture[str], fake: list[An
 
 def test_pst_in_all_formats(capsys: pytest.CaptureFixture[str], fake: list[Any], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    command = ("pst", "lens.xml", "--angles-deg", "0:40:20", "--map-angles-deg", "20", "--out", str(out), "--quiet")
+    command = ("pst", "lens.xml", "--field-deg", "0:40:20", "--map-field-deg", "20", "--out", str(out), "--quiet")
     assert run(capsys, *command, "--formats", "parquet", "fits") == (0, "", "")
     back = read_irradiance(out / "irradiance_20deg.fits")
     value, se = fake[0].irradiance(20.0)
@@ -92,7 +92,7 @@ def test_pst_in_all_formats(capsys: pytest.CaptureFixture[str], fake: list[Any],
         (("thermal", "x", "--formats", "fits"), "argument --formats: invalid choice: 'fits'"),
         (
             ("pst", "x", "--out", "out", "--formats", "npy"),
-            "--formats npy writes irradiance maps; say with --map-angles-deg of which angles",
+            "--formats npy writes irradiance maps; say with --map-field-deg of which angles",
         ),
         (("ghosts", "x", "--out", "out", "--formats", "tiff"), "argument --formats: invalid choice: 'tiff'"),
     ],

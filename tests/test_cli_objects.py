@@ -71,7 +71,7 @@ def test_tables_and_warning_of_an_open_tube(capsys, tube):
 
 def test_options_reach_the_search(capsys, tube):
     code, out, _ = run(
-        capsys, tube, *FEW, "--angles-deg", "10", "20:40:10", "--azimuth-deg", "30", "--view-half-angle-deg", "45",
+        capsys, tube, *FEW, "--field-deg", "10", "20:40:10", "--azimuth-deg", "30", "--view-half-angle-deg", "45",
         "--threshold", "1e-3", "--ray-control", "halt_all", "--no-total-reflection", "--seed", "7", "--max-events", "9",
         "--wavelength-nm", "600", "--stop", "wall", "--detector", "detector", "--json",
     )  # fmt: skip
@@ -123,11 +123,11 @@ def test_help_names_units(capsys):
     [
         (("--half-angle-deg", "0"), "must lie between 1e-6 and 90"),
         (("--half-angle-deg", "95"), "--half-angle-deg: 95 must lie"),
-        (("--angles-deg", "95"), "must lie between 0 and 90"),
-        (("--angles-deg", "90"), "angles_deg is 90"),
-        (("--angles-deg", "10", "--half-angle-deg", "5"), "two kinds of source"),
-        (("--angles-deg", "10", "--disc", "0", "1"), "two kinds of source"),
-        (("--azimuth-deg", "10"), "--azimuth-deg is about --angles-deg"),
+        (("--field-deg", "95"), "must lie between 0 and 90"),
+        (("--field-deg", "90"), "field_deg is 90"),
+        (("--field-deg", "10", "--half-angle-deg", "5"), "two kinds of source"),
+        (("--field-deg", "10", "--disc", "0", "1"), "two kinds of source"),
+        (("--azimuth-deg", "10"), "--azimuth-deg is about --field-deg"),
         (("--disc", "0", "-1"), "radius = -1 mm"),
         (("--view-half-angle-deg", "100"), "--view-half-angle-deg: 100 must lie"),
         (("--threshold", "2"), "--threshold: 2 must lie"),

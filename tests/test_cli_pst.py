@@ -49,11 +49,11 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     """Replaces scene and PST; notes the arguments of every call."""
     calls: list[dict[str, Any]] = []
 
-    def pst(scene: Any, angles_deg: Any, *, progress: Any, **given: Any) -> Any:
-        calls.append({"scene": scene, "angles_deg": list(angles_deg), **given})
+    def pst(scene: Any, field_deg: Any, *, progress: Any, **given: Any) -> Any:
+        calls.append({"scene": scene, "field_deg": list(field_deg), **given})
         progress(PstProgress.after(1000, 4000, 0.031, given["relative_error"], 60.0))
         azimuths, pixels = given["azimuths_deg"], given["map_pixels"]
-        return fake_pst(angles_deg, azimuths, map_pixels=pixels, convention=given["convention"], paths=given["paths"])
+        return fake_pst(field_deg, azimuths, map_pixels=pixels, convention=given["convention"], paths=given["paths"])
 
     monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.run"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda source: source)
@@ -63,7 +63,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
 def test_it_prints_the_main_table(capsys: Any, fake: list[dict[str, Any]]) -> None:
     code, out, err = run(capsys, "lens.xml")
     assert (code, err) == (0, "")
-    assert fake[0]["angles_deg"] == list(range(0, 81, 2))
+    assert fake[0]["field_deg"] == list(range(0, 81, 2))
     assert fake[0]["azimuths_deg"] is fake[0]["state"] is None
     assert "PST = E_det/E_⊥" in out
     assert "scatter at window_front" in out
@@ -101,7 +101,7 @@ def test_every_option_is_passed_on(capsys: Any, fake: list[dict[str, Any]]) -> N
     assert {setting.name for setting in fields(Settings)} <= set(same)
     arguments = [text for key, value in same.items() for text in ("--" + key.replace("_", "-"), str(value))]
     spectrum = ("--wavelength-nm", "450", "550", "--weights", "1", "3")
-    directions = ("--angles-deg", "0:4:2", "10", "20:40:10", "--azimuths-deg", "0:180:90")
+    directions = ("--field-deg", "0:4:2", "10", "20:40:10", "--azimuths-deg", "0:180:90")
     code, _, _ = run(
         capsys, "lens.xml", *arguments, *spectrum, *directions, "--up-to-deg", "60", "--paths-shown", "0", "--state",
         "run.npz",
@@ -110,7 +110,7 @@ def test_every_option_is_passed_on(capsys: Any, fake: list[dict[str, Any]]) -> N
     assert fake[0] == same | {
         "scene": "lens.xml",
         "method": "adjoint",
-        "angles_deg": [0, 2, 4, 10, 20, 30, 40],
+        "field_deg": [0, 2, 4, 10, 20, 30, 40],
         "azimuths_deg": pytest.approx([0, 90, 180]),
         "wavelength_nm": [450.0, 550.0],
         "weights": [1.0, 3.0],
@@ -124,8 +124,8 @@ def test_every_option_is_passed_on(capsys: Any, fake: list[dict[str, Any]]) -> N
 
 def test_it_writes_its_files(capsys: Any, fake: list[dict[str, Any]], tmp_path: Path) -> None:
     out = tmp_path / "out"
-    arguments = ["lens.xml", "--out", str(out), "--angles-deg", ANGLES, "--azimuths-deg", "0:270:90"]
-    code, text, _ = run(capsys, *arguments, "--map-angles-deg", "20", "40", "--map-azimuth-deg", "90")
+    arguments = ["lens.xml", "--out", str(out), "--field-deg", ANGLES, "--azimuths-deg", "0:270:90"]
+    code, text, _ = run(capsys, *arguments, "--map-field-deg", "20", "40", "--map-azimuth-deg", "90")
     assert code == 0
     assert fake[0]["map_pixels"] == 64
     assert fake[0]["state"] == out / "pst_state.npz"
@@ -139,13 +139,13 @@ def test_it_writes_its_files(capsys: Any, fake: list[dict[str, Any]], tmp_path: 
 
 
 def test_forward_saves_no_state(capsys: Any, fake: list[dict[str, Any]], tmp_path: Path) -> None:
-    assert run(capsys, "x", "--method", "forward", "--out", str(tmp_path), "--angles-deg", ANGLES)[0] == 0
+    assert run(capsys, "x", "--method", "forward", "--out", str(tmp_path), "--field-deg", ANGLES)[0] == 0
     assert fake[0]["method"] == "forward"
     assert fake[0]["state"] is None
 
 
 def test_json_and_quiet(capsys: Any, fake: list[dict[str, Any]]) -> None:
-    code, out, _ = run(capsys, "x", "--json", "--angles-deg", ANGLES, "--convention", "projected")
+    code, out, _ = run(capsys, "x", "--json", "--field-deg", ANGLES, "--convention", "projected")
     answer = json_units.read(out)
     assert code == 0
     assert answer["convention"] == "projected"
@@ -158,10 +158,10 @@ def test_json_and_quiet(capsys: Any, fake: list[dict[str, Any]]) -> None:
 
 def test_progress_on_a_terminal(capsys: Any, fake: list[dict[str, Any]], monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True)
-    _, _, err = run(capsys, "x", "--relative-error", "0.02", "--angles-deg", ANGLES)
+    _, _, err = run(capsys, "x", "--relative-error", "0.02", "--field-deg", ANGLES)
     assert "tracing:" in err
     assert "error 3.1 % of 2 %, 01:24 left" in err  # (3.1/2)² times the rays, of which one part took 60 s
-    assert run(capsys, "x", "--quiet", "--angles-deg", ANGLES)[2] == ""
+    assert run(capsys, "x", "--quiet", "--field-deg", ANGLES)[2] == ""
 
 
 @pytest.mark.parametrize(
@@ -180,21 +180,21 @@ def test_text_of_the_bar(progress: PstProgress, text: str) -> None:
 @pytest.mark.parametrize(
     ("arguments", "message"),
     [
-        (("--angles-deg", "0:95:5"), "argument --angles-deg: 95 must lie between 0 and 90 degrees"),
-        (("--angles-deg", "-5"), "argument --angles-deg: -5 must lie between 0 and 90 degrees"),
-        (("--angles-deg", "0:80"), "'0:80' is not a range; write first:last:step, such as 0:80:2"),
-        (("--angles-deg", "80:0:2"), "'80:0:2' must go up: first:last:step"),
-        (("--angles-deg", "0:80:0"), "'0:80:0' must go up"),
-        (("--angles-deg", "0:80:1e-6"), "is more than 10000 angles; give a larger step"),
-        (("--angles-deg", "wide"), "argument --angles-deg: 'wide' is not a number"),
-        (("--angles-deg", "20", "10"), "angles_deg must ascend; sort the field angles and give each once"),
+        (("--field-deg", "0:95:5"), "argument --field-deg: 95 must lie between 0 and 90 degrees"),
+        (("--field-deg", "-5"), "argument --field-deg: -5 must lie between 0 and 90 degrees"),
+        (("--field-deg", "0:80"), "'0:80' is not a range; write first:last:step, such as 0:80:2"),
+        (("--field-deg", "80:0:2"), "'80:0:2' must go up: first:last:step"),
+        (("--field-deg", "0:80:0"), "'0:80:0' must go up"),
+        (("--field-deg", "0:80:1e-6"), "is more than 10000 angles; give a larger step"),
+        (("--field-deg", "wide"), "argument --field-deg: 'wide' is not a number"),
+        (("--field-deg", "20", "10"), "field_deg must ascend; sort the field angles and give each once"),
         (("--azimuths-deg", "0:360:10"), "azimuths_deg holds an azimuth twice; give each once"),
         (("--azimuth-cell-deg", "5"), "azimuth_cell_deg is given without azimuths_deg"),
         (("--cell-deg", "3"), "cell_deg is 3; it must be at most the distance of two angles, 2 degrees"),
-        (("--map-angles-deg", "20"), "--map-angles-deg draws pictures; say with --out where they shall go"),
-        (("--map-angles-deg", "85", "--out", "o"), "angle 85° is in no cell; the nearest is that of 80°"),
-        (("--map-pixels", "32"), "--map-pixels without --map-angles-deg; say which angles to draw"),
-        (("--map-angles-deg", "20", "--out", "o", "--map-pixels", "0"), "--map-pixels: 0 must be a whole number"),
+        (("--map-field-deg", "20"), "--map-field-deg draws pictures; say with --out where they shall go"),
+        (("--map-field-deg", "85", "--out", "o"), "angle 85° is in no cell; the nearest is that of 80°"),
+        (("--map-pixels", "32"), "--map-pixels without --map-field-deg; say which angles to draw"),
+        (("--map-field-deg", "20", "--out", "o", "--map-pixels", "0"), "--map-pixels: 0 must be a whole number"),
         (("--up-to-deg", "60"), "--up-to-deg is about --relative-error; give that too, or leave it out"),
         (("--relative-error", "0"), "argument --relative-error: 0 must lie between 1e-5 and 1"),
         (("--method", "backward"), "argument --method: invalid choice: 'backward'"),
@@ -254,7 +254,7 @@ def test_a_real_plate(capfd: Any, tmp_path: Path) -> None:
     scene = write(tmp_path, scene_text(*shapes))
     out = tmp_path / "out"
     code, text, err = run(
-        capfd, str(scene), "--angles-deg", "5", "--cell-deg", "10", "--convention", "projected", "--rays", "2e5",
+        capfd, str(scene), "--field-deg", "5", "--cell-deg", "10", "--convention", "projected", "--rays", "2e5",
         "--out", str(out), "--json",
     )  # fmt: skip
     answer = json_units.read(text)
@@ -274,7 +274,7 @@ def test_a_detector_in_a_closed_box_has_the_pst_0_and_a_line_says_why(capfd: Any
     detector = shape_xml("asphere", "detector", sensor=True, half_width=1.0, half_height=1.0)
     scene = str(write(tmp_path, scene_text(box, detector)))
     out = tmp_path / "out"
-    code, text, err = run(capfd, scene, "--angles-deg", ANGLES, "--rays", "1e4", "--out", str(out))
+    code, text, err = run(capfd, scene, "--field-deg", ANGLES, "--rays", "1e4", "--out", str(out))
     assert (code, err) == (0, "")
     assert text.count("warning: ") == 1
     assert "warning: no light was seen at" in text
@@ -288,7 +288,7 @@ class TestSavedRun:
     scene = "plate_and_wall"
 
     def command(self, state: Path, *more: str) -> list[str]:
-        return [self.scene, "--angles-deg", ANGLES, "--state", str(state), *more]
+        return [self.scene, "--field-deg", ANGLES, "--state", str(state), *more]
 
     def start(self, state: Path, log: Path) -> subprocess.Popen:
         """The command without an end, in a process of its own, when its first state is on disk."""
@@ -348,7 +348,7 @@ class TestSavedRun:
         state = tmp_path / "state.npz"
         assert run(capfd, *self.command(state, "--rays", "1e4", "--quiet"))[0] == 0
         cases = [
-            (("--angles-deg", "0:80:10"), "had"),
+            (("--field-deg", "0:80:10"), "had"),
             (("--max-scatters", "2"), "max_scatters was 1 and is 2"),
             (("--seed", "3"), "seed was 0 and is 3"),
             (("--wavelength-nm", "633"), "wavelength_nm was [550] and is [633]"),
@@ -357,7 +357,7 @@ class TestSavedRun:
             message = fails(capfd, *self.command(state, "--rays", "1e4", "--resume"), *more)
             assert message.startswith(f"state '{state}' belongs to another run: ")
             assert text in message
-        message = fails(capfd, "plate", "--angles-deg", ANGLES, "--state", str(state), "--rays", "1e4", "--resume")
+        message = fails(capfd, "plate", "--field-deg", ANGLES, "--state", str(state), "--rays", "1e4", "--resume")
         assert "the scene is another one or has changed" in message
         state.write_bytes(state.read_bytes()[:-100])
         assert "is damaged" in fails(capfd, *self.command(state, "--rays", "1e4", "--resume"))

@@ -13,7 +13,7 @@ import pytest
 from mistray import cli
 from mistray.analysis.study.step import STEPS
 
-FEW = ("--rays", "2000", "--angles-deg", "0:60:20", "--field-deg", "0", "20")
+FEW = ("--rays", "2000", "--pst-field-deg", "0:60:20", "--field-deg", "0", "20")
 
 
 def run(capsys: Any, *arguments: str) -> tuple[int, str, str]:
@@ -61,8 +61,8 @@ def test_json(capsys: Any) -> None:
     ("arguments", "words"),
     [
         (("no_such_scene",), "scene 'no_such_scene': no such file"),
-        (("plate", "--angles-deg", "0:95:5"), "must lie between 0 and 90"),
-        (("plate", "--angles-deg", "10", "5"), "must ascend"),
+        (("plate", "--pst-field-deg", "0:95:5"), "must lie between 0 and 90"),
+        (("plate", "--pst-field-deg", "10", "5"), "must ascend"),
         (("plate", "--field-deg", "91"), "must lie between -90 and 90"),
         (("plate", "--rays", "0"), "--rays: 0 must"),
         (("plate", "--resume"), "--resume needs the folder"),

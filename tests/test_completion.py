@@ -66,7 +66,7 @@ def test_bash_proposes_the_options_of_a_command(bash, commands):
         flags = {flag for value in command.options for flag in value.flags}
         assert set(bash(command.name, "-")) == flags
     assert bash("ghosts", "plate", "--max-ref") == ["--max-reflections"]
-    assert set(bash("pst", "plate", "--angles-deg", "0", "10", "--map-a")) == {"--map-angles-deg", "--map-azimuth-deg"}
+    assert set(bash("pst", "plate", "--field-deg", "0", "10", "--map-f")) == {"--map-field-deg", "--map-azimuth-deg"}
 
 
 def test_bash_proposes_choices(bash):

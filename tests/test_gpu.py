@@ -36,7 +36,7 @@ PROGRAM = """
     found = {}
 
     lens = mistray.load("cooke_triplet")
-    for field, t in mistray.ghosts(lens, fields_deg=[0.0, 10.0], rays=rays).items():
+    for field, t in mistray.ghosts(lens, field_deg=[0.0, 10.0], rays=rays).items():
         found[f"ghosts at {field:g}"] = {row.events: (row.power_W, row.power_se_W) for row in t.paths}
         found[f"energy at {field:g}"] = {
             "detected": (t.energy.detected_W, t.energy.detected_se_W),
@@ -64,7 +64,7 @@ PROGRAM = """
     layer = Coating(preset="mgf2_quarter_wave", design_nm=550.0, name="ar")
     surfaces = tuple(s if s.front == s.back else replace(s, coating=layer) for s in build().surfaces)
     coated = replace(build(), surfaces=surfaces).to_scene()
-    metric = path_power(coated, "ghost", rays=rays // 5, fields_deg=(0.0,))
+    metric = path_power(coated, "ghost", rays=rays // 5, field_deg=(0.0,))
     g = mistray.gradient(metric, mi.traverse(coated), keys=["*.thickness_nm", "*.curvature"])
     found["gradient"] = {
         f"{key}[{k}]": (float(value), float(g.standard_error[key][k]))

@@ -89,8 +89,8 @@ def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) 
     assert "lens 1 → " in page
     events = rows[0]["events"]
     for command in (
-        ("pst", "--angles-deg", "0", "20", "--rays", "2000", "--out", "pst"),
-        ("study", "--quick", "--angles-deg", "0", "20", "--field-deg", "0", "--rays", "2000", "--out", "study"),
+        ("pst", "--field-deg", "0", "20", "--rays", "2000", "--out", "pst"),
+        ("study", "--quick", "--pst-field-deg", "0", "20", "--field-deg", "0", "--rays", "2000", "--out", "study"),
         ("view", *few, "--out", "view.html", "--layout", "layout.svg", "--save-rays", "rays.json"),
         ("sensitivity", "--rays", "100", "--kind", "curvature", "--paths", events, "--no-check", "--out", "s"),
         ("objects", "--rays", "1000", "--out", "objects"),

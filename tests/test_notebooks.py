@@ -44,9 +44,9 @@ CLAIMS = {
     "phone_camera_pst": """
         assert len(large) > 10 and 0.6 < ratio.min() < ratio.max() < 1.5
         assert len(in_both) >= 8
-        expected = T_A_over_A * np.cos(np.radians(curve.angles_deg[:9]))
+        expected = T_A_over_A * np.cos(np.radians(curve.field_deg[:9]))
         assert np.all(np.abs(direct[:9] - expected) < 4.5 * direct_se[:9] + 0.01 * expected)
-        assert any(14 <= b.angle_deg <= 20 for b in breaks(curve))
+        assert any(14 <= b.field_deg <= 20 for b in breaks(curve))
         assert once.loc[[20]].surface.iloc[0] == "barrel_4_cone" and once.loc[[20]].percent_of_first_level.iloc[0] > 35
         assert once.loc[[24]].surface.iloc[0] == "barrel_3_cone" and once.loc[[24]].percent_of_first_level.iloc[0] > 35
         assert abs(beam.scatter_surfaces(4.0).set_index("surface").power_W["window_front"] / 0.00512 - 1) < 0.2

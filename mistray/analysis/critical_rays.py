@@ -13,6 +13,8 @@ import numpy as np
 import pandas as pd
 
 from mistray.errors import MistrayError
+from mistray.ranges import FIELD_DEG
+from mistray.renamed import renamed
 from mistray.trace import trace
 from mistray.trace.path_events import DIRECT
 
@@ -20,9 +22,10 @@ RIM = 8
 RAYS = 4000
 
 
+@renamed(fields_deg="field_deg")
 def critical_rays(
     scene: Any,
-    fields_deg: Sequence[float] | None = None,
+    field_deg: float | Sequence[float] | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
     azimuth_deg: float | None = None,
     rim: int = RIM,
@@ -34,7 +37,7 @@ def critical_rays(
     Parameters
     ----------
     scene : mi.Scene
-    fields_deg : sequence of float, optional
+    field_deg : float or sequence of float, optional
         Field angles, degrees. Default: that of the scene's source.
     wavelength_nm, azimuth_deg
         As in `mistray.trace`.
@@ -58,7 +61,10 @@ def critical_rays(
     if rim < 1:
         raise MistrayError(f"rim is {rim}; ask for at least one ray")
     tables: list[pd.DataFrame] = []
-    for field in [None] if fields_deg is None else list(dict.fromkeys(fields_deg)):
+    wanted: list[float | None] = [None]
+    if field_deg is not None:
+        wanted = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "critical_rays")))
+    for field in wanted:
         t = trace(
             scene, rays=rays, field_deg=field, wavelength_nm=wavelength_nm, azimuth_deg=azimuth_deg, max_reflections=0,
             max_scatters=0,

@@ -28,6 +28,8 @@ from mistray.analysis.ranking import DirectImage, direct_image, ranked, stray_to
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.ranges import FIELD_DEG
+from mistray.renamed import renamed
 from mistray.trace import Settings, Trace, trace
 from mistray.trace.books import groups_of
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
@@ -489,9 +491,10 @@ def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
     return Estimate(*t.paths.power([i for path_ids in rows.path_ids for i in path_ids]))
 
 
+@renamed(fields_deg="field_deg")
 def ghosts(
     scene: Any,
-    fields_deg: float | Sequence[float] | None = None,
+    field_deg: float | Sequence[float] | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
     weights: Sequence[float] | None = None,
     azimuth_deg: float | None = None,
@@ -502,13 +505,13 @@ def ghosts(
     Trace a scene at several field angles and rank its stray light.
 
     The direct image on axis, the denominator of every normalised number, is taken from the field 0; when that is not
-    among ``fields_deg`` it is traced as well, without reflections and scatter.
+    among ``field_deg`` it is traced as well, without reflections and scatter.
 
     Parameters
     ----------
     scene : mi.Scene
         From `mistray.load`, with one source and one detector.
-    fields_deg : float or sequence of float, optional
+    field_deg : float or sequence of float, optional
         Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
     wavelength_nm, weights, azimuth_deg
         As in `mistray.trace`; None takes the scene's own value. The rays are shared by the wavelengths.
@@ -536,9 +539,9 @@ def ghosts(
         raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of ghosts; see mistray.trace.Settings")
     given = {"azimuth_deg": azimuth_deg, "wavelength_nm": wavelength_nm, "weights": weights, **settings}
     arguments = {key: value for key, value in given.items() if value is not None}
-    wanted = [None] if fields_deg is None else list(dict.fromkeys(np.atleast_1d(fields_deg).astype(float).tolist()))
-    if not wanted:
-        raise MistrayError("ghosts: fields_deg is empty; give at least one field angle in degrees")
+    wanted: list[float | None] = [None]
+    if field_deg is not None:
+        wanted = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "ghosts")))
     traces: dict[float, Trace] = {}
     try:
         for done, field in enumerate(wanted):

@@ -10,6 +10,7 @@ from typing import Any, NoReturn
 
 from mistray.errors import MistrayError
 from mistray.ranges import FINITE, POLAR_DEG, Range
+from mistray.renamed import by_new_names
 
 MOST_ANGLES = 10_000  # in one range
 FIELD_ANGLES = [float(angle) for angle in range(0, 81, 2)]  # of a PST, degrees
@@ -17,11 +18,36 @@ INTERRUPTED = 130  # exit status after Ctrl-C, as of a shell
 
 
 class Parser(argparse.ArgumentParser):
-    """Reports a wrong argument as any other bad input: in one line."""
+    """Reports a wrong argument as any other bad input: in one line; knows old names of options."""
+
+    def __init__(self, *args: Any, **kwargs: Any) -> None:
+        super().__init__(*args, **kwargs)
+        self._old_names: dict[str, str] = {}
 
     def error(self, message: str) -> NoReturn:
         """Raise instead of printing the usage and exiting."""
         raise MistrayError(f"{message}; see '{self.prog} --help'")
+
+    def take_old_name(self, old: str, new: str) -> None:
+        """Accept an option by an old name too, with a warning; the help does not show it."""
+        now: Any = self._option_string_actions[new]
+        self.add_argument(
+            old, action=type(now), type=now.type, nargs=now.nargs, default=argparse.SUPPRESS, help=argparse.SUPPRESS
+        )
+        self._old_names[old] = new
+
+    def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
+        """What argparse finds, with the values of old names under the new ones."""
+        found, others = super().parse_known_args(args, namespace)
+        for old, new in self._old_names.items():
+            before, now = (self._option_string_actions[name].dest for name in (old, new))
+            if hasattr(found, before):
+                given = {old: getattr(found, before)}
+                delattr(found, before)
+                if getattr(found, now) is not None:
+                    given[new] = getattr(found, now)
+                setattr(found, now, by_new_names(given, self._old_names, "")[new])
+        return found, others
 
 
 class Help(argparse.RawDescriptionHelpFormatter):

@@ -84,7 +84,8 @@ def described(commands: Any) -> list[Command]:
     names = _names()
     found = []
     for action in commands._choices_actions:
-        actions = [_value(item, names) for item in commands.choices[action.dest]._actions]
+        shown = [item for item in commands.choices[action.dest]._actions if item.help != argparse.SUPPRESS]
+        actions = [_value(item, names) for item in shown]
         options = tuple(value for value in actions if value.flags)
         positional = tuple(value for value in actions if not value.flags)
         found.append(Command(action.dest, action.help or "", options, positional))
@@ -102,7 +103,7 @@ def _names() -> dict[str, tuple[str, ...]]:
 
 def _value(action: argparse.Action, names: Mapping[str, tuple[str, ...]]) -> Value:
     label = str(action.metavar if isinstance(action.metavar, str) else action.dest)
-    text = "" if action.help in (None, argparse.SUPPRESS) else " ".join(str(action.help).split())
+    text = "" if action.help is None else " ".join(str(action.help).split())
     if action.nargs == 0:
         return Value("", text, tuple(action.option_strings))
     proposed = tuple(map(str, action.choices)) if action.choices is not None else names.get(label, ())

@@ -152,7 +152,7 @@ def run(options: argparse.Namespace) -> int:
             with progress_bar(options) as progress:
                 report = ghosts(
                     scene,
-                    fields_deg=options.field_deg,
+                    field_deg=options.field_deg,
                     wavelength_nm=options.wavelength_nm,
                     weights=options.weights,
                     azimuth_deg=options.azimuth_deg,

@@ -42,7 +42,7 @@ def add(commands: Any) -> None:
         "which the detector sees the outside past the optics are told as warnings.",
         epilog="examples:\n"
         "  mistray objects phone_camera --half-angle-deg 20 --out out\n"
-        "  mistray objects phone_camera_scatter --angles-deg 0 10 20:40:5 --rays 3e5\n"
+        "  mistray objects phone_camera_scatter --field-deg 0 10 20:40:5 --rays 3e5\n"
         "  mistray objects phone_camera --disc -5.75 3.083 --view-half-angle-deg 45 --threshold 0 --json",
         formatter_class=Help,
     )
@@ -50,11 +50,11 @@ def add(commands: Any) -> None:
     source = parser.add_argument_group("light from outside (one of the first three)")
     source.add_argument("--half-angle-deg", type=CONE_DEG, metavar="DEG",
                         help=f"from everywhere within this angle of the axis ({HALF_ANGLE_DEG:g})")  # fmt: skip
-    add_angles(source, "--angles-deg", "a distant source at field angles: numbers, and ranges first:last:step")
+    add_angles(source, "--field-deg", "a distant source at field angles: numbers, and ranges first:last:step")
     source.add_argument("--disc", type=PLACE_MM, nargs=2, metavar=("Z", "RADIUS"),
                         help="a Lambertian disc across the z axis, mm; its cone is --half-angle-deg")  # fmt: skip
     source.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG",
-                        help="azimuth of --angles-deg, from +y to -x (0)")  # fmt: skip
+                        help="azimuth of --field-deg, from +y to -x (0)")  # fmt: skip
     source.add_argument("--wavelength-nm", type=WAVELENGTH_NM, metavar="NM",
                         help="wavelength (first of the scene's source)")  # fmt: skip
     view = parser.add_argument_group("view of the detector")
@@ -74,6 +74,7 @@ def add(commands: Any) -> None:
     add_machine(tracing)
     output = add_output(parser, "objects.html, CSV, JSON and PNG files", FILES, formats=TABLE_FORMATS)
     output.add_argument("--rows", type=ROWS, default=ROWS_SHOWN, metavar="N", help=f"rows of each table ({ROWS_SHOWN})")
+    parser.take_old_name("--angles-deg", "--field-deg")
     parser.set_defaults(run=run)
 
 
@@ -97,7 +98,7 @@ def run(options: argparse.Namespace) -> int:
     given = {
         "rays": options.rays,
         "half_angle_deg": half_angle,
-        "angles_deg": options.angles_deg,
+        "field_deg": options.field_deg,
         "azimuth_deg": options.azimuth_deg,
         "source": source,
         "view_half_angle_deg": options.view_half_angle_deg,
@@ -135,11 +136,11 @@ def run(options: argparse.Namespace) -> int:
 
 def _check(options: argparse.Namespace) -> None:
     """Refuse arguments that do not fit together."""
-    if options.angles_deg is not None:
+    if options.field_deg is not None:
         for name in ("half_angle_deg", "disc"):
             if getattr(options, name) is not None:
                 raise MistrayError(
-                    f"--angles-deg and --{name.replace('_', '-')} are two kinds of source; give one of them"
+                    f"--field-deg and --{name.replace('_', '-')} are two kinds of source; give one of them"
                 )
     elif options.azimuth_deg is not None:
-        raise MistrayError("--azimuth-deg is about --angles-deg; give that too, or leave it out")
+        raise MistrayError("--azimuth-deg is about --field-deg; give that too, or leave it out")

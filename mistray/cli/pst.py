@@ -55,16 +55,16 @@ def add(commands: Any) -> None:
         "field angle: direct image, ghosts, single and multiple scatter, with standard errors and the strongest paths.",
         epilog="examples:\n"
         "  mistray pst phone_camera_scatter --out out\n"
-        "  mistray pst baffle_tube --angles-deg 0:10:1 12:80:2 --max-scatters 3 --rays 1e6\n"
+        "  mistray pst baffle_tube --field-deg 0:10:1 12:80:2 --max-scatters 3 --rays 1e6\n"
         "  mistray pst scene.xml --relative-error 0.02 --up-to-deg 60 --out out    # until 2 % everywhere up to 60°\n"
         "  mistray pst scene.xml --relative-error 0.01 --up-to-deg 60 --out out --resume    # go on to 1 %\n"
-        "  mistray pst scene.xml --azimuths-deg 0:350:10 --map-angles-deg 20 40 --out out\n"
-        "  mistray pst scene.xml --angles-deg 0 10 20 --method forward --convention projected --json",
+        "  mistray pst scene.xml --azimuths-deg 0:350:10 --map-field-deg 20 40 --out out\n"
+        "  mistray pst scene.xml --field-deg 0 10 20 --method forward --convention projected --json",
         formatter_class=Help,
     )
     add_scene(parser)
     directions = parser.add_argument_group("directions (angles: numbers, and ranges first:last:step)")
-    add_angles(directions, "--angles-deg", "field angles, ascending (0:80:2)")
+    add_angles(directions, "--field-deg", "field angles, ascending (0:80:2)")
     add_angles(directions, "--azimuths-deg", "azimuths of a map, from +y towards -x (the mean over all)", AZIMUTH_DEG)
     directions.add_argument("--cell-deg", type=CELL_WIDTH_DEG, metavar="DEG",
                             help="width of the cells of field angle that the PST is averaged over (2)")  # fmt: skip
@@ -93,9 +93,11 @@ def add(commands: Any) -> None:
     output = add_output(parser, "report.html, CSV, JSON and PNG files", FILES, formats=formats)
     output.add_argument("--paths-shown", type=ROWS, default=4, metavar="N",
                         help="strongest stray paths of each angle; 0: no paths (4)")  # fmt: skip
-    add_angles(output, "--map-angles-deg", "field angles of irradiance maps of the detector (need --out)")
+    add_angles(output, "--map-field-deg", "field angles of irradiance maps of the detector (need --out)")
     output.add_argument("--map-azimuth-deg", type=AZIMUTH_DEG, metavar="DEG", help="their azimuth (the first one)")
     output.add_argument("--map-pixels", type=PIXELS, metavar="N", help=f"pixels along their longer side ({MAP_PIXELS})")
+    parser.take_old_name("--angles-deg", "--field-deg")
+    parser.take_old_name("--map-angles-deg", "--map-field-deg")
     parser.set_defaults(run=run, outputs=("out", "state"))
 
 
@@ -110,7 +112,7 @@ def run(options: argparse.Namespace) -> int:
 
     claim_folder(options)
     grid = DirectionGrid.of(
-        FIELD_ANGLES if options.angles_deg is None else options.angles_deg,
+        FIELD_ANGLES if options.field_deg is None else options.field_deg,
         options.azimuths_deg,
         options.cell_deg,
         options.azimuth_cell_deg,
@@ -129,7 +131,7 @@ def run(options: argparse.Namespace) -> int:
 
             found = pst(
                 scene,
-                grid.angles_deg,
+                grid.field_deg,
                 method=options.method,
                 convention=options.convention,
                 azimuths_deg=None if options.azimuths_deg is None else grid.azimuths_deg,
@@ -172,13 +174,13 @@ def _check(options: argparse.Namespace) -> None:
         raise MistrayError("--up-to-deg is about --relative-error; give that too, or leave it out")
     check_formats(options)
     pictures = [name for name in options.formats if name in MAP_FORMATS]
-    if pictures and options.map_angles_deg is None:
-        raise MistrayError(f"--formats {pictures[0]} writes irradiance maps; say with --map-angles-deg of which angles")
-    if options.map_angles_deg is not None and options.out is None:
-        raise MistrayError("--map-angles-deg draws pictures; say with --out where they shall go")
+    if pictures and options.map_field_deg is None:
+        raise MistrayError(f"--formats {pictures[0]} writes irradiance maps; say with --map-field-deg of which angles")
+    if options.map_field_deg is not None and options.out is None:
+        raise MistrayError("--map-field-deg draws pictures; say with --out where they shall go")
     for name in ("map_pixels", "map_azimuth_deg"):
-        if getattr(options, name) is not None and options.map_angles_deg is None:
-            raise MistrayError(f"--{name.replace('_', '-')} without --map-angles-deg; say which angles to draw")
+        if getattr(options, name) is not None and options.map_field_deg is None:
+            raise MistrayError(f"--{name.replace('_', '-')} without --map-field-deg; say which angles to draw")
     if options.method == "forward" and (options.resume or options.state is not None):
         given = "resume" if options.resume else "state"
         raise MistrayError(f"--{given} with --method forward; only the adjoint method can go on from a saved run")
@@ -204,10 +206,10 @@ def _write_formats(found: Pst, options: argparse.Namespace, maps_at: list[tuple[
 
 def _maps_at(options: argparse.Namespace, grid: DirectionGrid) -> list[tuple[float, float]]:
     """Directions whose maps of the detector are drawn; each must lie in a cell."""
-    if options.map_angles_deg is None:
+    if options.map_field_deg is None:
         return []
     azimuth = float(grid.azimuths_deg[0]) if options.map_azimuth_deg is None else options.map_azimuth_deg
-    directions = [(angle, azimuth) for angle in dict.fromkeys(options.map_angles_deg)]
+    directions = [(angle, azimuth) for angle in dict.fromkeys(options.map_field_deg)]
     for direction in directions:
         grid.nearest(*direction)
     return directions

@@ -33,13 +33,13 @@ METRICS: dict[str, tuple[str, ...]] = {
     "rms_spot": ("field_deg",),
     "transmission": ("field_deg",),
     "relative_illumination": ("field_deg",),
-    "pst_bin": ("angle_deg", "light"),
+    "pst_bin": ("field_deg", "light"),
     "pst_band": ("band_deg", "light"),
     "veiling_glare": ("patch_deg",),
 }
-NEEDED = {"relative_illumination": "field_deg", "pst_bin": "angle_deg", "pst_band": "band_deg",
+NEEDED = {"relative_illumination": "field_deg", "pst_bin": "field_deg", "pst_band": "band_deg",
           "veiling_glare": "patch_deg"}  # fmt: skip
-OWN = ("paths", "field_deg", "angle_deg", "band_deg", "patch_deg", "light")
+OWN = ("paths", "field_deg", "band_deg", "patch_deg", "light")
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index")
 
 # What --out writes
@@ -68,8 +68,7 @@ def add(commands: Any) -> None:
     what.add_argument("--paths", metavar="KIND",
                       help="of path_power and the like: ghost, stray … or the events of one path (ghost)")  # fmt: skip
     what.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG",
-                      help="field angles, averaged (the source's own)")  # fmt: skip
-    what.add_argument("--angle-deg", type=POLAR_DEG, metavar="DEG", help="of pst_bin: its field angle")
+                      help="field angles, averaged (the source's own); of pst_bin one, that of the PST")  # fmt: skip
     what.add_argument(
         "--band-deg", type=POLAR_DEG, nargs=2, metavar=("LOW", "HIGH"), help="of pst_band: its ends, degrees"
     )
@@ -99,6 +98,7 @@ def add(commands: Any) -> None:
     add_scatter(parser)
     output = add_output(parser, "report.html, CSV files, JSON and pictures", FILES)
     output.add_argument("--top", type=ROWS, default=20, metavar="N", help="rows of the table (20)")
+    parser.take_old_name("--angle-deg", "--field-deg")
     parser.set_defaults(run=run)
 
 
@@ -169,10 +169,14 @@ def _metric_keywords(options: argparse.Namespace) -> dict[str, Any]:
     if options.paths is not None:
         found["selection"] = options.paths
     if options.field_deg is not None:
-        found["fields_deg"] = tuple(options.field_deg)
+        found["field_deg"] = tuple(options.field_deg)
+        if options.metric == "pst_bin":
+            if len(options.field_deg) > 1:
+                raise MistrayError("the metric pst_bin is about one field angle; give one --field-deg")
+            (found["field_deg"],) = options.field_deg
     if options.band_deg is not None:
         found["low_deg"], found["high_deg"] = options.band_deg
-    for name in ("angle_deg", "patch_deg", "light"):
+    for name in ("patch_deg", "light"):
         if getattr(options, name) is not None:
             found[name] = getattr(options, name)
     return found

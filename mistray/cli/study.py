@@ -49,14 +49,14 @@ def add(commands: Any) -> None:
         "(ghosts at some fields, PST at all angles, causes). Prints what was found; --out writes one report.",
         epilog="examples:\n"
         "  mistray study phone_camera_scatter --quick --out out\n"
-        "  mistray study scene.xml --angles-deg 0:80:2 --field-deg 0 10 18 22 --rays 4e6 --out out\n"
+        "  mistray study scene.xml --pst-field-deg 0:80:2 --field-deg 0 10 18 22 --rays 4e6 --out out\n"
         "  mistray study scene.xml --relative-error 0.05 --rays 1e8 --out out    # until 5 % at every angle\n"
         "  mistray study scene.xml --quick --json",
         formatter_class=Help,
     )
     add_scene(parser)
     what = parser.add_argument_group("what is traced")
-    add_angles(what, "--angles-deg", "field angles of the PST, numbers and ranges first:last:step (0:80:2)")
+    add_angles(what, "--pst-field-deg", "field angles of the PST, numbers and ranges first:last:step (0:80:2)")
     what.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG",
                       help="field angles of the ghosts (0, 1/2, 1 and 5/4 of the half field)")  # fmt: skip
     what.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG",
@@ -74,6 +74,7 @@ def add(commands: Any) -> None:
         parser, "report.html and a CSV file of every table", FILES, shown="findings", formats=TABLE_FORMATS
     )
     output.add_argument("--resume", action="store_true", help="go on with the PST that was saved in --out")
+    parser.take_old_name("--angles-deg", "--pst-field-deg")
     parser.set_defaults(run=run)
 
 
@@ -102,7 +103,7 @@ def run(options: argparse.Namespace) -> int:
         with workers_of(options), _progress(options) as progress:
             found = study(
                 scene,
-                FIELD_ANGLES if options.angles_deg is None else options.angles_deg,
+                FIELD_ANGLES if options.pst_field_deg is None else options.pst_field_deg,
                 options.field_deg,
                 quick=options.quick,
                 wavelength_nm=options.wavelength_nm,

@@ -47,8 +47,8 @@ def add(commands: Any) -> None:
         "  mistray sweep cooke_triplet --field-deg 0 10 20 --wavelength-nm 450 550 650\n"
         "  mistray sweep cooke_triplet examples/triplet_states.toml --field-deg 0 20 --rays 1e5 --out out/sweep\n"
         "  mistray sweep scene.xml states.toml --json --no-cache\n"
-        "  mistray sweep baffle_tube edits.toml --pst-deg 10:60:10 --rays 1e6    # what each edit does to the PST\n"
-        "  mistray sweep baffle_tube --pst-deg 10:60:10 --rank --step rim=0.5         # which edit would pay",
+        "  mistray sweep baffle_tube edits.toml --pst-field-deg 10:60:10 --rays 1e6   # what each edit does\n"
+        "  mistray sweep baffle_tube --pst-field-deg 10:60:10 --rank --step rim=0.5     # which would pay",
         formatter_class=Help,
     )
     add_scene(parser)
@@ -57,29 +57,30 @@ def add(commands: Any) -> None:
     what = parser.add_argument_group("what is traced (default: as the scene says)")
     what.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG", help="field angles, degrees")
     what.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG", help="azimuth of the fields about z, degrees")
-    add_angles(what, "--pst-deg", "instead of fields: the PST at these field angles before and after what each "
+    add_angles(what, "--pst-field-deg", "instead of fields: the PST at these field angles before and after what each "
                "configuration moves, paints, coats or blocks")  # fmt: skip
     what.add_argument("--rank", action="store_true",
-                      help="with --pst-deg: rank what can be moved, blocked, painted and coated by the derivatives of "
-                      "the stray PST; STUDY may be left out")  # fmt: skip
+                      help="with --pst-field-deg: rank what can be moved, blocked, painted and coated by the "
+                      "derivatives of the stray PST; STUDY may be left out")  # fmt: skip
     what.add_argument("--step", nargs="+", type=_step, metavar="KEY=STEP",
                       help="of --rank: steps by kind (position, tilt, rim, scatter, share, coating), key or pattern, "
                       "in the unit of the parameter or per cent of its value, 2%% (0.1 mm and deg; 1%% of scatter and "
                       "of R; 1 nm)")  # fmt: skip
     what.add_argument("--wavelength-nm", type=WAVELENGTH_NM, nargs="+", metavar="NM", help="wavelengths, nm")
-    add_scheduler(add_ray_tree(parser, "start rays of every row (1e6; 4e6 with --pst-deg)"))
+    add_scheduler(add_ray_tree(parser, "start rays of every row (1e6; 4e6 with --pst-field-deg)"))
     add_scatter(parser)
     output = add_output(parser, "report.html, CSV files, JSON and a picture", FILES, formats=TABLE_FORMATS)
     output.add_argument("--no-cache", action="store_true", help="neither read results from the cache nor keep them")
+    parser.take_old_name("--pst-deg", "--pst-field-deg")
     parser.set_defaults(run=run)
 
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    if options.pst_deg is not None:
+    if options.pst_field_deg is not None:
         return _run_pst(options)
     if options.rank or options.step:
-        raise MistrayError("--rank and --step are about the PST; give its field angles with --pst-deg")
+        raise MistrayError("--rank and --step are about the PST; give its field angles with --pst-field-deg")
     check_formats(options)
     start_mitsuba(options)
     from mistray.report.sweep_tables import sweep_record, sweep_text
@@ -129,9 +130,9 @@ def _run_pst(options: argparse.Namespace) -> int:
     }
     for name, value in given.items():
         if value:
-            raise MistrayError(f"{name} is for traces of fields; leave it out with --pst-deg")
+            raise MistrayError(f"{name} is for traces of fields; leave it out with --pst-field-deg")
     if options.study is None and not options.rank:
-        raise MistrayError("--pst-deg compares configurations; give a TOML file with them, or --rank")
+        raise MistrayError("--pst-field-deg compares configurations; give a TOML file with them, or --rank")
     if options.step and not options.rank:
         raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
     start_mitsuba(options)
@@ -166,7 +167,7 @@ def _swept_pst(options: argparse.Namespace) -> PstSweep:
         return sweep_pst(
             options.scene,
             read_configurations(options.study),
-            options.pst_deg,
+            options.pst_field_deg,
             progress=progress,
             wavelength_nm=options.wavelength_nm,
             **settings_of(options),
@@ -181,7 +182,7 @@ def _ranked(options: argparse.Namespace) -> EditRanking:
     with workers_of(options), progress_bar(options) as progress:
         return rank_edits(
             options.scene,
-            options.pst_deg,
+            options.pst_field_deg,
             steps=dict(options.step or ()),
             progress=progress,
             **{key: value for key, value in settings.items() if value is not None},

@@ -30,7 +30,7 @@ TRACED: dict[str, Callable[..., Metric]] = {
         relative_illumination,
     )
 }
-"""Of traces: `factory(scene, **own, fields_deg=…, **arguments of mistray.trace)`."""
+"""Of traces: `factory(scene, **own, field_deg=…, **arguments of mistray.trace)`."""
 OF_PST: dict[str, Callable[..., Metric]] = {
     factory.__name__: factory for factory in (pst_bin, pst_band, pst_mask, veiling_glare)
 }

@@ -16,6 +16,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.optimize.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum
 from mistray.optimize.views import View
+from mistray.ranges import FIELD_DEG
+from mistray.renamed import renamed
 from mistray.trace import trace
 from mistray.trace.path_events import DIRECT
 
@@ -23,6 +25,10 @@ AXIS_DEG = 0.0
 SMALLEST_STEP_DEG, LARGEST_STEP_DEG = 0.02, 0.5  # between the fields of a slope
 
 
+_FIELDS = renamed(fields_deg="field_deg")
+
+
+@_FIELDS
 @dataclass(frozen=True)
 class Metric:
     """
@@ -34,7 +40,7 @@ class Metric:
     function : callable
         Takes a list of `Observation`, one for each field, and returns a Dr.Jit scalar made from their `power`,
         `moments`, `map` and `irradiance` with smooth functions.
-    fields_deg : tuple of float or None
+    field_deg : tuple of float or None
         Field angles, degrees; None: the source's own.
     wavelength_nm, weights
         As for `mistray.trace`.
@@ -48,7 +54,7 @@ class Metric:
 
     scene: Any
     function: Callable[[list[Any]], Any]
-    fields_deg: tuple[float, ...] | None = None
+    field_deg: tuple[float, ...] | None = None
     wavelength_nm: float | Sequence[float] | None = None
     weights: Sequence[float] | None = None
     settings: Any = None
@@ -59,7 +65,7 @@ class Metric:
     def views(self) -> list[View]:
         """What is traced, in the order of the observations."""
         light = {"wavelength_nm": self.wavelength_nm, "weights": self.weights}
-        fields: Sequence[float | None] = (None,) if self.fields_deg is None else self.fields_deg
+        fields: Sequence[float | None] = (None,) if self.field_deg is None else self.field_deg
         return [View({**(self.settings or {}), **light, "field_deg": angle}) for angle in fields]
 
     def observe(self, times: float = 1.0, **changes: Any) -> list[Any]:
@@ -189,6 +195,7 @@ def log(metric: Metric) -> Metric:
     return replace(metric, function=function, unit="1", name=f"logarithm of the {metric.name}")
 
 
+@_FIELDS
 def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
     Detected power of some paths over the launched power, mean over the fields, W/W.
@@ -199,11 +206,12 @@ def path_power(scene: Any, selection: Selection = "ghost", **traced: Any) -> Met
     selection : str, sequence of str or callable
         See `Observation.power`.
     **traced
-        `fields_deg`, `wavelength_nm`, `weights` of `Metric`, and arguments of `mistray.trace`.
+        `field_deg`, `wavelength_nm`, `weights` of `Metric`, and arguments of `mistray.trace`.
     """
     return _mean(scene, lambda o: o.power(selection) / o.launched_W, traced, "W/W", "path power")
 
 
+@_FIELDS
 def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -> Metric:
     """
     Power of the ghosts (or of another selection) over that of the direct image, mean over the fields, 1.
@@ -214,6 +222,7 @@ def ghost_to_signal(scene: Any, selection: Selection = "ghost", **traced: Any) -
     return _mean(scene, lambda o: o.power(selection) / _signal(o, name), traced, "1", name)
 
 
+@_FIELDS
 def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> Metric:
     """
     A smooth function of the detector's irradiance, mean over the fields.
@@ -229,6 +238,7 @@ def image_metric(scene: Any, function: Callable[[Any], Any], **traced: Any) -> M
     return _mean(scene, lambda o: function(o.irradiance), traced, "", "image metric")
 
 
+@_FIELDS
 def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
     Smooth maximum of the irradiance of some paths over the pixels of the detector, mean over the fields, W/mm².
@@ -249,6 +259,7 @@ def peak_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float =
     return _mean(scene, lambda o: o.peak(selection, norm), traced, "W/mm2", "peak irradiance")
 
 
+@_FIELDS
 def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
     RMS irradiance P / (π r²) of the brightest ghost, mean over the fields, W/mm²; r is its RMS radius.
@@ -275,6 +286,7 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     )
 
 
+@_FIELDS
 def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NORM, **traced: Any) -> Metric:
     """
     RMS radius of the ghost that is best in focus, mean over the fields, mm; large is good.
@@ -291,6 +303,7 @@ def ghost_focus(scene: Any, selection: Selection = "ghost", *, norm: float = NOR
     )
 
 
+@_FIELDS
 def rms_spot(scene: Any, **traced: Any) -> Metric:
     """
     RMS radius of the direct image about its centroid, all wavelengths together, mean over the fields, mm.
@@ -300,6 +313,7 @@ def rms_spot(scene: Any, **traced: Any) -> Metric:
     return _mean(scene, lambda o: o.moments(DIRECT).rms_radius, traced, "mm", "RMS spot")
 
 
+@_FIELDS
 def transmission(scene: Any, **traced: Any) -> Metric:
     """
     Power of the direct image over the launched power, mean over the fields, W/W.
@@ -310,6 +324,7 @@ def transmission(scene: Any, **traced: Any) -> Metric:
     return _mean(scene, lambda o: o.power(DIRECT) / o.launched_W, traced, "W/W", "transmission")
 
 
+@_FIELDS
 def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced: Any) -> Metric:
     """
     Relative illumination of the image of an even scene, mean over the fields, 1.
@@ -327,13 +342,13 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
         for the slope there. None: a tenth of the smallest field off the axis, 0.02° … 0.5°, in the field. The slope is
         wrong by about step² d³r/dθ³ / 3.
     **traced
-        As for `path_power`, with `fields_deg`; the axis is traced as well.
+        As for `path_power`, with `field_deg`; the axis is traced as well.
     """
     name = "relative illumination"
-    fields = _own(traced)["fields_deg"] or ()
+    fields = _own(traced)["field_deg"] or ()
     off_axis = [angle for angle in fields if angle != AXIS_DEG]
     if not off_axis:
-        raise MistrayError("relative illumination needs fields_deg off the axis, 15 or (10, 15) say")
+        raise MistrayError("relative illumination needs field_deg off the axis, 15 or (10, 15) say")
     if step_deg is None:
         nearest = min(map(abs, off_axis))  # no step leads out of the field
         step_deg = min(LARGEST_STEP_DEG, max(nearest / 10, min(nearest, SMALLEST_STEP_DEG)))
@@ -351,7 +366,7 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
         light = sum(group[0].power(DIRECT) * _solid_angle(axis, group) for group in groups)
         return (len(fields) - len(off_axis) + light / signal) / len(fields)
 
-    return _metric(scene, function, {**traced, "fields_deg": angles}, "1", name)
+    return _metric(scene, function, {**traced, "field_deg": angles}, "1", name)
 
 
 def _distance(a: Observation, b: Observation) -> Any:
@@ -407,19 +422,14 @@ def _mean(scene: Any, number: Callable[[Observation], Any], traced: dict[str, An
 def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, Any], unit: str, name: str) -> Metric:
     own = _own(traced)
     settings = {key: value for key, value in traced.items() if key not in own}
-    known = [key for key in inspect.signature(trace).parameters if key not in ("scene", "field_deg")]
-    require_known(settings, ["fields_deg", *known])
+    known = [key for key in inspect.signature(trace).parameters if key != "scene"]
+    require_known(settings, known)
     return Metric(scene, function, settings=settings, unit=unit, name=name, **own)
 
 
 def _own(traced: dict[str, Any]) -> dict[str, Any]:
     """The attributes of `Metric` among the keywords of a metric's function."""
-    if "field_deg" in traced:
-        raise MistrayError(f"metric: field_deg = {traced['field_deg']}; give fields_deg instead of field_deg")
-    own = {key: traced.get(key) for key in ("fields_deg", "wavelength_nm", "weights")}
-    if own["fields_deg"] is not None:
-        fields = np.atleast_1d(np.asarray(own["fields_deg"], dtype=np.float64))
-        if not fields.size:
-            raise MistrayError("fields_deg is empty; give at least one field angle, or leave it out")
-        own["fields_deg"] = tuple(fields.tolist())
+    own = {key: traced.get(key) for key in ("field_deg", "wavelength_nm", "weights")}
+    if own["field_deg"] is not None:
+        own["field_deg"] = tuple(FIELD_DEG.check_each("field_deg", own["field_deg"], "metric"))
     return own

@@ -16,11 +16,14 @@ from mistray.optimize.metrics import Metric, require_known
 from mistray.optimize.observation import NORM, smooth_maximum
 from mistray.optimize.pst_observation import Light, PstObservation, named_classes, require_convention, require_quantity
 from mistray.optimize.views import PstView, View
+from mistray.ranges import POLAR_DEG
+from mistray.renamed import renamed
 from mistray.trace import Settings
 from mistray.trace.directions import CELL_DEG
 from mistray.trace.upload import upload
 
-FIELD_DEG = 90.0
+LARGEST_DEG = 90.0
+PST_FIELD = "pst_field_deg"  # field angles of the PST; `field_deg` is that of the metric
 NO_SETTINGS = ("scene", "settings", "progress", "convention")  # of mistray.pst
 
 
@@ -34,7 +37,7 @@ class PstMetric(Metric):
     function : callable
         Takes a list of one `PstObservation` and returns a Dr.Jit scalar.
     settings : dict
-        Arguments of `mistray.pst`: angles_deg, rays, max_scatters, seed, …. `fields_deg`, `wavelength_nm` and `weights`
+        Arguments of `mistray.pst`: field_deg, rays, max_scatters, seed, …. `field_deg`, `wavelength_nm` and `weights`
         of `Metric` are not used.
     """
 
@@ -44,9 +47,10 @@ class PstMetric(Metric):
         return [PstView(self.settings or {})]
 
 
+@renamed(angle_deg="field_deg", angles_deg="pst_field_deg")
 def pst_bin(
     scene: Any,
-    angle_deg: float,
+    field_deg: float,
     light: Light = "stray",
     *,
     azimuth_deg: float | None = None,
@@ -59,7 +63,7 @@ def pst_bin(
     Parameters
     ----------
     scene : mi.Scene
-    angle_deg : float
+    field_deg : float
         0 … 90.
     light : str or sequence of str
         See `PstObservation`.
@@ -68,23 +72,24 @@ def pst_bin(
     convention : {"normal", "projected"}
         E_det / E_⊥, or E_det / (E_⊥ cos θ).
     **traced
-        Arguments of `mistray.pst`; `angles_deg` is `angle_deg` alone, a cell 2° wide, unless given. Metrics with the
-        same settings share one trace in `combine`.
+        Arguments of `mistray.pst`, with `pst_field_deg` for its field angles: `field_deg` alone, a cell 2° wide, unless
+        given. Metrics with the same settings share one trace in `combine`.
     """
     require_convention(convention)
-    settings = {"angles_deg": (float(angle_deg),), **traced}
+    settings = {PST_FIELD: (float(POLAR_DEG.check("field_deg", field_deg)),), **traced}
     if azimuth_deg is not None:
         settings = {"azimuths_deg": (float(azimuth_deg),), **settings}
     return _metric(
         scene,
-        lambda o: o.value_at(angle_deg, light, azimuth_deg, convention),
+        lambda o: o.value_at(field_deg, light, azimuth_deg, convention),
         light,
         settings,
         "1",
-        f"PST at {angle_deg:g}°",
+        f"PST at {field_deg:g}°",
     )
 
 
+@renamed(angles_deg="pst_field_deg")
 def pst_band(
     scene: Any,
     low_deg: float,
@@ -114,11 +119,11 @@ def pst_band(
     interpolation : {"cells", "linear", "log"}
         See `PstObservation.band`.
     **traced
-        As for `pst_bin`; without `angles_deg` cells of at most 2° fill the band.
+        As for `pst_bin`; without `pst_field_deg` cells of at most 2° fill the band.
     """
     require_quantity(quantity)
     require_convention(convention)
-    if not 0 <= low_deg < high_deg <= FIELD_DEG:
+    if not 0 <= low_deg < high_deg <= LARGEST_DEG:
         raise MistrayError(f"band from {low_deg:g} to {high_deg:g}°; field angles must ascend within 0 … 90 degrees")
     return _metric(
         scene,
@@ -130,10 +135,11 @@ def pst_band(
     )
 
 
+@renamed(angles_deg="field_deg")
 def pst_mask(
     scene: Any,
-    angles_deg: Sequence[float],
-    limits: Sequence[float],
+    field_deg: float | Sequence[float],
+    limits: float | Sequence[float],
     light: Light = "stray",
     *,
     convention: str = "normal",
@@ -146,9 +152,9 @@ def pst_mask(
     Parameters
     ----------
     scene : mi.Scene
-    angles_deg : sequence of float
+    field_deg : float or sequence of float
         Field angles, ascending; the mean over the azimuths counts.
-    limits : sequence of float
+    limits : float or sequence of float
         Largest PST at each of them, greater than 0.
     light : str or sequence of str
         See `PstObservation`.
@@ -160,26 +166,30 @@ def pst_mask(
         As for `pst_bin`.
     """
     require_convention(convention)
-    highest = np.asarray(limits, dtype=np.float64)
-    if highest.shape != (len(angles_deg),) or not np.all((highest > 0) & np.isfinite(highest)):
+    if PST_FIELD in traced:
+        raise MistrayError(f"a mask has a PST at its own field angles; leave out {PST_FIELD}")
+    angles = tuple(POLAR_DEG.check_each("field_deg", field_deg))
+    highest = np.atleast_1d(np.asarray(limits, dtype=np.float64))
+    if highest.shape != (len(angles),) or not np.all((highest > 0) & np.isfinite(highest)):
         raise MistrayError(
-            f"mask of {len(angles_deg)} angles and {highest.size} limits; give one limit greater than 0 for each angle"
+            f"mask of {len(angles)} angles and {highest.size} limits; give one limit greater than 0 for each angle"
         )
 
     def number(o: PstObservation) -> Any:
         return smooth_maximum(o.curve(light, convention) / upload(mi.Float64, highest), norm)
 
-    settings = {**traced, "angles_deg": tuple(map(float, angles_deg))}
+    settings = {**traced, PST_FIELD: angles}
     return _metric(scene, number, light, settings, "1", "PST over its mask")
 
 
+@renamed(angle_deg="field_deg", angles_deg="pst_field_deg")
 def veiling_glare(
     scene: Any,
     patch_deg: float,
-    angle_deg: float = 0.0,
+    field_deg: float = 0.0,
     azimuth_deg: float = 0.0,
     *,
-    source_deg: float = FIELD_DEG,
+    source_deg: float = LARGEST_DEG,
     place: str = "mean",
     interpolation: str = "cells",
     **traced: Any,
@@ -190,17 +200,17 @@ def veiling_glare(
     Parameters
     ----------
     scene : mi.Scene
-    patch_deg, angle_deg, azimuth_deg, source_deg, interpolation
+    patch_deg, field_deg, azimuth_deg, source_deg, interpolation
         As for `mistray.analysis.metrics.glare.veiling_glare_index`.
     place : {"mean", "point"}
         E_black is the mean of the stray light over the detector, or the detector lies within the image of the patch.
     **traced
-        As for `pst_bin`; without `angles_deg` cells of 2° fill the source.
+        As for `pst_bin`; without `pst_field_deg` cells of 2° fill the source.
     """
     return _metric(
         scene,
         lambda o: o.veiling_glare_index(
-            patch_deg, angle_deg, azimuth_deg, source_deg=source_deg, place=place, interpolation=interpolation
+            patch_deg, field_deg, azimuth_deg, source_deg=source_deg, place=place, interpolation=interpolation
         ),
         "total",
         _filled(0.0, source_deg, traced),
@@ -211,13 +221,13 @@ def veiling_glare(
 
 def _filled(low_deg: float, high_deg: float, traced: dict[str, Any]) -> dict[str, Any]:
     """The settings with cells that fill a band, unless they name angles."""
-    if "angles_deg" in traced:
+    if PST_FIELD in traced:
         return traced
     if "cell_deg" in traced:
-        raise MistrayError("cell_deg is given without angles_deg; give the angles too")
+        raise MistrayError("cell_deg is given without pst_field_deg; give the angles too")
     count = int(np.ceil((high_deg - low_deg) / CELL_DEG))
     width = (high_deg - low_deg) / count
-    return {**traced, "angles_deg": tuple((low_deg + width * (np.arange(count) + 0.5)).tolist()), "cell_deg": width}
+    return {**traced, PST_FIELD: tuple((low_deg + width * (np.arange(count) + 0.5)).tolist()), "cell_deg": width}
 
 
 def _metric(
@@ -229,7 +239,10 @@ def _metric(
     name: str,
 ) -> PstMetric:
     named_classes(light)
-    known = [key for key in inspect.signature(pst).parameters if key not in NO_SETTINGS]
+    known = [
+        PST_FIELD if key == "field_deg" else key for key in inspect.signature(pst).parameters if key not in NO_SETTINGS
+    ]
     require_known(settings, [*known, *(f.name for f in fields(Settings) if f.name not in known)])
+    settings = {"field_deg" if key == PST_FIELD else key: value for key, value in settings.items()}
     PstView(settings)  # what no such metric can have
     return PstMetric(scene, lambda observations: number(observations[0]), settings=settings, unit=unit, name=name)

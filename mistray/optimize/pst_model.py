@@ -118,7 +118,7 @@ class PstBands:
             for low, high in pairwise(edges)
             for azimuth in (azimuths_deg if azimuths_deg is not None else [None])
         ]
-        view = PstView({"angles_deg": tuple(middles.tolist()), "cell_deg": float(cell_deg), **azimuths, **traced})
+        view = PstView({"field_deg": tuple(middles.tolist()), "cell_deg": float(cell_deg), **azimuths, **traced})
         self._view = view
 
     def observe(self, values: Sequence[float] | np.ndarray, **changes: Any) -> PstObservation:

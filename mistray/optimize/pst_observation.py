@@ -14,6 +14,7 @@ from mistray.analysis.metrics.glare import glare_cells
 from mistray.analysis.pst.result import CONVENTIONS, STRAY, Pst
 from mistray.errors import MistrayError
 from mistray.optimize.observation import leaf
+from mistray.renamed import renamed
 from mistray.trace.raw_gradient import RawGradient, Wanted
 from mistray.trace.sampled import Sampled
 from mistray.trace.sky import CLASSES
@@ -78,15 +79,16 @@ class PstObservation:
         """Sum over the cells of coefficients, (n, m), times PST_normal."""
         return dr.sum(self.cells(light) * upload(mi.Float64, np.asarray(coefficients, dtype=np.float64)))
 
+    @renamed(angle_deg="field_deg")
     def value_at(
-        self, angle_deg: float, light: Light = "stray", azimuth_deg: float | None = None, convention: str = "normal"
+        self, field_deg: float, light: Light = "stray", azimuth_deg: float | None = None, convention: str = "normal"
     ) -> mi.Float64:
         """
         PST of the cell of a field angle.
 
         Parameters
         ----------
-        angle_deg : float
+        field_deg : float
         light : str or sequence of str
         azimuth_deg : float, optional
             By default the mean over the azimuths.
@@ -99,7 +101,7 @@ class PstObservation:
         """
         require_convention(convention)
         grid = self.pst.grid
-        i, j = grid.nearest(angle_deg, float(grid.azimuths_deg[0]) if azimuth_deg is None else azimuth_deg)
+        i, j = grid.nearest(field_deg, float(grid.azimuths_deg[0]) if azimuth_deg is None else azimuth_deg)
         weights = np.zeros(grid.shape)
         weights[i, slice(None) if azimuth_deg is None else j] = 1 / (grid.shape[1] if azimuth_deg is None else 1)
         return self.weighted(weights / grid.mean_cosine[i] if convention == "projected" else weights, light)
@@ -165,10 +167,11 @@ class PstObservation:
             curve = self._values[[CLASSES.index(name) for name in named_classes(light)]].sum(axis=0)
         return cover(self.pst.grid, source, interpolation, curve).coefficients
 
+    @renamed(angle_deg="field_deg")
     def veiling_glare_index(
         self,
         patch_deg: float,
-        angle_deg: float = 0.0,
+        field_deg: float = 0.0,
         azimuth_deg: float = 0.0,
         *,
         source_deg: float = 90.0,
@@ -180,7 +183,7 @@ class PstObservation:
 
         Parameters
         ----------
-        patch_deg, angle_deg, azimuth_deg, source_deg, interpolation
+        patch_deg, field_deg, azimuth_deg, source_deg, interpolation
             As for `mistray.analysis.metrics.glare.veiling_glare_index`.
         place : {"mean", "point"}
 
@@ -194,7 +197,7 @@ class PstObservation:
         black, white, light = glare_cells(
             self.pst,
             patch_deg,
-            angle_deg,
+            field_deg,
             azimuth_deg,
             source_deg=source_deg,
             place=place,

@@ -13,6 +13,7 @@ from mistray.optimize.allocation import SCATTER, PowerCost, StepCost
 from mistray.optimize.factories import FACTORIES
 from mistray.optimize.metrics import Metric
 from mistray.optimize.section import Section
+from mistray.renamed import old_names
 
 
 @dataclass(frozen=True)
@@ -116,7 +117,7 @@ def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetS
 
 def _study(section: Section) -> BudgetStudy:
     section.known(("require", "choose", "traced", "solver"))
-    traced = dict(section.table("traced").content)
+    traced = section.table("traced")
     requirements = tuple(_requirement(item, traced) for item in section.tables("require"))
     choices = tuple(_choice(item) for item in section.tables("choose"))
     for key, found in (("require", requirements), ("choose", choices)):
@@ -135,13 +136,14 @@ def _study(section: Section) -> BudgetStudy:
     )
 
 
-def _requirement(section: Section, traced: Mapping[str, Any]) -> Requirement:
+def _requirement(section: Section, traced: Section) -> Requirement:
     kind = section.choice("metric", None, tuple(FACTORIES))
     if "limit" not in section.content:
         raise section.fail("limit", "is missing; give the greatest value that the metric may have")
     limit = section.positive("limit", 1.0)
-    own = {key: value for key, value in section.content.items() if key not in ("metric", "limit")}
-    arguments = {**traced, **own}
+    names = old_names(FACTORIES[kind])
+    own = {key: value for key, value in section.renamed(names).content.items() if key not in ("metric", "limit")}
+    arguments = {**traced.renamed(names).content, **own}
     needed = [
         name
         for name, parameter in inspect.signature(FACTORIES[kind]).parameters.items()

@@ -14,7 +14,7 @@ from mistray.optimize.search import METHODS
 from mistray.optimize.search.nlopt import ALGORITHMS, installed
 from mistray.optimize.section import Section
 from mistray.optimize.study import SEEDS, Optimizer, Study
-from mistray.optimize.terms import of_layers
+from mistray.optimize.terms import of_layers, old_arguments
 
 PATIENCE = {"sqp": 3, "lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps
 STARTS = 4  # with coatings
@@ -44,7 +44,7 @@ def read_study(source: str | Path | Mapping[str, Any]) -> Study:
 
 def _read(whole: Section, name: str) -> Study:
     whole.known(SECTIONS)
-    trace = whole.table("trace")
+    trace = whole.table("trace").renamed(old_arguments("path_power"))
     trace.known(TRACE_KEYS)
     shared = read_traced(trace)
     terms = tuple(read_term(section, shared) for section in whole.tables("term"))

@@ -8,7 +8,16 @@ from typing import Any
 from mistray.errors import MistrayError
 from mistray.optimize.section import Section, nearest
 from mistray.optimize.study import GOALS, Term
-from mistray.optimize.terms import KINDS, LIGHT, OF_LAYERS, check_term, of_layers, own_arguments, traced_arguments
+from mistray.optimize.terms import (
+    KINDS,
+    LIGHT,
+    OF_LAYERS,
+    check_term,
+    of_layers,
+    old_arguments,
+    own_arguments,
+    traced_arguments,
+)
 
 TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance", "floor_of_start")
 TRACE_KEYS = traced_arguments("path_power")
@@ -19,7 +28,7 @@ def read_traced(section: Section) -> dict[str, Any]:
     """Settings of traces among the keys of a section, checked as far as that goes without knowing what they are for."""
     found: dict[str, Any] = {}
     for key, value in section.content.items():
-        if key == "fields_deg":
+        if key == "field_deg":
             fields = section.spaced(key, -90.0, "degrees")
             if fields is not None and not all(-90 < angle < 90 for angle in fields):
                 raise section.fail(key, f"is {list(fields)}; angles lie between -90 and 90 degrees")
@@ -60,6 +69,7 @@ def read_term(section: Section, trace: Mapping[str, Any]) -> Term:
         raise section.fail("kind", f"is {kind!r}; {nearest(str(kind), KINDS)}")
     called = kind if isinstance(kind, str) else getattr(kind, "__name__", "term")
     own, settings = own_arguments(kind), traced_arguments(kind)
+    section = section.renamed(old_arguments(kind))
     section.known((*TERM_KEYS, *own, *(key for key in settings if key not in own)))
     for key, needed in own.items():
         if needed and key not in section.content:

@@ -263,7 +263,7 @@ def sensitivity(
         tuple(_without_derivative(given, known)),
         found.seconds,
         {
-            "fields_deg": metric.fields_deg,
+            "field_deg": metric.field_deg,
             "wavelength_nm": metric.wavelength_nm,
             **(metric.settings or {}),
             "tolerances": dict(tolerances or {}),

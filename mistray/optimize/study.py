@@ -41,7 +41,7 @@ class Term:
     own : mapping
         Arguments of the kind, such as `paths` or `coatings`.
     traced : mapping
-        `fields_deg`, `wavelength_nm`, `weights` and arguments of `mistray.trace` but `seed`.
+        `field_deg`, `wavelength_nm`, `weights` and arguments of `mistray.trace` but `seed`.
     """
 
     name: str

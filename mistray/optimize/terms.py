@@ -14,6 +14,7 @@ from mistray.errors import MistrayError
 from mistray.optimize.factories import FACTORIES, OF_PST
 from mistray.optimize.metrics import Metric
 from mistray.optimize.study import CoatingGroup, Term
+from mistray.renamed import old_names
 from mistray.trace import Settings, trace
 
 SOFT_NM = 0.2  # of the smooth minimum of thicknesses
@@ -108,7 +109,12 @@ def traced_arguments(kind: Any) -> tuple[str, ...]:
         return ()
     settings = [f.name for f in fields(Settings) if f.name != "seed"]
     named = [name for name in inspect.signature(pst if kind in OF_PST else trace).parameters if name not in FIXED]
-    return tuple(dict.fromkeys([*([] if kind in OF_PST else ["fields_deg"]), *named, *settings]))
+    return tuple(dict.fromkeys(["pst_field_deg" if kind in OF_PST else "field_deg", *named, *settings]))
+
+
+def old_arguments(kind: Any) -> dict[str, str]:
+    """Old → new names of arguments of a kind of term."""
+    return {} if kind in OF_LAYERS else old_names(kind if callable(kind) else FACTORIES[kind])
 
 
 def traced_metric(term: Term, scene: Any, seed: int, **changes: Any) -> Metric:

@@ -172,7 +172,7 @@ def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0) ->
 
 def _cells(term: Term, scene: Any) -> dict[Cell, Metric]:
     """A term as a whole, at each field, at each wavelength and at each of both."""
-    fields = list(term.traced.get("fields_deg") or ())
+    fields = list(term.traced.get("field_deg") or ())
     lines = list(term.traced.get("wavelength_nm") or ())
     weights = np.array(term.traced.get("weights") or [1.0] * len(lines))
     fields, lines = ([] if of_pst(term) or len(v) < 2 else v for v in (fields, lines))
@@ -180,7 +180,7 @@ def _cells(term: Term, scene: Any) -> dict[Cell, Metric]:
     cells += [(None, k) for k in range(len(lines))] + [(angle, k) for angle in fields for k in range(len(lines))]
     result = {}
     for angle, k in cells:
-        changes: dict[str, Any] = {} if angle is None else {"fields_deg": (angle,)}
+        changes: dict[str, Any] = {} if angle is None else {"field_deg": (angle,)}
         if k is not None:
             rays = max(1, round(float(weights[k] / weights.sum()) * term.traced.get("rays", RAYS)))
             changes |= {"wavelength_nm": lines[k], "weights": None, "rays": rays}

@@ -25,14 +25,14 @@ def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
         Lines at most.
     """
     columns = [("edit", ""), ("parameter", ""), ("value", ""), ("step", ""), ("unit", "")]
-    columns += [(f"at {angle:g} deg", "% per step") for angle in found.angles_deg]
+    columns += [(f"at {angle:g} deg", "% per step") for angle in found.field_deg]
     matter = [edit for edit in found.edits if any(change.value for change in edit.change)]
     lines = [
         [edit.method, edit.label, number(edit.value), number(edit.step), edit.unit]
         + [with_error(Estimate(100 * change.value, 100 * change.se)) for change in edit.change]
         for edit in matter[:count]
     ]
-    pst = ", ".join(f"{with_error(at)} at {angle:g} deg" for angle, at in zip(found.angles_deg, found.pst, strict=True))
+    pst = ", ".join(f"{with_error(at)} at {angle:g} deg" for angle, at in zip(found.field_deg, found.pst, strict=True))
     parts = [f"PST of the {found.light} light: {pst}", "", text_table(columns, lines, left=(0, 1, 4))]
     if len(matter) > count:
         parts.append(f"… and {len(matter) - count} with less")

@@ -260,7 +260,7 @@ def _settings(settings: dict[str, Any], report: GhostReport, command: str) -> st
     assumptions = "".join(f"<li>{escape(text)}</li>" for text in texts)
     definitions = "".join(f"<dt>{escape(term)}</dt><dd>{escape(text)}</dd>" for term, text in DEFINITIONS)
     shown = {key: value for key, value in settings.items() if key not in ("field_deg", "versions")}
-    shown["fields_deg"] = ", ".join(f"{field:g}" for field in report)
+    shown["field_deg"] = ", ".join(f"{field:g}" for field in report)
     shown |= {f"version of {name}": version for name, version in dict(settings.get("versions") or {}).items()}
     pairs = ((escape(str(key)), escape(setting_text(value))) for key, value in shown.items())
     items = "".join(f"<dt>{key}</dt><dd>{value}</dd>" for key, value in pairs)

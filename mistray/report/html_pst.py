@@ -109,7 +109,7 @@ def _finding(pst: Pst) -> str:
     """The result in two sentences."""
     if pst.is_dark:
         return "No light was seen at any angle."
-    angles, (total, total_se), (stray, stray_se) = pst.angles_deg, pst.curve(), pst.curve("stray")
+    angles, (total, total_se), (stray, stray_se) = pst.field_deg, pst.curve(), pst.curve("stray")
     first = f"PST({angles[0]:g}°) = <b>{with_error(Estimate(float(total[0]), float(total_se[0])))}</b>"
     edge = field_edge(pst)
     if edge is not None:
@@ -134,11 +134,11 @@ def curve_figure(pst: Pst, title: str = "") -> str:
             (name, with_error(Estimate(float(value[i]), float(se[i]))) if value[i] else ABSENT)
             for name, (value, se) in curves.items()
         ]
-        for i in range(len(pst.angles_deg))
+        for i in range(len(pst.field_deg))
     ]
-    titles = [f"PST at {angle:g}°" for angle in pst.angles_deg]
+    titles = [f"PST at {angle:g}°" for angle in pst.field_deg]
     caption = "PST of all light, of the stray light and of each class; below, relative standard errors."
-    return hover_figure("data-curve", figure, figure.axes[0], list(pst.angles_deg), titles, values, caption)
+    return hover_figure("data-curve", figure, figure.axes[0], list(pst.field_deg), titles, values, caption)
 
 
 def causes_figure(pst: Pst, title: str = "") -> str:
@@ -148,9 +148,9 @@ def causes_figure(pst: Pst, title: str = "") -> str:
         [(str(name), f"{number(float(share), 3)} %") for name, share in row.items() if share > 0]
         for _, row in table.iterrows()
     ]
-    titles = [f"stray light at {angle:g}°" for angle in pst.angles_deg]
+    titles = [f"stray light at {angle:g}°" for angle in pst.field_deg]
     caption = "Where the stray light comes from: first surface that scatters it; ghosts are light only reflected."
-    return hover_figure("data-causes", figure, figure.axes[0], list(pst.angles_deg), titles, values, caption)
+    return hover_figure("data-causes", figure, figure.axes[0], list(pst.field_deg), titles, values, caption)
 
 
 def _causes(pst: Pst, title: str) -> str:
@@ -159,7 +159,7 @@ def _causes(pst: Pst, title: str) -> str:
     if found:
         rows = [
             [
-                cell(f"{item.angle_deg:g}"),
+                cell(f"{item.field_deg:g}"),
                 *(cell(f"{slope:+.3f}") for slope in (item.slope_before, item.slope_after)),
                 *(cell(causes_text(causes), "t") for causes in (item.before, item.after)),
             ]
@@ -188,7 +188,7 @@ def _table(pst: Pst) -> str:
     curves = [pst.curve(group) for group in ("total", "stray", *shown)]
     share = largest_share(pst)
     rows = []
-    for i, angle in enumerate(pst.angles_deg):
+    for i, angle in enumerate(pst.field_deg):
         pairs = (Estimate(float(value[i]), float(se[i])) for value, se in curves)
         cells = [number_cell(pair) if pair.value else cell(ABSENT) for pair in pairs]
         rows.append([cell(f"{angle:g}"), *cells, cell(number(100 * float(share[i]), 3) if share[i] else ABSENT)])
@@ -201,7 +201,7 @@ def _paths(pst: Pst, count: int) -> str:
         ("rays", ""), ("PST", ""), ("of stray light", "%"), ("of all light", "%"), ("surfaces", "T R I t r A", "t"),
     ]  # fmt: skip
     rows = []
-    for angle in pst.angles_deg:
+    for angle in pst.field_deg:
         for rank, row in enumerate(stray_paths(pst, angle, count).itertuples(index=False), 1):
             rows.append(
                 [

@@ -82,7 +82,7 @@ def study_html(study: Study, pictures: Mapping[str, bytes], command: str = "") -
 
 def _head(study: Study) -> str:
     settings = study.settings
-    angles, fields = settings["angles_deg"], settings["fields_deg"]
+    angles, fields = settings["pst_field_deg"], settings["field_deg"]
     lines = ", ".join(f"{line:g}" for line in settings["wavelength_nm"])
     text = (
         f"PST at {len(angles)} angles from {angles[0]:g} to {angles[-1]:g}° ({settings['convention']}), ghosts at "

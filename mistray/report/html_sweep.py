@@ -46,7 +46,7 @@ def sweep_html(result: Sweep, picture: bytes, title: str = "scene", command: str
     """
     warnings = "".join(f"<li>{escape(text)}</li>" for text in result.warnings)
     box = f'<div class="warnings"><b>Mind</b><ul>{warnings}</ul></div>' if warnings else ""
-    size = f"{len(result.configurations)} configurations, {len(result.fields_deg)} fields, "
+    size = f"{len(result.configurations)} configurations, {len(result.field_deg)} fields, "
     size += f"{len(result.wavelengths_nm)} wavelengths"
     drawn = figure(image(picture, CAPTION), CAPTION)
     sections = [

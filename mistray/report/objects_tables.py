@@ -163,8 +163,8 @@ def shot_frame(found: Objects) -> pd.DataFrame:
             "rays": shot.rays,
             "share": shot.share,
             "share_se": shot.share_se,
-            "angle_from_deg": shot.angles_deg[0],
-            "angle_to_deg": shot.angles_deg[1],
+            "angle_from_deg": shot.field_deg[0],
+            "angle_to_deg": shot.field_deg[1],
         }
         for shot in found.straight_shots
     ]
@@ -177,7 +177,7 @@ def objects_record(found: Objects, estimates: pd.DataFrame) -> dict[str, Any]:
     record = {
         "facts": found.facts,
         "stop": found.stop,
-        "angles_deg": list(found.angles_deg),
+        "angles_deg": list(found.field_deg),
         **{name: found.to_pandas(name).to_dict("records") for name in LISTS},
         "estimates": estimates.to_dict("records"),
         "straight_shots": shot_frame(found).to_dict("records"),

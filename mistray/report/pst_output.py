@@ -44,9 +44,9 @@ def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ())
     return pictures
 
 
-def map_name(pst: Pst, angle_deg: float, azimuth_deg: float) -> str:
+def map_name(pst: Pst, field_deg: float, azimuth_deg: float) -> str:
     """File name without ending of the map of the detector for a source at some field angle and azimuth."""
-    return f"irradiance_{angle_deg:g}deg{f'_{azimuth_deg:g}deg' if pst.grid.shape[1] > 1 else ''}"
+    return f"irradiance_{field_deg:g}deg{f'_{azimuth_deg:g}deg' if pst.grid.shape[1] > 1 else ''}"
 
 
 def csv_tables(pst: Pst) -> dict[str, pd.DataFrame]:

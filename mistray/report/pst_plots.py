@@ -16,6 +16,7 @@ from mistray.analysis.irradiance import log_range
 from mistray.analysis.pst.causes import cause_frame, field_edge
 from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
+from mistray.renamed import renamed
 from mistray.report.plots import (
     BLACK,
     BLUE,
@@ -64,7 +65,7 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
     """
     figure = Figure(figsize=(10.4, 6.6), dpi=120, layout="constrained")
     above, below = figure.subplots(2, 1, sharex=True, height_ratios=(3.4, 1))
-    angles = pst.angles_deg
+    angles = pst.field_deg
     limits = _pst_range(pst)
     above.set_yscale("log")
     if limits is None:
@@ -163,7 +164,8 @@ def pst_map(pst: Pst, title: str = "") -> Figure:
     return figure
 
 
-def pst_irradiance(pst: Pst, angle_deg: float, azimuth_deg: float = 0.0) -> Figure:
+@renamed(angle_deg="field_deg")
+def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figure:
     """
     Irradiance on the detector from a distant source of 1 W/mm² on a log10 scale.
 
@@ -171,16 +173,16 @@ def pst_irradiance(pst: Pst, angle_deg: float, azimuth_deg: float = 0.0) -> Figu
     ----------
     pst : Pst
         Computed with ``map_pixels``.
-    angle_deg, azimuth_deg : float
+    field_deg, azimuth_deg : float
         Field angle and azimuth; the map is that of the cell that holds them.
     """
-    value, se = pst.irradiance(angle_deg, azimuth_deg)
+    value, se = pst.irradiance(field_deg, azimuth_deg)
     x0, x1, y0, y1 = pst.extent_mm
     figure = Figure(figsize=(5.6, 0.9 + 4.4 * max((y1 - y0) / (x1 - x0), 0.45)), dpi=120, layout="constrained")
     axes = figure.subplots()
     picture = draw_map(axes, value, pst.extent_mm, log_range([value]))
     at = "mean over all azimuths" if pst.grid.azimuth_cell_deg >= 360 else f"azimuth {azimuth_deg:g}°"
-    axes.set_title(f"source at {angle_deg:g}°, {at}", fontsize=10)
+    axes.set_title(f"source at {field_deg:g}°, {at}", fontsize=10)
     axes.set_xlabel("x [mm]")
     axes.set_ylabel("y [mm]")
     if picture is not None:
@@ -211,15 +213,15 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
     colour, width, marker = CURVES[group]
     shown = np.where(value > 0, value, np.nan)
     axes.plot(
-        pst.angles_deg, shown, color=colour, lw=width, marker=marker, ms=3 if marker else 0,
+        pst.field_deg, shown, color=colour, lw=width, marker=marker, ms=3 if marker else 0,
         label=LABELS.get(group, name_of(group)), solid_capstyle="butt", zorder=2 if group == "stray" else 3,
     )  # fmt: skip
     if group != "stray":
         low = np.maximum(shown - se, floor / 10)
-        axes.fill_between(pst.angles_deg, low, shown + se, color=colour, alpha=0.25, lw=0, zorder=2.5)
+        axes.fill_between(pst.field_deg, low, shown + se, color=colour, alpha=0.25, lw=0, zorder=2.5)
         beside = np.pad(value > 0, 1)
         alone = (value > 0) & ~beside[:-2] & ~beside[2:]  # a band needs a neighbour
-        axes.vlines(pst.angles_deg[alone], low[alone], (shown + se)[alone], color=colour, lw=2.5, alpha=0.25)
+        axes.vlines(pst.field_deg[alone], low[alone], (shown + se)[alone], color=colour, lw=2.5, alpha=0.25)
 
 
 def _errors(axes: Axes, pst: Pst) -> None:
@@ -228,14 +230,14 @@ def _errors(axes: Axes, pst: Pst) -> None:
         value, se = pst.curve(group)
         lit = value > 0
         percent = np.where(lit, 100 * se / np.where(lit, value, 1.0), np.nan)
-        axes.plot(pst.angles_deg, np.where(percent > 0, percent, np.nan), color=BLACK, ls=style, lw=1.1,
+        axes.plot(pst.field_deg, np.where(percent > 0, percent, np.nan), color=BLACK, ls=style, lw=1.1,
                   label=f"standard error, {LABELS[group].partition(':')[0]}")  # fmt: skip
     share = 100 * largest_share(pst)
-    axes.plot(pst.angles_deg, np.where(share > 0, share, np.nan), color=ORANGE, lw=1.1, label="largest ray of scatter")
+    axes.plot(pst.field_deg, np.where(share > 0, share, np.nan), color=ORANGE, lw=1.1, label="largest ray of scatter")
     wanted = pst.facts.get("relative_error")
     if wanted:
         until = pst.facts.get("error_up_to_deg")
-        axes.plot([pst.angles_deg[0], pst.angles_deg[-1] if until is None else until], [100 * wanted] * 2, color=GREY,
+        axes.plot([pst.field_deg[0], pst.field_deg[-1] if until is None else until], [100 * wanted] * 2, color=GREY,
                   lw=0.9, ls="--", label="error asked for")  # fmt: skip
     axes.set_yscale("log")
     axes.set_ylabel("[%]")

@@ -49,7 +49,7 @@ def curve_frame(pst: Pst) -> pd.DataFrame:
     scattered light (the largest of the azimuths).
     """
     columns: dict[str, Any] = {
-        "angle_deg": pst.angles_deg,
+        "angle_deg": pst.field_deg,
         "angle_from_deg": pst.grid.edges_deg[:, 0],
         "angle_to_deg": pst.grid.edges_deg[:, 1],
         "convention": pst.convention,
@@ -69,14 +69,14 @@ def cell_frame(pst: Pst) -> pd.DataFrame:
 def largest_share(pst: Pst) -> np.ndarray:
     """(n,) share of the scattered light in its strongest ray, the largest of the azimuths; NaN if it is not known."""
     if pst.largest_share is None:
-        return np.full(len(pst.angles_deg), np.nan)
+        return np.full(len(pst.field_deg), np.nan)
     return np.asarray(pst.largest_share.max(axis=1))
 
 
 def path_frame(pst: Pst) -> pd.DataFrame:
     """All paths of all cells: angle_deg, azimuth_deg, rank (1: most light in its cell), then as in `Pst.paths`."""
     parts = []
-    for angle in pst.angles_deg:
+    for angle in pst.field_deg:
         for azimuth in pst.grid.azimuths_deg:
             rows = pst.paths(angle, azimuth)
             rows.insert(0, "rank", np.arange(1, len(rows) + 1))
@@ -94,7 +94,7 @@ def curve_text(pst: Pst) -> str:
     columns += [("largest ray", "% of scatter")]
     curves = {group: pst.curve(group) for group in ALL_CLASSES}
     rows = []
-    for i, angle in enumerate(pst.angles_deg):
+    for i, angle in enumerate(pst.field_deg):
         pairs = [Estimate(*(float(part[i]) for part in curves[group])) for group in ("total", "stray")]
         estimates = [with_error(pair) if pair.value else ABSENT for pair in pairs]
         values = [float(curves[group][0][i]) for group in shown]
@@ -106,7 +106,7 @@ def curve_text(pst: Pst) -> str:
 
 def top_paths_text(pst: Pst, count: int) -> str:
     """The strongest stray paths of each angle beside each other, with their shares."""
-    tops = {angle: stray_paths(pst, angle, count) for angle in pst.angles_deg}
+    tops = {angle: stray_paths(pst, angle, count) for angle in pst.field_deg}
     shown = max((len(top) for top in tops.values()), default=0)
     if not shown:
         return "no stray light was seen"
@@ -128,7 +128,7 @@ def breaks_text(found: Sequence[Break]) -> str:
                ("stray light before", "% of it"), ("stray light after", "% of it")]  # fmt: skip
     rows = [
         [
-            f"{item.angle_deg:g}",
+            f"{item.field_deg:g}",
             f"{item.slope_before:+.3f}",
             f"{item.slope_after:+.3f}",
             *(causes_text(causes) for causes in (item.before, item.after)),
@@ -162,7 +162,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
     parts.append("±: one standard error")
     edge = field_edge(pst)
     if edge is not None:
-        first = pst.angles_deg[0]
+        first = pst.field_deg[0]
         parts.append(f"edge of the field, half of the direct light at {first:g}°, interpolated: {edge:.1f}°")
     parts += [f"warning: {text}" for text in warnings(pst)]
     return "\n".join(parts)
@@ -190,7 +190,7 @@ def warnings(pst: Pst) -> list[str]:
     doubtful = (value > 0) & (se > LARGE_ERROR * value)
     if doubtful.any():
         worst = 100 * float((se[doubtful] / value[doubtful]).max())
-        found.append(f"standard error up to {worst:.2g} % at {_angles(pst.angles_deg[doubtful])}; give more rays")
+        found.append(f"standard error up to {worst:.2g} % at {_angles(pst.field_deg[doubtful])}; give more rays")
     return found
 
 
@@ -231,8 +231,8 @@ def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
     return dict(plain(record))
 
 
-def _angles(angles_deg: np.ndarray) -> str:
+def _angles(field_deg: np.ndarray) -> str:
     """Angles as text, many of them by the first and the last."""
-    if len(angles_deg) <= 4:
-        return f"{', '.join(f'{angle:g}' for angle in angles_deg)}°"
-    return f"{len(angles_deg)} angles from {angles_deg[0]:g} to {angles_deg[-1]:g}°"
+    if len(field_deg) <= 4:
+        return f"{', '.join(f'{angle:g}' for angle in field_deg)}°"
+    return f"{len(field_deg)} angles from {field_deg[0]:g} to {field_deg[-1]:g}°"

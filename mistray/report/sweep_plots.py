@@ -57,7 +57,7 @@ def sweep_figure(result: Sweep, title: str = "") -> Figure:
 
 
 def _abscissa(result: Sweep) -> tuple[str, str]:
-    if len(result.fields_deg) > 1:
+    if len(result.field_deg) > 1:
         return "field_deg", "field angle [deg]"
     if len(result.wavelengths_nm) > 1:
         return "wavelength_nm", "wavelength [nm]"

@@ -206,8 +206,8 @@ def warnings(report: GhostReport) -> list[str]:
     return found
 
 
-def _fields(fields_deg: Sequence[float]) -> str:
-    return f"field {', '.join(f'{field:g}' for field in fields_deg)} deg"
+def _fields(field_deg: Sequence[float]) -> str:
+    return f"field {', '.join(f'{field:g}' for field in field_deg)} deg"
 
 
 def _cut_text(reason: str, settings: dict[str, Any]) -> str:

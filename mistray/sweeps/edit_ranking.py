@@ -19,6 +19,8 @@ from mistray.optimize.proposals import structure
 from mistray.optimize.pst_metrics import pst_bin
 from mistray.optimize.pst_observation import Light
 from mistray.optimize.sensitivity_rows import Line, Table, lines_of
+from mistray.ranges import POLAR_DEG
+from mistray.renamed import renamed
 from mistray.scene import find, load
 from mistray.trace.raw_gradient import EDGE_WIDTH
 
@@ -83,6 +85,7 @@ class Edit:
         return self.line.parameter.unit
 
 
+@renamed(angles_deg="field_deg")
 @dataclass(frozen=True)
 class EditRanking:
     """
@@ -90,7 +93,7 @@ class EditRanking:
 
     Attributes
     ----------
-    angles_deg : tuple of float
+    field_deg : tuple of float
     light : str
         The light that is counted.
     pst : tuple of Estimate
@@ -101,7 +104,7 @@ class EditRanking:
         What the derivatives do not contain.
     """
 
-    angles_deg: tuple[float, ...]
+    field_deg: tuple[float, ...]
     light: str
     pst: tuple[Estimate, ...]
     edits: tuple[Edit, ...]
@@ -148,7 +151,7 @@ class EditRanking:
                 }
                 for edit in self.edits
                 for angle, pst, slope, change in zip(
-                    self.angles_deg, self.pst, edit.derivative, edit.change, strict=True
+                    self.field_deg, self.pst, edit.derivative, edit.change, strict=True
                 )
             ]
         )
@@ -157,9 +160,10 @@ class EditRanking:
         return self.to_pandas().to_string(index=False)
 
 
+@renamed(angles_deg="field_deg")
 def rank_edits(
     scene: str | Path | mi.Scene,
-    angles_deg: Sequence[float],
+    field_deg: float | Sequence[float],
     light: Light = "stray",
     *,
     steps: Mapping[str, float | str] | None = None,
@@ -184,7 +188,7 @@ def rank_edits(
     ----------
     scene : str, Path or mi.Scene
         Scene XML file, name of a shipped scene, or a loaded scene.
-    angles_deg : sequence of float
+    field_deg : float or sequence of float
         Field angles, degrees.
     light : str or sequence of str
         "stray", "total" or classes of light, see `mistray.optimize.PstObservation`.
@@ -210,7 +214,7 @@ def rank_edits(
         If there is nothing to edit, a key or step is unknown or out of range, a step in per cent is one of 0, or the
         PST at an angle is 0.
     """
-    angles = tuple(float(angle) for angle in angles_deg)
+    angles = tuple(POLAR_DEG.check_each("field_deg", field_deg, "rank_edits"))
     loaded = scene if isinstance(scene, mi.Scene) else load(find(scene))
     params = mi.traverse(loaded)
     known = parameters(loaded, params)
@@ -220,9 +224,7 @@ def rank_edits(
         raise MistrayError("rank_edits: the scene has nothing with a derivative to move, block, paint or coat")
     lines = _lines(loaded, params, known, chosen)
     step_of = _steps(known, lines, steps or {})
-    metrics = [pst_bin(loaded, angle, light, angles_deg=angles, **arguments) for angle in angles]
-    if not metrics:
-        raise MistrayError("rank_edits: angles_deg is empty; give at least one field angle")
+    metrics = [pst_bin(loaded, angle, light, pst_field_deg=angles, **arguments) for angle in angles]
     active = {key: known[key] for line in lines for key in line.keys}
     wanted = wanted_of(active.values(), True, edge_width)
     observations = metrics[0].observe()

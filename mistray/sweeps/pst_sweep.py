@@ -17,6 +17,7 @@ from mistray.analysis.pst.run import pst_of_each
 from mistray.coatings import Stack, coating_from_text
 from mistray.errors import MistrayError
 from mistray.optimize.scene_values import assign
+from mistray.renamed import renamed
 from mistray.scene import find, load
 from mistray.scene.add_structures import add_structures
 from mistray.scene.check import check_overlaps
@@ -52,6 +53,7 @@ class Changed:
     ratio_se: float
 
 
+@renamed(angles_deg="field_deg")
 class PstSweep:
     """
     Result of `sweep_pst`.
@@ -60,7 +62,7 @@ class PstSweep:
     ----------
     configurations : tuple of str
         Names; the first is the scene as it is.
-    angles_deg : (n,) float64
+    field_deg : (n,) float64
     pst : dict of str to Pst
         By configuration.
     """
@@ -68,17 +70,18 @@ class PstSweep:
     def __init__(self, found: Mapping[str, Pst]) -> None:
         self.pst = dict(found)
         self.configurations = tuple(found)
-        self.angles_deg = next(iter(found.values())).angles_deg
+        self.field_deg = next(iter(found.values())).field_deg
 
-    def changed(self, configuration: str, angle_deg: float, classes: str | Sequence[str] = "stray") -> Changed:
+    @renamed(angle_deg="field_deg")
+    def changed(self, configuration: str, field_deg: float, classes: str | Sequence[str] = "stray") -> Changed:
         """
         What a configuration does at one field angle.
 
         Parameters
         ----------
         configuration : str
-        angle_deg : float
-            One of `angles_deg`.
+        field_deg : float
+            One of `field_deg`.
         classes : str or sequence of str
             "stray", "total" or classes of light, see `Pst.samples`.
 
@@ -89,10 +92,10 @@ class PstSweep:
         """
         if configuration not in self.pst:
             raise MistrayError(f"PST sweep: no configuration '{configuration}'; choose from {', '.join(self.pst)}")
-        places = np.flatnonzero(np.isclose(self.angles_deg, angle_deg))
+        places = np.flatnonzero(np.isclose(self.field_deg, field_deg))
         if len(places) != 1:
-            listed = ", ".join(f"{angle:g}" for angle in self.angles_deg)
-            raise MistrayError(f"PST sweep: no field angle {angle_deg:g}°; choose from {listed}")
+            listed = ", ".join(f"{angle:g}" for angle in self.field_deg)
+            raise MistrayError(f"PST sweep: no field angle {field_deg:g}°; choose from {listed}")
         at = int(places[0])
         first, other = self.pst[self.configurations[0]], self.pst[configuration]
         (b, b_se), (a, a_se) = ((float(x[at]) for x in one.curve(classes)) for one in (first, other))
@@ -124,15 +127,16 @@ class PstSweep:
         rows = [
             {"configuration": name, "angle_deg": float(angle), **vars(self.changed(name, float(angle), classes))}
             for name in self.configurations[1:]
-            for angle in self.angles_deg
+            for angle in self.field_deg
         ]
         return pd.DataFrame(rows)
 
 
+@renamed(angles_deg="field_deg")
 def sweep_pst(
     scene: str | Path,
     configurations: Given,
-    angles_deg: Sequence[float] = range(0, 81, 10),
+    field_deg: float | Sequence[float] = range(0, 81, 10),
     *,
     progress: Progress | None = None,
     **arguments: Any,
@@ -149,7 +153,7 @@ def sweep_pst(
         Scene XML file, or the name of a shipped scene.
     configurations : mapping of str to mapping, or sequence of Configuration
         What is changed; a mapping gives values of parameters only.
-    angles_deg : sequence of float
+    field_deg : float or sequence of float
         Field angles, degrees.
     progress : callable, optional
         Called after every PST with (PSTs done, PSTs to do).
@@ -186,7 +190,7 @@ def sweep_pst(
 
     found: dict[str, Pst] = {}
     try:
-        for one, result in zip(every, pst_of_each(scenes(), angles_deg, **arguments), strict=True):
+        for one, result in zip(every, pst_of_each(scenes(), field_deg, **arguments), strict=True):
             found[one.name] = result
             if progress is not None:
                 progress(len(found), len(every))

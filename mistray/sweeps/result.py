@@ -13,6 +13,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport, ghosts
 from mistray.errors import MistrayError
 from mistray.optimize.scene_values import assign
+from mistray.renamed import renamed
 from mistray.scene import load
 from mistray.sweeps.configurations import Resolved
 from mistray.sweeps.numbers import Numbers
@@ -28,6 +29,7 @@ UNITS = ("_W_mm2", "_W", "_mm")
 Source: TypeAlias = "Path | dict[str, Any] | mi.Scene"
 
 
+@renamed(fields_deg="field_deg")
 class Sweep:
     """
     Result of `mistray.sweep`.
@@ -36,7 +38,7 @@ class Sweep:
     ----------
     configurations : tuple of Resolved
         With the values of the keys that each one sets.
-    fields_deg, wavelengths_nm : tuple of float
+    field_deg, wavelengths_nm : tuple of float
     rows : list of dict
         One for each configuration, wavelength and field, in this order, see `to_pandas`; of an unfinished sweep those
         that are there.
@@ -54,7 +56,7 @@ class Sweep:
         self,
         source: Source,
         configurations: Sequence[Resolved],
-        fields_deg: Sequence[float],
+        field_deg: Sequence[float],
         wavelengths_nm: Sequence[float],
         rows: Sequence[Numbers],
         arguments: dict[str, Any],
@@ -65,7 +67,7 @@ class Sweep:
         self._source = source
         self._scenes: dict[str, Any] = {}
         self.configurations = tuple(configurations)
-        self.fields_deg, self.wavelengths_nm = tuple(fields_deg), tuple(wavelengths_nm)
+        self.field_deg, self.wavelengths_nm = tuple(field_deg), tuple(wavelengths_nm)
         self.rows = list(rows)
         self.arguments, self.reused = dict(arguments), reused
         self.cache_folder, self.warnings = cache_folder, tuple(warnings)
@@ -155,8 +157,8 @@ class Sweep:
 
         Parameters and errors are those of `trace`. `mistray.report.write_all` writes its files.
         """
-        name, _, wavelength = self._cell(configuration, self.fields_deg[0], wavelength_nm)
-        return ghosts(self._scene(name), self.fields_deg, wavelength, **self.arguments)
+        name, _, wavelength = self._cell(configuration, self.field_deg[0], wavelength_nm)
+        return ghosts(self._scene(name), self.field_deg, wavelength, **self.arguments)
 
     def _scene(self, name: str) -> Any:
         """A scene of its own for each configuration: traces ask theirs again later."""
@@ -180,13 +182,13 @@ class Sweep:
         names = tuple(one.name for one in self.configurations)
         return (
             _chosen("configuration", configuration, names),
-            _chosen("field_deg", field_deg, self.fields_deg),
+            _chosen("field_deg", field_deg, self.field_deg),
             _chosen("wavelength_nm", wavelength_nm, self.wavelengths_nm),
         )
 
     def __repr__(self) -> str:
         return (
-            f"Sweep({len(self.configurations)} configurations × {len(self.fields_deg)} fields × "
+            f"Sweep({len(self.configurations)} configurations × {len(self.field_deg)} fields × "
             f"{len(self.wavelengths_nm)} wavelengths, {self.reused} of {len(self)} from the cache)"
         )
 

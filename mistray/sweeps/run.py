@@ -13,6 +13,8 @@ import mitsuba as mi
 from mistray.cache import Cache, open_cache
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.optimize.scene_values import changed
+from mistray.ranges import FIELD_DEG
+from mistray.renamed import renamed
 from mistray.scene import find, load
 from mistray.scene.check import check_overlaps
 from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
@@ -25,9 +27,10 @@ from mistray.trace.sources import beams, spectrum, spectrum_of
 Progress = Callable[[float, float], None]
 
 
+@renamed(fields_deg="field_deg")
 def sweep(
     scene: str | Path | dict[str, Any] | mi.Scene,
-    fields_deg: Sequence[float] | None = None,
+    field_deg: float | Sequence[float] | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
     configurations: Mapping[str, Mapping[str, Any]] | Sequence[Configuration] | None = None,
     *,
@@ -49,7 +52,7 @@ def sweep(
     scene : str, Path, dict or mi.Scene
         A scene XML file, the name of a shipped scene, a Mitsuba dict, or a loaded scene. Only results of files are
         cached.
-    fields_deg : sequence of float, optional
+    field_deg : float or sequence of float, optional
         Field angles, degrees, -90 < … < 90. Default: the one of the scene's source.
     wavelength_nm : float or sequence of float, optional
         Vacuum wavelengths, nm. Default: those of the scene's source.
@@ -90,7 +93,7 @@ def sweep(
         raise MistrayError(f"configuration '{rebuilt[0]}' paints, coats or blocks; compare its PST, see sweep_pst")
     chosen = resolve(loaded, mi.traverse(loaded), wanted)
     wavelengths = _wavelengths(loaded, wavelength_nm)
-    angles = _angles(loaded, fields_deg, azimuth_deg, wavelengths[0])
+    angles = _angles(loaded, field_deg, azimuth_deg, wavelengths[0])
     arguments = {key: value for key, value in {"azimuth_deg": azimuth_deg, **settings}.items() if value is not None}
     cells = [Cell(one, wavelength, angle) for one in chosen for wavelength in wavelengths for angle in angles]
     store, warnings = _cache_of(source, loaded, cache)
@@ -171,18 +174,16 @@ def _wavelengths(scene: Any, wavelength_nm: float | Sequence[float] | None) -> l
 
 
 def _angles(
-    scene: Any, fields_deg: Sequence[float] | None, azimuth_deg: float | None, wavelength_nm: float
+    scene: Any, field_deg: float | Sequence[float] | None, azimuth_deg: float | None, wavelength_nm: float
 ) -> list[float]:
     """Those given, each once, or the one of the scene's source; degrees."""
-    if fields_deg is None:
+    if field_deg is None:
         own = {float(emitter.field_deg) for emitter in scene.emitters() if hasattr(emitter, "start_distance")}
         if len(own) > 1:
-            raise MistrayError("sweep: the sources of the scene have several field angles; give fields_deg")
+            raise MistrayError("sweep: the sources of the scene have several field angles; give field_deg")
         angles = list(own) or [0.0]
     else:
-        angles = list(dict.fromkeys(float(angle) for angle in fields_deg))
-    if not angles:
-        raise MistrayError("sweep: fields_deg is empty; give at least one field angle in degrees")
+        angles = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "sweep")))
     for angle in angles:  # before the first is traced
         beams(scene, angle, azimuth_deg, wavelength_nm)
     return angles

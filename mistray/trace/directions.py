@@ -10,10 +10,12 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, POLAR_DEG
+from mistray.renamed import renamed
 
 CELL_DEG = 2.0  # width of a cell where the angles say nothing
 
 
+@renamed(angles_deg="field_deg")
 @dataclass(frozen=True, eq=False)
 class DirectionGrid:
     """
@@ -24,7 +26,7 @@ class DirectionGrid:
 
     Attributes
     ----------
-    angles_deg : (n,) float64
+    field_deg : (n,) float64
         Field angles, ascending, 0 … 90.
     edges_deg : (n, 2) float64
         Smallest and largest field angle of each cell; cells do not overlap.
@@ -41,17 +43,18 @@ class DirectionGrid:
         For angles outside 0 … 90°, that do not ascend, or cells that overlap.
     """
 
-    angles_deg: np.ndarray
+    field_deg: np.ndarray
     edges_deg: np.ndarray
     azimuths_deg: np.ndarray
     azimuth_cell_deg: float
     rotation: np.ndarray
 
     @classmethod
+    @renamed(angles_deg="field_deg")
     def of(
         cls,
-        angles_deg: Sequence[float] | np.ndarray,
-        azimuths_deg: Sequence[float] | np.ndarray | None = None,
+        field_deg: float | Sequence[float] | np.ndarray,
+        azimuths_deg: float | Sequence[float] | np.ndarray | None = None,
         cell_deg: float | None = None,
         azimuth_cell_deg: float | None = None,
         rotation: np.ndarray | None = None,
@@ -61,8 +64,8 @@ class DirectionGrid:
 
         Parameters
         ----------
-        angles_deg : sequence of float
-        azimuths_deg : sequence of float, optional
+        field_deg : float or sequence of float
+        azimuths_deg : float or sequence of float, optional
             By default one cell holds all azimuths.
         cell_deg : float, optional
             Width of the cells in field angle; by default 2°, or the smallest distance of two angles if that is less.
@@ -70,14 +73,10 @@ class DirectionGrid:
             By default the smallest distance of two azimuths, at most 10° for a single one.
         rotation : (3, 3) float64, optional
         """
-        angles = np.atleast_1d(np.asarray(angles_deg, dtype=np.float64))
-        if angles.ndim != 1 or not angles.size:
-            raise MistrayError(f"angles_deg is {_short(angles_deg)}; give one or more field angles in degrees")
-        for angle in angles:
-            POLAR_DEG.check("angles_deg", float(angle))
+        angles = np.array(POLAR_DEG.check_each("field_deg", field_deg))
         apart = float(np.min(np.diff(angles), initial=np.inf))
         if apart <= 0:
-            raise MistrayError("angles_deg must ascend; sort the field angles and give each once")
+            raise MistrayError("field_deg must ascend; sort the field angles and give each once")
         width = min(CELL_DEG, apart) if cell_deg is None else float(cell_deg)
         CELL_WIDTH_DEG.check("cell_deg", width)
         if width > apart * (1 + 1e-9):
@@ -90,11 +89,7 @@ class DirectionGrid:
                 raise MistrayError("azimuth_cell_deg is given without azimuths_deg; give the azimuths too")
             azimuths, span = np.zeros(1), 360.0
         else:
-            azimuths = np.atleast_1d(np.asarray(azimuths_deg, dtype=np.float64))
-            if azimuths.ndim != 1 or not azimuths.size:
-                raise MistrayError(f"azimuths_deg is {_short(azimuths_deg)}; give one or more azimuths in degrees")
-            for azimuth in azimuths:
-                AZIMUTH_DEG.check("azimuths_deg", float(azimuth))
+            azimuths = np.array(AZIMUTH_DEG.check_each("azimuths_deg", azimuths_deg))
             around = np.sort(azimuths % 360)
             gaps = np.diff(np.append(around, around[0] + 360))
             span = min(10.0, float(gaps.min())) if len(around) == 1 else float(gaps.min())
@@ -113,7 +108,7 @@ class DirectionGrid:
     @property
     def shape(self) -> tuple[int, int]:
         """Number of field angles and of azimuths."""
-        return len(self.angles_deg), len(self.azimuths_deg)
+        return len(self.field_deg), len(self.azimuths_deg)
 
     @property
     def solid_angle(self) -> np.ndarray:
@@ -127,7 +122,8 @@ class DirectionGrid:
         low, high = np.cos(np.radians(self.edges_deg)).T
         return np.asarray(0.5 * (low + high))
 
-    def nearest(self, angle_deg: float, azimuth_deg: float = 0.0) -> tuple[int, int]:
+    @renamed(angle_deg="field_deg")
+    def nearest(self, field_deg: float, azimuth_deg: float = 0.0) -> tuple[int, int]:
         """
         Cell of a direction.
 
@@ -136,11 +132,11 @@ class DirectionGrid:
         MistrayError
             If no cell holds it.
         """
-        i = int(np.argmin(np.abs(self.angles_deg - angle_deg)))
+        i = int(np.argmin(np.abs(self.field_deg - field_deg)))
         low, high = self.edges_deg[i]
-        if not low - 1e-9 <= angle_deg <= high + 1e-9:
+        if not low - 1e-9 <= field_deg <= high + 1e-9:
             raise MistrayError(
-                f"angle {angle_deg:g}° is in no cell; the nearest is that of {self.angles_deg[i]:g}°, "
+                f"angle {field_deg:g}° is in no cell; the nearest is that of {self.field_deg[i]:g}°, "
                 f"{low:g} … {high:g}°"
             )
         apart = np.abs((self.azimuths_deg - azimuth_deg + 180) % 360 - 180)
@@ -152,7 +148,7 @@ class DirectionGrid:
     def facts(self) -> dict[str, Any]:
         """The grid as plain numbers, to be stored with a result."""
         return {
-            "angles_deg": self.angles_deg.tolist(),
+            "angles_deg": self.field_deg.tolist(),
             "edges_deg": self.edges_deg.tolist(),
             "azimuths_deg": self.azimuths_deg.tolist(),
             "azimuth_cell_deg": self.azimuth_cell_deg,
@@ -162,10 +158,13 @@ class DirectionGrid:
     @classmethod
     def from_facts(cls, facts: dict[str, Any]) -> DirectionGrid:
         """The grid of stored numbers."""
-        arrays = {key: np.asarray(facts[key], dtype=np.float64) for key in ("angles_deg", "edges_deg", "azimuths_deg")}
-        return cls(**arrays, azimuth_cell_deg=float(facts["azimuth_cell_deg"]), rotation=np.array(facts["rotation"]))
-
-
-def _short(values: Any) -> str:
-    """Values for a message of one line."""
-    return " ".join(str(values).split())
+        angles, edges, azimuths = (
+            np.asarray(facts[key], dtype=np.float64) for key in ("angles_deg", "edges_deg", "azimuths_deg")
+        )
+        return cls(
+            angles,
+            edges,
+            azimuths,
+            azimuth_cell_deg=float(facts["azimuth_cell_deg"]),
+            rotation=np.array(facts["rotation"]),
+        )

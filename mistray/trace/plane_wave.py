@@ -195,7 +195,7 @@ class PlaneWaves:
         azimuth = np.radians([grid.azimuths_deg[j], grid.azimuth_cell_deg / 2])
         centre, middle, half, is_round, distance = self._cross_section(theta, azimuth)
         return PlaneWave(
-            name=f"light at {grid.angles_deg[i]:g} deg",
+            name=f"light at {grid.field_deg[i]:g} deg",
             wavelength_nm=wavelength_nm,
             share=share,
             rotation=np.asarray(grid.rotation, dtype=np.float64),

@@ -24,11 +24,11 @@ def scene(tmp_path):
 def calls(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
     made: list[dict[str, Any]] = []
 
-    def pst(scene: Any, angles_deg: Any, *, progress: Any, **given: Any) -> Any:
+    def pst(scene: Any, field_deg: Any, *, progress: Any, **given: Any) -> Any:
         made.append(given)
         if progress:
             progress("state")
-        return fake_pst(angles_deg)
+        return fake_pst(field_deg)
 
     monkeypatch.setattr(sys.modules[first_level.__module__], "pst", pst)
     return made

@@ -169,7 +169,7 @@ def test_two_wavelengths_are_one_image():
 
 
 def test_on_axis_field_is_traced_for_the_yardstick(traced):
-    report = ghosts("scene", fields_deg=[5.0, 20.0], rays=1000, seed=7)
+    report = ghosts("scene", field_deg=[5.0, 20.0], rays=1000, seed=7)
     assert [call["field_deg"] for call in traced] == [5.0, 20.0, 0.0]
     assert traced[0] == {"field_deg": 5.0, "rays": 1000, "seed": 7}
     assert traced[2]["max_reflections"] == 0
@@ -177,13 +177,13 @@ def test_on_axis_field_is_traced_for_the_yardstick(traced):
 
 
 def test_on_axis_field_is_not_traced_twice(traced):
-    report = ghosts("scene", fields_deg=[0, 5, 5.0])
+    report = ghosts("scene", field_deg=[0, 5, 5.0])
     assert [call["field_deg"] for call in traced] == [0.0, 5.0]
     assert report.nominal_trace is report[0.0]
 
 
 def test_one_field_needs_no_list(traced):
-    assert list(ghosts("scene", fields_deg=0.0)) == [0.0]
+    assert list(ghosts("scene", field_deg=0.0)) == [0.0]
 
 
 def test_default_field_is_the_source_s_own(traced):
@@ -192,19 +192,19 @@ def test_default_field_is_the_source_s_own(traced):
 
 def test_progress_counts_fields(traced):
     seen = []
-    ghosts("scene", fields_deg=[0.0, 5.0], progress=lambda done, of: seen.append((done, of)))
+    ghosts("scene", field_deg=[0.0, 5.0], progress=lambda done, of: seen.append((done, of)))
     assert seen == [(0.5, 2), (1.0, 2), (1.5, 2), (2.0, 2)]
 
 
 def test_unknown_arguments_are_an_error(traced):
     with pytest.raises(MistrayError, match="unknown argument max_bounces of ghosts; see mistray"):
-        ghosts("scene", fields_deg=[0.0], max_bounces=3)
+        ghosts("scene", field_deg=[0.0], max_bounces=3)
     assert traced == []
 
 
 def test_no_field_is_an_error(traced):
-    with pytest.raises(MistrayError, match="fields_deg is empty; give at least one field angle in degrees"):
-        ghosts("scene", fields_deg=[])
+    with pytest.raises(MistrayError, match="ghosts: field_deg is empty; give at least one"):
+        ghosts("scene", field_deg=[])
 
 
 @pytest.fixture
@@ -287,7 +287,7 @@ def test_a_wavelength_that_was_not_traced_is_an_error(colours):
 
 def test_wavelengths_weights_and_polarisation_are_passed_on(traced):
     spectrum = {"wavelength_nm": [450.0, 550.0], "weights": [1.0, 2.0], "polarization": "stokes"}
-    ghosts("scene", fields_deg=[5.0], **spectrum)
+    ghosts("scene", field_deg=[5.0], **spectrum)
     assert traced[0] == {"field_deg": 5.0, **spectrum}
     assert traced[1] == {"field_deg": 0.0, **spectrum, "max_reflections": 0, "max_scatters": 0}
 

@@ -38,7 +38,7 @@ def test_product_of_coaxial_discs(load):
 
     One of a thousand such tests fails by chance.
     """
-    found = objects(load(discs_text(1.0, 1.5, 2.0)), rays=RAYS, angles_deg=[0.0])
+    found = objects(load(discs_text(1.0, 1.5, 2.0)), rays=RAYS, field_deg=[0.0])
     (estimate,) = found.estimates().itertuples(index=False)
     exact = np.pi * disc_to_disc(1.0, 1.5, 2.0)
     assert estimate.bsdf_1_sr == pytest.approx(1 / np.pi, rel=1e-6)
@@ -58,7 +58,7 @@ def test_product_of_a_tube_wall_against_a_trace(load, angle):
     """
     rho = 0.3
     scene = load(painted_tube_text(3.0, 1.0, 0.7, rho))
-    found = objects(scene, rays=RAYS, angles_deg=[angle])
+    found = objects(scene, rays=RAYS, field_deg=[angle])
     (estimate,) = found.estimates().itertuples(index=False)
     traced = mistray.trace(scene, field_deg=angle, rays=60_000, max_scatters=1, max_reflections=0)
     table = traced.paths.to_pandas()
@@ -77,7 +77,7 @@ def test_product_of_a_tube_wall_against_a_trace(load, angle):
 def test_product_ranks_the_faces_of_a_scattering_scene():
     """Both faces of a scattering plate in front of a screen, within 15 % of a trace; the screen is among them."""
     scene = mistray.load("plate_and_wall")
-    found = objects(scene, rays=RAYS, angles_deg=[10.0])
+    found = objects(scene, rays=RAYS, field_deg=[10.0])
     estimates = found.estimates().set_index("id")
     traced = mistray.trace(scene, field_deg=10.0, rays=40_000, max_scatters=1, max_reflections=0)
     table = traced.paths.to_pandas()
@@ -107,7 +107,7 @@ def test_gcf_of_one_side_is_at_most_one(total):
     L5 is seen on its inside, too, by total reflection; the sum of both sides is above 1. One of a thousand such tests
     fails by chance.
     """
-    found = objects(mistray.load("phone_camera_scatter"), rays=RAYS // 2, angles_deg=[0.0], total_reflection=total)
+    found = objects(mistray.load("phone_camera_scatter"), rays=RAYS // 2, field_deg=[0.0], total_reflection=total)
     estimates = found.estimates()
     rows = estimates.set_index(["id", "side"])
     half, gap, glass, behind = 2.18393, 0.1337, 0.21, 0.1363

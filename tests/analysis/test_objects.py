@@ -77,7 +77,7 @@ def test_an_open_tube_reports_a_path_without_surfaces(load):
     found = objects(load(open_tube_text(3.0, 1.0, 0.7)), rays=20_000)
     assert any("with no surface in between" in text for text in found.warnings)
     steepest = np.degrees(np.arctan(1.7 / 3.0))
-    low, high = found.straight_shots[0].angles_deg
+    low, high = found.straight_shots[0].field_deg
     assert low < 2
     assert steepest - 2 < high < steepest + 1e-3
 
@@ -87,7 +87,7 @@ def test_a_tube_lit_from_outside(load, angle):
     """Flux on the detector is what two discs share, shifted by L tan θ; the rest of the opening's goes to the wall."""
     length, radius, detector_radius = 3.0, 1.0, 0.7
     scene = load(open_tube_text(length, radius, detector_radius))
-    found = objects(scene, rays=RAYS, angles_deg=[angle], azimuth_deg=30.0)
+    found = objects(scene, rays=RAYS, field_deg=[angle], azimuth_deg=30.0)
     theta = np.radians(angle)
     direct = np.cos(theta) * lens_area(length * abs(np.tan(theta)), radius, detector_radius)
     (wall,) = found.illumination("wall", "front")
@@ -119,7 +119,7 @@ def test_cone_of_light_through_an_opening(load):
 
 def test_plate_in_front(load):
     """Rays weigh T after one face and T² after both, against the light and with it."""
-    found = objects(load(plate_text(R=0.1, T=0.8)), rays=20_000, view_half_angle_deg=10.0, angles_deg=[0.0])
+    found = objects(load(plate_text(R=0.1, T=0.8)), rays=20_000, view_half_angle_deg=10.0, field_deg=[0.0])
     for name, seen, lit in (("p0_front", 0.8, 1.0), ("p0_rear", 1.0, 0.8), ("detector", 0.0, 0.64)):
         entry = row(found.optics, name)
         assert entry.critical_power == pytest.approx(seen * entry.critical_rays / 20_000, rel=1e-5)
@@ -268,7 +268,7 @@ def test_folded_systems_keep_their_gaps():
 def test_light_past_a_lens_is_a_straight_shot(phone):
     shots = {shot.beside: shot for shot in phone.straight_shots}
     assert shots["L3_bevel_2",].missed == ("L3_rear",)
-    low, high = shots["L3_bevel_2",].angles_deg
+    low, high = shots["L3_bevel_2",].field_deg
     assert 15 < low < high < 27
     assert any("past L3_rear through L3_bevel_2" in text for text in phone.warnings)
 
@@ -318,11 +318,11 @@ def test_the_same_seed_gives_the_same_rows(phone):
         ({"threshold": -1e-6}, "threshold is -1e-06"),
         ({"half_angle_deg": 0.0}, "half_angle_deg is 0"),
         ({"half_angle_deg": 120.0}, "half_angle_deg is 120"),
-        ({"angles_deg": [90.0]}, "angles_deg is 90; it must lie"),
-        ({"angles_deg": [float("nan")]}, "angles_deg is nan"),
-        ({"angles_deg": []}, "angles_deg is empty"),
-        ({"angles_deg": [1.0], "azimuth_deg": float("inf")}, "azimuth_deg is inf"),
-        ({"angles_deg": [1.0], "half_angle_deg": 3.0}, "half_angle_deg and angles_deg are given"),
+        ({"field_deg": [90.0]}, "field_deg is 90; it must lie"),
+        ({"field_deg": [float("nan")]}, "field_deg is nan"),
+        ({"field_deg": []}, "field_deg is empty"),
+        ({"field_deg": [1.0], "azimuth_deg": float("inf")}, "azimuth_deg is inf"),
+        ({"field_deg": [1.0], "half_angle_deg": 3.0}, "half_angle_deg and field_deg are given"),
         ({"view_half_angle_deg": 91.0}, "view_half_angle_deg is 91"),
         ({"stop": "pupil"}, "no part and no shape of the scene is called 'pupil'"),
         ({"detector": "L1_front"}, "'L1_front' is no detector"),

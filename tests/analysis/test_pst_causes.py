@@ -36,7 +36,7 @@ def test_breaks_are_where_the_slope_changes():
     39 points, 2 · 3.2e-5 each (t with 31 degrees of freedom: 4e-4): below 0.02.
     """
     found = breaks(curve(10.0 ** bent(ANGLES)))
-    assert [b.angle_deg for b in found] == [20.0, 30.0]
+    assert [b.field_deg for b in found] == [20.0, 30.0]
     first, second = found
     assert first.slope_before == pytest.approx(-0.02, abs=0.03)
     assert first.slope_after == pytest.approx(-0.2, abs=0.03)
@@ -65,13 +65,13 @@ def test_errors_that_all_angles_share_drop_out():
     pst = Pst(DirectionGrid.of(ANGLES), by_batch, np.full(BATCHES, 1 / BATCHES))
     found = breaks(pst)
     assert pst.standard_error[0] > 0.05 * pst.value[0]
-    assert [b.angle_deg for b in found] == [20.0, 30.0]
+    assert [b.field_deg for b in found] == [20.0, 30.0]
     assert found[0].change_se < 1e-9
 
 
 def test_the_causes_of_a_break_are_those_beside_it():
     pst = fake_pst()
-    found = next(b for b in breaks(pst) if b.angle_deg == 22.0)
+    found = next(b for b in breaks(pst) if b.field_deg == 22.0)
     (name, share), *_ = found.before
     rows = pst.paths(20.0)
     assert name == "barrel_1 (reflects)"
@@ -89,7 +89,7 @@ def test_causes_add_up_and_are_named():
 
 
 def test_first_level_is_scattered_once_and_not_reflected():
-    pst = fake_pst(angles_deg=(0, 30))
+    pst = fake_pst(field_deg=(0, 30))
     table = first_level_scatter(pst)
     at_30 = table[table.angle_deg == 30].set_index("surface")
     assert next(iter(at_30.index)) == "barrel_1"

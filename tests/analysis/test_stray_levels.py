@@ -26,7 +26,7 @@ FIELD = 4.0
 def report(tmp_path_factory: pytest.TempPathFactory) -> GhostReport:
     text = lenses_text(bsdf_xml("abg", A=1e-4, B=1e-3, g=2.0), wall=wall_xml(0.3))
     scene = mistray.load(small_scenes.write(tmp_path_factory.mktemp("scene"), text))
-    return mistray.ghosts(scene, fields_deg=[FIELD], rays=60, max_scatters=2, scatter_threshold=0.0)
+    return mistray.ghosts(scene, field_deg=[FIELD], rays=60, max_scatters=2, scatter_threshold=0.0)
 
 
 def last_turn(row: Any) -> str:

@@ -225,7 +225,7 @@ def test_the_screen_is_a_common_object_and_the_cause(small):
 
 
 def test_the_parts_are_at_hand(small):
-    assert list(small.pst.angles_deg) == list(ANGLES)
+    assert list(small.pst.field_deg) == list(ANGLES)
     assert list(small.ghosts) == list(FIELDS)
     assert small.first_order is not None
     assert math.isinf(small.first_order.focal_length_mm)
@@ -265,8 +265,8 @@ def test_bad_arguments_are_one_line():
         study(scene, [10, 5])
     with pytest.raises(MistrayError, match="convention is 'cosine'; use 'normal' or 'projected'"):
         study(scene, convention="cosine")
-    with pytest.raises(MistrayError, match=r"fields_deg is empty; give at least one"):
-        study(scene, fields_deg=[])
+    with pytest.raises(MistrayError, match=r"field_deg is empty; give at least one"):
+        study(scene, field_deg=[])
     with pytest.raises(MistrayError, match="max_random_scatters is 1; a PST"):
         study(scene, max_random_scatters=1)
     with pytest.raises(MistrayError, match="relative_error is 2"):

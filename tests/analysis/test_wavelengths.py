@@ -34,7 +34,7 @@ def scene():
 
 def analyse(scene, seed=0, **options):
     spectrum = {"wavelength_nm": list(LINES), "weights": list(LINES.values())}
-    return mistray.ghosts(scene, fields_deg=[0.0], rays=RAYS, seed=seed, **(spectrum | options))
+    return mistray.ghosts(scene, field_deg=[0.0], rays=RAYS, seed=seed, **(spectrum | options))
 
 
 @pytest.fixture(scope="module")
@@ -101,7 +101,7 @@ def test_energy_closes_at_every_wavelength(report):
 def test_weights_of_the_scene_are_the_default():
     source = replace(singlet().source, wavelength_nm=tuple(LINES), weights=tuple(LINES.values()))
     scene = replace(singlet(), source=source).to_scene()
-    report = mistray.ghosts(scene, fields_deg=[0.0], rays=100)
+    report = mistray.ghosts(scene, field_deg=[0.0], rays=100)
     assert [report.weight(wavelength) for wavelength in LINES] == pytest.approx([0.25, 0.5, 0.25])
 
 

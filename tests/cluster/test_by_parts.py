@@ -149,19 +149,19 @@ def test_nothing_finished_is_nothing(scene):
 
 def test_ghosts_keep_the_fields_that_are_finished(scene):
     with working_with(Here(last=2)), pytest.raises(UnfinishedError, match="2 of 3 fields are finished") as caught:
-        mistray.ghosts(scene, fields_deg=[0, 1, 2], rays=2000)
+        mistray.ghosts(scene, field_deg=[0, 1, 2], rays=2000)
     report = caught.value.partial
     assert isinstance(report, mistray.GhostReport)
     assert list(report) == [0, 1]
     with working_with(Here(last=1)), pytest.raises(UnfinishedError) as caught:
-        mistray.ghosts(scene, fields_deg=[1, 0], rays=2000)
+        mistray.ghosts(scene, field_deg=[1, 0], rays=2000)
     assert {field: t.rays_traced for field, t in caught.value.partial.items()} == {1.0: 2000}
 
 
 @pytest.mark.parametrize("method", ["adjoint", "forward"])
 def test_pst_by_workers(method, tmp_path):
     scene = mistray.load("plate_and_wall")
-    arguments = {"angles_deg": [0, 20], "rays": 60_000 if method == "adjoint" else 4000, "method": method}
+    arguments = {"field_deg": [0, 20], "rays": 60_000 if method == "adjoint" else 4000, "method": method}
     one = mistray.pst(scene, map_pixels=4, **arguments)
     workers = Here()
     with working_with(workers):
@@ -187,7 +187,7 @@ def test_pst_by_workers(method, tmp_path):
 
 def test_an_error_that_is_wanted_stops_at_the_same_pass():
     scene = mistray.load("plate_and_wall")
-    arguments = {"angles_deg": [0, 20], "rays": 500_000, "relative_error": 0.3}
+    arguments = {"field_deg": [0, 20], "rays": 500_000, "relative_error": 0.3}
     one = mistray.pst(scene, **arguments)
     with working_with(Here()):
         many = mistray.pst(scene, **arguments)

@@ -206,8 +206,8 @@ def test_four_processes_on_all_that_traces(scene, tmp_path):
     processes = start(tmp_path, 4)
     commands = [
         ["ghosts", SCENE, "--rays", "60000", "--field-deg", "0", "2", "--json", "--quiet"],
-        ["pst", "plate_and_wall", "--angles-deg", "0", "20", "--rays", "60000", "--json"],
-        ["study", "plate_and_wall", "--angles-deg", "0", "20", "--rays", "20000", "--json"],
+        ["pst", "plate_and_wall", "--field-deg", "0", "20", "--rays", "60000", "--json"],
+        ["study", "plate_and_wall", "--pst-field-deg", "0", "20", "--rays", "20000", "--json"],
         ["sensitivity", SCENE, "--rays", "2000", "--kind", "curvature", "--monte-carlo", "4", "--json"],
     ]
     try:

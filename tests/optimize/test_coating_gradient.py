@@ -85,7 +85,7 @@ class TestCookeTriplet:
     @pytest.mark.parametrize("kind", ["ghost", "ratio", "image", "one path"])
     def test_ten_random_parameters(self, triplet, kind) -> None:
         params = keep_coatings(triplet, "thickness_nm", "n_shift", "k_shift")
-        more = {"rays": 3000, "fields_deg": (0.0, 12.0), "wavelength_nm": [480.0, 600.0], **TRACED}
+        more = {"rays": 3000, "field_deg": (0.0, 12.0), "wavelength_nm": [480.0, 600.0], **TRACED}
         metric = {
             "ghost": lambda: path_power(triplet, "ghost", **more),
             "ratio": lambda: ghost_to_signal(triplet, **more),
@@ -102,7 +102,7 @@ class TestCookeTriplet:
         shared = replace(prescription, surfaces=tuple(replace(s, coating=ar) for s in prescription.surfaces)).to_scene()
         params = keep_coatings(shared, "thickness_nm", "n_shift")
         assert list(params.keys()) == ["ar.thickness_nm", "ar.n_shift"]
-        metric = path_power(shared, "ghost", rays=3000, fields_deg=(0.0, 12.0), **TRACED)
+        metric = path_power(shared, "ghost", rays=3000, field_deg=(0.0, 12.0), **TRACED)
         assert compare(metric, params, 6, seed=5) < TOLERANCE
 
     def test_a_wrong_gradient_fails(self, triplet, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -147,7 +147,7 @@ class TestCookeTriplet:
 
     def test_no_kernel_is_compiled_between_steps(self, triplet) -> None:
         params = keep_coatings(triplet, "thickness_nm")
-        metric = path_power(triplet, "ghost", rays=500, fields_deg=(0.0, 12.0), wavelength_nm=[480.0, 600.0], **TRACED)
+        metric = path_power(triplet, "ghost", rays=500, field_deg=(0.0, 12.0), wavelength_nm=[480.0, 600.0], **TRACED)
         key = next(iter(params.keys()))
         compiled = []
         for step in range(4):
@@ -165,7 +165,7 @@ class TestPhoneCamera:
         """Stacks on the lenses, ideal coatings elsewhere."""
         scene = coated(build_phone(), "1.38 95, 2.1 120, 1.63 80")
         params = keep_coatings(scene, "thickness_nm", "n_shift", "k_shift")
-        metric = path_power(scene, "ghost", rays=1500, fields_deg=10.0, **TRACED)
+        metric = path_power(scene, "ghost", rays=1500, field_deg=10.0, **TRACED)
         assert compare(metric, params, 10, seed=2) < TOLERANCE
 
     def test_ideal_coatings(self) -> None:
@@ -180,7 +180,7 @@ class TestPhoneCamera:
         lit = [key for key in keys if np.array(params[key])[0] > 0]
         params = mi.traverse(scene)  # anew: Mitsuba stumbles over values that were read before `keep`
         params.keep(lit)
-        metric = path_power(scene, "ghost", rays=1500, fields_deg=10.0, **TRACED)
+        metric = path_power(scene, "ghost", rays=1500, field_deg=10.0, **TRACED)
         assert compare(metric, params, 10, seed=3) < TOLERANCE
 
 
@@ -207,7 +207,7 @@ class TestAngles:
         )
         scene = load_scene(text)
         params = keep_coatings(scene, "thickness_nm", "n_shift", "k_shift")
-        metric = path_power(scene, "all", rays=200, fields_deg=20.0, **TRACED)
+        metric = path_power(scene, "all", rays=200, field_deg=20.0, **TRACED)
         assert metric.value() > 0.3
         assert all(np.all(values != 0) for values in gradient(metric, params).gradient.values())
         assert compare(metric, params, 6, seed=6) < TOLERANCE
@@ -229,7 +229,7 @@ class TestAngles:
         )  # fmt: skip
         for side in ("20", "-20"):
             scene = load_scene(text.replace("SIDE", side))
-            metric = path_power(scene, "all", rays=500, fields_deg=(-12.0, -5.0, 0.0, 5.0), **TRACED)
+            metric = path_power(scene, "all", rays=500, field_deg=(-12.0, -5.0, 0.0, 5.0), **TRACED)
             if metric.value() > 0:
                 break
         params = keep_coatings(scene, "thickness_nm", "n_shift", "k_shift")

@@ -104,7 +104,7 @@ class TestPstBands:
         assert bands.bands == [(0, 20.0, 22.0), (180, 20.0, 22.0), (0, 22.0, 24.0), (180, 22.0, 24.0)]
         for row, (azimuth, low, high) in enumerate(bands.bands):
             metric = pst_bin(
-                scene, (low + high) / 2, azimuth_deg=azimuth, angles_deg=(21.0, 23.0), cell_deg=2.0, **SETTINGS
+                scene, (low + high) / 2, azimuth_deg=azimuth, pst_field_deg=(21.0, 23.0), cell_deg=2.0, **SETTINGS
             )
             expected = mistray.gradient(metric, mi.traverse(scene), KEYS)
             assert found.value[row] == pytest.approx(expected.value, rel=1e-6)

@@ -127,9 +127,7 @@ class TestStatistics:
         params = mi.traverse(scene)
         keys = ["window_rear.bsdf.R", "detector.bsdf.R"]
         runs = [
-            gradient(
-                path_power(scene, "ghost", rays=500, fields_deg=10.0, seed=seed, flux_threshold=1e-5), params, keys
-            )
+            gradient(path_power(scene, "ghost", rays=500, field_deg=10.0, seed=seed, flux_threshold=1e-5), params, keys)
             for seed in range(40)
         ]
         values = np.array([[g.value, *(g.gradient[key][0] for key in keys)] for g in runs])
@@ -210,8 +208,6 @@ class TestRefusals:
         for keys in (["p0_front.bsdf.R"], ["p0_front.curvature"]):
             with pytest.raises(mistray.MistrayError, match="polarization='unpolarized'"):
                 gradient(path_power(scene, "ghost", rays=16, polarization="stokes"), params, keys)
-        with pytest.raises(mistray.MistrayError, match="give fields_deg instead of field_deg"):
-            path_power(scene, "ghost", field_deg=3.0)
         with pytest.raises(mistray.MistrayError, match="'phantom' is no kind of path"):
             path_power(scene, "phantom", rays=16).value()
         dr.enable_grad(params["p0_front.vertex_positions"])

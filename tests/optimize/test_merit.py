@@ -170,7 +170,7 @@ def plate(tmp_path: Path) -> Path:
     return write(tmp_path, plates_text(1, R=0.05, T=0.9))
 
 
-LIGHT = {"wavelength_nm": [500, 600], "fields_deg": [0, 5], "rays": 500}
+LIGHT = {"wavelength_nm": [500, 600], "field_deg": [0, 5], "rays": 500}
 
 
 class TestMerit:
@@ -313,5 +313,5 @@ class TestMerit:
 def broken_metric(scene: Any, factor: float, **traced: Any) -> Any:
     from mistray.optimize import Metric
 
-    light = {key: traced.pop(key) for key in ("fields_deg", "wavelength_nm")}
+    light = {key: traced.pop(key) for key in ("field_deg", "wavelength_nm")}
     return Metric(scene, lambda observations: factor * observations[0].power("all"), settings=traced, **light)

@@ -77,7 +77,7 @@ class TestNumbers:
             transmission: [share(t, "direct") / light for t, light in zip(traces, launched, strict=True)],
         }
         for factory, numbers in expected.items():
-            assert factory(scene, fields_deg=FIELDS, **TRACED).value() == pytest.approx(np.mean(numbers), rel=1e-12)
+            assert factory(scene, field_deg=FIELDS, **TRACED).value() == pytest.approx(np.mean(numbers), rel=1e-12)
 
     def test_sums_of_the_path_table(self, traces) -> None:
         """Flux and moments of every path are those that its row shows; batches add up to them."""
@@ -99,9 +99,9 @@ class TestNumbers:
         figures = [ghosts(t).rms_irradiance_W_mm2 for t in traces]
         radii = [ghosts(t).rms_radius_mm for t in traces]
         events = ghosts(traces[0]).events.iloc[1]
-        brightest = ghost_rms_irradiance(scene, fields_deg=FIELDS, **TRACED)
+        brightest = ghost_rms_irradiance(scene, field_deg=FIELDS, **TRACED)
         one = ghost_rms_irradiance(scene, events, **TRACED)
-        focus = ghost_focus(scene, fields_deg=FIELDS, norm=4.0, **TRACED)
+        focus = ghost_focus(scene, field_deg=FIELDS, norm=4.0, **TRACED)
         assert len(figures[0]) > 3
         assert brightest.value() == pytest.approx(np.mean([p_norm(e) for e in figures]), rel=1e-9)
         assert one.value() == pytest.approx(figures[0].iloc[1], rel=1e-9)
@@ -120,17 +120,17 @@ class TestNumbers:
         x, y = (rays[name] - w @ rays[name] for name in ("x_mm", "y_mm"))
         expected = np.sqrt(w @ (x * x + y * y))
         # Places in the kernel are rounded to 6e-8 of up to 2 mm
-        assert rms_spot(scene, fields_deg=4.0, **settings).value() == pytest.approx(expected, rel=1e-5)
+        assert rms_spot(scene, field_deg=4.0, **settings).value() == pytest.approx(expected, rel=1e-5)
 
     def test_peak(self, scene, traces) -> None:
         maps = [t.irradiance_of([row.path_id for row in t.paths if row.kind == "ghost"])[0] for t in traces]
-        found = peak_irradiance(scene, fields_deg=FIELDS, **TRACED).value()
+        found = peak_irradiance(scene, field_deg=FIELDS, **TRACED).value()
         assert found == pytest.approx(np.mean([p_norm(image) for image in maps]), rel=1e-9)
         largest = np.mean([image.max() for image in maps])
         assert largest <= found <= largest * maps[0].size ** (1 / 16)
-        image = image_metric(scene, dr.sum, fields_deg=FIELDS, **TRACED).value()
+        image = image_metric(scene, dr.sum, field_deg=FIELDS, **TRACED).value()
         assert image == pytest.approx(np.mean([t.irradiance.sum() for t in traces]), rel=1e-12)
-        everything = peak_irradiance(scene, "all", norm=1.0, fields_deg=FIELDS, **TRACED).value()
+        everything = peak_irradiance(scene, "all", norm=1.0, field_deg=FIELDS, **TRACED).value()
         assert everything == pytest.approx(image, rel=1e-12)
 
     @pytest.mark.parametrize("index", [1.0, 1.5])
@@ -153,7 +153,7 @@ class TestNumbers:
         expected = np.mean(np.cos(inside) ** 4)
         # The centroids are those of the same random places in the beam; what is left is the difference for the slope
         for step in (None, 1.0, 0.05):
-            found = relative_illumination(scene, step_deg=step, fields_deg=fields, rays=500).value()
+            found = relative_illumination(scene, step_deg=step, field_deg=fields, rays=500).value()
             bound = 2 * np.radians(0.5 if step is None else step) ** 2 + 2e-5
             assert found == pytest.approx(expected, rel=bound), step
         assert found != pytest.approx(np.mean(np.cos(inside) ** 3), rel=0.01)
@@ -182,10 +182,10 @@ class TestCombined:
 
         monkeypatch.setattr(views, "trace", counted)
         parts = {
-            "ghosts": path_power(scene, fields_deg=[0.0, 4.0], **TRACED),
-            "spot": rms_spot(scene, fields_deg=np.array([4.0]), **TRACED),
-            "light": transmission(scene, fields_deg=(0, 4), **TRACED | {"wavelength_nm": [500, 600]}),
-            "other": transmission(scene, fields_deg=4.0, **TRACED | {"rays": 200}),
+            "ghosts": path_power(scene, field_deg=[0.0, 4.0], **TRACED),
+            "spot": rms_spot(scene, field_deg=np.array([4.0]), **TRACED),
+            "light": transmission(scene, field_deg=(0, 4), **TRACED | {"wavelength_nm": [500, 600]}),
+            "other": transmission(scene, field_deg=4.0, **TRACED | {"rays": 200}),
         }
         merit = combine(parts, lambda m: m["ghosts"] / m["light"] ** 2 + m["spot"] - dr.log(m["other"]))
         values = {name: part.value() for name, part in parts.items()}
@@ -217,7 +217,7 @@ class TestCombined:
 class TestNoise:
     def test_over_seeds(self, scene) -> None:
         """Over 40 seeds the spread is the error: χ² with 39 degrees of freedom, false-alarm probability 1e-6 each."""
-        settings = {"rays": 400, "max_reflections": 2, "fields_deg": FIELDS}
+        settings = {"rays": 400, "max_reflections": 2, "field_deg": FIELDS}
         metrics = [rms_spot(scene, **settings), ghost_to_signal(scene, **settings), ghost_radius(scene, **settings)]
         values, variances = np.zeros((40, 3)), np.zeros((40, 3))
         for seed in range(40):
@@ -233,10 +233,10 @@ class TestNoise:
         assert np.all(ratio > 0.24), ratio
 
 
-def ghost_radius(scene: Any, fields_deg: tuple[float, ...], **settings: Any) -> Metric:
+def ghost_radius(scene: Any, field_deg: tuple[float, ...], **settings: Any) -> Metric:
     """RMS radius of all ghosts as one."""
     return Metric(
-        scene, lambda seen: sum(o.moments("ghost").rms_radius for o in seen), fields_deg=fields_deg, settings=settings
+        scene, lambda seen: sum(o.moments("ghost").rms_radius for o in seen), field_deg=field_deg, settings=settings
     )
 
 
@@ -261,7 +261,7 @@ class TestCoatings:
     @pytest.mark.parametrize("name", [*EVERY, "ghost_radius"])
     def test_central_differences(self, lens, name: str) -> None:
         params = mi.traverse(lens)
-        metric = (EVERY | {"ghost_radius": ghost_radius})[name](lens, fields_deg=(0.0, 3.0), rays=400)
+        metric = (EVERY | {"ghost_radius": ghost_radius})[name](lens, field_deg=(0.0, 3.0), rays=400)
         found = mistray.gradient(metric, params, list(self.KEYS)).gradient
         size = metric.value()
         for key in self.KEYS:
@@ -282,21 +282,19 @@ class TestRefusals:
     def test_settings(self, scene) -> None:
         with pytest.raises(MistrayError, match="there is no setting 'ray'; did you mean rays"):
             path_power(scene, ray=16)
-        with pytest.raises(MistrayError, match="give fields_deg instead of field_deg"):
-            rms_spot(scene, field_deg=3.0)
-        with pytest.raises(MistrayError, match="fields_deg is empty"):
-            rms_spot(scene, fields_deg=())
-        with pytest.raises(MistrayError, match="needs fields_deg off the axis"):
-            relative_illumination(scene, fields_deg=0.0)
+        with pytest.raises(MistrayError, match="field_deg is empty"):
+            rms_spot(scene, field_deg=())
+        with pytest.raises(MistrayError, match="needs field_deg off the axis"):
+            relative_illumination(scene, field_deg=0.0)
         with pytest.raises(MistrayError, match=r"step_deg is -1; give a small angle"):
-            relative_illumination(scene, fields_deg=3.0, step_deg=-1)
+            relative_illumination(scene, field_deg=3.0, step_deg=-1)
         with pytest.raises(MistrayError, match="times is 0; it must be a positive number"):
             rms_spot(scene).value(times=0)
 
     def test_no_direct_light(self, scene) -> None:
         for factory in (ghost_to_signal, rms_spot):
             with pytest.raises(MistrayError, match=r"no (direct )?light .*at field 60°"):
-                factory(scene, fields_deg=60.0, rays=64).value()
+                factory(scene, field_deg=60.0, rays=64).value()
 
     def test_logarithm(self, scene) -> None:
         with pytest.raises(MistrayError, match="the path power is 0; its logarithm does not exist"):

@@ -268,7 +268,7 @@ class TestKernels:
     def test_none_is_compiled_after_the_second_step(self, how: dict[str, Any]) -> None:
         """Counted on the Cooke triplet: two terms of light at two fields, one of layers."""
         given = {
-            "trace": {"fields_deg": [0, 15], "wavelength_nm": [550], "rays": 200},
+            "trace": {"field_deg": [0, 15], "wavelength_nm": [550], "rays": 200},
             "term": [
                 {"kind": "path_power", "goal": "minimise"},
                 {"kind": "transmission", "goal": "at_least", "limit_of_start": 0.9},

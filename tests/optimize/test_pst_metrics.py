@@ -87,7 +87,7 @@ class TestNumbers:
         for pst, low, high in ((DENSE, 17.0, 64.0), (SPARSE, 8.0, 71.0)):
             if interpolation == "cells" and pst is SPARSE:
                 continue
-            curve, angles, edges = total_of(pst, "stray")[:, 0], pst.grid.angles_deg, np.unique(pst.grid.edges_deg)
+            curve, angles, edges = total_of(pst, "stray")[:, 0], pst.grid.field_deg, np.unique(pst.grid.edges_deg)
 
             def at(theta: float, curve=curve, angles=angles, pst=pst) -> float:
                 if interpolation == "cells":
@@ -197,11 +197,11 @@ class TestMetrics:
         angles = (0.0, 20.0, 40.0)
         pst = next(pst_of_each([scene], angles, paths=False, one_direction=True, **TRACED))
         stray = pst.curve("stray")[0]
-        at_40 = pst_bin(scene, 40, angles_deg=angles, **TRACED)
+        at_40 = pst_bin(scene, 40, pst_field_deg=angles, **TRACED)
         assert at_40.value() == pytest.approx(stray[2], rel=1e-12)
-        projected = pst_bin(scene, 40, angles_deg=angles, convention="projected", **TRACED)
+        projected = pst_bin(scene, 40, pst_field_deg=angles, convention="projected", **TRACED)
         assert projected.value() == pytest.approx(pst.to("projected").curve("stray")[0][2], rel=1e-12)
-        direct = pst_bin(scene, 0, "direct", angles_deg=angles, **TRACED)
+        direct = pst_bin(scene, 0, "direct", pst_field_deg=angles, **TRACED)
         assert direct.value() == pytest.approx(pst.curve("direct")[0][0], rel=1e-12)
         limits = (0.1, 0.01, 0.001)
         share = stray / limits
@@ -214,7 +214,7 @@ class TestMetrics:
         """The mean over a band is the PST of one cell as wide as the band: the rays are the same."""
         band = pst_band(scene, 20, 50, **TRACED)
         (view,) = band.views
-        angles, width = view.arguments["angles_deg"], view.arguments["cell_deg"]
+        angles, width = view.arguments["field_deg"], view.arguments["cell_deg"]
         assert len(angles) == 15
         assert width == 2
         wide = next(pst_of_each([scene], (35,), cell_deg=30, paths=False, one_direction=True, **TRACED))
@@ -222,7 +222,7 @@ class TestMetrics:
         integral = pst_band(scene, 20, 50, quantity="integral", **TRACED)
         assert integral.value() == pytest.approx(band.value() * wide.grid.solid_angle[0], rel=1e-9)
         assert (band.unit, integral.unit) == ("1", "sr")
-        angles = pst_band(scene, 10, 45.5, **TRACED).views[0].arguments["angles_deg"]
+        angles = pst_band(scene, 10, 45.5, **TRACED).views[0].arguments["field_deg"]
         assert len(angles) == 18
 
     def test_glare(self, scene) -> None:
@@ -241,11 +241,11 @@ class TestMetrics:
         monkeypatch.setattr(views, "pst_of_each", counted)
         angles = [20.0, 40.0]
         parts = {
-            "a": pst_bin(scene, 20, angles_deg=angles, **TRACED),
-            "b": pst_bin(scene, 40, "total", angles_deg=np.array(angles), **TRACED),
+            "a": pst_bin(scene, 20, pst_field_deg=angles, **TRACED),
+            "b": pst_bin(scene, 40, "total", pst_field_deg=np.array(angles), **TRACED),
             "mask": pst_mask(scene, angles, (1, 1), **TRACED),
-            "other": pst_bin(scene, 20, angles_deg=angles, **TRACED | {"rays": 3000}),
-            "image": pst_bin(scene, 40, angles_deg=angles, **TRACED),
+            "other": pst_bin(scene, 20, pst_field_deg=angles, **TRACED | {"rays": 3000}),
+            "image": pst_bin(scene, 40, pst_field_deg=angles, **TRACED),
         }
         merit = combine(parts, lambda m: m["a"] + m["b"] / m["mask"] + m["other"] * m["image"])
         values = {name: part.value() for name, part in parts.items()}
@@ -268,7 +268,7 @@ class TestCoatings:
         scene = load_scene(plates_text(1, R=0.1, T=0.8))
         params = mi.traverse(scene)
         keys = [f"p0_{face}.bsdf.{what}" for face in ("front", "rear") for what in "RT"]
-        traced = {"rays": 20_000, "max_reflections": 2, "angles_deg": (0, 5)}
+        traced = {"rays": 20_000, "max_reflections": 2, "pst_field_deg": (0, 5)}
         ghost, direct = (pst_bin(scene, 0, light, **traced) for light in ("ghost", "direct"))
         merit = combine({"ghost": ghost, "direct": direct}, lambda m: dr.log(m["ghost"] / m["direct"]))
         for metric, values in (
@@ -293,11 +293,13 @@ class TestRefusals:
             (lambda: pst_bin(scene, 20, fields_deg=3), "there is no setting 'fields_deg'"),
             (lambda: pst_bin(scene, 20, method="forward"), "method is no setting of a PST metric"),
             (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is no setting of a PST metric"),
-            (lambda: pst_bin(scene, 20, angles_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
+            (lambda: pst_bin(scene, 20, pst_field_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
             (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),
             (lambda: pst_band(scene, 20, 50, quantity="sum"), "quantity is 'sum'; use 'mean' or 'integral'"),
-            (lambda: pst_band(scene, 20, 50, cell_deg=1.0), "cell_deg is given without angles_deg"),
-            (lambda: pst_band(scene, 20, 50, angles_deg=(80,), **TRACED).value(), "no cell of the PST holds any of it"),
+            (lambda: pst_band(scene, 20, 50, cell_deg=1.0), "cell_deg is given without pst_field_deg"),
+            (lambda: pst_band(scene, 20, 50, pst_field_deg=80, **TRACED).value(), "no cell of the PST holds any of it"),
+            (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between 0 and 90"),
+            (lambda: pst_mask(scene, 20, 1e-3, pst_field_deg=30), "leave out pst_field_deg"),
             (lambda: pst_mask(scene, (20, 40), (1e-3,)), "mask of 2 angles and 1 limits"),
             (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "2 limits; give one limit greater than 0"),
             (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; a metric knows 'mean'"),

@@ -31,7 +31,7 @@ def metric(tmp_path_factory: pytest.TempPathFactory) -> Any:
     coatings = [SharedCoating(name, STACK, surfaces) for name, surfaces in GROUPS.items()]
     file = write_recoated(find("cooke_triplet"), coatings, tmp_path_factory.mktemp("scene") / "scene.xml")
     scene = mistray.load(file)
-    return path_power(scene, "ghost", fields_deg=(0, 15), wavelength_nm=(480, 600), rays=256, flux_threshold=0)
+    return path_power(scene, "ghost", field_deg=(0, 15), wavelength_nm=(480, 600), rays=256, flux_threshold=0)
 
 
 @pytest.fixture(scope="module")

@@ -21,7 +21,7 @@ from mistray.optimize.terms import KINDS
 
 ROOT = Path(__file__).parents[2]
 GOOD: dict[str, Any] = {
-    "trace": {"fields_deg": [0, 10], "wavelength_nm": [500, 600], "weights": [1, 3], "rays": 100},
+    "trace": {"field_deg": [0, 10], "wavelength_nm": [500, 600], "weights": [1, 3], "rays": 100},
     "term": [
         {"name": "ghosts", "kind": "path_power", "goal": "minimise", "selection": "ghost"},
         {"kind": "transmission", "goal": "at_least", "limit": 0.9, "rays": 50},
@@ -67,13 +67,13 @@ class TestReading:
         study = read_study(GOOD)
         ghosts, transmission, band, layers = study.terms
         assert ghosts.own == {"selection": "ghost"}
-        shared = {"fields_deg": (0.0, 10.0), "wavelength_nm": (500.0, 600.0), "weights": (1.0, 3.0), "rays": 100}
+        shared = {"field_deg": (0.0, 10.0), "wavelength_nm": (500.0, 600.0), "weights": (1.0, 3.0), "rays": 100}
         assert ghosts.traced == shared
         assert (ghosts.goal, ghosts.weight, ghosts.limit) == ("minimise", 1.0, None)
         assert transmission.name == "transmission"
         assert transmission.traced == {**shared, "rays": 50}
         assert (band.limit, band.limit_of_start, band.own) == (None, 0.5, {"low_deg": 20, "high_deg": 80})
-        assert "fields_deg" not in band.traced, "a PST has angles of its own"
+        assert "field_deg" not in band.traced, "a PST has angles of its own"
         assert (layers.own, layers.traced) == ({"coatings": ("a",)}, {})
         assert study.optimizer == Optimizer("sqp", steps=5, patience=3, starts=4)
         vanes, paint = study.variables
@@ -88,7 +88,7 @@ class TestReading:
 
     def test_own_wavelengths_of_a_term_come_without_the_weights_of_others(self) -> None:
         (term, *_) = read_study(changed("term.0.wavelength_nm", [450, 550, 650])).terms
-        assert term.traced == {"fields_deg": (0.0, 10.0), "wavelength_nm": (450.0, 550.0, 650.0), "rays": 100}
+        assert term.traced == {"field_deg": (0.0, 10.0), "wavelength_nm": (450.0, 550.0, 650.0), "rays": 100}
 
     def test_starts_and_methods(self) -> None:
         """Several starts with coatings, a method for limits with limits, unless the study says."""
@@ -208,17 +208,17 @@ class TestRefusals:
             ("term.2.low_deg", 80, r"term\[3\]\.\(kind 'pst_band'\): band from 80 to 80°"),
             ("term.2.low_deg", "x", r"term\[3\]\.\(kind 'pst_band'\): its arguments do not fit: "),
             ("term.2.light", "gost", r"light 'gost' does not exist; did you mean 'ghost'"),
-            ("term.2.fields_deg", [1], r"term\[3\]\.fields_deg is unknown"),
+            ("term.2.field_deg", [1], r"term\[3\]\.field_deg is unknown"),
             ("term.3.coatings", ["c"], r"term\[4\]\.coatings names 'c'; choose from a, b"),
             ("term.3.coatings", "a", r"term\[4\]\.coatings is 'a'; give a list of names"),
             ("term.3.rays", 9, r"term\[4\]\.rays is unknown"),
             ("term.1.name", "ghosts", r"term\.name 'ghosts' is given twice"),
             ("trace.ray", 3, "trace\\.ray is unknown; did you mean 'rays'?"),
             ("trace.seed", 3, "trace\\.seed is unknown"),
-            ("trace.fields_deg", [0, 90], "angles lie between -90 and 90 degrees"),
-            ("trace.fields_deg", ["x"], r"trace\.fields_deg is \['x'\]; give a number or a list"),
-            ("trace.fields_deg", [], r"trace\.fields_deg is \[\]; give a number or a list"),
-            ("trace.fields_deg", [float("nan")], "the numbers must be finite"),
+            ("trace.field_deg", [0, 90], "angles lie between -90 and 90 degrees"),
+            ("trace.field_deg", ["x"], r"trace\.field_deg is \['x'\]; give a number or a list"),
+            ("trace.field_deg", [], r"trace\.field_deg is \[\]; give a number or a list"),
+            ("trace.field_deg", [float("nan")], "the numbers must be finite"),
             ("trace.wavelength_nm", [500, 500], "give positive numbers in nm, each once"),
             ("trace.wavelength_nm", {"start": 450, "stop": 500}, r"trace\.wavelength_nm has no step"),
             ("trace.wavelength_nm", {"start": 500, "stop": 450, "step": 5}, "stop must not be below start"),

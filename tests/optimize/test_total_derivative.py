@@ -87,7 +87,7 @@ def off(gradient: mistray.optimize.Gradient, differences: dict[str, tuple[float,
 
 @pytest.mark.parametrize("edge_width", [0.1, 0.05])
 def test_geometry_and_edges(scene: Any, differences: dict[str, tuple[float, float]], edge_width: float) -> None:
-    metric = path_power(scene, "all", rays=RAYS, fields_deg=FIELD_DEG, **TRACED)
+    metric = path_power(scene, "all", rays=RAYS, field_deg=FIELD_DEG, **TRACED)
     gradient = mistray.gradient(metric, mi.traverse(scene), keys=KEYS, edge_width=edge_width)
     away = off(gradient, differences)
     assert all(abs(z) < LIMIT for z in away.values()), away
@@ -98,7 +98,7 @@ def test_geometry_and_edges(scene: Any, differences: dict[str, tuple[float, floa
 
 
 def test_fixed_visibility_is_not_enough(scene: Any, differences: dict[str, tuple[float, float]]) -> None:
-    metric = path_power(scene, "all", rays=RAYS // 10, fields_deg=FIELD_DEG, **TRACED)
+    metric = path_power(scene, "all", rays=RAYS // 10, field_deg=FIELD_DEG, **TRACED)
     gradient = mistray.gradient(metric, mi.traverse(scene), keys=KEYS, edges=False)
     away = off(gradient, differences)
     assert gradient.gradient["stop_front.r1"][0] == 0

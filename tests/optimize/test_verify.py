@@ -35,8 +35,8 @@ class TestRows:
         """Of each term the whole, each field, each wavelength and each pair of both."""
         read = study(
             GHOSTS,
-            {"name": "signal", "kind": "transmission", "goal": "keep", "fields_deg": [0], "wavelength_nm": [500, 600]},
-            fields_deg=[0, 1],
+            {"name": "signal", "kind": "transmission", "goal": "keep", "field_deg": [0], "wavelength_nm": [500, 600]},
+            field_deg=[0, 1],
             wavelength_nm=[500, 600],
             weights=[1, 3],
             rays=64,
@@ -57,7 +57,7 @@ class TestRows:
     def test_the_whole_is_the_mean(self) -> None:
         """Of the fields, and of the wavelengths with their weights; the coatings of the triplet are not grey."""
         read = study(
-            GHOSTS, fields_deg=[0, 10], wavelength_nm=[450, 550], weights=[1, 3], rays=1000, flux_threshold=1e-9
+            GHOSTS, field_deg=[0, 10], wavelength_nm=[450, 550], weights=[1, 3], rays=1000, flux_threshold=1e-9
         )
         levels = measure(mistray.load("cooke_triplet"), read, seeds=2)
 
@@ -73,7 +73,7 @@ class TestRows:
         """A field without a value has no number, but the others have; a term without one raises."""
         term = {"kind": "ghost_rms_irradiance", "goal": "minimise", "rays": 300}
         scene = mistray.load("cooke_triplet")
-        levels = measure(scene, study({**term, "fields_deg": [0, 10], "wavelength_nm": [500, 510, 520, 530]}), seeds=2)
+        levels = measure(scene, study({**term, "field_deg": [0, 10], "wavelength_nm": [500, 510, 520, 530]}), seeds=2)
         values = {cell: value for cell, value in levels.values.items() if not cell.whole}
         assert np.all(np.isfinite(levels.of("ghost_rms_irradiance")))
         assert any(np.isnan(value).any() for value in values.values())
@@ -106,7 +106,7 @@ class TestErrors:
         from mistray.coatings import preset
         from mistray.scene.recoat import SharedCoating, write_recoated
 
-        read = study(GHOSTS, fields_deg=[10], wavelength_nm=550, rays=300, seed=seed)
+        read = study(GHOSTS, field_deg=[10], wavelength_nm=550, rays=300, seed=seed)
         levels = []
         for name in ("mgf2_quarter_wave", "bbar3"):
             coating = SharedCoating("AR", preset(name), ("L1_front", "L1_rear", "L2_front", "L2_rear"))

@@ -256,9 +256,7 @@ class TestStockSensor:
     def test_a_painted_tube_under_path_and_straylight(self, tmp_path: Path) -> None:
         """The sky through a painted tube: `path` against the PST of `straylight`, integrated over the hemisphere."""
         text = painted_tube_text(3.0, 1.0, 1.0, 0.3)
-        pst = mistray.pst(
-            mistray.load(write(tmp_path, text)), angles_deg=range(0, 91, 2), rays=100_000, max_scatters=12
-        )
+        pst = mistray.pst(mistray.load(write(tmp_path, text)), field_deg=range(0, 91, 2), rays=100_000, max_scatters=12)
         value, se = pst.curve()
         cells = pst.grid.solid_angle
         assert cells.sum() == pytest.approx(2 * np.pi, rel=1e-6)

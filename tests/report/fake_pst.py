@@ -60,7 +60,7 @@ def levels(theta: np.ndarray) -> np.ndarray:
 
 
 def fake_pst(
-    angles_deg=tuple(range(0, 81, 2)),
+    field_deg=tuple(range(0, 81, 2)),
     azimuths_deg=None,
     noise: float = 0.05,
     map_pixels: int = 0,
@@ -71,9 +71,9 @@ def fake_pst(
 ) -> Pst:
     """The PST of the camera; `noise` is the relative spread of a batch, larger at larger angles."""
     rng = np.random.default_rng(7)
-    grid = DirectionGrid.of(angles_deg, azimuths_deg)
+    grid = DirectionGrid.of(field_deg, azimuths_deg)
     n, m = grid.shape
-    theta = grid.angles_deg
+    theta = grid.field_deg
     tilt = 1 + 0.5 * np.cos(np.radians(grid.azimuths_deg)) if m > 1 else np.ones(1)
     clean = levels(theta)[:, :, None] * np.where(np.arange(len(PATHS)) == 3, 1.0, 0.0)[:, None, None] * tilt
     clean += levels(theta)[:, :, None] * np.where(np.arange(len(PATHS)) == 3, 0.0, 1.0)[:, None, None]

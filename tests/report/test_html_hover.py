@@ -49,7 +49,7 @@ def test_curve_has_the_values_of_the_table():
     assert float(values["all light"].split(" ± ")[0]) == pytest.approx(total, abs=0.6 * se)
     assert set(values) >= {"all light", "stray light", "ghost", "single scatter"}
     assert dict(data["values"][-1])["all light"] == "–"
-    assert len(data["x"]) == len(data["values"]) == len(pst.angles_deg)
+    assert len(data["x"]) == len(data["values"]) == len(pst.field_deg)
     assert np.all(np.diff(data["x"]) > 0)
 
 

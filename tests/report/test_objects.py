@@ -27,7 +27,7 @@ from mistray.report.objects_tables import (
 
 @pytest.fixture(scope="module")
 def found():
-    return objects(mistray.load("phone_camera_scatter"), rays=20_000, angles_deg=[0.0, 30.0])
+    return objects(mistray.load("phone_camera_scatter"), rays=20_000, field_deg=[0.0, 30.0])
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ from mistray.report.optimization_tables import (
 )
 
 STUDY: dict[str, Any] = {
-    "trace": {"wavelength_nm": [500, 600], "fields_deg": [0, 2], "rays": 32},
+    "trace": {"wavelength_nm": [500, 600], "field_deg": [0, 2], "rays": 32},
     "term": [
         {"name": "ghosts", "kind": "path_power", "goal": "minimise"},
         {"name": "price", "kind": "total_thickness", "goal": "at_most", "limit_of_start": 1.5},

@@ -41,7 +41,7 @@ class Page(HTMLParser):
 
 @pytest.fixture(scope="module")
 def written(tmp_path_factory):
-    pst = fake_pst(angles_deg=range(0, 81, 10), azimuths_deg=(0, 90, 180), map_pixels=8)
+    pst = fake_pst(field_deg=range(0, 81, 10), azimuths_deg=(0, 90, 180), map_pixels=8)
     out = tmp_path_factory.mktemp("pst") / "new" / "out"
     files = write_pst(pst, out, "a <b> & c", "mistray pst 'a <b> & c'", 3, [(20.0, 90.0), (40.0, 0.0)])
     return pst, out, files
@@ -69,7 +69,7 @@ def test_files_are_those_listed(written) -> None:
 
 
 def test_fewer_files_of_a_simpler_pst(tmp_path: Path) -> None:
-    files = write_pst(fake_pst(angles_deg=(0, 20), paths=False), tmp_path)
+    files = write_pst(fake_pst(field_deg=(0, 20), paths=False), tmp_path)
     assert {file.name for file in files} == {"pst.csv", "pst.png", "pst.json", "report.html"}
 
 
@@ -116,7 +116,7 @@ def test_report_says_what_matters(written) -> None:
     assert "%: share of the stray light at that angle" in text
     assert text.count("data:image/png;base64,") == 3
     table = re.search(r'<table id="t-paths".*?</table>', text, re.DOTALL)[0]
-    assert table.count("<tr>") == 1 + 3 * len(pst.angles_deg)
+    assert table.count("<tr>") == 1 + 3 * len(pst.field_deg)
     assert "direct image" not in table
 
 
@@ -134,11 +134,11 @@ def test_a_failure_leaves_the_old_files(tmp_path: Path, monkeypatch: pytest.Monk
 
     monkeypatch.setattr(pst_output, "html_text", fail)
     with pytest.raises(RuntimeError, match="out of paper"):
-        write_pst(fake_pst(angles_deg=(0, 20)), tmp_path)
+        write_pst(fake_pst(field_deg=(0, 20)), tmp_path)
     assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("pst.csv", "old")]
 
 
 def test_a_file_for_a_directory_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
     with pytest.raises(MistrayError, match="is a file; name a directory"):
-        write_pst(fake_pst(angles_deg=(0, 20)), tmp_path / "out")
+        write_pst(fake_pst(field_deg=(0, 20)), tmp_path / "out")

@@ -48,7 +48,7 @@ def test_bands_are_one_standard_error(pst: Pst) -> None:
 
 
 def test_a_point_without_neighbours_has_its_error_too() -> None:
-    pst = fake_pst(angles_deg=(0, 10, 45, 60))  # straight shots at 45° only
+    pst = fake_pst(field_deg=(0, 10, 45, 60))  # straight shots at 45° only
     value, se = pst.curve("straight_shot")
     segments = [line for item in pst_curve(pst).axes[0].collections for line in getattr(item, "get_segments", list)()]
     (bar,) = [line for line in segments if line[0][0] == 45.0]
@@ -66,7 +66,7 @@ def test_errors_and_the_one_asked_for_stand_below(pst: Pst) -> None:
 def test_edge_of_the_field_is_marked(pst: Pst) -> None:
     above, _ = pst_curve(pst).axes
     assert any(text.get_text() == "edge of the field, 26.1°" for text in above.texts)
-    assert not pst_curve(fake_pst(angles_deg=(40, 50))).axes[0].texts
+    assert not pst_curve(fake_pst(field_deg=(40, 50))).axes[0].texts
 
 
 def test_angles_without_light_are_marked_at_the_bottom() -> None:
@@ -106,7 +106,7 @@ def test_causes_are_stacked_shares(pst: Pst) -> None:
 
 
 def test_many_causes_end_in_a_rest() -> None:
-    pst = fake_pst(angles_deg=(0, 20, 40))
+    pst = fake_pst(field_deg=(0, 20, 40))
     rows = pst.path_rows
     copies = [rows.assign(scatter_1=f"wall_{k}", events=f"wall_{k}:r detector:A") for k in range(12)]
     many = type(pst)(**{**vars(pst), "path_rows": type(rows)(np.vstack(copies), columns=rows.columns).infer_objects()})
@@ -116,7 +116,7 @@ def test_many_causes_end_in_a_rest() -> None:
 
 
 def test_map_shows_the_cells_where_they_are() -> None:
-    pst = fake_pst(angles_deg=(10, 20, 40), azimuths_deg=(0, 90, 200))
+    pst = fake_pst(field_deg=(10, 20, 40), azimuths_deg=(0, 90, 200))
     panels = [axes for axes in pst_map(pst).axes if axes.name == "polar"]
     assert [axes.get_title() for axes in panels] == ["all light", "stray light: all but direct"]
     for axes, group in zip(panels, ("total", "stray"), strict=True):
@@ -124,7 +124,7 @@ def test_map_shows_the_cells_where_they_are() -> None:
         corners, shown = mesh.get_coordinates(), mesh.get_array()
         middle = (corners[:-1, :-1] + corners[1:, 1:]) / 2
         value = pst.map(group)[0]
-        for i, angle in enumerate(pst.angles_deg):
+        for i, angle in enumerate(pst.field_deg):
             for j, azimuth in enumerate(pst.grid.azimuths_deg):
                 turned = np.degrees(middle[..., 0]) - azimuth
                 here = (np.abs((turned + 180) % 360 - 180) < 1.0) & np.isclose(middle[..., 1], angle)
@@ -159,7 +159,7 @@ def test_irradiance_is_a_log_map_in_mm(pst: Pst) -> None:
 
 
 def test_irradiance_names_the_azimuth_and_a_dark_detector() -> None:
-    several = fake_pst(angles_deg=(0, 60), azimuths_deg=(0, 90), map_pixels=4, dark_from_deg=50)
+    several = fake_pst(field_deg=(0, 60), azimuths_deg=(0, 90), map_pixels=4, dark_from_deg=50)
     assert pst_irradiance(several, 0.0, 90.0).axes[0].get_title() == "source at 0°, azimuth 90°"
     (axes,) = pst_irradiance(several, 60.0, 90.0).axes
     assert [text.get_text() for text in axes.texts] == ["no light"]

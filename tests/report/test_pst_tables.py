@@ -29,7 +29,7 @@ def pst() -> Pst:
 
 @pytest.fixture(scope="module")
 def around() -> Pst:
-    return fake_pst(angles_deg=(0, 20, 40), azimuths_deg=(0, 90, 180, 270))
+    return fake_pst(field_deg=(0, 20, 40), azimuths_deg=(0, 90, 180, 270))
 
 
 def rows(text: str) -> list[list[str]]:
@@ -103,7 +103,7 @@ def test_curve_text_has_the_numbers_with_their_errors(pst: Pst) -> None:
 
 def test_straight_shots_have_a_column_where_there_are_any(pst: Pst) -> None:
     assert "straight shot" in curve_text(pst)
-    assert "straight shot" not in curve_text(fake_pst(angles_deg=(0, 20)))
+    assert "straight shot" not in curve_text(fake_pst(field_deg=(0, 20)))
     assert stray_paths(pst, 44.0).label.isin(["straight shot"]).sum() == 1
 
 
@@ -117,7 +117,7 @@ def test_top_paths_stand_beside_each_other_with_their_shares(pst: Pst) -> None:
 
 
 def test_paths_of_one_name_are_told_apart_by_their_turns() -> None:
-    pst = fake_pst(angles_deg=(40,))
+    pst = fake_pst(field_deg=(40,))
     rows = pst.path_rows
     stop = rows.scatter_1 == "stop_wall"
     twin = {"scatter_1": "barrel_1", "path": "TrRA", "events": "L1_front:T barrel_1:r mirror:R detector:A"}
@@ -137,7 +137,7 @@ def test_text_names_convention_method_and_denominator(pst: Pst) -> None:
     assert "%: share of the stray light at that angle, which is all light but the direct image" in text
     assert "edge of the field, half of the direct light at 0°, interpolated: 26.1°" in text
     assert "cos θ" in pst_text(pst.to("projected"))
-    assert "30° of azimuth" in pst_text(fake_pst(angles_deg=(0, 20), azimuths_deg=range(0, 360, 30)))
+    assert "30° of azimuth" in pst_text(fake_pst(field_deg=(0, 20), azimuths_deg=range(0, 360, 30)))
     assert "Strongest stray paths" not in pst_text(fake_pst(paths=False))
     assert "Strongest stray paths" not in pst_text(pst, 0)
 
@@ -149,15 +149,15 @@ def test_breaks_name_the_causes_on_either_side(pst: Pst) -> None:
 
 
 def test_field_edge_is_where_direct_light_is_half() -> None:
-    edge = field_edge(fake_pst(angles_deg=np.arange(0, 40, 0.5), noise=1e-3))
+    edge = field_edge(fake_pst(field_deg=np.arange(0, 40, 0.5), noise=1e-3))
     assert edge == pytest.approx(26.0, abs=0.05)  # of the logistic edge that the camera has
-    assert field_edge(fake_pst(angles_deg=(0, 5, 10))) is None
-    assert field_edge(fake_pst(angles_deg=(40, 50))) is None
+    assert field_edge(fake_pst(field_deg=(0, 5, 10))) is None
+    assert field_edge(fake_pst(field_deg=(40, 50))) is None
 
 
 def test_warnings_are_the_notes_and_large_errors() -> None:
     assert warnings(fake_pst()) == FACTS["notes"]
-    noisy = warnings(fake_pst(angles_deg=(0, 70, 80), noise=0.5, notes=[]))
+    noisy = warnings(fake_pst(field_deg=(0, 70, 80), noise=0.5, notes=[]))
     assert len(noisy) == 1
     assert noisy[0].startswith("standard error up to ")
     assert "at 70, 80°" in noisy[0]
@@ -190,4 +190,4 @@ def test_record_is_json(around: Pst) -> None:
     assert [len(row["paths"]) for row in record["curve"]] == [2, 2, 2]
     assert len(record["cells"]) == 12
     assert record["facts"]["seed"] == 0
-    assert "cells" not in pst_record(fake_pst(angles_deg=(0, 20)))
+    assert "cells" not in pst_record(fake_pst(field_deg=(0, 20)))

@@ -31,7 +31,7 @@ LENS = scene_text(
     shape_xml("asphere", "detector", 24.0, sensor=True, half_width=8.0, half_height=8.0),
 )
 STATES = {"a": {}, "b": {"detector.z": 0.5}}
-ASKED: dict[str, Any] = {"fields_deg": [0, 5], "wavelength_nm": [500], "configurations": STATES, "rays": 64}
+ASKED: dict[str, Any] = {"field_deg": [0, 5], "wavelength_nm": [500], "configurations": STATES, "rays": 64}
 
 
 @pytest.fixture
@@ -77,7 +77,7 @@ class TestReuse:
     def test_what_is_new_is_traced(self, lens: Path, kept: Path, traces: list[str]) -> None:
         mistray.sweep(lens, cache=kept, **ASKED)
         assert len(traces) == 4
-        more = {**ASKED, "fields_deg": [5, 7, 0], "configurations": {**STATES, "c": {"detector.z": 1.0}}}
+        more = {**ASKED, "field_deg": [5, 7, 0], "configurations": {**STATES, "c": {"detector.z": 1.0}}}
         found = mistray.sweep(lens, cache=kept, **more)
         assert found.reused == 4
         assert traces[4:] == [
@@ -135,7 +135,7 @@ class TestReuse:
         mistray.sweep(lens, cache=kept, **ASKED)
         other = shutil.copytree(lens.parent, tmp_path / "elsewhere") / "scene.xml"
         states = {"z": {"detect*.z": [0.5]}, "y": {}}
-        found = mistray.sweep(other, cache=kept, **{**ASKED, "fields_deg": [5, 0], "configurations": states})
+        found = mistray.sweep(other, cache=kept, **{**ASKED, "field_deg": [5, 0], "configurations": states})
         assert found.reused == 4
         assert [row["configuration"] for row in found.rows] == ["z", "z", "y", "y"]
         assert [row["number"] for row in found.rows] == [4, 3, 2, 1]

@@ -135,7 +135,7 @@ def test_parts_move_as_a_whole() -> None:
 
 def test_several_angles_share_one_pst(scene: Path) -> None:
     both = rank_edits(scene, [ANGLE, 25.0], "total", rays=20_000, max_scatters=1)
-    metric = pst_bin(mistray.load(scene), 25.0, "total", angles_deg=[ANGLE, 25.0], rays=20_000, max_scatters=1)
+    metric = pst_bin(mistray.load(scene), 25.0, "total", pst_field_deg=[ANGLE, 25.0], rays=20_000, max_scatters=1)
     gradient = mistray.gradient(metric, mi.traverse(metric.scene), ["ring.r0"])
     assert both.pst[1].value == gradient.value
     assert both["ring.r0"].derivative[1].value == gradient.gradient["ring.r0"][0]
@@ -164,7 +164,7 @@ def test_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]
     command = [
         "sweep",
         str(scene),
-        "--pst-deg",
+        "--pst-field-deg",
         "15:35:20",
         "--rank",
         "--rays",
@@ -210,7 +210,11 @@ def test_refuses(scene: Path, change: dict[str, Any], words: str) -> None:
 
 
 def test_refuses_arguments(scene: Path) -> None:
-    with pytest.raises(MistrayError, match="angles_deg is empty"):
+    with pytest.raises(MistrayError, match="field_deg is empty"):
         rank_edits(scene, [])
-    for more in (["--rank"], ["--pst-deg", "10", "--step", "rim=1"], ["--pst-deg", "10", "--rank", "--step", "rim"]):
+    for more in (
+        ["--rank"],
+        ["--pst-field-deg", "10", "--step", "rim=1"],
+        ["--pst-field-deg", "10", "--rank", "--step", "rim"],
+    ):
         assert main(["sweep", str(scene), *more]) == 2

@@ -124,7 +124,7 @@ def test_table_and_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFi
     assert ring.block == [Structure("ring", 4.0, 15.0, 30.0, 15.0)]
     assert (coated.coat, coated.rebuilds) == ({"plate": "MgF2 99.64"}, True)
     out = tmp_path / "out"
-    command = ["sweep", str(scene), str(edits), "--pst-deg", "0:20:10", "--rays", "5000", "--out", str(out)]
+    command = ["sweep", str(scene), str(edits), "--pst-field-deg", "0:20:10", "--rays", "5000", "--out", str(out)]
     assert main([*command, "--json"]) == 0
     record = json.loads(capsys.readouterr().out)
     assert record["configurations"] == ["as it is", "grey", "ring", "coated"]
@@ -160,5 +160,5 @@ def test_refuses_arguments(scene: Path) -> None:
         swept(scene, Configuration("as it is"))
     with pytest.raises(MistrayError, match="no configuration 'y'"):
         swept(scene, Configuration("x")).changed("y", ANGLE)
-    for more in (["--pst-deg", "10"], ["none.toml", "--pst-deg", "10", "--field-deg", "1"]):
+    for more in (["--pst-field-deg", "10"], ["none.toml", "--pst-field-deg", "10", "--field-deg", "1"]):
         assert main(["sweep", str(scene), *more]) == 2

@@ -110,7 +110,7 @@ class TestNumbers:
 
     def test_what_the_scene_says_is_the_default(self, plate: Path) -> None:
         found = mistray.sweep(plate, **FEW)
-        assert (found.fields_deg, found.wavelengths_nm) == ((0.0,), (550.0,))
+        assert (found.field_deg, found.wavelengths_nm) == ((0.0,), (550.0,))
         assert found.rows[0]["configuration"] == "as it is"
         assert found.trace().settings["wavelength_nm"] == [550.0]
 
@@ -194,7 +194,7 @@ class TestKernels:
 
 
 WRONG: list[tuple[Callable[[Path], Sweep], str]] = [
-    (lambda s: mistray.sweep(s, []), "fields_deg is empty; give at least one field angle"),
+    (lambda s: mistray.sweep(s, []), "field_deg is empty; give at least one"),
     (lambda s: mistray.sweep(s, [0, 95]), "field_deg is 95; it must lie between -90 and 90"),
     (lambda s: mistray.sweep(s, [0], []), "wavelength_nm is"),
     (lambda s: mistray.sweep(s, [0], [550, 550]), "give every wavelength once"),

@@ -79,7 +79,7 @@ def test_a_dark_body_is_opaque_and_says_so() -> None:
     report = mistray.ghosts(scene, rays=100)
     assert note in warnings(report)
     assert note in main_table(report)
-    assert note in mistray.pst(plate("1.5+0.005i", 0.5, 550.0), angles_deg=[0, 10], rays=100).facts["notes"]
+    assert note in mistray.pst(plate("1.5+0.005i", 0.5, 550.0), field_deg=[0, 10], rays=100).facts["notes"]
 
 
 def test_all_surfaces_of_a_body_agree() -> None:

@@ -81,7 +81,7 @@ def test_beyond_the_exclusion_angle_only():
     made = tube(exclusion_deg=60.0, length=60.0)
     assert len(made.vanes) < len(tube(length=60.0).vanes)
     found = pst(system(made).to_scene(), range(2, 83, 4), rays=100_000, max_scatters=1, max_reflections=0, paths=False)
-    outside = np.array(found.angles_deg) - 2 >= 60.0
+    outside = np.array(found.field_deg) - 2 >= 60.0
     np.testing.assert_array_equal(found.stray[outside], 0)
     assert found.stray[~outside].max() > 0
 

@@ -218,7 +218,7 @@ class TestTotalDerivative:
         scene = mistray.load("double_gauss_barrel")
         params = mi.traverse(scene)
         steps = {"stop_front.r1": 0.1, "L1_front.curvature": 2e-4, "L2_front.z": 0.1}
-        metric = path_power(scene, selection="all", fields_deg=(self.FIELD_DEG,), rays=300_000, **self.SETTINGS)
+        metric = path_power(scene, selection="all", field_deg=(self.FIELD_DEG,), rays=300_000, **self.SETTINGS)
         gradient = mistray.gradient(metric, params, keys=list(steps), edge_width=0.1)
         for key, step in steps.items():
             before = float(np.array(params[key]).ravel()[0])

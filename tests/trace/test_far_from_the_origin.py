@@ -106,7 +106,7 @@ def test_detector_of_mitsuba() -> None:
 def test_against_the_light() -> None:
     """The same rays to float32, but for one in many thousands that the rounding of its start moves past a rim."""
     here, there = (
-        mistray.pst(lens(p), angles_deg=[0, 10, 30], method="adjoint", rays=20_000, seed=1)
+        mistray.pst(lens(p), field_deg=[0, 10, 30], method="adjoint", rays=20_000, seed=1)
         for p in ((0.0, 0.0, 0.0), (-3e4, 5e4, -1e5))
     )
     np.testing.assert_allclose(there.value[:2], here.value[:2], rtol=1e-4)
@@ -118,7 +118,7 @@ def test_gradients() -> None:
     found = []
     for place in ((0.0, 0.0, 0.0), (-3e4, 5e4, -1e5)):
         scene = lens(place)
-        metric = metrics.rms_spot(scene, rays=1000, max_reflections=0, max_scatters=0, fields_deg=[3.0])
+        metric = metrics.rms_spot(scene, rays=1000, max_reflections=0, max_scatters=0, field_deg=[3.0])
         gradient = mistray.gradient(
             metric, mi.traverse(scene), ["front.curvature", "rear.a4", "rear.tilt_x", "front.z"]
         )
@@ -145,7 +145,7 @@ def test_unresolved_gap() -> None:
     assert "'s1'" in line
     assert "'s2'" in line
     assert "0.0001 mm" in line
-    report = mistray.ghosts(scene, fields_deg=[0.0], rays=500)
+    report = mistray.ghosts(scene, field_deg=[0.0], rays=500)
     assert line in warnings(report)
     assert not mistray.trace(plates(3000.0, 1e-2, stop=True), rays=500, max_reflections=2).notes
 

@@ -43,7 +43,7 @@ def test_equal_paths_share_a_name() -> None:
 @pytest.mark.parametrize("scene", ["phone_camera", "double_gauss_barrel", "cassegrain", "lens_and_reflector"])
 def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
     pst = mistray.pst(mistray.load(scene), [18.0, 20.0, 22.0, 24.0], rays=4_000)
-    for angle in pst.angles_deg:
+    for angle in pst.field_deg:
         rows = stray_paths(pst, angle)
         assert rows.events.is_unique
         assert rows.label.is_unique
@@ -52,7 +52,7 @@ def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
 
 @pytest.mark.parametrize(("scene", "field"), [("phone_camera", 20.0), ("double_gauss", 20.0), ("newtonian", 0.2)])
 def test_no_name_is_blank_or_given_twice_in_a_table_of_ghosts(scene: str, field: float) -> None:
-    table = mistray.ghosts(mistray.load(scene), fields_deg=[0.0, field], rays=20_000).table(field)
+    table = mistray.ghosts(mistray.load(scene), field_deg=[0.0, field], rays=20_000).table(field)
     assert table.label.is_unique
     assert table.label.str.strip().astype(bool).all()
 

@@ -16,7 +16,7 @@ RAYS = 4000
 
 @pytest.fixture(scope="module")
 def report():
-    return mistray.ghosts(mistray.load("singlet_window_detector"), fields_deg=[0.0, 2.0], rays=RAYS)
+    return mistray.ghosts(mistray.load("singlet_window_detector"), field_deg=[0.0, 2.0], rays=RAYS)
 
 
 @pytest.mark.parametrize("field", [0.0, 2.0])

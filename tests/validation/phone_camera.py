@@ -422,7 +422,7 @@ def ghost_table(scene: Any, field_deg: float, rays: int, max_reflections: int = 
     Columns as in `GhostReport.table`, and ``surfaces``: the reflecting surfaces joined by " → ", where several paths
     share them with a number from the second on.
     """
-    report = ghosts(scene, fields_deg=[field_deg], rays=rays, max_reflections=max_reflections, flux_threshold=1e-8)
+    report = ghosts(scene, field_deg=[field_deg], rays=rays, max_reflections=max_reflections, flux_threshold=1e-8)
     table = report.table(field_deg)
     table = table[(table.rank_rms_irradiance > 0) & table.well_sampled].sort_values("rank_rms_irradiance")
     names = [_label(events) for events in table.events]

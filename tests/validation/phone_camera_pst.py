@@ -65,7 +65,7 @@ def watts(loaded: Any, rays: int) -> pd.DataFrame:
     """First-level scatter in W absorbed, of a beam of 1.252 mm: rows of Table 27 and ours at the same ranks."""
     table = study()["TABLE_27"]
     angles = sorted({row[0] for row in table})
-    beam = mistray.ghosts(loaded, fields_deg=angles, rays=rays, max_reflections=0, max_scatters=1)
+    beam = mistray.ghosts(loaded, field_deg=angles, rays=rays, max_reflections=0, max_scatters=1)
     rows = []
     for angle in angles:
         by_surface = beam.scatter_surfaces(angle).set_index("surface")
@@ -90,7 +90,7 @@ def watts(loaded: Any, rays: int) -> pd.DataFrame:
 
 def beam_psts(loaded: Any, angles: list[int], rays: int) -> dict[int, float]:
     """Irradiance on the detector, incident, for the study's beam of 1.252 mm and 1 W/mm², all light, by angle."""
-    beam = mistray.ghosts(loaded, fields_deg=angles, rays=rays)
+    beam = mistray.ghosts(loaded, field_deg=angles, rays=rays)
     area = SIDE**2
     sums = {angle: beam.summary(float(angle)) for angle in angles}
     return {angle: (s.direct.power_W.value + s.stray_W.value) / ABSORBED / area for angle, s in sums.items()}
@@ -101,7 +101,7 @@ def bends(found: Pst) -> pd.DataFrame:
     return pd.DataFrame(
         [
             {
-                "angle": b.angle_deg,
+                "angle": b.field_deg,
                 "before": b.slope_before,
                 "after": b.slope_after,
                 "se": b.change_se,

@@ -105,13 +105,13 @@ def of_trace(scene: mi.Scene, seed: int, again: bool = True, **settings: Any) ->
     yield from (entry for entry in rows_of(middle, "box ") if "box power" in entry or "box percent" in entry)
 
 
-def of_ghosts(scene: mi.Scene, seed: int, fields_deg: tuple[float, ...], **settings: Any) -> Iterator[Entry]:
+def of_ghosts(scene: mi.Scene, seed: int, field_deg: tuple[float, ...], **settings: Any) -> Iterator[Entry]:
     """What the ghost report prints."""
-    report = mistray.ghosts(scene, fields_deg=fields_deg, seed=seed, **settings)
+    report = mistray.ghosts(scene, field_deg=field_deg, seed=seed, **settings)
     yield estimate("ghost summary", "nominal power", report.nominal.power_W)
     yield estimate("ghost summary", "nominal radius", report.nominal.rms_radius_mm)
     yield estimate("ghost summary", "nominal density", report.nominal.rms_irradiance_W_mm2)
-    for field in fields_deg:
+    for field in field_deg:
         table = report.table(field)
         for kind, *rest in rows_of(table, "ghost ", wavelength=False):
             yield kind, f"{field:g} {rest[0]}", *rest[1:]
@@ -142,9 +142,9 @@ def of_image(scene: mi.Scene, seed: int, **settings: Any) -> Iterator[Entry]:
 def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **settings: Any) -> Iterator[Entry]:
     """What a PST prints, and the metrics that are computed from it."""
     more = {"map_pixels": maps} if maps else {}
-    p = mistray.pst(scene, angles_deg=angles, seed=seed, **more, **settings)
+    p = mistray.pst(scene, field_deg=angles, seed=seed, **more, **settings)
     for name in ("total", *CLASSES):
-        for angle, value, se in zip(p.angles_deg, *p.curve(name), strict=True):
+        for angle, value, se in zip(p.field_deg, *p.curve(name), strict=True):
             if value > 0:
                 yield "PST by class", f"{name} {angle:g}", value, se
     sky = Sky(to_deg=float(angles[-1]))
@@ -155,7 +155,7 @@ def of_pst(scene: mi.Scene, seed: int, angles: list[float], maps: int = 0, **set
     yield estimate("PST metric", "radiance", ratios.equivalent_stray_radiance(p, sky))
     yield estimate("PST metric", "stray to signal", ratios.stray_to_signal(p, sky, 1.0))
     curve = ratios.rejection_ratio(p, reference_deg=float(angles[2]))  # that of 0° has few rays: a ratio would be skew
-    for angle, value, se in zip(curve.angles_deg, curve.value, curve.se, strict=True):
+    for angle, value, se in zip(curve.field_deg, curve.value, curve.se, strict=True):
         if se > 0:
             yield "PST metric", f"psrr {angle:g}", value, se
     if maps:
@@ -238,18 +238,18 @@ CASES = {
     "painted screen": Case(of_trace, painted_screen, {"rays": 2000, "aimed_rays": 16}),
     "ghost paths": Case(of_trace, GAUSS, {"rays": 4000, "field_deg": 5.0, "wavelength_nm": [480.0, 550.0, 650.0]}),
     "ghost report, two wavelengths": Case(
-        of_ghosts, GAUSS, {"fields_deg": (0.0, 8.0), "rays": 6000, "wavelength_nm": [500.0, 600.0]}
+        of_ghosts, GAUSS, {"field_deg": (0.0, 8.0), "rays": 6000, "wavelength_nm": [500.0, 600.0]}
     ),
     "ghost report, scatter": Case(
-        of_ghosts, SCATTERED, {"fields_deg": (0.0,), "rays": 4000, "max_scatters": 1, "max_reflections": 1}
+        of_ghosts, SCATTERED, {"field_deg": (0.0,), "rays": 4000, "max_scatters": 1, "max_reflections": 1}
     ),
-    "ghost report": Case(of_ghosts, TRIPLET, {"fields_deg": (0.0, 5.0), "rays": 4000}),
+    "ghost report": Case(of_ghosts, TRIPLET, {"field_deg": (0.0, 5.0), "rays": 4000}),
     "glare of a trace": Case(of_image, TRIPLET, {"rays": 4000, "field_deg": 3.0}),
     "PST": Case(of_pst, TRIPLET, {"angles": [0.0, 4.0, 8.0, 12.0, 16.0, 20.0], "maps": 8, "rays": 60_000}),
     "PST with the light": Case(
         of_pst, TRIPLET, {"angles": [0.0, 6.0, 12.0, 18.0], "maps": 8, "rays": 2000, "method": "forward"}
     ),
-    "objects at two angles": Case(of_objects, "phone_camera_scatter", {"rays": 20_000, "angles_deg": [0.0, 10.0]}),
+    "objects at two angles": Case(of_objects, "phone_camera_scatter", {"rays": 20_000, "field_deg": [0.0, 10.0]}),
     "objects": Case(of_objects, SCATTERED, {"rays": 20_000}),
     "gradients": Case(
         of_gradient,

@@ -78,7 +78,7 @@ def test_relative_illumination_of_the_metric():
     on_axis = phone_camera.even_scene_irradiance(0.0)
     for field, chief in ((10.0, 0.8914), (15.0, 0.7937)):
         metric = relative_illumination(
-            scene, fields_deg=field, rays=20_000, wavelength_nm=phone_camera.D_LINE_NM, max_reflections=0
+            scene, field_deg=field, rays=20_000, wavelength_nm=phone_camera.D_LINE_NM, max_reflections=0
         )
         exact = phone_camera.even_scene_irradiance(field) / on_axis
         assert metric.value() == pytest.approx(exact, rel=2e-3)

@@ -30,9 +30,9 @@ def test_the_notebook_has_the_rays_of_the_page_of_objects():
 
 def test_image_is_what_pupil_and_coatings_give(curve):
     """Direct light of the eight cells 2° … 16°: 4.5 standard errors and 1 %, below 6e-5."""
-    inside = (curve.angles_deg >= 2) & (curve.angles_deg <= 16)
+    inside = (curve.field_deg >= 2) & (curve.field_deg <= 16)
     direct, se = curve.curve("direct")
-    expected = 0.7692 * np.pi * 1.25171162**2 / phone_camera_pst.SIDE**2 * np.cos(np.radians(curve.angles_deg))
+    expected = 0.7692 * np.pi * 1.25171162**2 / phone_camera_pst.SIDE**2 * np.cos(np.radians(curve.field_deg))
     assert np.all(np.abs(direct - expected)[inside] < (4.5 * se + 0.01 * expected)[inside])
 
 
@@ -41,7 +41,7 @@ def test_curve_is_that_of_the_page(curve):
     rows = read("phone_camera_pst.md", "pst")
     total, total_se = curve.curve()
     for row in rows:
-        i = int(np.argmin(np.abs(curve.angles_deg - float(row["angle °"]))))
+        i = int(np.argmin(np.abs(curve.field_deg - float(row["angle °"]))))
         written, se = value(row["all light"])
         assert abs(total[i] - written) < 5 * np.hypot(total_se[i], se) + 0.1 * written, row
 

@@ -218,7 +218,7 @@ def write_phone_camera_pst() -> None:
                         ),
                         f"{implied[angle]:.3g}" if angle in implied.index else "–",
                     )
-                    for i, angle in enumerate(curve.angles_deg)
+                    for i, angle in enumerate(curve.field_deg)
                     if angle % 4 == 0 or angle in implied.index
                 ],
             ),

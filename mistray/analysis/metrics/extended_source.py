@@ -17,6 +17,7 @@ from mistray.analysis.metrics.metric import Metric
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.sums import Light, weighted_sum
 from mistray.errors import MistrayError
+from mistray.renamed import renamed
 from mistray.trace.directions import DirectionGrid
 
 SUN_DEG = 0.53
@@ -87,6 +88,7 @@ class Sky:
         return np.broadcast_to(value, grid[0].shape).sum(axis=1) * (2 * half / count)
 
 
+@renamed(angle_deg="field_deg")
 @dataclass(frozen=True)
 class Disc:
     """
@@ -98,37 +100,37 @@ class Disc:
         Angular radius, 0 … 90: the angle between its centre and its limb.
     radiance : float
         W/(mm² sr).
-    angle_deg, azimuth_deg : float
+    field_deg, azimuth_deg : float
         Direction of its centre; the angle 0 … 180, so that it may reach into the field of the PST from behind.
     name : str
     """
 
     radius_deg: float
     radiance: float
-    angle_deg: float = 0.0
+    field_deg: float = 0.0
     azimuth_deg: float = 0.0
     name: str = "disc"
 
     def __post_init__(self) -> None:
         if not 0 < self.radius_deg <= 90:
             raise MistrayError(f"{self.name}: radius_deg is {self.radius_deg:g}; it must lie between 0 and 90 degrees")
-        if not 0 <= self.angle_deg <= 180 or not np.isfinite(self.azimuth_deg):
+        if not 0 <= self.field_deg <= 180 or not np.isfinite(self.azimuth_deg):
             raise MistrayError(
-                f"{self.name}: its centre is at {self.angle_deg:g}°, azimuth {self.azimuth_deg:g}°; the field angle "
+                f"{self.name}: its centre is at {self.field_deg:g}°, azimuth {self.azimuth_deg:g}°; the field angle "
                 "must lie between 0 and 180 degrees"
             )
         _check_radiance(self.name, self.radiance)
 
     def breaks(self) -> tuple[float, ...]:
         """Field angles of its limb in the plane of its centre, and 0 or 180° where it holds the axis; radians."""
-        limb = abs(self.angle_deg - self.radius_deg), 180 - abs(180 - self.angle_deg - self.radius_deg)
-        axis = [0.0] if self.angle_deg < self.radius_deg else []
-        behind = [180.0] if 180 - self.angle_deg < self.radius_deg else []
+        limb = abs(self.field_deg - self.radius_deg), 180 - abs(180 - self.field_deg - self.radius_deg)
+        axis = [0.0] if self.field_deg < self.radius_deg else []
+        behind = [180.0] if 180 - self.field_deg < self.radius_deg else []
         return tuple(np.radians(sorted({*axis, *limb, *behind})))
 
     def around(self, theta: np.ndarray, centre: float, half: float) -> np.ndarray:
         """Integral of the radiance over an arc of azimuth, in closed form."""
-        radius, away = np.radians(self.radius_deg), np.radians(self.angle_deg)
+        radius, away = np.radians(self.radius_deg), np.radians(self.field_deg)
         sines = np.maximum(np.sin(theta) * np.sin(away), np.finfo(float).tiny)
         with np.errstate(over="ignore"):
             cosine = (np.cos(radius) - np.cos(theta) * np.cos(away)) / sines
@@ -140,15 +142,16 @@ class Disc:
         return self.radiance * arc
 
 
+@renamed(angle_deg="field_deg")
 def sun(
-    angle_deg: float, azimuth_deg: float = 0.0, irradiance_W_mm2: float = SUN_W_MM2, diameter_deg: float = SUN_DEG
+    field_deg: float, azimuth_deg: float = 0.0, irradiance_W_mm2: float = SUN_W_MM2, diameter_deg: float = SUN_DEG
 ) -> Disc:
     """
     The disc of the sun with a uniform radiance.
 
     Parameters
     ----------
-    angle_deg, azimuth_deg : float
+    field_deg, azimuth_deg : float
         Of its centre.
     irradiance_W_mm2 : float
         On a plane normal to its light, by default of all wavelengths; give that of your band.
@@ -162,7 +165,7 @@ def sun(
     if not 0 < diameter_deg <= 180:
         raise MistrayError(f"sun: diameter_deg is {diameter_deg:g}; it must lie between 0 and 180 degrees")
     solid = np.pi * np.sin(np.radians(0.5 * diameter_deg)) ** 2
-    return Disc(0.5 * diameter_deg, irradiance_W_mm2 / float(solid), angle_deg, azimuth_deg, "sun")
+    return Disc(0.5 * diameter_deg, irradiance_W_mm2 / float(solid), field_deg, azimuth_deg, "sun")
 
 
 def _check_radiance(name: str, radiance: float) -> None:
@@ -216,7 +219,7 @@ def cover(
     """
     if interpolation not in INTERPOLATIONS:
         raise MistrayError(f"interpolation is '{interpolation}'; use 'cells', 'linear' or 'log'")
-    edges, centres = np.radians(grid.edges_deg), np.radians(grid.angles_deg)
+    edges, centres = np.radians(grid.edges_deg), np.radians(grid.field_deg)
     breaks = source.breaks()
     theta, weight = _quadrature(breaks, np.concatenate([edges.ravel(), centres]))
     total = float(np.sum(weight * source.around(theta, 0.0, np.pi)))

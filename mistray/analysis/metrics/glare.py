@@ -15,6 +15,7 @@ from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.sums import quotient, weighted_sum
 from mistray.analysis.ranking import direct_image, stray_to_direct
 from mistray.errors import MistrayError
+from mistray.renamed import renamed
 from mistray.trace import Trace
 
 PLACES = {
@@ -24,10 +25,11 @@ PLACES = {
 }
 
 
+@renamed(angle_deg="field_deg")
 def veiling_glare_index(
     pst: Pst,
     patch_deg: float,
-    angle_deg: float = 0.0,
+    field_deg: float = 0.0,
     azimuth_deg: float = 0.0,
     *,
     source_deg: float = 90.0,
@@ -44,7 +46,7 @@ def veiling_glare_index(
         In either convention.
     patch_deg : float
         Angular half-width (radius) of the patch.
-    angle_deg, azimuth_deg : float
+    field_deg, azimuth_deg : float
         Direction of its middle.
     source_deg : float
         Field angle that the white source reaches to; 90: half of all directions.
@@ -74,17 +76,17 @@ def veiling_glare_index(
         raise MistrayError("this PST was computed without maps; ask for them with map_pixels=64, or use place='mean'")
     normal = pst.to("normal")
     black, seen, black_light = glare_cells(
-        normal, patch_deg, angle_deg, azimuth_deg, source_deg=source_deg, place=place, interpolation=interpolation
+        normal, patch_deg, field_deg, azimuth_deg, source_deg=source_deg, place=place, interpolation=interpolation
     )
     white = seen.coefficients
     facts: dict[str, Any] = {}
     if place == "map":
-        glare, facts = _at_pixel(pst, black, white, angle_deg, azimuth_deg, at_mm)
+        glare, facts = _at_pixel(pst, black, white, field_deg, azimuth_deg, at_mm)
     else:
         glare = quotient(normal, (black, black_light), (white, "total"))
     facts |= {
         "patch_deg": patch_deg,
-        "angle_deg": angle_deg,
+        "angle_deg": field_deg,
         "azimuth_deg": azimuth_deg,
         "source_deg": source_deg,
         "interpolation": interpolation,
@@ -103,7 +105,7 @@ def veiling_glare_index(
 def glare_cells(
     normal: Pst,
     patch_deg: float,
-    angle_deg: float = 0.0,
+    field_deg: float = 0.0,
     azimuth_deg: float = 0.0,
     *,
     source_deg: float = 90.0,
@@ -117,7 +119,7 @@ def glare_cells(
     ----------
     normal : Pst
         In the convention "normal".
-    patch_deg, angle_deg, azimuth_deg, source_deg, place, interpolation
+    patch_deg, field_deg, azimuth_deg, source_deg, place, interpolation
         As for `veiling_glare_index`.
 
     Returns
@@ -131,14 +133,14 @@ def glare_cells(
     """
     if place not in PLACES:
         raise MistrayError(f"place is '{place}'; use 'map', 'point' or 'mean'")
-    if not 0 < patch_deg < source_deg or angle_deg + patch_deg > source_deg:
+    if not 0 < patch_deg < source_deg or field_deg + patch_deg > source_deg:
         raise MistrayError(
-            f"patch of half-width {patch_deg:g}° at {angle_deg:g}°; it must lie within the source, which reaches to "
+            f"patch of half-width {patch_deg:g}° at {field_deg:g}°; it must lie within the source, which reaches to "
             f"{source_deg:g}°"
         )
-    if angle_deg > 0 and normal.grid.azimuth_cell_deg >= 360 and place != "mean":
+    if field_deg > 0 and normal.grid.azimuth_cell_deg >= 360 and place != "mean":
         raise MistrayError(
-            f"patch at {angle_deg:g}°: one cell of the PST holds all azimuths, which says nothing about a point off "
+            f"patch at {field_deg:g}°: one cell of the PST holds all azimuths, which says nothing about a point off "
             "the axis; compute the PST with azimuths_deg"
         )
     black_light = "stray" if place == "mean" else "total"
@@ -146,7 +148,7 @@ def glare_cells(
     def seen(source: ExtendedSource, light: str) -> Cover:
         return cover(normal.grid, source, interpolation, normal.map(light)[0] if interpolation == "log" else None)
 
-    sky, patch = Sky(to_deg=source_deg), Disc(patch_deg, 1.0, angle_deg, azimuth_deg, "patch")
+    sky, patch = Sky(to_deg=source_deg), Disc(patch_deg, 1.0, field_deg, azimuth_deg, "patch")
     black = seen(sky, black_light).coefficients - seen(patch, black_light).coefficients
     return black, seen(sky, "total"), black_light
 
@@ -155,7 +157,7 @@ def _at_pixel(
     pst: Pst,
     black: np.ndarray,
     white: np.ndarray,
-    angle_deg: float,
+    field_deg: float,
     azimuth_deg: float,
     at_mm: tuple[float, float] | None,
 ) -> tuple[Estimate, dict[str, Any]]:
@@ -164,11 +166,11 @@ def _at_pixel(
     height, width = pst.maps.shape[-2:]
     x0, x1, y0, y1 = pst.extent_mm
     if at_mm is None:
-        i, j = pst.grid.nearest(angle_deg, azimuth_deg)
+        i, j = pst.grid.nearest(field_deg, azimuth_deg)
         image = pst.maps[0, i, j]
         if not image.any():
             raise MistrayError(
-                f"no light from the middle of the patch, {angle_deg:g}°, meets the detector; choose the pixel by at_mm"
+                f"no light from the middle of the patch, {field_deg:g}°, meets the detector; choose the pixel by at_mm"
             )
         row, column = divmod(int(np.argmax(image)), width)
     else:
@@ -213,8 +215,9 @@ class GlareSpread:
     definition: str
 
 
+@renamed(angle_deg="field_deg")
 def glare_spread(
-    light: Pst | Trace, angle_deg: float = 0.0, azimuth_deg: float = 0.0, *, reference_deg: float | None = None
+    light: Pst | Trace, field_deg: float = 0.0, azimuth_deg: float = 0.0, *, reference_deg: float | None = None
 ) -> GlareSpread:
     """
     Glare spread function: irradiance on the detector over the flux of the direct image (ISO 9358).
@@ -224,7 +227,7 @@ def glare_spread(
     light : Pst or Trace
         A PST with maps, whose maps hold the direct image as well; or a trace, of which stray light alone is mapped, by
         tracing its rays again.
-    angle_deg, azimuth_deg : float
+    field_deg, azimuth_deg : float
         Direction of the source; a trace has its own.
     reference_deg : float, optional
         Field angle whose direct image is the yardstick; by default that of the source. For a source out of the field
@@ -245,8 +248,8 @@ def glare_spread(
         spread, se = found.value, found.se
         extent, words = light.extent, "stray light alone"
     else:
-        value, se = light.irradiance(angle_deg, azimuth_deg)
-        reference = angle_deg if reference_deg is None else reference_deg
+        value, se = light.irradiance(field_deg, azimuth_deg)
+        reference = field_deg if reference_deg is None else reference_deg
         i, j = light.grid.nearest(reference, azimuth_deg)
         cell = np.zeros(light.grid.shape)
         cell[i, j] = light.facts["detector_area_mm2"]

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
+from mistray.renamed import renamed
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -105,6 +106,7 @@ class Metric:
         return text
 
 
+@renamed(angles_deg="field_deg")
 @dataclass(frozen=True, eq=False)
 class MetricCurve:
     """
@@ -114,11 +116,11 @@ class MetricCurve:
     ----------
     quantity, unit, definition, facts
         As in `Metric`.
-    angles_deg, value, se : (n,) float64
+    field_deg, value, se : (n,) float64
     """
 
     quantity: str
-    angles_deg: np.ndarray
+    field_deg: np.ndarray
     value: np.ndarray
     se: np.ndarray
     unit: str
@@ -130,7 +132,7 @@ class MetricCurve:
         import pandas as pd
 
         columns = {"quantity": self.quantity, "value": self.value, "se": self.se, "unit": self.unit}
-        return pd.DataFrame({"angle_deg": self.angles_deg, **columns, "definition": self.definition, **self.facts})
+        return pd.DataFrame({"angle_deg": self.field_deg, **columns, "definition": self.definition, **self.facts})
 
     def to_csv(self, path: str | Path) -> None:
         """Write `to_pandas` as CSV, numbers with nine digits."""

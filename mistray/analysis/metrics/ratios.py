@@ -317,4 +317,4 @@ def _curve(
 ) -> MetricCurve:
     value, se = np.array(values, dtype=np.float64).T
     definition = DEFINITIONS[quantity].format(**(words or {}))
-    return MetricCurve(quantity, pst.angles_deg, value, se, unit, definition, dict(facts or {}))
+    return MetricCurve(quantity, pst.field_deg, value, se, unit, definition, dict(facts or {}))

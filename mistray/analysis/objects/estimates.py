@@ -75,7 +75,7 @@ def product_estimates(
     detector_area: float,
     critical: View,
     illuminated: Sequence[View],
-    angles_deg: Sequence[float],
+    field_deg: Sequence[float],
     numbers: Sequence[int],
     rows: Sequence[Any],
 ) -> pd.DataFrame:
@@ -89,8 +89,8 @@ def product_estimates(
         mm².
     critical : View
     illuminated : sequence of View
-        One for each of `angles_deg`.
-    angles_deg : sequence of float
+        One for each of `field_deg`.
+    field_deg : sequence of float
     numbers : sequence of int
         Objects.
     rows : sequence of CommonObject
@@ -114,7 +114,7 @@ def product_estimates(
         for side, hits in by_side(critical.samples(number), row.side)
     ]
     for number, row, side, seen in seen_objects:
-        for angle, view in zip(angles_deg, illuminated, strict=True):
+        for angle, view in zip(field_deg, illuminated, strict=True):
             product = estimate(table, detector_area, seen, view, number)
             found.append(
                 {

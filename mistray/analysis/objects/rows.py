@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mistray.renamed import renamed
+
 
 @dataclass(frozen=True)
 class SceneObject:
@@ -74,6 +76,7 @@ LISTS = {
 }
 
 
+@renamed(angles_deg="field_deg")
 @dataclass(frozen=True)
 class StraightShot:
     """
@@ -90,7 +93,7 @@ class StraightShot:
     rays : int
     share, share_se : float
         Of the flux that starts at the detector.
-    angles_deg : tuple of float
+    field_deg : tuple of float
         Smallest and largest field angle of such light.
     """
 
@@ -100,7 +103,7 @@ class StraightShot:
     rays: int
     share: float
     share_se: float
-    angles_deg: tuple[float, float]
+    field_deg: tuple[float, float]
 
 
 def describe(shot: StraightShot) -> str:

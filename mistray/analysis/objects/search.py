@@ -22,7 +22,8 @@ from mistray.analysis.objects.rows import LISTS, SceneObject, StraightShot, both
 from mistray.analysis.objects.sources import DetectorView, DiskSource, RaySource, Surroundings, source_axes
 from mistray.analysis.objects.view import SIDES, View
 from mistray.errors import MistrayError
-from mistray.ranges import PART
+from mistray.ranges import FIELD_DEG, PART
+from mistray.renamed import renamed
 from mistray.trace.intersect import Intersector
 from mistray.trace.optics import OPAQUE
 from mistray.trace.scatter_tables import ScatterTables
@@ -53,6 +54,7 @@ class _Traced:
     illuminated: list[View]
 
 
+@renamed(angles_deg="field_deg")
 class Objects:
     """
     Result of `objects`.
@@ -73,15 +75,15 @@ class Objects:
         The surfaces of the design path, in its order: common by design. What was not met has 0 rays.
     straight_shots : list of StraightShot
         Views of the outside past the optics, the strongest first.
-    angles_deg : tuple of float
+    field_deg : tuple of float
         Source angles; empty where the source is a cone or a disc.
     facts : dict
         How it was computed, plain values.
     """
 
-    def __init__(self, scene: mi.Scene, traced: _Traced, angles_deg: Sequence[float], facts: dict[str, Any]) -> None:
+    def __init__(self, scene: mi.Scene, traced: _Traced, field_deg: Sequence[float], facts: dict[str, Any]) -> None:
         self.scene, self._traced, self.facts = scene, traced, facts
-        self.angles_deg = tuple(float(angle) for angle in angles_deg)
+        self.field_deg = tuple(float(angle) for angle in field_deg)
         table, places = traced.table, traced.places
         threshold = float(facts["threshold"])
         # A surface that transmits is one object for both of its sides
@@ -150,7 +152,7 @@ class Objects:
                     rays=way.rays,
                     share=way.share,
                     share_se=way.share_se,
-                    angles_deg=way.angles_deg,
+                    field_deg=way.field_deg,
                 )
             )
         return found
@@ -164,9 +166,9 @@ class Objects:
     @property
     def source_text(self) -> str:
         """The source of the light in words."""
-        if self.angles_deg:
-            angles = ", ".join(f"{angle:g}" for angle in self.angles_deg)
-            return f"a distant source at {angles}°{' each' if len(self.angles_deg) > 1 else ''}"
+        if self.field_deg:
+            angles = ", ".join(f"{angle:g}" for angle in self.field_deg)
+            return f"a distant source at {angles}°{' each' if len(self.field_deg) > 1 else ''}"
         return str(self.facts["source"])
 
     @property
@@ -181,7 +183,7 @@ class Objects:
         threshold = float(self.facts["threshold"])
         shots = [shot for shot in self.straight_shots if shot.share > threshold]
         for shot in shots[:SHOTS_TOLD]:
-            low, high = shot.angles_deg
+            low, high = shot.field_deg
             found.append(
                 f"the detector sees the outside {describe(shot)}: {shot.share:.2g} of its view, field "
                 f"angles {low:.3g} to {high:.3g}°"
@@ -213,7 +215,7 @@ class Objects:
         traced = self._traced
         wanted = [*self.common, *(row for row in self.optics if row.id != self.facts["detector"])]
         numbers = [self._numbers[row.id, row.side] for row in wanted]
-        angles: Sequence[float] = self.angles_deg or [np.nan]
+        angles: Sequence[float] = self.field_deg or [np.nan]
         return product_estimates(
             traced.table, traced.detector.area, traced.critical, traced.illuminated, angles, numbers, wanted
         )
@@ -240,12 +242,13 @@ def _gap(number: int, views: Sequence[View]) -> int:
     return int(np.argmax(np.sum([view.in_gap[number] for view in views], axis=0)))
 
 
+@renamed(angles_deg="field_deg")
 def objects(
     scene: mi.Scene,
     *,
     rays: int | None = None,
     half_angle_deg: float | None = None,
-    angles_deg: Sequence[float] | None = None,
+    field_deg: float | Sequence[float] | None = None,
     azimuth_deg: float = 0.0,
     source: DiskSource | None = None,
     view_half_angle_deg: float = 90.0,
@@ -269,7 +272,7 @@ def objects(
         else 1e6.
     half_angle_deg : float, optional
         The outside sends light of the same radiance from all directions within this angle of the axis. Default: 20.
-    angles_deg : sequence of float, optional
+    field_deg : float or sequence of float, optional
         Field angles of a distant source instead, degrees.
     azimuth_deg : float
         Of that source.
@@ -314,7 +317,7 @@ def objects(
         )
     chosen = Settings.of(scene, rays=rays, ray_control=ray_control, **settings)
     PART.check("threshold", threshold)
-    kinds = {"half_angle_deg": half_angle_deg, "angles_deg": angles_deg, "source": source}
+    kinds = {"half_angle_deg": half_angle_deg, "field_deg": field_deg, "source": source}
     given = [name for name, value in kinds.items() if value is not None]
     if len(given) > 1:
         raise MistrayError(f"{' and '.join(given)} are given; the source of the light is one of them")
@@ -329,10 +332,8 @@ def objects(
         )
 
     axes = source_axes(scene)
-    angles = [] if angles_deg is None else [float(angle) for angle in np.atleast_1d(np.asarray(angles_deg))]
+    angles = [] if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
     sources: list[RaySource] = [Surroundings.direction(table, axes, angle, azimuth_deg) for angle in angles]
-    if angles_deg is not None and not sources:
-        raise MistrayError("angles_deg is empty; give at least one field angle in degrees")
     if source is not None:
         sources = [source]
     elif not sources:

@@ -174,15 +174,15 @@ class Surroundings:
         )
 
     @classmethod
-    def direction(cls, table: SurfaceTable, axes: np.ndarray, angle_deg: float, azimuth_deg: float) -> Surroundings:
+    def direction(cls, table: SurfaceTable, axes: np.ndarray, field_deg: float, azimuth_deg: float) -> Surroundings:
         """One field angle; azimuths count from +y towards -x, as of a `collimated` source."""
-        FIELD_DEG.check("angles_deg", angle_deg)
+        FIELD_DEG.check("field_deg", field_deg)
         AZIMUTH_DEG.check("azimuth_deg", azimuth_deg)
-        turned = azimuth_deg + 180 if angle_deg < 0 else azimuth_deg
-        grid = _one_cell(abs(angle_deg), abs(angle_deg), turned, 0.0, axes)
+        turned = azimuth_deg + 180 if field_deg < 0 else azimuth_deg
+        grid = _one_cell(abs(field_deg), abs(field_deg), turned, 0.0, axes)
         return cls(
             PlaneWaves(hull_points(table), grid).at(0, 0, table.wavelength_nm, 1.0),
-            f"a distant source at {angle_deg:g}°",
+            f"a distant source at {field_deg:g}°",
         )
 
     def sample(self, n: int, rng: np.random.Generator) -> StartPoints:

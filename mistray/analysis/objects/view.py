@@ -75,7 +75,7 @@ class WayOut:
     rays : int
     share, share_se : float
         Of the flux started.
-    angles_deg : (2,) float
+    field_deg : (2,) float
         Smallest and largest field angle of the light that goes the other way.
     """
 
@@ -84,7 +84,7 @@ class WayOut:
     rays: int
     share: float
     share_se: float
-    angles_deg: tuple[float, float]
+    field_deg: tuple[float, float]
 
 
 class View:

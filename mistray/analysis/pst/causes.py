@@ -9,6 +9,7 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.pst.result import Pst
+from mistray.renamed import renamed
 from mistray.trace.path_events import path_labels
 
 GHOSTS = "ghosts"
@@ -20,7 +21,8 @@ LARGEST_ERROR = 0.25  # relative: beyond that a point of the curve says nothing 
 MOST_BREAKS = 8
 
 
-def stray_paths(pst: Pst, angle_deg: float, n: int | None = None) -> pd.DataFrame:
+@renamed(angle_deg="field_deg")
+def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFrame:
     """
     Stray paths at a field angle, the strongest first; of several azimuths the mean.
 
@@ -31,10 +33,10 @@ def stray_paths(pst: Pst, angle_deg: float, n: int | None = None) -> pd.DataFram
         errors of several azimuths are added in quadrature, as if their rays were different ones.
     """
     azimuths = pst.grid.azimuths_deg
-    parts = [pst.paths(angle_deg, azimuth) for azimuth in azimuths]
+    parts = [pst.paths(field_deg, azimuth) for azimuth in azimuths]
     rows = parts[0]
     if len(azimuths) > 1:
-        i, _ = pst.grid.nearest(angle_deg, azimuths[0])
+        i, _ = pst.grid.nearest(field_deg, azimuths[0])
         rows = _mean_of(pd.concat(parts, ignore_index=True), len(azimuths), float(pst.stray[i]), float(pst.value[i]))
     rows = rows[rows.percent_of_stray.notna()].reset_index(drop=True)
     rows["label"] = np.array(path_labels(rows), dtype=object)
@@ -73,10 +75,10 @@ def with_cause(rows: pd.DataFrame) -> pd.DataFrame:
 def cause_frame(pst: Pst) -> pd.DataFrame:
     """Stray light by its cause, % of the stray light at each angle (index); the strongest cause first."""
     shares = {}
-    for angle in pst.angles_deg:
+    for angle in pst.field_deg:
         rows = with_cause(stray_paths(pst, angle))
         shares[angle] = rows.percent_of_stray.groupby(rows.cause).sum()
-    table = pd.DataFrame(shares).T.reindex(pst.angles_deg).fillna(0.0)
+    table = pd.DataFrame(shares).T.reindex(pst.field_deg).fillna(0.0)
     return table[table.max().sort_values(ascending=False, kind="stable").index]
 
 
@@ -88,7 +90,7 @@ def first_level_scatter(pst: Pst) -> pd.DataFrame:
     surface that scatters most first. Errors of the paths of a surface are added in quadrature.
     """
     parts = []
-    for angle in pst.angles_deg:
+    for angle in pst.field_deg:
         rows = stray_paths(pst, angle)
         rows = rows[(rows.scatters == 1) & (rows.order == 0) & (rows.structure_bounces == 0)]
         table = rows.assign(pst_se=rows.pst_se**2).groupby("scatter_1", sort=False, as_index=False)
@@ -107,6 +109,7 @@ def first_level_scatter(pst: Pst) -> pd.DataFrame:
     return pd.concat(filled, ignore_index=True)[columns] if filled else pd.DataFrame(columns=columns)
 
 
+@renamed(angle_deg="field_deg")
 @dataclass(frozen=True)
 class Break:
     """
@@ -114,7 +117,7 @@ class Break:
 
     Attributes
     ----------
-    angle_deg : float
+    field_deg : float
     slope_before, slope_after : float
         Decades per degree, between this angle and its neighbours.
     change_se : float
@@ -123,7 +126,7 @@ class Break:
         Strongest causes at the neighbouring angles and their shares of the stray light there, %.
     """
 
-    angle_deg: float
+    field_deg: float
     slope_before: float
     slope_after: float
     change_se: float
@@ -151,7 +154,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
     light : str
         "stray", or another group of `Pst.curve`.
     """
-    angle = pst.angles_deg
+    angle = pst.field_deg
     value, se = pst.curve(light)
     with np.errstate(divide="ignore", invalid="ignore"):
         level = np.where(se < LARGEST_ERROR * value, np.log10(value), np.nan)
@@ -179,7 +182,7 @@ def breaks(pst: Pst, most: int = MOST_BREAKS, light: str = "stray") -> list[Brea
 
 def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
     """(n,) standard errors of the change of the slope of log10 PST at each angle; NaN at both ends."""
-    step = np.diff(pst.angles_deg)
+    step = np.diff(pst.field_deg)
     # Slope after less slope before as a sum over three neighbouring points
     factors = np.zeros((len(value), 3))
     factors[1:-1] = np.stack([1 / step[:-1], -1 / step[:-1] - 1 / step[1:], 1 / step[1:]], axis=1)
@@ -198,7 +201,8 @@ def _change_errors(pst: Pst, value: np.ndarray, light: str) -> np.ndarray:
     return np.asarray(errors)
 
 
-def strongest(pst: Pst, angle_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[str, float], ...]:
+@renamed(angle_deg="field_deg")
+def strongest(pst: Pst, field_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[str, float], ...]:
     """
     The strongest causes of the stray light at an angle with their shares, %; () without a table of paths.
 
@@ -206,7 +210,7 @@ def strongest(pst: Pst, angle_deg: float, n: int = CAUSES_NAMED) -> tuple[tuple[
     """
     if pst.path_rows is None:
         return ()
-    rows = with_cause(stray_paths(pst, angle_deg))
+    rows = with_cause(stray_paths(pst, field_deg))
     shares = rows.percent_of_stray.groupby(rows.cause).sum().sort_values(ascending=False, kind="stable").head(n)
     names = {name: name for name in shares.index}
     if GHOSTS in names:
@@ -247,5 +251,5 @@ def field_edge(pst: Pst) -> float | None:
     if direct[0] <= 0 or not below.size:
         return None
     k = int(below[0])
-    angles = pst.angles_deg
+    angles = pst.field_deg
     return float(np.interp(direct[0] / 2, direct[[k, k - 1]], angles[[k, k - 1]]))

@@ -16,6 +16,7 @@ import numpy as np
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.run import pst
 from mistray.errors import MistrayError
+from mistray.renamed import renamed
 from mistray.trace.settings import Settings
 
 if TYPE_CHECKING:
@@ -63,15 +64,16 @@ class FirstLevel:
         import pandas as pd
 
         first = next(iter(self.curves.values()))
-        columns: dict[str, np.ndarray] = {"angle_deg": first.angles_deg}
+        columns: dict[str, np.ndarray] = {"angle_deg": first.field_deg}
         for name, curve in self.curves.items():
             columns[name], columns[f"{name}_se"] = curve.curve(classes)
         return pd.DataFrame(columns)
 
 
+@renamed(angles_deg="field_deg")
 def first_level(
     scene: mi.Scene,
-    angles_deg: Any = range(0, 81, 2),
+    field_deg: Any = range(0, 81, 2),
     *,
     limits: Mapping[str, Mapping[str, int]] | None = None,
     progress: Progress | None = None,
@@ -83,7 +85,7 @@ def first_level(
     Parameters
     ----------
     scene : mi.Scene
-    angles_deg : sequence of float
+    field_deg : float or sequence of float
         Field angles.
     limits : mapping, optional
         Other sets: name → limits of `mistray.trace.Settings` that it changes. Default: `LIMITS`.
@@ -113,6 +115,6 @@ def first_level(
         settings = Settings.of(scene, **(own | change))
         if settings not in done:
             report = (lambda state, name=name: progress(name, state)) if progress else None
-            done[settings] = pst(scene, angles_deg, progress=report, **(arguments | change))
+            done[settings] = pst(scene, field_deg, progress=report, **(arguments | change))
         curves[name] = done[settings]
     return FirstLevel(curves, chosen)

@@ -153,10 +153,10 @@ def _angles_that_count(grid: DirectionGrid, relative_error: float | None, error_
         return np.zeros(grid.shape[0], dtype=bool)
     RELATIVE_ERROR.check("relative_error", relative_error)
     last = 90.0 if error_up_to_deg is None else float(error_up_to_deg)
-    counts = grid.angles_deg <= last
+    counts = grid.field_deg <= last
     if not counts.any():
         raise MistrayError(
-            f"error_up_to_deg is {last:g}; no angle is that small, the smallest is {grid.angles_deg[0]:g} deg"
+            f"error_up_to_deg is {last:g}; no angle is that small, the smallest is {grid.field_deg[0]:g} deg"
         )
     return counts
 
@@ -223,7 +223,7 @@ def _result(
         return np.array([[getattr(found[i, j], name) for j in range(m)] for i in range(n)])
 
     def named(chosen: np.ndarray) -> list[list[float]]:
-        return [[float(grid.angles_deg[i]), float(grid.azimuths_deg[j])] for i, j in np.argwhere(chosen)]
+        return [[float(grid.field_deg[i]), float(grid.azimuths_deg[j])] for i, j in np.argwhere(chosen)]
 
     errors = stack("error")
     tables = [rows.assign(cell=i, azimuth_cell=j) for (i, j), cell in found.items() if (rows := cell.rows) is not None]

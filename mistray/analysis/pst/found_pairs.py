@@ -113,7 +113,7 @@ class FoundPairs:
         facts = self._describe(trace, self.planned[listed])
         angle, azimuth = np.divmod(plan.cell[listed], trace.grid.shape[1])
         columns = {
-            "angle_deg": trace.grid.angles_deg[angle],
+            "angle_deg": trace.grid.field_deg[angle],
             "azimuth_deg": trace.grid.azimuths_deg[azimuth],
             "events": facts["events"],
             "rays": hits[listed].astype(np.int64),

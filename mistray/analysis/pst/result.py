@@ -11,6 +11,7 @@ import numpy as np
 
 from mistray.analysis.pst.pilot import SELDOM
 from mistray.errors import MistrayError
+from mistray.renamed import renamed
 from mistray.trace.backward_gradient import backward_gradient
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.path_events import DIRECT
@@ -26,6 +27,7 @@ STRAY = CLASSES[1:]
 CONVENTIONS = ("normal", "projected")
 
 
+@renamed(angles_deg="field_deg")
 @dataclass(frozen=True, eq=False)
 class Pst:
     """
@@ -122,9 +124,9 @@ class Pst:
     # ---- numbers
 
     @property
-    def angles_deg(self) -> np.ndarray:
+    def field_deg(self) -> np.ndarray:
         """(n,) field angles."""
-        return self.grid.angles_deg
+        return self.grid.field_deg
 
     @property
     def _factor(self) -> np.ndarray:
@@ -195,13 +197,14 @@ class Pst:
 
     # ---- details
 
-    def paths(self, angle_deg: float, azimuth_deg: float = 0.0, n: int | None = None) -> pd.DataFrame:
+    @renamed(angle_deg="field_deg")
+    def paths(self, field_deg: float, azimuth_deg: float = 0.0, n: int | None = None) -> pd.DataFrame:
         """
         Paths of the light at a field angle, the strongest first.
 
         Parameters
         ----------
-        angle_deg, azimuth_deg : float
+        field_deg, azimuth_deg : float
         n : int, optional
             The first n of them.
 
@@ -214,7 +217,7 @@ class Pst:
         """
         if self.path_rows is None:
             raise MistrayError("this PST was computed without paths; ask for them with paths=True")
-        i, j = self.grid.nearest(angle_deg, azimuth_deg)
+        i, j = self.grid.nearest(field_deg, azimuth_deg)
         rows = self.path_rows
         rows = rows[(rows.cell == i) & (rows.azimuth_cell == j)]
         rows = rows.sort_values("pst_normal", ascending=False, kind="stable", ignore_index=True)
@@ -228,7 +231,8 @@ class Pst:
         rows = rows.drop(columns=["cell", "azimuth_cell", "pst_normal", "pst_normal_se"])
         return rows if n is None else rows.head(n)
 
-    def irradiance(self, angle_deg: float, azimuth_deg: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+    @renamed(angle_deg="field_deg")
+    def irradiance(self, field_deg: float, azimuth_deg: float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """
         Irradiance on the detector from a source of 1 W/mm² (across the beam) and its standard error.
 
@@ -239,7 +243,7 @@ class Pst:
         """
         if self.maps is None:
             raise MistrayError("this PST was computed without maps; ask for them with map_pixels=64, say")
-        i, j = self.grid.nearest(angle_deg, azimuth_deg)
+        i, j = self.grid.nearest(field_deg, azimuth_deg)
         return self.maps[0, i, j], self.maps[1, i, j]
 
     def to_pandas(self) -> pd.DataFrame:
@@ -253,7 +257,7 @@ class Pst:
 
         n, m = self.grid.shape
         columns: dict[str, Any] = {
-            "angle_deg": np.repeat(self.angles_deg, m),
+            "angle_deg": np.repeat(self.field_deg, m),
             "angle_from_deg": np.repeat(self.grid.edges_deg[:, 0], m),
             "angle_to_deg": np.repeat(self.grid.edges_deg[:, 1], m),
             "azimuth_deg": np.tile(self.grid.azimuths_deg, n),
@@ -301,14 +305,14 @@ def notes(found: Pst, largest: np.ndarray, rays: float, seldom: Sequence[Mapping
     """
     lines = []
     value, _ = found.map()
-    dark = found.grid.angles_deg[np.any(value == 0, axis=1)]
+    dark = found.grid.field_deg[np.any(value == 0, axis=1)]
     if dark.size:
         lines.append(
             f"no light was seen at {_angles(dark)} in {rays:.3g} rays. That sets no upper limit: a path that rays "
             "seldom find can carry light. If more rays see none either, the detector may be closed in, or limits cut "
             "all paths"
         )
-    heavy = found.grid.angles_deg[np.any(largest > 0.1, axis=1)]
+    heavy = found.grid.field_deg[np.any(largest > 0.1, axis=1)]
     if heavy.size:
         lines.append(
             f"single rays carry more than 10 % of the scattered light at {_angles(heavy)}; errors there may be too "

@@ -29,6 +29,7 @@ from mistray.analysis.pst.state import PstProgress, load_state, require_same, sa
 from mistray.analysis.pst.with_light import PLAN, SUMS, WithLight, saved_plan
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.ranges import PIXELS_OR_NONE, RELATIVE_ERROR
+from mistray.renamed import renamed
 from mistray.trace.all_cells import AllCells
 from mistray.trace.backward import FIRST_PASS, BackwardTrace
 from mistray.trace.directions import DirectionGrid
@@ -49,13 +50,14 @@ SAVING = 0.1  # share of the time that saving the state may take
 Progress = Callable[[PstProgress], None]
 
 
+@renamed(angles_deg="field_deg")
 def pst(
     scene: mi.Scene,
-    angles_deg: Sequence[float] | np.ndarray = range(0, 81, 2),
+    field_deg: float | Sequence[float] | np.ndarray = range(0, 81, 2),
     *,
     method: str = "adjoint",
     convention: str = "normal",
-    azimuths_deg: Sequence[float] | np.ndarray | None = None,
+    azimuths_deg: float | Sequence[float] | np.ndarray | None = None,
     cell_deg: float | None = None,
     azimuth_cell_deg: float | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
@@ -83,12 +85,12 @@ def pst(
     scene : mi.Scene
         Angles are measured from the axis of its first `collimated` source, or from +z if it has none; the size of the
         source does not matter, the light fills everything.
-    angles_deg : sequence of float
+    field_deg : float or sequence of float
         Field angles, 0 … 90, ascending; each is the middle of a cell over which the PST is averaged.
     method : {"adjoint", "forward"}
     convention : {"normal", "projected"}
         See `Pst`.
-    azimuths_deg : sequence of float, optional
+    azimuths_deg : float or sequence of float, optional
         Azimuths of a two-dimensional map, from +y towards -x; by default the mean over all azimuths.
     cell_deg, azimuth_cell_deg : float, optional
         Widths of the cells, see `DirectionGrid.of`.
@@ -133,7 +135,7 @@ def pst(
     """
     found = pst_of_each(
         [scene],
-        angles_deg,
+        field_deg,
         method=method,
         convention=convention,
         azimuths_deg=azimuths_deg,
@@ -155,13 +157,14 @@ def pst(
     return next(found)
 
 
+@renamed(angles_deg="field_deg")
 def pst_of_each(
     scenes: Iterable[mi.Scene],
-    angles_deg: Sequence[float] | np.ndarray = range(0, 81, 2),
+    field_deg: float | Sequence[float] | np.ndarray = range(0, 81, 2),
     *,
     method: str = "adjoint",
     convention: str = "normal",
-    azimuths_deg: Sequence[float] | np.ndarray | None = None,
+    azimuths_deg: float | Sequence[float] | np.ndarray | None = None,
     cell_deg: float | None = None,
     azimuth_cell_deg: float | None = None,
     wavelength_nm: float | Sequence[float] | None = None,
@@ -188,7 +191,7 @@ def pst_of_each(
     ----------
     scenes : iterable of mi.Scene
         All are taken before the first run. Angles are measured from the axis of each scene's own source.
-    angles_deg and others
+    field_deg and others
         See `pst`. With `relative_error`, `state` or `resume` one scene only.
     one_direction : bool
         Count nothing with the light beside an adjoint run: derivatives know rays against the light only.
@@ -216,8 +219,8 @@ def pst_of_each(
         rays = RAYS[method] if relative_error is None else MOST_RAYS
     prepared, traces = [], []
     for scene in scenes:
-        grid = DirectionGrid.of(angles_deg, azimuths_deg, cell_deg, azimuth_cell_deg, _axes(scene))
-        if error_up_to_deg is not None and not np.any(grid.angles_deg <= error_up_to_deg):
+        grid = DirectionGrid.of(field_deg, azimuths_deg, cell_deg, azimuth_cell_deg, _axes(scene))
+        if error_up_to_deg is not None and not np.any(grid.field_deg <= error_up_to_deg):
             raise MistrayError(f"error_up_to_deg is {error_up_to_deg:g}; no angle is as small as that")
         chosen = Settings.of(scene, rays=rays, **settings)
         if method == "adjoint":
@@ -408,7 +411,7 @@ class _AdjointRun:
 
     def _counts(self, up_to_deg: float | None) -> np.ndarray:
         """(n,) bool: the field angles whose error counts."""
-        return np.asarray(self._trace.grid.angles_deg <= (90.0 if up_to_deg is None else up_to_deg))
+        return np.asarray(self._trace.grid.field_deg <= (90.0 if up_to_deg is None else up_to_deg))
 
     def _keep(self, error: UnfinishedError, unsaved: bool) -> None:
         """Save what was finished, and tell with an error that the workers are gone where it is."""

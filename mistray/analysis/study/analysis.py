@@ -82,10 +82,10 @@ def stray_light_analysis(
 
 def _facts(pst: Pst) -> tuple[Fact, ...]:
     value, se = pst.curve()
-    shown = [int(np.argmin(np.abs(pst.angles_deg - angle))) for angle in (0, 20, 40, 60, 80)]
+    shown = [int(np.argmin(np.abs(pst.field_deg - angle))) for angle in (0, 20, 40, 60, 80)]
     facts = [Fact("convention", pst.convention), Fact("method", pst.method)]
     for i in dict.fromkeys(shown):
-        facts.append(Fact(f"PST at {pst.angles_deg[i]:g}°", Estimate(float(value[i]), float(se[i]))))
+        facts.append(Fact(f"PST at {pst.field_deg[i]:g}°", Estimate(float(value[i]), float(se[i]))))
     return tuple(facts)
 
 
@@ -100,7 +100,7 @@ def _warnings(pst: Pst) -> tuple[str, ...]:
 
 def curve_frame(pst: Pst, causes: pd.DataFrame) -> pd.DataFrame:
     """The curve by class of the light with errors, one row for each angle, with the main cause and its share."""
-    columns: dict[str, object] = {"angle_deg": pst.angles_deg}
+    columns: dict[str, object] = {"angle_deg": pst.field_deg}
     for group in ("total", "stray", *CLASSES):
         columns[f"pst_{group}"], columns[f"pst_{group}_se"] = pst.curve(group)
     strongest = [
@@ -119,7 +119,7 @@ def top_paths(pst: Pst, count: int = TOP_PATHS) -> pd.DataFrame:
     Columns angle_deg, rank, path (in words), kind, first_scatter, rays, pst, pst_se, percent_of_stray.
     """
     parts = []
-    for angle in pst.angles_deg:
+    for angle in pst.field_deg:
         rows = stray_paths(pst, angle, count)
         parts.append(
             pd.DataFrame(
@@ -149,7 +149,7 @@ def zero_order(pst: Pst, first: FirstOrder | None, design: Sequence[str] = ()) -
     """
     edge = first.field_deg["diagonal"] if first is not None and math.isfinite(first.focal_length_mm) else math.nan
     parts = []
-    for i, angle in enumerate(pst.angles_deg):
+    for i, angle in enumerate(pst.field_deg):
         for azimuth in pst.grid.azimuths_deg:
             rows = pst.paths(angle, azimuth)
             unscattered = (rows.order + rows.structure_bounces + rows.scatters) == 0
@@ -203,7 +203,7 @@ def break_frame(bends: Sequence[Break]) -> pd.DataFrame:
                "before", "after"]  # fmt: skip
     rows = [
         (
-            b.angle_deg,
+            b.field_deg,
             b.slope_before,
             b.slope_after,
             b.change,
@@ -283,7 +283,7 @@ def _level_findings(pst: Pst, first: FirstOrder | None, transmittance: float) ->
     value, _ = pst.curve()
     if not np.any(value > 0):
         return []
-    angle = pst.angles_deg
+    angle = pst.field_deg
     last = int(np.flatnonzero(value > 0)[-1])
     found = [
         f"PST ({pst.convention}) falls from {value[0]:.3g} at {angle[0]:g}° to {value[last]:.2g} at {angle[last]:g}°; "
@@ -340,7 +340,7 @@ def _first_level_finding(pst: Pst, table: pd.DataFrame) -> list[str]:
     stray = pst.stray
     if table.empty or not np.any(stray > 0):
         return []
-    sums = table.groupby("angle_deg").pst.sum().reindex(pst.angles_deg).fillna(0.0).to_numpy()
+    sums = table.groupby("angle_deg").pst.sum().reindex(pst.field_deg).fillna(0.0).to_numpy()
     share = 100 * sums[stray > 0] / stray[stray > 0]
     ghosts = 100 * pst.curve("ghost")[0][stray > 0] / stray[stray > 0]
     middle = [_share_in_words(part) for part in (share, ghosts)]
@@ -359,7 +359,7 @@ def _in_words(b: Break) -> str:
     way = "steeper" if b.change < 0 else "flatter"
     before, after = _causes_in_words(b.before), _causes_in_words(b.after)
     return (
-        f"Break at {b.angle_deg:g}°: the curve of stray light becomes {way}, {b.slope_before:+.3f} → "
+        f"Break at {b.field_deg:g}°: the curve of stray light becomes {way}, {b.slope_before:+.3f} → "
         f"{b.slope_after:+.3f} decades per degree (± {b.change_se:.3f}). Before: {before}; after: {after}."
     )
 

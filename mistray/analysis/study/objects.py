@@ -17,10 +17,10 @@ ESTIMATE = ["angle_deg", "id", "side", "optic", "flux_W", "flux_W_se", "bsdf_1_s
 SOURCE_ANGLES_DEG = (30.0, 40.0, 60.0, 80.0)  # source angles beside the fields of the ghost analysis
 
 
-def source_angles(fields_deg: Sequence[float], largest_deg: float) -> list[float]:
+def source_angles(field_deg: Sequence[float], largest_deg: float) -> list[float]:
     """Source angles for the illuminated objects: the fields, and some beyond them up to the largest of the PST."""
-    beyond = [angle for angle in SOURCE_ANGLES_DEG if angle <= largest_deg and angle > max(fields_deg, default=0.0)]
-    return sorted({abs(float(field)) for field in fields_deg} | set(beyond))
+    beyond = [angle for angle in SOURCE_ANGLES_DEG if angle <= largest_deg and angle > max(field_deg, default=0.0)]
+    return sorted({abs(float(field)) for field in field_deg} | set(beyond))
 
 
 def object_steps(found: Objects) -> tuple[StudyStep, StudyStep, StudyStep]:
@@ -50,8 +50,8 @@ def _critical(found: Objects) -> StudyStep:
                 "rays": shot.rays,
                 "share": shot.share,
                 "share_se": shot.share_se,
-                "from_deg": shot.angles_deg[0],
-                "to_deg": shot.angles_deg[1],
+                "from_deg": shot.field_deg[0],
+                "to_deg": shot.field_deg[1],
             }
             for shot in found.straight_shots
         ],
@@ -66,8 +66,8 @@ def _critical(found: Objects) -> StudyStep:
         worst = found.straight_shots[0]
         findings.append(
             f"It sees the outside in {count_of(len(found.straight_shots), 'way')} beside the design path, most of it "
-            f"{describe(worst)}: {worst.share:.2g} of its view, at field angles {worst.angles_deg[0]:.3g} to "
-            f"{worst.angles_deg[1]:.3g}°."
+            f"{describe(worst)}: {worst.share:.2g} of its view, at field angles {worst.field_deg[0]:.3g} to "
+            f"{worst.field_deg[1]:.3g}°."
         )
     return StudyStep.of(
         "critical_objects",

@@ -24,6 +24,7 @@ from mistray.analysis.study.step import STEPS, StudyStep
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
+from mistray.renamed import renamed
 from mistray.trace import Settings, trace
 from mistray.trace.aiming import aims
 from mistray.trace.design_path import find_design_path
@@ -137,10 +138,11 @@ class Study(Mapping[str, StudyStep]):
         return "\n".join(lines + [f"warning: {text}" for text in self.warnings])
 
 
+@renamed(angles_deg="pst_field_deg", fields_deg="field_deg")
 def study(
     scene: mi.Scene,
-    angles_deg: Sequence[float] | np.ndarray = range(0, 81, 2),
-    fields_deg: Sequence[float] | None = None,
+    pst_field_deg: float | Sequence[float] | np.ndarray = range(0, 81, 2),
+    field_deg: float | Sequence[float] | None = None,
     *,
     rays: int | None = None,
     quick: bool = False,
@@ -166,9 +168,9 @@ def study(
     ----------
     scene : mi.Scene
         From `mistray.load`, with a ``collimated`` source and a detector.
-    angles_deg : sequence of float
+    pst_field_deg : float or sequence of float
         Field angles of the PST, degrees.
-    fields_deg : sequence of float, optional
+    field_deg : float or sequence of float, optional
         Field angles of the ghost analysis, degrees; by default the axis, half, the whole and 5/4 of the half field.
     rays : int, optional
         Start rays of the PST (1e6; quick: 1e5). The objects get a fifth of them at each source angle, the ghosts a
@@ -199,7 +201,7 @@ def study(
     """
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"study() got {type(scene).__name__}; load the scene first: mistray.load(path)")
-    _check(settings, angles_deg, fields_deg, convention, relative_error)
+    given_fields = _check(settings, pst_field_deg, field_deg, convention, relative_error)
     given = {key: value for key, value in settings.items() if value is not None}
     count = rays if rays is not None else QUICK_RAYS if quick else RAYS
     tell = progress or (lambda number, what, share: None)
@@ -227,12 +229,12 @@ def study(
     tell(2, "mechanical model", 0.0)
     done(mechanical_model(table, path))
     numbers: FirstOrder | None = steps[0].result
-    wanted = _fields(numbers) if fields_deg is None else [float(field) for field in fields_deg]
+    wanted = _fields(numbers) if given_fields is None else given_fields
     tell(3, "critical, illuminated and common objects", 0.0)
     seen = objects(
         scene,
         rays=max(1, round(OBJECT_SHARE * count)),
-        angles_deg=source_angles(wanted, float(np.max(angles_deg))),
+        field_deg=source_angles(wanted, float(np.max(pst_field_deg))),
         azimuth_deg=azimuth_deg or 0.0,
         wavelength_nm=first,
         seed=chosen.seed,
@@ -257,7 +259,7 @@ def study(
     )
     curve = pst(
         scene,
-        angles_deg,
+        pst_field_deg,
         convention=convention,
         rays=count,
         relative_error=relative_error,
@@ -273,8 +275,8 @@ def study(
     done(stray_light_analysis(report, curve, numbers, transmittance, design))
     asked = {
         "rays": count,
-        "angles_deg": [float(angle) for angle in curve.angles_deg],
-        "fields_deg": [float(field) for field in report],
+        "pst_field_deg": [float(angle) for angle in curve.field_deg],
+        "field_deg": [float(field) for field in report],
         "wavelength_nm": list(report.wavelengths_nm),
         "weights": [report.weight(line) for line in report.wavelengths_nm],
         "azimuth_deg": next(iter(report.values())).settings["azimuth_deg"],
@@ -287,24 +289,21 @@ def study(
 
 def _check(
     settings: Mapping[str, Any],
-    angles_deg: Sequence[float] | np.ndarray,
-    fields_deg: Sequence[float] | None,
+    pst_field_deg: float | Sequence[float] | np.ndarray,
+    field_deg: float | Sequence[float] | None,
     convention: str,
     relative_error: float | None,
-) -> None:
-    """Refuse before the first step what the last one would refuse."""
+) -> list[float] | None:
+    """The fields of the ghosts; refuses before the first step what the last one would refuse."""
     unknown = set(settings) - {f.name for f in fields(Settings)}
     if unknown:
         raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of study; see mistray.trace.Settings")
-    DirectionGrid.of(angles_deg)
-    if fields_deg is not None and not len(fields_deg):
-        raise MistrayError("fields_deg is empty; give at least one field angle in degrees")
-    for field in fields_deg or ():
-        FIELD_DEG.check("fields_deg", field)
+    DirectionGrid.of(pst_field_deg)
     if convention not in CONVENTIONS:
         raise MistrayError(f"convention is '{convention}'; use {' or '.join(map(repr, CONVENTIONS))}")
     if relative_error is not None:
         RELATIVE_ERROR.check("relative_error", relative_error)
+    return None if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
 
 
 def _fields(numbers: FirstOrder | None) -> list[float]:

@@ -1,0 +1,208 @@
+"""Old names of arguments, attributes, options and keys: they work and warn; both names at once are refused."""
+
+from __future__ import annotations
+
+import json
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mistray
+from mistray.analysis.metrics.extended_source import Disc, sun
+from mistray.cli.program import main
+from mistray.errors import MistrayError, MistrayWarning
+from mistray.optimize.metrics import path_power
+from mistray.optimize.pst_metrics import PstMetric, pst_bin, pst_mask
+from mistray.optimize.read_study import read_study
+from mistray.ranges import FIELD_DEG
+from mistray.renamed import by_new_names, old_names, renamed
+from mistray.sweeps import rank_edits, sweep_pst
+from mistray.trace.directions import DirectionGrid
+
+
+@renamed(sizes="size", ways="way")
+def boxed(number: int, size: Any = 1, *, way: str = "up", **more: Any) -> tuple[Any, ...]:
+    """What it was called with."""
+    return number, size, way, more
+
+
+@renamed(sizes="size")
+@dataclass(frozen=True)
+class Box:
+    """Has an attribute with a new name."""
+
+    number: int
+    size: int = 1
+
+
+class TestMechanism:
+    def test_a_function(self) -> None:
+        with pytest.warns(MistrayWarning, match=r"^boxed: sizes is an old name; write size$") as told:
+            assert boxed(1, sizes=2, other=3) == (1, 2, "up", {"other": 3})
+        assert [Path(one.filename) for one in told] == [Path(__file__)], "the warning is about the caller's line"
+        with warnings.catch_warnings():
+            warnings.simplefilter("error")
+            assert boxed(1, 2, way="down") == (1, 2, "down", {})
+        assert old_names(boxed) == {"sizes": "size", "ways": "way"}
+        assert old_names(len) == {}
+
+    @pytest.mark.parametrize("call", [lambda: boxed(1, 2, sizes=3), lambda: boxed(1, size=2, sizes=2)])
+    def test_both_names(self, call: Any) -> None:
+        with pytest.raises(MistrayError, match="boxed: sizes is the old name of size, and both are given"):
+            call()
+
+    def test_a_class(self) -> None:
+        with pytest.warns(MistrayWarning, match="Box: sizes"):
+            box = Box(1, sizes=2)  # type: ignore[call-arg]
+        assert box == Box(1, 2)
+        assert replace(box, size=3).size == 3
+        with pytest.warns(MistrayWarning, match="sizes is an old name; write size"):
+            assert box.sizes == 2  # type: ignore[attr-defined]
+
+    def test_keys(self) -> None:
+        with pytest.warns(MistrayWarning, match="study: a is an old name; write b"):
+            assert by_new_names({"a": 1, "c": 2}, {"a": "b"}, "study: ") == {"b": 1, "c": 2}
+
+
+def test_a_number_or_several() -> None:
+    assert FIELD_DEG.check_each("field_deg", 3) == [3.0]
+    assert FIELD_DEG.check_each("field_deg", range(3)) == [0.0, 1.0, 2.0]
+    for wrong in ("3", [], [90.0], [[1.0, 2.0]], [None], float("nan")):
+        with pytest.raises(MistrayError, match=r"^scene: field_deg is "):
+            FIELD_DEG.check_each("field_deg", wrong, "scene")
+
+
+@pytest.fixture(scope="module")
+def wall() -> Any:
+    """A scene that is traced in no time."""
+    return mistray.load("plate_and_wall")
+
+
+FEW: dict[str, Any] = {"rays": 200}
+MOVED = {"moved": {"detector.z": 0.1}}
+
+
+@pytest.mark.parametrize(
+    ("by_old_name", "by_new_name"),
+    [
+        (lambda s: mistray.ghosts(s, fields_deg=0.0, **FEW), lambda s: mistray.ghosts(s, field_deg=0.0, **FEW)),
+        (lambda s: mistray.pst(s, angles_deg=20, **FEW), lambda s: mistray.pst(s, field_deg=20, **FEW)),
+        (lambda s: mistray.objects(s, angles_deg=[5], **FEW), lambda s: mistray.objects(s, field_deg=5, **FEW)),
+        (lambda s: mistray.sweep(s, fields_deg=[0], **FEW), lambda s: mistray.sweep(s, field_deg=0.0, **FEW)),
+        (
+            lambda _: sweep_pst("plate_and_wall", MOVED, angles_deg=[20], **FEW),
+            lambda _: sweep_pst("plate_and_wall", MOVED, field_deg=20.0, **FEW),
+        ),
+        (lambda s: path_power(s, fields_deg=(0.0,)), lambda s: path_power(s, field_deg=0)),
+        (lambda s: pst_bin(s, angle_deg=5, angles_deg=(5,)), lambda s: pst_bin(s, field_deg=5, pst_field_deg=(5,))),
+        (lambda s: pst_mask(s, angles_deg=[5], limits=[1]), lambda s: pst_mask(s, field_deg=5, limits=1)),
+        (lambda _: sun(angle_deg=30), lambda _: sun(field_deg=30)),
+        (lambda _: Disc(1, 1, angle_deg=3), lambda _: Disc(1, 1, field_deg=3)),  # type: ignore[call-arg]
+        (lambda _: DirectionGrid.of(angles_deg=[3]), lambda _: DirectionGrid.of(3)),
+    ],
+)  # fmt: skip
+def test_python(wall: Any, by_old_name: Any, by_new_name: Any) -> None:
+    with pytest.warns(MistrayWarning, match="is an old name; write") as told:
+        old = by_old_name(wall)
+    assert {Path(one.filename).name for one in told if "old name" in str(one.message)} == {Path(__file__).name}
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", MistrayWarning)
+        new = by_new_name(wall)
+    if isinstance(new, PstMetric):
+        assert old.settings == new.settings
+    elif hasattr(new, "field_deg"):
+        assert _plain(old.field_deg) == _plain(new.field_deg)
+    elif hasattr(new, "keys"):
+        assert list(old) == list(new)
+
+
+def _plain(value: Any) -> list[float]:
+    return FIELD_DEG.check_each("field_deg", value)
+
+
+def test_attributes(wall: Any) -> None:
+    found = mistray.pst(wall, [0, 20], **FEW)
+    with pytest.warns(MistrayWarning, match=r"Pst\.angles_deg is an old name; write field_deg"):
+        assert list(found.angles_deg) == [0, 20]
+    with pytest.warns(MistrayWarning, match="paths: angle_deg is an old name"):
+        assert len(found.paths(angle_deg=0)) == len(found.paths(0))
+    swept = mistray.sweep(wall, 0.0, **FEW)
+    with pytest.warns(MistrayWarning):
+        assert swept.fields_deg == swept.field_deg == (0.0,)
+
+
+def test_several_in_a_study(wall: Any) -> None:
+    with pytest.warns(MistrayWarning, match="study: (angles|fields)_deg") as told:
+        found = mistray.study(wall, angles_deg=20, fields_deg=0, rays=200)
+    assert len([one for one in told if "old name" in str(one.message)]) == 2
+    assert (list(found.pst.field_deg), list(found.ghosts)) == ([20.0], [0.0])
+
+
+def test_nothing_is_empty_or_raw(wall: Any) -> None:
+    for call in (mistray.ghosts, mistray.sweep, mistray.pst, rank_edits):
+        for wrong in ([], "ten", [[1.0]], [0.0, None]):
+            with pytest.raises(MistrayError, match="field_deg is"):
+                call(wall, wrong)
+
+
+TERM: dict[str, Any] = {"kind": "path_power", "goal": "minimise"}
+
+
+def test_keys_of_a_study() -> None:
+    content: dict[str, Any] = {
+        "trace": {"fields_deg": [0, 10]},
+        "term": [TERM, {"kind": "pst_bin", "goal": "minimise", "angle_deg": 20, "angles_deg": [20, 40]}],
+        "variable": [{"parameters": ["wall.z"], "low": 0, "high": 1}],
+    }
+    with pytest.warns(MistrayWarning) as told:
+        read = read_study(content)
+    assert sorted(str(one.message).split(" is an old name; write ")[1] for one in told) == [
+        "field_deg", "field_deg", "pst_field_deg",
+    ]  # fmt: skip
+    assert "term[2].angle_deg" in "".join(str(one.message) for one in told)
+    assert read.terms[0].traced["field_deg"] == (0.0, 10.0)
+    assert (read.terms[1].own, read.terms[1].traced) == ({"field_deg": 20}, {"pst_field_deg": (20, 40)})
+    content["trace"]["field_deg"] = [0]
+    with pytest.raises(MistrayError, match=r"trace\.fields_deg is the old name of field_deg, and both are given"):
+        read_study(content)
+
+
+class TestShell:
+    @pytest.mark.parametrize(
+        ("command", "old", "new"),
+        [
+            ("pst", "--angles-deg", "--field-deg"),
+            ("objects", "--angles-deg", "--field-deg"),
+            ("study", "--angles-deg", "--pst-field-deg"),
+            ("pst", "--map-angles-deg", "--map-field-deg"),
+            ("sweep", "--pst-deg", "--pst-field-deg"),
+            ("sensitivity", "--angle-deg", "--field-deg"),
+        ],
+    )
+    def test_both_names(self, capsys: pytest.CaptureFixture[str], command: str, old: str, new: str) -> None:
+        for first, second in ((old, new), (new, old)):
+            assert main([command, "plate_and_wall", first, "10", second, "20"]) == 2
+            err = capsys.readouterr().err
+            assert f"{old} is the old name of {new}, and both are given" in err
+            assert len(err.splitlines()) == 1
+        assert main([command, "--help"]) == 0
+        assert old not in capsys.readouterr().out.split("\n\n")[0] + capsys.readouterr().out
+
+    def test_an_old_name_works(self, capsys: pytest.CaptureFixture[str]) -> None:
+        few = ("pst", "plate_and_wall", "--rays", "500", "--json")
+        assert main([*few, "--field-deg", "10", "20:40:10"]) == 0
+        new = capsys.readouterr()
+        with warnings.catch_warnings():
+            warnings.simplefilter("default")
+            assert main([*few, "--angles-deg", "10", "20:40:10"]) == 0
+        old = capsys.readouterr()
+        assert json.loads(old.out)["curve"] == json.loads(new.out)["curve"]
+        assert old.err.count("--angles-deg is an old name; write --field-deg") == 1
+        assert "old name" not in new.err
+
+    def test_pst_bin_has_one(self, capsys: pytest.CaptureFixture[str]) -> None:
+        assert main(["sensitivity", "plate_and_wall", "--metric", "pst_bin", "--field-deg", "1", "2"]) == 2
+        assert "one --field-deg" in capsys.readouterr().err
