@@ -161,7 +161,7 @@ def test_facts_come_back() -> None:
     """Through JSON, bit by bit."""
     grid = DirectionGrid.of([0.1, 7.7], [1 / 3, 100.0], 0.7, 3.3, random_rotation(5))
     again = DirectionGrid.from_facts(json.loads(json.dumps(grid.facts())))
-    for key in ("angles_deg", "edges_deg", "azimuths_deg", "rotation"):
+    for key in ("field_deg", "edges_deg", "azimuths_deg", "rotation"):
         np.testing.assert_array_equal(getattr(again, key), getattr(grid, key))
     assert again.azimuth_cell_deg == grid.azimuth_cell_deg
     assert again.facts() == grid.facts()
