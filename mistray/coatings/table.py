@@ -13,6 +13,7 @@ import numpy as np
 from mistray.coatings.response import Response, total_reflection
 from mistray.coatings.simple import SUM_TOLERANCE
 from mistray.errors import MistrayError
+from mistray.read_file import read_text
 
 REQUIRED = ("wavelength_nm", "angle_deg")
 SHARES = ("R", "T", "R_back")
@@ -67,11 +68,7 @@ class CoatingTable:
             R + T exceeds 1.
         """
         what = f"coating table '{path}'"
-        try:
-            lines = Path(path).read_text(encoding="utf-8").splitlines()
-        except (OSError, UnicodeDecodeError) as error:
-            reason = error.strerror if isinstance(error, OSError) else "it is no text file"
-            raise MistrayError(f"{what}: {reason}; check the path, relative to the scene file") from None
+        lines = read_text(path, "coating table", "check the path, relative to the scene file").splitlines()
         numbered = [
             (n, line) for n, line in enumerate(lines, start=1) if line.strip() and not line.lstrip().startswith("#")
         ]

@@ -28,6 +28,7 @@ from mistray.errors import MistrayError
 from mistray.materials.curve import Curve, table
 from mistray.materials.formulas import AGF_FORMULAS
 from mistray.materials.pages import formula_curve
+from mistray.read_file import read_file
 
 
 @dataclass
@@ -59,10 +60,9 @@ def read_glass(path: Path, name: str) -> tuple[Curve, Curve | None]:
 
     Raises
     ------
-    OSError
-        If the file cannot be read.
     MistrayError
-        If the glass is not in the file or one of its lines is not understood; the message names file and line.
+        If the file cannot be read, the glass is not in it or one of its lines is not understood; the message names file
+        and line.
     """
     blocks = _blocks(path)
     block = blocks.get(name.lower())
@@ -80,10 +80,8 @@ def glass_names(path: Path) -> list[str]:
 
     Raises
     ------
-    OSError
-        If the file cannot be read.
     MistrayError
-        If an NM line is not understood or a glass is there twice.
+        If the file cannot be read or holds no glass, an NM line is not understood or a glass is there twice.
     """
     return [block.head.words[0] for block in _blocks(path).values()]
 
@@ -92,7 +90,7 @@ def _blocks(path: Path) -> dict[str, _Block]:
     """Glasses by their names in small letters."""
     blocks: dict[str, _Block] = {}
     current, last = None, ""
-    for number, text in enumerate(decode(path.read_bytes()).splitlines(), 1):
+    for number, text in enumerate(decode(read_file(path, "glass catalogue")).splitlines(), 1):
         words = text.split()
         if not words:
             continue
@@ -110,6 +108,8 @@ def _blocks(path: Path) -> dict[str, _Block]:
             current.lines["CD"].append(_Line(number, words))
             continue
         last = key
+    if not blocks:
+        raise MistrayError(f"AGF file '{path}': no line begins with NM, so that it holds no glass; give another file")
     return blocks
 
 

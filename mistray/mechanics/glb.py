@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from mistray.mechanics.part import Part, RoundSurface
+from mistray.read_file import read_file
 
 MM = 1000.0  # per metre
 MAGIC = b"glTF"
@@ -44,7 +45,7 @@ class Glb:
     """
 
     def __init__(self, path: Path) -> None:
-        data = path.read_bytes()
+        data = read_file(path)
         if data[:4] != MAGIC:
             raise ValueError("it is no GLB file")
         self.tree: dict[str, Any] = {}

@@ -23,6 +23,7 @@ from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Placed, Structure
 from mistray.prescription.scene_file import comment_text, structure_text
 from mistray.prescription.sequential import Unread
+from mistray.read_file import require_file
 from mistray.replace_file import claim_files, replace_file
 
 STEP_SUFFIXES, MESH_SUFFIXES = (".step", ".stp"), (".stl", ".obj", ".ply")
@@ -278,8 +279,7 @@ def read_mechanics(
     if suffix not in (*STEP_SUFFIXES, *MESH_SUFFIXES):
         known = ", ".join((*STEP_SUFFIXES, *MESH_SUFFIXES))
         raise MistrayError(f"mechanics '{path}': files of type '{path.suffix}' cannot be read; give {known}")
-    if not path.is_file():
-        raise MistrayError(f"mechanics '{path}': no such file; check the path")
+    require_file(path, "mechanics")
     for name, value in (("tolerance_mm", tolerance_mm), ("time_limit_s", time_limit_s)):
         if value is not None and suffix not in STEP_SUFFIXES:
             raise MistrayError(f"mechanics '{path}': {name} = {value:g}; it is for STEP files, leave it out")
@@ -289,13 +289,10 @@ def read_mechanics(
         raise MistrayError(f"mechanics '{path}': unit '{unit}' is unknown; give {', '.join(UNITS_MM)}")
     if unit is not None and suffix in STEP_SUFFIXES:
         raise MistrayError(f"mechanics '{path}': unit = '{unit}'; a STEP file states its unit, leave it out")
-    try:
-        if suffix in STEP_SUFFIXES:
-            parts, unread = read_step(path, tolerance_mm=tolerance_mm or TOLERANCE_MM, time_limit_s=time_limit_s)
-        else:
-            parts, unread = read_mesh(path, unit_mm=UNITS_MM[unit or "mm"])
-    except OSError as error:
-        raise MistrayError(f"mechanics '{path}': {error.strerror}; check the file") from None
+    if suffix in STEP_SUFFIXES:
+        parts, unread = read_step(path, tolerance_mm=tolerance_mm or TOLERANCE_MM, time_limit_s=time_limit_s)
+    else:
+        parts, unread = read_mesh(path, unit_mm=UNITS_MM[unit or "mm"])
     if at is not None:
         parts = [part.moved(at.to_world()) for part in parts]
     return Mechanics(path, tuple(parts), tuple(unread), most_analytic=most_analytic)

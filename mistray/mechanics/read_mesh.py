@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import logging
 import warnings
 from itertools import pairwise
@@ -14,6 +15,7 @@ from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.mechanics.part import Part, checked, unique_names
 from mistray.prescription.sequential import Unread
+from mistray.read_file import read_file
 
 Found = tuple[dict[str, Any], list[Unread]]  # vertices and triangles by title, and what else is in the file
 LOOKS = ("vt", "vn", "s", "mtllib", "usemtl")  # lines of an OBJ file that say nothing about shape
@@ -78,7 +80,7 @@ def _trimesh(path: Path) -> Found:
     log = logging.getLogger("trimesh")
     if not log.handlers:  # or its warnings, with tracebacks, would go to stderr
         log.addHandler(logging.NullHandler())
-    with path.open("rb") as file, warnings.catch_warnings():
+    with io.BytesIO(read_file(path, "mechanics")) as file, warnings.catch_warnings():
         # NumPy warns of text that is no number, and goes on without it
         warnings.filterwarnings("error", "string or file could not be read")
         scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), process=False)
@@ -94,7 +96,7 @@ def _obj(path: Path) -> Found:
     vertices: list[list[float]] = []
     triangles: dict[str, list[tuple[int, int, int]]] = {}
     names = {"o": "", "g": ""}
-    for number, line in enumerate(path.read_text(encoding="utf-8", errors="replace").splitlines(), start=1):
+    for number, line in enumerate(read_file(path, "mechanics").decode("utf-8", "replace").splitlines(), start=1):
         words = line.split()
         if not words:
             continue

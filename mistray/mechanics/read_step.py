@@ -15,6 +15,7 @@ from mistray.materials.mate import shown
 from mistray.mechanics.glb import Glb, Instance
 from mistray.mechanics.part import Part, checked, unique_names
 from mistray.prescription.sequential import Unread
+from mistray.read_file import read_file
 
 PROGRAM = Path(__file__).with_name("step_process.py")
 START, END = b"ISO-10303-21;", b"END-ISO-10303-21;"
@@ -55,7 +56,7 @@ def read_step(path: Path, *, tolerance_mm: float, time_limit_s: float | None = N
     MistrayError
         If it is no STEP file, is cut off, holds no faces, takes too long, or cascadio is missing.
     """
-    data = path.read_bytes()
+    data = read_file(path, "STEP file")
     if not data.lstrip(b"\xef\xbb\xbf \t\r\n").startswith(START):
         raise MistrayError(f"STEP file '{path}': it does not begin with 'ISO-10303-21;'; give a STEP file in text form")
     if END not in data[-4096:]:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from mistray.cache.fingerprint import file_fingerprint
 from mistray.errors import MistrayError
 from mistray.optimize.state import Evaluation, Start, State
+from mistray.read_file import read_file
 from mistray.replace_file import replace_file
 
 FORM = 2  # changes when the content does
@@ -31,7 +32,7 @@ class Checkpoint:
 
     def __init__(self, path: Path, scene: Path, study: str) -> None:
         self.path = path
-        self.key = {"form": FORM, "scene": hashlib.sha256(scene.read_bytes()).hexdigest(), "study": study}
+        self.key = {"form": FORM, "scene": file_fingerprint(scene), "study": study}
 
     def write(self, state: State) -> None:
         """Replace the file; on an error the old one stays."""
@@ -53,12 +54,11 @@ class Checkpoint:
         MistrayError
             If there is no such file, it is damaged, or it belongs to another study, scene or version.
         """
+        data = read_file(self.path, "checkpoint", "run without resuming")
         try:
-            content = json.loads(self.path.read_text(encoding="utf-8"))
+            content = json.loads(data)
             found = {key: content[key] for key in self.key}
-        except OSError as error:
-            raise MistrayError(f"checkpoint '{self.path}': {error.strerror}; run without resuming") from None
-        except (ValueError, KeyError, TypeError):
+        except (ValueError, KeyError, TypeError, RecursionError):
             raise self._damaged() from None
         for key, what in (("form", "version of mistray"), ("scene", "scene"), ("study", "study")):
             if found[key] != self.key[key]:

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.read_file import read_text
 from mistray.renamed import by_new_names
 
 
@@ -50,13 +51,10 @@ class Section:
             If the file is missing or no TOML.
         """
         path = Path(source)
-        if path.exists() and not path.is_file():
-            raise MistrayError(f"{kind} '{path}': it is no regular file; give a TOML file")
+        text = read_text(path, kind)
         try:
-            content = tomllib.loads(path.read_text(encoding="utf-8"))
-        except OSError as error:
-            raise MistrayError(f"{kind} '{path}': {error.strerror}; check the path") from None
-        except (tomllib.TOMLDecodeError, UnicodeDecodeError, RecursionError) as error:
+            content = tomllib.loads(text)
+        except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise MistrayError(f"{kind} '{path}': {error}; correct the TOML") from None
         return cls(f"{kind} '{path}'", "", content, path.parent)
 

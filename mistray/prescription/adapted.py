@@ -4,13 +4,11 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from pathlib import Path
 
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials import complex_index, refractive_index
-from mistray.materials.agf import glass_names
 from mistray.prescription.first_order import paraxial_system
 from mistray.prescription.sequential import Sequential
 
@@ -69,21 +67,6 @@ def usable(material: str, wavelengths_nm: Sequence[float]) -> str:
     for wavelength in wavelengths_nm:
         refractive_index(material, wavelength)
     return with_k(material, wavelengths_nm)
-
-
-def catalogue_names(file: Path) -> list[str]:
-    """
-    Names of the glasses of an AGF file.
-
-    Raises
-    ------
-    MistrayError
-        If the file cannot be read.
-    """
-    try:
-        return glass_names(file)
-    except OSError as error:
-        raise MistrayError(f"glass catalogue '{file}': {error.strerror}; check the path") from None
 
 
 def figure(

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
+from mistray.read_file import read_text
 
 if TYPE_CHECKING:
     import batoid
@@ -50,12 +51,7 @@ def read_optic(path: str | Path) -> batoid.Optic:
         from batoid.parse import parse_optic
     except ImportError:
         raise MistrayError("batoid is not installed; run: pip install 'mistray[batoid]'") from None
-    if Path(path).exists() and not Path(path).is_file():
-        raise MistrayError(f"lens '{path}': it is no regular file; give a YAML file")
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except OSError as error:
-        raise MistrayError(f"lens '{path}': {error.strerror}; check the path") from None
+    text = read_text(path, "lens")
     try:
         content = yaml.safe_load(text)
         system = content["opticalSystem"] if isinstance(content, dict) else None

@@ -19,9 +19,9 @@ from pathlib import Path
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.materials.agf import glass_names
 from mistray.materials.catalogue import MAKERS, PINNED, glasses
 from mistray.materials.mate import shown
-from mistray.prescription.adapted import catalogue_names
 from mistray.prescription.file_glasses import FileGlasses, remedy
 from mistray.prescription.zemax_glass import SYNONYMS
 
@@ -54,7 +54,7 @@ class CodevGlasses(FileGlasses):
     ) -> None:
         super().__init__(replaced, wavelengths_nm)
         self._private = private
-        self._agf = [(file, {_plain(name): name for name in catalogue_names(Path(file))}) for file in agf]
+        self._agf = [(file, {_plain(name): name for name in glass_names(Path(file))}) for file in agf]
 
     def material(self, word: str) -> str:
         """

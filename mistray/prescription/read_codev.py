@@ -31,6 +31,7 @@ from mistray.prescription.codev_glass import CodevGlasses, table_material
 from mistray.prescription.codev_lines import CHANGES_THE_LENS, HAS_NO_EFFECT, ORDERS, Command, commands
 from mistray.prescription.codev_rows import CodevSurface, rows_of
 from mistray.prescription.sequential import ApertureKind, FieldKind, Row, Sequential, Unread
+from mistray.read_file import read_file
 
 _UNITS_MM = {"M": 1.0, "C": 10.0, "I": 25.4}
 _INFINITE = 1e9
@@ -78,10 +79,7 @@ def read_codev(
         ``radius_mode`` contradicts the file; the message names file and line.
     """
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise MistrayError(f"CODE V file '{path}': {error.strerror}; check the path") from None
+    data = read_file(path, "CODE V file")
     reader = _Reader(path, radius_mode, glass_catalogues, glasses or {})
     for command in commands(decode(data)):
         try:

@@ -32,6 +32,7 @@ from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import Point, detector_frame, lens_edge
 from mistray.prescription.model import Detector, Prescription, Source, Stop, Structure, Surface
 from mistray.prescription.scatter import Scatter
+from mistray.read_file import read_text
 
 _ROUNDING_MM = 2e-6
 _SURFACE_NAME = re.compile(r"S\d+\s+(\S+)\s+(front|rear)")
@@ -61,12 +62,9 @@ def from_json(path: str | Path, *, variant: str | None = None) -> Prescription:
         If the file is missing or broken, a key is missing, or the variant is unknown.
     """
     path = Path(path)
-    if path.exists() and not path.is_file():
-        raise MistrayError(f"prescription '{path}': it is no regular file; give a JSON file")
+    text = read_text(path, "prescription")
     try:
-        data = json.loads(path.read_text(encoding="utf-8"))
-    except OSError as error:
-        raise MistrayError(f"prescription '{path}': {error.strerror}; check the path") from None
+        data = json.loads(text)
     except (ValueError, RecursionError) as error:
         raise MistrayError(f"prescription '{path}': {error}; it must be a JSON file") from None
     try:

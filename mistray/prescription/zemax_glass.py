@@ -14,8 +14,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from mistray.errors import MistrayError
+from mistray.materials.agf import glass_names
 from mistray.materials.catalogue import MAKERS, PINNED, glasses
-from mistray.prescription.adapted import catalogue_names
 from mistray.prescription.file_glasses import FileGlasses, remedy
 from mistray.prescription.sequential import Unread
 from mistray.prescription.zemax_lines import Line
@@ -74,7 +74,7 @@ class Glasses(FileGlasses):
     ) -> None:
         super().__init__(replaced, wavelengths_nm)
         self.unread: list[Unread] = []
-        self._agf = [(file, {name.upper() for name in catalogue_names(file)}) for file in agf]
+        self._agf = [(file, {name.upper() for name in glass_names(file)}) for file in agf]
         self._catalogues = tuple(catalogues)
         self._listed = [maker for word in catalogues for maker in MAKERS if word.lower().startswith(maker)]
         self._found: dict[tuple[str, ...], str] = {}

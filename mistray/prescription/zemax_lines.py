@@ -16,6 +16,7 @@ from mistray.errors import MistrayError
 from mistray.materials.agf import decode
 from mistray.materials.mate import shown
 from mistray.prescription.sequential import Unread
+from mistray.read_file import read_file
 
 # Keywords whose lines say nothing about where rays go. Meanings: OpticStudio's dialogs, whose entries these lines hold
 # in their order; checked against files of OpticStudio, Thorlabs and Edmund Optics.
@@ -223,10 +224,7 @@ def read_sections(path: Path) -> Sections:
     MistrayError
         If it cannot be read, has no surfaces, or they are not numbered from 0 on.
     """
-    try:
-        text = decode(path.read_bytes())
-    except OSError as error:
-        raise MistrayError(f"lens '{path}': {error.strerror}; check the path") from None
+    text = decode(read_file(path, "lens"))
     system, after, surfaces = Section("the system"), Section("the end of the file"), list[Section]()
     place, over, indented = system, False, False
     for number, raw in enumerate(text.splitlines(), 1):

@@ -32,12 +32,14 @@ import numpy as np
 
 from mistray.analysis.irradiance import Extent, Map
 from mistray.errors import MistrayError
+from mistray.read_file import read_file, require_file
 from mistray.replace_file import replace_file
 from mistray.report.json_values import plain
 
 UNIT_FITS, UNIT_EXR = "W mm-2", "W/mm^2"
 ERROR_HDU, ERROR_CHANNEL = "STDERR", "standard_error.Y"
 AXES = ("x", "y")
+WHAT = "irradiance map"  # for messages
 LARGEST = float(np.finfo(np.float32).max)
 
 
@@ -113,8 +115,6 @@ def read_irradiance(path: str | Path) -> IrradianceMap:
     """
     path = Path(path)
     _, reader = _format(path)
-    if not path.is_file():
-        raise MistrayError(f"irradiance map '{path}': no such file; check the path")
     try:
         return reader(path)
     except MistrayError:
@@ -200,7 +200,7 @@ def _write_fits(m: IrradianceMap) -> bytes:
 
 def _read_fits(path: Path) -> IrradianceMap:
     fits = _fits()
-    with fits.open(path, memmap=False) as hdus:
+    with fits.open(io.BytesIO(read_file(path, WHAT)), memmap=False) as hdus:
         if ERROR_HDU not in hdus:
             raise MistrayError(f"irradiance map '{path}': no extension {ERROR_HDU}; give a file that mistray wrote")
         header = hdus[0].header
@@ -233,6 +233,7 @@ def _write_exr(m: IrradianceMap) -> bytes:
 
 def _read_exr(path: Path) -> IrradianceMap:
     openexr = _openexr()
+    require_file(path, WHAT)  # OpenEXR reads from names only
     with openexr.File(str(path), separate_channels=True) as file:
         header, channels = file.header(), file.channels()
         missing = [name for name in ("Y", ERROR_CHANNEL) if name not in channels] + [
@@ -264,7 +265,7 @@ def _write_npy(m: IrradianceMap) -> bytes:
 
 
 def _read_npy(path: Path) -> IrradianceMap:
-    record = np.load(path, allow_pickle=False)
+    record = np.load(io.BytesIO(read_file(path, WHAT)), allow_pickle=False)
     if not record.dtype.names or "irradiance_se_W_mm2" not in record.dtype.names:
         raise MistrayError(f"irradiance map '{path}': no field irradiance_se_W_mm2; give a file that mistray wrote")
     x0, x1, y0, y1 = (float(value) for value in record["extent_mm"])

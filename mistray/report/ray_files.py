@@ -20,6 +20,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.read_file import read_file
 from mistray.replace_file import replace_file
 from mistray.report.path_rays import RayLine
 
@@ -67,11 +68,10 @@ def read_rays(path: str | Path) -> list[RayLine]:
         For another ending, a missing file, or one that is not such a file.
     """
     _, read = format_of(path)
+    data = read_file(path, "ray file")
     try:
-        return read(Path(path).read_bytes())
-    except OSError as error:
-        raise MistrayError(f"ray file '{path}': {error.strerror}; check the path") from None
-    except (ValueError, KeyError, IndexError, TypeError) as error:
+        return read(data)
+    except (ValueError, KeyError, IndexError, TypeError, RecursionError) as error:
         raise MistrayError(f"ray file '{path}': {error}; give a file that mistray.report.write_rays wrote") from None
 
 

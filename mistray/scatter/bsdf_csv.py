@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.read_file import read_text
 from mistray.replace_file import replace_file
 from mistray.scatter.rotations import RotatedSamples, by_rotation
 from mistray.scatter.samples import Samples
@@ -99,12 +100,7 @@ def write_bsdf_csv(samples: Samples | RotatedSamples, path: str | Path, comment:
 
 def read_lines(path: str | Path, what: str = "BSDF table") -> list[tuple[int, str]]:
     """The lines of a text file with their numbers, from 1; the error message starts with `what`."""
-    try:
-        text = Path(path).read_text(encoding="utf-8")
-    except (OSError, UnicodeDecodeError) as error:
-        reason = error.strerror if isinstance(error, OSError) else "it is no text file"
-        raise MistrayError(f"{what} '{path}': {reason}; check the path, relative to the scene file") from None
-    return list(enumerate(text.splitlines(), start=1))
+    return list(enumerate(read_text(path, what, "check the path, relative to the scene file").splitlines(), start=1))
 
 
 def numbers(words: list[str], count: int, where: str) -> list[float]:

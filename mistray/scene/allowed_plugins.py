@@ -18,7 +18,8 @@ import mitsuba as mi
 
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
-from mistray.scene.depth import DEEPEST
+from mistray.read_file import require_file
+from mistray.scene.depth import DEEPEST, FILE
 
 # The plugins that come with Mitsuba, without `blender`, which reads memory at addresses that the scene gives
 STOCK: Mapping[str, frozenset[str]] = {
@@ -63,13 +64,13 @@ def check_file(state: Any) -> None:
     Raises
     ------
     MistrayError
-        A type is not allowed; the text names the place as Mitsuba's own errors do.
+        A type is not allowed, or a file is a pipe or a device; the text names the place as Mitsuba's own errors do.
     """
     for node in state.nodes:
         name, kind = node.props.plugin_name(), KINDS.get(node.type.name, node.type.name.lower())
-        if name in STOCK.get(kind, ()):
-            continue
-        reason = _refusal(name)
+        reason = _special(node.props.get(FILE, None)) if FILE in node.props else ""
+        if not reason and name not in STOCK.get(kind, ()):
+            reason = _refusal(name)
         if reason:
             raise MistrayError(f"While loading {mi.parser.file_location(state, node)}: MistrayError: {reason}")
 
@@ -84,16 +85,16 @@ def check_dict(given: Mapping[str, Any]) -> None:
         A type is not allowed, or the dict is nested deeper than `mistray.scene.depth.DEEPEST`; the text names the place
         as Mitsuba's own errors do.
     """
-    for path, name in _types(given):
-        if name in VALUES or any(name in names for names in STOCK.values()):
-            continue
-        reason = _refusal(name)
+    for path, name, file in _types(given):
+        reason = _special(file)
+        if not reason and name not in VALUES and not any(name in names for names in STOCK.values()):
+            reason = _refusal(name)
         if reason:
             raise MistrayError(f'While loading dictionary node "{path}": MistrayError: {reason}')
 
 
-def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
-    """The types of a dict and of those within it, with the path of keys to each."""
+def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str, Any]]:
+    """The types of a dict and of those within it, with the path of keys to each, and what each names as its file."""
     waiting: list[tuple[tuple[str, ...], Mapping[str, Any]]] = [((), given)]
     while waiting:
         path, item = waiting.pop()
@@ -101,8 +102,20 @@ def _types(given: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
             raise MistrayError(f"scene: '{path[0]}' holds dicts {DEEPEST} deep within each other; correct the dict")
         name = item.get("type")
         if isinstance(name, str):
-            yield ".".join(path) or "root", name
+            yield ".".join(path) or "root", name, item.get(FILE)
         waiting += [((*path, str(key)), value) for key, value in item.items() if isinstance(value, dict)]
+
+
+def _special(name: Any) -> str:
+    """Why a file that a plugin of Mitsuba reads may not be opened; empty if it may, or is missing."""
+    file = str(mi.file_resolver().resolve(name)) if isinstance(name, str) else ""
+    if not os.path.exists(file):
+        return ""
+    try:
+        require_file(file, FILE)
+    except MistrayError as error:
+        return str(error)
+    return ""
 
 
 def _refusal(name: str) -> str:

@@ -1,18 +1,26 @@
-"""How deep the elements of a scene file lie within each other: Mitsuba's reader dies of some thousand levels."""
+"""
+What Mitsuba's reader of scene files does not survive, looked for before it.
+
+Elements that lie within each other some thousand levels deep end the process, and an included pipe would be waited for.
+"""
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from xml.parsers import expat
 
 from mistray.errors import MistrayError
+from mistray.read_file import read_file, require_file
+from mistray.scene.files import filled
 
 DEEPEST = 100  # levels; scenes need about six
+FILE = "filename"  # by which elements, and all of Mitsuba's plugins, name a file
 
 
 def check_depth(path: Path) -> None:
     """
-    Refuse a scene file that would end the process.
+    Refuse a scene file that would end or hold the process.
 
     Parameters
     ----------
@@ -22,43 +30,57 @@ def check_depth(path: Path) -> None:
     Raises
     ------
     MistrayError
-        An element lies deeper than `DEEPEST` levels.
+        An element lies deeper than `DEEPEST` levels, or an attribute ``filename`` names a pipe or a device.
     """
-    looked_at: set[Path] = set()
-    waiting = [path]
-    while waiting:
-        file = waiting.pop()
-        if file.resolve() not in looked_at and file.is_file():
-            looked_at.add(file.resolve())
-            waiting += [file.parent / name for name in _included(file)]
+    _Look(path).run()
 
 
-def _included(path: Path) -> list[str]:
-    """Names of the files that a file includes."""
-    depth = 0
-    names: list[str] = []
-    parser = expat.ParserCreate()
+class _Look:
+    def __init__(self, path: Path) -> None:
+        self.waiting, self.looked_at = [path], set[Path]()
+        self.folders = [path.parent, Path()]
+        self.defaults: dict[str, str] = {}
 
-    def start(tag: str, attributes: dict[str, str]) -> None:
-        nonlocal depth
-        depth += 1
-        if depth > DEEPEST:
-            raise MistrayError(
-                f"scene '{path}', line {parser.CurrentLineNumber}: <{tag}> lies within {DEEPEST} other elements; close "
-                "them first"
-            )
-        if tag == "include" and "filename" in attributes:
-            names.append(attributes["filename"])
+    def run(self) -> None:
+        while self.waiting:
+            file = self.waiting.pop()
+            if file.resolve() not in self.looked_at:
+                self.looked_at.add(file.resolve())
+                self.folders.append(file.parent)
+                self._look(file)
 
-    def end(tag: str) -> None:
-        nonlocal depth
-        depth -= 1
+    def _look(self, path: Path) -> None:
+        depth = 0
+        parser = expat.ParserCreate()
 
-    parser.StartElementHandler, parser.EndElementHandler = start, end
-    try:
-        parser.Parse(path.read_bytes(), True)
-    except MistrayError:
-        raise
-    except (OSError, ValueError, LookupError, expat.ExpatError):  # Mitsuba will say what is wrong
-        return []
-    return names
+        def start(tag: str, attributes: dict[str, str]) -> None:
+            nonlocal depth
+            depth += 1
+            where = f"scene '{path}', line {parser.CurrentLineNumber}: <{tag}>"
+            if depth > DEEPEST:
+                raise MistrayError(f"{where} lies within {DEEPEST} other elements; close them first")
+            value, name = (filled(attributes.get(key, ""), self.defaults) for key in ("value", FILE))
+            if tag == "default":
+                self.defaults.setdefault(attributes.get("name", ""), value)
+            elif tag == "path":
+                self.folders += [folder / value for folder in self.folders]
+            for folder in self.folders if name else ():
+                self._check(folder / name, where, tag)
+
+        def end(tag: str) -> None:
+            nonlocal depth
+            depth -= 1
+
+        parser.StartElementHandler, parser.EndElementHandler = start, end
+        try:
+            parser.Parse(read_file(path, "scene"), True)
+        except MistrayError:
+            raise
+        except (ValueError, LookupError, expat.ExpatError):  # Mitsuba will say what is wrong
+            return
+
+    def _check(self, file: Path, where: str, tag: str) -> None:
+        if os.path.exists(file) and not os.path.isdir(file):
+            require_file(file, f"{where} file")
+            if tag == "include":
+                self.waiting.append(file)

@@ -41,7 +41,7 @@ def scene_files(path: Path) -> list[Path]:
 
     def read(scene: Path) -> None:
         for element in SceneFile(scene).root.walk():
-            value, name = (_filled(element.values.get(key, ""), defaults) for key in ("value", "filename"))
+            value, name = (filled(element.values.get(key, ""), defaults) for key in ("value", "filename"))
             texts.extend((value, name))
             if element.tag == "default":
                 defaults.setdefault(element.values.get("name", ""), value)
@@ -66,7 +66,7 @@ def named_files(text: str, folders: Iterable[Path]) -> Iterator[Path]:
                 yield (folder / name).resolve()
 
 
-def _filled(text: str, defaults: dict[str, str]) -> str:
+def filled(text: str, defaults: dict[str, str]) -> str:
     """A value with the parameters, ``$name``, in place; longest names first, as they may begin alike."""
     for name in sorted(defaults, key=len, reverse=True):
         text = text.replace(f"${name}", defaults[name]) if name else text

@@ -163,7 +163,8 @@ def find(source: str | Path) -> Path:
         If it is none of these.
     """
     path, text = Path(source), str(source)
-    if os.path.isfile(path):  # that of Path raises for text that is too long for a name
+    # os.path.exists, because that of Path raises for text that is too long for a name; its reader refuses a pipe
+    if os.path.exists(path) and not os.path.isdir(path):
         return path
     shipped = shipped_scenes()
     if text in shipped:

@@ -13,6 +13,8 @@ from xml.parsers import expat
 
 from mistray._variant import PLUGIN_ROOT
 from mistray.materials.mate import printable
+from mistray.read_file import read_file
+from mistray.scene.depth import FILE
 
 VALUE_TAGS = ("float", "integer", "boolean", "string", "point", "vector", "rgb", "spectrum", "transform")
 NUMBERS = {"floating point": "a number", "integer": "a whole number", "boolean": "'true' or 'false'"}
@@ -130,8 +132,10 @@ def _reason(text: str, element: Element, source: Path | dict[str, Any]) -> str:
     plain = _RAISED.findall(text)[-1] if _TRACEBACK in text and _RAISED.search(text) else text
     for noise in (_PREFIX, _LOADING):
         plain = noise.sub("", plain)
-    subject = "the dict" if isinstance(source, dict) else "the file"
-    return f"{plain.strip()}; correct {subject}"
+    plain, file = plain.strip(), str(element.values.get(FILE, ""))
+    if file and file not in plain:
+        return f"{element}: file '{file}': {plain}; give another one"
+    return f"{plain}; correct {'the dict' if isinstance(source, dict) else 'the file'}"
 
 
 def _is_model(name: str, plugin: str) -> bool:
@@ -248,8 +252,8 @@ def _in_file(path: Path, line: int, column: int) -> Element | None:
     parser.StartElementHandler = start
     parser.EndElementHandler = lambda tag: stack.pop()
     try:
-        parser.Parse(path.read_bytes(), True)
-    except (OSError, ValueError, LookupError, expat.ExpatError):  # the message then does without the object's name
+        parser.Parse(read_file(path), True)
+    except (ValueError, LookupError, expat.ExpatError):  # the message then does without the object's name
         return None
     return found[0] if found else None
 

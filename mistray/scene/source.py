@@ -14,7 +14,9 @@ from typing import Any
 
 import mitsuba as mi
 
+from mistray.cache.fingerprint import file_fingerprint
 from mistray.errors import MistrayError
+from mistray.read_file import read_file
 from mistray.scene.files import scene_files
 
 OURS = "mistray.plugins."
@@ -56,7 +58,7 @@ class PackedScene:
         from mistray.scene.load import load
 
         for path, digest in self.checked.items():
-            found = hashlib.sha256(Path(path).read_bytes()).hexdigest() if os.path.isfile(path) else None
+            found = file_fingerprint(Path(path)) if os.path.isfile(path) else None
             if found != digest:
                 what = "is not there" if found is None else "is another file there"
                 raise MistrayError(
@@ -95,7 +97,7 @@ def remember(scene: mi.Scene, given: Path | Mapping[str, Any]) -> None:
     """Keep what a scene was loaded from with one of its plugins."""
     for owner in _owners(scene):
         if isinstance(given, Path):
-            origin = _Origin(given.resolve(), given.read_bytes(), {})
+            origin = _Origin(given.resolve(), read_file(given, "scene"), {})
         else:
             origin = _Origin(None, b"", given)
         setattr(owner, ATTRIBUTE, origin)
@@ -129,7 +131,7 @@ def _owners(scene: mi.Scene) -> Iterator[Any]:
 def _packed(path: Path, text: bytes) -> PackedScene:
     """A scene file with all that it names."""
     first, *others = scene_files(path)
-    contents = {file: file.read_bytes() for file in others}
+    contents = {file: read_file(file) for file in others}
     texts = [text, *(content for file, content in contents.items() if file.suffix == ".xml")]
     absolute = {file for file in others if any(str(file).encode() in content for content in texts)}
     ways = {file: Path(os.path.relpath(file, first.parent)) for file in others if file not in absolute}

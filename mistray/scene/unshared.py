@@ -10,6 +10,7 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from mistray.errors import MistrayError
+from mistray.read_file import read_file
 from mistray.scatter.kinds import KINDS
 from mistray.scene.xml_file import names_a_file
 
@@ -42,11 +43,9 @@ class SceneText:
     def __init__(self, source: str | Path, own: bool = True) -> None:
         self.path = Path(source)
         builder = ElementTree.TreeBuilder(insert_comments=True)
+        data = read_file(source, "scene")
         try:
-            data = self.path.read_bytes()
             self._root = ElementTree.fromstring(data, ElementTree.XMLParser(target=builder))
-        except OSError as error:
-            raise MistrayError(f"scene '{source}': {error.strerror}; check the path") from None
         except ElementTree.ParseError as error:
             raise MistrayError(f"scene '{source}': broken XML, {error}; correct it") from None
         head = HEAD.match(data)

@@ -11,6 +11,7 @@ from xml.parsers import expat
 from xml.sax.saxutils import quoteattr
 
 from mistray.errors import MistrayError
+from mistray.read_file import read_file
 
 INDENT = "    "
 Edit = tuple[int, int, bytes]  # replaces the bytes from start to end
@@ -48,10 +49,7 @@ class SceneFile:
 
     def __init__(self, path: Path) -> None:
         self.path = path
-        try:
-            self.data = path.read_bytes()
-        except OSError as error:
-            raise MistrayError(f"scene '{path}': {error.strerror}; check the path") from None
+        self.data = read_file(path, "scene")
         declared = re.match(rb"\s*<\?xml[^>]*encoding\s*=\s*[\"']([\w.-]+)", self.data)
         if declared and declared[1].lower() not in (b"utf-8", b"us-ascii", b"ascii"):
             raise MistrayError(f"scene '{path}': its encoding is {declared[1].decode()}; save it as UTF-8")

@@ -290,7 +290,7 @@ class TestDamage:
     def test_something_else(self, tmp_path: Path) -> None:
         assert "does not begin with 'ISO-10303-21;'" in self.line(saved(tmp_path, "solid\n"))
         assert "files of type '.igs' cannot be read; give .step, .stp" in self.line(tmp_path / "part.igs")
-        assert "no such file" in self.line(tmp_path / "other.step")
+        assert "No such file" in self.line(tmp_path / "other.step")
 
     def test_nothing_in_it(self, tmp_path: Path) -> None:
         text = (DATA / "vane_tube.step").read_text(encoding="ascii")

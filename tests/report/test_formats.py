@@ -204,7 +204,7 @@ def test_npy_needs_nothing():
 def test_wrong_names_and_files(one, tmp_path):
     with pytest.raises(MistrayError, match=r"its name must end in \.fits, \.exr, \.npy"):
         write_irradiance(one, tmp_path / "map.tif")
-    with pytest.raises(MistrayError, match="no such file; check the path"):
+    with pytest.raises(MistrayError, match="No such file or directory; check the path"):
         read_irradiance(tmp_path / "map.npy")
     with pytest.raises(MistrayError, match="check the folder and its permissions"):
         write_irradiance(one, tmp_path / "nowhere" / "map.npy")

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.read_file import open_input
 from mistray.replace_file import replace_file
 
 FORM = 2  # changes when the content does
@@ -137,7 +138,8 @@ def load_state(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any]]
         If there is no such file, it is no state or damaged, or another version of mistray wrote it.
     """
     try:
-        data = io.BytesIO(Path(path).read_bytes())
+        with open_input(path) as file:
+            data = io.BytesIO(file.read())
         if sum(entry.file_size for entry in zipfile.ZipFile(data).infolist()) > MOST_BYTES:
             raise MistrayError(f"state '{path}': it would unpack to more than {MOST_BYTES >> 30} GiB; remove it")
         with np.load(data, allow_pickle=False) as archive:

@@ -1,0 +1,99 @@
+"""
+Files that a user names as inputs: only regular ones are opened.
+
+A pipe without a writer would hold the reader for ever, and a device may have no end. All inputs are read here; where a
+library opens a file by its name, `require_file` looks at it first.
+"""
+
+from __future__ import annotations
+
+import errno
+import os
+import stat
+from pathlib import Path
+from typing import BinaryIO
+
+from mistray.errors import MistrayError
+
+KINDS = {
+    stat.S_IFIFO: "it is a pipe, no regular file",
+    stat.S_IFCHR: "it is a device, no regular file",
+    stat.S_IFBLK: "it is a device, no regular file",
+    stat.S_IFSOCK: "it is a socket, no regular file",
+    stat.S_IFDIR: os.strerror(errno.EISDIR),
+}
+REMEDY = "check the path"
+
+
+def open_input(path: str | Path) -> BinaryIO:
+    """
+    Open a regular file.
+
+    Raises
+    ------
+    OSError
+        If it cannot be opened, or is no regular file; ``strerror`` says why.
+    """
+    try:
+        _refuse(path, os.stat(path).st_mode)
+        # Another file may have taken its place since: without O_NONBLOCK a pipe would be waited for
+        file = os.fdopen(os.open(path, os.O_RDONLY | getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0)), "rb")
+    except ValueError:  # a name with a null byte
+        raise OSError(errno.EINVAL, "it is no name of a file", str(path)) from None
+    try:
+        _refuse(path, os.fstat(file.fileno()).st_mode)
+    except OSError:
+        file.close()
+        raise
+    return file
+
+
+def read_file(path: str | Path, what: str = "file", remedy: str = REMEDY) -> bytes:
+    """
+    The content of a regular file.
+
+    Parameters
+    ----------
+    path : str or Path
+    what : str
+        Kind of file, with which the message begins.
+    remedy : str
+        With which it ends.
+
+    Raises
+    ------
+    MistrayError
+        If it cannot be read, or is no regular file.
+    """
+    try:
+        with open_input(path) as file:
+            return file.read()
+    except OSError as error:
+        raise _error(path, what, error.strerror, remedy) from None
+
+
+def read_text(path: str | Path, what: str = "file", remedy: str = REMEDY) -> str:
+    """As `read_file`, of a text in UTF-8, with or without byte order mark; each line ends with a line feed."""
+    try:
+        text = read_file(path, what, remedy).decode("utf-8-sig")
+    except UnicodeDecodeError:
+        raise _error(path, what, "it is no text file in UTF-8", remedy) from None
+    return text.replace("\r\n", "\n").replace("\r", "\n")
+
+
+def require_file(path: str | Path, what: str = "file", remedy: str = REMEDY) -> None:
+    """As `read_file`, without reading: before a library opens a file by its name."""
+    try:
+        open_input(path).close()
+    except OSError as error:
+        raise _error(path, what, error.strerror, remedy) from None
+
+
+def _refuse(path: str | Path, mode: int) -> None:
+    if not stat.S_ISREG(mode):
+        reason = KINDS.get(stat.S_IFMT(mode), "it is no regular file")
+        raise OSError(errno.EISDIR if stat.S_ISDIR(mode) else errno.EINVAL, reason, str(path))
+
+
+def _error(path: str | Path, what: str, reason: str | None, remedy: str) -> MistrayError:
+    return MistrayError(f"{what} '{path}': {reason or 'it cannot be read'}; {remedy}")

@@ -1,0 +1,314 @@
+"""Every reader of a user's file opens regular files only, and what makes no sense is named at once."""
+
+from __future__ import annotations
+
+import ast
+import contextlib
+import importlib.util
+import io
+import os
+import signal
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import mistray
+from mistray.analysis.pst.state import load_state
+from mistray.cache import Cache, file_fingerprint
+from mistray.cli.program import main
+from mistray.coatings.files import read_coating
+from mistray.errors import MistrayError
+from mistray.materials import refractive_index
+from mistray.materials.agf import glass_names
+from mistray.mechanics import read_mechanics
+from mistray.optimize.checkpoint import Checkpoint
+from mistray.optimize.read_budget import read_budget
+from mistray.optimize.read_study import read_study
+from mistray.prescription import from_batoid, from_json
+from mistray.prescription.read_codev import read_codev
+from mistray.prescription.read_zemax import read_zemax
+from mistray.read_file import read_text
+from mistray.report.irradiance_files import read_irradiance
+from mistray.report.ray_files import read_rays
+from mistray.scatter.bsdf_csv import read_bsdf_csv
+from mistray.scatter.psd_table import PsdTable
+from mistray.scatter.zemax_abg import abg_from_catalogue
+from mistray.scatter.zemax_bsdf import read_zemax_bsdf
+from mistray.scene.files import scene_files
+from mistray.scene.unshared import SceneText
+from mistray.scene.xml_file import SceneFile
+from mistray.sweeps.read_configurations import read_configurations
+
+PATIENCE_S = 2  # of a reader, warmed up
+
+SCENE = '<scene version="3.0.0">{}</scene>'
+SPHERE = '<shape type="sphere" id="wall">{}</shape>'
+LENS = """MODE SEQ
+{catalogue}WAVM 1 0.55 1
+ENPD 5
+SURF 0
+  DISZ INFINITY
+SURF 1
+  CURV 0.01
+  DISZ 2
+  GLAS ODD 0 0
+SURF 2
+  DISZ 10
+SURF 3
+"""
+
+
+def codev(file: Path) -> Any:
+    lens = file.with_name("lens.seq")
+    lens.write_text("LEN NEW\nRDM\nDIM M\nWL 550\nEPD 5\nSO 0 1E10\nS 50 2 ODD\nSTO\nS -50 10\nSI 0 0\nGO\n")
+    return read_codev(lens, glass_catalogues=[file])
+
+
+def zemax(file: Path) -> Any:
+    lens = file.with_name("lens.zmx")
+    lens.write_text(LENS.format(catalogue=""))
+    return read_zemax(lens, glass_catalogues=[file])
+
+
+def scene(body: str) -> Callable[[Path], Any]:
+    """Loads a scene that names the file."""
+
+    def load(file: Path) -> Any:
+        path = file.with_name("scene.xml")
+        path.write_text(SCENE.format(body.format(file=file.name)))
+        return mistray.load(path)
+
+    return load
+
+
+def in_dict(entry: dict[str, Any]) -> Callable[[Path], Any]:
+    """Loads a dict whose `filename` is the file."""
+    return lambda file: mistray.load({"type": "scene", "wall": _filled(entry, file)})
+
+
+def _filled(entry: Any, file: Path) -> Any:
+    if isinstance(entry, dict):
+        return {key: _filled(value, file) for key, value in entry.items()}
+    return str(file) if entry == "FILE" else entry
+
+
+def command(*words: str) -> Callable[[Path], Any]:
+    """A command of the shell, with the file in place of FILE; what it says becomes the error."""
+
+    def run(file: Path) -> None:
+        with contextlib.redirect_stderr(io.StringIO()) as told:
+            code = main([str(file) if word == "FILE" else word for word in words])
+        if code:
+            raise MistrayError(told.getvalue().rstrip("\n"))
+
+    return run
+
+
+TEXTURE = SPHERE.format('<bsdf type="diffuse"><texture type="bitmap" name="reflectance">{}</texture></bsdf>')
+NAME = '<string name="filename" value="{file}"/>'
+BSDF = SPHERE.format('<bsdf type="{kind}">{inside}</bsdf>')
+# Reader by name: the ending of the file and the reader
+READERS: dict[str, tuple[str, Callable[[Path], Any]]] = {
+    "json lens": (".json", from_json),
+    "zemax lens": (".zmx", read_zemax),
+    "zemax glasses": (".agf", zemax),
+    "codev lens": (".seq", read_codev),
+    "codev glasses": (".agf", codev),
+    "glass catalogue": (".agf", glass_names),
+    "material table": (".csv", lambda file: refractive_index(str(file), 550.0)),
+    "material of a catalogue": (".agf", lambda file: refractive_index(f"{file}:ODD", 550.0)),
+    "material of a coating file": (".dat", lambda file: refractive_index(f"{file}:ODD", 550.0)),
+    "coating table": (".csv", lambda file: read_coating(str(file))),
+    "coating of a file": (".dat", lambda file: read_coating(f"{file}:AR")),
+    "BSDF table": (".csv", read_bsdf_csv),
+    "Zemax BSDF": (".bsdf", read_zemax_bsdf),
+    "ABg catalogue": (".dat", lambda file: abg_from_catalogue(f"{file}:ODD")),
+    "PSD table": (".csv", PsdTable.read),
+    "ray file ply": (".ply", read_rays),
+    "ray file obj": (".obj", read_rays),
+    "ray file json": (".json", read_rays),
+    "irradiance npy": (".npy", read_irradiance),
+    "irradiance fits": (".fits", read_irradiance),
+    "irradiance exr": (".exr", read_irradiance),
+    "state": (".npz", load_state),
+    "checkpoint": (".json", lambda file: Checkpoint(file, mistray.scene.find("plate"), "x").read()),
+    "configurations": (".toml", read_configurations),
+    "study": (".toml", read_study),
+    "budget": (".toml", read_budget),
+    "STEP": (".step", read_mechanics),
+    "STL": (".stl", read_mechanics),
+    "OBJ": (".obj", read_mechanics),
+    "PLY": (".ply", read_mechanics),
+    "scene": (".xml", mistray.load),
+    "scene to edit": (".xml", SceneFile),
+    "scene to unshare": (".xml", SceneText),
+    "files of a scene": (".xml", scene_files),
+    "include": (".xml", scene('<include filename="{file}"/>')),
+    "include by parameter": (".xml", scene('<default name="f" value="{file}"/><include filename="$f"/>')),
+    "spectrum": (".spd", scene(BSDF.format(kind="diffuse", inside='<spectrum name="reflectance" filename="{file}"/>'))),
+    "ply shape": (".ply", scene(f'<shape type="ply">{NAME}</shape>')),
+    "obj shape": (".obj", scene(f'<shape type="obj">{NAME}</shape>')),
+    "part mesh": (".ply", scene(f'<shape type="part_mesh" id="p">{NAME}</shape>')),
+    "bitmap": (".png", scene(TEXTURE.format(NAME))),
+    "measured": (".bsdf", scene(BSDF.format(kind="measured", inside=NAME))),
+    "dict shape": (".ply", in_dict({"type": "ply", "filename": "FILE"})),
+    "dict bitmap": (".exr", in_dict({"type": "envmap", "filename": "FILE"})),
+    "tabulated": (
+        ".csv",
+        scene(BSDF.format(kind="tabulated", inside='<string name="file" value="{file}"/>')),
+    ),
+    "import": (".zmx", command("import", "FILE", "--wavelength-nm", "550")),
+    "import step": (".stp", command("import", "FILE")),
+    "import json": (".json", command("import", "FILE")),
+    "bsdf": (".bsdf", command("bsdf", "FILE")),
+    "coating": (".csv", command("coating", "FILE")),
+    "ghosts": (".xml", command("ghosts", "FILE", "--rays", "100")),
+    "sweep": (".toml", command("sweep", "plate", "FILE", "--field-deg", "0", "--rays", "100")),
+    "optimize": (".toml", command("optimize", "plate", "FILE", "--out", "out")),
+    "budget command": (".toml", command("budget", "plate", "FILE")),
+}
+if importlib.util.find_spec("batoid"):
+    READERS["batoid lens"] = (".yaml", lambda file: from_batoid(file, wavelength_nm=550.0))
+
+
+def pipe(file: Path) -> None:
+    os.mkfifo(file)
+
+
+def device(file: Path) -> None:
+    file.symlink_to("/dev/zero")
+
+
+def terminal(file: Path) -> None:
+    file.symlink_to("/dev/null")
+
+
+def folder(file: Path) -> None:
+    file.mkdir()
+
+
+def garbage(file: Path) -> None:
+    file.write_bytes(bytes(range(256)) * 40)
+
+
+def nest(file: Path, levels: int = 2000) -> None:
+    opening, closing = ("<a>", "</a>") if file.suffix == ".xml" else ("[", "")
+    file.write_text(("a = " if file.suffix == ".toml" else "") + opening * levels + closing * levels)
+
+
+def deep_nest(file: Path) -> None:
+    nest(file, 100_000)
+
+
+def empty(file: Path) -> None:
+    file.write_bytes(b"")
+
+
+KINDS = {made.__name__: made for made in (pipe, device, terminal, folder, garbage, nest, deep_nest, empty)}
+LIBRARIES = {
+    "irradiance fits": "astropy",
+    "irradiance exr": "OpenEXR",
+    "STEP": "cascadio",
+    "STL": "trimesh",
+    "PLY": "trimesh",
+    "import step": "cascadio",
+}
+
+
+@pytest.fixture
+def patience() -> Iterator[None]:
+    def stop(*_: Any) -> None:
+        raise TimeoutError(f"still reading after {PATIENCE_S} s")
+
+    before = signal.signal(signal.SIGALRM, stop)
+    yield
+    signal.alarm(0)
+    signal.signal(signal.SIGALRM, before)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("reader", READERS)
+def test_what_is_no_such_file_is_named_at_once(
+    tmp_path: Path, monkeypatch: Any, patience: None, reader: str, kind: str
+) -> None:
+    if reader in LIBRARIES:
+        pytest.importorskip(LIBRARIES[reader])
+    ending, read = READERS[reader]
+    file = tmp_path / f"odd one{ending}"
+    KINDS[kind](file)
+    monkeypatch.chdir(tmp_path)
+    signal.alarm(PATIENCE_S)
+    with pytest.raises(MistrayError) as caught:
+        read(file)
+    signal.alarm(0)
+    text = str(caught.value)
+    assert "\n" not in text
+    assert "odd one" in text or str(file.resolve()) in text
+
+
+OPENING = {"open", "read_text", "read_bytes", "fromfile", "memmap", "loadtxt", "genfromtxt", "read_csv", "read_parquet"}
+OPENING |= {"load_file", "parse_file", "load_scene", "parse", "iterparse", "Bitmap", "ZipFile", "File", "FileIO"}
+# What opens a file by itself, and why that is no input that has not been looked at
+ELSEWHERE = {
+    "mistray/read_file.py: os.open": "the one place",
+    "mistray/cache/fingerprint.py: path.read_bytes": "mistray's own code",
+    "mistray/cache/store.py: draft.open": "a file that is written",
+    "mistray/cli/program.py: os.open": "the null device, to write to",
+    "mistray/report/page.py: read_text": "a part of mistray",
+    "mistray/report/irradiance_files.py: fits.open": "bytes of read_file",
+    "mistray/report/irradiance_files.py: openexr.File": "a file to write; after require_file",
+    "mistray/report/irradiance_files.py: draft.read_bytes": "a file that was written just now",
+    "mistray/analysis/pst/state.py: zipfile.ZipFile": "bytes of open_input",
+    "mistray/mechanics/read_mesh.py: trimesh.load_scene": "bytes of read_file",
+    "mistray/scene/load.py: mi.parser.parse_file": "after check_depth",
+}
+
+
+def test_nothing_else_opens_a_file() -> None:
+    """Inputs go through `mistray.read_file`; scenes, whose files Mitsuba opens by name, are looked at before."""
+    root = Path(mistray.__file__).parents[1]
+    found = set()
+    for place in ("mistray", "plugins"):
+        for file in sorted((root / place).rglob("*.py")):
+            for call in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+                if not isinstance(call, ast.Call):
+                    continue
+                name = ast.unparse(call.func)
+                if isinstance(call.func, ast.Attribute):
+                    chained = isinstance(call.func.value, ast.Call)
+                    if call.func.attr in OPENING:
+                        found.add(f"{file.relative_to(root)}: {call.func.attr if chained else name}")
+                elif name == "open":
+                    found.add(f"{file.relative_to(root)}: open")
+    assert found == set(ELSEWHERE)
+
+
+def test_a_text_is_read_with_a_mark_and_any_line_ends(tmp_path: Path) -> None:
+    file = tmp_path / "a.txt"
+    file.write_bytes("\ufeffµ\r\nb\rc\n".encode())
+    assert read_text(file) == "µ\nb\nc\n"
+    file.write_bytes(b"\xff")
+    with pytest.raises(MistrayError, match="text"):
+        read_text(file)
+    with pytest.raises(MistrayError):
+        read_text("a\0b")
+    with pytest.raises(MistrayError):
+        read_text("a" * 5000)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="no pipes with names")
+def test_an_entry_of_the_cache_that_is_a_pipe_is_none(tmp_path: Path, patience: None) -> None:
+    signal.alarm(PATIENCE_S)
+    os.mkfifo(tmp_path / "pipe")
+    with pytest.raises(MistrayError, match="pipe"):
+        file_fingerprint(tmp_path / "pipe")
+    cache = Cache(tmp_path / "cache", 1 << 20)
+    cache.put("0" * 64, b"content")
+    (entry,) = (file for file in (tmp_path / "cache").iterdir() if "0" * 64 in file.name)
+    entry.unlink()
+    os.mkfifo(entry)
+    assert cache.get("0" * 64) is None
+    assert len(cache.problems) == 1
