@@ -19,7 +19,8 @@ import mitsuba as mi
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.read_file import require_file
-from mistray.scene.depth import DEEPEST, FILE
+from mistray.scene.depth import FILE
+from mistray.scene.xml_file import DEEPEST
 
 # The plugins that come with Mitsuba, without `blender`, which reads memory at addresses that the scene gives
 STOCK: Mapping[str, frozenset[str]] = {
@@ -82,8 +83,8 @@ def check_dict(given: Mapping[str, Any]) -> None:
     Raises
     ------
     MistrayError
-        A type is not allowed, or the dict is nested deeper than `mistray.scene.depth.DEEPEST`; the text names the place
-        as Mitsuba's own errors do.
+        A type is not allowed, or the dict is nested deeper than `mistray.scene.xml_file.DEEPEST`; the text names the
+        place as Mitsuba's own errors do.
     """
     for path, name, file in _types(given):
         reason = _special(file)

@@ -13,8 +13,8 @@ from xml.parsers import expat
 from mistray.errors import MistrayError
 from mistray.read_file import read_file, require_file
 from mistray.scene.files import filled
+from mistray.scene.xml_file import DEEPEST, too_deep
 
-DEEPEST = 100  # levels; scenes need about six
 FILE = "filename"  # by which elements, and all of Mitsuba's plugins, name a file
 
 
@@ -56,9 +56,9 @@ class _Look:
         def start(tag: str, attributes: dict[str, str]) -> None:
             nonlocal depth
             depth += 1
-            where = f"scene '{path}', line {parser.CurrentLineNumber}: <{tag}>"
             if depth > DEEPEST:
-                raise MistrayError(f"{where} lies within {DEEPEST} other elements; close them first")
+                raise too_deep(path, parser.CurrentLineNumber, tag)
+            where = f"scene '{path}', line {parser.CurrentLineNumber}: <{tag}>"
             value, name = (filled(attributes.get(key, ""), self.defaults) for key in ("value", FILE))
             if tag == "default":
                 self.defaults.setdefault(attributes.get("name", ""), value)

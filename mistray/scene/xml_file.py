@@ -13,6 +13,7 @@ from xml.sax.saxutils import quoteattr
 from mistray.errors import MistrayError
 from mistray.read_file import read_file
 
+DEEPEST = 100  # levels of elements within each other; scenes need about six
 INDENT = "    "
 Edit = tuple[int, int, bytes]  # replaces the bytes from start to end
 
@@ -65,6 +66,8 @@ class SceneFile:
         def start(tag: str, values: dict[str, str]) -> None:
             index = parser.CurrentByteIndex
             parent = stack[-1] if stack else None
+            if len(stack) >= DEEPEST:
+                raise too_deep(self.path, parser.CurrentLineNumber, tag)
             element = Element(tag, values, index, self._end_of_tag(index), parent=parent)
             (parent.children if parent else roots).append(element)
             stack.append(element)
@@ -167,6 +170,11 @@ class SceneFile:
             for element in self.root.walk()
             for key in ("value", "filename")
         )
+
+
+def too_deep(path: Path, line: int, tag: str) -> MistrayError:
+    """The error of a file whose elements lie deeper than `DEEPEST` levels within each other."""
+    return MistrayError(f"scene '{path}', line {line}: <{tag}> lies within {DEEPEST} other elements; close them first")
 
 
 def names_a_file(text: str, folder: Path) -> bool:

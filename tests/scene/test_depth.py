@@ -8,7 +8,8 @@ import pytest
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.scene.depth import DEEPEST, check_depth
+from mistray.scene.depth import check_depth
+from mistray.scene.xml_file import DEEPEST
 
 
 def nested(levels: int) -> str:
