@@ -240,7 +240,6 @@ ABOUT: dict[tuple[str, str], tuple[str, ...]] = {
     ("pst", "--map-field-deg"): (*LINES["pst"], "--out", "out", "--force"),
     ("pst", "--map-azimuth-deg"): (*LINES["pst"], "--out", "out", "--force", "--map-field-deg", "20"),
     ("pst", "--map-pixels"): (*LINES["pst"], "--out", "out", "--force", "--map-field-deg", "20"),
-    ("sensitivity", "--field-deg"): (*LINES["sensitivity"], "--metric", "pst_bin"),
     ("sensitivity", "--band-deg"): (*LINES["sensitivity"], "--metric", "pst_band"),
     ("sensitivity", "--patch-deg"): (*LINES["sensitivity"], "--metric", "veiling_glare"),
     ("sensitivity", "--tolerance"): (*LINES["sensitivity"],),

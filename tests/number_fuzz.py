@@ -67,6 +67,7 @@ def numeric(parser: argparse.ArgumentParser) -> list[argparse.Action]:
         action
         for action in parser._actions
         if action.option_strings
+        and action.help != argparse.SUPPRESS
         and action.nargs != 0
         and action.choices is None
         and (action.dest in TEXTS or action.type not in (None, str, Path))

@@ -16,7 +16,11 @@ from mistray.trace.settings import NO_LIMIT
 
 COMMANDS: dict[str, argparse.ArgumentParser] = program._parser()._subparsers._group_actions[0].choices
 OPTIONS = {
-    name: [action for action in parser._actions if not isinstance(action, argparse._HelpAction)]
+    name: [
+        action
+        for action in parser._actions
+        if not isinstance(action, argparse._HelpAction) and action.help != argparse.SUPPRESS
+    ]
     for name, parser in COMMANDS.items()
 }
 # The ending of an option → what its metavar or its help must name

@@ -112,7 +112,8 @@ def test_one_range_for_python_shell_and_scene(tmp_path: Any, capsys: Any) -> Non
 def test_help_says_the_range(command: str) -> None:
     shown = " ".join(COMMANDS[command].format_help().split())
     for action in COMMANDS[command]._actions:
-        if isinstance(action.type, Range | Angles) and action.type is not ranges.FINITE:
+        shows = action.help != argparse.SUPPRESS and action.type is not ranges.FINITE
+        if shows and isinstance(action.type, Range | Angles):
             assert f"; {action.type}" in shown, action.option_strings
     assert COMMANDS[command].formatter_class is Help
 

@@ -47,7 +47,7 @@ def add(commands: Any) -> None:
         "  mistray sweep cooke_triplet --field-deg 0 10 20 --wavelength-nm 450 550 650\n"
         "  mistray sweep cooke_triplet examples/triplet_states.toml --field-deg 0 20 --rays 1e5 --out out/sweep\n"
         "  mistray sweep scene.xml states.toml --json --no-cache\n"
-        "  mistray sweep baffle_tube edits.toml --pst-field-deg 10:60:10 --rays 1e6   # what each edit does\n"
+        "  mistray sweep baffle_tube edits.toml --pst-field-deg 10:60:10 --rays 1e6    # what each edit does\n"
         "  mistray sweep baffle_tube --pst-field-deg 10:60:10 --rank --step rim=0.5     # which would pay",
         formatter_class=Help,
     )
