@@ -12,6 +12,7 @@ import dataclasses
 import math
 import os
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -89,7 +90,8 @@ class Range:
                 number = float(value)
         if number not in self or (self.whole and number != math.floor(number)):
             shown = f"{value:g}" if isinstance(value, float) else repr(value)
-            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {shown}; it {self.demand}")
+            remedy = "; give a single number" if isinstance(value, Sequence) and not isinstance(value, str) else ""
+            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {shown}; it {self.demand}{remedy}")
         return int(value) if self.whole else value
 
     def check_each(self, name: str, values: Any, owner: str = "") -> list[float]:
