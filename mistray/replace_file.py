@@ -4,13 +4,19 @@ from __future__ import annotations
 
 import contextlib
 import os
+import re
 import secrets
+import sys
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
 from mistray.errors import MistrayError
+
+# Names of what is open already, such as /dev/stdout: where that is a file, it is written on, and not replaced
+_OPEN = re.compile(r"/dev/std(?P<name>in|out|err)|(/dev|/proc/self)/fd/(?P<number>\d+)")
+_STANDARD = {"in": 0, "out": 1, "err": 2}
 
 
 @dataclass
@@ -44,8 +50,9 @@ class Guard:
         MistrayError
             If one of them is read; links and other spellings of its name count too.
         """
-        # A pipe or a device is written to, and a folder has its own message
+        # What is open already, a pipe or a device is written to, and a folder has its own message
         old = [Path(path) for path in paths if os.path.isfile(path) or _is_dangling(path)]
+        old = [path for path in old if opened(path) is None]
         old = [path for path in old if os.path.abspath(path) not in self._written]
         for path in old:
             if any(_same(path, source) for source in self.inputs):
@@ -73,6 +80,14 @@ def _same(path: Path, other: Path) -> bool:
         return False
 
 
+def opened(path: str | Path) -> int | None:
+    """The number of the open file that a path names; None for others."""
+    match = _OPEN.fullmatch(os.path.normpath(path))
+    if match is None:
+        return None
+    return int(match["number"]) if match["number"] else _STANDARD[match["name"]]
+
+
 _guards: list[Guard] = []
 
 
@@ -96,8 +111,8 @@ def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> 
     """
     Write a file through a draft beside it, so that on an error, or when interrupted, an old file stays as it was.
 
-    The draft has a name of its own: of two processes that write the same file one comes last, and either is whole. What
-    is no file, such as /dev/stdout, is written to as it is.
+    The draft has a name of its own: of two processes that write the same file one comes last, and either is whole. To
+    what is no file, or is open already, such as /dev/stdout, the content is written as it is.
 
     Parameters
     ----------
@@ -124,6 +139,12 @@ def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> 
     try:
         if os.path.isdir(path):
             raise MistrayError(f"{what} '{path}' is a folder; name a file")
+        if (number := opened(path)) is not None:
+            for stream in (sys.stdout, sys.stderr):  # what was printed before comes before
+                stream.flush()
+            with open(os.dup(number), "wb") as file:
+                file.write(data)
+            return path
         if os.path.exists(path) and not os.path.isfile(path):
             path.write_bytes(data)
             return path
@@ -134,6 +155,8 @@ def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> 
             with contextlib.suppress(OSError):
                 draft.unlink(missing_ok=True)
             raise
+    except BrokenPipeError:  # the reader, such as head, has seen enough
+        raise
     except OSError as error:
         raise MistrayError(
             f"{what} '{path}': {error.strerror}; check the folder and its permissions, or choose another"

@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 import os
 import shutil
+import socket
+import subprocess
+import sys
 from pathlib import Path
 from typing import Any
 
@@ -227,8 +230,32 @@ def test_files_that_inputs_name(folder: Path) -> None:
     assert Path("cube.obj").resolve() in {
         p.resolve() for p in input_files(parsed("import", "lens.zmx", "--glass", "A=cube.obj"))
     }
+    Path("scene.xml").rename("scene.txt")  # whatever it is called
+    Path("scene.txt").write_text('<scene version="3.0.0"><string name="file" value="table.csv"/></scene>')
+    assert Path("table.csv").resolve() in input_files(parsed("ghosts", "scene.txt", "--out", "out"))
     shipped = input_files(parsed("ghosts", "phone_camera", "--out", "out"))
     assert any(path.parts[-2:] == ("phone_camera", "scene.xml") for path in shipped)
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16"])
+@pytest.mark.parametrize(
+    ("lens", "line", "named"),
+    [
+        ("l.zmx", "GCAT SCHOTT my_glass", "my_glass.AGF"),
+        ("l.zmx", 'NOTE 0 "my coatings.dat"', "my coatings.dat"),
+        ("l.seq", "IN 'more lenses.seq'; RES \"deep/old.seq\"", "deep/old.seq"),
+        ("l.seq", "IN 'more lenses.seq'; RES \"deep/old.seq\"", "more lenses.seq"),
+        ("l.yaml", "medium: {type: TableMedium, filename: silica_dispersion.txt}", "silica_dispersion.txt"),
+    ],
+)
+def test_files_that_a_lens_names(capsys: Any, folder: Path, encoding: str, lens: str, line: str, named: str) -> None:
+    Path("in").mkdir()
+    Path("in", lens).write_text(f"{ZMX}{line}\n", encoding=encoding)
+    Path("in", named).parent.mkdir(exist_ok=True)
+    Path("in", named).write_text(NOTE)
+    for force in ((), ("--force",)):
+        assert "reads" in refused(capsys, "import", f"in/{lens}", "-o", f"in/{named}", *force)
+    assert Path("in", named).read_text() == NOTE
 
 
 def test_meshes_beside_a_scene_of_mechanics(capsys: Any, folder: Path) -> None:
@@ -255,6 +282,45 @@ def test_a_state_goes_on_with_resume_alone(capsys: Any, traces: list[Any]) -> No
     assert "--resume" in refused(capsys, "pst", "scene.xml", "--out", "out")
     claim_folder(parsed("pst", "scene.xml", "--out", "out", "--resume"))
     assert not traces
+
+
+@pytest.mark.parametrize("redirected", ["file", "pipe"])
+def test_standard_output_is_written_on(folder: Path, redirected: str) -> None:
+    """What comes before stays, the file that the shell has opened too; the name of the stream is not replaced."""
+    words = (sys.executable, "-m", "mistray", "coating", "table.csv", "--csv")
+    if redirected == "file":
+        with Path("all.txt").open("wb") as file:
+            file.write(b"before\n")
+            file.flush()
+            done = subprocess.run([*words, "/dev/stdout"], stdout=file, stderr=subprocess.PIPE)
+        text = Path("all.txt").read_text()
+        assert text.startswith("before\n")
+    else:
+        done = subprocess.run([*words, "/dev/fd/1"], capture_output=True)
+        text = done.stdout.decode()
+    assert (done.returncode, done.stderr) == (0, b"")
+    subprocess.run([*words, "table of its own.csv"], check=True, capture_output=True)
+    assert Path("table of its own.csv").read_text() in text
+    assert "angle" in text.replace(Path("table of its own.csv").read_text(), "")  # what is printed is there as well
+    assert os.path.islink("/dev/stdout")
+
+
+@pytest.mark.parametrize("option", ["--csv", "--plot", "--table"])
+def test_outputs_that_are_no_files(capsys: Any, folder: Path, option: str) -> None:
+    """A full disk, a folder and a socket are named; the null device takes everything."""
+    with socket.socket(socket.AF_UNIX) as made:
+        made.bind("socket")
+    Path("folder").mkdir()
+    model = ("bsdf", "abg", "--A", "0.01", "--B", "0.01", "--g", "2")
+    ends = ENDINGS[option]
+    for name, target in (("full", "/dev/full"), ("folder", "folder"), ("socket", "socket")):
+        Path(f"{name}{ends}").symlink_to(target)
+        assert f"{name}{ends}" in refused(capsys, *model, option, f"{name}{ends}", "--json")
+    Path(f"null{ends}").symlink_to("/dev/null")
+    assert cli.main([*model, option, f"null{ends}", "--json"]) == 0
+    capsys.readouterr()
+    for output in (f"null{ends}", "/dev/stdout"):
+        assert "beside" in refused(capsys, "import", "cube.obj", "-o", output)  # which gives several files
 
 
 def test_a_guard(tmp_path: Path) -> None:

@@ -257,6 +257,7 @@ ELSEWHERE = {
     "mistray/cache/fingerprint.py: path.read_bytes": "mistray's own code",
     "mistray/cache/store.py: draft.open": "a file that is written",
     "mistray/cli/program.py: os.open": "the null device, to write to",
+    "mistray/replace_file.py: open": "what is open already, to write to",
     "mistray/report/page.py: read_text": "a part of mistray",
     "mistray/report/irradiance_files.py: fits.open": "bytes of read_file",
     "mistray/report/irradiance_files.py: openexr.File": "a file to write; after require_file",

@@ -6,6 +6,7 @@ import argparse
 import fnmatch
 import json
 import os
+import re
 import tomllib
 from collections.abc import Iterable, Iterator, Sequence
 from functools import partial
@@ -13,11 +14,13 @@ from pathlib import Path
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.read_file import read_text
+from mistray.read_file import read_file, read_text
 from mistray.replace_file import Guard
 
-SCENE = (".xml",)
+SCENE = ".xml"
 SETTINGS = (".toml", ".json")
+LENSES = (".zmx", ".seq", ".yaml", ".yml")
+_ENDS = re.compile("[\n\r\"'{}[\\]]")  # what may stand before or behind the name of a file in a lens
 
 
 def declare_outputs(parser: Any, group: Any, *options: str, folder: Sequence[str] = ()) -> None:
@@ -92,45 +95,52 @@ def _refuse(options: argparse.Namespace, paths: Sequence[Path]) -> None:
 
 def input_files(options: argparse.Namespace) -> list[Path]:
     """
-    Files that a command reads: what its arguments name, and what scenes, TOML and JSON files among them name.
+    Files that a command reads: what its arguments name, and what scenes, lenses, TOML and JSON files among them name.
 
-    Words count as the name of a file where there is one: better one too many than one too few.
+    Words count as the name of a file where there is one: better one too many than one too few. In a lens a catalogue of
+    glasses, which has no ending there, counts as an AGF file.
     """
     from mistray._variant import ensure_variant
 
     ensure_variant()  # settles libLLVM before anything imports Mitsuba
+    from mistray.materials.agf import decode
     from mistray.scene.files import named_files, scene_files
     from mistray.scene.load import find
 
     found: dict[Path, None] = {}
 
-    def add(file: Path) -> None:
+    def add(file: Path, ending: str) -> None:
         if file in found:
             return
         found[file] = None
         try:
-            if file.suffix.lower() in SCENE:
+            if ending == SCENE:
                 found.update(dict.fromkeys(scene_files(file)))
-            elif file.suffix.lower() in SETTINGS:
+            elif ending in SETTINGS:
                 text = read_text(file)
-                read(_texts(tomllib.loads(text) if file.suffix.lower() == ".toml" else json.loads(text)), file.parent)
+                read(_texts(tomllib.loads(text) if ending == ".toml" else json.loads(text)), file.parent)
+            elif ending in LENSES:
+                text = decode(read_file(file))
+                lines = {*text.splitlines(), *_ENDS.split(text)}
+                catalogues = {word for line in lines if line.startswith("GCAT ") for word in line.split()[1:]}
+                read(lines | {f"{name}{end}" for name in catalogues for end in (".agf", ".AGF")}, file.parent)
         except (MistrayError, ValueError, OSError, RecursionError):
             return  # the command says what is wrong with it
 
     def read(texts: Iterable[str], folder: Path) -> None:
         for text in texts:
             for file in named_files(text, (folder, Path.cwd())):
-                add(file)
+                add(file, file.suffix.lower())
 
     own = {*options.outputs, "outputs", "folder_files", "command_line"}
     given = {name: value for name, value in vars(options).items() if name not in own}
-    read(_texts(given), Path.cwd())
     for name in ("scene", "coating", "into"):
         if given.get(name) is not None:
             try:
-                add(find(given[name]).resolve())
+                add(find(given[name]).resolve(), SCENE)
             except MistrayError:
                 continue
+    read(_texts(given), Path.cwd())
     return list(found)
 
 

@@ -15,6 +15,7 @@ from mistray.cli.claims import claim_files
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, PLACE_MM, ROWS, SECONDS, SPACE, TOLERANCE_MM
+from mistray.replace_file import opened
 
 if TYPE_CHECKING:
     from mistray.mechanics import Finish, Mechanics
@@ -66,6 +67,8 @@ def run(options: argparse.Namespace) -> int:
     output = options.output or Path(source.with_suffix(".xml").name)
     if not output.parent.is_dir():
         raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
+    if opened(output) is not None or (output.exists() and not output.is_file()):
+        raise MistrayError(f"output '{output}' is no regular file, and meshes are written beside it; name a scene file")
     claim_files(options, output)
     paint = dict(_rule(text, "--paint") for text in options.paint or [])
     spaces = {pattern: _space(pattern, value) for pattern, value in (_rule(t, "--space") for t in options.space or [])}
