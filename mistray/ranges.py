@@ -85,12 +85,14 @@ class Range:
             If it is no number, or lies outside.
         """
         number = math.nan
-        if not isinstance(value, bool | str):
+        if not isinstance(value, bool | str | bytes):
             with contextlib.suppress(TypeError, ValueError, OverflowError):
                 number = float(value)
         if number not in self or (self.whole and number != math.floor(number)):
-            shown = f"{value:g}" if isinstance(value, float) else repr(value)
-            remedy = "; give a single number" if isinstance(value, Sequence) and not isinstance(value, str) else ""
+            shown = f"{value:g}" if isinstance(value, float) else " ".join(repr(value).split())
+            remedy = (
+                "; give a single number" if isinstance(value, Sequence) and not isinstance(value, str | bytes) else ""
+            )
             raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {shown}; it {self.demand}{remedy}")
         return int(value) if self.whole else value
 
@@ -110,7 +112,7 @@ class Range:
             If there is none, or one is no number or lies outside.
         """
         numbers = [values]
-        if not isinstance(values, str):
+        if not isinstance(values, str | bytes):
             with contextlib.suppress(TypeError):
                 numbers = list(values)
         if not numbers:

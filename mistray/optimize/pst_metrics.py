@@ -16,7 +16,7 @@ from mistray.optimize.metrics import Metric, require_known
 from mistray.optimize.observation import NORM, smooth_maximum
 from mistray.optimize.pst_observation import Light, PstObservation, named_classes, require_convention, require_quantity
 from mistray.optimize.views import PstView, View
-from mistray.ranges import POLAR_DEG
+from mistray.ranges import POLAR_DEG, POSITIVE
 from mistray.renamed import renamed
 from mistray.trace import Settings
 from mistray.trace.directions import CELL_DEG
@@ -169,11 +169,9 @@ def pst_mask(
     if PST_FIELD in traced:
         raise MistrayError(f"a mask has a PST at its own field angles; leave out {PST_FIELD}")
     angles = tuple(POLAR_DEG.check_each("field_deg", field_deg))
-    highest = np.atleast_1d(np.asarray(limits, dtype=np.float64))
-    if highest.shape != (len(angles),) or not np.all((highest > 0) & np.isfinite(highest)):
-        raise MistrayError(
-            f"mask of {len(angles)} angles and {highest.size} limits; give one limit greater than 0 for each angle"
-        )
+    highest = np.array(POSITIVE.check_each("limits", limits))
+    if len(highest) != len(angles):
+        raise MistrayError(f"mask of {len(angles)} angles and {len(highest)} limits; give one limit for each angle")
 
     def number(o: PstObservation) -> Any:
         return smooth_maximum(o.curve(light, convention) / upload(mi.Float64, highest), norm)

@@ -301,7 +301,7 @@ class TestRefusals:
             (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between 0 and 90"),
             (lambda: pst_mask(scene, 20, 1e-3, pst_field_deg=30), "leave out pst_field_deg"),
             (lambda: pst_mask(scene, (20, 40), (1e-3,)), "mask of 2 angles and 1 limits"),
-            (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "2 limits; give one limit greater than 0"),
+            (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "limits is 0; it must lie between 1e-30"),
             (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; a metric knows 'mean'"),
             (lambda: veiling_glare(scene, 95.0, **TRACED).value(), "patch of half-width 95°"),
             (lambda: log(pst_bin(scene, 80, "direct", **TRACED)).value(), "its logarithm does not exist"),

@@ -201,7 +201,7 @@ def study(
     """
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"study() got {type(scene).__name__}; load the scene first: mistray.load(path)")
-    given_fields = _check(settings, pst_field_deg, field_deg, convention, relative_error)
+    angles, given_fields = _check(settings, pst_field_deg, field_deg, convention, relative_error)
     given = {key: value for key, value in settings.items() if value is not None}
     count = rays if rays is not None else QUICK_RAYS if quick else RAYS
     tell = progress or (lambda number, what, share: None)
@@ -234,7 +234,7 @@ def study(
     seen = objects(
         scene,
         rays=max(1, round(OBJECT_SHARE * count)),
-        field_deg=source_angles(wanted, float(np.max(pst_field_deg))),
+        field_deg=source_angles(wanted, max(angles)),
         azimuth_deg=azimuth_deg or 0.0,
         wavelength_nm=first,
         seed=chosen.seed,
@@ -259,7 +259,7 @@ def study(
     )
     curve = pst(
         scene,
-        pst_field_deg,
+        angles,
         convention=convention,
         rays=count,
         relative_error=relative_error,
@@ -293,17 +293,17 @@ def _check(
     field_deg: float | Sequence[float] | None,
     convention: str,
     relative_error: float | None,
-) -> list[float] | None:
-    """The fields of the ghosts; refuses before the first step what the last one would refuse."""
+) -> tuple[list[float], list[float] | None]:
+    """Angles of the PST and fields of the ghosts; refuses before the first step what the last one would refuse."""
     unknown = set(settings) - {f.name for f in fields(Settings)}
     if unknown:
         raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of study; see mistray.trace.Settings")
-    DirectionGrid.of(pst_field_deg)
+    angles = DirectionGrid.of(pst_field_deg).field_deg.tolist()
     if convention not in CONVENTIONS:
         raise MistrayError(f"convention is '{convention}'; use {' or '.join(map(repr, CONVENTIONS))}")
     if relative_error is not None:
         RELATIVE_ERROR.check("relative_error", relative_error)
-    return None if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
+    return angles, None if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
 
 
 def _fields(numbers: FirstOrder | None) -> list[float]:
