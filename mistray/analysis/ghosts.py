@@ -22,9 +22,10 @@ from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.irradiance import Map, MapStatistics, brightest, mirror_asymmetry, pixel_size, statistics
 from mistray.analysis.path_analysis import path_analysis
-from mistray.analysis.path_maps import FieldMaps, PathMap
+from mistray.analysis.path_maps import FieldMaps, ImagesOfField, PathMap, without
+from mistray.analysis.peaks import BYTES_PER_PIXEL, MAP_BYTES, with_peaks
 from mistray.analysis.pool import by_path
-from mistray.analysis.ranking import DirectImage, direct_image, ranked, stray_to_direct
+from mistray.analysis.ranking import DirectImage, direct_image, rank_column, ranked, stray_to_direct
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import MistrayError, UnfinishedError
@@ -37,8 +38,6 @@ from mistray.trace.sampled import Sampled
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 CELLS, CELLS_OF_ALL = 96, 256  # along the longer side of the map of a path in a report, and of that of all light
-MAP_BYTES = 400e6  # of the maps of all paths of a field while they are summed
-BYTES_PER_PIXEL = 8  # of a map; of one with standard errors for each group of batches
 RAYS_KEPT = 21  # of a path, to choose those from that are drawn
 NOMINAL_FIELD_DEG = 0.0
 
@@ -97,15 +96,6 @@ class FieldSummary:
     asymmetry_expected: float
 
 
-@dataclass(frozen=True)
-class _FieldMaps:
-    """Maps: of the direct image, of all stray light, and with standard errors of the worst paths by path_id."""
-
-    direct: Sampled
-    stray: Sampled
-    paths: dict[int, tuple[Map, Map]]
-
-
 class GhostReport(Mapping[float, Trace]):
     """
     Result of `ghosts`: a mapping from field angle in degrees to `Trace`, and what follows from them.
@@ -122,16 +112,24 @@ class GhostReport(Mapping[float, Trace]):
         The trace it was taken from.
     arguments : dict
         What `mistray.trace` was given at every field.
+    rank : {"rms", "power", "peak"}
+        What the lists of worst paths go by, see `ghosts`.
     """
 
     def __init__(
-        self, scene: Any, traces: Mapping[float, Trace], nominal_trace: Trace, arguments: Mapping[str, Any]
+        self,
+        scene: Any,
+        traces: Mapping[float, Trace],
+        nominal_trace: Trace,
+        arguments: Mapping[str, Any],
+        rank: str = "rms",
     ) -> None:
-        self.scene = scene
+        rank_column(rank)
+        self.scene, self.rank = scene, rank
         self._traces = dict(traces)
         self._frames: dict[Trace, pd.DataFrame] = {}
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
-        self._maps: dict[float, _FieldMaps] = {}
+        self._maps: dict[float, ImagesOfField] = {}
         self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were asked for
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
@@ -184,12 +182,23 @@ class GhostReport(Mapping[float, Trace]):
             `mistray.analysis.ranking.FEWEST_RAYS` rays), and the ranks among the stray paths, 1 = worst:
             ``rank_power`` and ``rank_rms_irradiance`` (0 for direct paths). Paths that are not well sampled come last
             in the second, because the RMS radius of a few rays is too small too often. Per wavelength, the rows are
-            normalised to the on-axis image at their wavelength and ranked among those of the same.
+            normalised to the on-axis image at their wavelength and ranked among those of the same. Once
+            paths are ranked by peak, rows of all light also have the columns of `mistray.analysis.peaks.with_peaks`.
         """
+        if not per_wavelength:
+            return self._ranked(field_deg, rank_column(self.rank))
         key = field_deg, per_wavelength
         if key not in self._tables:
-            t = self[field_deg]
-            self._tables[key] = self._by_wavelength(t) if per_wavelength else self._all_light(t)
+            self._tables[key] = self._by_wavelength(self[field_deg])
+        return self._tables[key]
+
+    def _ranked(self, field_deg: float, column: str) -> pd.DataFrame:
+        """The table of all light of a field with a rank, for which it may need maps."""
+        key, t = (field_deg, False), self[field_deg]
+        if key not in self._tables:
+            self._tables[key] = self._all_light(t)
+        if column not in self._tables[key]:
+            self._tables[key] = with_peaks(self._tables[key], t)
         return self._tables[key]
 
     def _rows(self, t: Trace) -> pd.DataFrame:
@@ -208,7 +217,7 @@ class GhostReport(Mapping[float, Trace]):
             parts.append(ranked(rows, t.paths, self.nominal_at(wavelength)))
         return pd.concat(parts).sort_values("path_id", ignore_index=True)
 
-    def top(self, field_deg: float, count: int = 4, by: str = "rms_irradiance") -> pd.DataFrame:
+    def top(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
         """
         The worst stray paths of one field.
 
@@ -218,13 +227,17 @@ class GhostReport(Mapping[float, Trace]):
             Field angle, degrees.
         count : int
             How many.
-        by : {"rms_irradiance", "power"}
-            Order.
+        rank : {"rms", "power", "peak"}, optional
+            Order, see `ghosts`. Default: that of the report.
         """
-        if by not in ("rms_irradiance", "power"):
-            raise MistrayError(f"top: by is '{by}'; use 'rms_irradiance' or 'power'")
-        table = self.table(field_deg)
-        return table[table.kind != DIRECT].sort_values(f"rank_{by}").head(count)
+        column = rank_column(self.rank if rank is None else rank)
+        table = self._ranked(field_deg, column)
+        return table[table.kind != DIRECT].sort_values(column).head(count)
+
+    def listed(self, field_deg: float, count: int = 4, rank: str | None = None) -> pd.DataFrame:
+        """The rows of `top`, and last the strongest stray path by power where it is not among them; none of 0."""
+        top, strongest = self.top(field_deg, count, rank), self.top(field_deg, min(count, 1), "power")
+        return pd.concat([top, strongest[~strongest.path_id.isin(top.path_id)]])
 
     def spectrum(self, field_deg: float, path_id: int) -> pd.DataFrame:
         """The rows of one path at each of its wavelengths, ascending; columns as in `table`."""
@@ -291,7 +304,7 @@ class GhostReport(Mapping[float, Trace]):
 
     def map(self, field_deg: float, path_id: int) -> tuple[Map, Map]:
         """
-        Irradiance map of one of the worst `MAPPED_PATHS` paths and its standard error, (H, W) in W/mm².
+        Irradiance map of a path of ``listed(field_deg, MAPPED_PATHS)`` and its standard error, (H, W) in W/mm².
 
         Of any other paths: ``report[field_deg].irradiance_of(path_ids)``.
         """
@@ -347,7 +360,7 @@ class GhostReport(Mapping[float, Trace]):
         width, height = pixel_size(t.irradiance, t.extent)
         members = dict(zip(table.path_id, table.path_ids, strict=True))
         direct = set(table.path_id[table.kind == DIRECT])
-        worst = set(self.top(field_deg, MAPPED_PATHS).path_id)
+        worst = set(self.listed(field_deg, MAPPED_PATHS).path_id)
         images = [groups_of(t.irradiance.size) if path_id in direct | worst else 1 for path_id in path_ids]
         room = MAP_BYTES / (BYTES_PER_PIXEL * t.irradiance.size) - groups_of(t.irradiance.size) - 1
         chosen = list(path_ids)[: np.searchsorted(np.cumsum(images), room, side="right")]
@@ -373,7 +386,7 @@ class GhostReport(Mapping[float, Trace]):
             if path_id in worst:
                 full[path_id] = found.value, found.se
         if worst <= set(full):
-            self._maps.setdefault(field_deg, _FieldMaps(direct_light, _without(t.light, direct_light, stray), full))
+            self._maps.setdefault(field_deg, ImagesOfField(direct_light, without(t.light, direct_light, stray), full))
         light, stray, rest = (image * (width * height) for image in (t.irradiance, stray, rest))
         whole = (PathMap.of(image, CELLS_OF_ALL) for image in (light, stray))
         return FieldMaps(next(whole), next(whole), paths, PathMap.of(rest, CELLS))
@@ -400,7 +413,7 @@ class GhostReport(Mapping[float, Trace]):
         """The rays of one path as from `rays_of_paths`; those of the worst paths are found together."""
         table = self.table(field_deg)
         direct = table.path_id[table.kind == DIRECT].head(1)
-        together = dict.fromkeys([path_id, *direct, *self.top(field_deg, MAPPED_PATHS).path_id])
+        together = dict.fromkeys([path_id, *direct, *self.listed(field_deg, MAPPED_PATHS).path_id])
         return self.rays_of_paths(field_deg, list(together))[path_id]
 
     def _nominal_map(self) -> Sampled:
@@ -410,24 +423,24 @@ class GhostReport(Mapping[float, Trace]):
         (image,) = self.nominal_trace.each_map([self.nominal.path_ids], [True])
         return image
 
-    def _field_maps(self, field_deg: float) -> _FieldMaps:
+    def _field_maps(self, field_deg: float) -> ImagesOfField:
         """The maps of a field, from one more run of the same rays, made when they are first asked for."""
         if field_deg not in self._maps:
             table = self.table(field_deg)
             if table.empty:
                 dark = self[field_deg].light
-                return _FieldMaps(dark, dark, {})
+                return ImagesOfField(dark, dark, {})
             members = dict(zip(table.path_id, table.path_ids, strict=True))
-            worst = [int(path_id) for path_id in self.top(field_deg, MAPPED_PATHS).path_id]
+            worst = [int(path_id) for path_id in self.listed(field_deg, MAPPED_PATHS).path_id]
             direct = [i for path_id in table.path_id[table.kind == DIRECT] for i in members[path_id]]
             others = [i for path_id in table.path_id[table.kind != DIRECT] if path_id not in worst
                       for i in members[path_id]]  # fmt: skip
             groups = [direct, others, *(members[path_id] for path_id in worst)]
             t, noisy = self[field_deg], [True, False, *[True] * len(worst)]
             first, *rest = t.each_map(groups, noisy)
-            stray = _without(t.light, first, np.sum([found.value for found in rest], axis=0))
+            stray = without(t.light, first, np.sum([found.value for found in rest], axis=0))
             maps = {path_id: (found.value, found.se) for path_id, found in zip(worst, rest[1:], strict=True)}
-            self._maps[field_deg] = _FieldMaps(first, stray, maps)
+            self._maps[field_deg] = ImagesOfField(first, stray, maps)
         return self._maps[field_deg]
 
     def summary(self, field_deg: float, wavelength_nm: float | None = None) -> FieldSummary:
@@ -481,11 +494,6 @@ class GhostReport(Mapping[float, Trace]):
         )
 
 
-def _without(light: Sampled, direct: Sampled, value: Map) -> Sampled:
-    """Map of the stray light, whose value is known, with the noise of all light less the direct image."""
-    return Sampled(value, np.where(value[..., None] > 0, (light - direct).apart, 0.0))
-
-
 def _power(t: Trace, rows: pd.DataFrame) -> Estimate:
     """Power of some rows of a path table of a trace together, W."""
     return Estimate(*t.paths.power([i for path_ids in rows.path_ids for i in path_ids]))
@@ -499,6 +507,7 @@ def ghosts(
     weights: Sequence[float] | None = None,
     azimuth_deg: float | None = None,
     progress: Progress | None = None,
+    rank: str = "rms",
     **settings: Any,
 ) -> GhostReport:
     """
@@ -517,6 +526,9 @@ def ghosts(
         As in `mistray.trace`; None takes the scene's own value. The rays are shared by the wavelengths.
     progress : callable, optional
         Called now and then with (fields done, fields to do); the first counts parts of a field too.
+    rank : {"rms", "power", "peak"}
+        What the lists of worst paths go by: the RMS irradiance, the power, or the brightest pixel, for which the same
+        rays are traced once more or several times. Every list names the strongest path by power, too.
     **settings
         rays, max_reflections, max_scatters and the other attributes of `mistray.trace.Settings`; what is left out or
         None takes the scene's own value.
@@ -534,6 +546,7 @@ def ghosts(
         Workers of `mistray.distribute` are gone; ``partial`` maps fields to traces, the last of them of fewer rays, and
         is a `GhostReport` if the field 0 is among them.
     """
+    rank_column(rank)
     unknown = set(settings) - {f.name for f in fields(Settings)}
     if unknown:
         raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of ghosts; see mistray.trace.Settings")
@@ -553,13 +566,18 @@ def ghosts(
             bare = arguments | {"max_reflections": 0, "max_scatters": 0}
             nominal = trace(scene, field_deg=NOMINAL_FIELD_DEG, **bare)
     except UnfinishedError as error:
-        _keep(error, scene, traces, arguments, len(wanted))
+        _keep(error, scene, traces, arguments, len(wanted), rank)
         raise
-    return GhostReport(scene, traces, nominal, arguments)
+    return GhostReport(scene, traces, nominal, arguments, rank)
 
 
 def _keep(
-    error: UnfinishedError, scene: Any, traces: Mapping[float, Trace], arguments: Mapping[str, Any], wanted: int
+    error: UnfinishedError,
+    scene: Any,
+    traces: Mapping[float, Trace],
+    arguments: Mapping[str, Any],
+    wanted: int,
+    rank: str,
 ) -> None:
     """Give an error the fields that were traced, the one that was interrupted included if rays of it were."""
     found = dict(traces)
@@ -567,7 +585,7 @@ def _keep(
         found[float(error.partial.settings["field_deg"])] = error.partial
     error.args = (f"{error}; {len(traces)} of {wanted} fields are finished",)
     nominal = found.get(NOMINAL_FIELD_DEG)
-    error.partial = found if nominal is None else GhostReport(scene, found, nominal, arguments)
+    error.partial = found if nominal is None else GhostReport(scene, found, nominal, arguments, rank)
 
 
 def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:

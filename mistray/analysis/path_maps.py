@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.analysis.irradiance import Map
+from mistray.trace.sampled import Sampled
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,20 @@ class FieldMaps:
     def grid(self) -> int:
         """Pixels along the side of the largest cell: rectangles on this grid are whole numbers of cells of any path."""
         return max(found.pixels for found in (self.rest, *self.paths.values()))
+
+
+@dataclass(frozen=True)
+class ImagesOfField:
+    """Full maps of one field: the direct image, all stray light, and the worst paths with their errors by path_id."""
+
+    direct: Sampled
+    stray: Sampled
+    paths: dict[int, tuple[Map, Map]]
+
+
+def without(light: Sampled, direct: Sampled, value: Map) -> Sampled:
+    """Map of the stray light, whose value is known, with the noise of all light less the direct image."""
+    return Sampled(value, np.where(value[..., None] > 0, (light - direct).apart, 0.0))
 
 
 def _cells(lit: npt.NDArray[np.int64], pixels: int) -> int:

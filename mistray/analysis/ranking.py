@@ -6,14 +6,17 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 import numpy as np
+import numpy.typing as npt
 import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.errors import MistrayError
 from mistray.trace.path_events import DIRECT, path_labels
 from mistray.trace.paths import PathTable
 from mistray.trace.sampled import Sampled
 
 FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain to rank by
+RANKS = {"rms": "rank_rms_irradiance", "power": "rank_power", "peak": "rank_peak"}  # what paths are ranked by: column
 
 
 @dataclass(frozen=True)
@@ -113,12 +116,35 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
         table[name] = np.where(stray, values, np.nan)
     light, irradiance = (table[name].to_numpy(np.float64) for name in ("power_W", "rms_irradiance_W_mm2"))
     irradiance = np.where(np.isfinite(irradiance), irradiance, 0.0)
-    orders = {
-        "rank_power": np.lexsort((-light, ~stray)),
-        "rank_rms_irradiance": np.lexsort((-light, -irradiance, ~table.well_sampled, ~stray)),
-    }
-    for name, order in orders.items():
-        rank = np.empty(len(table), dtype=np.int64)
-        rank[order] = np.arange(1, len(table) + 1)
-        table[name] = np.where(stray, rank, 0)
+    table["rank_power"] = ranks(table, np.lexsort((-light,)))
+    table["rank_rms_irradiance"] = ranks(table, np.lexsort((-light, -irradiance, ~table.well_sampled)))
     return table
+
+
+def ranks(table: pd.DataFrame, order: npt.NDArray[np.int64]) -> npt.NDArray[np.int64]:
+    """
+    Ranks of the stray paths of a table.
+
+    Parameters
+    ----------
+    table : DataFrame
+        With ``kind``.
+    order : (n,) int
+        Its rows, the worst first.
+
+    Returns
+    -------
+    (n,) int
+        1 = worst; 0 for direct paths.
+    """
+    stray = (table.kind != DIRECT).to_numpy()
+    rank = np.zeros(len(table), dtype=np.int64)
+    rank[order[stray[order]]] = np.arange(1, stray.sum() + 1)
+    return rank
+
+
+def rank_column(rank: str) -> str:
+    """The column of a path table that holds a rank; raises `MistrayError` for an unknown one."""
+    if rank not in RANKS:
+        raise MistrayError(f"rank is '{rank}'; paths are ranked by {', '.join(RANKS)}")
+    return RANKS[rank]

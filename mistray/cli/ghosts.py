@@ -41,7 +41,8 @@ if TYPE_CHECKING:
 
 
 ALL_ALIASES = ("part", "space")
-# Of `mistray.analysis.path_analysis`, which is not imported to parse a command line
+# Of `mistray.analysis.ranking` and `mistray.analysis.path_analysis`, not imported to parse a command line
+RANKS = ("rms", "power", "peak")
 SORT_KEYS = ("power_W", "objects", "branches", "last_object", "unique_objects", "opl_mm", "diffractions")
 
 # What --out writes
@@ -72,7 +73,8 @@ def add(commands: Any) -> None:
         "ghosts",
         help="trace the ghosts and the scattered light of a scene and rank them",
         description="Trace a scene at one or more field angles, list all paths to the detector and rank the stray\n"
-        "ones by RMS irradiance P/(π r_rms²), relative to the direct image on axis.",
+        "ones by RMS irradiance P/(π r_rms²), by power or by their brightest pixel. The strongest path by power is\n"
+        "always listed.",
         epilog="examples:\n"
         "  mistray ghosts phone_camera --field-deg 0 5 10 15 20 25 27 --out out\n"
         "  mistray ghosts scene.xml --wavelength-nm 620 --rays 1e7 --json\n"
@@ -91,6 +93,9 @@ def add(commands: Any) -> None:
     add_scatter(parser)
     formats = (*TABLE_FORMATS, *MAP_FORMATS)
     output = add_output(parser, "report.html, CSV, PNG and path-sort files", FILES, formats=formats)
+    output.add_argument("--rank", choices=RANKS, default="rms",
+                        help="what the list of worst paths goes by: RMS irradiance, power, or peak, the brightest "
+                        "pixel, for which the rays are traced again (rms)")  # fmt: skip
     output.add_argument("--per-wavelength", action="store_true", help="add paths and ledgers at each wavelength")
     output.add_argument("--levels", action="store_true",
                         help="print stray light by level of scatter or splitting and by critical surface")  # fmt: skip
@@ -157,8 +162,13 @@ def run(options: argparse.Namespace) -> int:
                     weights=options.weights,
                     azimuth_deg=options.azimuth_deg,
                     progress=progress,
+                    rank=options.rank,
                     **settings_of(options),
                 )
+            if options.rank == "peak":
+                with working("mapping the paths", options.quiet):
+                    for field in report:
+                        report.table(field)
             extra = _Extra(report, options)
             if options.out is not None:
                 from mistray.report import write_all

@@ -32,7 +32,7 @@ def as_json(
     fields = []
     for row in summary_frame(report).to_dict("records"):
         row["energy"] = _energy(report[row["field_deg"]].energy)
-        row["worst_paths"] = report.top(row["field_deg"], WORST_SHOWN).to_dict("records")
+        row["worst_paths"] = report.listed(row["field_deg"], WORST_SHOWN).to_dict("records")
         row |= _scatter(report, row["field_deg"])
         row["stray_levels"] = {
             by: report.stray_levels(row["field_deg"], by).drop(columns="path_ids").to_dict("records") for by in LEVELS
@@ -45,7 +45,8 @@ def as_json(
             row["per_wavelength"] = _lines(report, row["field_deg"])
         fields.append(row)
     settings = {key: value for key, value in next(iter(report.values())).settings.items() if key != "field_deg"}
-    return dict(plain({"settings": settings, "fields": fields, "warnings": warnings(report)}))
+    found = {"settings": settings, "ranked_by": report.rank, "fields": fields, "warnings": warnings(report)}
+    return dict(plain(found))
 
 
 def _filtered(found: Filtered) -> dict[str, Any]:
@@ -64,7 +65,7 @@ def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
     from mistray.report.csv_tables import summary_frame
 
     lines = []
-    worst = [report.spectrum(field_deg, path_id) for path_id in report.top(field_deg, WORST_SHOWN).path_id]
+    worst = [report.spectrum(field_deg, path_id) for path_id in report.listed(field_deg, WORST_SHOWN).path_id]
     frame = summary_frame(report, per_wavelength=True)
     for row in frame[frame.field_deg == field_deg].to_dict("records"):
         wavelength = row["wavelength_nm"]

@@ -8,7 +8,7 @@ from html import escape
 from pathlib import Path
 from typing import Any
 
-from mistray.analysis.estimate import UNKNOWN
+from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.replace_file import replace_file
 from mistray.report.html_coatings import coatings
@@ -53,6 +53,7 @@ DEFINITIONS = (
     ("power", "flux that the detector absorbs; the incident flux is in paths.csv"),
     ("RMS radius", "root of the mean square distance of a path's rays from their centroid, weighted by flux"),
     ("RMS irradiance", "P / (π r_rms²): power of the path over the disc of its RMS radius"),
+    ("peak", "irradiance of the brightest pixel of the path; depends on the pixel size"),
     ("normalised", "RMS irradiance of the path over that of the direct image on axis (field 0°)"),
     ("stray light", "everything that reaches the detector and is not the direct image"),
     ("of all light", "share of everything that the detector absorbs at this field, the direct image included"),
@@ -174,11 +175,15 @@ def _finding(report: GhostReport, summaries: Sequence[FieldSummary]) -> str:
     if not rated:
         return "<p>No stray path reaches the detector.</p>"
     worst = max(rated, key=lambda s: s.brightest_normalised.value)
-    row = report.top(worst.field_deg, 1).iloc[0]
+    row = report.top(worst.field_deg, 1, "rms").iloc[0]
     most = max(summaries, key=lambda s: s.stray_W.value)
+    strongest = {s.field_deg: report.top(s.field_deg, 1, "power").iloc[0] for s in rated}
+    at, strong = max(strongest.items(), key=lambda item: item[1].power_W)
     return (
         f"<p>Worst path by RMS irradiance: <b>{escape(row.label)}</b> ({escape(row.kind)}) at {worst.field_deg:g}°, "
         f"{with_error(worst.brightest_normalised)} of the on-axis image. "
+        f"Strongest path by power: <b>{escape(strong.label)}</b> ({escape(strong.kind)}) at {at:g}°, "
+        f"{with_error(Estimate(strong.power_W, strong.power_se_W))} W. "
         f"Most stray light: {with_error(most.stray_W)} W at {most.field_deg:g}°, "
         f"{with_error(most.stray_to_nominal)} of the power of the on-axis image.</p>"
     )

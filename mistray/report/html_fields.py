@@ -12,7 +12,7 @@ import pandas as pd
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.path_maps import FieldMaps
-from mistray.analysis.ranking import FEWEST_RAYS
+from mistray.analysis.ranking import FEWEST_RAYS, RANKS, rank_column
 from mistray.analysis.stray_levels import LEVELS
 from mistray.report.html_explorer import BOX_CELL, BOX_HEADER, explorer, picture_cell
 from mistray.report.layout import layout
@@ -22,8 +22,8 @@ from mistray.report.plots import as_png, as_svg, common_range, ghost_image
 from mistray.report.text import ABSENT, number
 from mistray.report.thumbnails import DECADES, thumbnail
 
-ROWS_SHOWN = 60  # the worst paths by RMS irradiance
-STRONGEST_SHOWN = 10  # and by power
+ROWS_SHOWN = 60  # the worst paths
+STRONGEST_SHOWN = 10  # and the first by power and by RMS irradiance
 AT_WAVELENGTHS = (
     "Normalised to the on-axis image at the same wavelength. Of all light: at all wavelengths; of stray light: at this "
     "one."
@@ -33,6 +33,8 @@ PICTURES = (
     '<i class="scale"></i> from the floor to the top that stand below it in W/mm², '
     f"at most {DECADES:g} decades; black: less, or no ray.</p>"
 )
+RANK_HEADERS = {"rms": "RMS irr.", "power": "power", "peak": "peak"}
+PEAK = ("peak", "W/mm²", "peak_W_mm2", "peak_se_W_mm2")
 PATH_NUMBERS = (
     ("power", "W", "power_W", "power_se_W"),
     ("of all light", "%", "percent", "percent_se"),
@@ -118,8 +120,7 @@ def _levels(report: GhostReport, field_deg: float, by: str, name: str) -> str:
 
 def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
     """Maps of the paths that the table of a field shows; made once, from one more run of its rays."""
-    shown = shown_paths(report.table(field_deg))
-    return report.path_maps(field_deg, list(shown.sort_values("rank_rms_irradiance").path_id))
+    return report.path_maps(field_deg, list(shown_paths(report, field_deg).path_id))
 
 
 def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
@@ -134,16 +135,16 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
     name : str
         Id of the table.
     """
-    table = report.table(field_deg).sort_values("rank_rms_irradiance")
-    shown, maps = shown_paths(table), mapped_paths(report, field_deg)
-    ranks = [("rank", "RMS irr."), ("rank", "power")]
-    header = [("image", ""), BOX_HEADER, *_header(shown, False), *ranks, ("path", "T R I t r A", "t")]
+    table, shown, maps = report.table(field_deg), shown_paths(report, field_deg), mapped_paths(report, field_deg)
+    ranks = {column: RANK_HEADERS[rank] for rank, column in RANKS.items() if column in table}
+    headers = [("rank", text) for text in ranks.values()]
+    header = [("image", ""), BOX_HEADER, *_header(shown, False), *headers, ("path", "T R I t r A", "t")]
     rows = [
         [
             _picture(report, field_deg, row, maps),
             BOX_CELL,
             *_cells(row, shown, False),
-            *(cell(str(rank) if rank else ABSENT) for rank in (row.rank_rms_irradiance, row.rank_power)),
+            *(cell(str(rank) if rank else ABSENT) for rank in (getattr(row, column) for column in ranks)),
             f'<td class="path m"><details><summary>{escape(row.path)}</summary>{escape(row.events)}</details></td>',
         ]
         for row in shown.itertuples(index=False)
@@ -172,7 +173,7 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
 
 def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> str:
     """The paths that `_paths` shows, at each of their wavelengths."""
-    shown = shown_paths(report.table(field_deg).sort_values("rank_rms_irradiance"))
+    shown = shown_paths(report, field_deg)
     rows = []
     for path_id in shown.path_id:
         spectrum = report.spectrum(field_deg, path_id)
@@ -185,21 +186,29 @@ def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> s
     )
 
 
-def shown_paths(table: pd.DataFrame) -> pd.DataFrame:
-    """The rows of a table of paths that a report shows, in their order."""
-    return table[(table.rank_rms_irradiance <= ROWS_SHOWN) | (table.rank_power <= STRONGEST_SHOWN)]
+def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
+    """The rows of a table of paths that a report shows, the worst by its rank first."""
+    column = rank_column(report.rank)
+    table = report.table(field_deg).sort_values(column)
+    first = (table[["rank_power", "rank_rms_irradiance"]] <= STRONGEST_SHOWN).any(axis=1)
+    return table[first | (table[column] <= ROWS_SHOWN)]
 
 
-def _numbers(table: pd.DataFrame) -> list[tuple[str, str, str, str]]:
+def _numbers(table: pd.DataFrame, wave: bool) -> list[tuple[str, str, str, str]]:
     """The numbers that a table of paths shows: text, unit, column and column of the error."""
     polarised = table.polarization.notna().any()
-    return [*PATH_NUMBERS, *([("polarisation", "degree", "polarization", "polarization_se")] if polarised else [])]
+    return [
+        *PATH_NUMBERS,
+        *([PEAK] if "rank_peak" in table and not wave else []),
+        *([("polarisation", "degree", "polarization", "polarization_se")] if polarised else []),
+    ]
 
 
 def _header(table: pd.DataFrame, wavelength: bool) -> list[tuple[str, ...]]:
     return [
         ("path", "no."), ("1st → 2nd ghost surface, scatter", "", "t"), ("kind", "", "t"),
-        *([("λ", "nm")] if wavelength else []), ("rays", ""), *((text, unit) for text, unit, _, _ in _numbers(table)),
+        *([("λ", "nm")] if wavelength else []), ("rays", ""),
+        *((text, unit) for text, unit, _, _ in _numbers(table, wavelength)),
     ]  # fmt: skip
 
 
@@ -210,7 +219,10 @@ def _cells(row: Any, table: pd.DataFrame, wavelength: bool) -> list[str]:
         cell(str(row.kind), "t"),
         *([cell(f"{row.wavelength_nm:g}")] if wavelength else []),
         cell(str(row.rays)),
-        *(number_cell(Estimate(getattr(row, value), getattr(row, se))) for _, _, value, se in _numbers(table)),
+        *(
+            number_cell(Estimate(getattr(row, value), getattr(row, se)))
+            for _, _, value, se in _numbers(table, wavelength)
+        ),
     ]
 
 

@@ -54,7 +54,7 @@ TABLES = {
     "first_level_scatter": "First-level scatter (scattered once, not reflected) by angle and surface",
     "zero_order_paths": "Zero-order paths: neither scattered nor reflected, and no image",
     "ghosts": "Ghosts: summary of the fields",
-    "worst_ghosts": "The worst ghosts of every field by RMS irradiance",
+    "worst_ghosts": "The worst ghosts of every field by RMS irradiance, and the strongest by power",
 }
 """Titles of the tables by name; one that is not here has its name as title."""
 

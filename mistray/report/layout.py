@@ -147,7 +147,7 @@ def layout(
     field_deg : float
         Field angle, degrees.
     ghosts : int
-        Number of stray paths drawn, the worst by RMS irradiance first.
+        Number of stray paths drawn, the worst first by the rank of the report; and the strongest by power.
     path_ids : sequence of int, optional
         Draw these paths of ``report.table(field_deg)`` instead; the first one in blue.
     """
@@ -284,10 +284,10 @@ def _figure(scene: Any, chosen: Sequence[Chosen], title: str, width: float, size
 
 
 def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAWN) -> list[tuple[int, str, str]]:
-    """Path, colour and label of the direct image and of the worst stray paths of a field, as `layout` draws them."""
+    """Path, colour and label of the direct image, the worst stray paths of a field and the strongest, as drawn."""
     table = report.table(field_deg)
     chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
-    for number, row in enumerate(report.top(field_deg, ghosts).itertuples(index=False), 1):
+    for number, row in enumerate(report.listed(field_deg, ghosts).itertuples(index=False), 1):
         chosen.append((int(row.path_id), PATH_COLOURS[number % len(PATH_COLOURS)], f"{row.label} ({row.kind})"))
     return chosen
 

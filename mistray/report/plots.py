@@ -151,7 +151,7 @@ def levels_against_field(report: GhostReport) -> Figure:
     left.set_title("Power", fontsize=10)
     shown = set()
     for field in fields:
-        top = report.top(field, 10)
+        top = report.listed(field, 10, "rms")
         top = top[top.well_sampled]
         for kind, rows in top.groupby("kind"):
             _error_bars(

@@ -14,6 +14,7 @@ from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.ranges import EVENTS
 from mistray.report.scatter_tables import scatter_text
 from mistray.report.text import ABSENT, number, text_table, with_error
+from mistray.trace.path_events import DIRECT
 from mistray.trace.settings import BRANCHES
 
 LIMIT_WARNING = 1e-6  # of the launched flux
@@ -35,6 +36,8 @@ CUT_TEXTS = {
     },
     "medium": "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap",
 }
+RANKED_BY = {"rms": "RMS irradiance P/(π r_rms²)", "power": "power", "peak": "irradiance of the brightest pixel"}
+STRONGEST = "†"  # beside the number of the strongest stray path by power
 ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
 ALL = "all"
 
@@ -69,7 +72,8 @@ def summary_table(summaries: Sequence[FieldSummary]) -> str:
 
 
 def ghost_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
-    """The worst stray paths of every field by RMS irradiance; per wavelength, each with its spectrum below it."""
+    """The worst stray paths of every field and the strongest; per wavelength, each with its spectrum below it."""
+    peaks = report.rank == "peak"
     columns = [
         ("field", "deg"),
         ("path", ""),
@@ -80,28 +84,32 @@ def ghost_table(report: GhostReport, count: int = 4, per_wavelength: bool = Fals
         ("RMS radius", "mm"),
         ("RMS irradiance", "W/mm²"),
         ("normalised", "to on-axis image"),
+        *([("peak", "W/mm²")] if peaks else []),
     ]
     rows = []
     for field in report:
-        for row in report.top(field, count).itertuples(index=False):
-            name = [f"{field:g}", f"{row.path_id}{' ' if row.well_sampled else '*'}", str(row.label), str(row.kind)]
-            rows.append([*name, *([ALL] if per_wavelength else []), *_path_numbers(row)])
+        for row in report.listed(field, count).itertuples(index=False):
+            marks = f"{STRONGEST if row.rank_power == 1 else ' '}{' ' if row.well_sampled else '*'}"
+            name = [f"{field:g}", f"{row.path_id}{marks}", str(row.label), str(row.kind)]
+            peak = [with_error(Estimate(row.peak_W_mm2, row.peak_se_W_mm2))] if peaks else []
+            rows.append([*name, *([ALL] if per_wavelength else []), *_path_numbers(row), *peak])
             if per_wavelength:
                 for line in report.spectrum(field, row.path_id).itertuples(index=False):
                     mark = "" if line.well_sampled else "* "
-                    rows.append(["", mark, "", "", f"{line.wavelength_nm:g}", *_path_numbers(line)])
+                    cells = ["", mark, "", "", f"{line.wavelength_nm:g}", *_path_numbers(line)]
+                    rows.append([*cells, *([""] if peaks else [])])
         rest = beyond(report, field, count)
         if len(rest):
             share = f"{rest.percent_of_stray.sum():.3g} % of the stray light"
             cells = [f"{field:g}", "", f"… and {len(rest)} more paths: {share}", "", *([ALL] if per_wavelength else [])]
-            rows.append([*cells, with_error(report.power_of(field, rest)), "", "", ""])
+            rows.append([*cells, with_error(report.power_of(field, rest)), "", "", "", *([""] if peaks else [])])
     return text_table(columns, rows, left=(2, 3)) if rows else "no stray path reaches the detector"
 
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
-    """The rows of the stray paths of a field that are not among its worst `count`."""
+    """The rows of the stray paths of a field that are not listed with its worst `count`."""
     table = report.table(field_deg)
-    return table[table.rank_rms_irradiance > count]
+    return table[(table.kind != DIRECT) & ~table.path_id.isin(report.listed(field_deg, count).path_id)]
 
 
 def _path_numbers(row: Any) -> list[str]:
@@ -151,7 +159,7 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     parts = [
         summary_table([report.summary(field, wavelength) for field in report for wavelength in lines]),
         "",
-        f"Worst {count} stray paths of each field by RMS irradiance P/(π r_rms²)",
+        f"Worst {count} stray paths of each field by {RANKED_BY[report.rank]}",
         ghost_table(report, count, per_wavelength),
         "",
     ]
@@ -165,7 +173,9 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     ]
     if per_wavelength:
         parts.append("rows of one wavelength: normalised to the direct image on axis at that wavelength")
-    if any(not report.top(field, count).well_sampled.all() for field in report):
+    if any(len(report.top(field, 1)) for field in report):
+        parts.append(f"{STRONGEST}: the strongest stray path of the field by power")
+    if any(not report.listed(field, count).well_sampled.all() for field in report):
         parts.append(f"*: fewer than {FEWEST_RAYS} rays, RMS radius and irradiance are unreliable")
     parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
     parts += [f"warning: {text}" for text in warnings(report)]

@@ -70,7 +70,7 @@ def test_normalised_rms_irradiance_is_over_the_on_axis_image(report):
 
 
 def test_ranks_by_power_and_by_rms_irradiance_differ(report):
-    by_power = report.top(10.0, by="power")
+    by_power = report.top(10.0, rank="power")
     by_irradiance = report.top(10.0)
     assert list(by_power.label[:2]) == ["detector → window_rear", "detector → L1_rear"]
     assert list(by_irradiance.label[:2]) == ["detector → L1_rear", "detector → window_rear"]
@@ -152,8 +152,6 @@ def test_report_is_a_mapping_of_fields(report):
     assert len(report) == 3
     with pytest.raises(MistrayError, match=r"field 7 deg was not traced; traced fields: 0, 10, 20 deg"):
         report.table(7.0)
-    with pytest.raises(MistrayError, match="by is 'rays'; use 'rms_irradiance' or 'power'"):
-        report.top(0.0, by="rays")
 
 
 def test_two_wavelengths_are_one_image():

@@ -225,7 +225,7 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
     rows = []
     for field in report:
         s = report.summary(field)
-        top = report.top(field, 1)
+        top = report.top(field, 1, "rms")
         rows.append(
             {
                 "field_deg": field,
@@ -246,14 +246,14 @@ def ghost_frame(report: GhostReport, design: Sequence[str] = ()) -> pd.DataFrame
 
 def worst_ghosts(report: GhostReport, design: Sequence[str] = (), count: int = TOP_PATHS) -> pd.DataFrame:
     """
-    The worst paths of each field by RMS irradiance.
+    The worst paths of each field by RMS irradiance, and the strongest by power.
 
     Columns field_deg, rank, path, kind, rays, power_W, rms_radius_mm, rms_irradiance_W_mm2, normalised, each with its
     error.
     """
     parts = []
     for field in report:
-        rows = report.top(field, count)
+        rows = report.listed(field, count, "rms")
         parts.append(
             pd.DataFrame(
                 {
@@ -381,7 +381,7 @@ def _ghost_finding(report: GhostReport, design: Sequence[str]) -> list[str]:
     if not rated:
         return ["No ghost reaches the detector at the fields that were traced."]
     worst = max(rated, key=lambda s: s.brightest_normalised.value)
-    (row,) = report.top(worst.field_deg, 1).itertuples()
+    (row,) = report.top(worst.field_deg, 1, "rms").itertuples()
     most = max(rated, key=lambda s: s.stray_W.value)
     return [
         f"Brightest ghost: {_ghost_words(row, design)} at {worst.field_deg:g}°, "

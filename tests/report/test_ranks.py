@@ -1,0 +1,74 @@
+"""Every list of worst paths goes by the rank that was asked for and has the strongest path by power."""
+
+import json
+import re
+
+import pytest
+from report.ranked_paths import ORDERS, WIDE, ranked_report
+
+from mistray.analysis.ranking import RANKS
+from mistray.cli import ghosts as command
+from mistray.cli.ghosts_json import as_json
+from mistray.report.csv_tables import path_table
+from mistray.report.html import html_text
+from mistray.report.html_fields import shown_paths
+from mistray.report.layout import layout, worst_paths
+from mistray.report.tables import STRONGEST, beyond, main_table
+
+by_rank = pytest.mark.parametrize("rank", ORDERS)
+
+
+def label(report, events):
+    table = report.table(0.0)
+    return table.label[table.events == events].item()
+
+
+@by_rank
+def test_text(rank):
+    report = ranked_report(rank)
+    lines = main_table(report, 1).splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith("Worst 1 "))
+    rows = [line for line in lines[start:] if re.match(r"\s*0 .* → ", line)]
+    assert [label(report, ORDERS[rank][0]) in rows[0], label(report, WIDE) in rows[-1]] == [True, True]
+    assert len(rows) == len({ORDERS[rank][0], WIDE})
+    assert [STRONGEST in line for line in rows] == [label(report, WIDE) in line for line in rows]
+    assert len(beyond(report, 0.0, 1)) == 3 - len(rows)
+    assert ("peak" in lines[start + 1]) == (rank == "peak")
+
+
+@by_rank
+@pytest.mark.parametrize("waves", [False, True])
+def test_per_wavelength_the_rows_have_all_columns(rank, waves):
+    lines = main_table(ranked_report(rank), per_wavelength=waves).splitlines()
+    assert any(STRONGEST in line for line in lines)
+
+
+@by_rank
+def test_json(rank):
+    found = json.loads(json.dumps(as_json(ranked_report(rank), per_wavelength=True)))
+    assert found["ranked_by"] == rank
+    (field,) = found["fields"]
+    assert [row["events"] for row in field["worst_paths"]] == list(ORDERS[rank])
+    assert [row["events"] for row in field["worst_paths"] if row["rank_power"] == 1] == [WIDE]
+
+
+@by_rank
+def test_csv(rank):
+    table = path_table(ranked_report(rank))
+    assert ("peak_W_mm2" in table) == ("rank_peak" in table) == (rank == "peak")
+
+
+@by_rank
+def test_layout_and_report(rank):
+    report = ranked_report(rank)
+    assert label(report, WIDE) in [text.partition(" (")[0] for _, _, text in worst_paths(report, 0.0, 1)]
+    legend = [text.get_text() for text in layout(report, 0.0, 1).legends[0].get_texts()]
+    assert any(label(report, WIDE) in text for text in legend)
+    assert [events for events in shown_paths(report, 0.0).events if events in ORDERS[rank]] == list(ORDERS[rank])
+    html = html_text(report, per_wavelength=True)
+    head = html[: html.index("</header>")]
+    assert f"power: <b>{label(report, WIDE)}</b>" in head
+
+
+def test_the_command_line_knows_every_rank():
+    assert tuple(RANKS) == command.RANKS
