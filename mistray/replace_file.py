@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import contextlib
+import errno
 import os
 import re
 import secrets
 import sys
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 from mistray.errors import MistrayError
 
 # Names of what is open already, such as /dev/stdout: where that is a file, it is written on, and not replaced
 _OPEN = re.compile(r"/dev/std(?P<name>in|out|err)|(/dev|/proc/self)/fd/(?P<number>\d+)")
+NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
+FREE = "free some space"  # the remedy then
 _STANDARD = {"in": 0, "out": 1, "err": 2}
 
 
@@ -108,57 +112,69 @@ def claim_files(paths: Iterable[str | Path]) -> None:
 
 
 def replace_file(path: str | Path, content: str | bytes, what: str = "file") -> Path:
-    """
-    Write a file through a draft beside it, so that on an error, or when interrupted, an old file stays as it was.
+    """As `replace_files`, of one file; returns its path."""
+    return replace_files({path: content}, what)[0]
 
-    The draft has a name of its own: of two processes that write the same file one comes last, and either is whole. To
-    what is no file, or is open already, such as /dev/stdout, the content is written as it is.
+
+def replace_files(files: Mapping[Any, str | bytes], what: str = "file") -> list[Path]:
+    """
+    Write files through drafts beside them: on an error, or when interrupted, all old files stay as they were.
+
+    The drafts have names of their own: of two processes that write the same file one comes last, and either is whole.
+    To what is no file, or is open already, such as /dev/stdout, the content is written as it is.
 
     Parameters
     ----------
-    path : str or Path
-    content : str or bytes
-        Text is written as UTF-8.
+    files : mapping of str or Path to str or bytes
+        Contents; text is written as UTF-8.
     what : str
         Kind of file, for the message.
 
     Returns
     -------
-    Path
-        The file.
+    list of Path
+        The files.
 
     Raises
     ------
     MistrayError
-        If it cannot be written, or the guard of this block keeps it; see `guarding`.
+        If one of them cannot be written, or the guard of this block keeps it; see `guarding`.
     """
-    path = Path(path)
-    claim_files([path])
-    data = content.encode("utf-8") if isinstance(content, str) else content
-    draft = path.with_name(f".{secrets.token_hex(4)}.part")
+    whole = {Path(path): text.encode("utf-8") if isinstance(text, str) else text for path, text in files.items()}
+    claim_files(whole)
+    drafts: dict[Path, Path] = {}
+    path = Path()
     try:
-        if os.path.isdir(path):
-            raise MistrayError(f"{what} '{path}' is a folder; name a file")
-        if (number := opened(path)) is not None:
-            for stream in (sys.stdout, sys.stderr):  # what was printed before comes before
-                stream.flush()
-            with open(os.dup(number), "wb") as file:
-                file.write(data)
-            return path
-        if os.path.exists(path) and not os.path.isfile(path):
-            path.write_bytes(data)
-            return path
-        try:
-            draft.write_bytes(data)
-            os.replace(draft, path)
-        except BaseException:
-            with contextlib.suppress(OSError):
-                draft.unlink(missing_ok=True)
-            raise
+        for path, data in whole.items():
+            if os.path.isdir(path):
+                raise MistrayError(f"{what} '{path}' is a folder; name a file")
+            if opened(path) is None and (os.path.isfile(path) or not os.path.exists(path)):
+                drafts[path] = path.with_name(f".{secrets.token_hex(4)}.part")
+                drafts[path].write_bytes(data)
+        for path, data in whole.items():
+            if path in drafts:
+                os.replace(drafts[path], path)
+            else:
+                _write_on(path, data)
     except BrokenPipeError:  # the reader, such as head, has seen enough
         raise
     except OSError as error:
-        raise MistrayError(
-            f"{what} '{path}': {error.strerror}; check the folder and its permissions, or choose another"
-        ) from None
-    return path
+        check = FREE if error.errno in NO_ROOM else "check the folder and its permissions"
+        raise MistrayError(f"{what} '{path}': {error.strerror}; {check}, or choose another") from None
+    finally:
+        for draft in drafts.values():
+            with contextlib.suppress(OSError):
+                draft.unlink(missing_ok=True)
+    return list(whole)
+
+
+def _write_on(path: Path, data: bytes) -> None:
+    """Write to what is no regular file, or is open already, after what has been printed."""
+    number = opened(path)
+    if number is None:
+        path.write_bytes(data)
+        return
+    for stream in (sys.stdout, sys.stderr):
+        stream.flush()
+    with open(os.dup(number), "wb") as file:
+        file.write(data)

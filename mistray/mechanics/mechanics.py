@@ -24,7 +24,7 @@ from mistray.prescription.model import Placed, Structure
 from mistray.prescription.scene_file import comment_text, structure_text
 from mistray.prescription.sequential import Unread
 from mistray.read_file import require_file
-from mistray.replace_file import claim_files, replace_file
+from mistray.replace_file import replace_files
 
 STEP_SUFFIXES, MESH_SUFFIXES = (".step", ".stp"), (".stl", ".obj", ".ply")
 MOST_ANALYTIC = 64
@@ -119,10 +119,7 @@ class Mechanics:
         """
         folder = Path(folder).resolve()
         built = self._built()
-        claim_files(folder / f"{shape.name}.ply" for shape, mesh in built if mesh is not None)
-        for shape, mesh in built:
-            if mesh is not None:
-                replace_file(folder / f"{shape.name}.ply", mesh, "mesh")
+        replace_files({folder / f"{shape.name}.ply": mesh for shape, mesh in built if mesh is not None}, "mesh")
         return tuple(
             replace(shape, file=str(folder / shape.file)) if isinstance(shape, MeshStructure) else shape
             for shape, _ in built
@@ -142,7 +139,7 @@ class Mechanics:
         tuple of Structure or MeshStructure
         """
         shapes, meshes = self.beside(scene)
-        write_meshes(meshes)
+        replace_files(meshes, "mesh")
         return shapes
 
     def beside(self, scene: str | Path) -> tuple[tuple[Structure | MeshStructure, ...], dict[Path, bytes]]:
@@ -174,9 +171,7 @@ class Mechanics:
             "</scene>",
             "",
         ]
-        claim_files([path, *meshes])
-        write_meshes(meshes)
-        replace_file(path, "\n".join(lines), "scene file")
+        replace_files({**meshes, Path(path): "\n".join(lines)}, "scene file")
         return shapes
 
     @property
@@ -296,12 +291,6 @@ def read_mechanics(
     if at is not None:
         parts = [part.moved(at.to_world()) for part in parts]
     return Mechanics(path, tuple(parts), tuple(unread), most_analytic=most_analytic)
-
-
-def write_meshes(meshes: Mapping[Path, bytes]) -> None:
-    """Write the files of `Mechanics.beside`, each whole or not at all."""
-    for path, mesh in meshes.items():
-        replace_file(path, mesh, "mesh")
 
 
 def _titles(part: Part) -> tuple[str, ...]:

@@ -12,7 +12,7 @@ import pandas as pd
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
-from mistray.replace_file import claim_files, replace_file
+from mistray.replace_file import FREE, NO_ROOM, claim_files, replace_files
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.csv_tables import write_csv
 from mistray.report.html import write_html
@@ -146,7 +146,7 @@ def writable_directory(directory: str | Path) -> Path:
 
 def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list[Path]:
     """
-    Write finished files by name into one directory, each complete or not at all.
+    Write finished files by name into one directory, all of them or none.
 
     Parameters
     ----------
@@ -168,8 +168,7 @@ def write_files(files: Mapping[str, str | bytes], directory: str | Path) -> list
     target = writable_directory(directory)
     with _told(directory):
         target.mkdir(parents=True, exist_ok=True)
-    claim_files(target / name for name in files)
-    return [replace_file(target / name, content) for name, content in files.items()]
+    return replace_files({target / name: content for name, content in files.items()})
 
 
 def csv_text(table: pd.DataFrame) -> str:
@@ -183,9 +182,8 @@ def _told(directory: str | Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise MistrayError(
-            f"output directory '{directory}' cannot be written ({error.strerror}); choose another"
-        ) from None
+        remedy = f"{FREE}, or choose another" if error.errno in NO_ROOM else "choose another"
+        raise MistrayError(f"output directory '{directory}' cannot be written ({error.strerror}); {remedy}") from None
 
 
 def _nearest_directory(path: Path) -> Path:

@@ -12,7 +12,7 @@ from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Structure, Surface
 from mistray.prescription.scatter import MODELS, Scatter, Value
 from mistray.prescription.scene_file import comment_text, structure_text
-from mistray.replace_file import claim_files, replace_file
+from mistray.replace_file import replace_files
 from mistray.scene.load import find
 from mistray.scene.xml_file import Element, SceneFile
 
@@ -75,10 +75,7 @@ def add_structures(
     start = "" if file.data[:at].endswith(b"\n") else "\n"
     edit = (at, at, f"{start}\n{head}{text}\n".encode())
     content = file.edited([edit], target.parent)
-    claim_files([target, *files])
-    for path, data in files.items():
-        replace_file(path, data, "mesh")
-    return replace_file(target, content, "scene file")
+    return replace_files({**files, target: content}, "scene file")[-1]
 
 
 def shared_objects(file: SceneFile) -> Mapping[str, Shared]:

@@ -1,0 +1,112 @@
+"""Files that belong together appear together: where one finds no room, or is in the way, all stay as they were."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from mistray.cli.program import main
+from mistray.errors import MistrayError
+from mistray.replace_file import replace_files
+from mistray.report.output import write_files
+
+OLD = "old\n"
+CUBE = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 4\nf 5 8 6\n"
+MODEL = ("bsdf", "abg", "--A", "0.01", "--B", "0.01", "--g", "2", "--json")
+
+
+@pytest.fixture
+def small_files() -> Iterator[Any]:
+    """Sets the size beyond which files find no room, bytes."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    yield lambda size: resource.setrlimit(resource.RLIMIT_FSIZE, (size, before[1]))
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {str(file.relative_to(folder)): file.read_bytes() for file in folder.rglob("*") if file.is_file()}
+
+
+@pytest.mark.parametrize("large", ["a", "b", "c"])
+def test_all_or_none(tmp_path: Path, small_files: Any, large: str) -> None:
+    for name in "ac":
+        (tmp_path / name).write_text(OLD)
+    before = contents(tmp_path)
+    small_files(100_000)
+    with pytest.raises(MistrayError) as caught:
+        write_files({name: "x" * (200_000 if name == large else 10) for name in "abc"}, tmp_path)
+    assert f"{large}'" in str(caught.value)
+    assert "space" in str(caught.value)
+    assert contents(tmp_path) == before
+    assert [path.name for path in write_files(dict.fromkeys("abc", "new"), tmp_path)] == list("abc")
+    assert contents(tmp_path) == dict.fromkeys("abc", b"new")
+
+
+def test_an_interrupt_leaves_no_drafts(tmp_path: Path, monkeypatch: Any) -> None:
+    (tmp_path / "a").write_text(OLD)
+    write = Path.write_bytes
+
+    def interrupted(path: Path, data: bytes) -> int:
+        if data == b"second":
+            raise KeyboardInterrupt
+        return write(path, data)
+
+    monkeypatch.setattr(Path, "write_bytes", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        replace_files({tmp_path / "a": "first", tmp_path / "b": "second"})
+    assert contents(tmp_path) == {"a": OLD.encode()}
+
+
+def test_a_folder_in_the_way_of_one(tmp_path: Path) -> None:
+    (tmp_path / "b").mkdir()
+    with pytest.raises(MistrayError, match="b' is a folder"):
+        replace_files({tmp_path / "a": "first", tmp_path / "b": "second"})
+    assert contents(tmp_path) == {}
+
+
+def test_a_read_only_place_asks_for_permissions(tmp_path: Path, monkeypatch: Any) -> None:
+    def refuse(path: Path, data: bytes) -> int:
+        raise OSError(errno.EROFS, os.strerror(errno.EROFS))
+
+    monkeypatch.setattr(Path, "write_bytes", refuse)
+    with pytest.raises(MistrayError, match="permissions"):
+        replace_files({tmp_path / "a": "first"})
+
+
+# Commands, the size of their files and what they would write: a place for each that finds no room
+COMMANDS = {
+    "mechanics": (("import", "cube.obj", "-o", "out/c.xml"), 100),
+    "view": (("view", "plate", "--rays", "20", "--out", "out/view.html"), 100_000),
+    "curves": ((*MODEL, "--csv", "out/a.csv"), 100),
+    "picture": ((*MODEL, "--plot", "out/a.png"), 100),
+    "table": ((*MODEL, "--table", "out/a.csv"), 100),
+    "export": (("export", "cooke_triplet", "-o", "out/a.zmx"), 100),
+    "thermal": (("thermal", "plate", "--rays", "200", "--out", "out"), 20_000),
+    "objects": (("objects", "plate", "--rays", "200", "--out", "out"), 20_000),
+    "sweep": (("sweep", "plate", "--rays", "200", "--field-deg", "0", "--no-cache", "--out", "out"), 20_000),
+    "sensitivity": (("sensitivity", "plate", "--rays", "200", "--field-deg", "0", "--out", "out"), 20_000),
+}
+
+
+@pytest.mark.parametrize("command", COMMANDS)
+def test_a_full_disk_leaves_nothing(
+    tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str], small_files: Any, command: str
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "out").mkdir()
+    (tmp_path / "cube.obj").write_text(CUBE)
+    words, size = COMMANDS[command]
+    monkeypatch.setattr("mistray.report.output.PROBE", 1)
+    small_files(size)
+    assert main(list(words)) == 2
+    small_files(resource.RLIM_INFINITY)
+    told = capsys.readouterr().err
+    assert "space" in told.splitlines()[-1]
+    assert "Traceback" not in told
+    assert contents(tmp_path / "out") == {}
