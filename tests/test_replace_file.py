@@ -110,3 +110,45 @@ def test_a_full_disk_leaves_nothing(
     assert "space" in told.splitlines()[-1]
     assert "Traceback" not in told
     assert contents(tmp_path / "out") == {}
+
+
+STUDY = """[[term]]
+kind = "path_power"
+goal = "minimise"
+[trace]
+rays = 100
+[[coating]]
+name = "AR"
+surfaces = "all"
+layers = "1.38 60"
+thickness_nm = [20, 180]
+"""
+RUNS = {
+    "pst": (("pst", "plate", "--rays", "1000", "--paths", "0"), "pst_output", "pst_state.npz"),
+    "optimize": (("optimize", "plate", "study.toml", "--steps", "1"), "optimization", "checkpoint.json"),
+}
+
+
+@pytest.mark.parametrize("stop", [MistrayError("no room"), KeyboardInterrupt()], ids=["error", "interrupt"])
+@pytest.mark.parametrize("command", RUNS)
+def test_a_run_that_was_saved_is_named(
+    tmp_path: Path, monkeypatch: Any, capsys: pytest.CaptureFixture[str], command: str, stop: BaseException
+) -> None:
+    """Also where the report is what fails."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "study.toml").write_text(STUDY)
+    words, module, saved = RUNS[command]
+
+    def stopped(*_: Any) -> None:
+        raise stop
+
+    with monkeypatch.context() as patch:
+        patch.setattr(f"mistray.report.{module}.write_files", stopped)
+        code = main([*words, "--out", "out"])
+    said = capsys.readouterr().err
+    assert code == (2 if isinstance(stop, MistrayError) else 130)
+    assert f"out/{saved}, go on with --resume" in said.splitlines()[-1]
+    assert "nothing" not in said
+    assert (tmp_path / "out" / saved).exists()
+    if command == "pst":
+        assert main([*words, "--out", "out", "--resume"]) == 0

@@ -9,8 +9,9 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import INTERRUPTED, Help
+from mistray.cli.arguments import Help
 from mistray.cli.claims import claim_folder
+from mistray.cli.saved_run import SavedRun
 from mistray.cli.tracing_arguments import (
     add_machine,
     add_output,
@@ -77,35 +78,26 @@ def run(options: argparse.Namespace) -> int:
     steps = study.optimizer.steps if options.steps is None else options.steps
     folder = claim_folder(options)
     checkpoint = None if folder is None else folder / "checkpoint.json"
-    saved = options.resume
-    try:
+    saved = SavedRun(checkpoint, lambda: "all steps are", options.resume)
+    files: list[Path] = []
+    with saved.told():
         with _progress(options, min(study.optimizer.starts, study.optimizer.searches) * steps) as shown:
-
-            def progress(step: Step, start: Start) -> None:
-                nonlocal saved
-                saved = checkpoint is not None
-                shown(step, start)
-
             result = optimize(
                 options.scene,
                 study,
                 steps=steps,
                 checkpoint=checkpoint,
                 resume=options.resume,
-                progress=progress,
+                progress=shown,
                 verification_seeds=options.verification_seeds,
             )
-        files = []
         if options.out is not None:
             from mistray.report.optimization import write_optimization
 
             with working("drawing the report", options.quiet):
                 files = write_optimization(result, options.out, options.command_line)
-    except KeyboardInterrupt:
-        if not saved:
-            raise
-        print(f"mistray: interrupted; all steps are in {checkpoint}, go on with --resume", file=sys.stderr)
-        return INTERRUPTED
+    if saved.code:
+        return saved.code
     show(options, lambda: optimization_record(result), lambda: report_text(result), files)
     return 0
 

@@ -5,13 +5,13 @@ from __future__ import annotations
 import argparse
 import contextlib
 import math
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, Help, add_angles
+from mistray.cli.arguments import FIELD_ANGLES, Help, add_angles
 from mistray.cli.claims import claim_files, claim_folder
+from mistray.cli.saved_run import SavedRun
 from mistray.cli.tracing_arguments import (
     MAP_FORMATS,
     TABLE_FORMATS,
@@ -122,7 +122,9 @@ def run(options: argparse.Namespace) -> int:
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
     passes: list[PstProgress] = []
-    try:
+    saved = SavedRun(state, lambda: _so_far(passes), options.resume)
+    files: list[Path] = []
+    with saved.told():
         with workers_of(options), _progress(options) as draw:
 
             def progress(now: PstProgress) -> None:
@@ -149,19 +151,15 @@ def run(options: argparse.Namespace) -> int:
                 progress=progress,
                 **settings_of(options),
             )
-    except KeyboardInterrupt:
-        if state is None or not (passes or options.resume):
-            raise
-        print(f"mistray: interrupted; {_so_far(passes)} in {state}, go on with --resume", file=sys.stderr)
-        return INTERRUPTED
-    files = []
-    if options.out is not None:
-        from mistray.report.pst_output import write_pst
+        if options.out is not None:
+            from mistray.report.pst_output import write_pst
 
-        title = scene_title(options.scene)
-        with working("drawing the report", options.quiet):
-            files = write_pst(found, options.out, title, options.command_line, options.paths_shown, maps_at)
-            files += _write_formats(found, options, maps_at)
+            title = scene_title(options.scene)
+            with working("drawing the report", options.quiet):
+                files = write_pst(found, options.out, title, options.command_line, options.paths_shown, maps_at)
+                files += _write_formats(found, options, maps_at)
+    if saved.code:
+        return saved.code
     shown = options.paths_shown
     show(options, lambda: pst_record(found, shown), lambda: pst_text(found, shown), files)
     return 0

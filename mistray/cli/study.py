@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import argparse
 import contextlib
-import sys
 from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from mistray.cli.arguments import FIELD_ANGLES, INTERRUPTED, Help, add_angles
+from mistray.cli.arguments import FIELD_ANGLES, Help, add_angles
 from mistray.cli.claims import claim_folder
+from mistray.cli.saved_run import SavedRun
 from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     add_output,
@@ -98,8 +98,9 @@ def run(options: argparse.Namespace) -> int:
             state.parent.mkdir(parents=True)
     with working(f"loading {options.scene}", options.quiet):
         scene = load(options.scene)
-    saved = _written(state)
-    try:
+    saved = SavedRun(state, lambda: "the PST so far is", options.resume)
+    files: list[Path] = []
+    with saved.told():
         with workers_of(options), _progress(options) as progress:
             found = study(
                 scene,
@@ -117,27 +118,18 @@ def run(options: argparse.Namespace) -> int:
                 progress=progress,
                 **settings_of(options),
             )
-    except KeyboardInterrupt:
-        if state is None or _written(state) == saved:
-            raise
-        print(f"mistray: interrupted; the PST so far is in {state}, go on with --resume", file=sys.stderr)
-        return INTERRUPTED
-    files = []
-    if options.out is not None:
-        from mistray.report.formats import write_formats
-        from mistray.report.study_output import csv_tables, write_study
+        if options.out is not None:
+            from mistray.report.formats import write_formats
+            from mistray.report.study_output import csv_tables, write_study
 
-        with working("drawing the report", options.quiet):
-            files = write_study(found, options.out, options.command_line)
-            tables = csv_tables(found)
-            files += write_formats(options.formats, options.out, tables, {}, {"command": options.command_line})
+            with working("drawing the report", options.quiet):
+                files = write_study(found, options.out, options.command_line)
+                tables = csv_tables(found)
+                files += write_formats(options.formats, options.out, tables, {}, {"command": options.command_line})
+    if saved.code:
+        return saved.code
     show(options, lambda: study_record(found), lambda: study_text(found), files)
     return 0
-
-
-def _written(state: Path | None) -> int | None:
-    """When a file was written last; None if there is none."""
-    return state.stat().st_mtime_ns if state is not None and state.exists() else None
 
 
 @contextlib.contextmanager
