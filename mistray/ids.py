@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import unicodedata
+from fnmatch import fnmatchcase
 
 from mistray.errors import MistrayError
 
@@ -19,6 +20,11 @@ def event_words(text: str) -> list[str]:
     Ids may hold blanks: an event ends with its letter.
     """
     return _BETWEEN.split(text.strip()) if text.strip() else []
+
+
+def fits(name: str, pattern: str) -> bool:
+    """Whether a name is what is meant: the same text, which may hold brackets, or one that `fnmatch` takes for it."""
+    return name == pattern or fnmatchcase(name, pattern)
 
 
 def check_id(name: str, what: str = "object") -> None:

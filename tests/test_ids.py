@@ -14,7 +14,7 @@ from oracles.small_scenes import plates_text, write
 import mistray
 from mistray import cli
 from mistray.errors import MistrayError
-from mistray.ids import check_id, event_words
+from mistray.ids import check_id, event_words, fits
 from mistray.trace.path_events import LETTERS
 
 PLAIN = ("p0_front", "p0_rear", "detector")
@@ -121,3 +121,12 @@ def test_prescriptions_take_the_same_names() -> None:
     for name in ("=1", "a\nb", "a.b", ""):
         with pytest.raises(MistrayError):
             check_name(name)
+
+
+def test_a_name_with_brackets_is_itself() -> None:
+    """CAD programs count bodies as Body[2]; a pattern of letters it stays as well."""
+    assert fits("Body[2]", "Body[2]")
+    assert fits("Body2", "Body[2]")
+    assert fits("Body[2]", "Body*")
+    assert not fits("Body[2]", "body*")
+    assert not fits("Body[22]", "Body[2]")

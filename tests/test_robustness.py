@@ -65,7 +65,7 @@ def test_a_full_disk_leaves_the_old_file(tmp_path: Path) -> None:
     path = replace_file(tmp_path / "paths.csv", b"old")
     with full_disk(1 << 16), pytest.raises(MistrayError) as caught:
         replace_file(path, CONTENTS[0], "table")
-    assert str(caught.value).startswith(f"table '{path}': File too large; check the folder")
+    assert str(caught.value).startswith(f"table '{path}': File too large; free some space")
     assert everything(tmp_path) == {"paths.csv": b"old"}
 
 

@@ -6,13 +6,13 @@ import difflib
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 from functools import cached_property
 from pathlib import Path
 
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.ids import fits
 from mistray.mechanics.finish import ABSORBER, Finish, finish
 from mistray.mechanics.part import UNITS_MM, Part, unique_names
 from mistray.mechanics.ply import ply_bytes
@@ -92,10 +92,10 @@ class Mechanics:
 
     def _check_pattern(self, pattern: str) -> None:
         part_names = {name: None for part in self.parts for name in _titles(part)}
-        if any(fnmatchcase(name, pattern) for name in part_names):
+        if any(fits(name, pattern) for name in part_names):
             return
         faces = [part.face_name(int(face)) for part in self.parts for face in np.unique(part.faces)]
-        if any(fnmatchcase(name, pattern) for name in faces):
+        if any(fits(name, pattern) for name in faces):
             return
         offered = list(part_names)
         near = difflib.get_close_matches(pattern.strip("*?"), [*offered, *faces], n=3, cutoff=0.4) or offered[:5]
@@ -210,7 +210,7 @@ class Mechanics:
         names = (*_titles(part), part.face_name(face))
 
         def last(rules: Iterable[tuple[str, object]], default: object) -> object:
-            matching = [value for pattern, value in rules if any(fnmatchcase(name, pattern) for name in names)]
+            matching = [value for pattern, value in rules if any(fits(name, pattern) for name in names)]
             return matching[-1] if matching else default
 
         paint, space = last(self.paint, ABSORBER), last(self.space, -1)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import tempfile
 import time
 from collections.abc import Callable, Mapping, Sequence
@@ -15,6 +14,7 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.ids import fits
 from mistray.optimize.allocation import Choice, Model, allocate, excess
 from mistray.optimize.gradient import gradient
 from mistray.optimize.metrics import Metric
@@ -323,11 +323,7 @@ def _pairs(study: BudgetStudy, known: Mapping[str, Parameter]) -> list[tuple[Par
         where = f"budget '{study.name}': choose[{number}]"
         having = {key: parameter for key, parameter in known.items() if key.rpartition(".")[2] == grades.parameter}
         for pattern in grades.surfaces:
-            keys = [
-                key
-                for key, parameter in having.items()
-                if any(fnmatch.fnmatchcase(s, pattern) for s in parameter.shapes)
-            ]
+            keys = [key for key, parameter in having.items() if any(fits(s, pattern) for s in parameter.shapes)]
             if not keys:
                 surfaces = ", ".join(dict.fromkeys(s for parameter in having.values() for s in parameter.shapes))
                 raise MistrayError(

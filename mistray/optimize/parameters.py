@@ -32,7 +32,6 @@ Lengths are at most 1 % of the radius of their surface, because small parts are 
 from __future__ import annotations
 
 import difflib
-import fnmatch
 import math
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
@@ -44,6 +43,7 @@ import numpy as np
 from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
+from mistray.ids import fits
 from mistray.physics.sag import sag
 from mistray.trace.coating_gradient import IDEAL_PARAMETERS
 from mistray.trace.geometry_gradient import DISPLACEMENT, RIMS, ROTATION, SHIFTS, shape_parameters
@@ -186,7 +186,7 @@ def match(known: Mapping[str, Parameter], patterns: Iterable[str]) -> list[str]:
     """
     found: dict[str, None] = {}
     for pattern in patterns:
-        keys = [pattern] if pattern in known else [key for key in known if fnmatch.fnmatchcase(key, pattern)]
+        keys = [pattern] if pattern in known else [key for key in known if fits(key, pattern)]
         if not keys:
             raise MistrayError(f"no parameter '{pattern}' with a derivative; {_nearest(known, pattern)}")
         found |= dict.fromkeys(keys)
@@ -230,7 +230,7 @@ def _nearest(known: Mapping[str, Parameter], pattern: str) -> str:
     owners, names = (list(dict.fromkeys(key.rpartition(".")[k] for key in known)) for k in (0, 2))
     if any(sign in pattern for sign in "*?["):
         close = [f"{owner}.{found}" for found in difflib.get_close_matches(name, names)]
-        close = [found for found in close if any(fnmatch.fnmatchcase(key, found) for key in known)]
+        close = [found for found in close if any(fits(key, found) for key in known)]
     elif owner in owners:
         own = [key for key in known if key.rpartition(".")[0] == owner]
         capitals = [key for key in own if key.casefold() == pattern.casefold()]

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 from mistray.errors import MistrayError
+from mistray.ids import fits
 from mistray.prescription.coating import Coating
 from mistray.prescription.scatter import Scatter
 
@@ -72,13 +72,13 @@ def scattering(prescription: Prescription, rules: Mapping[str, Sequence[Scatter]
     """A copy with scatter added to shapes by name; see `Prescription.with_scatter`."""
     names = [shape.name for shape in prescription.shapes()]
     for pattern in rules:
-        if not any(fnmatchcase(name, pattern) for name in names):
+        if not any(fits(name, pattern) for name in names):
             raise MistrayError(
                 f"prescription '{prescription.name}': no shape is called '{pattern}'; correct the pattern"
             )
 
     def added(name: str) -> tuple[Scatter, ...]:
-        return tuple(model for pattern, models in rules.items() if fnmatchcase(name, pattern) for model in models)
+        return tuple(model for pattern, models in rules.items() if fits(name, pattern) for model in models)
 
     def with_more(shape: Any) -> Any:
         return replace(shape, scatter=shape.scatter + added(shape.name))

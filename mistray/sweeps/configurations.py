@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import difflib
-import fnmatch
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any
@@ -13,6 +12,7 @@ import numpy.typing as npt
 
 from mistray._mitsuba_compat import holds_numbers, peek
 from mistray.errors import MistrayError
+from mistray.ids import fits
 from mistray.optimize.parameters import Parameter, groups, parameters
 from mistray.prescription import Structure
 
@@ -145,9 +145,9 @@ def _keys(configuration: str, name: str, params: Any, together: Mapping[str, lis
     if name in together:
         return together[name]
     keys = list(params.keys())
-    found = {key: None for key in keys if fnmatch.fnmatchcase(key, name) and holds_numbers(peek(params, key))}
+    found = {key: None for key in keys if fits(key, name) and holds_numbers(peek(params, key))}
     for group, members in together.items():
-        if fnmatch.fnmatchcase(group, name):
+        if fits(group, name):
             found |= dict.fromkeys(members)
     if not found:
         close = difflib.get_close_matches(name, [*keys, *together], n=OFFERED)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import fnmatch
 import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -16,6 +15,7 @@ from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.run import pst_of_each
 from mistray.coatings import Stack, coating_from_text
 from mistray.errors import MistrayError
+from mistray.ids import fits
 from mistray.optimize.scene_values import assign
 from mistray.renamed import renamed
 from mistray.scene import find, load
@@ -234,7 +234,7 @@ def _coatings(coat: Mapping[str, str], names: Iterable[str]) -> list[SharedCoati
 
 def _matching(pattern: str, names: Iterable[str]) -> list[str]:
     """Ids of shapes that a pattern stands for."""
-    found = fnmatch.filter(names, pattern)
+    found = [name for name in names if fits(name, pattern)]
     if not found:
         raise MistrayError(f"no shape is called '{pattern}'; correct the pattern")
     return found

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from fnmatch import fnmatchcase
 from typing import Any
 
 import mitsuba as mi
@@ -11,6 +10,7 @@ import numpy as np
 
 from mistray._mitsuba_compat import mesh_arrays
 from mistray.errors import MistrayError
+from mistray.ids import fits
 from mistray.ranges import RAYS_PER_HIT
 from mistray.trace.host_points import outline, surface_points
 from mistray.trace.scattering_bodies import scattering_bodies
@@ -64,7 +64,7 @@ def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool 
     """Numbers of the surfaces whose ids fit the patterns of a target, or of the one surface that is its entity."""
     numbers: dict[int, None] = {}
     for pattern in patterns:
-        fitting = [i for i, surface in enumerate(table.ids) if fnmatchcase(surface, pattern)]
+        fitting = [i for i, surface in enumerate(table.ids) if fits(surface, pattern)]
         if not fitting:
             key = "entity" if one else "surfaces"
             raise MistrayError(f"target '{name}': no surface of the scene is called '{pattern}'; correct {key}")

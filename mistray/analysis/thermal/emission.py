@@ -11,7 +11,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -20,6 +19,7 @@ from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.thermal.narcissus import Return, mean_returns, returns
 from mistray.analysis.thermal.spectrum import band_weights, traced_wavelengths
 from mistray.errors import MistrayError
+from mistray.ids import fits
 from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
 from mistray.trace import Settings
@@ -250,7 +250,7 @@ def _check_names(scene: mi.Scene, rules: Mapping[str, float]) -> None:
         parts.add(str(getattr(shape, "part", shape.id())))
         names |= {shape.id(), *(str(getattr(shape.bsdf(), side, "")).strip() for side in ("front", "back"))}
     for pattern in rules:
-        if not any(fnmatchcase(name, pattern) for name in names | parts):
+        if not any(fits(name, pattern) for name in names | parts):
             raise MistrayError(
                 f"temperatures: no surface, part or material is called '{pattern}'; parts are "
                 + ", ".join(sorted(parts))
@@ -264,7 +264,7 @@ def _temperatures(seen: Sequence[Seen], default_K: float, rules: Mapping[str, fl
     names |= {("medium", material): (material,) for one in seen for material in one.media}
     found = dict.fromkeys(names, default_K)
     for pattern, kelvin in rules.items():
-        fitting = (key for key, titles in names.items() if any(fnmatchcase(title, pattern) for title in titles))
+        fitting = (key for key, titles in names.items() if any(fits(title, pattern) for title in titles))
         found |= dict.fromkeys(fitting, kelvin)
     return found
 
