@@ -56,3 +56,10 @@ def check_id(name: str, what: str = "object") -> None:
     else:
         return
     raise MistrayError(f"{what} {name!a}: its name {why}; rename it")
+
+
+def check_written_id(name: str, what: str = "object") -> None:
+    """As `check_id`, of what is written into a scene file, where ``$`` begins the name of a parameter."""
+    check_id(name, what)
+    if "$" in name:
+        raise MistrayError(f"{what} {name!a}: its name holds $, by which scene files know parameters; rename it")

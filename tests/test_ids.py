@@ -15,6 +15,8 @@ import mistray
 from mistray import cli
 from mistray.errors import MistrayError
 from mistray.ids import check_id, event_words, fits
+from mistray.optimize.read_study import read_study
+from mistray.sweeps.configurations import as_configurations
 from mistray.trace.path_events import LETTERS
 
 PLAIN = ("p0_front", "p0_rear", "detector")
@@ -130,3 +132,67 @@ def test_a_name_with_brackets_is_itself() -> None:
     assert fits("Body[2]", "Body*")
     assert not fits("Body[2]", "body*")
     assert not fits("Body[22]", "Body[2]")
+
+
+TITLES = (
+    "+a",
+    "-a",
+    "=1+1",
+    "@a",
+    " a ",
+    "a\tb",
+    "$x_1$",
+    "x" * 300,
+    "透" * 200,
+    'lens 1 → "front", <b>&</b>',
+    "../../x",
+    "--",
+)
+BOX = "".join(f"v {x} {y} {z}\n" for x in (0, 1) for y in (0, 1) for z in (0, 1)) + "f 1 2 4\nf 5 8 6\n"
+
+
+@pytest.mark.parametrize("title", TITLES)
+def test_imported_titles_become_ids(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any, title: str) -> None:
+    """What a CAD or lens program calls its parts cannot be changed by who imports them."""
+    monkeypatch.chdir(tmp_path)
+    Path("m.obj").write_text(f"o {title}\n{BOX}", encoding="utf-8")
+    Path("l.zmx").write_text(LENS.format(title=title), encoding="utf-8")
+    for source in ("m.obj", "l.zmx"):
+        assert cli.main(["import", source, "-o", f"{source}.xml"]) == 0, capsys.readouterr().err
+    assert {path.parent for path in tmp_path.rglob("*")} == {tmp_path}
+    loaded = [shape.id() for source in ("m.obj", "l.zmx") for shape in mistray.load(f"{source}.xml").shapes()]
+    assert loaded
+    for name in loaded:
+        check_id(name)
+
+
+LENS = """MODE SEQ
+NAME {title}
+ENPD 8
+WAVM 1 0.5875618 1
+SURF 0
+  DISZ INFINITY
+SURF 1
+  STOP
+  COMM {title}
+  CURV 0.02
+  DISZ 5
+  GLAS N-BK7 0 0 1.5168 64.17
+SURF 2
+  CURV -0.02
+  DISZ 46
+SURF 3
+"""
+
+
+@pytest.mark.parametrize("name", ["=1+1", "-a", "a\nb", "$x", " a"])
+def test_names_in_studies(tmp_path: Path, name: str) -> None:
+    """They stand in tables, and those of coatings in scenes."""
+    text = json.dumps(name)
+    head = "[[term]]\nkind = 'path_power'\ngoal = 'minimise'\n"
+    (tmp_path / "a.toml").write_text(f"{head}[[coating]]\nname = {text}\nsurfaces = 'all'\nlayers = '1.4 60'\n")
+    with pytest.raises(MistrayError, match="coating"):
+        read_study(tmp_path / "a.toml")
+    if "$" not in name:
+        with pytest.raises(MistrayError, match="configuration"):
+            as_configurations({name: {"p0_front.z": 1.0}})

@@ -13,6 +13,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 
+LONGEST_NAME = 50  # letters of an id from a title; the id is a part of the name of a file
 LARGEST_MM = 1e7  # ten kilometres: beyond it a file is broken, or its unit is wrong
 UNITS_MM: Mapping[str, float] = MappingProxyType(
     {"um": 1e-3, "mm": 1.0, "cm": 10.0, "m": 1000.0, "inch": 25.4, "ft": 304.8}
@@ -141,11 +142,11 @@ def checked(part: Part) -> tuple[Part, int]:
 
 
 def unique_names(titles: Iterable[str]) -> list[str]:
-    """Ids for titles: letters, digits, "-" and "_" stay, equal ones are numbered from the second on."""
+    """Ids for titles: letters, digits, "-" and "_" stay, up to a length; equal ones are numbered from the second on."""
     taken: set[str] = set()
     names = []
     for title in titles:
-        base = re.sub(r"[^\w-]+", "_", title).strip("_") or "part"
+        base = re.sub(r"[^\w-]+", "_", title).lstrip("_-")[:LONGEST_NAME].rstrip("_") or "part"
         name, number = base, 2
         while name in taken:
             name, number = f"{base}_{number}", number + 1

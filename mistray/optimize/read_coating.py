@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mistray.coatings import Stack, parse_layers, preset
 from mistray.errors import MistrayError
+from mistray.ids import check_written_id
 from mistray.optimize.section import Section
 from mistray.optimize.study import CoatingGroup
 
@@ -17,6 +18,7 @@ def read_coating(section: Section, number: int) -> CoatingGroup:
     """One coating of a study; `number` makes a name if it has none."""
     section.known(COATING_KEYS)
     name = section.text("name", f"coating_{number}")
+    check_written_id(name, "coating")
     surfaces = section.content.get("surfaces")
     if surfaces != ALL and not (
         isinstance(surfaces, list) and surfaces and all(isinstance(surface, str) for surface in surfaces)

@@ -273,7 +273,7 @@ class OpticalSurfaces:
 def _names(lens: Sequential) -> dict[int, str]:
     """A name for each row: its label where that is unique and no name of a generated part, else S and its number."""
     names: dict[int, str] = {}
-    slugs = [re.sub(r"[^\w+-]+", "_", row.label).strip("_") for row in lens.rows]
+    slugs = [re.sub(r"[^\w+-]+", "_", row.label).lstrip("_+-").rstrip("_") for row in lens.rows]
     reserved = re.compile(r"(stop|barrel|board|detector|ground_edge|[LS]\d+)(_|$)", re.IGNORECASE)
     taken: set[str] = set()
     for k, (row, slug) in enumerate(zip(lens.rows, slugs, strict=True)):

@@ -8,7 +8,7 @@ from mistray.coatings import preset
 from mistray.coatings.simple import check_shares
 from mistray.coatings.stack import SIDES
 from mistray.errors import MistrayError
-from mistray.ids import check_id
+from mistray.ids import check_written_id
 
 
 @dataclass(frozen=True)
@@ -102,4 +102,4 @@ def check_name(name: str) -> None:
     """Raise if a text cannot be the id of an object of the scene."""
     if not name or "." in name:
         raise MistrayError(f"shape '{name}': a name must not be empty or hold a dot")
-    check_id(name, "shape")
+    check_written_id(name, "shape")

@@ -12,7 +12,7 @@ import numpy.typing as npt
 
 from mistray._mitsuba_compat import holds_numbers, peek
 from mistray.errors import MistrayError
-from mistray.ids import fits
+from mistray.ids import check_id, fits
 from mistray.optimize.parameters import Parameter, groups, parameters
 from mistray.prescription import Structure
 
@@ -103,6 +103,7 @@ def as_configurations(given: Given) -> list[Configuration]:
             raise MistrayError(f"configurations: {one!r} is none; give a mapping from names to {{key: value}}")
     names = [one.name for one in found]
     for name in names:
+        check_id(name, "configuration")
         if names.count(name) > 1:
             raise MistrayError(f"configuration '{name}' is given twice; give each a name of its own")
     return found
