@@ -52,11 +52,7 @@ class _Axis:
 
     def sign(self, shape: Any) -> float:
         """1 where a shape has this axis, -1 where it has it the other way round, 0 where it has another one."""
-        direction, offset = shape.matrix[:3, 2], shape.matrix[:3, 3] - self.foot
-        sign = float(np.sign(self.along @ direction))
-        aside = offset - (offset @ self.along) * self.along
-        parallel = np.allclose(self.along, sign * direction, atol=TOLERANCE)
-        return sign if parallel and np.linalg.norm(aside) <= TOLERANCE * shape.outer_radius else 0.0
+        return float(_signs(self.foot[None], self.along[None], shape)[0])
 
     def add(self, shape: Any) -> None:
         v = shape.values
@@ -86,13 +82,14 @@ def check_overlaps(scene: mi.Scene) -> None:
     """
     shapes = [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
     axes: list[_Axis] = []
+    feet, directions = np.zeros((2, len(shapes), 3))
     for shape in shapes:
         if getattr(shape, "kind", None) == "asphere":
-            axis = next((axis for axis in axes if axis.sign(shape)), None)
-            if axis is None:
-                axis = _Axis(shape.matrix[:3, 3], shape.matrix[:3, 2], [])
-                axes.append(axis)
-            axis.add(shape)
+            known = np.flatnonzero(_signs(feet[: len(axes)], directions[: len(axes)], shape))
+            if not len(known):
+                feet[len(axes)], directions[len(axes)] = foot, along = shape.matrix[:3, 3], shape.matrix[:3, 2]
+                axes.append(_Axis(foot, along, []))
+            axes[known[0] if len(known) else -1].add(shape)
     for axis in axes:
         axis.placed.sort(key=lambda item: item.z)
         _check_crossings(axis)
@@ -101,9 +98,21 @@ def check_overlaps(scene: mi.Scene) -> None:
     detectors = [shape.bsdf() for shape in shapes if shape.is_sensor()]
     around = {bsdf.indices(bsdf.wavelength_nm)[0]: bsdf.front for bsdf in detectors}
     for axis in axes:
+        if sum(not item.shape.bsdf().opaque for item in axis.placed) < 2:
+            continue
         if not any(_crosses(shape, axis) for shape in shapes):
             _check_materials(axis)
             _check_ends(axis, around)
+
+
+def _signs(feet: np.ndarray, along: np.ndarray, shape: Any) -> np.ndarray:
+    """`_Axis.sign` of a shape for axes with these points and directions, (n, 3) each."""
+    matrix = shape.matrix
+    direction, offset = matrix[:3, 2], matrix[:3, 3] - feet
+    signs = np.sign(along @ direction)
+    aside = offset - np.einsum("ij,ij->i", offset, along)[:, None] * along
+    parallel = np.isclose(along, signs[:, None] * direction, atol=TOLERANCE).all(axis=1)
+    return np.where(parallel & (np.linalg.norm(aside, axis=1) <= TOLERANCE * shape.outer_radius), signs, 0.0)
 
 
 def _check_crossings(axis: _Axis) -> None:

@@ -77,18 +77,23 @@ class RimCircle:
 def rim_circles(table: SurfaceTable) -> dict[tuple[int, int], RimCircle]:
     """Circular rims of all surfaces, by surface and place in `RIM_COLUMNS`, with what touches them."""
     found = {}
+    extents = np.array([piece.z_range for piece in table.pieces])
     for piece in table.pieces:
+        beside, sign, place = _relative_axes(table, piece)
         for rim in rim_sizes(piece):
             if rim not in (OUTER, INNER, Z_LOW, Z_HIGH):
                 continue
             point = _rim_point(piece, rim)
+            tolerance = TOUCH * point[0]
+            along = sign * (point[1] - place)  # in the frames of the other surfaces
+            near = (beside <= tolerance) & (along >= extents[:, 0] - tolerance) & (along <= extents[:, 1] + tolerance)
+            near[piece.index] = False
             tangent, _ = _profile(piece, point)
             outward = tangent if rim in (OUTER, Z_HIGH) else -tangent
             joints = [
                 joint
-                for other in table.pieces
-                if other.index != piece.index
-                for joint in _joints(table, piece, other, point)
+                for k in np.flatnonzero(near)
+                for joint in _joints(table.pieces[k], np.array([point[0], along[k]]), float(sign[k]))
             ]
             stretch = float(abs(outward[0 if rim in (OUTER, INNER) else 1]))
             found[piece.index, rim] = RimCircle(point, outward, stretch, joints)
@@ -122,17 +127,30 @@ def _profile(piece: Piece, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return tangent / np.linalg.norm(tangent), gradient / np.linalg.norm(gradient)
 
 
-def _joints(table: SurfaceTable, piece: Piece, other: Piece, point: np.ndarray) -> list[Joint]:
-    """The halves of another surface on the same axis that begin at a circle of this one."""
-    axis, other_axis = (table.rotations[p.index][:, 2] for p in (piece, other))
-    apart = table.vertices[other.index] - table.vertices[piece.index]
-    tolerance = TOUCH * point[0]
-    if np.linalg.norm(np.cross(axis, other_axis)) > PARALLEL:
-        return []
-    if np.linalg.norm(apart - (apart @ axis) * axis) > tolerance:
-        return []
-    sign = float(np.sign(axis @ other_axis))
-    here = np.array([point[0], sign * (point[1] - apart @ axis)])  # in the frame of the other surface
+def _relative_axes(table: SurfaceTable, piece: Piece) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    The axes of all surfaces as one of them sees them.
+
+    Returns
+    -------
+    beside : (n,) float64
+        Distance from the axis of this one, mm; infinite for those that are not parallel to it.
+    sign : (n,) float64
+        -1 for those that point the other way.
+    place : (n,) float64
+        Of the vertices along the axis of this one, from its own, mm.
+    """
+    axes, vertices = (numbers[: len(table.pieces)] for numbers in (table.rotations[:, :, 2], table.vertices))
+    axis, apart = axes[piece.index], vertices - vertices[piece.index]
+    place = apart @ axis
+    beside = np.linalg.norm(apart - place[:, None] * axis, axis=1)
+    turned = np.linalg.norm(np.cross(axis, axes), axis=1)
+    return np.where(turned > PARALLEL, np.inf, beside), np.sign(axes @ axis), place
+
+
+def _joints(other: Piece, here: np.ndarray, sign: float) -> list[Joint]:
+    """The halves of another surface on the same axis that begin at a circle, given in the frame of that surface."""
+    tolerance = TOUCH * here[0]
     if other.kind == "cone":
         place, (low, high), off = here[1], other.z_range, here[0] - _radius(other, here[1])
     else:

@@ -24,7 +24,6 @@ from mistray.trace.scatter_tables import (
     Case,
     PackedLobes,
     Side,
-    first_total,
     light_indices,
     lobe_floats,
     make_side,
@@ -70,9 +69,13 @@ def scatter_gradient(
     MistrayError
         If lobes come or go at a value, so that it has no derivative, see `fixed`.
     """
-    cases = scattering.tables.all_cases
-    packed = pack(cases, by_plugin=True)
+    packed = pack(scattering.tables.all_cases, by_plugin=True)
+    cases: dict[int, dict[int, Case]] = {}  # by plugin and place
+    for number, case in enumerate(scattering.tables.all_cases):
+        for member in case.members:
+            cases.setdefault(id(member.plugin), {})[number] = case
     for plugin in _plugins(table):
+        own = list(cases.get(id(plugin), {}).values())
         for name in plugin.values:
             if not wanted(plugin, name):
                 continue
@@ -82,7 +85,7 @@ def scatter_gradient(
                     f"{plugin.title}: {reason}, where it has no derivative; leave it out, or start elsewhere"
                 )
             total = np.zeros(BATCHES)
-            for array, place, slope in _slopes(table, cases, packed, plugin, quotient(plugin, name)):
+            for array, place, slope in _slopes(table, own, packed, plugin, quotient(plugin, name)):
                 total += derivatives[array][:, place : place + slope.size] @ slope.ravel()
             yield plugin, name, total[:, None]
 
@@ -149,12 +152,8 @@ def _slopes(
     """Derivatives of the entries that depend on a plugin: name of the array, place of the first, and what they are."""
     known: dict[tuple[float, float, bool], list[tuple[float, Side]]] = {}
     done: set[tuple[str, int]] = set()
-    first_lobe = 0
-    for number, case in enumerate(cases):
-        own = [(first_lobe + k, member) for k, member in enumerate(case.members) if member.plugin is plugin]
-        first_lobe += len(case.members)
-        if not own:
-            continue
+    for case in cases:
+        own = [(case.first_lobe + k, member) for k, member in enumerate(case.members) if member.plugin is plugin]
         key = (*light_indices(table.optics, case.surface, case.from_front), case.from_front)
         if key not in known:
             known[key] = [(weight, make_side((model,), table.wavelength_nm, *key)) for weight, model in models]
@@ -167,7 +166,7 @@ def _slopes(
                     "they have no derivative there"
                 )
         slopes = _sum((w, np.broadcast_to(side.rows[case.event], case.rows.shape)) for w, side in sides)
-        yield TOTALS, first_total(cases[:number]) * TOTAL_FLOATS, slopes
+        yield TOTALS, case.first_row * TOTAL_FLOATS, slopes
         for k, member in own:
             moved = [(w, side.lobes[member.number], side.tables[member.number]) for w, side in sides]
             yield LOBES, k * LOBE_FLOATS, _sum((w, lobe_floats(lobe, radial)) for w, lobe, radial in moved)

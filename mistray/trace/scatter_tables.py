@@ -43,6 +43,7 @@ LOBE_FLOATS = 6
 # Numbers before those of a ratio table: nodes along its three axes, or along the first, the rotation and the last two;
 # 0 or the first rotation of the sample, in turns
 RATIO_HEAD = 5
+NO_TOTALS = 2  # rows of zeros before the totals, for what has no scatter
 TURNED_ANGLES = 64  # intervals of the totals of anisotropic lobes, which are interpolated to the others
 RANDOM_RAYS_SHIFT = 16
 
@@ -159,6 +160,8 @@ class Case:
     rows : (turns, ANGLES + 1, 4) float64
         Totals over the rotation of the sample and the angle, see `Side`.
     members : tuple of Member
+    first_row, first_lobe : int
+        Where its rows begin among those of all cases, and its members among all lobes.
     """
 
     surface: int
@@ -166,6 +169,13 @@ class Case:
     event: str
     rows: np.ndarray
     members: tuple[Member, ...]
+    first_row: int
+    first_lobe: int
+
+    @property
+    def end_row(self) -> int:
+        """Row behind its last."""
+        return self.first_row + self.rows.shape[0] * self.rows.shape[1]
 
 
 @dataclass(frozen=True)
@@ -281,6 +291,8 @@ class ScatterTables:
         Scatter in media, if any scatters.
     all_cases : list of Case
         Those that scatter, in the order of their totals and lobes.
+    total_rows : int
+        Number of rows of the totals.
     """
 
     def __init__(
@@ -304,6 +316,7 @@ class ScatterTables:
         transmission_rows = np.zeros(count * 2, dtype=np.uint32)  # by side, that of its own light
         aim_sets: list[AimSet] = []
         targets = lobes = 0
+        self.total_rows = NO_TOTALS
         self.most_lobes = 0
         for s, bsdf in enumerate(bsdfs):
             if not bsdf.scatter:
@@ -313,10 +326,11 @@ class ScatterTables:
                 sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT
                 for number, event in enumerate(EVENT_NAMES):
                     lit = 1 - side if backward and event == "transmission" else side
-                    case = _case(bsdf.scatterers, s, lit == 0, event, found[lit])
+                    first = self.total_rows
+                    case = _case(bsdf.scatterers, s, lit == 0, event, found[lit], first, lobes)
                     if not case.members:
                         continue
-                    first = first_total(self.all_cases)
+                    self.total_rows = case.end_row
                     sides[2 * s + side, number] = first
                     turns[2 * s + side, number] = len(case.rows)
                     row = cases[s * CASES + 2 * side + number]
@@ -340,7 +354,8 @@ class ScatterTables:
         self.sides, self.cases = upload(mi.UInt32, sides), upload(mi.UInt32, cases)
         self.transmission_rows = upload(mi.UInt32, transmission_rows)
         self.totals = upload(
-            mi.Float, np.concatenate([np.zeros((2, 4)), *(case.rows.reshape(-1, 4) for case in self.all_cases)])
+            mi.Float,
+            np.concatenate([np.zeros((NO_TOTALS, 4)), *(case.rows.reshape(-1, 4) for case in self.all_cases)]),
         )
         packed = pack(self.all_cases)
         self.flags = packed.flags
@@ -351,11 +366,6 @@ class ScatterTables:
         self.targets = DeviceTargets(aim_sets, table.centre)
         self.radial = RadialSampler(packed.tables)
         dr.eval(self.sides, self.cases, self.transmission_rows, self.turns, self.totals, self.lobes, self.ratios)
-
-    @property
-    def total_rows(self) -> int:
-        """Number of rows of the totals."""
-        return first_total(self.all_cases)
 
     def _upload_lobes(self, packed: PackedLobes) -> None:
         bits = packed.floats.astype(np.float32).view(np.uint32)
@@ -409,18 +419,15 @@ def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float
     return (front, back) if from_front else (back, front)
 
 
-def first_total(before: Sequence[Case]) -> int:
-    """Row of the totals where those behind these cases begin; two rows of zeros come first, for what has no scatter."""
-    return 2 + sum(case.rows.shape[0] * case.rows.shape[1] for case in before)
-
-
-def _case(plugins: Sequence[Any], surface: int, from_front: bool, event: str, side: Side) -> Case:
+def _case(
+    plugins: Sequence[Any], surface: int, from_front: bool, event: str, side: Side, first_row: int, first_lobe: int
+) -> Case:
     """One case of a surface with these scatter plugins."""
     members = []
     for k, (lobe, table, model) in enumerate(zip(side.lobes, side.tables, side.models, strict=True)):
         if lobe.event == event:
             members.append(Member(plugins[model], k - side.models.index(model), lobe, table))
-    return Case(surface, from_front, event, side.rows[event], tuple(members))
+    return Case(surface, from_front, event, side.rows[event], tuple(members), first_row, first_lobe)
 
 
 def check_side(

@@ -55,3 +55,19 @@ def test_a_thousand_walls_load_in_bounded_time_and_memory(tmp_path: Path) -> Non
     before = resident_mb()
     assert seconds(tube(tmp_path / "many.xml", 1000)) < 5
     assert resident_mb() - before < 400
+
+
+def test_loading_shapes_on_axes_of_their_own_grows_in_proportion_too(tmp_path: Path) -> None:
+    """Tiles side by side: the search for surfaces that overlap compared every tile with every other."""
+    tile = """<shape type="asphere" id="tile_{k}"><float name="half_width" value="0.4"/>
+<float name="half_height" value="0.4"/><transform name="to_world"><translate x="{k}"/></transform>
+<bsdf type="interface"><float name="R" value="0"/></bsdf></shape>"""
+
+    def row(name: str, tiles: int) -> Path:
+        path = tmp_path / name
+        path.write_text(f"{HEAD}{''.join(tile.format(k=k) for k in range(tiles))}</scene>")
+        return path
+
+    few, many = row("few.xml", 150), row("many.xml", 600)
+    mistray.load(few)
+    assert min(seconds(many) for _ in range(2)) < 1.6 * 4 * min(seconds(few) for _ in range(3))
