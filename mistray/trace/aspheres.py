@@ -7,12 +7,14 @@ next entry.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import drjit as dr
 import mitsuba as mi
 
 from mistray.physics.sag import sag, sag_derivative
 from mistray.trace.extrema import larger, smaller
-from mistray.trace.pieces import SELF_HIT
+from mistray.trace.pieces import SELF_HIT, Piece
 from mistray.trace.surfaces import SurfaceTable
 
 AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
@@ -47,11 +49,17 @@ def stretch(
 
 
 class AsphereSearch:
-    """The aspheres of a `SurfaceTable`."""
+    """
+    Aspheres of a `SurfaceTable`.
 
-    def __init__(self, table: SurfaceTable) -> None:
-        self.table = table
-        self.pieces = [piece for piece in table.pieces if piece.kind == "asphere"]
+    Parameters
+    ----------
+    table : SurfaceTable
+    pieces : sequence of Piece
+    """
+
+    def __init__(self, table: SurfaceTable, pieces: Sequence[Piece]) -> None:
+        self.table, self.pieces = table, pieces
         self.rectangular = [piece for piece in self.pieces if not piece.outer]
         self.clipped = bool(self.rectangular) or any(piece.inner > 0 for piece in self.pieces)
         self.count = max((len(piece.coefficients) for piece in self.pieces), default=0)
@@ -91,7 +99,7 @@ class AsphereSearch:
             return number, bit, bit != 0
 
         def step(best, surface, searched, number, bit, going):  # type: ignore[no-untyped-def]
-            t = self._first(o, d, number, last == number, best, going)
+            t = self.first(o, d, number, last == number, best, going)
             nearer = going & (t < best)
             best, surface = dr.select(nearer, t, best), dr.select(nearer, number, surface)
             searched |= bit
@@ -109,7 +117,7 @@ class AsphereSearch:
         )
         return best, surface
 
-    def _first(
+    def first(
         self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
     ) -> mi.Float:
         """Distance to the first crossing within the aperture and nearer than `best`, infinite if there is none.

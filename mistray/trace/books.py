@@ -26,6 +26,7 @@ REASONS = CUT_BRANCHES + len(BRANCHES)
 # Columns of the tally of a surface; the last two count its aimed rays and those that reach the detector undeflected
 HITS, INCIDENT, ABSORBED_HERE, AIMED, LANDED = range(5)
 SURFACE_SUMS = 5
+MOST_LANE_SUMS = 256  # surfaces whose sums are kept by lane, 24 bytes for each surface and lane
 HIT_SUMS = 3  # the first of them, which every hit adds to
 FILM_BYTES, LEAST_GROUPS = 1 << 24, 8  # of the images of the detector of a run, by groups of batches
 NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
@@ -43,6 +44,7 @@ class Tallies:
 
     def __init__(self, surfaces: int, media: int, pixels: int) -> None:
         self.count = surfaces
+        self._in_lanes = surfaces <= MOST_LANE_SUMS
         self.surfaces = dr.zeros(mi.Float64, (surfaces + media) * SURFACE_SUMS * BATCHES)
         self.media = dr.zeros(mi.Float64, media * BATCHES)
         self.reasons = dr.zeros(mi.Float64, REASONS * BATCHES)
@@ -62,9 +64,10 @@ class Tallies:
         Returns
         -------
         tuple of dr.Local
-            The first `HIT_SUMS` of `SURFACE_SUMS` of each surface, and last those of the first `LANE_REASONS`.
+            The first `HIT_SUMS` of `SURFACE_SUMS` of each surface unless there are too many of them, and last those of
+            the first `LANE_REASONS`.
         """
-        sizes = (*(self.count,) * HIT_SUMS, LANE_REASONS)
+        sizes = (*(self.count,) * (HIT_SUMS if self._in_lanes else 0), LANE_REASONS)
         return tuple(dr.alloc_local(mi.Float64, size, mi.Float64(0)) for size in sizes)
 
     @staticmethod
@@ -76,25 +79,35 @@ class Tallies:
         """Book flux under one of the other reasons, which most traces have no light for."""
         dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, mi.Float64(value), reason * BATCHES + batch, active)
 
-    @staticmethod
-    def add_hit(sums: tuple[Any, ...], s: mi.UInt32, incident: mi.Float, absorbed: mi.Float, active: mi.Bool) -> None:
+    def add_hit(
+        self,
+        sums: tuple[Any, ...],
+        s: mi.UInt32,
+        batch: mi.UInt32,
+        incident: mi.Float,
+        absorbed: mi.Float,
+        active: mi.Bool,
+    ) -> None:
         """Book a hit of a surface."""
         values = {HITS: 1.0, INCIDENT: incident, ABSORBED_HERE: absorbed}
         for what, value in values.items():
-            sums[what].write(sums[what].read(s, active) + mi.Float64(value), s, active)
+            if self._in_lanes:
+                sums[what].write(sums[what].read(s, active) + mi.Float64(value), s, active)
+            else:
+                self.add_surface(s, what, batch, value, active)
 
     def collect(self, sums: tuple[Any, ...], batch: mi.UInt32) -> None:
         """Add the sums of all lanes."""
 
         def step(k: mi.UInt32, sums: tuple[Any, ...]) -> tuple[mi.UInt32, tuple[Any, ...]]:
-            for what in range(HIT_SUMS):
+            for what in range(len(sums) - 1):
                 value = sums[what].read(k, k < self.count)
                 self.add_surface(k, what, batch, value, value != 0)
             value = sums[-1].read(k, k < LANE_REASONS)
             dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, value, k * BATCHES + batch, value != 0)
             return k + 1, sums
 
-        count = dr.opaque(mi.UInt32, max(self.count, LANE_REASONS))
+        count = dr.opaque(mi.UInt32, max(self.count, LANE_REASONS) if self._in_lanes else LANE_REASONS)
         dr.while_loop(
             (dr.zeros(mi.UInt32, dr.width(batch)), sums),
             lambda k, sums: k < count,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import TYPE_CHECKING
 
 import drjit as dr
@@ -133,16 +134,17 @@ def first_hit(
     """
     best = np.full(len(o), np.inf)
     surface = np.full(len(o), -1)
-    for piece in table.pieces:
-        t = crossings(table, piece.index, o, d)
+    for piece, rays in _near(table, o, d):
+        from_here, along = o[rays], d[rays]
+        t = crossings(table, piece.index, from_here, along)
         size = piece.outer or float(np.hypot(*piece.half_size))
-        nearest = np.where(last == piece.index, SELF_HIT * size, 0.0)
+        nearest = np.where(last[rays] == piece.index, SELF_HIT * size, 0.0)
         for k in range(2):
             with np.errstate(invalid="ignore"):
-                nearer = (t[:, k] > nearest) & (t[:, k] < best)
+                nearer = (t[:, k] > nearest) & (t[:, k] < best[rays])
             some = np.flatnonzero(nearer)
-            some = some[inside(table, piece.index, o[some] + t[some, k, None] * d[some])]
-            best[some], surface[some] = t[some, k], piece.index
+            some = some[inside(table, piece.index, from_here[some] + t[some, k, None] * along[some])]
+            best[rays[some]], surface[rays[some]] = t[some, k], piece.index
     # Mitsuba aborts the process when it is asked for the hits of no rays
     stock = _stock_hit(table, o, d, best) if table.stock_scene is not None and len(o) else None
     if stock is not None:
@@ -154,6 +156,17 @@ def first_hit(
         here = surface == number
         normal[here] = normals(table, int(number), p[here])
     return surface, p, normal
+
+
+def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[Piece, np.ndarray]]:
+    """The analytic surfaces and the numbers of the rays that may meet each."""
+    looped = set(table.tree.members) if table.tree else set()
+    near = table.tree.candidates(o - table.centre, d, table.frames) if table.tree else {}
+    for piece in table.pieces:
+        if piece.index not in looped:
+            yield piece, np.arange(len(o))
+        elif piece.index in near:
+            yield piece, near[piece.index]
 
 
 def _stock_hit(

@@ -266,7 +266,7 @@ def walk(
         absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
         absorbed, counts = limits.absorb(absorbed, first)
         if tallies is not None:
-            tallies.add_hit(sums, s, w, larger(absorbed, 0), first)
+            tallies.add_hit(sums, s, batch, w, larger(absorbed, 0), first)
 
         detected = first & ((it.word & DETECTOR) != 0) & counts if sky is None else mi.Bool(False)
         if not film.incident:

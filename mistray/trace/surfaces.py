@@ -28,6 +28,7 @@ from mistray.ranges import FILM_PIXELS, FILM_SIDE
 from mistray.trace.bodies import Bodies
 from mistray.trace.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
 from mistray.trace.pieces import Piece, piece_numbers, vertex_frame
+from mistray.trace.shell_tree import ShellTree, many
 from mistray.trace.upload import upload
 
 SAME_FRAME = 1e-9  # by which the directions of axes may differ
@@ -88,6 +89,8 @@ class SurfaceTable:
     centre : (3,) float64
         What positions on the device are relative to, mm: the middle of the surfaces, or the origin if that is not far
         from them.
+    tree : ShellTree or None
+        Of the surfaces that are too many to be unrolled into the kernel.
     """
 
     def __init__(
@@ -103,7 +106,8 @@ class SurfaceTable:
         stock = [(name, shape) for name, shape in shapes if not hasattr(shape, "outer_radius")]
         self.ids = [name for name, _ in analytic + stock]
         self.shapes = [shape for _, shape in analytic + stock]
-        self.listed = [self.ids.index(name) for name in named]
+        numbers = {name: i for i, name in enumerate(self.ids)}
+        self.listed = [numbers[name] for name in named]
         self.parts = [getattr(shape, "part", "") or name for name, shape in analytic + stock]
         self.spaces = [int(getattr(shape, "space", -1)) for shape in self.shapes]
         self.count = len(self.shapes)
@@ -187,26 +191,28 @@ class SurfaceTable:
 
     def _geometry(self, shapes: list[Any]) -> None:
         self.frames: list[np.ndarray] = [np.eye(3)]
-        self.axes: list[tuple[int, float, float]] = []
         self.pieces: list[Piece] = []
         vertices = np.zeros((self.count, 3))
         rotations = np.tile(np.eye(3), (self.count, 1, 1))
         own = [piece_numbers(shape.kind, shape.values) for shape in shapes]
         matrices = [vertex_frame(shape.kind, shape.values, shape.matrix) for shape in shapes]
         self.centre = _centre([matrix[:3, 3] for matrix in matrices], [shape.outer_radius for shape in shapes])
+        known = np.tile(np.eye(3), (len(shapes) + 1, 1, 1))
+        axes: dict[tuple[int, float, float], int] = {}
         for i, (piece, matrix) in enumerate(zip(own, matrices, strict=True)):
             rotation, position = matrix[:3, :3], matrix[:3, 3]
-            same = (np.allclose(known, rotation, rtol=0, atol=SAME_FRAME) for known in self.frames)
-            frame = next((k for k, known in enumerate(same) if known), None)
-            if frame is None:
-                frame = len(self.frames)
+            same = np.all(np.abs(known[: len(self.frames)] - rotation) <= SAME_FRAME, axis=(1, 2))
+            frame = int(np.argmax(same)) if same.any() else len(self.frames)
+            if frame == len(self.frames):
+                known[frame] = rotation
                 self.frames.append(rotation)
             local = self.frames[frame].T @ (position - self.centre)
-            axis_key = (frame, round(float(local[0]), 9), round(float(local[1]), 9))
-            if axis_key not in self.axes:
-                self.axes.append(axis_key)
-            self.pieces.append(Piece(index=i, frame=frame, axis=self.axes.index(axis_key), z=float(local[2]), **piece))
+            axis = axes.setdefault((frame, round(float(local[0]), 9), round(float(local[1]), 9)), len(axes))
+            self.pieces.append(Piece(index=i, frame=frame, axis=axis, z=float(local[2]), **piece))
             vertices[i], rotations[i] = position, self.frames[frame]
+        self.axes = list(axes)
+        looped = many(self.pieces)
+        self.tree = ShellTree(self.pieces, looped, self.frames, self.axes) if looped else None
         self.vertices, self.rotations = vertices, rotations
         self.rotated = len(self.frames) > 1
         quadric = np.zeros((self.count, 4))

@@ -8,6 +8,7 @@ scene's size is fragile and left out; all others must agree.
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -20,6 +21,7 @@ from oracles.geometry import Asphere, Frustum, Plane
 from oracles.small_scenes import STEEP_REAR, interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray.trace import shell_tree
 from mistray.trace.interaction import interact
 from mistray.trace.intersect import Intersector
 from mistray.trace.pieces import NO_SURFACE
@@ -217,12 +219,22 @@ def isotropic(rng: np.random.Generator, count: int) -> np.ndarray:
     return v / np.linalg.norm(v, axis=1, keepdims=True)
 
 
-@pytest.fixture(scope="module", params=["odd_shapes", "phone_camera", "newtonian", "double_gauss"])
-def scene(request: pytest.FixtureRequest, load_text) -> Scene:
-    if request.param == "odd_shapes":
-        return Scene(*load_text(odd_shapes()))
-    path = ROOT / "scenes" / request.param / "scene.xml"
-    return Scene(mistray.load(path), scene_xml.read_scene(path))
+NAMES = ["odd_shapes", "phone_camera", "newtonian", "double_gauss"]
+
+
+@pytest.fixture(scope="module", params=[*NAMES, *(f"{name} in a tree" for name in NAMES)])
+def scene(request: pytest.FixtureRequest, load_text) -> Iterator[Scene]:
+    name, _, tree = request.param.partition(" ")
+    with pytest.MonkeyPatch.context() as patch:
+        if tree:
+            patch.setattr(shell_tree, "MOST_UNROLLED", 0)
+            patch.setattr(shell_tree, "MOST_ASPHERES", 0)
+        if name == "odd_shapes":
+            made = Scene(*load_text(odd_shapes()))
+        else:
+            path = ROOT / "scenes" / name / "scene.xml"
+            made = Scene(mistray.load(path), scene_xml.read_scene(path))
+        yield made
 
 
 def test_rays_through_the_scene(scene: Scene) -> None:
