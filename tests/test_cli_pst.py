@@ -55,6 +55,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         azimuths, pixels = given["azimuths_deg"], given["map_pixels"]
         return fake_pst(field_deg, azimuths, map_pixels=pixels, convention=given["convention"], paths=given["paths"])
 
+    importlib.import_module("mistray.analysis.study.run")  # or it would keep the one below for other tests
     monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.run"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda source: source)
     return calls
