@@ -88,6 +88,12 @@ def by_value(term: Term, value: float, start: float) -> float:
     return 2 * term.weight * slope * (r if term.goal == "keep" else max(r, 0.0))
 
 
+def least_merit(terms: Sequence[Term]) -> float:
+    """The merit where all that is to be minimised is 0 and all limits hold; it cannot fall below."""
+    floors = ((term.weight, term.floor_of_start) for term in terms if term.goal == "minimise")
+    return sum((weight * math.log(floor / (1 + floor)) for weight, floor in floors), 0.0)
+
+
 def pieces(
     terms: Sequence[Term], values: Mapping[str, float], slopes: Mapping[str, np.ndarray], start: Mapping[str, float]
 ) -> Pieces:
@@ -141,11 +147,13 @@ def check(terms: Sequence[Term], values: Mapping[str, float], start: Mapping[str
         this = f"{where}, term '{term.name}'"
         if not math.isfinite(value):
             raise MistrayError(f"{this}: its value is {value} at {at}; change the bounds or the term")
-        if term.goal == "minimise" and not value + term.floor_of_start * start[term.name] > 0:
+        if term.goal == "minimise" and not start[term.name] > 0:
             raise MistrayError(
-                f"{this}: its value is {value:g} at {at}; no light goes there, take more rays, another term or other "
-                "bounds, or give it a floor_of_start"
+                f"{this}: its value is {start[term.name]:g} at the start ({at}), which cannot be minimised; where no "
+                "light goes there take more rays, another start or another term"
             )
+        if term.goal == "minimise" and value < 0:
+            raise MistrayError(f"{this}: its value is {value:g} at {at}; what is to be minimised must not be negative")
         if term.goal == "keep" and start[term.name] == 0:
             raise MistrayError(f"{this}: its value at the start is 0, which cannot be kept within a share of it")
         if limit_of(term, start[term.name]) == 0:

@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.goals import by_value, check, contribution, holds, pieces
+from mistray.optimize.goals import by_value, check, contribution, holds, least_merit, pieces
 from mistray.optimize.gradient import Gradient, gradient
 from mistray.optimize.metrics import CombinedMetric, Metric, combine
 from mistray.optimize.search.point import Pieces
@@ -73,8 +73,8 @@ class Merit:
 
     @property
     def least(self) -> float:
-        """What the merit cannot fall below: 0 if there are limits only."""
-        return -math.inf if any(term.goal == "minimise" for term in self.study.terms) else 0.0
+        """What the merit cannot fall below; 0 if there are limits only."""
+        return least_merit(self.study.terms)
 
     def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
         """
@@ -96,7 +96,7 @@ class Merit:
         Raises
         ------
         MistrayError
-            If a term to be minimised is 0, or anything is not finite, or there is nothing to improve.
+            If a term to be minimised is 0 at the start, or anything is not finite, or there is nothing to improve.
         """
         x = self.variables.values(y)
         self.variables.apply(x)

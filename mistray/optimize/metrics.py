@@ -265,7 +265,8 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     RMS irradiance P / (π r²) of the brightest ghost, mean over the fields, W/mm²; r is its RMS radius.
 
     The smooth maximum over the single paths of a selection, as they are in the ghost table: of one path its own
-    figure. Paths of less than 30 rays are left out. See `Observation.moments_of_each` and `smooth_maximum`.
+    figure, 0 where no light takes them. Paths of less than 30 rays are left out. See `Observation.moments_of_each` and
+    `smooth_maximum`.
 
     Parameters
     ----------
@@ -279,7 +280,7 @@ def ghost_rms_irradiance(scene: Any, selection: Selection = "ghost", *, norm: fl
     """
     return _mean(
         scene,
-        lambda o: smooth_maximum(o.moments_of_each(selection).rms_irradiance, norm),
+        lambda o: _brightest(o, selection, norm),
         traced,
         "W/mm2",
         "RMS irradiance of the ghosts",
@@ -397,6 +398,13 @@ def require_known(given: Iterable[str], known: Iterable[str]) -> None:
             close = difflib.get_close_matches(key, names, n=2)
             hint = f"did you mean {' or '.join(close)}?" if close else f"use {', '.join(names)}"
             raise MistrayError(f"metric: there is no setting '{key}'; {hint}")
+
+
+def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:
+    """Smooth maximum of the RMS irradiance of single paths; 0 where no light takes them."""
+    if not len(observation.chosen(selection)):
+        return observation.power(selection)
+    return smooth_maximum(observation.moments_of_each(selection).rms_irradiance, norm)
 
 
 def _signal(observation: Observation, name: str) -> Any:

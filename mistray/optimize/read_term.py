@@ -82,11 +82,11 @@ def read_term(section: Section, trace: Mapping[str, Any]) -> Term:
         raise section.fail(given[1] if given else "limit", f'{what}; with goal = "{goal}" give limit or limit_of_start')
     if goal not in LIMITED and given:
         raise section.fail(given[0], f'has no meaning with goal = "{goal}"; remove it')
-    floor = 0.0
+    floor = Term.floor_of_start
     if "floor_of_start" in section.content:
         if goal != "minimise":
             raise section.fail("floor_of_start", f'has no meaning with goal = "{goal}"; remove it')
-        floor = section.positive("floor_of_start", 0.0)
+        floor = section.positive("floor_of_start", floor)
     here = {key: value for key, value in section.content.items() if key in settings and key not in own}
     if "wavelength_nm" in here and "weights" not in here:  # those of [trace] belong to its own wavelengths
         trace = {key: value for key, value in trace.items() if key not in LIGHT}

@@ -156,8 +156,9 @@ def optimize(
     Raises
     ------
     MistrayError
-        If the study or the scene cannot be used, a term that is to be minimised is 0, anything is not finite, or the
-        checkpoint belongs to something else.
+        If the study or the scene cannot be used, a term that is to be minimised is 0 at the start, anything is not
+        finite there, or the checkpoint belongs to something else. A search that comes to a point without a merit ends
+        there and keeps its steps.
     """
     read = study if isinstance(study, Study) else read_study(study)
     if steps is not None:

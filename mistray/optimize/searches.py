@@ -8,7 +8,7 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, UnfinishedError
 from mistray.optimize.checkpoint import Checkpoint
 from mistray.optimize.search import METHODS, stop_reason
 from mistray.optimize.search.point import Pieces, Point
@@ -17,6 +17,8 @@ from mistray.optimize.study import Optimizer
 
 STEPS_USED = "all steps used"
 LIMITS_HOLD = "all limits hold"
+ZERO = "all that was to be minimised is 0, and all limits hold"
+EXACT = 1e-12  # relative error of a merit that is known exactly
 
 Progress = Callable[[Step, Start], None]
 
@@ -131,7 +133,14 @@ class Searches:
                     "without resuming"
                 )
             return kept[number]
-        result = self.problem.evaluate(y, number)
+        try:
+            result = self.problem.evaluate(y, number)
+        except UnfinishedError:
+            raise
+        except MistrayError as error:
+            if number == 0:
+                raise
+            raise Ended(f"the next point has no merit: {error}") from None
         # What is left out comes with numbers that differ from point to point; the last ones stay
         told = [*self.state.left_out, *result.pop("left_out")]
         self.state.left_out = list({text.partition(":")[0]: text for text in told}.values())
@@ -180,8 +189,9 @@ class Searches:
             merits.append(at.merit)
             if asked < len(kept):  # a search that went on before goes on now
                 return
-            if at.merit <= self.problem.least:
-                raise Ended(LIMITS_HOLD)
+            least = self.problem.least
+            if at.merit <= least + EXACT * abs(least):
+                raise Ended(ZERO if least < 0 else LIMITS_HOLD)
             how = self.optimizer
             reason = stop_reason(merits, how.tolerance, how.patience, how.seeds == "fresh")
             if reason is not None:

@@ -36,8 +36,8 @@ class Term:
         Width of the zone inside the limit in which the penalty grows from 0 to `weight`, relative to the limit; for
         "keep" the relative change at which it is `weight`. Greater than 0.
     floor_of_start : float
-        For "minimise": a value of so many times that at the start is as good as a few times less, and 0 is possible. At
-        least 0.
+        For "minimise": a value of so many times that at the start is as good as a few times less, so that 0 has a
+        merit. Greater than 0.
     own : mapping
         Arguments of the kind, such as `paths` or `coatings`.
     traced : mapping
@@ -51,7 +51,7 @@ class Term:
     limit: float | None = None
     limit_of_start: float | None = None
     tolerance: float = 0.01
-    floor_of_start: float = 0.0
+    floor_of_start: float = 1e-15
     own: Mapping[str, Any] = field(default_factory=dict)
     traced: Mapping[str, Any] = field(default_factory=dict)
 

@@ -53,7 +53,7 @@ class Levels:
     ----------
     seeds : tuple of int
     values : dict of Cell to (seeds,) float64
-        NaN where a field or a wavelength alone has no value.
+        NaN where a term has no value, as an RMS spot without light.
     units : dict of str to str
         By name of the term.
     """
@@ -164,9 +164,7 @@ def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0) ->
             try:
                 values[cell][j] = float(dr.detach(mi.Float64(metric.function(observations)))[0])
             except MistrayError:
-                if cell.whole:
-                    raise
-                values[cell][j] = np.nan  # no light there
+                values[cell][j] = np.nan  # no light there, or too little
     return Levels(numbers, values, {cell.term: metric.unit for cell, metric in metrics.items()})
 
 

@@ -16,7 +16,7 @@ from oracles.small_scenes import plates_text, write
 
 from mistray.errors import MistrayError
 from mistray.optimize import Optimizer, Term, path_power, read_study
-from mistray.optimize.goals import by_value, check, contribution, holds, limit_of, pieces
+from mistray.optimize.goals import by_value, check, contribution, holds, least_merit, limit_of, pieces
 from mistray.optimize.merit import Merit, seed_of
 from mistray.optimize.study_scene import open_scene, place
 from mistray.optimize.terms import layer_minimum, material_count, total_thickness
@@ -80,8 +80,17 @@ class TestContribution:
         assert float(contribution(term, mi.Float64(0.0), 4.0)[0]) == pytest.approx(math.log(0.01 / 1.01))
         assert by_value(term, 0.0, 4.0) == pytest.approx(1 / 0.04)
         check([term], {"t": 0.0}, {"t": 4.0}, "study 'x'", "y = 1")
-        with pytest.raises(MistrayError, match=r"its value is 0 at y = 1; no light goes there.*floor_of_start"):
-            check([replace(term, floor_of_start=0.0)], {"t": 0.0}, {"t": 4.0}, "study 'x'", "y = 1")
+        with pytest.raises(MistrayError, match=r"its value is 0 at the start \(y = 1\)"):
+            check([term], {"t": 0.0}, {"t": 0.0}, "study 'x'", "y = 1")
+        with pytest.raises(MistrayError, match=r"its value is -1 at y = 1"):
+            check([term], {"t": -1.0}, {"t": 4.0}, "study 'x'", "y = 1")
+
+    def test_the_least_merit_is_that_of_zeros(self) -> None:
+        terms = [Term("a", "path_power", weight=2.0), Term("b", "path_power", floor_of_start=0.01)]
+        zeros = sum(float(contribution(term, mi.Float64(0.0), 4.0)[0]) for term in terms)
+        assert least_merit(terms) == pytest.approx(zeros, rel=1e-14)
+        assert zeros == pytest.approx(2 * math.log(1e-15) + math.log(0.01 / 1.01), rel=1e-14)
+        assert least_merit([Term("c", "path_power", "at_most", limit=1.0)]) == 0
 
     def test_pieces(self) -> None:
         """Taken apart and put together again: value and slope are those of the sum."""
@@ -284,7 +293,7 @@ class TestMerit:
         [
             (
                 {"kind": "path_power", "selection": "structure", "goal": "minimise"},
-                r"term 'path_power': its value is 0 at p0_front\.bsdf\.R = 0\.05; no light goes there, take more rays",
+                r"term 'path_power': its value is 0 at the start \(p0_front\.bsdf\.R = 0\.05\).* take more rays",
             ),
             ({"kind": "path_power", "selection": "structure", "goal": "keep"}, "value at the start is 0, which cannot"),
             ({"kind": "path_power", "goal": "at_most", "limit": 0}, "its limit is 0; the tolerance is relative to it"),

@@ -70,7 +70,7 @@ class TestRows:
             assert mean(field, None) == pytest.approx(0.25 * mean(field, 450) + 0.75 * mean(field, 550), rel=0.2)
 
     def test_no_light_in_a_part(self) -> None:
-        """A field without a value has no number, but the others have; a term without one raises."""
+        """A field without a value has no number, but the others have; the result of a search is not lost for it."""
         term = {"kind": "ghost_rms_irradiance", "goal": "minimise", "rays": 300}
         scene = mistray.load("cooke_triplet")
         levels = measure(scene, study({**term, "field_deg": [0, 10], "wavelength_nm": [500, 510, 520, 530]}), seeds=2)
@@ -79,8 +79,12 @@ class TestRows:
         assert any(np.isnan(value).any() for value in values.values())
         comparison = compare(levels, levels)
         assert {row.ratio for row in comparison.rows if np.isfinite(row.ratio)} == {1.0}
-        with pytest.raises(MistrayError):
-            measure(scene, study({**term, "selection": "structure"}), seeds=2)
+        assert measure(scene, study({**term, "selection": "structure"}), seeds=2).of(term["kind"]).tolist() == [0, 0]
+        beside = measure(
+            scene, study({"kind": "rms_spot", "goal": "minimise", "rays": 300, "field_deg": [80]}), seeds=2
+        )
+        assert np.isnan(beside.of("rms_spot")).all()
+        assert np.isnan(compare(beside, beside).of("rms_spot").ratio)
 
     def test_exact_terms(self) -> None:
         levels = Levels((1, 2), {Cell("a"): np.array([1.0, 3.0])}, {"a": "mm"})
