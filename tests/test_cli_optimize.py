@@ -157,7 +157,7 @@ VARIABLE = '[[variable]]\nparameters = ["p0_front.{key}"]\nlow = {low}\nhigh = {
         (("[optimizer]", VARIABLE.format(key="curvature", low=1e-3, high=2e-3)), "starts with 0; widen the bounds"),
         (
             ('kind = "path_power"', 'kind = "path_power"\nselection = "structure"'),
-            "its value is 0 at AR.thickness_nm[0]",
+            "its value is 0 at the start (AR.thickness_nm[0]",
         ),
         (
             ('goal = "minimise"', 'goal = "at_least"\nlimit = 1e-9'),

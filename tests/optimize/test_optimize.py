@@ -161,7 +161,7 @@ class TestSearch:
         given = study()
         given["term"][0]["selection"] = "structure"
         with pytest.raises(
-            MistrayError, match=r"term 'ghosts': its value is 0 at AR\.thickness_nm\[0\] = 60; no light"
+            MistrayError, match=r"term 'ghosts': its value is 0 at the start \(AR\.thickness_nm\[0\] = 60\)"
         ):
             optimize(plate, given)
 
