@@ -15,8 +15,7 @@ from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
 
 if TYPE_CHECKING:
-    from matplotlib.figure import Figure
-
+    from mistray.report.figure import Figure
     from mistray.scatter import Scatter
     from mistray.scatter.chance import Chance
     from mistray.scatter.scan import Light, Scan

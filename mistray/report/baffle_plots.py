@@ -10,7 +10,6 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mistray.prescription import Prescription, Structure, Surface
@@ -18,6 +17,7 @@ from mistray.prescription.baffle_cassegrain import CassegrainBaffles
 from mistray.prescription.baffle_two_stage import TwoStageBaffle
 from mistray.prescription.baffle_zones import first_order_zones, lit_zones, seen_zones
 from mistray.prescription.baffles import BaffleTube
+from mistray.report.figure import Figure
 from mistray.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 
 WIDTH, HIGHEST = 10.4, 9.0  # inches

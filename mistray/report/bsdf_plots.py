@@ -9,12 +9,12 @@ from collections.abc import Sequence
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
 
 from mistray.errors import MistrayError
 from mistray.physics import contamination
 from mistray.physics.contamination import CLEANED_SLOPE
+from mistray.report.figure import Figure
 from mistray.report.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.scatter.scan import Scan
 

@@ -8,7 +8,6 @@ from html import escape
 from pathlib import Path
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
@@ -21,6 +20,7 @@ from mistray.report.budget_tables import (
     surfaces_text,
     verdict,
 )
+from mistray.report.figure import Figure
 from mistray.report.markup import cell, data_table, figure, image, number_cell, section, setting_text
 from mistray.report.output import csv_text, write_files
 from mistray.report.page import page

@@ -33,11 +33,11 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from matplotlib.figure import Figure
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.spectral import spectral_maps
 from mistray.errors import MistrayError
+from mistray.report.figure import Figure
 
 Array = npt.NDArray[np.float64]
 OBSERVER = "CIE 1931 2 Degree Standard Observer"

@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from html import escape
 
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from mistray.report.embedded import json_script
+from mistray.report.figure import Figure
 from mistray.report.plots import as_svg
 
 POINTS_PER_INCH = 72  # units of Matplotlib's SVG files

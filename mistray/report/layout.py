@@ -14,12 +14,12 @@ import numpy as np
 import numpy.typing as npt
 from matplotlib import rc_context
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
 from mistray.report.cut_open import CutPlane, clip, role_of, surface_names, triangles
+from mistray.report.figure import Figure
 from mistray.report.path_rays import check_count, chosen_rows, row_name
 from mistray.report.plots import BLACK, BLUE, BROWN, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.trace.path_events import DIRECT

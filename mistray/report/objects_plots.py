@@ -7,10 +7,10 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 
 from mistray.analysis.objects.search import Objects
+from mistray.report.figure import Figure
 from mistray.report.layout import GLASS, GLASS_EDGE, Polyline, SectionLine, glass_bodies, section
 from mistray.report.plots import BLUE, GREEN, PURPLE, VERMILION
 

@@ -6,7 +6,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.ticker import MaxNLocator
 
@@ -16,6 +15,7 @@ from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.optimize import Optimization, Step
 from mistray.optimize.study_scene import Placed
+from mistray.report.figure import Figure
 from mistray.report.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)

@@ -15,12 +15,12 @@ import numpy as np
 from matplotlib import colormaps
 from matplotlib.axes import Axes
 from matplotlib.colors import Colormap
-from matplotlib.figure import Figure
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.irradiance import Extent, Map, log10_image, log_range
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
+from mistray.report.figure import Figure
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
@@ -53,7 +53,7 @@ KIND_MARKERS = {
     "TIR": "P",
     "straight shot": "v",
 }
-IRRADIANCE_LABEL = "log$_{10}$ irradiance [W/mm²]"
+IRRADIANCE_LABEL = "log₁₀ irradiance [W/mm²]"
 DECADES = 12.0
 FIELDS_AS_TICKS = 10
 Range = tuple[float, float]

@@ -9,7 +9,6 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, MaxNLocator, NullFormatter
 
 from mistray.analysis.irradiance import log_range
@@ -17,6 +16,7 @@ from mistray.analysis.pst.causes import cause_frame, field_edge
 from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
 from mistray.renamed import renamed
+from mistray.report.figure import Figure
 from mistray.report.plots import (
     BLACK,
     BLUE,
@@ -47,13 +47,13 @@ CURVES = {
 }
 LABELS = {"total": "all light", "stray": "stray light: all but direct", "direct": "direct image", "ghost": "ghosts",
           "straight_shot": "straight shots"}  # fmt: skip
-SYMBOLS = {"normal": "PST = E$_{det}$ / E$_⊥$", "projected": "PST = E$_{det}$ / (E$_⊥$ cos θ)"}
+SYMBOLS = {"normal": "PST = E_det / E_⊥", "projected": "PST = E_det / (E_⊥ cos θ)"}
 MOST_DECADES = 14
 BELOW = 2  # decades shown at most below the smallest PST of all light, for the classes
 CAUSE_COLOURS = (VERMILION, BLUE, GREEN, ORANGE, PURPLE, SKY, BROWN, BLACK, YELLOW)
 MOST_TICKS = 17
 ARC_DEG = 2.0  # a cell of the map is drawn by arcs of this length, which look round
-IRRADIANCE_LABEL = "log$_{10}$ irradiance [W/mm² for 1 W/mm² across the beam]"
+IRRADIANCE_LABEL = "log₁₀ irradiance [W/mm² for 1 W/mm² across the beam]"
 
 
 def pst_curve(pst: Pst, title: str = "") -> Figure:
@@ -282,7 +282,7 @@ def _polar_map(axes: Any, pst: Pst, value: np.ndarray) -> None:
         axes.text(0.5, 0.5, "no light", color="white", ha="center", va="center", transform=axes.transAxes)
         return
     bar = axes.figure.colorbar(picture, ax=axes, shrink=0.8, pad=0.09, extend="min")
-    bar.set_label(f"log$_{{10}}$ PST [{pst.convention}]", fontsize=8)
+    bar.set_label(f"log₁₀ PST [{pst.convention}]", fontsize=8)
     bar.ax.tick_params(labelsize=8)
 
 

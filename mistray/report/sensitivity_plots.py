@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
@@ -13,6 +12,7 @@ from mistray.optimize.propagation import Contribution
 from mistray.optimize.sensitivity import Sensitivity
 from mistray.optimize.sensitivity_rows import Row
 from mistray.optimize.tolerance_draws import PERCENTILES
+from mistray.report.figure import Figure
 from mistray.report.plots import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 KIND_COLOURS = {

@@ -7,8 +7,8 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure
 
+from mistray.report.figure import Figure
 from mistray.report.plots import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from mistray.sweeps import Sweep
 from mistray.sweeps.result import estimate_of

@@ -1,0 +1,32 @@
+"""The figures of all reports: their texts hold names from files, so that a text is never a formula."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from matplotlib import figure
+from matplotlib.text import Text
+from matplotlib.ticker import FixedFormatter, FuncFormatter
+
+
+class Figure(figure.Figure):
+    """
+    A figure of Matplotlib that shows every text as it is written.
+
+    Matplotlib sets what stands between two ``$`` as a formula, and fails where it is none. Names of surfaces, coatings
+    and files may hold any sign. Powers of ten beside a logarithmic axis are numbers of Matplotlib's own and stay as
+    they are.
+    """
+
+    def draw(self, renderer: Any) -> None:
+        """Draw the figure; every way to a file leads here first."""
+        axes = [axis for panel in self.axes for axis in (panel.xaxis, panel.yaxis)]
+        numbers = set()
+        for axis in axes:
+            labels = axis.get_ticklabels(which="both")
+            if not isinstance(axis.get_major_formatter(), FixedFormatter | FuncFormatter):
+                numbers |= {*labels, axis.get_offset_text()}
+        for text in self.findobj(Text):
+            if text not in numbers:
+                text.set_parse_math(False)
+        super().draw(renderer)
