@@ -185,6 +185,14 @@ SURF 3
 """
 
 
+@pytest.mark.parametrize("stem", ["$x$ %s {0}", "a 'b' \"c\" → é", "line\nbreak", "x<b>&"])
+def test_meshes_beside_a_scene_of_a_strange_name(tmp_path: Path, stem: str) -> None:
+    (tmp_path / "m.obj").write_text(BOX)
+    scene = tmp_path / f"{stem}.xml"
+    assert cli.main(["import", str(tmp_path / "m.obj"), "-o", str(scene)]) == 0
+    assert [shape.id() for shape in mistray.load(scene).shapes()]
+
+
 @pytest.mark.parametrize("name", ["=1+1", "-a", "a\nb", "$x", " a"])
 def test_names_in_studies(tmp_path: Path, name: str) -> None:
     """They stand in tables, and those of coatings in scenes."""

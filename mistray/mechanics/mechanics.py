@@ -155,7 +155,8 @@ class Mechanics:
         meshes: dict[Path, bytes] = {}
         for shape, mesh in self._built():
             if isinstance(shape, MeshStructure) and mesh is not None:
-                shape = replace(shape, file=f"{scene.stem}_{shape.file}")
+                # By $ a scene file knows its parameters, also in the name of a file
+                shape = replace(shape, file=f"{scene.stem.replace('$', '_')}_{shape.file}")
                 meshes[scene.parent / shape.file] = mesh
             shapes.append(shape)
         return tuple(shapes), meshes
