@@ -16,6 +16,21 @@ class MistrayWarning(UserWarning):
     """Input that is possible but improbable, or has an old name; one line says what is usual, or the new name."""
 
 
+class Interrupted(KeyboardInterrupt):
+    """
+    Ctrl-C, after a part of the work was finished.
+
+    Attributes
+    ----------
+    partial : object
+        What was finished, as in `UnfinishedError`.
+    """
+
+    def __init__(self, message: str, partial: Any) -> None:
+        super().__init__(message)
+        self.partial = partial
+
+
 class UnfinishedError(MistrayError):
     """
     Workers that took a part of the work are gone before all of it was done.

@@ -175,6 +175,7 @@ SHARE = Range(0.0, 1.0)
 RAYS = Range(1, 2**32 - 1, whole=True, remedy="use several seeds for more")
 SEED = Range(0, 2**32 - 1, whole=True)
 LIMIT = Range(0, 2**15 - 1, whole=True)  # of reflections or scatters: the most is more than a path can have
+SEGMENTS = Range(1, 2**32 - 1, whole=True)
 EVENTS = Range(1, 1000, whole=True)  # scatter events of a path are counted with ten bits
 CONSECUTIVE = Range(1, LIMIT.high, whole=True)
 RAYS_PER_HIT = Range(1, 255, whole=True)

@@ -7,7 +7,9 @@ import errno
 import os
 import re
 import secrets
+import shutil
 import sys
+import tempfile
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -21,6 +23,33 @@ _OPEN = re.compile(r"/dev/std(?P<name>in|out|err)|(/dev|/proc/self)/fd/(?P<numbe
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)
 FREE = "free some space"  # the remedy then
 _STANDARD = {"in": 0, "out": 1, "err": 2}
+written: list[Path] = []  # files of this process, the last one last
+_drafts: set[Path] = set()  # folders with files that are not finished
+
+
+@contextlib.contextmanager
+def draft_folder(place: Path) -> Iterator[Path]:
+    """
+    A hidden folder for files that appear together at the end of the block.
+
+    Parameters
+    ----------
+    place : Path
+        Folder that it is in.
+    """
+    folder = Path(tempfile.mkdtemp(prefix=".mistray-", dir=place))
+    _drafts.add(folder)
+    try:
+        yield folder
+    finally:
+        shutil.rmtree(folder, ignore_errors=True)
+        _drafts.discard(folder)
+
+
+def remove_drafts() -> None:
+    """Remove the folders of `draft_folder`, before a process ends at once."""
+    for folder in list(_drafts):
+        shutil.rmtree(folder, ignore_errors=True)
 
 
 @dataclass
@@ -154,6 +183,7 @@ def replace_files(files: Mapping[Any, str | bytes], what: str = "file") -> list[
         for path, data in whole.items():
             if path in drafts:
                 os.replace(drafts[path], path)
+                written.append(path)
             else:
                 _write_on(path, data)
     except BrokenPipeError:  # the reader, such as head, has seen enough

@@ -47,7 +47,7 @@ def fake(monkeypatch):
         calls.append({"field_deg": field_deg, **settings})
         return trace_at(field_deg or 0.0)
 
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.ghosts"), "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
     monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
     return calls
 
@@ -73,7 +73,8 @@ def test_the_command_line_itself_imports_nothing_heavy(file):
         elif isinstance(node, ast.ImportFrom):
             names.add(node.module)
     heavy = {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names}
-    light = tuple(f"mistray.{name}" for name in ("errors", "ranges", "read_file", "renamed", "replace_file"))
+    names_of = ("errors", "interrupts", "ranges", "read_file", "renamed", "replace_file")
+    light = tuple(f"mistray.{name}" for name in names_of)
     assert not {name for name in heavy if name not in light and not name.startswith("mistray.cli")}
 
 
@@ -115,6 +116,7 @@ def test_ghosts_passes_every_option_on(capsys, fake):
         "max_generations": 5,
         "max_events": 20,
         "max_consecutive": 9,
+        "max_segments": 5000,
         "scatter_rays": 2,
         "aimed_rays": 7,
         "aim": "targets",
@@ -222,7 +224,7 @@ def test_nothing_is_written_when_the_trace_fails(capsys, fake, monkeypatch, tmp_
     def trace(*_, **__):
         raise MistrayError("field 80 deg: no ray meets the lens; choose a smaller field")
 
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.ghosts"), "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
     fails(capsys, "ghosts", "lens.xml", "--out", str(tmp_path / "out"))
     assert list(tmp_path.iterdir()) == []
 

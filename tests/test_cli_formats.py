@@ -33,7 +33,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         traced.append(fake_pst(field_deg=field_deg, map_pixels=map_pixels))
         return traced[-1]
 
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.ghosts"), "trace", trace)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
     monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.run"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
 

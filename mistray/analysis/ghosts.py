@@ -10,7 +10,7 @@ which wavelength.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, fields
 from typing import Any
 
@@ -19,6 +19,7 @@ import numpy.typing as npt
 import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
+from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress
 from mistray.analysis.filtered import Filtered, filtered
 from mistray.analysis.irradiance import Map, MapStatistics, brightest, mirror_asymmetry, pixel_size, statistics
 from mistray.analysis.path_analysis import path_analysis
@@ -28,10 +29,11 @@ from mistray.analysis.pool import by_path
 from mistray.analysis.ranking import DirectImage, direct_image, rank_column, ranked, stray_to_direct
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
-from mistray.errors import MistrayError, UnfinishedError
+from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.ranges import FIELD_DEG
 from mistray.renamed import renamed
-from mistray.trace import Settings, Trace, trace
+from mistray.time_budget import within
+from mistray.trace import Settings, Trace
 from mistray.trace.books import groups_of
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
 from mistray.trace.sampled import Sampled
@@ -39,9 +41,7 @@ from mistray.trace.sampled import Sampled
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 CELLS, CELLS_OF_ALL = 96, 256  # along the longer side of the map of a path in a report, and of that of all light
 RAYS_KEPT = 21  # of a path, to choose those from that are drawn
-NOMINAL_FIELD_DEG = 0.0
 
-Progress = Callable[[float, float], None]
 Polyline = npt.NDArray[np.float64]
 
 
@@ -508,6 +508,7 @@ def ghosts(
     azimuth_deg: float | None = None,
     progress: Progress | None = None,
     rank: str = "rms",
+    seconds: float | None = None,
     **settings: Any,
 ) -> GhostReport:
     """
@@ -529,6 +530,9 @@ def ghosts(
     rank : {"rms", "power", "peak"}
         What the lists of worst paths go by: the RMS irradiance, the power, or the brightest pixel, for which the same
         rays are traced once more or several times. Every list names the strongest path by power, too.
+    seconds : float, optional
+        Time for all fields, in equal shares; each ends with the rays that it has, see `mistray.trace`. Maps, which a
+        report asks for later, take as long again.
     **settings
         rays, max_reflections, max_scatters and the other attributes of `mistray.trace.Settings`; what is left out or
         None takes the scene's own value.
@@ -544,7 +548,9 @@ def ghosts(
         No field is given, an argument is unknown, or what `mistray.trace` raises.
     UnfinishedError
         Workers of `mistray.distribute` are gone; ``partial`` maps fields to traces, the last of them of fewer rays, and
-        is a `GhostReport` if the field 0 is among them.
+        is a `GhostReport` if the field 0 is known.
+    Interrupted
+        Ctrl-C; the same, of the fields that are finished and of the rays of the one that is not.
     """
     rank_column(rank)
     unknown = set(settings) - {f.name for f in fields(Settings)}
@@ -555,41 +561,35 @@ def ghosts(
     wanted: list[float | None] = [None]
     if field_deg is not None:
         wanted = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "ghosts")))
-    traces: dict[float, Trace] = {}
+    fields_of = FieldTraces(scene, arguments, progress)
     try:
-        for done, field in enumerate(wanted):
-            t = trace(scene, field_deg=field, progress=_part(progress, done, len(wanted)), **arguments)
-            traces[float(t.settings["field_deg"])] = t
-        if NOMINAL_FIELD_DEG in traces:
-            nominal = traces[NOMINAL_FIELD_DEG]
-        else:
-            bare = arguments | {"max_reflections": 0, "max_scatters": 0}
-            nominal = trace(scene, field_deg=NOMINAL_FIELD_DEG, **bare)
-    except UnfinishedError as error:
-        _keep(error, scene, traces, arguments, len(wanted), rank)
+        with within(seconds):
+            fields_of.trace(wanted)
+    except (UnfinishedError, Interrupted) as error:
+        error.args = (f"{error}; {_finished(fields_of, wanted)}",)
+        error.partial = _report(scene, fields_of, error.partial, arguments, rank)
         raise
-    return GhostReport(scene, traces, nominal, arguments, rank)
+    except KeyboardInterrupt:
+        if not fields_of.traces:
+            raise
+        raise Interrupted(_finished(fields_of, wanted), _report(scene, fields_of, None, arguments, rank)) from None
+    report = _report(scene, fields_of, None, arguments, rank)
+    assert isinstance(report, GhostReport)
+    return report
 
 
-def _keep(
-    error: UnfinishedError,
-    scene: Any,
-    traces: Mapping[float, Trace],
-    arguments: Mapping[str, Any],
-    wanted: int,
-    rank: str,
-) -> None:
-    """Give an error the fields that were traced, the one that was interrupted included if rays of it were."""
-    found = dict(traces)
-    if isinstance(error.partial, Trace) and len(traces) < wanted:
-        found[float(error.partial.settings["field_deg"])] = error.partial
-    error.args = (f"{error}; {len(traces)} of {wanted} fields are finished",)
-    nominal = found.get(NOMINAL_FIELD_DEG)
-    error.partial = found if nominal is None else GhostReport(scene, found, nominal, arguments, rank)
+def _finished(found: FieldTraces, wanted: Sequence[float | None]) -> str:
+    """Which fields are finished, for a message."""
+    left = ", ".join(f"{field:g}" for field in wanted if field is not None and field not in found.traces)
+    return f"{len(found.traces)} of {len(wanted)} fields are finished" + (f", not {left} deg" if left else "")
 
 
-def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:
-    """Progress of one trace as a part of the whole."""
-    if progress is None:
-        return None
-    return lambda rays, of: progress(done + rays / of, fields)
+def _report(
+    scene: Any, found: FieldTraces, unfinished: Any, arguments: Mapping[str, Any], rank: str
+) -> GhostReport | dict[float, Trace]:
+    """Report of the fields that were traced and of one that is not finished; without the yardstick a mapping."""
+    traces = dict(found.traces)
+    if isinstance(unfinished, Trace) and unfinished.has_paths and not found.at_yardstick:
+        traces[float(unfinished.settings["field_deg"])] = unfinished
+    nominal = traces.get(NOMINAL_FIELD_DEG, found.nominal)
+    return GhostReport(scene, traces, nominal, arguments, rank) if traces and nominal is not None else traces

@@ -1,5 +1,26 @@
 """The command line: parses, calls the functions of the package, prints."""
 
-from mistray.cli.program import main
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+from mistray.cli.arguments import INTERRUPTED
+from mistray.cli.signals import watched
+from mistray.interrupts import requested
 
 __all__ = ["main"]
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command, see `mistray.cli.program.main`, from the first moment on with a handler of Ctrl-C."""
+    with watched():
+        try:
+            from mistray.cli import program
+
+            return program.main(argv)
+        except (KeyboardInterrupt, Exception):  # C code makes a SystemError of an interrupt while a library is imported
+            if not requested():
+                raise
+            print("mistray: interrupted, nothing was written", file=sys.stderr)
+            return INTERRUPTED

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import argparse
+import contextlib
+from collections.abc import Mapping
 from functools import partial
 from typing import TYPE_CHECKING, Any
 
@@ -17,18 +19,20 @@ from mistray.cli.tracing_arguments import (
     add_scatter,
     add_scene,
     add_scheduler,
+    add_seconds,
     add_spectrum,
     check_formats,
     check_weights,
     progress_bar,
     scene_title,
+    seconds_left,
     settings_of,
     show,
     start_mitsuba,
     workers_of,
     working,
 )
-from mistray.errors import MistrayError, UnfinishedError
+from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, STOPS
 
 if TYPE_CHECKING:
@@ -40,6 +44,7 @@ if TYPE_CHECKING:
     from mistray.report import Look
 
 
+SHARE_OF_TRACE = 0.4  # of --seconds: the maps of a report trace the same rays again
 ALL_ALIASES = ("part", "space")
 # Of `mistray.analysis.ranking` and `mistray.analysis.path_analysis`, not imported to parse a command line
 RANKS = ("rms", "power", "peak")
@@ -89,7 +94,9 @@ def add(commands: Any) -> None:
     source.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG", help="field angles, degrees")
     source.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG", help="azimuth of the field about z, degrees")
     add_spectrum(source)
-    add_scheduler(add_ray_tree(parser, "start rays at each field (1e6)"))
+    rays = add_ray_tree(parser, "start rays at each field (1e6)")
+    add_seconds(rays)
+    add_scheduler(rays)
     add_scatter(parser)
     formats = (*TABLE_FORMATS, *MAP_FORMATS)
     output = add_output(parser, "report.html, CSV, PNG and path-sort files", FILES, formats=formats)
@@ -163,6 +170,7 @@ def run(options: argparse.Namespace) -> int:
                     azimuth_deg=options.azimuth_deg,
                     progress=progress,
                     rank=options.rank,
+                    seconds=seconds_left(options, 1.0 if options.out is None else SHARE_OF_TRACE),
                     **settings_of(options),
                 )
             if options.rank == "peak":
@@ -171,23 +179,44 @@ def run(options: argparse.Namespace) -> int:
                         report.table(field)
             extra = _Extra(report, options)
             if options.out is not None:
-                from mistray.report import write_all
-
-                with working("drawing the report", options.quiet):
-                    title = scene_title(options.scene)
-                    files = write_all(report, options.out, title, options.command_line, lines, look)
-                    files += extra.write() + _write_formats(report, options)
+                files = _write_report(report, extra, options, look)
     except UnfinishedError as error:
         if report is not None:  # all is traced, but for the maps
             error.partial = report
         _write_unfinished(error, options)
         raise
+    except KeyboardInterrupt as error:
+        finished = error.partial if isinstance(error, Interrupted) else report
+        if not isinstance(finished, Mapping) or not finished or options.out is None:
+            raise KeyboardInterrupt from None
+        _write_tables(finished, options)
+        raise Interrupted(f"{error}" if isinstance(error, Interrupted) else "all is traced", finished) from None
 
     def text() -> str:
         return "\n\n".join([main_table(report, WORST_SHOWN, lines), *extra.texts()])
 
     show(options, lambda: as_json(report, lines, options.filter, extra.tables), text, files)
     return 0
+
+
+def _write_report(report: GhostReport, extra: _Extra, options: argparse.Namespace, look: Look | None) -> list[Path]:
+    """All files; where there is no room for them the tables, as many as there is room for."""
+    from mistray.report import main_table, write_all
+
+    try:
+        with working("drawing the report", options.quiet):
+            title = scene_title(options.scene)
+            files = write_all(report, options.out, title, options.command_line, options.per_wavelength, look)
+            return files + extra.write() + _write_formats(report, options)
+    except UnfinishedError:
+        raise
+    except MistrayError as error:
+        kept = ", ".join(path.name for path in _write_tables(report, options)) or "nothing"
+        traced = ", ".join(f"{field:g}" for field in report)
+        print(main_table(report, WORST_SHOWN, options.per_wavelength))
+        raise MistrayError(
+            f"{error}; of the fields {traced} deg {kept} is written, and the main table is printed"
+        ) from None
 
 
 class _Extra:
@@ -264,6 +293,21 @@ def _write_unfinished(error: UnfinishedError, options: argparse.Namespace) -> No
     with working("drawing what is finished", options.quiet):
         write_all(report, options.out, title, options.command_line, options.per_wavelength, None)
     error.args = (f"{error}; a report of what is finished is in {options.out}",)
+
+
+def _write_tables(report: Any, options: argparse.Namespace) -> list[Path]:
+    """Write the tables of what is finished, as many as there is room for; maps would take as long as the trace has."""
+    from mistray.analysis import GhostReport
+    from mistray.replace_file import replace_file
+    from mistray.report.csv_tables import csv_tables
+
+    files: list[Path] = []
+    if isinstance(report, GhostReport):
+        with contextlib.suppress(OSError, MistrayError):
+            options.out.mkdir(parents=True, exist_ok=True)
+            for name, table in csv_tables(report, options.per_wavelength).items():
+                files.append(replace_file(options.out / name, table.to_csv(index=False, lineterminator="\n"), "table"))
+    return files
 
 
 def _write_formats(report: GhostReport, options: argparse.Namespace) -> list[Path]:

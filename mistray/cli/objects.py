@@ -14,9 +14,11 @@ from mistray.cli.tracing_arguments import (
     add_machine,
     add_output,
     add_scene,
+    add_seconds,
     check_formats,
     progress_bar,
     scene_title,
+    seconds_left,
     show,
     start_mitsuba,
     working,
@@ -71,6 +73,7 @@ def add(commands: Any) -> None:
     tracing.add_argument("--no-total-reflection", action="store_true", help="end rays in total reflection")
     tracing.add_argument("--max-events", type=EVENTS, metavar="N", help="surfaces met on one way (64)")
     tracing.add_argument("--seed", type=SEED, metavar="N", help="seed of the random numbers (0)")
+    add_seconds(tracing)
     add_machine(tracing)
     output = add_output(parser, "objects.html, CSV, JSON and PNG files", FILES, formats=TABLE_FORMATS)
     output.add_argument("--rows", type=ROWS, default=ROWS_SHOWN, metavar="N", help=f"rows of each table ({ROWS_SHOWN})")
@@ -117,6 +120,7 @@ def run(options: argparse.Namespace) -> int:
             scene,
             total_reflection=not options.no_total_reflection,
             progress=progress,
+            seconds=seconds_left(options),
             **{key: value for key, value in given.items() if value is not None},
         )
         estimates = found.estimates()

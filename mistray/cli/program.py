@@ -7,6 +7,7 @@ import contextlib
 import os
 import shlex
 import sys
+import time
 import warnings
 from collections.abc import Sequence
 from typing import Any
@@ -32,10 +33,12 @@ from mistray.cli import (
 )
 from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
 from mistray.cli.claims import guard_of
-from mistray.errors import MistrayError
-from mistray.replace_file import guarding
+from mistray.errors import Interrupted, MistrayError
+from mistray.interrupts import requested
+from mistray.replace_file import guarding, written
 
 BAD_INPUT = 2
+FILES_NAMED = 3  # of those that an interrupted command has written
 # In the order of the help; each has `add`
 COMMANDS = (
     doctor,
@@ -75,6 +78,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     for stream in (sys.stdout, sys.stderr):
         with contextlib.suppress(AttributeError):  # a replaced stream, as in a notebook, has no encoding to speak of
             stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+    written.clear()
     try:
         with warnings.catch_warnings():
             warnings.showwarning = _warn
@@ -95,14 +99,16 @@ def main(argv: Sequence[str] | None = None) -> int:
         return _fail("out of memory; use fewer rays, fields or pixels")
     except RuntimeError as error:  # Mitsuba, Dr.Jit
         return _interrupted() if _stopped(error) else _fail(str(error))
-    except KeyboardInterrupt:
-        return _interrupted()
+    except KeyboardInterrupt as error:
+        return _interrupted(error)
 
 
 def _command(arguments: list[str]) -> int:
     """Run one command; --help and --version end here, too."""
     try:
+        began = time.monotonic()
         options = _parser().parse_args(arguments)
+        options.began = began
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
         options.guard = guard_of(options)
@@ -114,6 +120,8 @@ def _command(arguments: list[str]) -> int:
 
 def _stopped(error: BaseException | None) -> bool:
     """Whether Ctrl-C is behind an error: Mitsuba makes another one of it while it starts, Dr.Jit in a loop."""
+    if requested():
+        return True
     while error is not None:
         if isinstance(error, KeyboardInterrupt):
             return True
@@ -121,8 +129,11 @@ def _stopped(error: BaseException | None) -> bool:
     return False
 
 
-def _interrupted() -> int:
-    print("mistray: interrupted, nothing was written", file=sys.stderr)
+def _interrupted(error: BaseException | None = None) -> int:
+    kept = f"; {error}" if isinstance(error, Interrupted) else ""
+    places = list(dict.fromkeys(str(path) for path in written))
+    files = f"; written: {', '.join(places[:FILES_NAMED])}{' …' if len(places) > FILES_NAMED else ''}"
+    print(f"mistray: interrupted{kept}{files if places else ', nothing was written'}", file=sys.stderr)
     return INTERRUPTED
 
 

@@ -20,10 +20,12 @@ from mistray.cli.tracing_arguments import (
     add_scatter,
     add_scene,
     add_scheduler,
+    add_seconds,
     add_spectrum,
     check_formats,
     check_weights,
     scene_title,
+    seconds_left,
     settings_of,
     show,
     start_mitsuba,
@@ -83,7 +85,9 @@ def add(commands: Any) -> None:
     source = parser.add_argument_group("source (default: as the scene says)")
     add_spectrum(source)
     rays = "start rays in all, or for each angle (forward); with --relative-error the most (4e6; 2e5)"
-    add_scheduler(add_ray_tree(parser, rays))
+    tracing = add_ray_tree(parser, rays)
+    add_seconds(tracing)
+    add_scheduler(tracing)
     add_scatter(parser)
     saved = parser.add_argument_group("saved run (adjoint)")
     saved.add_argument("--state", type=Path, metavar="FILE",
@@ -149,6 +153,7 @@ def run(options: argparse.Namespace) -> int:
                 state=state,
                 resume=options.resume,
                 progress=progress,
+                seconds=seconds_left(options),
                 **settings_of(options),
             )
         if options.out is not None:

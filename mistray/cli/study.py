@@ -18,10 +18,12 @@ from mistray.cli.tracing_arguments import (
     add_scatter,
     add_scene,
     add_scheduler,
+    add_seconds,
     add_spectrum,
     check_formats,
     check_weights,
     scene_title,
+    seconds_left,
     settings_of,
     show,
     start_mitsuba,
@@ -68,7 +70,9 @@ def add(commands: Any) -> None:
                       help="PST as E_det/E_⊥ across the beam, or E_det/(E_⊥ cos θ) (normal)")  # fmt: skip
     add_spectrum(what)
     rays = "start rays of the PST; objects get a fifth at each angle, ghosts a tenth (1e6; quick: 1e5)"
-    add_scheduler(add_ray_tree(parser, rays))
+    tracing = add_ray_tree(parser, rays)
+    add_seconds(tracing)
+    add_scheduler(tracing)
     add_scatter(parser)
     output = add_output(
         parser, "report.html and a CSV file of every table", FILES, shown="findings", formats=TABLE_FORMATS
@@ -116,6 +120,7 @@ def run(options: argparse.Namespace) -> int:
                 resume=options.resume,
                 name=scene_title(options.scene),
                 progress=progress,
+                seconds=seconds_left(options),
                 **settings_of(options),
             )
         if options.out is not None:

@@ -16,9 +16,11 @@ from mistray.cli.tracing_arguments import (
     add_scatter,
     add_scene,
     add_scheduler,
+    add_seconds,
     check_formats,
     progress_bar,
     scene_title,
+    seconds_left,
     settings_of,
     show,
     start_mitsuba,
@@ -67,7 +69,9 @@ def add(commands: Any) -> None:
                       "in the unit of the parameter or per cent of its value, 2%% (0.1 mm and deg; 1%% of scatter and "
                       "of R; 1 nm)")  # fmt: skip
     what.add_argument("--wavelength-nm", type=WAVELENGTH_NM, nargs="+", metavar="NM", help="wavelengths, nm")
-    add_scheduler(add_ray_tree(parser, "start rays of every row (1e6; 4e6 with --pst-field-deg)"))
+    tracing = add_ray_tree(parser, "start rays of every row (1e6; 4e6 with --pst-field-deg)")
+    add_seconds(tracing)
+    add_scheduler(tracing)
     add_scatter(parser)
     output = add_output(parser, "report.html, CSV files, JSON and a picture", FILES, formats=TABLE_FORMATS)
     output.add_argument("--no-cache", action="store_true", help="neither read results from the cache nor keep them")
@@ -100,6 +104,7 @@ def run(options: argparse.Namespace) -> int:
                 azimuth_deg=options.azimuth_deg,
                 cache=False if options.no_cache else None,
                 progress=progress,
+                seconds=seconds_left(options),
                 **settings_of(options),
             )
     except UnfinishedError as error:
@@ -126,6 +131,7 @@ def _run_pst(options: argparse.Namespace) -> int:
         "--field-deg": options.field_deg,
         "--azimuth-deg": options.azimuth_deg,
         "--formats": options.formats,
+        "--seconds": options.seconds,
         "--no-cache": options.no_cache or None,
     }
     for name, value in given.items():

@@ -16,6 +16,7 @@ from typing import Any
 from mistray.cli.arguments import as_text
 from mistray.cli.claims import declare_outputs
 from mistray.errors import MistrayError
+from mistray.interrupts import check, later
 from mistray.ranges import (
     AIMED_RAYS,
     CONSECUTIVE,
@@ -23,7 +24,9 @@ from mistray.ranges import (
     LIMIT,
     RAYS,
     RAYS_PER_HIT,
+    SECONDS,
     SEED,
+    SEGMENTS,
     THREADS,
     THRESHOLD,
     WAVELENGTH_NM,
@@ -62,6 +65,8 @@ def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
     group.add_argument("--max-events", type=EVENTS, metavar="N", help="surfaces met on one path (64)")
     group.add_argument("--max-consecutive", type=CONSECUTIVE, metavar="N",
                        help="hits of one surface in a row on one path (no limit)")  # fmt: skip
+    group.add_argument("--max-segments", type=SEGMENTS, metavar="N",
+                       help="ray segments of the tree of one start ray (1048576)")  # fmt: skip
     group.add_argument("--flux-threshold", type=THRESHOLD, metavar="F",
                        help="flux below which a ray ends, relative to its start ray (1e-8)")  # fmt: skip
     group.add_argument("--cut-below", metavar="LIST",
@@ -79,6 +84,19 @@ def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
                        help="means of s and p at every hit, or Stokes vectors along paths (unpolarized)")  # fmt: skip
     add_machine(group)
     return group
+
+
+def add_seconds(group: Any) -> None:
+    """Declare a time budget."""
+    group.add_argument("--seconds", type=SECONDS, metavar="S",
+                       help="end this time after the start of the command, with the rays traced so far")  # fmt: skip
+
+
+def seconds_left(options: argparse.Namespace, share: float = 1.0) -> float | None:
+    """What is left of --seconds, or a share of it; None where it is not given."""
+    if options.seconds is None:
+        return None
+    return max(share * (options.seconds - (time.monotonic() - options.began)), SECONDS.low)
 
 
 def add_machine(group: Any) -> None:
@@ -219,10 +237,12 @@ def start_mitsuba(options: argparse.Namespace) -> None:
     from mistray._mitsuba_compat import silence_warnings
     from mistray._variant import ensure_variant, set_threads
 
-    ensure_variant(options.variant)
-    if options.threads is not None:
-        set_threads(options.threads)
-    silence_warnings()
+    with later():  # an interrupt may crash Mitsuba and Dr.Jit while they start
+        ensure_variant(options.variant)
+        if options.threads is not None:
+            set_threads(options.threads)
+        silence_warnings()
+    check()
 
 
 def scene_title(scene: str) -> str:

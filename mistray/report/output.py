@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import contextlib
-import shutil
 import tempfile
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -12,7 +11,7 @@ import pandas as pd
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
-from mistray.replace_file import FREE, NO_ROOM, claim_files, replace_files
+from mistray.replace_file import FREE, NO_ROOM, claim_files, draft_folder, replace_files, written
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.csv_tables import write_csv
 from mistray.report.html import write_html
@@ -107,23 +106,21 @@ def write_all(
         The files written.
     """
     target = writable_directory(directory)
-    with _told(directory):
-        draft = Path(tempfile.mkdtemp(prefix=".mistray-", dir=_nearest_directory(target)))
-        try:
-            for field in report:
-                mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
-            pictures = draw(report, look)
-            drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
-            for field in report:
-                path = draft / f"path_sort_{field:g}deg.txt"
-                path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
-                drafts.append(path)
-            drafts.append(write_html(report, draft / "report.html", title, command, pictures, per_wavelength))
-            target.mkdir(parents=True, exist_ok=True)
-            claim_files(target / path.name for path in drafts)
-            return [path.replace(target / path.name) for path in drafts]
-        finally:
-            shutil.rmtree(draft, ignore_errors=True)
+    with _told(directory), draft_folder(_nearest_directory(target)) as draft:
+        for field in report:
+            mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
+        pictures = draw(report, look)
+        drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
+        for field in report:
+            path = draft / f"path_sort_{field:g}deg.txt"
+            path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
+            drafts.append(path)
+        drafts.append(write_html(report, draft / "report.html", title, command, pictures, per_wavelength))
+        target.mkdir(parents=True, exist_ok=True)
+        claim_files(target / path.name for path in drafts)
+        files = [path.replace(target / path.name) for path in drafts]
+        written.extend(files)
+        return files
 
 
 def writable_directory(directory: str | Path) -> Path:

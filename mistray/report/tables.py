@@ -30,6 +30,8 @@ CUT_TEXTS = {
     "max_events": "cut by max_events = {max_events}; ",
     "max_consecutive": "cut by max_consecutive = {max_consecutive}; raise it to see where it goes",
     "ray_control": "refused by ray_control = {ray_control}",
+    "max_segments": "left of trees of more than max_segments = {max_segments} ray segments; lower max_reflections or "
+    "max_scatters, or raise it",
     **{
         f"{branch}_below": f"cut by what cut_below says of {branch.replace('_', ' ')}; lower it"
         for branch in BRANCHES.values()

@@ -21,6 +21,7 @@ from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins,
 from mistray.sweeps.configurations import Configuration, Resolved, as_configurations, resolve
 from mistray.sweeps.numbers import Numbers, numbers_of
 from mistray.sweeps.result import CELL, Source, Sweep
+from mistray.time_budget import share, time_is_up, within
 from mistray.trace import Settings, trace
 from mistray.trace.sources import beams, spectrum, spectrum_of
 
@@ -37,6 +38,7 @@ def sweep(
     azimuth_deg: float | None = None,
     cache: bool | str | Path | None = None,
     progress: Progress | None = None,
+    seconds: float | None = None,
     **settings: Any,
 ) -> Sweep:
     """
@@ -65,6 +67,9 @@ def sweep(
         Folder of the cache; True for the user's, False for none. Default: the user's, where the scene can be cached.
     progress : callable, optional
         Called now and then with (rows done, rows to do); the first counts parts of a row too.
+    seconds : float, optional
+        Time for all rows that are not in the cache, in equal shares; each ends with the rays that it has. A row of
+        fewer rays than asked for is not cached, and a warning counts them.
     **settings
         rays (in each row), seed and the other attributes of `mistray.trace.Settings`.
 
@@ -101,31 +106,48 @@ def sweep(
     if store is not None and contents is not None:
         kept = KeptRows(store, contents, traced_facts(contents, Settings.of(loaded, **settings), azimuth_deg))
     found = kept.read(cells) if kept is not None else {}
-    reused = len(found)
+    reused, short = len(found), list[Cell]()
 
     def result() -> Sweep:
         rows = [dict(zip(CELL, cell.name, strict=True)) | found[cell] for cell in cells if cell in found]
         folder = None if kept is None else kept.store.folder
         said = [*warnings, *([] if kept is None else kept.problems)]
+        if short:
+            said.append(f"the time was up in {len(short)} of {len(cells)} rows, which have fewer rays, see the column "
+                        "rays; their errors are larger")  # fmt: skip
         return Sweep(source, chosen, angles, wavelengths, rows, arguments, reused, folder, said)
 
-    for one in chosen:
-        missing = [cell for cell in cells if cell.configuration is one and cell not in found]
-        if not missing:
-            continue  # all is known: the scene need not have this state
-        with _state(loaded, one):
-            for cell in missing:
-                try:
-                    found[cell] = _traced(loaded, cell, arguments, _part(progress, len(found), len(cells)))
-                except UnfinishedError as error:
-                    raise UnfinishedError(f"{cell}: {error}", result()) from None
-                except MistrayError as error:
-                    raise MistrayError(f"{cell}: {error}") from None
-                if kept is not None:
-                    kept.keep(cell, found[cell])
+    def trace_row(cell: Cell) -> None:
+        part = _part(progress, len(found), len(cells))
+        try:
+            with share(1 / (len(cells) - len(found))):
+                found[cell] = _traced(loaded, cell, arguments, part)
+                unfinished = time_is_up()
+        except UnfinishedError as error:
+            raise UnfinishedError(f"{cell}: {error}", result()) from None
+        except MistrayError as error:
+            raise MistrayError(f"{cell}: {error}") from None
+        if unfinished:
+            short.append(cell)
+        elif kept is not None:
+            kept.keep(cell, found[cell])
+
+    with within(seconds):
+        for one in chosen:
+            missing = [cell for cell in cells if cell.configuration is one and cell not in found]
+            if missing:  # else all is known: the scene need not have this state
+                with _state(loaded, one):
+                    for cell in missing:
+                        trace_row(cell)
     if progress is not None:
         progress(len(cells), len(cells))
     return result()
+
+
+def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any) -> Numbers:
+    return numbers_of(
+        trace(scene, field_deg=cell.field_deg, wavelength_nm=cell.wavelength_nm, progress=progress, **arguments)
+    )
 
 
 @contextlib.contextmanager
@@ -141,12 +163,6 @@ def _state(scene: Any, configuration: Resolved) -> Iterator[None]:
         except MistrayError as error:
             raise MistrayError(f"configuration '{configuration.name}': {error}") from None
         yield
-
-
-def _traced(scene: Any, cell: Cell, arguments: Mapping[str, Any], progress: Any) -> Numbers:
-    return numbers_of(
-        trace(scene, field_deg=cell.field_deg, wavelength_nm=cell.wavelength_nm, progress=progress, **arguments)
-    )
 
 
 def _cache_of(source: Source, scene: Any, wanted: bool | str | Path | None) -> tuple[Cache | None, list[str]]:

@@ -12,6 +12,7 @@ from mistray.trace.aiming import aims
 from mistray.trace.arrivals import ArrivalBook, CountedWays, FoundWays
 from mistray.trace.books import REASONS, SEGMENTS, Film, Tallies
 from mistray.trace.intersect import Intersector
+from mistray.trace.launches import launches_of
 from mistray.trace.ledger import BATCHES
 from mistray.trace.plane_wave import PlaneWaves, wave_rays
 from mistray.trace.ray_tree import walk
@@ -137,9 +138,11 @@ class AllCells:
         tallies = Tallies(table.count, len(table.optics.media), self._film.width * self._film.height)
         for k in range(passes):
             start = self._start((number, band, k), lanes, weight)
-            walk(table, scattering, self._intersector, start, self._settings, self._film, tallies, arrivals=book)
-            dr.eval()
-            dr.sync_thread()
+
+            def trace(part: StartRays) -> None:
+                walk(table, scattering, self._intersector, part, self._settings, self._film, tallies, arrivals=book)
+
+            launches_of(table, self._settings, type(book)).whole(start, trace)
         return float(np.array(tallies.reasons).reshape(REASONS, BATCHES)[SEGMENTS].sum())
 
     def _start(self, stream: tuple[int, int, int], lanes: np.ndarray, weight: np.ndarray) -> StartRays:

@@ -23,6 +23,7 @@ from mistray.trace.books import (
     SEGMENTS,
     SURFACE_SUMS,
     Film,
+    Recorder,
     Tallies,
 )
 from mistray.trace.detector_start import DetectorStart
@@ -31,6 +32,7 @@ from mistray.trace.energy import CUTS, batch_error
 from mistray.trace.exits import exits
 from mistray.trace.fingerprint import fingerprint, kernel_arrays
 from mistray.trace.intersect import Intersector
+from mistray.trace.launches import launches_of
 from mistray.trace.ledger import BATCHES
 from mistray.trace.path_books import join_books
 from mistray.trace.ray_tree import walk
@@ -234,9 +236,7 @@ class BackwardTrace:
         sky = self.make_sky(maps=True)
         tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
         start = self.start_pass(number, done, rays)
-        walk(one.table, one.scattering, self.intersector, start, self.settings, self.film, tallies, sky=sky)
-        dr.eval()
-        dr.sync_thread()
+        self.walk(one, start, sky, tallies)
         # Sums by surface are in the order of the first wavelength's media
         return sky.read() | {
             "surfaces": np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: one.table.count],
@@ -268,11 +268,25 @@ class BackwardTrace:
         for band, one in enumerate(self.bands):
             tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
             start = self.start_pass(band, FIRST_SEARCH + number, rays)
-            walk(one.table, one.scattering, self.intersector, start, self.settings, self.film, tallies, sky=sky)
-            dr.eval()
-            dr.sync_thread()
+            self.walk(one, start, sky, tallies)
             segments += float(np.array(tallies.reasons).reshape(REASONS, BATCHES)[SEGMENTS].sum())
         return book.read(), segments
+
+    def walk(
+        self,
+        band: Band,
+        start: StartRays,
+        sky: Sky,
+        tallies: Tallies | None = None,
+        recorder: Recorder | None = None,
+    ) -> None:
+        """Trace the trees of some start rays of a wavelength."""
+
+        def trace(part: StartRays) -> None:
+            scene = band.table, band.scattering, self.intersector
+            walk(*scene, part, self.settings, self.film, tallies, recorder=recorder, sky=sky)
+
+        launches_of(band.table, self.settings, *sky.writes, recorder is None).whole(start, trace)
 
     def forget_paths(self) -> None:
         """Empty the table of the paths."""

@@ -16,7 +16,6 @@ from mistray.trace.books import Recorder
 from mistray.trace.edges import Edges
 from mistray.trace.gatherer import Gatherer
 from mistray.trace.raw_gradient import RIM_COLUMNS, RawGradient, Wanted
-from mistray.trace.ray_tree import walk
 from mistray.trace.replay import Exit
 from mistray.trace.start_rays import StartRays
 from mistray.trace.upload import upload
@@ -63,18 +62,7 @@ def backward_gradient(
         )
 
         def trace_again(start: StartRays, band: Band = band, recorder: Recorder = gatherer.recorder) -> None:
-            walk(
-                band.table,
-                band.scattering,
-                trace.intersector,
-                start,
-                trace.settings,
-                trace.film,
-                recorder=recorder,
-                sky=trace.make_sky(derivative),
-            )
-            dr.eval()
-            dr.sync_thread()
+            trace.walk(band, start, trace.make_sky(derivative), recorder=recorder)
 
         def end(row: mi.UInt32, keys: np.ndarray, recorder: Recorder = gatherer.recorder) -> Exit:
             gain = dr.gather(mi.Float64, recorder.weight, row)

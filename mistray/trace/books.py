@@ -19,7 +19,8 @@ ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS,
 # Scatter that a limit cuts, what was to be scattered less what the scattered rays carry, and the number, flux and
 # squared flux of the hits of the detector by scattered rays
 SCATTERS, SAMPLING, SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES = range(9, 14)
-LANE_REASONS = 14
+TREE = 14  # what is left of trees that are larger than `max_segments`, and what EVENTS cuts of them
+LANE_REASONS = 15
 # What `ray_control` keeps back, `max_generations`, `max_consecutive`, and `cut_below` in the order of its branches
 CONTROL, GENERATIONS, CONSECUTIVE, CUT_BRANCHES = range(LANE_REASONS, LANE_REASONS + 4)
 REASONS = CUT_BRANCHES + len(BRANCHES)
@@ -78,6 +79,13 @@ class Tallies:
     def add_cut(self, reason: int | mi.UInt32, batch: mi.UInt32, value: mi.Float, active: mi.Bool) -> None:
         """Book flux under one of the other reasons, which most traces have no light for."""
         dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, mi.Float64(value), reason * BATCHES + batch, active)
+
+    @staticmethod
+    def move_reason(sums: tuple[Any, ...], reason: int, to: int, active: mi.Bool) -> None:
+        """Book what is booked under a reason under another one."""
+        value = sums[-1].read(reason, active)
+        sums[-1].write(sums[-1].read(to, active) + value, to, active)
+        sums[-1].write(mi.Float64(0), reason, active)
 
     def add_hit(
         self,

@@ -209,8 +209,7 @@ class _Merged:
         run.surfaces, run.media, run.reasons, run.film = self.surfaces, self.media, self.reasons, self.film
         run.largest, run.seconds = self.largest, self.seconds
         if not whole:
-            run.parts = tuple(sorted(self.parts))
-            run.unit = run.beam.power / max(float(run.started.sum()), 1.0)
+            run.stand_for(sorted(self.parts))
         if ledger:
             keys = np.array(list(self.places), dtype=np.uint64)
             lengths = np.array([len(events) for events in self.events], dtype=np.int64)

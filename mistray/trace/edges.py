@@ -40,6 +40,7 @@ from mistray.trace.adjoint import Adjoint
 from mistray.trace.books import Film, Recorder, as_many
 from mistray.trace.grazing import SILHOUETTE, grazing_kernel
 from mistray.trace.intersect import Intersector
+from mistray.trace.launches import launches_of
 from mistray.trace.ledger import EVENT_BITS, Ledger
 from mistray.trace.optics import ASPHERIC
 from mistray.trace.pieces import NO_SURFACE
@@ -128,7 +129,7 @@ class Edges:
         self._scene = (table, scattering, intersector)
         self._table, self._settings, self._film = table, settings, film
         self._book = RimBook(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
-        self._lanes = FIRST_LANES
+        self._lanes, self._launches = FIRST_LANES, launches_of(table, settings, Edges)
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
         for piece in table.pieces:
@@ -178,10 +179,10 @@ class Edges:
         """
         done, count = 0, dr.width(start.lane)
         while done < count:
-            here = min(self._lanes, count - done)
+            here = min(self._lanes, self._launches.lanes, count - done)
             part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
             self._book.paths.clear()
-            self._gains(part, adjoint, ledger, sky, self._book)
+            self._launches.time(here, lambda part=part: self._gains(part, adjoint, ledger, sky, self._book))  # type: ignore[misc]
             hits = int(self._book.paths.count[0])
             self._lanes = max(1, min(4 * here, int(here * ROOM * self._book.paths.capacity / max(hits, 1))))
             if hits > self._book.paths.capacity:

@@ -24,6 +24,7 @@ from mistray.trace.books import (
     SAMPLING,
     SCATTERS,
     THRESHOLD,
+    TREE,
 )
 from mistray.trace.sampled import Sampled
 from mistray.trace.settings import BRANCHES
@@ -41,6 +42,7 @@ CUTS = {
     "max_generations": GENERATIONS,
     "max_events": EVENTS,
     "max_consecutive": CONSECUTIVE,
+    "max_segments": TREE,
     "medium": MEDIUM,
     "ray_control": CONTROL,
     **{f"{branch}_below": CUT_BRANCHES + k for k, branch in enumerate(BRANCHES.values())},
@@ -63,8 +65,8 @@ class Energy:
         Material → (flux absorbed along the way through it, its standard error); absorbing materials only.
     cut : dict
         Reason → flux of the branches that were not followed: "flux_threshold", "max_reflections", "max_scatters" (all
-        limits of scatter events), "max_generations", "max_events", "max_consecutive", "ray_control", "roulette" (0 on
-        average: what Russian roulette removed less what it added), "specular_reflection_below",
+        limits of scatter events), "max_generations", "max_events", "max_consecutive", "max_segments", "ray_control",
+        "roulette" (0 on average: what Russian roulette removed less what it added), "specular_reflection_below",
         "specular_transmission_below", "scattered_reflection_below", "scattered_transmission_below", "absorption_below"
         (what `cut_below` and `cut_below_W` cut), "scatter_sampling" (0 on average: what surfaces scatter less what the
         scattered rays carry) and "medium" (a ray met a surface from a material that is not there: a gap or an overlap

@@ -7,17 +7,20 @@ import time
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from functools import lru_cache
-from typing import Any
+from typing import Any, NoReturn
 
 import mitsuba as mi
 
-from mistray.errors import MistrayError, UnfinishedError
+from mistray.errors import Interrupted, MistrayError, UnfinishedError
+from mistray.interrupts import later, requested
+from mistray.time_budget import is_limited, share, within
 from mistray.trace.books import FIRST_MISS
 from mistray.trace.by_parts import TraceTask, execute_by_parts, tables_of
+from mistray.trace.forecast import Forecast
 from mistray.trace.result import Trace
 from mistray.trace.settings import Settings
 from mistray.trace.sources import Beam
-from mistray.trace.tracer import Run, prepare
+from mistray.trace.tracer import MOST_PATHS_KEPT, PASS_LANES, Run, prepare
 from mistray.trace.workers import current_workers
 
 
@@ -41,6 +44,7 @@ def trace(
     max_generations: int | None = None,
     max_events: int | None = None,
     max_consecutive: int | None = None,
+    max_segments: int | None = None,
     scatter_rays: int | None = None,
     aimed_rays: int | None = None,
     aim: str | None = None,
@@ -56,6 +60,7 @@ def trace(
     detector: str | None = None,
     ledger: bool = True,
     progress: Callable[[int, int], None] | None = None,
+    seconds: float | None = None,
 ) -> Trace:
     """
     Trace the ray tree of a scene from its sources to its detector.
@@ -76,8 +81,8 @@ def trace(
     weights : sequence of float
         Shares of the flux, one for each wavelength; normalised, equal by default.
     max_reflections, max_scatters, max_optical_scatters, max_random_scatters
-    max_generations, max_events, max_consecutive
-        Limits of a path, see `mistray.trace.Settings`.
+    max_generations, max_events, max_consecutive, max_segments
+        Limits of a path and of a tree, see `mistray.trace.Settings`.
     scatter_rays, aimed_rays, aim
         Scattered rays at every hit and where they are aimed at, see there.
     flux_threshold, cut_below, cut_below_W, scatter_threshold, below_threshold
@@ -89,7 +94,10 @@ def trace(
     ledger : bool
         Keep the path table; without it a trace is a little faster.
     progress : callable
-        Called with (rays done, rays in all).
+        Called about every second with (rays done, rays in all).
+    seconds : float
+        Time after which the trace ends with the rays that it has, which are a sample of all; `Trace.rays_traced` says
+        how many. The kernel's compilation counts, and the last launch may take a second longer.
 
     Returns
     -------
@@ -100,6 +108,8 @@ def trace(
     MistrayError
         If the scene lacks a source, a detector or an ``interface``, an argument is out of range, or the beam misses
         every surface.
+    Interrupted
+        Ctrl-C, after rays of every source and wavelength were traced: ``partial`` is a `Trace` of them.
     """
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"trace() got {type(scene).__name__}; load the scene first: mistray.load(path)")
@@ -113,6 +123,7 @@ def trace(
         max_generations=max_generations,
         max_events=max_events,
         max_consecutive=max_consecutive,
+        max_segments=max_segments,
         scatter_rays=scatter_rays,
         aimed_rays=aimed_rays,
         aim=aim,
@@ -135,38 +146,65 @@ def trace(
     }
     runs = prepare(scene, settings, **beam)
     workers, task = current_workers(), None
-    if workers is None:
-        _execute(runs, ledger, progress)
-    else:
-        task = TraceTask(scene, settings, beam, ledger, tables_of(runs))
-        try:
-            execute_by_parts(workers, task, runs, progress)
-        except UnfinishedError as error:
-            _explain(error, runs, lambda: _result(runs, settings, field_deg, azimuth_deg, ledger, task))
-            raise
-    for run in runs:
-        _require_hits(run)
+    with within(seconds):
+        _check_budget(runs)
+        if workers is None:
+            with later():
+                _execute(runs, ledger, progress)
+                if requested():
+                    _keep(runs, lambda: _result(runs, settings, field_deg, azimuth_deg, ledger, None))
+        else:
+            task = TraceTask(scene, settings, beam, ledger, tables_of(runs))
+            try:
+                execute_by_parts(workers, task, runs, progress)
+            except UnfinishedError as error:
+                _explain(error, runs, lambda: _result(runs, settings, field_deg, azimuth_deg, ledger, task))
+                raise
+            for run in runs:
+                _require_hits(run)
     return _result(runs, settings, field_deg, azimuth_deg, ledger, task)
 
 
 def _execute(runs: Sequence[Run], ledger: bool, progress: Callable[[int, int], None] | None) -> None:
-    """Trace runs here, one after the other, until one of them meets nothing."""
-    all_rays = sum(run.rays for run in runs)
-    done = 0
+    """
+    Trace runs here, one after the other, until one of them meets nothing, or an interrupt.
+
+    What is traced of a run when its share of the time is over, or at an interrupt, stands for all its light.
+    """
+    planned = sum(run.rays for run in runs)
+    forecast = Forecast(planned, not is_limited())
+    before = 0
     for run in runs:
-        before = done
 
-        def report(traced: int, _: int, before: int = before) -> None:
+        def report(traced: int, _: int, before: int = before, run: Run = run) -> None:
+            forecast.look(run, before + traced)
             if progress:
-                progress(before + traced, all_rays)
+                progress(before + traced, planned)
 
-        run.execute(ledger, report)
-        done += run.rays
+        with share(run.rays / (planned - before)):
+            run.execute(ledger, report, requested)
+        before += run.rays
         _require_hits(run)
+        if requested():
+            return
+
+
+def _check_budget(runs: Sequence[Run]) -> None:
+    """Refuse a time budget where it cannot be kept, or what is traced so far is no sample."""
+    if not is_limited():
+        return
+    if current_workers() is not None:
+        raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
+    for run in runs:
+        if run.beam.pattern == "grid" and run.passes > 1:
+            raise MistrayError(
+                f"seconds is given and source '{run.beam.name}' starts a grid of {run.rays} rays: "
+                f"its first rows are no sample; give at most {PASS_LANES} rays, or the pattern 'random'"
+            )
 
 
 def _require_hits(run: Run) -> None:
-    if run.reasons[FIRST_MISS].sum() == run.rays:
+    if run.reasons[FIRST_MISS].sum() == run.started.sum():
         beam = run.beam
         assert isinstance(beam, Beam)
         raise MistrayError(
@@ -174,6 +212,20 @@ def _require_hits(run: Run) -> None:
             f"({', '.join(f'{c:.4g}' for c in beam.direction)}) hits a surface; "
             "check field_deg, the source's position and its size"
         )
+
+
+def _keep(runs: Sequence[Run], result: Callable[[], Trace]) -> NoReturn:
+    """End with what was traced before an interrupt, if that is a sample of all the light."""
+    planned = sum(run.rays for run in runs)
+    if not all(run.reasons.size and run.is_sample for run in runs):
+        raise KeyboardInterrupt
+    table = ""
+    if any(run.ledger is not None and run.paths is None for run in runs):
+        table = f", without a table of their more than {MOST_PATHS_KEPT} paths"
+        for run in runs:
+            run.paths = None
+    partial = result()
+    raise Interrupted(f"{partial.rays_traced:.4g} of {planned:.4g} rays are finished and kept{table}", partial)
 
 
 def _explain(error: UnfinishedError, runs: Sequence[Run], result: Callable[[], Trace]) -> None:

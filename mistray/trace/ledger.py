@@ -238,10 +238,14 @@ class Ledger:
         write_list(self.events, slot * self.max_events, length, read, active)
 
     @property
+    def used(self) -> int:
+        """Paths in the table."""
+        return int(dr.count(self.keys != 0)[0])
+
+    @property
     def full(self) -> bool:
         """Whether the table is so full that hits were lost or soon will be."""
-        used = int(dr.count(self.keys != 0)[0])
-        return int(self.lost[0]) > 0 or used > 0.7 * self.capacity
+        return int(self.lost[0]) > 0 or self.used > 0.7 * self.capacity
 
     def decode(self) -> DecodedPaths:
         """

@@ -34,6 +34,7 @@ from mistray.trace.books import (
     SEGMENTS,
     STARTED,
     THRESHOLD,
+    TREE,
     Film,
     Recorder,
     Tallies,
@@ -124,9 +125,7 @@ def walk(
         dr.opaque(mi.Float, limit) for limit in (settings.flux_threshold, settings.scatter_threshold)
     )
     scatter_limits = [dr.opaque(mi.UInt32, limit) for limit in settings.scatter_limits]
-    max_reflections, scatter_rays = (
-        dr.opaque(mi.UInt32, limit) for limit in (settings.max_reflections, settings.scatter_rays)
-    )
+    max_reflections, scatter_rays, max_segments = (dr.opaque(mi.UInt32, limit) for limit in settings.tree_limits)
     if any(settings.cut_below_W):
         raise MistrayError("cut_below_W is in watts of a source, and this trace starts from none; use cut_below")
     limits, runs = BranchLimits(settings, tallies, batch), settings.limits_consecutive
@@ -317,7 +316,7 @@ def walk(
         visit = first | again
         counted = counts_as_reflection(it)
         reflections = state["reflections"]
-        room = depth + 1 < max_events
+        room = (depth + 1 < max_events) & (again | (state["segments"] < max_segments))  # pending nodes are emptied
         may_reflect = ~counted | (reflections < max_reflections)
         w_t, w_r = w * T, w * R
         w_s = w * given.scattered if given is not None else mi.Float(0)
@@ -589,6 +588,7 @@ def walk(
     end = walk_on(state, body, partial(nodes.resume, child=REFLECT))
     if tallies is not None:
         sums = end["memory"][SUMS_OF_LANE]
+        tallies.move_reason(sums, EVENTS, TREE, end["segments"] >= max_segments)
         tallies.add_reason(sums, SEGMENTS, end["segments"], mi.Bool(True))
         tallies.collect(sums, batch)
     return end["total"] if adjoint is not None else None

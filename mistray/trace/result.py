@@ -64,8 +64,8 @@ class Trace:
         (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
     notes : list of str
         What a reader must know: gaps too thin for float32, see `mistray.trace.thin_gaps`, media that were taken as
-        opaque because no light gets through their bodies, and that the detector gets no light of the sources at the
-        field of their own, for which a scene is made.
+        opaque because no light gets through their bodies, that only a part of the rays was traced, and that the
+        detector gets no light of the sources at the field of their own, for which a scene is made.
     aiming : list of AimedSurface
         Surfaces and media that aimed rays at targets.
     silent : list of SilentPlace
@@ -98,16 +98,32 @@ class Trace:
         self.effective_scattered_rays = flux**2 / squares if squares > 0 else 0.0
         self.notes = thin_gaps(runs[0].table)
         self.notes += dict.fromkeys(text for run in runs for text in run.table.optics.notes)
+        if self.rays_traced != self.rays_planned:
+            self.notes.append(f"{self.rays_traced:.4g} of {self.rays_planned:.4g} rays were traced; errors are theirs")
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
         self.segments = round(sum(float(run.reasons[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)
 
     @property
     def paths(self) -> PathTable:
-        """Paths from the sources to the detector, the strongest first; raises if traced with ``ledger=False``."""
+        """
+        Paths from the sources to the detector, the strongest first.
+
+        Raises
+        ------
+        MistrayError
+            If it was traced with ``ledger=False``, or interrupted when there were too many to read them at once.
+        """
         if self._paths is None:
-            raise MistrayError("this trace has no path table; trace with ledger=True")
+            raise MistrayError(
+                "this trace has no path table; trace with ledger=True, and do not interrupt it if it has many paths"
+            )
         return self._paths
+
+    @property
+    def has_paths(self) -> bool:
+        """Whether there are `paths`."""
+        return self._paths is not None
 
     @property
     def light(self) -> Sampled:

@@ -16,6 +16,7 @@ from mistray.ranges import (
     RAYS,
     RAYS_PER_HIT,
     SEED,
+    SEGMENTS,
     THRESHOLD,
     check_fields,
 )
@@ -31,6 +32,7 @@ BRANCHES = {
     "A": "absorption",
 }  # letters of the branches that `cut_below` tells apart, in its order; what a medium scatters is transmitted
 LARGEST = 1e30  # threshold: the kernel has float32
+MAX_SEGMENTS = 1 << 20  # about half a second of a core
 
 
 @dataclass(frozen=True)
@@ -57,6 +59,9 @@ class Settings:
         Most surfaces along a path, the detector included; 1 … 1000.
     max_consecutive : int
         Most hits of one surface in a row; a ray that would meet it once more ends.
+    max_segments : int
+        Most ray segments of the tree of one start ray, 1 … 2³²-1; what a larger tree still holds is cut, and
+        `Energy.cut` has it, with what `max_events` cuts of such a tree.
     scatter_rays : int
         Rays that are scattered at random from the BSDF at every hit.
     aimed_rays : int
@@ -102,6 +107,7 @@ class Settings:
     max_generations: int = LIMIT.field(NO_LIMIT)
     max_events: int = EVENTS.field(64)
     max_consecutive: int = CONSECUTIVE.field(NO_LIMIT)
+    max_segments: int = SEGMENTS.field(MAX_SEGMENTS)
     scatter_rays: int = RAYS_PER_HIT.field(1)
     aimed_rays: int = AIMED_RAYS.field(1)
     aim: str = "auto"
@@ -165,6 +171,11 @@ class Settings:
     def limits_consecutive(self) -> bool:
         """Whether `max_consecutive` can end a ray before `max_events` does."""
         return self.max_consecutive < self.max_events
+
+    @property
+    def tree_limits(self) -> tuple[int, int, int]:
+        """`max_reflections`, `scatter_rays` and `max_segments`."""
+        return self.max_reflections, self.scatter_rays, self.max_segments
 
     @property
     def stokes(self) -> bool:

@@ -185,6 +185,12 @@ class Sky:
         self.maps = dr.zeros(mi.Float64, 2 * self.cells * pixels) if pixels else None
         dr.eval(self.sums, self.elsewhere, self.largest, self.maps)
 
+    @property
+    def writes(self) -> tuple[bool, ...]:
+        """What tells its kernels apart."""
+        parts = (self.maps, self.paths, self._left_out, self._derivative)
+        return tuple(part is not None for part in parts)
+
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
         """Cell of the light that goes against rays along d, and whether there is one."""
         x, y, z = (-dr.dot(d, row) for row in self._rows)

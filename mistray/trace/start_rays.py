@@ -95,10 +95,17 @@ class StartRays:
         return otherwise if value is None else value
 
     def take(self, index: mi.UInt32) -> StartRays:
-        """Some of the rays."""
+        """Some of the rays; what is one constant stays one, so that they take the same kernel as all of them."""
         rng = mi.PCG32()
         rng.state, rng.inc = (dr.gather(mi.UInt64, v, index) for v in (self.rng.state, self.rng.inc))
         values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "rng"}
-        taken = {name: v if v is None else dr.gather(type(v), v, index) for name, v in values.items()}
+        taken = {name: v if v is None else _chosen(v, index) for name, v in values.items()}
         dr.eval(rng, taken)
         return StartRays(rng=rng, **taken)
+
+
+def _chosen(value: Any, index: mi.UInt32) -> Any:
+    """Entries of an array; those of a constant are that constant."""
+    if getattr(value, "state", None) == dr.VarState.Literal:
+        return dr.full(type(value), value[0], dr.width(index))
+    return dr.gather(type(value), value, index)

@@ -12,6 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.interrupts import requested
+from mistray.time_budget import time_is_up
 from mistray.trace.adjoint import CHANNELS, Adjoint
 from mistray.trace.aiming import aims
 from mistray.trace.books import (
@@ -26,6 +28,7 @@ from mistray.trace.books import (
     spreads,
 )
 from mistray.trace.intersect import Intersector
+from mistray.trace.launches import Spread, launches_of
 from mistray.trace.ledger import BATCHES, DecodedPaths, Ledger
 from mistray.trace.raw_gradient import MOMENTS, PathDerivative
 from mistray.trace.ray_tree import walk
@@ -42,16 +45,22 @@ PASS_LANES = 1 << 20
 FIRST_CAPACITY, FIRST_CAPACITY_OF_SCATTER = 1 << 12, 1 << 15  # slots: paths multiply where surfaces scatter
 RECORD_CAPACITY = 1 << 12
 LAST_CAPACITY = 1 << 20
+MOST_PATHS_KEPT = 10_000  # at an interrupt: a table of more takes longer than a second
 
 Progress = Callable[[int, int], None]
 
 
 class Part(NamedTuple):
-    """The start rays of a pass that are of the batches low ≤ batch < high: each batch is a sample of the whole beam."""
+    """
+    The start rays of a pass that are of the batches low ≤ batch < high: each batch is a sample of the whole beam.
+
+    Of a part that was not finished only so many `rays`, the first in the order of `mistray.trace.launches.Spread`.
+    """
 
     number: int
     low: int = 0
     high: int = BATCHES
+    rays: int | None = None
 
 
 @dataclass
@@ -151,7 +160,14 @@ class Run:
             if (part.low, part.high) != (0, BATCHES):
                 batch = np.array(start.batch)
                 start = start.take(upload(mi.UInt32, np.flatnonzero((batch >= part.low) & (batch < part.high))))
+            if part.rays is not None:
+                first = Spread(dr.width(start.lane), self._order(part)).first(part.rays)
+                start = start.take(upload(mi.UInt32, first))
             yield part, start
+
+    def _order(self, part: Part) -> int:
+        """Seed of the order in which the rays of a part are traced."""
+        return (self.seed << 32) | part.number
 
     def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Origins (mm) and directions of start rays by their numbers, (n, 3) float64 each."""
@@ -180,26 +196,51 @@ class Run:
         adjoint: Adjoint | None = None,
         progress: Progress | None = None,
         stop: Callable[[], bool] | None = None,
-    ) -> None:
-        """Run the passes one after the other, until `stop`, which is asked after each, says so."""
+    ) -> tuple[Part, ...] | None:
+        """
+        Run the passes one after the other, until `stop`, which is asked after each launch, says so.
+
+        Returns
+        -------
+        tuple of Part or None
+            What was traced, if that is not all.
+        """
         corners = None if box is None else mi.Vector4f(*(dr.opaque(mi.Float, float(v)) for v in box))
-        done = 0
-        for _, start in self.starts():
-            self.walk(start, film, tallies, ledger, box=corners, adjoint=adjoint)
-            done += dr.width(start.lane)
-            if progress:
-                progress(done, self.rays)
-            if stop and stop():
-                return
+        before, finished = 0, []
+        for part, start in self.starts():
+            count = dr.width(start.lane)
+            for done in self.walks(start, self._order(part), film, tallies, ledger, box=corners, adjoint=adjoint):
+                if progress:
+                    progress(before + done, self.rays)
+                if stop and stop():
+                    finished.append(part if done == count else part._replace(rays=done))
+                    return tuple(finished)
+            before += count
+            finished.append(part)
+        return None
 
     def walk(self, start: StartRays, film: Film, *books: Any, **more: Any) -> None:
         """Trace the trees of some start rays, with the books and options of `ray_tree.walk`."""
-        walk(self.table, self.scattering, self.intersector, start, self.settings, film, *books, **more)
-        dr.eval()
-        dr.sync_thread()
+        for _ in self.walks(start, 0, film, *books, **more):
+            pass
 
-    def execute(self, ledger: bool, progress: Progress | None) -> None:
-        """Trace everything and read the sums back; a ledger that fills up is made larger and the trace starts again."""
+    def walks(self, start: StartRays, order: int, film: Film, *books: Any, **more: Any) -> Iterator[int]:
+        """The same launch by launch; gives the number of rays after each, the first of `Spread` with that seed."""
+        writes = (*(book is not None for book in books), *(name for name in sorted(more) if more[name] is not None))
+        launches = launches_of(self.table, self.settings, *writes)
+
+        def trace(part: StartRays) -> None:
+            walk(self.table, self.scattering, self.intersector, part, self.settings, film, *books, **more)
+
+        yield from launches.run(start, trace, order)
+
+    def execute(self, ledger: bool, progress: Progress | None, stop: Callable[[], bool] | None = None) -> None:
+        """
+        Trace everything and read the sums back; a ledger that fills up is made larger and the trace starts again.
+
+        What is traced when `stop`, which is asked after each launch, says so, or the time is up, is all then: it stands
+        in `parts`. At an interrupt a table of more than `MOST_PATHS_KEPT` paths is not read.
+        """
         started = time.perf_counter()
         film = self.make_film()
         capacity = FIRST_CAPACITY_OF_SCATTER if self.scattering.any and self.settings.max_scatters else FIRST_CAPACITY
@@ -208,14 +249,19 @@ class Run:
         while True:
             tallies = self.make_tallies(film)
             self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
-            self.launch(film, tallies, self.ledger, progress=progress, stop=self.ledger_full)
-            if not self.ledger_full():
+
+            def pause(tallies: Tallies = tallies) -> bool:
+                self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
+                return self.ledger_full() or time_is_up() or (stop is not None and stop())
+
+            found = self.launch(film, tallies, self.ledger, progress=progress, stop=pause)
+            if requested() or not self.ledger_full():
                 break
             if capacity >= LAST_CAPACITY:
                 raise MistrayError(
                     f"more than {0.7 * capacity:.0f} paths reach the detector; raise flux_threshold "
-                    f"({self.settings.flux_threshold:g}), lower max_reflections "
-                    f"({self.settings.max_reflections}) or set ledger=False"
+                    f"({self.settings.flux_threshold:g}), lower max_reflections ({self.settings.max_reflections}) or "
+                    f"max_scatters ({self.settings.max_scatters}), or set ledger=False"
                 )
             capacity = min(8 * capacity, LAST_CAPACITY)
         self.seconds = time.perf_counter() - started
@@ -224,7 +270,15 @@ class Run:
         self.media = np.array(tallies.media).reshape(-1, BATCHES)
         self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
         self.film = np.array(tallies.film).reshape(film.groups, film.height, film.width)
-        self.paths = self.ledger.decode() if self.ledger else None
+        few = self.ledger is not None and (not requested() or self.ledger.used <= MOST_PATHS_KEPT)
+        self.paths = self.ledger.decode() if self.ledger is not None and few else None
+        if found is not None:
+            self.stand_for(found)
+
+    def stand_for(self, parts: Sequence[Part]) -> None:
+        """Let what was found in some parts stand for all light of the source."""
+        self.parts = tuple(parts)
+        self.unit = self.beam.power / max(float(self.started.sum()), 1.0)
 
     @property
     def started(self) -> np.ndarray:

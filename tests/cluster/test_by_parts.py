@@ -155,7 +155,8 @@ def test_ghosts_keep_the_fields_that_are_finished(scene):
     assert list(report) == [0, 1]
     with working_with(Here(last=1)), pytest.raises(UnfinishedError) as caught:
         mistray.ghosts(scene, field_deg=[1, 0], rays=2000)
-    assert {field: t.rays_traced for field, t in caught.value.partial.items()} == {1.0: 2000}
+    assert isinstance(caught.value.partial, mistray.GhostReport)  # the yardstick comes first
+    assert {field: t.rays_traced for field, t in caught.value.partial.items()} == {0.0: 2000}
 
 
 @pytest.mark.parametrize("method", ["adjoint", "forward"])

@@ -24,6 +24,7 @@ from mistray.analysis.objects.view import SIDES, View
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, PART
 from mistray.renamed import renamed
+from mistray.time_budget import share, within
 from mistray.trace.intersect import Intersector
 from mistray.trace.optics import OPAQUE
 from mistray.trace.scatter_tables import ScatterTables
@@ -192,6 +193,9 @@ class Objects:
             found.append(f"… and in {len(shots) - SHOTS_TOLD} more ways")
         if not self._traced.critical.ways_out():
             found.append("no ray from the detector leaves the scene: it is closed in, or the rays are too few")
+        rays, planned = self.facts["rays"], self.facts["rays_planned"]
+        if rays < planned:
+            found.append(f"{rays:.4g} of {planned:.4g} rays were traced in the time; errors are theirs")
         found += thin_gaps(self._traced.table)
         lost = max(view.lost for view in (self._traced.critical, *self._traced.illuminated))
         if lost > threshold:
@@ -259,6 +263,7 @@ def objects(
     ray_control: str = "transmit_specular",
     total_reflection: bool = True,
     progress: Progress | None = None,
+    seconds: float | None = None,
     **settings: Any,
 ) -> Objects:
     """
@@ -295,6 +300,9 @@ def objects(
         Follow rays in total reflection.
     progress : callable, optional
         Called now and then with (part done, parts in all).
+    seconds : float, optional
+        Time after which the rays end, those from the detector and those at each angle in equal shares; a warning says
+        how many there are.
     **settings
         max_events and seed of `mistray.trace.Settings`.
 
@@ -346,13 +354,18 @@ def objects(
     def part(number: int) -> Callable[[int, int], None] | None:
         return (lambda done, of: progress(number + done / of, parts)) if progress else None
 
-    critical = View(tracer(places.mirrors, True), places, view, chosen.rays, chosen.seed, True, axes[:, 2], part(0))
-    illuminated = [
-        View(tracer(places.mirrors), places, one, chosen.rays, chosen.seed + k, False, axes[:, 2], part(k))
-        for k, one in enumerate(sources, start=1)
-    ]
+    def followed(k: int, start: RaySource, backward: bool = False) -> View:
+        with share(1 / (parts - k)):
+            follow = tracer(places.mirrors, backward)
+            return View(follow, places, start, chosen.rays, chosen.seed + k, backward, axes[:, 2], part(k))
+
+    with within(seconds):
+        critical = followed(0, view, backward=True)
+        illuminated = [followed(k, one) for k, one in enumerate(sources, start=1)]
+    fewest = min(int(one.rays.sum()) for one in (critical, *illuminated))
     facts = {
-        "rays": chosen.rays,
+        "rays": fewest,
+        "rays_planned": chosen.rays,
         "source": "; ".join(one.name for one in sources),
         "azimuth_deg": float(azimuth_deg),
         "view_half_angle_deg": float(view_half_angle_deg),

@@ -10,6 +10,7 @@ import numpy as np
 from mistray.analysis.objects.places import Places
 from mistray.analysis.objects.rays import ChainTracer, Escape, Hits
 from mistray.analysis.objects.sources import RaySource
+from mistray.time_budget import time_is_up
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import OPAQUE
@@ -154,7 +155,7 @@ class View:
         rng = np.random.default_rng((int(backward), seed))
         tracer.lost = 0.0
         done = 0
-        while done < rays:
+        while done < rays and not (done and time_is_up()):
             n = min(PASS_RAYS, rays - done)
             self._pass(tracer, source, n, rng)
             done += n

@@ -16,6 +16,7 @@ from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.ranges import RELATIVE_ERROR
+from mistray.time_budget import share
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.plane_wave import Entrance
 from mistray.trace.settings import Settings
@@ -114,10 +115,11 @@ def forward_pst(
     parts = [CellPart(i, j, most[i], relative_error if limited[i] else None, paths) for i, j in np.ndindex(n, m)]
     workers = current_workers()
     if workers is None:
-        found = {}
+        found: dict[tuple[int, int], Cell] = {}
         for part in parts:
             after_pass = partial(report.after_pass, part.rays, part.wanted_error)
-            found[part.i, part.j] = cell = cells.cell(*part, after_pass)
+            with share(1 / (len(parts) - len(found))):
+                found[part.i, part.j] = cell = cells.cell(*part, after_pass)
             report.close_cell(part.rays, cell, bool(limited[part.i]))
     else:
         found = _by_workers(workers, CellsTask(scene, arguments, cells.kernel_arrays()), parts, report, limited)

@@ -10,6 +10,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.time_budget import time_is_up
 from mistray.trace.aiming import aims
 from mistray.trace.books import SCATTERED_FLUX, SEGMENTS, Film, groups_of
 from mistray.trace.by_parts import tables_of
@@ -316,7 +317,7 @@ class ForwardCells:
             found = self._cell(sums)
             if progress:
                 progress(done, found.error)
-            enough = wanted_error is not None and found.error <= wanted_error
+            enough = time_is_up() or (wanted_error is not None and found.error <= wanted_error)
             if enough or done >= (rays if np.isfinite(found.error) else min(rays, DARK_RAYS)):
                 return self._with_details(found, sums, paths)
             todo = min(done, rays - done)

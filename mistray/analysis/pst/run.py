@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import contextlib
-import signal
-import threading
 import time
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import asdict, replace
@@ -28,8 +25,10 @@ from mistray.analysis.pst.shared_plan import share
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
 from mistray.analysis.pst.with_light import PLAN, SUMS, WithLight, saved_plan
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.interrupts import later, requested
 from mistray.ranges import PIXELS_OR_NONE, RELATIVE_ERROR
 from mistray.renamed import renamed
+from mistray.time_budget import time_is_up, within
 from mistray.trace.all_cells import AllCells
 from mistray.trace.backward import FIRST_PASS, BackwardTrace
 from mistray.trace.directions import DirectionGrid
@@ -39,6 +38,7 @@ from mistray.trace.settings import Settings
 from mistray.trace.sky import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.trace.sources import spectrum_of
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.workers import current_workers
 
 METHODS = ("adjoint", "forward")
 RAYS = {"adjoint": 4_000_000, "forward": 200_000}  # where a call says nothing; forward: at each angle
@@ -46,6 +46,7 @@ MOST_RAYS = 2_000_000_000  # where a call wants an error and does not say how ma
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
 FIRST_SEARCH = 1 << 16  # rays of the first pilot where an error is asked for
 SAVING = 0.1  # share of the time that saving the state may take
+LONG_PASS = 0.5  # s, from which an interrupt may not wait for the end of the next pass
 
 Progress = Callable[[PstProgress], None]
 
@@ -71,6 +72,7 @@ def pst(
     state: str | Path | None = None,
     resume: bool = False,
     progress: Progress | None = None,
+    seconds: float | None = None,
     **settings: Any,
 ) -> Pst:
     """
@@ -117,6 +119,9 @@ def pst(
         Go on from `state`.
     progress : callable, optional
         Gets a `PstProgress` after every pass.
+    seconds : float, optional
+        Time after which the run ends with the rays that it has; forward it is shared by the cells. A note says how many
+        there are. The pass that is under way ends first.
     **settings
         Fields of `mistray.trace.Settings`, such as ``max_reflections`` and ``max_scatters``; the others are those of
         the scene's integrator.
@@ -133,6 +138,8 @@ def pst(
         If workers of `mistray.distribute` are gone; ``partial`` is the PST of the passes before, or, forward, the
         finished cells by their numbers of angle and azimuth.
     """
+    if seconds is not None and current_workers() is not None and method == "forward":
+        raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
     found = pst_of_each(
         [scene],
         field_deg,
@@ -154,7 +161,8 @@ def pst(
         progress=progress,
         **settings,
     )
-    return next(found)
+    with within(seconds):
+        return next(found)
 
 
 @renamed(angles_deg="field_deg")
@@ -338,7 +346,7 @@ class _AdjointRun:
 
     def go_on(self, plan: Plan, with_light: Callable[[float], np.ndarray], progress: Progress | None) -> None:
         """
-        Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost.
+        Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost, but not for long.
 
         Parameters
         ----------
@@ -357,8 +365,9 @@ class _AdjointRun:
         most = self._budget(plan, wanted, up_to_deg)
         if wanted is not None:
             self._with_light.go_on(with_light(max(most, before)))
-        with _interrupt_later() as interrupted, trace.shared(most):
-            while trace.rays.sum() < most and not interrupted():
+        with later(), trace.shared(most):
+            while trace.rays.sum() < most and not requested() and not (trace.passes and time_is_up()):
+                began = time.perf_counter()
                 # Only a run of a single pass has a pass of its own size, so that a run may be continued at any time
                 try:
                     trace.advance(most if most < FIRST_PASS else None)
@@ -369,7 +378,7 @@ class _AdjointRun:
                     self._with_light.go_on(with_light(2.0 ** np.floor(np.log2(trace.rays.sum()))))
                 self._book, all_saved = None, False
                 now = time.perf_counter()
-                if self._state is not None and saving <= SAVING * (now - saved):
+                if self._state is not None and (saving <= SAVING * (now - saved) or now - began > LONG_PASS):
                     self._save()
                     saved, all_saved = time.perf_counter(), True
                     saving = saved - now
@@ -379,7 +388,7 @@ class _AdjointRun:
                     progress(PstProgress.after(done, max(most, done), worst, wanted, now - started, round(before)))
             if self._state is not None and not all_saved:
                 self._save()
-            if interrupted():
+            if requested():
                 raise KeyboardInterrupt
 
     def _search(self, wanted: float | None, up_to_deg: float | None) -> Plan:
@@ -483,6 +492,8 @@ class _AdjointRun:
         hidden, seldom = found.seldom(trace, light)
         lines = [*notes(bare, largest, rays, seldom), *trace.notes]
         wanted, up_to_deg = self._wanted
+        if wanted is None and rays < trace.settings.rays:
+            lines.append(f"{rays:.4g} of {trace.settings.rays:.4g} rays were traced; errors are theirs")
         if wanted is not None and (worst := self._worst(up_to_deg)) > wanted and np.isfinite(worst):
             lines.append(
                 f"errors of up to {100 * worst:.2g} % are left where {100 * wanted:.2g} % was asked for; ask for "
@@ -526,23 +537,3 @@ def _axes(scene: mi.Scene) -> np.ndarray:
         if hasattr(emitter, "start_distance"):
             return np.asarray(emitter.matrix[:3, :3], dtype=np.float64)
     return np.eye(3)
-
-
-@contextlib.contextmanager
-def _interrupt_later() -> Iterator[Callable[[], bool]]:
-    """Let Ctrl-C wait, but not when pressed again: gives a function that says whether it was pressed."""
-    pressed: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield lambda: False
-        return
-
-    def note(*_: Any) -> None:
-        if pressed:
-            raise KeyboardInterrupt
-        pressed.append(1)
-
-    old = signal.signal(signal.SIGINT, note)
-    try:
-        yield lambda: bool(pressed)
-    finally:
-        signal.signal(signal.SIGINT, old)

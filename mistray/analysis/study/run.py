@@ -25,6 +25,7 @@ from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sam
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
 from mistray.renamed import renamed
+from mistray.time_budget import share, within
 from mistray.trace import Settings, trace
 from mistray.trace.aiming import aims
 from mistray.trace.design_path import find_design_path
@@ -38,6 +39,8 @@ QUICK_RAYS = 100_000
 # Start rays in units of those of the PST: of the objects at each source angle, of the ghosts at each field, and of the
 # check of the sampling
 OBJECT_SHARE, GHOST_SHARE, CHECK_SHARE = 0.2, 0.1, 0.02
+# Of a time budget, each of what is left of it; the PST has the rest
+OBJECT_TIME, PROBE_TIME, GHOST_TIME = 0.25, 0.1, 0.33
 FIELDS = (0.0, 0.5, 1.0, 1.25)  # of the half field over the detector's height, where the fields are not given
 FEW_FIELDS_DEG = (0.0, 10.0, 20.0)  # where that is not known
 
@@ -155,6 +158,7 @@ def study(
     resume: bool = False,
     name: str = "scene",
     progress: Progress | None = None,
+    seconds: float | None = None,
     **settings: Any,
 ) -> Study:
     """
@@ -191,6 +195,9 @@ def study(
         Of the system, for the report.
     progress : callable, optional
         See `Progress`.
+    seconds : float, optional
+        Time for all steps: a quarter for the objects, a third of what is left for the ghosts, the rest for the PST.
+        Each ends with the rays that it has, and its warnings count them.
     **settings
         Other fields of `mistray.trace.Settings`, such as ``max_scatters`` or ``seed``.
 
@@ -230,45 +237,49 @@ def study(
     done(mechanical_model(table, path))
     numbers: FirstOrder | None = steps[0].result
     wanted = _fields(numbers) if given_fields is None else given_fields
-    tell(3, "critical, illuminated and common objects", 0.0)
-    seen = objects(
-        scene,
-        rays=max(1, round(OBJECT_SHARE * count)),
-        field_deg=source_angles(wanted, max(angles)),
-        azimuth_deg=azimuth_deg or 0.0,
-        wavelength_nm=first,
-        seed=chosen.seed,
-        progress=lambda at, of: tell(3, "critical, illuminated and common objects", at / of),
-    )
-    done(*object_steps(seen))
-    tell(6, "coatings and scatter models", 0.0)
-    done(coatings_and_scatter(table, path))
-    tell(7, "importance sampling", 0.0)
-    probe = None
-    if any(interface.scatter for interface in table.interfaces) and chosen.max_scatters:
-        few = given | {"rays": max(1, round(CHECK_SHARE * count))}
-        probe = trace(scene, field_deg=0.0, wavelength_nm=first, **few)
-    done(importance_sampling(table, path, aims(table, scene, chosen), probe))
-    report = ghosts(
-        scene,
-        wanted,
-        azimuth_deg=azimuth_deg,
-        progress=lambda at, of: tell(8, "ghosts", at / of),
-        **light,
-        **given | {"rays": max(1, round(GHOST_SHARE * count)), "max_scatters": 0},
-    )
-    curve = pst(
-        scene,
-        angles,
-        convention=convention,
-        rays=count,
-        relative_error=relative_error,
-        state=state,
-        resume=resume,
-        progress=lambda at: tell(8, "PST", at.share_done),
-        **light,
-        **{key: value for key, value in given.items() if key != "rays"},
-    )
+    with within(seconds):
+        tell(3, "critical, illuminated and common objects", 0.0)
+        with share(OBJECT_TIME):
+            seen = objects(
+                scene,
+                rays=max(1, round(OBJECT_SHARE * count)),
+                field_deg=source_angles(wanted, max(angles)),
+                azimuth_deg=azimuth_deg or 0.0,
+                wavelength_nm=first,
+                seed=chosen.seed,
+                progress=lambda at, of: tell(3, "critical, illuminated and common objects", at / of),
+            )
+        done(*object_steps(seen))
+        tell(6, "coatings and scatter models", 0.0)
+        done(coatings_and_scatter(table, path))
+        tell(7, "importance sampling", 0.0)
+        probe = None
+        if any(interface.scatter for interface in table.interfaces) and chosen.max_scatters:
+            few = given | {"rays": max(1, round(CHECK_SHARE * count))}
+            with share(PROBE_TIME):
+                probe = trace(scene, field_deg=0.0, wavelength_nm=first, **few)
+        done(importance_sampling(table, path, aims(table, scene, chosen), probe))
+        with share(GHOST_TIME):
+            report = ghosts(
+                scene,
+                wanted,
+                azimuth_deg=azimuth_deg,
+                progress=lambda at, of: tell(8, "ghosts", at / of),
+                **light,
+                **given | {"rays": max(1, round(GHOST_SHARE * count)), "max_scatters": 0},
+            )
+        curve = pst(
+            scene,
+            angles,
+            convention=convention,
+            rays=count,
+            relative_error=relative_error,
+            state=state,
+            resume=resume,
+            progress=lambda at: tell(8, "PST", at.share_done),
+            **light,
+            **{key: value for key, value in given.items() if key != "rays"},
+        )
     transmittance = steps[5].fact("transmittance of the design path") if path is not None else math.nan
     assert isinstance(transmittance, float)
     design = [table.ids[step.surface] for step in path.steps] if path is not None else []

@@ -1,0 +1,82 @@
+"""The traces of a ghost analysis: one for each field, and the yardstick on axis."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+from mistray.time_budget import share
+from mistray.trace import Trace, trace
+
+NOMINAL_FIELD_DEG = 0.0
+
+Progress = Callable[[float, float], None]
+
+
+class FieldTraces:
+    """
+    Traces of fields one after the other, in equal shares of a time budget; what is finished stays at an interrupt.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    arguments : mapping
+        Of `mistray.trace` at every field.
+    progress : callable or None
+        Called with (fields done, fields to do).
+
+    Attributes
+    ----------
+    traces : dict of float to Trace
+        By field angle, degrees, in the order in which they were asked for.
+    nominal : Trace or None
+        The field on axis, without reflections and scatter if it was not asked for: the yardstick of all others.
+    at_yardstick : bool
+        Whether a field that nobody asked for is being traced.
+    """
+
+    def __init__(self, scene: Any, arguments: Mapping[str, Any], progress: Progress | None) -> None:
+        self._scene, self._arguments, self._progress = scene, arguments, progress
+        self.traces: dict[float, Trace] = {}
+        self.nominal: Trace | None = None
+        self.at_yardstick = False
+
+    def trace(self, wanted: Sequence[float | None]) -> None:
+        """
+        Trace fields, that on axis first: without it what is finished at an interrupt is no report.
+
+        Parameters
+        ----------
+        wanted : sequence of float or None
+            Field angles, degrees; None: that of the scene's source.
+        """
+        left = len(wanted)
+        if None not in wanted and NOMINAL_FIELD_DEG not in wanted:
+            self._trace_yardstick(left + 1)
+        for done, field in enumerate(sorted(wanted, key=lambda angle: angle != NOMINAL_FIELD_DEG)):
+            part = _part(self._progress, done, left)
+            with share(1 / (left - done)):
+                found = trace(self._scene, field_deg=field, progress=part, **self._arguments)
+            angle = float(found.settings["field_deg"])
+            self.traces[angle] = found
+            if angle == NOMINAL_FIELD_DEG:
+                self.nominal = found
+        if None not in wanted:
+            self.traces = {angle: self.traces[angle] for angle in wanted if angle is not None}
+        elif self.nominal is None:
+            self._trace_yardstick(1)
+
+    def _trace_yardstick(self, fields: int) -> None:
+        """Trace the direct image on axis, which nobody asked for, as one of so many fields that are left."""
+        bare = {**self._arguments, "max_reflections": 0, "max_scatters": 0}
+        self.at_yardstick = True
+        with share(1 / fields):
+            self.nominal = trace(self._scene, field_deg=NOMINAL_FIELD_DEG, **bare)
+        self.at_yardstick = False
+
+
+def _part(progress: Progress | None, done: int, fields: int) -> Callable[[int, int], None] | None:
+    """Progress of one trace as a part of the whole."""
+    if progress is None:
+        return None
+    return lambda rays, of: progress(done + rays / of, fields)
