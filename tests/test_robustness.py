@@ -24,6 +24,7 @@ from report.fake_trace import trace_at
 import mistray.scene
 from mistray import cli
 from mistray.analysis import GhostReport
+from mistray.cli import program
 from mistray.cli.program import main
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
@@ -315,6 +316,7 @@ def test_a_command_killed_at_any_time(tmp_path: Path, delay_s: float) -> None:
     assert subprocess.run(command).returncode == 0
 
 
-def test_the_command_line_is_what_is_tested() -> None:
-    assert cli.main is main
+def test_the_command_line_is_what_is_tested(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(program, "main", lambda argv: f"ran {argv}")
+    assert cli.main(["ghosts"]) == "ran ['ghosts']"
     assert output.PROBE > 1 << 12

@@ -34,6 +34,7 @@ from mistray.cli.tracing_arguments import (
 )
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, STOPS
+from mistray.time_budget import within
 
 if TYPE_CHECKING:
     from pathlib import Path
@@ -160,7 +161,7 @@ def run(options: argparse.Namespace) -> int:
     lines = options.per_wavelength
     files, report = [], None
     try:
-        with workers_of(options):
+        with within(seconds_left(options)), workers_of(options):
             with progress_bar(options) as progress:
                 report = ghosts(
                     scene,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
+from mistray.time_budget import time_is_up
 from mistray.trace.books import Recorder, as_many
 from mistray.trace.history import Ray, rays_in_slots
 from mistray.trace.tracer import PASS_LANES, Run
@@ -33,7 +34,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
     Returns
     -------
     dict
-        Rays by key; none of a path to which no ray of the sample belongs.
+        Rays by key; none of a path to which no ray of the sample belongs. When the time is up the sample is of few.
     """
     found: dict[int, list[Ray]] = {key: [] for key in keys}
     # Start rays are numbered along a curve through the beam, once for each batch: equal steps would meet the same place
@@ -58,7 +59,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
             for key, ray in zip(np.array(recorder.path)[slots].tolist(), rays, strict=True):
                 if len(found[key]) < most:
                     found[key].append(ray)
-            if all(len(rays) >= most for rays in found.values()):
+            if time_is_up() or all(len(rays) >= most for rays in found.values()):
                 return found
     return found
 

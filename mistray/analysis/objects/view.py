@@ -10,12 +10,13 @@ import numpy as np
 from mistray.analysis.objects.places import Places
 from mistray.analysis.objects.rays import ChainTracer, Escape, Hits
 from mistray.analysis.objects.sources import RaySource
-from mistray.time_budget import time_is_up
+from mistray.time_budget import is_limited, time_is_up
 from mistray.trace.energy import batch_error
 from mistray.trace.ledger import BATCHES
 from mistray.trace.optics import OPAQUE
 
 PASS_RAYS = 1 << 18
+SMALLER = 16  # so many passes instead of one where there is a time budget
 KEPT_HITS = 16_384  # of each side of a surface: no more are kept once there are so many
 SIDES = 2  # of a surface: front, back
 Progress = Callable[[int, int], None]
@@ -156,7 +157,7 @@ class View:
         tracer.lost = 0.0
         done = 0
         while done < rays and not (done and time_is_up()):
-            n = min(PASS_RAYS, rays - done)
+            n = min(PASS_RAYS // SMALLER if is_limited() else PASS_RAYS, rays - done)
             self._pass(tracer, source, n, rng)
             done += n
             if progress:
