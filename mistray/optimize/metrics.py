@@ -41,7 +41,7 @@ class Metric:
         Takes a list of `Observation`, one for each field, and returns a Dr.Jit scalar made from their `power`,
         `moments`, `map` and `irradiance` with smooth functions.
     field_deg : tuple of float or None
-        Field angles, degrees; None: the source's own.
+        Field angles, degrees, also given as a list or as one number; None: the source's own.
     wavelength_nm, weights
         As for `mistray.trace`.
     settings : dict
@@ -60,6 +60,9 @@ class Metric:
     settings: Any = None
     unit: str = ""
     name: str = "metric"
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "field_deg", _angles(self.field_deg))
 
     @property
     def views(self) -> list[View]:
@@ -346,7 +349,7 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
         As for `path_power`, with `field_deg`; the axis is traced as well.
     """
     name = "relative illumination"
-    fields = _own(traced)["field_deg"] or ()
+    fields = _angles(traced.get("field_deg")) or ()
     off_axis = [angle for angle in fields if angle != AXIS_DEG]
     if not off_axis:
         raise MistrayError("relative illumination needs field_deg off the axis, 15 or (10, 15) say")
@@ -435,9 +438,11 @@ def _metric(scene: Any, function: Callable[[list[Any]], Any], traced: dict[str, 
     return Metric(scene, function, settings=settings, unit=unit, name=name, **own)
 
 
+def _angles(field_deg: float | Sequence[float] | None) -> tuple[float, ...] | None:
+    """Field angles that were given as one number or several, degrees."""
+    return None if field_deg is None else tuple(FIELD_DEG.check_each("field_deg", field_deg, "metric"))
+
+
 def _own(traced: dict[str, Any]) -> dict[str, Any]:
     """The attributes of `Metric` among the keywords of a metric's function."""
-    own = {key: traced.get(key) for key in ("field_deg", "wavelength_nm", "weights")}
-    if own["field_deg"] is not None:
-        own["field_deg"] = tuple(FIELD_DEG.check_each("field_deg", own["field_deg"], "metric"))
-    return own
+    return {key: traced.get(key) for key in ("field_deg", "wavelength_nm", "weights")}

@@ -278,6 +278,13 @@ class TestCoatings:
             assert found[key][0] == pytest.approx(expected, rel=1e-3, abs=1e-6 * size / self.STEP), key
 
 
+@pytest.mark.parametrize("given", [10, 10.0, [10], (10.0,), np.array([10.0])])
+def test_a_field_angle_is_one_number_or_several(scene, given) -> None:
+    metric = Metric(scene, lambda seen: seen[0].power("all"), field_deg=given, settings={"rays": 16})
+    assert metric.field_deg == path_power(scene, field_deg=given).field_deg == (10.0,)
+    assert metric.observe()[0].field_deg == 10
+
+
 class TestRefusals:
     def test_settings(self, scene) -> None:
         with pytest.raises(MistrayError, match="there is no setting 'ray'; did you mean rays"):
