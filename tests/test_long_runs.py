@@ -19,11 +19,11 @@ PATIENCE = 4.0  # s; an answer takes 2 s on a machine that is free, and others m
 
 
 def white_can() -> str:
-    """A closed can, white inside, with the source in it: light goes on and on."""
+    """A can, white inside, with a hole for the light, which then goes on and on."""
     wall = wall_xml(0.98)
     return scene_text(
         placed_xml("frustum", "can", wall, r0=10.0, z0=-5.0, r1=10.0, z1=30.0),
-        placed_xml("asphere", "lid", wall, at=(0, 0, -5.0), semi_diameter=10.0),
+        placed_xml("asphere", "lid", wall, at=(0, 0, -5.0), semi_diameter=10.0, inner_semi_diameter=1.5),
         placed_xml("asphere", "detector", wall, at=(0, 0, 30.0), semi_diameter=10.0, pixels=8),
     )
 

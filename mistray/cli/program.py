@@ -131,7 +131,7 @@ def _stopped(error: BaseException | None) -> bool:
 
 def _interrupted(error: BaseException | None = None) -> int:
     kept = f"; {error}" if isinstance(error, Interrupted) else ""
-    places = list(dict.fromkeys(str(path) for path in written))
+    places = list(dict.fromkeys(str(path) for path in written if path.exists()))  # not those of temporary folders
     files = f"; written: {', '.join(places[:FILES_NAMED])}{' …' if len(places) > FILES_NAMED else ''}"
     print(f"mistray: interrupted{kept}{files if places else ', nothing was written'}", file=sys.stderr)
     return INTERRUPTED
