@@ -225,7 +225,7 @@ def _keep(runs: Sequence[Run], result: Callable[[], Trace]) -> NoReturn:
         for run in runs:
             run.paths = None
     partial = result()
-    raise Interrupted(f"{partial.rays_traced:.4g} of {planned:.4g} rays are finished and kept{table}", partial)
+    raise Interrupted(f"{partial.rays_traced:.4g} of {planned:.4g} rays are finished{table}", partial)
 
 
 def _explain(error: UnfinishedError, runs: Sequence[Run], result: Callable[[], Trace]) -> None:
