@@ -33,6 +33,7 @@ SUMS, STOKES_SUMS = 7, 10
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD
 MOST_PROBES = 256  # slots of the table that are tried for a path
+USUAL_PROBES = 16  # are enough for nearly all paths while the table is not full
 
 
 def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
@@ -95,7 +96,13 @@ class DecodedPaths:
 
 
 def claim(
-    keys: Any, key: Any, start: mi.UInt32, mask: mi.UInt32, most_probes: int, active: mi.Bool
+    keys: Any,
+    key: Any,
+    start: mi.UInt32,
+    mask: mi.UInt32,
+    most_probes: int,
+    active: mi.Bool,
+    flag: mi.UInt32 | None = None,
 ) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
     """
     Find a key in an open-addressing table in device memory, or claim a free slot for it by compare-and-swap.
@@ -113,6 +120,9 @@ def claim(
     most_probes : int
         Slots that are tried.
     active : mi.Bool
+    flag : mi.UInt32, optional
+        Entry of the table that is set once a key has found no slot. Searches end early from then on, since in a full
+        table each would be a long one.
 
     Returns
     -------
@@ -122,13 +132,22 @@ def claim(
     """
 
     def probe(slot, going, found, new, tries):  # type: ignore[no-untyped-def]
-        old, swapped = dr.scatter_cas(keys, type(key)(0), key, slot, going)
-        here = going & (swapped | (old == key))
+        place, value, tried, full = slot, key, going, mi.Bool(False)
+        if flag is not None:  # by the same instruction, since a kernel cannot read what it writes by another one
+            asks, gives_up = tries == USUAL_PROBES, tries == most_probes
+            place = dr.select(asks | gives_up, flag, slot)
+            value = dr.select(asks, type(key)(0), dr.select(gives_up, type(key)(1), key))
+            tried = going & ~asks & ~gives_up
+        old, swapped = dr.scatter_cas(keys, type(key)(0), value, place, going)
+        here = tried & (swapped | (old == key))
         found |= here
-        new |= going & swapped
-        going = going & ~here & (tries + 1 < most_probes)
-        return dr.select(going, (slot + 1) & mask, slot), going, found, new, tries + 1
+        new |= tried & swapped
+        if flag is not None:
+            full = gives_up | (asks & (old != 0))
+        going = going & ~here & ~full & (tries + 1 < last)
+        return dr.select(going & tried, (slot + 1) & mask, slot), going, found, new, tries + 1
 
+    last = most_probes if flag is None else most_probes + 1
     slot, _, found, new, _ = dr.while_loop(
         (start, mi.Bool(active), mi.Bool(False), mi.Bool(False), mi.UInt32(0)),
         lambda *v: v[1],
@@ -175,12 +194,11 @@ class Ledger:
         self.terms = STOKES_SUMS if stokes else SUMS
         self.row = packet_size(self.terms)
         self.mask = dr.opaque(mi.UInt32, capacity - 1)
-        self.keys = dr.zeros(mi.UInt64, capacity)
+        self.keys = dr.zeros(mi.UInt64, capacity + 1)  # the last entry is set once a path has found no slot
         self.lengths = dr.zeros(mi.UInt32, capacity)
         self.events = dr.zeros(mi.UInt32, capacity * max_events)
         self.sums = dr.zeros(mi.Float64, capacity * BATCHES * self.row)
-        self.lost = dr.zeros(mi.UInt32, 1)
-        dr.eval(self.keys, self.lengths, self.events, self.sums, self.lost)
+        dr.eval(self.keys, self.lengths, self.events, self.sums)
 
     def clear_sums(self) -> None:
         """Forget the sums and keep the paths, so that a second trace finds the same slots."""
@@ -190,9 +208,7 @@ class Ledger:
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
         """Slot of a key, whether it was found or claimed, and whether it was claimed just now."""
         start = mi.UInt32(key >> 32) & self.mask
-        slot, found, new = claim(self.keys, key, start, self.mask, MOST_PROBES, active)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.lost, mi.UInt32(1), mi.UInt32(0), active & ~found)
-        return slot, found, new
+        return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
 
     def known(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
         """Slot of a key, and whether it has one; the table stays as it is."""
@@ -240,12 +256,17 @@ class Ledger:
     @property
     def used(self) -> int:
         """Paths in the table."""
-        return int(dr.count(self.keys != 0)[0])
+        return int(dr.count(self.keys != 0)[0]) - self._lost
+
+    @property
+    def _lost(self) -> bool:
+        """Whether a path has found no slot."""
+        return int(self.keys[self.capacity]) != 0
 
     @property
     def full(self) -> bool:
         """Whether the table is so full that hits were lost or soon will be."""
-        return int(self.lost[0]) > 0 or self.used > 0.7 * self.capacity
+        return self._lost or self.used > 0.7 * self.capacity
 
     def decode(self) -> DecodedPaths:
         """
@@ -256,7 +277,7 @@ class Ledger:
         MistrayError
             If a recorded event list does not hash to its key: two paths collided or the kernel wrote garbage.
         """
-        keys = np.array(self.keys)
+        keys = np.array(self.keys)[: self.capacity]
         slots = np.flatnonzero(keys)
         lengths = np.array(self.lengths)[slots].astype(np.int64)
         events = np.array(self.events).reshape(self.capacity, self.max_events)[slots]
