@@ -7,7 +7,8 @@ STAMPS := $(VENV)/.stamps
 CHECK  := from mistray._variant import find_llvm; from mistray._mitsuba_compat import import_mitsuba; \
           llvm = find_llvm(); import_mitsuba(); print(llvm)
 
-PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder
+# A worker that dies ends the run: xdist waits for ever for the tests of one that it replaces
+PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 
 .DEFAULT_GOAL := help
 .PHONY: help demo test test-all lint bench venv clean

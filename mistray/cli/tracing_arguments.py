@@ -66,7 +66,7 @@ def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
     group.add_argument("--max-consecutive", type=CONSECUTIVE, metavar="N",
                        help="hits of one surface in a row on one path (no limit)")  # fmt: skip
     group.add_argument("--max-segments", type=SEGMENTS, metavar="N",
-                       help="ray segments of the tree of one start ray (262144)")  # fmt: skip
+                       help="ray segments of the tree of one start ray (524288)")  # fmt: skip
     group.add_argument("--flux-threshold", type=THRESHOLD, metavar="F",
                        help="flux below which a ray ends, relative to its start ray (1e-8)")  # fmt: skip
     group.add_argument("--cut-below", metavar="LIST",

@@ -62,7 +62,7 @@ class DetectorStart:
         else:
             origin, x_axis, y_axis = table.detector_axes
             self._origin, self._axes = origin, [x_axis, y_axis, dr.cross(x_axis, y_axis)]
-            normal = table.stock_normal(table.download_points(origin)[0], np.array(self._axes[2]).ravel())
+            (normal,) = table.stock_normals(table.download_points(origin)[:1], np.array(self._axes[2]).reshape(1, 3))
             if normal @ np.array(self._axes[2]).ravel() < 0:
                 self._axes[2] = -self._axes[2]
         normal = np.array(self._axes[2]).ravel()

@@ -33,7 +33,8 @@ SUMS, STOKES_SUMS = 7, 10
 FIRST_KEY = 0x9E3779B97F4A7C15
 MULTIPLIER = 0xFF51AFD7ED558CCD
 MOST_PROBES = 256  # slots of the table that are tried for a path
-USUAL_PROBES = 16  # are enough for nearly all paths while the table is not full
+LARGE = 1 << 24  # entries of an array
+USUAL_PROBES = 4  # are enough for most paths while the table is not full
 
 
 def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
@@ -175,6 +176,15 @@ def write_list(
     dr.while_loop((dr.zeros(mi.UInt32, dr.width(first)),), lambda k: active & (k < length), step, mode="symbolic")
 
 
+def _zeros(dtype: Any, size: int) -> Any:
+    """Zeros in memory, large arrays by all threads: one alone takes seconds for a GiB that the system has to clear."""
+    if size < LARGE:
+        return dr.zeros(dtype, size)
+    zeros = dtype(dr.arange(mi.UInt32, size) >> 31)
+    dr.eval(zeros)
+    return zeros
+
+
 class Ledger:
     """
     Table of paths in device memory.
@@ -196,13 +206,13 @@ class Ledger:
         self.mask = dr.opaque(mi.UInt32, capacity - 1)
         self.keys = dr.zeros(mi.UInt64, capacity + 1)  # the last entry is set once a path has found no slot
         self.lengths = dr.zeros(mi.UInt32, capacity)
-        self.events = dr.zeros(mi.UInt32, capacity * max_events)
-        self.sums = dr.zeros(mi.Float64, capacity * BATCHES * self.row)
+        self.events = _zeros(mi.UInt32, capacity * max_events)
+        self.sums = _zeros(mi.Float64, capacity * BATCHES * self.row)
         dr.eval(self.keys, self.lengths, self.events, self.sums)
 
     def clear_sums(self) -> None:
         """Forget the sums and keep the paths, so that a second trace finds the same slots."""
-        self.sums = dr.zeros(mi.Float64, self.capacity * BATCHES * self.row)
+        self.sums = _zeros(mi.Float64, self.capacity * BATCHES * self.row)
         dr.eval(self.sums)
 
     def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:

@@ -85,7 +85,7 @@ def _hit(
 ) -> tuple[np.ndarray, np.ndarray]:
     """Exact hits next to recorded ones, and the normals there, (n, 3) each."""
     if surface >= len(table.pieces):  # a mesh: Mitsuba's hit is all there is
-        return recorded, np.array([table.stock_normal(*ray) for ray in zip(recorded, d, strict=True)])
+        return recorded, table.stock_normals(recorded, d)
     piece = table.pieces[surface]
     rotation = table.rotations[surface]
     o, dl = (origin - table.vertices[surface]) @ rotation, d @ rotation

@@ -32,7 +32,7 @@ BRANCHES = {
     "A": "absorption",
 }  # letters of the branches that `cut_below` tells apart, in its order; what a medium scatters is transmitted
 LARGEST = 1e30  # threshold: the kernel has float32
-MAX_SEGMENTS = 1 << 18  # a fraction of a second of a core, also where each segment scatters
+MAX_SEGMENTS = 1 << 19  # a second of a core, also where each segment scatters
 
 
 @dataclass(frozen=True)

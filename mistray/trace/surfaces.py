@@ -253,12 +253,14 @@ class SurfaceTable:
         self.stock_epsilon = 4e-6 * (1.0 + size)
         self.stock_offset = mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in self.centre))
 
-    def stock_normal(self, point: np.ndarray, direction: np.ndarray) -> np.ndarray:
-        """Normal of the stock shape that a ray along `direction` meets at `point`, float64."""
+    def stock_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Normals of the stock shapes that rays along `directions` meet at `points`, (n, 3) float64."""
         assert self.stock_scene is not None
-        start = point - 8 * self.stock_epsilon * direction
-        ray = mi.Ray3f(mi.Point3f(*map(float, start)), mi.Vector3f(*map(float, direction)))
-        return np.array(self.stock_scene.ray_intersect(ray).n, dtype=np.float64).ravel()
+        starts = points - 8 * self.stock_epsilon * directions
+        # From memory: with numbers of their own in the code, each ray would be a kernel to compile
+        origin, along = (dr.unravel(mi.Vector3f, upload(mi.Float, rays)) for rays in (starts, directions))
+        found = self.stock_scene.ray_intersect(mi.Ray3f(mi.Point3f(origin), along))
+        return np.array(found.n, dtype=np.float64).T
 
     def _flags(self) -> np.ndarray:
         """The bits of the words that the geometry knows."""

@@ -46,7 +46,7 @@ class StrayLight(mi.CppADIntegrator):
     max_generations       1      ≥ 0           no limit    reflections and scatter events together
     max_events            1      1 … 1000      64          surfaces along a path, the detector included
     max_consecutive       1      ≥ 1           no limit    hits of one surface in a row
-    max_segments          1      1 … 4.29e9    262144      ray segments of the tree of one start ray
+    max_segments          1      1 … 4.29e9    524288      ray segments of the tree of one start ray
     scatter_rays          1      1 … 255       1           rays scattered at random at every hit
     aimed_rays            1      0 … 255       1           rays aimed at automatic targets at every hit, in reflection
                                                            and transmission each

@@ -9,6 +9,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
+import drjit as dr
 import mitsuba as mi
 import numpy as np
 import pytest
@@ -156,6 +157,18 @@ class TestBallLens:
             lengths = np.linalg.norm(steps, axis=1)
             np.testing.assert_allclose(np.diff(ray.opl_mm), lengths * [1, 1.5, 1], rtol=1e-6)
         assert set(t.rays(n=50).node) == {3, 5}
+
+    def test_no_kernel_for_each_ray(self, load_text) -> None:
+        """A history of many rays launches as many kernels as one of few."""
+        scene, _ = load_text(self.texts()[0])
+        t = mistray.trace(scene, rays=2000)
+        launched = []
+        for rays in (2, 100):
+            with dr.scoped_set_flag(dr.JitFlag.KernelHistory):
+                dr.kernel_history_clear()
+                t.history(0, rays)
+                launched.append(len(dr.kernel_history([dr.KernelType.JIT])))
+        assert launched[1] <= launched[0] + 2
 
     def test_inside_out_and_again(self, load_text) -> None:
         """Light whispers along the inside of a ball: many hits of one stock shape, none lost, none counted twice."""
