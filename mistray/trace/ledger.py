@@ -17,6 +17,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.interrupts import end_overdue
 from mistray.trace.packets import add_packet, packet_size
 
 # What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
@@ -177,12 +178,22 @@ def write_list(
 
 
 def _zeros(dtype: Any, size: int) -> Any:
-    """Zeros in memory, large arrays by all threads: one alone takes seconds for a GiB that the system has to clear."""
-    if size < LARGE:
+    """
+    Zeros in memory.
+
+    A large array takes seconds, since the system clears what it hands out: all threads share the work, and an interrupt
+    ends it.
+    """
+    if size <= LARGE:
         return dr.zeros(dtype, size)
-    zeros = dtype(dr.arange(mi.UInt32, size) >> 31)
-    dr.eval(zeros)
-    return zeros
+    array = dr.empty(dtype, size)
+    for first in range(0, size, LARGE):
+        place = dr.arange(mi.UInt32, min(LARGE, size - first)) + dr.opaque(mi.UInt32, first)
+        dr.scatter(array, dtype(0), place)
+        dr.eval(array)
+        dr.sync_thread()
+        end_overdue()
+    return array
 
 
 class Ledger:
