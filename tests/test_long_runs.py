@@ -123,8 +123,9 @@ def test_every_command_of_many_rays_has_a_budget(arguments: list[str], tmp_path:
     assert "rays were traced" in done.stdout + done.stderr or "fewer rays" in done.stdout + done.stderr
 
 
-def test_a_second_signal_ends_at_once(tmp_path: Path) -> None:
-    """Also while libraries are imported or a kernel is compiled."""
+@pytest.mark.parametrize("apart_s", [0.02, 0.2, 0.3, 0.4])
+def test_a_second_signal_ends_at_once(apart_s: float, tmp_path: Path) -> None:
+    """Also while libraries are imported, a kernel is compiled, or Python shuts down."""
     place = write(tmp_path, plain_plates())
     command = [*MISTRAY, "ghosts", str(place), "--rays", "1e9"]
     process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
@@ -132,7 +133,7 @@ def test_a_second_signal_ends_at_once(tmp_path: Path) -> None:
     while "mitsuba" not in modules.read_text() and process.poll() is None:
         time.sleep(0.01)
     process.send_signal(signal.SIGINT)
-    time.sleep(0.2)
+    time.sleep(apart_s)
     if process.poll() is None:
         process.send_signal(signal.SIGINT)
     sent = time.monotonic()
@@ -140,3 +141,18 @@ def test_a_second_signal_ends_at_once(tmp_path: Path) -> None:
     assert time.monotonic() - sent < PATIENCE
     assert process.returncode == 130
     assert "Traceback" not in err
+
+
+def test_an_interrupt_of_a_class_that_is_made_keeps_the_exit_code(tmp_path: Path) -> None:
+    """Python itself would end by SIGINT, since the method of a dataclass is compiled from text."""
+    (tmp_path / "interrupted.py").write_text(
+        "import signal, sys\n"
+        "from mistray.cli import main, program\n"
+        "def run(_):\n"
+        "    exec('import signal; signal.raise_signal(signal.SIGINT)')\n"
+        "program._command = run\n"
+        "sys.exit(main())\n"
+    )
+    command = [sys.executable, "-m", "interrupted"]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
+    assert done.returncode == 130, done

@@ -6,7 +6,7 @@ import sys
 from collections.abc import Sequence
 
 from mistray.cli.arguments import INTERRUPTED
-from mistray.cli.signals import watched
+from mistray.cli.signals import ignore, watched
 from mistray.interrupts import requested
 
 __all__ = ["main"]
@@ -14,7 +14,7 @@ __all__ = ["main"]
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command, see `mistray.cli.program.main`, from the first moment on with a handler of Ctrl-C."""
-    with watched():
+    with watched(process_ends=argv is None):
         try:
             from mistray.cli import program
 
@@ -22,5 +22,6 @@ def main(argv: Sequence[str] | None = None) -> int:
         except (KeyboardInterrupt, Exception):  # C code makes a SystemError of an interrupt while a library is imported
             if not requested():
                 raise
+            ignore()
             print("mistray: interrupted, nothing was written", file=sys.stderr)
             return INTERRUPTED

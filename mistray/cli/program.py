@@ -33,6 +33,7 @@ from mistray.cli import (
 )
 from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
 from mistray.cli.claims import guard_of
+from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError
 from mistray.interrupts import requested
 from mistray.replace_file import guarding, written
@@ -130,6 +131,7 @@ def _stopped(error: BaseException | None) -> bool:
 
 
 def _interrupted(error: BaseException | None = None) -> int:
+    ignore()
     kept = f"; {error}" if isinstance(error, Interrupted) else ""
     places = list(dict.fromkeys(str(path) for path in written if path.exists()))  # not those of temporary folders
     files = f"; written: {', '.join(places[:FILES_NAMED])}{' …' if len(places) > FILES_NAMED else ''}"

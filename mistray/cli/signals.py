@@ -11,19 +11,35 @@ import threading
 from collections.abc import Iterator
 
 from mistray.cli.arguments import INTERRUPTED
-from mistray.interrupts import SIGNALS, forget, note
+from mistray.interrupts import SIGNALS, forget, note, requested
 from mistray.replace_file import remove_drafts
 
 PATIENCE = 0.4  # s in which Python mostly comes to a signal by itself
 
 
+def ignore() -> None:
+    """Ignore what else comes: the command has ended, and only its last line and its exit code are left."""
+    if threading.current_thread() is threading.main_thread():
+        for number in SIGNALS:
+            signal.signal(number, signal.SIG_IGN)
+    # Python ends by SIGINT, whatever the exit code, if the last code that it compiled from text let an interrupt out,
+    # as a dataclass or a named tuple does that is being made
+    exec("")
+
+
 @contextlib.contextmanager
-def watched() -> Iterator[None]:
+def watched(process_ends: bool) -> Iterator[None]:
     """
     Treat SIGTERM as SIGINT, and remember both, see `mistray.interrupts`.
 
     While C++ code is at work Python's handlers wait. A thread of its own says so then, and at a second signal it ends
     the process.
+
+    Parameters
+    ----------
+    process_ends : bool
+        Whether the process ends with the command. After an interrupt its signals are ignored then, since one that
+        comes while Python shuts down would take the exit code's place.
     """
     if threading.current_thread() is not threading.main_thread():
         yield
@@ -41,8 +57,11 @@ def watched() -> Iterator[None]:
     finally:
         ended.set()
         signal.set_wakeup_fd(old)
-        for number, handler in before.items():
-            signal.signal(number, handler)
+        if process_ends and requested():
+            ignore()
+        else:
+            for number, handler in before.items():
+                signal.signal(number, handler)
         there.close()
         watch.join()
         here.close()
