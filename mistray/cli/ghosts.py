@@ -33,7 +33,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
-from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, STOPS
+from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, SECONDS, STOPS
 from mistray.time_budget import within
 
 if TYPE_CHECKING:
@@ -45,7 +45,10 @@ if TYPE_CHECKING:
     from mistray.report import Look
 
 
-SHARE_OF_TRACE = 0.4  # of --seconds: the maps of a report trace the same rays again
+# Of --seconds: the maps of a report trace the same rays again, and pictures take seconds, more with each field
+SHARE_OF_TRACE = 0.45
+PAGE_S, FIELD_S = 4.0, 1.0
+MOST_OF_PICTURES = 0.4
 ALL_ALIASES = ("part", "space")
 # Of `mistray.analysis.ranking` and `mistray.analysis.path_analysis`, not imported to parse a command line
 RANKS = ("rms", "power", "peak")
@@ -171,7 +174,7 @@ def run(options: argparse.Namespace) -> int:
                     azimuth_deg=options.azimuth_deg,
                     progress=progress,
                     rank=options.rank,
-                    seconds=seconds_left(options, 1.0 if options.out is None else SHARE_OF_TRACE),
+                    seconds=_seconds_of_trace(options),
                     **settings_of(options),
                 )
             if options.rank == "peak":
@@ -198,6 +201,15 @@ def run(options: argparse.Namespace) -> int:
 
     show(options, lambda: as_json(report, lines, options.filter, extra.tables), text, files)
     return 0
+
+
+def _seconds_of_trace(options: argparse.Namespace) -> float | None:
+    """What of --seconds the trace has, so that the report of its rays is written in time, too."""
+    left = seconds_left(options)
+    if left is None or options.out is None:
+        return left
+    pictures = min(PAGE_S + FIELD_S * len(options.field_deg or [None]), MOST_OF_PICTURES * left)
+    return max(SHARE_OF_TRACE * (left - pictures), SECONDS.low)
 
 
 def _write_report(report: GhostReport, extra: _Extra, options: argparse.Namespace, look: Look | None) -> list[Path]:

@@ -92,11 +92,11 @@ def add_seconds(group: Any) -> None:
                        help="end this time after the start of the command, with the rays traced so far")  # fmt: skip
 
 
-def seconds_left(options: argparse.Namespace, share: float = 1.0) -> float | None:
-    """What is left of --seconds, or a share of it; None where it is not given."""
+def seconds_left(options: argparse.Namespace) -> float | None:
+    """What is left of --seconds; None where it is not given."""
     if options.seconds is None:
         return None
-    return max(share * (options.seconds - (time.monotonic() - options.began)), SECONDS.low)
+    return max(options.seconds - (time.monotonic() - options.began), SECONDS.low)
 
 
 def add_machine(group: Any) -> None:
