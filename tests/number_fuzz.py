@@ -33,7 +33,7 @@ from fuzzing import unclear
 NASTY = ("nan", "inf", "-inf", "0", "-0.0", "-1", "1e-308", "1e308", "1e-30", "1e30", "2147483648", "0.5", "abc")
 NASTY_XML = ("nan", "inf", "-inf", "0", "-1", "1e-308", "1e308", "1e-30", "1e30", "2147483648", "0.5")
 LIMIT_S = 10.0  # of processor time, which does not grow with the load of the machine
-STOP_S = 2.0  # within which an interrupt ends a command
+STOP_S = 2.0 * (os.cpu_count() or 1)  # of processor time, all cores at work: an interrupt ends a command in 2 s
 STUCK_S = 120.0  # after which a worker is ended
 MEMORY = 6 << 30  # bytes beyond those of the worker at its start
 

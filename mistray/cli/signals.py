@@ -21,7 +21,8 @@ def ignore() -> None:
     """Ignore what else comes: the command has ended, and only its last line and its exit code are left."""
     if threading.current_thread() is threading.main_thread():
         for number in SIGNALS:
-            signal.signal(number, signal.SIG_IGN)
+            if signal.getsignal(number) is note:  # not the handler of somebody else, who calls commands from Python
+                signal.signal(number, signal.SIG_IGN)
     # Python ends by SIGINT, whatever the exit code, if the last code that it compiled from text let an interrupt out,
     # as a dataclass or a named tuple does that is being made
     exec("")
