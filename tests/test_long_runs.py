@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import importlib
 import json
 import signal
 import subprocess
@@ -156,3 +157,14 @@ def test_an_interrupt_of_a_class_that_is_made_keeps_the_exit_code(tmp_path: Path
     command = [sys.executable, "-m", "interrupted"]
     done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False)
     assert done.returncode == 130, done
+
+
+@pytest.mark.parametrize("name", ["mistray.cli", "mistray.cli.program"])
+def test_commands_called_from_python_leave_its_handlers(name: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    def interrupted_command(_: object) -> int:
+        raise KeyboardInterrupt
+
+    before = [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)]
+    monkeypatch.setattr("mistray.cli.program._command", interrupted_command)
+    assert importlib.import_module(name).main(["doctor"]) == 130
+    assert [signal.getsignal(number) for number in (signal.SIGINT, signal.SIGTERM)] == before
