@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import json
+import resource
 import signal
 import subprocess
 import sys
@@ -39,10 +40,22 @@ def bare_lens() -> str:
     return plates_text(1)
 
 
+def painted_walls() -> str:
+    """A tube in 1000 rings."""
+    walls = "".join(
+        placed_xml("frustum", f"ring_{k}", wall_xml(0.05), r0=20.0, z0=0.1 * k, r1=20.0, z1=0.1 * (k + 1))
+        for k in range(1000)
+    )
+    return scene_text(
+        walls, placed_xml("asphere", "detector", wall_xml(0.01), at=(0, 0, 100.0), semi_diameter=20.0, pixels=8)
+    )
+
+
 EXPLOSIONS = {
     "plates": (plain_plates, ["--max-reflections", "6"]),
     "cavity": (white_can, ["--max-scatters", "60"]),
     "rays": (bare_lens, ["--rays", "2e9"]),
+    "walls": (painted_walls, ["--rays", "1e8", "--field-deg", "0"]),
 }
 
 
@@ -67,7 +80,11 @@ def interrupted(command: list[str], after_s: float, number: signal.Signals) -> t
 
 @pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-@pytest.mark.parametrize(("command", "after_s"), [("plates", 20), ("cavity", 5), ("rays", 20)], indirect=["command"])
+@pytest.mark.parametrize(
+    ("command", "after_s"),
+    [("plates", 20), ("cavity", 5), ("rays", 20), ("walls", 2), ("walls", 20)],
+    indirect=["command"],
+)
 def test_a_signal_ends_an_explosion(command: list[str], after_s: float, number: signal.Signals, tmp_path: Path) -> None:
     code, seconds, err = interrupted(command, after_s, number)
     assert (code, seconds <= PATIENCE) == (130, True), (code, seconds, err)
@@ -75,6 +92,28 @@ def test_a_signal_ends_an_explosion(command: list[str], after_s: float, number: 
     assert last.startswith("mistray: interrupted")
     written = list((tmp_path / "out").glob("*.csv"))
     assert ("nothing was written" in last) == (not written)
+
+
+@pytest.mark.parametrize("room", [200_000, 500_000])
+def test_a_full_disk_keeps_the_tables_that_fit(room: int, tmp_path: Path) -> None:
+    def little_room() -> None:
+        signal.signal(signal.SIGXFSZ, signal.SIG_IGN)
+        resource.setrlimit(resource.RLIMIT_FSIZE, (room, room))
+
+    out = tmp_path / "out"
+    command = [*MISTRAY, "ghosts", "double_gauss", "--field-deg", "0", "5", "--rays", "20000", "--out", str(out)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False, preexec_fn=little_room)
+    assert done.returncode == 2
+    last = done.stderr.splitlines()[-1]
+    assert str(out) in last
+    written = {path.name for path in out.iterdir()}
+    assert {"summary.csv", "paths.csv", "energy.csv"} <= written
+    assert "report.html" not in written
+    assert all(name in last for name in written)
+    rows = (out / "paths.csv").read_text(encoding="utf-8").splitlines()
+    assert len({row.count(",") for row in rows if '"' not in row}) == 1  # whole lines
+    assert "field" in done.stdout
+    assert [path.name for path in tmp_path.iterdir()] == ["out"]
 
 
 @pytest.mark.slow

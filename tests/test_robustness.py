@@ -55,7 +55,7 @@ def everything(folder: Path) -> dict[str, bytes]:
 def small_report(monkeypatch: pytest.MonkeyPatch) -> GhostReport:
     """A report whose pictures, which take seconds, are not drawn."""
     monkeypatch.setattr(output, "draw", lambda *_: {"overview.png": CONTENTS[0]})
-    monkeypatch.setattr(output, "write_html", lambda report, path, *_: replace_file(path, CONTENTS[1]))
+    monkeypatch.setattr(output, "html_text", lambda *_: CONTENTS[1].decode())
     return GhostReport(lens_scene(), {0.0: trace_at(0.0)}, trace_at(0.0), {})
 
 

@@ -14,7 +14,7 @@ from mistray.errors import MistrayError
 from mistray.replace_file import FREE, NO_ROOM, claim_files, draft_folder, replace_files, written
 from mistray.report.colour import ColourPictures, Look
 from mistray.report.csv_tables import write_csv
-from mistray.report.html import write_html
+from mistray.report.html import html_text
 from mistray.report.html_fields import mapped_paths
 from mistray.report.layout import layout
 from mistray.report.path_sort import path_sort_text
@@ -115,7 +115,8 @@ def write_all(
             path = draft / f"path_sort_{field:g}deg.txt"
             path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
             drafts.append(path)
-        drafts.append(write_html(report, draft / "report.html", title, command, pictures, per_wavelength))
+        page = html_text(report, title, command, pictures, per_wavelength)
+        drafts += _write({"report.html": page.encode()}, draft)
         target.mkdir(parents=True, exist_ok=True)
         claim_files(target / path.name for path in drafts)
         files = [path.replace(target / path.name) for path in drafts]

@@ -134,7 +134,7 @@ def test_a_failure_leaves_nothing(report, tmp_path, monkeypatch):
 def undrawn(monkeypatch):
     """Reports of one picture and one word, for tests of what happens to the files."""
     monkeypatch.setattr(output, "draw", lambda report, look: {"overview.png": b"picture"})
-    monkeypatch.setattr(html, "html_text", lambda *_: "text")
+    monkeypatch.setattr(output, "html_text", lambda *_: "text")
 
 
 def test_write_all_writes_every_file(report, tmp_path):
@@ -167,7 +167,7 @@ def test_write_all_fails_without_a_trace(report, undrawn, tmp_path, monkeypatch)
     def fail(*_):
         raise RuntimeError("out of ink")
 
-    monkeypatch.setattr(output, "write_html", fail)
+    monkeypatch.setattr(output, "html_text", fail)
     with pytest.raises(RuntimeError, match="out of ink"):
         write_all(report, tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
