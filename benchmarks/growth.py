@@ -17,8 +17,8 @@ from rows import REPEATS, Row, alternate, slope
 
 import mistray
 from mistray.prescription import Detector, Prescription, Source, Surface, barrel
-from mistray.trace.books import SEGMENTS
 from mistray.trace.settings import Settings
+from mistray.trace.tallies import SEGMENTS
 from mistray.trace.tracer import Run, prepare
 
 LINEAR = 1.05

@@ -17,8 +17,8 @@ import numpy as np
 from rows import REPEATS, NotTheSameWorkError, Row, alternate, measured
 
 import mistray
-from mistray.trace.books import SEGMENTS
 from mistray.trace.settings import Settings
+from mistray.trace.tallies import SEGMENTS
 from mistray.trace.tracer import Run, prepare
 
 CASES = (("double_gauss", 1 << 18, 10.0), ("phone_camera", 1 << 14, 3.0))

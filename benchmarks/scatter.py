@@ -19,8 +19,8 @@ import mistray
 from mistray.scatter.abg import ABg
 from mistray.scatter.scan import table
 from mistray.scatter.zemax_bsdf import write_zemax_bsdf
-from mistray.trace.books import SEGMENTS
 from mistray.trace.settings import Settings
+from mistray.trace.tallies import SEGMENTS
 from mistray.trace.tracer import prepare
 
 SEGMENTS_BAR = 1e7

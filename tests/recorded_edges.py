@@ -12,10 +12,9 @@ from oracles.rim_distances import RimHits, bundles_of_hits
 from mistray.trace.adjoint import Adjoint
 from mistray.trace.backward import BackwardTrace
 from mistray.trace.edges import Edges
-from mistray.trace.ledger import EVENT_BITS, Ledger
+from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
 from mistray.trace.settings import Settings
-from mistray.trace.sky import Sky
 from mistray.trace.start_rays import StartRays
 from mistray.trace.tracer import Run, prepare
 from mistray.trace.upload import upload
@@ -26,13 +25,11 @@ def edge_hits(
     starts: list[StartRays],
     ids: list[str],
     adjoint: Adjoint,
-    ledger: Ledger | None = None,
-    sky: Sky | None = None,
 ) -> list[RimHits]:
     """All hits of some start rays, with both coefficients (the one for half the width in row 1)."""
     found: dict[str, list[Any]] = {}
     for pass_rays in starts:
-        for start, events in edges.events(pass_rays, adjoint, ledger, sky):
+        for start, events in edges.events(pass_rays, adjoint):
             row, paths = np.array(events.row), events.paths
             lane = np.array(paths.lane)[row] - int(np.array(start.lane)[0])
             nodes = np.array(paths.nodes).reshape(paths.capacity, paths.max_events, -1)
@@ -76,8 +73,8 @@ def traced_edges(scene: Any, width: float, pixel: np.ndarray | float = 1.0, **tr
     (run,) = prepare(scene, settings, field_deg)
     film = run.make_film()
     by_pixel = run.unit * np.broadcast_to(pixel, (film.height, film.width))
-    adjoint = Adjoint(0, upload(mi.Float, by_pixel))
-    edges = Edges(run.table, run.scattering, run.intersector, settings, film, width)
+    adjoint = Adjoint(0, film, upload(mi.Float, by_pixel))
+    edges = Edges(run.scene, settings, width)
     with dr.suspend_grad():
         return run, edge_hits(edges, [run.start_pass(k) for k in range(run.passes)], run.table.ids, adjoint)
 
@@ -95,7 +92,7 @@ def backward_edges(trace: BackwardTrace, derivative: np.ndarray, width: float) -
         Of the zones.
     """
     band = trace.bands[0]
-    edges = Edges(band.table, band.scattering, trace.intersector, trace.settings, trace.film, width)
+    edges = Edges(trace.scene(band), trace.settings, width)
     starts = [trace.start_pass(0, done, rays) for done, rays in enumerate(trace.pass_rays or [])]
     with dr.suspend_grad():
-        return edge_hits(edges, starts, band.table.ids, Adjoint(0), sky=trace.make_sky(derivative))
+        return edge_hits(edges, starts, band.table.ids, trace.adjoint(derivative))

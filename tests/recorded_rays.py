@@ -6,7 +6,7 @@ import numpy as np
 from oracles.frozen_paths import Bundle
 
 from mistray.trace import Trace
-from mistray.trace.books import NODE_FLOATS
+from mistray.trace.branch_recorder import NODE_FLOATS
 from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
 

@@ -34,7 +34,7 @@ from mistray.ranges import FIELD_DEG
 from mistray.renamed import renamed
 from mistray.time_budget import within
 from mistray.trace import Settings, Trace
-from mistray.trace.books import groups_of
+from mistray.trace.film import groups_of
 from mistray.trace.path_events import DIRECT, STRAY_KINDS
 from mistray.trace.sampled import Sampled
 

@@ -15,28 +15,34 @@ replay backpropagation", ACM Trans. Graph. 40, 108 (2021).
 
 from __future__ import annotations
 
-from typing import Any
+from collections.abc import Hashable
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 
-from mistray.trace.books import Film
-from mistray.trace.interaction import Interaction
+from mistray.trace.film import Film
 from mistray.trace.ledger import BATCHES, Ledger
 from mistray.trace.raw_gradient import MOMENTS
-from mistray.trace.scatter_shares import Given
+from mistray.trace.recorder import Branch, Departure, Memory, Recorder, Return, Visit
+from mistray.trace.start_rays import StartRays
 
+if TYPE_CHECKING:
+    from mistray.trace.sky import Sky
+
+GAIN, EVENTS = "gain", "events"  # of a lane, in the memory
 CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
 
 
-class Adjoint:
+class Adjoint(Recorder):
     """
     Sums of the derivatives of one metric.
 
     Parameters
     ----------
     rows : int
-        Rows of the tables of R and T; 0: no derivatives by rows, only the total of each lane, see `walk`.
+        Rows of the tables of R and T; 0: no derivatives by rows, only what the metric gains from each lane.
+    film : Film
     pixel : (maps · pixels,) mi.Float, optional
         Derivative of the metric by the flux in each pixel of the film, for one or more groups of paths.
     path : (capacity · MOMENTS,) mi.Float64, optional
@@ -44,9 +50,15 @@ class Adjoint:
         derivative of the metric by the flux of a hit at (x, y).
     map_of_slot : (capacity,) mi.UInt32, optional
         Number of the map + 1 of each path of the ledger, 0 for none; None: all hits count in the first map.
+    ledger : Ledger, optional
+        That knows the paths.
+    sky : Sky, optional
+        Says what the metric gains from rays that leave the scene.
 
     Attributes
     ----------
+    gain : (n,) mi.Float64
+        What the metric gains from each lane of the latest trace: derivative × flux, summed over its hits.
     sums : (BATCHES, rows, CHANNELS) mi.Float64
         Derivatives of the metric by the rows, by batch of start rays; in units of a start ray's flux.
     unknown : (1,) mi.Float64
@@ -56,35 +68,88 @@ class Adjoint:
     def __init__(
         self,
         rows: int,
+        film: Film,
         pixel: mi.Float | None = None,
         path: mi.Float64 | None = None,
         map_of_slot: mi.UInt32 | None = None,
+        ledger: Ledger | None = None,
+        sky: Sky | None = None,
     ) -> None:
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
+        self.ledger, self.sky, self._film, self.incident = ledger, sky, film, film.incident
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
         self.unknown = dr.zeros(mi.Float64, 1)
         dr.eval(self.sums, self.unknown)
 
-    def known(self, ledger: Ledger, key: mi.UInt64, flux: mi.Float, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
-        """Slots of the paths of hits, and which of them the ledger knows."""
-        slot, found = ledger.known(key, active)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.unknown, mi.Float64(flux), mi.UInt32(0), active & ~found)
-        return slot, found
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        parts = (self.pixel, self.path, self.map_of_slot, self.ledger)
+        return type(self).__name__, self.rows > 0, *(part is not None for part in parts), self.sky and self.sky.code
 
-    def memory(self, max_events: int) -> tuple[Any, ...]:
-        """Local arrays by depth: cell of the table, fraction, slope, running total when the event was entered."""
+    def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
+        """No metric yet; local arrays by depth: cell of the table, fraction, slope, gain when the event was entered."""
+        memory[GAIN] = dr.zeros(mi.Float64, dr.width(start.lane))
+        if self.rows:
+            types = (mi.UInt32, mi.Float, mi.Float, mi.Float64)
+            memory[EVENTS] = tuple(dr.alloc_local(dtype, max_events) for dtype in types)
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """The metric gains from hits of the detector."""
+        if self.ledger is not None:
+            slot, found = self.ledger.known(visit.key, visit.counted)
+            unknown = visit.counted & ~found
+            dr.scatter_reduce(dr.ReduceOp.Add, self.unknown, mi.Float64(visit.absorbed), mi.UInt32(0), unknown)
+            visit.slot, visit.counted = slot, found
+        film, counted = self._film, visit.counted
+        derivative = self._derivative(visit)
+        gained = derivative * mi.Float64(visit.weight if film.incident else visit.absorbed)
+        memory[GAIN] = dr.select(counted, memory[GAIN] + gained, memory[GAIN])
+        if self.rows and not film.incident:
+            self._detected(visit, mi.Float(derivative) * visit.weight)
+
+    def branch(self, branch: Branch, memory: Memory) -> None:
+        """Note the event, before its child is followed."""
         if not self.rows:
-            return ()
-        return (
-            dr.alloc_local(mi.UInt32, max_events),
-            dr.alloc_local(mi.Float, max_events),
-            dr.alloc_local(mi.Float, max_events),
-            dr.alloc_local(mi.Float64, max_events),
-        )
+            return
+        it, depth, active = branch.interaction, branch.depth, branch.active
+        cells, fractions, slopes, gains = memory[EVENTS]
+        cells.write(it.place.row * CHANNELS + it.channel(branch.reflect), depth, active)
+        fractions.write(it.place.fraction, depth, active)
+        slopes.write(branch.slope, depth, active)
+        gains.write(memory[GAIN], depth, active)
 
-    def derivative(self, film: Film, x: mi.Float, y: mi.Float, slot: mi.UInt32 | None, active: mi.Bool) -> mi.Float64:
-        """Derivative of the metric by the flux of a hit at (x, y), mm."""
+    def depart(self, departure: Departure, memory: Memory) -> None:
+        """The metric gains from rays that leave."""
+        if self.sky is not None:
+            memory[GAIN] = memory[GAIN] + self.sky.gain(departure)
+
+    def back(self, back: Return, memory: Memory) -> None:
+        """Close the events whose subtrees are complete."""
+        if not self.rows:
+            return
+        cells, fractions, slopes, gains = memory[EVENTS]
+        gain, last, active = memory[GAIN], back.last, back.active
+
+        def step(k):  # type: ignore[no-untyped-def]
+            k = k - 1
+            going = active & (k + 1 > last)
+            subtree = gain - gains.read(k, going)
+            share = mi.Float(subtree) * slopes.read(k, going)
+            found = going & (subtree != 0)
+            self._add(cells.read(k, going), fractions.read(k, going), back.start.batch, share, found)
+            return (k,)
+
+        dr.while_loop((dr.select(active, back.depth, 0),), lambda k: active & (k > last), step, mode="symbolic")
+
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
+        """Keep the gains."""
+        self.gain = memory[GAIN]
+
+    def _derivative(self, visit: Visit) -> mi.Float64:
+        """Derivative of the metric by the flux of hits."""
+        (x, y), slot, active, film = visit.position, visit.slot, visit.counted, self._film
         total = dr.zeros(mi.Float64, dr.width(x))
         if self.pixel is not None:
             here, first = active, mi.UInt32(0)
@@ -104,57 +169,17 @@ class Adjoint:
                 total += term * dr.gather(mi.Float64, self.path, slot * MOMENTS + k, active)
         return total
 
-    def enter(
-        self,
-        memory: tuple[Any, ...],
-        depth: mi.UInt32,
-        it: Interaction,
-        reflect: mi.Bool,
-        slope: mi.Float,
-        total: Any,
-        active: mi.Bool,
-    ) -> None:
-        """Note the event at this depth, before its child is followed; `slope` is d ln(child's weight) / d(R or T)."""
-        cells, fractions, slopes, totals = memory
-        cells.write(it.place.row * CHANNELS + it.channel(reflect), depth, active)
-        fractions.write(it.place.fraction, depth, active)
-        slopes.write(slope, depth, active)
-        totals.write(total, depth, active)
-
-    def detected(
-        self, it: Interaction, given: Given | None, batch: mi.UInt32, weighted: mi.Float, active: mi.Bool
-    ) -> None:
-        """A hit of the detector, which absorbs the rest; `weighted` is the derivative times the incident flux."""
-        active = active & (weighted != 0)
+    def _detected(self, visit: Visit, weighted: mi.Float) -> None:
+        """Hits of the detector, which absorbs the rest; `weighted` is the derivative times the incident flux."""
+        it, shares = visit.interaction, visit.shares
+        active = visit.counted & (weighted != 0)
         for reflect in (True, False):
             cell = it.place.row * CHANNELS + it.channel(mi.Bool(reflect))
             taken = weighted
-            if given is not None:
-                shares = given.reflection if reflect else given.transmission
-                taken = weighted * (shares.kept + shares.slope)
-            self._add(cell, it.place.fraction, batch, -taken, active)
-
-    def leave(
-        self,
-        memory: tuple[Any, ...],
-        batch: mi.UInt32,
-        depth: mi.UInt32,
-        last: mi.UInt32,
-        total: mi.Float64,
-        active: mi.Bool,
-    ) -> None:
-        """Close the events at the depths last … depth - 1, whose subtrees are complete."""
-        cells, fractions, slopes, totals = memory
-
-        def step(k):  # type: ignore[no-untyped-def]
-            k = k - 1
-            going = active & (k + 1 > last)
-            subtree = total - totals.read(k, going)
-            share = mi.Float(subtree) * slopes.read(k, going)
-            self._add(cells.read(k, going), fractions.read(k, going), batch, share, going & (subtree != 0))
-            return (k,)
-
-        dr.while_loop((dr.select(active, depth, 0),), lambda k: active & (k > last), step, mode="symbolic")
+            if shares is not None:
+                share = shares.reflection if reflect else shares.transmission
+                taken = weighted * (share.kept + share.slope)
+            self._add(cell, it.place.fraction, visit.start.batch, -taken, active)
 
     def _add(self, cell: mi.UInt32, fraction: mi.Float, batch: mi.UInt32, value: mi.Float, active: mi.Bool) -> None:
         index = batch * self.stride + cell

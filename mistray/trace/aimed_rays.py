@@ -7,12 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mistray.trace.books import AIMED, HITS, INCIDENT, LANDED
 from mistray.trace.host_points import outline
 from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.path_events import EVENT_MASK, FIRST_SCATTERED
 from mistray.trace.scattering_bodies import medium_of
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.tallies import AIMED, HITS, INCIDENT, LANDED
 from mistray.trace.targets import AimSet, Inside, Target
 from mistray.trace.tracer import Run
 

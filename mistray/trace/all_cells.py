@@ -9,13 +9,15 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.trace.aiming import aims
-from mistray.trace.arrivals import ArrivalBook, CountedWays, FoundWays
-from mistray.trace.books import REASONS, SEGMENTS, Film, Tallies
+from mistray.trace.arrivals import CountedWays, FoundWays
+from mistray.trace.film import Film
 from mistray.trace.intersect import Intersector
+from mistray.trace.kernel_scene import KernelScene
 from mistray.trace.launches import launches_of
 from mistray.trace.ledger import BATCHES
 from mistray.trace.plane_wave import PlaneWaves, wave_rays
-from mistray.trace.ray_tree import walk
+from mistray.trace.ray_tree import trace_tree
+from mistray.trace.recorder import Recorder
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
@@ -23,6 +25,7 @@ from mistray.trace.sky import PathBook
 from mistray.trace.space_filling import curve_points
 from mistray.trace.start_rays import StartRays, generators
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.tallies import REASONS, SEGMENTS, Tallies
 from mistray.trace.upload import upload
 from mistray.trace.way_table import WayTable
 
@@ -123,11 +126,11 @@ class AllCells:
             See `CountedWays.read`; in units of a start ray.
         segments : float
         """
-        counted = CountedWays(ways, rays.size, self._map_size[0] * self._map_size[1])
+        counted = CountedWays(ways, rays.size, self._film if all(self._map_size) else None)
         segments = sum(self._trace(band, rays, number, counted) for band in range(len(self._bands)))
         return counted.read(), segments
 
-    def _trace(self, band: int, rays: np.ndarray, number: int, book: ArrivalBook) -> float:
+    def _trace(self, band: int, rays: np.ndarray, number: int, book: Recorder) -> float:
         """Trace a wavelength, in as many passes as it takes; gives the number of segments."""
         table, scattering, share = self._bands[band]
         wanted = rays.ravel() * share
@@ -135,14 +138,15 @@ class AllCells:
         lanes = np.where(wanted > 0, np.maximum(np.round(wanted / passes / BATCHES), 1) * BATCHES, 0).astype(np.int64)
         # The share of a wavelength is that of its rays, but for rounding
         weight = np.divide(wanted, passes * lanes, out=np.zeros(len(lanes)), where=lanes > 0)
-        tallies = Tallies(table.count, len(table.optics.media), self._film.width * self._film.height)
+        tallies = Tallies(table.count, len(table.optics.media))
+        scene = KernelScene(table, scattering, self._intersector)
         for k in range(passes):
             start = self._start((number, band, k), lanes, weight)
 
             def trace(part: StartRays) -> None:
-                walk(table, scattering, self._intersector, part, self._settings, self._film, tallies, arrivals=book)
+                trace_tree(scene, part, self._settings, [tallies, book])
 
-            launches_of(table, self._settings, type(book)).whole(start, trace)
+            launches_of(table, self._settings, book.code).whole(start, trace)
         return float(np.array(tallies.reasons).reshape(REASONS, BATCHES)[SEGMENTS].sum())
 
     def _start(self, stream: tuple[int, int, int], lanes: np.ndarray, weight: np.ndarray) -> StartRays:

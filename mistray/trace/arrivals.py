@@ -1,61 +1,19 @@
-"""Books of forward traces of many cells of directions at once: light that meets the detector, by way and cell."""
+"""Recorders of forward traces of many cells of directions at once: light that meets the detector, by way and cell."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import Protocol
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.trace.film import Film
 from mistray.trace.ledger import BATCHES
+from mistray.trace.recorder import Memory, Recorder, Visit
 from mistray.trace.sky import PathBook
 from mistray.trace.way_table import WayTable
 
 
-@dataclass(frozen=True)
-class Arrival:
-    """
-    Rays that meet the detector.
-
-    Attributes
-    ----------
-    key : mi.UInt64
-        Of their ways, see `mistray.trace.ledger.extend_key`.
-    length : mi.UInt32
-        Number of events of the ways.
-    read : callable
-        Events of the ways, `read(k, mask)`, k < length.
-    cell, batch, pixel : mi.UInt32
-        Where the rays come from, their batch, and where they meet the detector.
-    weight : mi.Float
-        In units of a start ray.
-    scatters : mi.UInt32
-        See `mistray.trace.ledger.COUNT_MASK`.
-    active : mi.Bool
-    """
-
-    key: mi.UInt64
-    length: mi.UInt32
-    read: Callable[[mi.UInt32, mi.Bool], mi.UInt32]
-    cell: mi.UInt32
-    batch: mi.UInt32
-    weight: mi.Float
-    scatters: mi.UInt32
-    pixel: mi.UInt32
-    active: mi.Bool
-
-
-class ArrivalBook(Protocol):
-    """What `mistray.trace.ray_tree.walk` tells of the rays that meet the detector."""
-
-    def record(self, ray: Arrival) -> None:
-        """Add rays that have met the detector."""
-
-
-class FoundWays:
+class FoundWays(Recorder):
     """
     All ways that are met, by cell.
 
@@ -64,15 +22,18 @@ class FoundWays:
     book : PathBook
     """
 
+    by_way, incident = True, True
+
     def __init__(self, book: PathBook) -> None:
         self.book = book
 
-    def record(self, ray: Arrival) -> None:
-        """See `ArrivalBook`."""
-        self.book.record(ray.key, ray.length, ray.read, ray.cell, ray.weight, ray.active)
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Add rays that have met the detector."""
+        cell = visit.start.cell
+        self.book.record(visit.key, visit.depth + 1, visit.event, cell, visit.weight, visit.detected)
 
 
-class CountedWays:
+class CountedWays(Recorder):
     """
     The light of chosen ways in chosen cells.
 
@@ -80,12 +41,17 @@ class CountedWays:
     ----------
     table : WayTable
         With the keys of the ways in the order of the light.
-    cells, pixels : int
-        Number of cells, and of the pixels of a map of the detector for each; 0: no maps.
+    cells : int
+        Number of cells.
+    film : Film, optional
+        Of a map of the detector for each; None: no maps.
     """
 
-    def __init__(self, table: WayTable, cells: int, pixels: int) -> None:
-        self._table, self._pixels, self._cells = table, pixels, cells
+    by_way, incident = True, True
+
+    def __init__(self, table: WayTable, cells: int, film: Film | None) -> None:
+        self._table, self._film, self._cells = table, film, cells
+        self._pixels = pixels = 0 if film is None else film.width * film.height
         pairs = max(table.count, 1)
         self._sums = dr.zeros(mi.Float64, pairs * BATCHES)
         self._hits, self._squares = dr.zeros(mi.Float64, pairs), dr.zeros(mi.Float64, pairs)
@@ -93,18 +59,21 @@ class CountedWays:
         self._maps = dr.zeros(mi.Float64, 2 * cells * pixels) if pixels else None
         dr.eval(self._sums, self._hits, self._squares, self._largest, self._maps)
 
-    def record(self, ray: Arrival) -> None:
-        """See `ArrivalBook`."""
-        number, found = self._table.find(ray.key, ray.cell, ray.active)
-        w = mi.Float64(ray.weight)
-        dr.scatter_reduce(dr.ReduceOp.Add, self._sums, w, number * BATCHES + ray.batch, found)
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Add rays that have met the detector."""
+        cell, batch = visit.start.cell, visit.start.batch
+        assert cell is not None
+        number, found = self._table.find(visit.key, cell, visit.detected)
+        w = mi.Float64(visit.weight)
+        dr.scatter_reduce(dr.ReduceOp.Add, self._sums, w, number * BATCHES + batch, found)
         dr.scatter_reduce(dr.ReduceOp.Add, self._hits, mi.Float64(1), number, found)
         dr.scatter_reduce(dr.ReduceOp.Add, self._squares, w * w, number, found)
         # The bits of positive floats are in the order of the floats
-        bits = dr.reinterpret_array(mi.UInt32, ray.weight)
-        dr.scatter_reduce(dr.ReduceOp.Max, self._largest, bits, ray.cell, found & (ray.scatters != 0))
-        if self._maps is not None:
-            place = 2 * (ray.cell * self._pixels + ray.pixel)
+        bits = dr.reinterpret_array(mi.UInt32, visit.weight)
+        dr.scatter_reduce(dr.ReduceOp.Max, self._largest, bits, cell, found & (visit.state["scatters"] != 0))
+        if self._maps is not None and self._film is not None:
+            pixel = self._film.places(*visit.position)[0][0]
+            place = 2 * (cell * self._pixels + pixel)
             for k, value in enumerate((w, w * w)):
                 dr.scatter_reduce(dr.ReduceOp.Add, self._maps, value, place + k, found)
 

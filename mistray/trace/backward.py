@@ -13,36 +13,29 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.trace.adjoint import Adjoint
 from mistray.trace.backward_parts import Ahead, BackwardTask
-from mistray.trace.books import (
-    ABSORBED_HERE,
-    ESCAPED,
-    HITS,
-    INCIDENT,
-    REASONS,
-    SEGMENTS,
-    SURFACE_SUMS,
-    Film,
-    Recorder,
-    Tallies,
-)
 from mistray.trace.detector_start import DetectorStart
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.energy import CUTS, batch_error
 from mistray.trace.exits import exits
+from mistray.trace.film import Film
 from mistray.trace.fingerprint import fingerprint, kernel_arrays
 from mistray.trace.intersect import Intersector
+from mistray.trace.kernel_scene import BranchProbabilities, KernelScene
 from mistray.trace.launches import launches_of
 from mistray.trace.ledger import BATCHES
 from mistray.trace.path_books import join_books
-from mistray.trace.ray_tree import walk
+from mistray.trace.ray_tree import trace_tree
+from mistray.trace.recorder import Recorder, Recorders
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
 from mistray.trace.settings import NO_LIMIT, Settings
-from mistray.trace.sky import PathBook, Sky, Thrift
+from mistray.trace.sky import PathBook, Sky
 from mistray.trace.sources import spectrum_of
 from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.tallies import ABSORBED_HERE, ESCAPED, HITS, INCIDENT, REASONS, SEGMENTS, SURFACE_SUMS, Tallies
 from mistray.trace.thin_gaps import thin_gaps
 from mistray.trace.upload import upload
 from mistray.trace.way_table import WayTable
@@ -98,7 +91,7 @@ class BackwardTrace:
     ----------
     sums : dict of str to np.ndarray
         Everything that has been counted, see `Sky.read`, and ``surfaces``, ``media``, ``reasons`` (see
-        `mistray.trace.books`); sums over all passes.
+        `mistray.trace.tallies`); sums over all passes.
     passes : int
         That have been traced.
     pass_rays : list of int or None
@@ -154,7 +147,7 @@ class BackwardTrace:
         for surface, share in found.views.items():
             chance[surface] = np.clip(VIEWS_OF_SKY * share, min(1.0, SCATTERS_OF_RAY / optics), 1.0)
         ghosts = dr.opaque(mi.Float, min(1.0, REFLECTIONS_OF_RAY / optics))
-        self._thrift = Thrift(upload(mi.Float, chance), ghosts)
+        self._probabilities = BranchProbabilities(upload(mi.Float, chance), ghosts)
         self.bands = []
         for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
             table = first if wavelength == first.wavelength_nm else first.at(wavelength)
@@ -234,9 +227,9 @@ class BackwardTrace:
         """What a pass of so many rays, after so many passes, adds to `sums` at one wavelength."""
         one = self.bands[number]
         sky = self.make_sky(maps=True)
-        tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
+        tallies = Tallies(one.table.count, len(one.table.optics.media))
         start = self.start_pass(number, done, rays)
-        self.walk(one, start, sky, tallies)
+        self.walk(one, start, tallies, sky)
         # Sums by surface are in the order of the first wavelength's media
         return sky.read() | {
             "surfaces": np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: one.table.count],
@@ -263,30 +256,30 @@ class BackwardTrace:
             Ray segments that were traced.
         """
         book = PathBook(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
-        sky = Sky(self.grid, self._thrift, 0, book, self.has_optics)
+        sky = Sky(self.grid, 0, book, self.has_optics)
         segments = 0.0
         for band, one in enumerate(self.bands):
-            tallies = Tallies(one.table.count, len(one.table.optics.media), 1)
+            tallies = Tallies(one.table.count, len(one.table.optics.media))
             start = self.start_pass(band, FIRST_SEARCH + number, rays)
-            self.walk(one, start, sky, tallies)
+            self.walk(one, start, tallies, sky)
             segments += float(np.array(tallies.reasons).reshape(REASONS, BATCHES)[SEGMENTS].sum())
         return book.read(), segments
 
-    def walk(
-        self,
-        band: Band,
-        start: StartRays,
-        sky: Sky,
-        tallies: Tallies | None = None,
-        recorder: Recorder | None = None,
-    ) -> None:
+    def scene(self, band: Band) -> KernelScene:
+        """What the kernel traces at a wavelength."""
+        return KernelScene(band.table, band.scattering, self.intersector, self._probabilities)
+
+    def walk(self, band: Band, start: StartRays, *recorders: Recorder) -> None:
         """Trace the trees of some start rays of a wavelength."""
 
         def trace(part: StartRays) -> None:
-            scene = band.table, band.scattering, self.intersector
-            walk(*scene, part, self.settings, self.film, tallies, recorder=recorder, sky=sky)
+            trace_tree(self.scene(band), part, self.settings, recorders)
 
-        launches_of(band.table, self.settings, *sky.writes, recorder is None).whole(start, trace)
+        launches_of(band.table, self.settings, Recorders(recorders).code).whole(start, trace)
+
+    def adjoint(self, derivative: np.ndarray) -> Adjoint:
+        """The gain of a metric, see `Sky`."""
+        return Adjoint(0, self.film, sky=self.make_sky(derivative))
 
     def forget_paths(self) -> None:
         """Empty the table of the paths."""
@@ -311,8 +304,8 @@ class BackwardTrace:
         """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `Sky`."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
         if derivative is not None:  # the gradient is that of the rays against the light alone, which have the same mean
-            return Sky(self.grid, self._thrift, pixels, None, self.has_optics, derivative)
-        return Sky(self.grid, self._thrift, pixels, self._book, self.has_optics, left_out=self._left_out)
+            return Sky(self.grid, pixels, None, self.has_optics, derivative)
+        return Sky(self.grid, pixels, self._book, self.has_optics, left_out=self._left_out)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
         """The start rays of a wavelength in a pass of so many rays, after so many passes."""

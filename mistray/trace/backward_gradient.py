@@ -10,9 +10,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.adjoint import Adjoint
 from mistray.trace.backward import BackwardTrace, Band
-from mistray.trace.books import Recorder
+from mistray.trace.branch_recorder import BranchRecorder
 from mistray.trace.edges import Edges
 from mistray.trace.gatherer import Gatherer
 from mistray.trace.raw_gradient import RIM_COLUMNS, RawGradient, Wanted
@@ -61,10 +60,11 @@ def backward_gradient(
             band.table, band.scattering, trace.settings, wanted, trace.settings.max_events, band.table.detector
         )
 
-        def trace_again(start: StartRays, band: Band = band, recorder: Recorder = gatherer.recorder) -> None:
-            trace.walk(band, start, trace.make_sky(derivative), recorder=recorder)
+        def trace_again(start: StartRays, band: Band = band, recorder: BranchRecorder = gatherer.recorder) -> None:
+            recorder.sky = trace.make_sky(derivative)
+            trace.walk(band, start, recorder)
 
-        def end(row: mi.UInt32, keys: np.ndarray, recorder: Recorder = gatherer.recorder) -> Exit:
+        def end(row: mi.UInt32, keys: np.ndarray, recorder: BranchRecorder = gatherer.recorder) -> Exit:
             gain = dr.gather(mi.Float64, recorder.weight, row)
             heading = mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, recorder.heading, 3 * row + k)) for k in range(3)))
             return Exit(gain, dr.zeros(mi.Vector3d, dr.width(row)), heading)
@@ -73,16 +73,14 @@ def backward_gradient(
         with dr.suspend_grad():
             edges = None
             if gatherer.edges:
-                edges = Edges(
-                    band.table, band.scattering, trace.intersector, trace.settings, trace.film, wanted.edge_width
-                )
+                edges = Edges(trace.scene(band), trace.settings, wanted.edge_width)
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
                 if not wanted.only_rims:
                     for start in gatherer.portions(whole, EXITS_PER_RAY, trace_again):
                         gatherer.replay(start, lambda keys: np.ones(len(keys), dtype=bool), end, group)
                 if edges is not None:
-                    for start, events in edges.events(whole, Adjoint(0), sky=trace.make_sky(derivative)):
+                    for start, events in edges.events(whole, trace.adjoint(derivative)):
                         gatherer.replay_edges(start, events)
         raw = gatherer.result()
         raw.left_out.append(CELL_BORDERS)
@@ -92,7 +90,7 @@ def backward_gradient(
         yield raw
 
 
-def _group_of(trace: BackwardTrace, groups: np.ndarray, recorder: Recorder) -> Callable[[mi.UInt32], mi.UInt32]:
+def _group_of(trace: BackwardTrace, groups: np.ndarray, recorder: BranchRecorder) -> Callable[[mi.UInt32], mi.UInt32]:
     """What tells the groups of recorded rays by the cells in which they leave."""
     sky = trace.make_sky()
     numbers = upload(mi.UInt32, np.asarray(groups, dtype=np.uint32))

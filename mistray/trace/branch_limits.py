@@ -5,10 +5,11 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from mistray.trace.books import CONSECUTIVE, CONTROL, CUT_BRANCHES, GENERATIONS, Tallies
 from mistray.trace.interaction import Interaction, counts_as_reflection
 from mistray.trace.optics import MIRROR
+from mistray.trace.recorder import Recorder
 from mistray.trace.settings import BRANCHES, NO_LIMIT, Settings
+from mistray.trace.tallies import CONSECUTIVE, CONTROL, CUT_BRANCHES, GENERATIONS
 
 # Hits of one surface in a row in a word: the surface, and above it their number
 RUN_SHIFT, SURFACE_MASK = 16, 0xFFFF
@@ -23,13 +24,13 @@ class BranchLimits:
     Parameters
     ----------
     settings : Settings
-    tallies : Tallies or None
-        Where it is booked.
+    recorder : Recorder
+        Told of it.
     batch : mi.UInt32
     """
 
-    def __init__(self, settings: Settings, tallies: Tallies | None, batch: mi.UInt32) -> None:
-        self._tallies, self._batch = tallies, batch
+    def __init__(self, settings: Settings, recorder: Recorder, batch: mi.UInt32) -> None:
+        self._recorder, self._batch = recorder, batch
         self._allowed = frozenset(settings.allowed)
         self._controls = settings.ray_control != "allow_all"
         self._generations, self._consecutive = (
@@ -44,8 +45,7 @@ class BranchLimits:
         self._cuts_absorption = settings.cut_below[ABSORPTION] > 0
 
     def _cut(self, reason: int | mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        if self._tallies is not None:
-            self._tallies.add_cut(reason, self._batch, flux, active & (flux > 0))
+        self._recorder.cut(reason, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
         """What counts of the flux that a surface absorbs, and whether the hit counts on a detector."""

@@ -16,11 +16,11 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError, UnfinishedError
-from mistray.trace.books import REASONS, STARTED, SURFACE_SUMS
 from mistray.trace.fingerprint import agree, kernel_arrays
 from mistray.trace.ledger import BATCHES, STOKES_SUMS, SUMS, DecodedPaths, Ledger
 from mistray.trace.settings import Settings
 from mistray.trace.sparse import Packed, pack
+from mistray.trace.tallies import REASONS, STARTED, SURFACE_SUMS
 from mistray.trace.tracer import FIRST_CAPACITY, LAST_CAPACITY, PASS_LANES, Part, Run, prepare
 from mistray.trace.upload import upload
 from mistray.trace.workers import Workers, do_parts

@@ -37,22 +37,19 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.sag import sag
 from mistray.trace.adjoint import Adjoint
-from mistray.trace.books import Film, Recorder, as_many
+from mistray.trace.branch_recorder import BranchRecorder, as_many
 from mistray.trace.grazing import SILHOUETTE, grazing_kernel
-from mistray.trace.intersect import Intersector
+from mistray.trace.kernel_scene import KernelScene
 from mistray.trace.launches import launches_of
-from mistray.trace.ledger import EVENT_BITS, Ledger
+from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.optics import ASPHERIC
 from mistray.trace.pieces import NO_SURFACE
 from mistray.trace.raw_gradient import RIM_COLUMNS
-from mistray.trace.ray_tree import walk
+from mistray.trace.ray_tree import trace_tree
 from mistray.trace.rim_joints import rim_circles
-from mistray.trace.rims import HALF_HEIGHT, HALF_WIDTH, RimBook, rim_sizes, zone_widths
-from mistray.trace.scattering import Scattering
+from mistray.trace.rims import HALF_HEIGHT, HALF_WIDTH, RimRecorder, rim_sizes, zone_widths
 from mistray.trace.settings import Settings
-from mistray.trace.sky import Sky
 from mistray.trace.start_rays import StartRays
-from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
 CAPACITY = 1 << 17  # hits that are kept at a time
@@ -72,7 +69,7 @@ class EdgeEvents:
 
     Attributes
     ----------
-    paths : Recorder
+    paths : BranchRecorder
         Where the paths up to and with the hits are; points only.
     row : (n,) mi.UInt32
         Rows of the hits in `paths`.
@@ -91,7 +88,7 @@ class EdgeEvents:
         those of the distance F/|∇F| from it. In units of a start ray.
     """
 
-    paths: Recorder
+    paths: BranchRecorder
     row: mi.UInt32
     batch: mi.UInt32
     rim: mi.UInt32
@@ -108,27 +105,21 @@ class Edges:
 
     Parameters
     ----------
-    table : SurfaceTable
-    scattering : Scattering
-    intersector : Intersector
+    scene : KernelScene
     settings : Settings
-    film : Film
     width : float
         Of the zones along the rims, in units of their radius or half side.
     """
 
     def __init__(
         self,
-        table: SurfaceTable,
-        scattering: Scattering,
-        intersector: Intersector,
+        scene: KernelScene,
         settings: Settings,
-        film: Film,
         width: float,
     ) -> None:
-        self._scene = (table, scattering, intersector)
-        self._table, self._settings, self._film = table, settings, film
-        self._book = RimBook(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
+        table = scene.table
+        self._scene, self._table, self._settings = scene, table, settings
+        self._book = RimRecorder(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
         self._lanes, self._launches = FIRST_LANES, launches_of(table, settings, Edges)
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
@@ -149,9 +140,7 @@ class Edges:
         self._sizes, self._circles, self._joints = (upload(mi.Float, v) for v in (sizes, circles, joints))
         self._joined = upload(mi.UInt32, surfaces)
 
-    def events(
-        self, start: StartRays, adjoint: Adjoint, ledger: Ledger | None = None, sky: Sky | None = None
-    ) -> Iterator[tuple[StartRays, EdgeEvents]]:
+    def events(self, start: StartRays, adjoint: Adjoint) -> Iterator[tuple[StartRays, EdgeEvents]]:
         """
         Hits close to rims of the trees of some start rays, in portions of a bounded size.
 
@@ -160,10 +149,6 @@ class Edges:
         start : StartRays
         adjoint : Adjoint
             The metric; without rows.
-        ledger : Ledger, optional
-            If the metric depends on paths.
-        sky : Sky, optional
-            The metric of rays against the light; `Sky.gain` tells.
 
         Yields
         ------
@@ -182,7 +167,7 @@ class Edges:
             here = min(self._lanes, self._launches.lanes, count - done)
             part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
             self._book.paths.clear()
-            self._launches.time(here, lambda part=part: self._gains(part, adjoint, ledger, sky, self._book))  # type: ignore[misc]
+            self._launches.time(here, lambda part=part: self._gains(part, adjoint, self._book))  # type: ignore[misc]
             hits = int(self._book.paths.count[0])
             self._lanes = max(1, min(4 * here, int(here * ROOM * self._book.paths.capacity / max(hits, 1))))
             if hits > self._book.paths.capacity:
@@ -193,34 +178,25 @@ class Edges:
                     )
                 continue
             done += here
-            found = self._compare(hits, adjoint, ledger, sky) if hits else None
+            found = self._compare(hits, adjoint) if hits else None
             if found is not None and dr.width(found.row):
                 yield part, found
 
-    def _gains(
-        self, start: StartRays, adjoint: Adjoint, ledger: Ledger | None, sky: Sky | None, rims: RimBook | None = None
-    ) -> mi.Float64:
+    def _gains(self, start: StartRays, adjoint: Adjoint, rims: RimRecorder | None = None) -> mi.Float64:
         """What the metric gains from the tree of each ray."""
-        table, scattering, intersector = self._scene
-        gain = walk(
-            *(table, scattering, intersector, start, self._settings, self._film),
-            ledger=ledger,
-            adjoint=adjoint,
-            sky=sky,
-            rims=rims,
-        )
-        dr.eval(gain)
+        trace_tree(self._scene, start, self._settings, [rims, adjoint])
+        dr.eval(adjoint.gain)
         dr.sync_thread()
-        return gain
+        return adjoint.gain
 
-    def _compare(self, hits: int, adjoint: Adjoint, ledger: Ledger | None, sky: Sky | None) -> EdgeEvents:
+    def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents:
         """Let rays go past the rims, and compare."""
         book, row = self._book, dr.arange(mi.UInt32, hits)
         rim, delta, scale, copies = (
             dr.gather(type(v), v, row) for v in (book.rim, book.delta, book.scale, book.copies)
         )
         past = self._past(row, rim)
-        gain = dr.gather(mi.Float64, book.gain, row) - self._gains(past.start, adjoint, ledger, sky)
+        gain = dr.gather(mi.Float64, book.gain, row) - self._gains(past.start, adjoint)
         gain *= past.factor * mi.Float64(copies)
         zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
         jumps, grazes = rim >= SILHOUETTE, rim == SILHOUETTE

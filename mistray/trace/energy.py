@@ -8,7 +8,9 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mistray.trace.books import (
+from mistray.trace.sampled import Sampled
+from mistray.trace.settings import BRANCHES
+from mistray.trace.tallies import (
     ABSORBED_HERE,
     CONSECUTIVE,
     CONTROL,
@@ -26,8 +28,6 @@ from mistray.trace.books import (
     THRESHOLD,
     TREE,
 )
-from mistray.trace.sampled import Sampled
-from mistray.trace.settings import BRANCHES
 from mistray.trace.tracer import Run
 
 if TYPE_CHECKING:

@@ -6,7 +6,7 @@ import time
 import warnings
 
 from mistray.errors import MistrayWarning
-from mistray.trace.books import SEGMENTS
+from mistray.trace.tallies import SEGMENTS
 from mistray.trace.tracer import Run
 
 LONG = 120.0  # s: who waits for longer shall know it

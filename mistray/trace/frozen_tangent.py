@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.books import Film
+from mistray.trace.film import Film
 from mistray.trace.gatherer import Gatherer, branches
 from mistray.trace.ledger import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.trace.number_direction import number_direction
@@ -187,9 +187,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     recorder = gatherer.recorder
     with dr.suspend_grad():
         for number in range(run.passes):
-            for start in gatherer.portions(
-                run.start_pass(number), HITS_PER_RAY, lambda s: run.walk(s, film, recorder=recorder)
-            ):
+            for start in gatherer.portions(run.start_pass(number), HITS_PER_RAY, lambda s: run.walk(s, recorder)):
                 count = int(recorder.count[0])
                 if not count:
                     continue

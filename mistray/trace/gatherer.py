@@ -12,7 +12,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import CHANNELS
-from mistray.trace.books import Recorder, as_many
+from mistray.trace.branch_recorder import BranchRecorder, as_many
 from mistray.trace.edges import EdgeEvents
 from mistray.trace.grazing import SILHOUETTE, jump_distance
 from mistray.trace.pieces import NO_SURFACE
@@ -64,7 +64,7 @@ class Gatherer:
         self.table, self.scattering, self.wanted = table, scattering, wanted
         self.surfaces = ReplaySurfaces(table, wanted)
         self.scatter = ScatterReplay(table, scattering) if scattering.any else None
-        self.recorder = Recorder(as_many(CAPACITY, longest), longest, points_only=True)
+        self.recorder = BranchRecorder(as_many(CAPACITY, longest), longest, points_only=True)
         self.start_surface = start_surface
         # Rays at rims have only a place that changes; what it costs is in their coefficients
         places = replace(wanted, rows=False, scatter=False)
@@ -214,7 +214,7 @@ def each(function: Callable[[np.ndarray], Any], keys: np.ndarray) -> Any:
     return np.repeat(found, times)
 
 
-def branches(recorder: Recorder, start: StartRays, rows: np.ndarray) -> Branches:
+def branches(recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> Branches:
     """Recorded rays of a portion."""
     row = upload(mi.UInt32, rows)
     lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))

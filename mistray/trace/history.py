@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mistray.trace.books import NODE_FLOATS, Recorder
+from mistray.trace.branch_recorder import NODE_FLOATS, BranchRecorder
 from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
 from mistray.trace.precise import retrace
@@ -108,7 +108,7 @@ class RayHistory:
         return pd.DataFrame(rows, columns=[*names, "x_mm", "y_mm", "z_mm", "flux_W", "opl_mm", "dx", "dy", "dz"])
 
 
-def read_rays(run: Run, recorder: Recorder, most: int) -> RayHistory:
+def read_rays(run: Run, recorder: BranchRecorder, most: int) -> RayHistory:
     """Read at most `most` rays, spread over the recorded ones; positions are found again in float64."""
     count = min(int(recorder.count[0]), recorder.capacity)
     lanes = np.array(recorder.lane)[:count]
@@ -119,7 +119,7 @@ def read_rays(run: Run, recorder: Recorder, most: int) -> RayHistory:
 
 
 def rays_in_slots(
-    run: Run, recorder: Recorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
+    run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> list[Ray]:
     """
     Recorded rays with positions found again in float64.
@@ -127,7 +127,7 @@ def rays_in_slots(
     Parameters
     ----------
     run : Run
-    recorder : Recorder
+    recorder : BranchRecorder
     slots : (n,) int
         Their places in the recorder.
     origins, directions : (n, 3) float64
@@ -157,7 +157,7 @@ class Bundle(NamedTuple):
 
 
 def bundles(
-    run: Run, recorder: Recorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
+    run: Run, recorder: BranchRecorder, slots: np.ndarray, origins: np.ndarray, directions: np.ndarray
 ) -> Iterator[Bundle]:
     """Recorded rays by their events, with positions found again in float64; parameters as in `rays_in_slots`."""
     lengths = np.array(recorder.length)[slots]

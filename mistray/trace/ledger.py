@@ -8,7 +8,7 @@ compares.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 from typing import Any
 
@@ -19,6 +19,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.interrupts import end_overdue
 from mistray.trace.packets import add_packet, packet_size
+from mistray.trace.recorder import Memory, Recorder, Visit
 
 # What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
 ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
@@ -196,7 +197,7 @@ def _zeros(dtype: Any, size: int) -> Any:
     return array
 
 
-class Ledger:
+class Ledger(Recorder):
     """
     Table of paths in device memory.
 
@@ -231,6 +232,19 @@ class Ledger:
         start = mi.UInt32(key >> 32) & self.mask
         return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
 
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self.max_events, self.terms
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Find the paths of hits, or make room for them; only hits that have found it are counted further on."""
+        slot, found, new = self.find(visit.key, visit.counted)
+        visit.slot, visit.counted = slot, found
+        self._add(visit, visit.state["stokes"] if self.terms == STOKES_SUMS else None)
+        dr.scatter(self.lengths, visit.depth + 1, slot, new)
+        write_list(self.events, slot * self.max_events, visit.depth + 1, visit.event, new)
+
     def known(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
         """Slot of a key, and whether it has one; the table stays as it is."""
 
@@ -249,30 +263,15 @@ class Ledger:
         )
         return slot, active & found
 
-    def record(
-        self,
-        slot: mi.UInt32,
-        batch: mi.UInt32,
-        incident: mi.Float,
-        absorbed: mi.Float,
-        x: mi.Float,
-        y: mi.Float,
-        stokes: mi.Vector3f | None,
-        active: mi.Bool,
-    ) -> None:
-        """Add one hit of the detector to a slot; x and y in the detector's frame, mm."""
-        a, x, y = mi.Float64(absorbed), mi.Float64(x), mi.Float64(y)
-        terms = [mi.Float64(1), mi.Float64(incident), a, a * a, a * x, a * y, a * (x * x + y * y)]
+    def _add(self, visit: Visit, stokes: mi.Vector3f | None) -> None:
+        """Add hits of the detector to their slots."""
+        x, y = (mi.Float64(coordinate) for coordinate in visit.position)
+        a = mi.Float64(visit.absorbed)
+        terms = [mi.Float64(1), mi.Float64(visit.weight), a, a * a, a * x, a * y, a * (x * x + y * y)]
         if stokes is not None:
             terms += [a * mi.Float64(component) for component in stokes]
-        add_packet(self.sums, terms, slot * BATCHES + batch, active)
-
-    def write_events(
-        self, slot: mi.UInt32, length: mi.UInt32, read: Callable[[mi.UInt32, mi.Bool], mi.UInt32], active: mi.Bool
-    ) -> None:
-        """Store the event list of a path that has just been claimed; `read(k, mask)` gives event k."""
-        dr.scatter(self.lengths, length, slot, active)
-        write_list(self.events, slot * self.max_events, length, read, active)
+        assert visit.slot is not None
+        add_packet(self.sums, terms, visit.slot * BATCHES + visit.start.batch, visit.counted)
 
     @property
     def used(self) -> int:

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.time_budget import time_is_up
-from mistray.trace.books import Recorder, as_many
+from mistray.trace.branch_recorder import BranchRecorder, as_many
 from mistray.trace.history import Ray, rays_in_slots
 from mistray.trace.tracer import PASS_LANES, Run
 from mistray.trace.upload import upload
@@ -41,8 +41,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
     # of it in every batch. Multiples of the golden ratio are spread over the batches and over the curve, early ones too
     lanes = (np.arange(START_RAYS) * GOLDEN % 1 * run.rays).astype(np.int64)
     lanes = np.array(list(dict.fromkeys(lanes.tolist())))
-    recorder = Recorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
-    film = run.make_film()
+    recorder = BranchRecorder(as_many(CAPACITY, run.settings.max_events), run.settings.max_events)
     for number in np.unique(lanes // PASS_LANES):
         own = lanes[lanes // PASS_LANES == number] - number * PASS_LANES
         sample = run.start_pass(int(number)).take(upload(mi.UInt32, own))
@@ -52,7 +51,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
             if not len(part):
                 continue
             recorder.clear()
-            run.walk(sample.take(upload(mi.UInt32, part)), film, recorder=recorder)
+            run.walk(sample.take(upload(mi.UInt32, part)), recorder)
             slots = _wanted(recorder, [key for key, rays in found.items() if len(rays) < most], most)
             starts = [place[int(lane)] for lane in np.array(recorder.lane)[slots]]
             rays = rays_in_slots(run, recorder, slots, origins[starts], directions[starts])
@@ -64,7 +63,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
     return found
 
 
-def _wanted(recorder: Recorder, keys: Sequence[int], most: int) -> np.ndarray:
+def _wanted(recorder: BranchRecorder, keys: Sequence[int], most: int) -> np.ndarray:
     """Places of at most so many recorded branches of each of these paths."""
     count = min(int(recorder.count[0]), recorder.capacity)
     paths = np.array(recorder.path)[:count]

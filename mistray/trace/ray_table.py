@@ -12,7 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.books import Recorder
+from mistray.trace.branch_recorder import BranchRecorder
+from mistray.trace.film import Box
 from mistray.trace.history import Ray, RayHistory, bundles
 from mistray.trace.path_events import EVENT_MASK, INTERCEPTS, Events
 from mistray.trace.path_filter import PathFilter, Rows
@@ -135,9 +136,9 @@ class _Search:
         """At most so many of the rays of paths in these slots of the ledger; with `events` the rays themselves too."""
         parts, rays, found = [self._facts(np.zeros((0, 1), dtype=np.uint32), {})], [], 0
         if len(slots):
-            recorder, film = self._run.recorder(CAPACITY, slots), self._run.make_film()
+            recorder = self._run.recorder(CAPACITY, slots)
             for start in _portions(self._run):
-                for columns, lines in self._walk(start, recorder, film):
+                for columns, lines in self._walk(start, recorder):
                     found += len(columns["start_ray"])
                     parts.append(columns)
                     rays += lines
@@ -149,11 +150,10 @@ class _Search:
             order = order[np.linspace(0, found - 1, n).round().astype(int)]
         return {name: values[order] for name, values in whole.items()}, [rays[k] for k in order] if rays else []
 
-    def _walk(self, start: StartRays, recorder: Recorder, film: object) -> Iterator[tuple[Columns, list[Ray]]]:
+    def _walk(self, start: StartRays, recorder: BranchRecorder) -> Iterator[tuple[Columns, list[Ray]]]:
         """Rays of some start rays; where they have more branches than the recorder holds, in halves."""
         recorder.clear()
-        corners = None if self._box is None else mi.Vector4f(*(dr.opaque(mi.Float, v) for v in self._box))
-        self._run.walk(start, film, recorder=recorder, box=corners)  # type: ignore[arg-type]
+        self._run.walk(start, None if self._box is None else Box(self._box), recorder)
         count, lanes = int(recorder.count[0]), dr.width(start.lane)
         if count > recorder.capacity:
             if lanes == 1:
@@ -162,11 +162,11 @@ class _Search:
                     "flux_threshold or lower max_reflections or max_scatters"
                 )
             for half in np.array_split(np.arange(lanes), 2):
-                yield from self._walk(start.take(upload(mi.UInt32, half)), recorder, film)
+                yield from self._walk(start.take(upload(mi.UInt32, half)), recorder)
         elif count:
             yield self._read(recorder, count)
 
-    def _read(self, recorder: Recorder, count: int) -> tuple[Columns, list[Ray]]:
+    def _read(self, recorder: BranchRecorder, count: int) -> tuple[Columns, list[Ray]]:
         """What is recorded, and lets itself through the filter."""
         slots = np.arange(count)
         lanes = np.array(recorder.lane)[:count]

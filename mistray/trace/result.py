@@ -12,9 +12,9 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.trace.aimed_rays import aimed_surfaces, silent_places
-from mistray.trace.books import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS, image_word
 from mistray.trace.by_parts import TraceTask, images_by_parts
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
+from mistray.trace.film import image_word
 from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathTable, path_table
@@ -24,6 +24,7 @@ from mistray.trace.ray_table import check_box, ray_table
 from mistray.trace.run_gradient import run_gradient
 from mistray.trace.sampled import Sampled
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
 from mistray.trace.thin_gaps import thin_gaps
 from mistray.trace.tracer import Run, image
 from mistray.trace.workers import current_workers
@@ -215,7 +216,7 @@ class Trace:
             Path ids; a path may be in one group only.
         with_noise : sequence of bool
             Which maps are to know their noise; that of the others is NaN. While they are summed a pixel of a map takes
-            8 bytes, with its noise 8 bytes for each group of batches (`mistray.trace.books.groups_of`).
+            8 bytes, with its noise 8 bytes for each group of batches (`mistray.trace.film.groups_of`).
 
         Yields
         ------

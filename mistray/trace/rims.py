@@ -7,25 +7,24 @@ derivative out of them.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any
-
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.trace.books import Recorder, record_branch
+from mistray.trace.adjoint import GAIN
+from mistray.trace.branch_recorder import POINT_FLOATS, BranchRecorder
 from mistray.trace.grazing import Grazing
-from mistray.trace.interaction import Interaction
-from mistray.trace.ledger import ABSORBED, EVENT_BITS, extend_key
 from mistray.trace.pieces import Piece
 from mistray.trace.raw_gradient import RIM_COLUMNS
+from mistray.trace.recorder import Memory, Recorder, Return, Visit
+from mistray.trace.start_rays import StartRays
 from mistray.trace.surfaces import SurfaceTable
 from mistray.trace.upload import upload
 
 OUTER, INNER, HALF_WIDTH, HALF_HEIGHT, Z_LOW, Z_HIGH = range(len(RIM_COLUMNS))
 ROUND, RECTANGLE, CONE = range(3)  # kinds of bounds; their rims are 2 kind and 2 kind + 1
 NO_EVENT = 0xFFFFFFFF
+RIMS = "rims"  # of a lane, in the memory
 FAR = 1e30  # mm, where there is no rim
 # State of a ray before a hit, as `StartRays` has it
 STATE = {
@@ -71,9 +70,9 @@ def zone_widths(piece: Piece, width: float) -> dict[int, float]:
     }
 
 
-class RimBook:
+class RimRecorder(Recorder):
     """
-    Append buffer for hits close to rims.
+    Append buffer for hits close to rims, in a trace with an `Adjoint` after it.
 
     Parameters
     ----------
@@ -87,7 +86,7 @@ class RimBook:
 
     Attributes
     ----------
-    paths : Recorder
+    paths : BranchRecorder
         Paths up to and with the hit; `weight` is the flux that arrives, `heading` the direction of arrival.
     rim : (capacity,) mi.UInt32
         Place in `RIM_COLUMNS`, or a jump of `mistray.trace.grazing`.
@@ -104,6 +103,8 @@ class RimBook:
     before : dict
         Fields of `StartRays` → (capacity,) state of the ray before the hit.
     """
+
+    node_floats = POINT_FLOATS
 
     def __init__(self, table: SurfaceTable, width: float, capacity: int, max_events: int) -> None:
         bounds = np.tile([FAR, -FAR, 0.0, 0.0], (table.count, 1))
@@ -123,7 +124,7 @@ class RimBook:
                 column, value = rims[rim]
                 bounds[i, column], bounds[i, 2 + column] = value, zone
         self._bounds, self._kinds = upload(mi.Float, bounds), upload(mi.UInt32, kinds)
-        self.paths = Recorder(capacity, max_events, points_only=True)
+        self.paths = BranchRecorder(capacity, max_events, points_only=True)
         self.rim = dr.zeros(mi.UInt32, capacity)
         self.delta, self.copies = dr.zeros(mi.Float, capacity), dr.zeros(mi.Float, capacity)
         self.gain = dr.zeros(mi.Float64, capacity)
@@ -132,41 +133,14 @@ class RimBook:
         self.before = {name: dr.zeros(getattr(mi, kind), capacity) for name, kind in STATE.items()}
         dr.eval(self.rim, self.delta, self.copies, self.gain, self.axis, self.scale, self.before)
 
-    def memory(self, max_events: int) -> tuple[Any, ...]:
+    def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """Local arrays by depth: slot of the hit, and what the metric had gained before it."""
-        return dr.alloc_local(mi.UInt32, max_events), dr.alloc_local(mi.Float64, max_events)
+        memory[RIMS] = dr.alloc_local(mi.UInt32, max_events), dr.alloc_local(mi.Float64, max_events)
 
-    def visit(
-        self,
-        memory: tuple[Any, ...],
-        nodes: Any,
-        event: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
-        it: Interaction,
-        state: dict[str, Any],
-        batch: mi.UInt32,
-        lane: mi.UInt32,
-        visited: mi.Bool,
-        valid: mi.Bool,
-    ) -> None:
-        """
-        Write down the hits that are close to a rim.
-
-        Parameters
-        ----------
-        memory : tuple
-            From `memory`.
-        nodes, event
-            The path so far, see `record_branch`.
-        it : Interaction
-        state : dict
-            Of the loop.
-        batch, lane : mi.UInt32
-        visited : mi.Bool
-            Lanes that visit their node for the first time.
-        valid : mi.Bool
-            Those of them whose hit counts.
-        """
-        slots, before = memory
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Write down the hits that are close to a rim."""
+        it, state, valid = visit.interaction, visit.state, visit.active
+        slots, before = memory[RIMS]
         depth = state["depth"]
         rim, delta, near, both = self._nearest(state["s"], it.local, valid)
         jump = self.grazing.find(state["s"], it, state["d"], valid)
@@ -179,22 +153,21 @@ class RimBook:
 
         def write(near: mi.Bool) -> mi.UInt32:
             weight = mi.Float64(state["w"])
-            key = extend_key(state["key"], (state["s"] << EVENT_BITS) | ABSORBED)
-            slot, kept = record_branch(self.paths, nodes, event, near, it.p, depth, lane, key, weight, state["d"])
+            slot, kept = self.paths.write(visit, near, it.p, weight, heading=state["d"])
             numbers = (self.rim, rim), (self.delta, delta), (self.copies, copies), (self.scale, jump.scale)
             for values, value in numbers:
                 dr.scatter(values, value, slot, kept)
             for j, component in enumerate(it.axis):
                 dr.scatter(self.axis, component, 3 * slot + j, kept)
             for name, values in self.before.items():
-                dr.scatter(values, batch if name == "batch" else state[name], slot, kept)
+                dr.scatter(values, visit.start.batch if name == "batch" else state[name], slot, kept)
             return dr.select(kept, slot, NO_EVENT)
 
         slot = dr.if_stmt(
             (near,), near, write, lambda near: mi.UInt32(NO_EVENT), arg_labels=("near",), mode="symbolic", label="rim"
         )
-        slots.write(slot, depth, visited)
-        before.write(state["total"], depth, near)
+        slots.write(slot, depth, visit.visited)
+        before.write(memory[GAIN], depth, near)
 
     def _nearest(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Float, mi.Bool, mi.Bool]:
         """Rim, distance from it (mm), whether that is within its zone, and whether another zone was as good."""
@@ -212,17 +185,17 @@ class RimBook:
         rim = 2 * kind + dr.select(first ^ (kind == CONE), mi.UInt32(0), 1)
         return rim, dr.select(first, to_first, to_second), near_first | near_second, both
 
-    def close(
-        self, memory: tuple[Any, ...], depth: mi.UInt32, first: mi.UInt32, total: mi.Float64, active: mi.Bool
-    ) -> None:
-        """Book what the metric has gained from the hits at the depths first … depth, whose subtrees are complete."""
-        slots, before = memory
+    def back(self, back: Return, memory: Memory) -> None:
+        """Note what the metric has gained from the hits whose subtrees are complete."""
+        (slots, before), gain, active = memory[RIMS], memory[GAIN], back.active
 
         def step(k):  # type: ignore[no-untyped-def]
-            going = active & (k <= depth)
+            going = active & (k <= back.depth)
             slot = slots.read(k, going)
             here = going & (slot != NO_EVENT)
-            dr.scatter(self.gain, total - before.read(k, here), slot, here)
+            dr.scatter(self.gain, gain - before.read(k, here), slot, here)
             return (k + 1,)
 
-        dr.while_loop((mi.UInt32(first),), lambda k: active & (k <= depth), step, mode="symbolic", label="close rims")
+        dr.while_loop(
+            (mi.UInt32(back.closed),), lambda k: active & (k <= back.depth), step, mode="symbolic", label="close rims"
+        )

@@ -6,14 +6,15 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.trace.books import HITS, Film
 from mistray.trace.edges import Edges
+from mistray.trace.film import Film
 from mistray.trace.gatherer import Gatherer, each
 from mistray.trace.raw_gradient import MOMENTS, PathDerivative, RawGradient, Wanted
 from mistray.trace.replay import scatter_event
 from mistray.trace.replay_surfaces import Met, ReplaySurfaces, Split
 from mistray.trace.scatter_replay import ScatterReplay
 from mistray.trace.start_rays import StartRays
+from mistray.trace.tallies import HITS
 from mistray.trace.tracer import Run
 from mistray.trace.upload import upload
 
@@ -130,7 +131,7 @@ def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | Non
     recorder = gatherer.recorder
 
     def walk(start: StartRays) -> None:
-        run.walk(start, film, recorder=recorder)
+        run.walk(start, recorder)
 
     def counts(keys: np.ndarray) -> np.ndarray:
         if paths is None:
@@ -147,7 +148,7 @@ def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | Non
     with dr.suspend_grad():  # single events are differentiated, nothing around them
         edges = None
         if gatherer.edges:
-            edges = Edges(run.table, run.scattering, run.intersector, run.settings, film, wanted.edge_width)
+            edges = Edges(run.scene, run.settings, wanted.edge_width)
             adjoint = run.adjoint(pixel, paths, rows=0)
         for number in range(run.passes):
             whole = run.start_pass(number)
@@ -155,7 +156,7 @@ def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | Non
                 for start in gatherer.portions(whole, hits, walk):
                     gatherer.replay(start, counts, end)
             if edges is not None:
-                for start, events in edges.events(whole, adjoint, run.ledger if paths is not None else None):
+                for start, events in edges.events(whole, adjoint):
                     gatherer.replay_edges(start, events)
     raw = gatherer.result()
     if edges is not None and traced:

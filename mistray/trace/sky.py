@@ -1,10 +1,9 @@
-"""Books of a backward trace: rays that leave the scene, by the direction of the light that they go against."""
+"""Recorder of backward traces: rays that leave the scene, by the direction of the light that they go against."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any
+from collections.abc import Callable, Hashable
+from typing import Any
 
 import drjit as dr
 import mitsuba as mi
@@ -13,11 +12,9 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.ledger import BATCHES, COUNT_MASK, MULTIPLIER, NOT_DIFFRACTED, claim, host_keys, write_list
+from mistray.trace.recorder import Departure, Memory, Recorder
 from mistray.trace.upload import upload
 from mistray.trace.way_table import WayTable
-
-if TYPE_CHECKING:
-    from mistray.trace.start_rays import StartRays
 
 # Classes of the light, in the order of their sums
 CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter", "edge_diffraction")
@@ -119,31 +116,13 @@ class PathBook:
         }
 
 
-@dataclass
-class Thrift:
-    """
-    Chances with which rays against the light branch; the branches carry so much more, and results stay the same.
-
-    Attributes
-    ----------
-    scatter : mi.Float
-        (surfaces,) that a hit scatters.
-    reflection : mi.Float
-        That the reflection at a surface that transmits is followed.
-    """
-
-    scatter: mi.Float
-    reflection: mi.Float
-
-
-class Sky:
+class Sky(Recorder):
     """
     Sums of the weights of rays that leave the scene.
 
     Parameters
     ----------
     grid : DirectionGrid
-    thrift : Thrift
     pixels : int
         Of a map of the detector for every cell; 0: no maps.
     paths : PathBook, optional
@@ -158,7 +137,6 @@ class Sky:
     def __init__(
         self,
         grid: DirectionGrid,
-        thrift: Thrift,
         pixels: int = 0,
         paths: PathBook | None = None,
         has_optics: bool = True,
@@ -168,7 +146,6 @@ class Sky:
         self._left_out = left_out
         self._has_optics = has_optics
         self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
-        self.thrift = thrift
         self.grid, self.pixels, self.paths = grid, pixels, paths
         self._angles, self._azimuths = grid.shape
         self.cells = self._angles * self._azimuths
@@ -185,11 +162,13 @@ class Sky:
         self.maps = dr.zeros(mi.Float64, 2 * self.cells * pixels) if pixels else None
         dr.eval(self.sums, self.elsewhere, self.largest, self.maps)
 
+    by_way = True
+
     @property
-    def writes(self) -> tuple[bool, ...]:
-        """What tells its kernels apart."""
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
         parts = (self.maps, self.paths, self._left_out, self._derivative)
-        return tuple(part is not None for part in parts)
+        return type(self).__name__, *(part is not None for part in parts)
 
     def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
         """Cell of the light that goes against rays along d, and whether there is one."""
@@ -217,30 +196,18 @@ class Sky:
         )
         return index * self._azimuths + best, inside & (least <= self._half)
 
-    def record(
-        self,
-        d: mi.Vector3f,
-        weight: mi.Float,
-        reflections: mi.UInt32,
-        scatters: mi.UInt32,
-        aside: mi.Bool,
-        batch: mi.UInt32,
-        start: StartRays,
-        key: mi.UInt64,
-        length: mi.UInt32,
-        read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
-        active: mi.Bool,
-    ) -> None:
-        """Book rays that leave along d after so many reflections and scatter events; `aside` see `is_aside`."""
-        cell, inside = self.cell(d)
+    def depart(self, departure: Departure, memory: Memory) -> None:
+        """Add rays that leave the scene."""
+        start, weight, active = departure.start, departure.weight, departure.active
+        cell, inside = self.cell(departure.heading)
         w = mi.Float64(weight)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, w, batch, active & ~inside)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, w, start.batch, active & ~inside)
         inside &= active
         if self._left_out is not None:
-            inside &= ~self._left_out.find(key, cell, inside)[1]
-        kind = self._kind(reflections, scatters, aside, length)
-        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, (kind * self.cells + cell) * BATCHES + batch, inside)
-        scattered = inside & ((scatters & COUNT_MASK) > 0)
+            inside &= ~self._left_out.find(departure.key, cell, inside)[1]
+        place = (self._kind(departure) * self.cells + cell) * BATCHES + start.batch
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, place, inside)
+        scattered = inside & ((departure.scatters & COUNT_MASK) > 0)
         # The bits of positive floats are in the order of the floats
         dr.scatter_reduce(dr.ReduceOp.Max, self.largest, dr.reinterpret_array(mi.UInt32, weight), cell, scattered)
         if self.maps is not None:
@@ -248,29 +215,22 @@ class Sky:
             for k, value in enumerate((w, w * w)):
                 dr.scatter_reduce(dr.ReduceOp.Add, self.maps, value, place + k, inside)
         if self.paths is not None:
-            self.paths.record(key, length, read, cell, weight, inside)
+            self.paths.record(departure.key, departure.length, departure.event, cell, weight, inside)
 
-    def gain(
-        self,
-        d: mi.Vector3f,
-        weight: mi.Float,
-        reflections: mi.UInt32,
-        scatters: mi.UInt32,
-        aside: mi.Bool,
-        length: mi.UInt32,
-        active: mi.Bool,
-    ) -> mi.Float64:
-        """What the metric gains from rays that leave, instead of `record`."""
-        cell, inside = self.cell(d)
-        index = self._kind(reflections, scatters, aside, length) * self.cells + cell
-        inside &= active
-        return dr.select(inside, mi.Float64(weight) * dr.gather(mi.Float64, self._derivative, index, inside), 0)
+    def gain(self, departure: Departure) -> mi.Float64:
+        """What the metric gains from rays that leave; nothing is added to the sums."""
+        cell, inside = self.cell(departure.heading)
+        index = self._kind(departure) * self.cells + cell
+        inside &= departure.active
+        gained = mi.Float64(departure.weight) * dr.gather(mi.Float64, self._derivative, index, inside)
+        return dr.select(inside, gained, 0)
 
-    def _kind(self, reflections: mi.UInt32, scatters: mi.UInt32, aside: mi.Bool, length: mi.UInt32) -> mi.UInt32:
-        """Class of light by its events; `scatters` is a word, see `mistray.trace.ledger.COUNT_MASK`."""
-        past = aside | (length == 0) if self._has_optics else aside
+    def _kind(self, departure: Departure) -> mi.UInt32:
+        """Class of light by its events."""
+        aside, scatters = departure.aside, departure.scatters
+        past = aside | (departure.length == 0) if self._has_optics else aside
         direct = dr.select(past, mi.UInt32(STRAIGHT), mi.UInt32(DIRECT))
-        ghost = dr.select(reflections > 0, mi.UInt32(GHOST), direct)
+        ghost = dr.select(departure.reflections > 0, mi.UInt32(GHOST), direct)
         count = scatters & COUNT_MASK
         scattered = dr.select(count == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE))
         scattered = dr.select((scatters & NOT_DIFFRACTED) == 0, mi.UInt32(DIFFRACTED), scattered)

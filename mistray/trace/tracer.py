@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -16,22 +16,15 @@ from mistray.interrupts import requested
 from mistray.time_budget import time_is_up
 from mistray.trace.adjoint import CHANNELS, Adjoint
 from mistray.trace.aiming import aims
-from mistray.trace.books import (
-    REASONS,
-    STARTED,
-    SURFACE_SUMS,
-    Film,
-    PathChoice,
-    Recorder,
-    Tallies,
-    groups_of,
-    spreads,
-)
+from mistray.trace.branch_recorder import BranchRecorder, PathChoice
+from mistray.trace.film import Box, Film, Images, groups_of, spreads
 from mistray.trace.intersect import Intersector
+from mistray.trace.kernel_scene import KernelScene
 from mistray.trace.launches import Spread, launches_of
 from mistray.trace.ledger import BATCHES, DecodedPaths, Ledger
 from mistray.trace.raw_gradient import MOMENTS, PathDerivative
-from mistray.trace.ray_tree import walk
+from mistray.trace.ray_tree import trace_tree
+from mistray.trace.recorder import Recorder, Recorders
 from mistray.trace.sampled import Sampled
 from mistray.trace.scatter_tables import ScatterTables
 from mistray.trace.scattering import Scattering
@@ -39,6 +32,7 @@ from mistray.trace.settings import Settings
 from mistray.trace.sources import Beam, Source, beams
 from mistray.trace.start_rays import StartRays, generators
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.tallies import REASONS, STARTED, SURFACE_SUMS, Tallies
 from mistray.trace.upload import upload
 
 PASS_LANES = 1 << 20
@@ -85,7 +79,7 @@ class Run:
         Flux that each medium absorbs, in `unit`.
     reasons : (REASONS, BATCHES) float64
     film : (groups, height, width) float64
-        Detected flux by group of batches, in `unit`; see `mistray.trace.books.groups_of`.
+        Detected flux by group of batches, in `unit`; see `mistray.trace.film.groups_of`.
     paths : DecodedPaths or None
     ledger : Ledger or None
     seconds : float
@@ -182,18 +176,18 @@ class Run:
         """Origins (mm) and directions of start rays in the world, without rounding of the device; (n, 3) float64."""
         return self.beam.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
 
-    def make_tallies(self, film: Film, images: int | None = None) -> Tallies:
-        """Sums at zero, for as many images of the detector; by default those of its film."""
-        pixels = film.width * film.height * (film.groups if images is None else images)
-        return Tallies(self.table.count, len(self.table.optics.media), pixels)
+    def make_tallies(self) -> Tallies:
+        """Sums at zero."""
+        return Tallies(self.table.count, len(self.table.optics.media))
+
+    @property
+    def scene(self) -> KernelScene:
+        """What the kernel traces."""
+        return KernelScene(self.table, self.scattering, self.intersector)
 
     def launch(
         self,
-        film: Film,
-        tallies: Tallies | None = None,
-        ledger: Ledger | None = None,
-        box: Sequence[float] | None = None,
-        adjoint: Adjoint | None = None,
+        *recorders: Recorder | None,
         progress: Progress | None = None,
         stop: Callable[[], bool] | None = None,
     ) -> tuple[Part, ...] | None:
@@ -205,11 +199,10 @@ class Run:
         tuple of Part or None
             What was traced, if that is not all.
         """
-        corners = None if box is None else mi.Vector4f(*(dr.opaque(mi.Float, float(v)) for v in box))
         before, finished = 0, []
         for part, start in self.starts():
             count = dr.width(start.lane)
-            for done in self.walks(start, self._order(part), film, tallies, ledger, box=corners, adjoint=adjoint):
+            for done in self.walks(start, self._order(part), *recorders):
                 if progress:
                     progress(before + done, self.rays)
                 if stop and stop():
@@ -219,18 +212,17 @@ class Run:
             finished.append(part)
         return None
 
-    def walk(self, start: StartRays, film: Film, *books: Any, **more: Any) -> None:
-        """Trace the trees of some start rays, with the books and options of `ray_tree.walk`."""
-        for _ in self.walks(start, 0, film, *books, **more):
+    def walk(self, start: StartRays, *recorders: Recorder | None) -> None:
+        """Trace the trees of some start rays."""
+        for _ in self.walks(start, 0, *recorders):
             pass
 
-    def walks(self, start: StartRays, order: int, film: Film, *books: Any, **more: Any) -> Iterator[int]:
+    def walks(self, start: StartRays, order: int, *recorders: Recorder | None) -> Iterator[int]:
         """The same launch by launch; gives the number of rays after each, the first of `Spread` with that seed."""
-        writes = (*(book is not None for book in books), *(name for name in sorted(more) if more[name] is not None))
-        launches = launches_of(self.table, self.settings, *writes)
+        launches = launches_of(self.table, self.settings, Recorders(recorders).code)
 
         def trace(part: StartRays) -> None:
-            walk(self.table, self.scattering, self.intersector, part, self.settings, film, *books, **more)
+            trace_tree(self.scene, part, self.settings, recorders)
 
         yield from launches.run(start, trace, order)
 
@@ -247,14 +239,14 @@ class Run:
         if self.ledger is not None:  # executed before: the table had to grow so far
             capacity = self.ledger.capacity
         while True:
-            tallies = self.make_tallies(film)
+            tallies, images = self.make_tallies(), Images(film)
             self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
 
             def pause(tallies: Tallies = tallies) -> bool:
                 self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
                 return self.ledger_full() or time_is_up() or (stop is not None and stop())
 
-            found = self.launch(film, tallies, self.ledger, progress=progress, stop=pause)
+            found = self.launch(tallies, self.ledger, images, progress=progress, stop=pause)
             if requested() or not self.ledger_full():
                 break
             if capacity >= LAST_CAPACITY:
@@ -269,7 +261,7 @@ class Run:
         self.largest = float(np.array(tallies.largest).view(np.float32)[0])
         self.media = np.array(tallies.media).reshape(-1, BATCHES)
         self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
-        self.film = np.array(tallies.film).reshape(film.groups, film.height, film.width)
+        self.film = np.array(images.sums).reshape(film.groups, film.height, film.width)
         few = self.ledger is not None and (not requested() or self.ledger.used <= MOST_PATHS_KEPT)
         self.paths = self.ledger.decode() if self.ledger is not None and few else None
         if found is not None:
@@ -296,7 +288,7 @@ class Run:
         Parameters
         ----------
         word_of_slot : mapping
-            Ledger slot → where its light goes, see `mistray.trace.books.image_word`.
+            Ledger slot → where its light goes, see `mistray.trace.film.image_word`.
         count : int
             Number of images.
 
@@ -310,9 +302,9 @@ class Run:
         words = np.zeros(self.ledger.capacity, dtype=np.uint32)
         words[list(word_of_slot)] = list(word_of_slot.values())
         film.image_of_slot = upload(mi.UInt32, words)
-        tallies = self.make_tallies(film, count)
-        self.launch(film, tallies, self.ledger)
-        return np.array(tallies.film).reshape(count, film.height, film.width)
+        images = Images(film, count)
+        self.launch(self.ledger, images)
+        return np.array(images.sums).reshape(count, film.height, film.width)
 
     @property
     def pixel_area(self) -> float:
@@ -342,7 +334,8 @@ class Run:
             numbers[paths.slots] = paths.maps + 1
             by_path, number = upload(mi.Float64, coefficients), upload(mi.UInt32, numbers)
         image = None if pixel is None else upload(mi.Float, pixel)
-        return Adjoint(rows, image, by_path, number)
+        ledger = self.ledger if paths is not None else None
+        return Adjoint(rows, self.make_film(), image, by_path, number, ledger)
 
     def derivatives(self, pixel: np.ndarray | None, paths: PathDerivative | None) -> np.ndarray:
         """
@@ -359,18 +352,17 @@ class Run:
             By batch of start rays; see `mistray.trace.adjoint`.
         """
         adjoint = self.adjoint(pixel, paths, self.table.optics.rows)
-        self.launch(self.make_film(), ledger=self.ledger if paths is not None else None, adjoint=adjoint)
+        self.launch(adjoint)
         return np.array(adjoint.sums).reshape(BATCHES, -1, CHANNELS)
 
     def paths_in_box(self, box: Sequence[float]) -> DecodedPaths:
         """The ledger of the same rays, of the hits within x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 only; mm."""
         assert self.ledger is not None
         self.ledger.clear_sums()
-        film = self.make_film()
-        self.launch(film, None, self.ledger, box=box)
+        self.launch(Box(box), self.ledger)
         return self.ledger.decode()
 
-    def recorder(self, capacity: int, slots: np.ndarray | None = None) -> Recorder:
+    def recorder(self, capacity: int, slots: np.ndarray | None = None) -> BranchRecorder:
         """For so many branches, of the paths in these slots of the ledger; None: of any path."""
         choice = None
         if slots is not None:
@@ -378,17 +370,16 @@ class Run:
             chosen = np.zeros(self.ledger.capacity, dtype=np.uint32)
             chosen[slots] = 1
             choice = PathChoice(self.ledger, upload(mi.UInt32, chosen))
-        return Recorder(capacity, self.settings.max_events, choice=choice)
+        return BranchRecorder(capacity, self.settings.max_events, choice=choice)
 
     def peak_W(self) -> float:
         """Flux of the strongest ray that meets the detector, by tracing all rays again; W."""
         recorder = self.recorder(RECORD_CAPACITY, np.zeros(0, dtype=np.int64))
-        film = self.make_film()
         for _, start in self.starts():
-            self.walk(start, film, recorder=recorder)
+            self.walk(start, recorder)
         return self.unit * float(np.array(recorder.peak).view(np.float32)[0])
 
-    def record(self, slots: np.ndarray | None, count: int) -> Recorder:
+    def record(self, slots: np.ndarray | None, count: int) -> BranchRecorder:
         """
         Branches that end in the detector, node by node, of the paths in these slots of the ledger (None: of any path).
 
@@ -396,7 +387,6 @@ class Run:
         sample of the whole beam, then the others of the first pass, then the other passes.
         """
         recorder = self.recorder(max(count, RECORD_CAPACITY), slots)
-        film = self.make_film()
         for part, start in self.starts():
             host_batch = np.array(start.batch) - part.low
             groups = [
@@ -407,7 +397,7 @@ class Run:
             spread = slice(None, None, -(-len(groups[0]) // RECORD_CAPACITY) or 1)
             for lanes in (groups[0][spread], np.delete(groups[0], spread), *groups[1:]):
                 if len(lanes):
-                    self.walk(start.take(upload(mi.UInt32, lanes)), film, recorder=recorder)
+                    self.walk(start.take(upload(mi.UInt32, lanes)), recorder)
                 if int(recorder.count[0]) >= count:
                     return recorder
         return recorder

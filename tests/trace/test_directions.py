@@ -13,7 +13,8 @@ from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
 
 from mistray import MistrayError
 from mistray.trace.directions import DirectionGrid
-from mistray.trace.sky import Sky, Thrift
+from mistray.trace.recorder import Departure
+from mistray.trace.sky import Sky
 from mistray.trace.sources import beams
 
 
@@ -172,7 +173,7 @@ def test_facts_come_back() -> None:
 
 def device_cells(grid: DirectionGrid, d: np.ndarray) -> np.ndarray:
     """Cells of rays along d by the kernel; -1: none."""
-    sky = Sky(grid, Thrift(mi.Float([1.0]), mi.Float(1)))
+    sky = Sky(grid)
     cell, inside = sky.cell(mi.Vector3f(*np.ascontiguousarray(d.T, dtype=np.float32)))
     return np.where(np.array(inside), np.array(cell).astype(np.int64), -1)
 
@@ -245,15 +246,16 @@ def test_azimuth_is_that_of_a_source(load_scene) -> None:
 
 
 def test_sums_are_booked_once() -> None:
-    """`record` puts each ray either in its cell or elsewhere, in its batch."""
+    """Each ray is counted either in its cell or elsewhere, in its batch."""
     grid = DirectionGrid.of([20.0], cell_deg=20.0)
-    sky = Sky(grid, Thrift(mi.Float([1.0]), mi.Float(1)))
+    sky = Sky(grid)
     theta = np.radians([15.0, 25.0, 50.0])
     d = mi.Vector3f(*(-np.stack([np.sin(theta), 0 * theta, np.cos(theta)])).astype(np.float32))
     zero, yes = dr.zeros(mi.UInt32, 3), dr.full(mi.Bool, True, 3)
-    start: Any = type("Start", (), {"pixel": zero})()
-    no, batch, key = dr.full(mi.Bool, False, 3), mi.UInt32([0, 5, 6]), dr.zeros(mi.UInt64, 3)
-    sky.record(d, mi.Float([1.0, 2.0, 4.0]), zero, mi.UInt32([0, 1, 1]), no, batch, start, key, zero, None, yes)
+    start: Any = type("Start", (), {"batch": mi.UInt32([0, 5, 6])})()
+    no, key, weight = dr.full(mi.Bool, False, 3), dr.zeros(mi.UInt64, 3), mi.Float([1.0, 2.0, 4.0])
+    scatters = mi.UInt32([0, 1, 1])
+    sky.depart(Departure(start, d, weight, zero, scatters, no, key, zero, lambda k, _: k, yes), {})
     found = sky.read()
     assert found["cells"].sum() == 3.0
     assert found["elsewhere"][6] == found["elsewhere"].sum() == 4.0

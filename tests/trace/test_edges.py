@@ -25,10 +25,10 @@ import mistray
 from mistray.optimize import path_power
 from mistray.optimize.scene_values import changed
 from mistray.trace.backward import BackwardTrace
-from mistray.trace.books import ABSORBED_HERE
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.settings import Settings
 from mistray.trace.sky import CLASS_COUNT, MULTIPLE, SINGLE
+from mistray.trace.tallies import ABSORBED_HERE
 from mistray.trace.tracer import prepare
 
 WRONG = 1.3

@@ -15,8 +15,9 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 import mistray
 from mistray.errors import MistrayError
 from mistray.trace.adjoint import Adjoint
-from mistray.trace.books import NODE_FLOATS, image_word, spreads
-from mistray.trace.ray_tree import walk
+from mistray.trace.branch_recorder import NODE_FLOATS
+from mistray.trace.film import image_word, spreads
+from mistray.trace.ray_tree import trace_tree
 from mistray.trace.settings import Settings
 from mistray.trace.tracer import Run, prepare
 from mistray.trace.upload import upload
@@ -59,13 +60,15 @@ def recorded(run: Run) -> tuple[np.ndarray, np.ndarray, np.ndarray, list[bytes]]
     return x, y, last[:, 6], texts
 
 
+def metric(run: Run, **derivatives: Any) -> Adjoint:
+    return Adjoint(0, run.make_film(), **derivatives, ledger=run.ledger)
+
+
 def gains(run: Run, adjoint: Adjoint) -> float:
     """What the metric gains from all rays."""
-    more = {"ledger": run.ledger, "adjoint": adjoint}
-    scene = run.table, run.scattering, run.intersector
-    total = walk(*scene, run.start_pass(0), run.settings, run.make_film(), **more)
-    dr.eval(total)
-    return float(np.array(total).sum())
+    trace_tree(run.scene, run.start_pass(0), run.settings, [adjoint])
+    dr.eval(adjoint.gain)
+    return float(np.array(adjoint.gain).sum())
 
 
 class TestTent:
@@ -112,7 +115,7 @@ class TestDerivativeOfHits:
         run = executed(load_scene(lens_text(f'<rfilter type="{film}"/>')))
         pixel = np.random.default_rng(2).normal(size=(8, 8))
         expected = np.sum(pixel * run.film)
-        assert gains(run, Adjoint(0, upload(mi.Float, pixel))) == pytest.approx(expected, rel=1e-5)
+        assert gains(run, metric(run, pixel=upload(mi.Float, pixel))) == pytest.approx(expected, rel=1e-5)
 
     def test_by_moments_of_paths(self, load_scene) -> None:
         """The ledger's sums know the flux, its first moments and x² + y²; the rest comes from the recorder."""
@@ -129,7 +132,7 @@ class TestDerivativeOfHits:
             assert mine.any()
             terms = np.stack([np.ones(mine.sum()), x[mine], y[mine], x[mine] ** 2, y[mine] ** 2, x[mine] * y[mine]])
             expected += float(coefficients[slot] @ terms @ (0.9 * w[mine]))
-        found = gains(run, Adjoint(0, path=upload(mi.Float64, coefficients)))
+        found = gains(run, metric(run, path=upload(mi.Float64, coefficients)))
         assert found == pytest.approx(expected, rel=1e-5)
         assert found != pytest.approx(1.01 * expected, rel=1e-5)
 
@@ -149,7 +152,7 @@ class TestDerivativeOfHits:
         mine = np.array([text == events for text in texts])
         expected = np.average((x[mine] - mean) ** 2, weights=w[mine])
         assert expected < 1e-5 * mean**2
-        assert gains(run, Adjoint(0, path=upload(mi.Float64, coefficients))) == pytest.approx(expected, rel=1e-4)
+        assert gains(run, metric(run, path=upload(mi.Float64, coefficients))) == pytest.approx(expected, rel=1e-4)
 
     def test_by_pixels_of_some_paths(self, load_scene) -> None:
         """Two maps: one of the direct image, one of the other paths but one, which counts in none."""
@@ -164,7 +167,9 @@ class TestDerivativeOfHits:
         pixel = np.random.default_rng(4).normal(size=(2, 8, 8))
         words = {int(slot): image_word(int(number[slot]) - 1, by_group=False) for slot in slots if number[slot]}
         expected = np.sum(pixel * run.images(words, 2))
-        adjoint = Adjoint(0, upload(mi.Float, pixel), map_of_slot=upload(mi.UInt32, number))
+        adjoint = Adjoint(
+            0, run.make_film(), upload(mi.Float, pixel), map_of_slot=upload(mi.UInt32, number), ledger=run.ledger
+        )
         assert gains(run, adjoint) == pytest.approx(expected, rel=1e-5)
 
     def test_paths_that_the_ledger_does_not_know(self, load_scene) -> None:
@@ -177,7 +182,7 @@ class TestDerivativeOfHits:
         known = np.array(run.ledger.keys)
         other.ledger, coefficients = run.ledger, np.zeros((run.ledger.capacity, 6))
         coefficients[:, 0] = 1.0
-        adjoint = Adjoint(0, path=upload(mi.Float64, coefficients))
+        adjoint = metric(other, path=upload(mi.Float64, coefficients))
         found = gains(other, adjoint)
         direct = other.paths.sums.sum(axis=1)[other.paths.keys == known[known != 0][0]][0, 2]
         assert found == pytest.approx(direct, rel=1e-6)

@@ -18,9 +18,10 @@ import pytest
 from oracles import closed_forms
 
 import mistray
-from mistray.trace.books import SURFACE_SUMS
+from mistray.trace.film import Images
 from mistray.trace.ledger import BATCHES, Ledger
 from mistray.trace.settings import Settings
+from mistray.trace.tallies import SURFACE_SUMS
 from mistray.trace.tracer import PASS_LANES, Run, prepare
 
 MOST_RAYS = 2**32 - 1
@@ -120,16 +121,15 @@ def test_the_last_pass_of_a_grid_is_the_last_rows() -> None:
 def test_sums_go_on_beyond_32_bits() -> None:
     """Every sum and count of a trace is a float64: after 2³³ hits one more counts."""
     run = runs_of_most_rays()
-    film = run.make_film()
-    tallies, ledger = run.make_tallies(film), Ledger(64, run.settings.max_events)
+    tallies, images, ledger = run.make_tallies(), Images(run.make_film()), Ledger(64, run.settings.max_events)
     before = 2.0**33
-    for book, name in ((tallies, "surfaces"), (tallies, "reasons"), (tallies, "film"), (ledger, "sums")):
-        values = getattr(book, name)
+    for recorder, name in ((tallies, "surfaces"), (tallies, "reasons"), (images, "sums"), (ledger, "sums")):
+        values = getattr(recorder, name)
         assert type(values) is mi.Float64, name
-        setattr(book, name, dr.full(mi.Float64, before, dr.width(values)))
-    dr.eval(tallies.surfaces, tallies.reasons, tallies.film, ledger.sums)
+        setattr(recorder, name, dr.full(mi.Float64, before, dr.width(values)))
+    dr.eval(tallies.surfaces, tallies.reasons, images.sums, ledger.sums)
     start = run.start_pass(run.passes - 1)
-    run.walk(start, film, tallies, ledger)
+    run.walk(start, tallies, ledger, images)
     rays = dr.width(start.lane)
     hits = np.array(ledger.sums).reshape(ledger.capacity, BATCHES, -1)[:, :, 0] - before
     assert sorted(hits.sum(axis=1))[-2:] == [rays, rays]  # the direct path and the ghost

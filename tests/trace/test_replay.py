@@ -25,7 +25,7 @@ from tiers import slow_unless
 
 import mistray
 from mistray.scatter.kinds import KINDS
-from mistray.trace.books import NODE_FLOATS
+from mistray.trace.branch_recorder import NODE_FLOATS
 from mistray.trace.ledger import EVENT_BITS
 from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
 from mistray.trace.precise import retrace

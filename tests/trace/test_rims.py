@@ -19,9 +19,9 @@ from mistray.trace.adjoint import Adjoint
 from mistray.trace.backward import BackwardTrace
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.ledger import EVENT_BITS
-from mistray.trace.ray_tree import walk
+from mistray.trace.ray_tree import trace_tree
 from mistray.trace.rim_joints import rim_circles
-from mistray.trace.rims import INNER, OUTER, Z_HIGH, Z_LOW, RimBook, zone_widths
+from mistray.trace.rims import INNER, OUTER, Z_HIGH, Z_LOW, RimRecorder, zone_widths
 from mistray.trace.settings import Settings
 from mistray.trace.sky import CLASS_COUNT
 from mistray.trace.start_rays import StartRays
@@ -41,19 +41,17 @@ def random_metric(run: Run) -> Adjoint:
     """A metric with another derivative for each path and place."""
     assert run.ledger is not None
     coefficients = np.random.default_rng(0).normal(size=(run.ledger.capacity, 6)) * [1, 0.3, 0.3, 0.1, 0.1, 0.1]
-    return Adjoint(0, path=upload(mi.Float64, coefficients))
+    return Adjoint(0, run.make_film(), path=upload(mi.Float64, coefficients), ledger=run.ledger)
 
 
-def walked(run: Run, start: StartRays, adjoint: Adjoint, rims: RimBook | None = None) -> np.ndarray:
-    film = run.make_film()
-    more = {"ledger": run.ledger, "adjoint": adjoint, "rims": rims}
-    total = walk(run.table, run.scattering, run.intersector, start, run.settings, film, **more)
-    dr.eval(total)
+def walked(run: Run, start: StartRays, adjoint: Adjoint, rims: RimRecorder | None = None) -> np.ndarray:
+    trace_tree(run.scene, start, run.settings, [rims, adjoint])
+    dr.eval(adjoint.gain)
     dr.sync_thread()
-    return np.array(total)
+    return np.array(adjoint.gain)
 
 
-def read(book: RimBook) -> dict[str, np.ndarray]:
+def read(book: RimRecorder) -> dict[str, np.ndarray]:
     """The book on the host."""
     n, paths = int(book.paths.count[0]), book.paths
     assert n <= paths.capacity
@@ -104,7 +102,7 @@ class TestBook:
             radius=5.0,
         )
         run = executed(load_scene(text), rays=20_000)
-        book = RimBook(run.table, 0.05, 1 << 14, run.settings.max_events)
+        book = RimRecorder(run.table, 0.05, 1 << 14, run.settings.max_events)
         start = run.start_pass(0)
         walked(run, start, random_metric(run), book)
         found = read(book)
@@ -157,7 +155,7 @@ class TestBook:
         """
         run = executed(mistray.load(name), 10.0, rays=3000)
         adjoint = random_metric(run)
-        book = RimBook(run.table, 0.03, 1 << 14, run.settings.max_events)
+        book = RimRecorder(run.table, 0.03, 1 << 14, run.settings.max_events)
         whole = walked(run, run.start_pass(0), adjoint, book)
         found = read(book)
         assert np.sum(found["length"] > 3) > 200
@@ -184,13 +182,13 @@ class TestBook:
         derivative = np.random.default_rng(1).normal(size=(CLASS_COUNT, 3, 1))
         expected = np.einsum("kab,kabn->n", derivative, trace.sums["cells"])
         band, start = trace.bands[0], trace.start_pass(0, 0, 8192)
-        sky, adjoint = trace.make_sky(derivative), Adjoint(0)
-        scene = band.table, band.scattering, trace.intersector
-        total = walk(*scene, start, trace.settings, trace.film, adjoint=adjoint, sky=sky)
-        dr.eval(total)
-        found = np.bincount(np.array(start.batch), np.array(total), 32)
+        adjoint = trace.adjoint(derivative)
+        trace_tree(trace.scene(band), start, trace.settings, [adjoint])
+        dr.eval(adjoint.gain)
+        found = np.bincount(np.array(start.batch), np.array(adjoint.gain), 32)
         np.testing.assert_allclose(found, expected, rtol=1e-9)
-        assert not np.any(np.array(sky.sums))
+        assert adjoint.sky is not None
+        assert not np.any(np.array(adjoint.sky.sums))
 
 
 class TestJoints:

@@ -12,11 +12,11 @@ import numpy as np
 
 from mistray.time_budget import time_is_up
 from mistray.trace.aiming import aims
-from mistray.trace.books import SCATTERED_FLUX, SEGMENTS, Film, groups_of
 from mistray.trace.by_parts import tables_of
 from mistray.trace.design_path import find_design_path
 from mistray.trace.directions import DirectionGrid
 from mistray.trace.energy import batch_error
+from mistray.trace.film import Film, groups_of
 from mistray.trace.host_points import detector_area
 from mistray.trace.intersect import Intersector
 from mistray.trace.ledger import BATCHES, host_keys
@@ -27,6 +27,7 @@ from mistray.trace.scattering import Scattering
 from mistray.trace.settings import Settings
 from mistray.trace.sky import CLASSES
 from mistray.trace.surfaces import SurfaceTable
+from mistray.trace.tallies import SCATTERED_FLUX, SEGMENTS
 from mistray.trace.tracer import Run, image
 
 if TYPE_CHECKING:
