@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import time
 from pathlib import Path
 
 import json_units
@@ -79,3 +81,13 @@ def test_bad_input(arguments: tuple[str, ...], words: str, scene: str, capsys: p
     assert (code, out) == (2, "")
     assert words in err
     assert err.count("\n") == 1
+
+
+def test_a_time_budget_is_kept_and_the_result_says_so(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
+    began = time.monotonic()
+    code, text, _ = run(capsys, scene, "--rays", "1e9", "--seconds", "3", "--json")
+    assert code == 0
+    assert time.monotonic() - began < 15  # others may use the machine, too
+    found = json.loads(text)
+    assert any("rays were traced" in note for note in found["notes"])
+    assert found["total_W_mm2"] > found["total_W_mm2_se"] > 0

@@ -16,6 +16,8 @@ from mistray.cli.tracing_arguments import (
     add_machine,
     add_output,
     add_scene,
+    add_seconds,
+    seconds_left,
     show,
     start_mitsuba,
     terminal_bar,
@@ -60,6 +62,7 @@ def add(commands: Any) -> None:
     )
     parser.add_argument("--verification-seeds", type=SEEDS, metavar="N", default=8,
                         help="seeds on which the result is compared with the given design, at least 2 (8)")  # fmt: skip
+    add_seconds(parser)
     parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
     add_machine(parser)
     add_output(parser, "scene.xml, report.html, tables, pictures and the checkpoint", FILES)
@@ -90,6 +93,7 @@ def run(options: argparse.Namespace) -> int:
                 resume=options.resume,
                 progress=shown,
                 verification_seeds=options.verification_seeds,
+                seconds=seconds_left(options),
             )
         if options.out is not None:
             from mistray.report.optimization import write_optimization

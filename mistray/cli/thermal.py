@@ -13,9 +13,11 @@ from mistray.cli.tracing_arguments import (
     add_ray_tree,
     add_scatter,
     add_scene,
+    add_seconds,
     check_formats,
     progress_bar,
     scene_title,
+    seconds_left,
     settings_of,
     show,
     start_mitsuba,
@@ -54,7 +56,7 @@ def add(commands: Any) -> None:
     band.add_argument("--wavelength-um", type=WAVELENGTH_UM, nargs="+", metavar="UM",
                       help="where optics are traced, µm (middle of the band, and its ends if need be)")  # fmt: skip
     band.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
-    add_ray_tree(parser, "rays from the detector, for each wavelength and twice (2e5)")
+    add_seconds(add_ray_tree(parser, "rays from the detector, for each wavelength and twice (2e5)"))
     add_scatter(parser)
     add_output(parser, "report.html, CSV, JSON and PNG files", FILES, formats=TABLE_FORMATS)
     parser.set_defaults(run=run)
@@ -81,6 +83,7 @@ def run(options: argparse.Namespace) -> int:
             wavelengths_um=options.wavelength_um,
             detector=options.detector,
             progress=progress,
+            seconds=seconds_left(options),
             **settings_of(options),
         )
     files = []

@@ -89,7 +89,7 @@ def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
 def add_seconds(group: Any) -> None:
     """Declare a time budget."""
     group.add_argument("--seconds", type=SECONDS, metavar="S",
-                       help="end this time after the start of the command, with the rays traced so far")  # fmt: skip
+                       help="end this time after the start of the command, with what is found so far")  # fmt: skip
 
 
 def seconds_left(options: argparse.Namespace) -> float | None:

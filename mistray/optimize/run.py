@@ -24,9 +24,13 @@ from mistray.optimize.study_scene import Placed, StudyScene, band, open_scene, p
 from mistray.optimize.terms import UNITS_OF_LAYERS, layer_value, of_layers
 from mistray.optimize.variables import Variables, find_variables
 from mistray.optimize.verify import SEEDS, Comparison, Levels, compare, measure
+from mistray.ranges import SECONDS
 from mistray.scene import load
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating
+
+LEAST_SEEDS = 2  # of the comparison, for a standard error
+SHARE_OF_SEARCH = 0.6  # of the time that is given; the comparison has the rest
 
 
 @dataclass(frozen=True)
@@ -125,6 +129,7 @@ def optimize(
     resume: bool = False,
     progress: Progress | None = None,
     verification_seeds: int = SEEDS,
+    seconds: float | None = None,
 ) -> Optimization:
     """
     Make a merit small by the variables of a study.
@@ -148,6 +153,9 @@ def optimize(
         Called after each step with the `Step` and the `Start` of its search.
     verification_seeds : int
         Number of seeds on which the result is compared with the given design, at least 2.
+    seconds : float, optional
+        Time for the searches and the comparison, which has fewer seeds then, at least 2. Searches that it ends can be
+        gone on with from the checkpoint.
 
     Returns
     -------
@@ -165,10 +173,11 @@ def optimize(
         if steps < 0:
             raise MistrayError(f"steps is {steps}; it must not be negative")
         read = dataclasses.replace(read, optimizer=dataclasses.replace(read.optimizer, steps=steps))
-    if verification_seeds < 2:
-        raise MistrayError(f"verification_seeds is {verification_seeds}; a standard error needs at least 2")
+    if verification_seeds < LEAST_SEEDS:
+        raise MistrayError(f"verification_seeds is {verification_seeds}; a standard error needs at least {LEAST_SEEDS}")
     if resume and checkpoint is None:
         raise MistrayError("resume needs a checkpoint; name the file of the state to go on from")
+    end = None if seconds is None else time.perf_counter() + SECONDS.check("seconds", seconds)
     source = find(scene)
     file = None if checkpoint is None else Checkpoint(Path(checkpoint), source, read.fingerprint)
     state = file.read() if file is not None and resume else State()
@@ -180,8 +189,14 @@ def optimize(
         if not state.starts:
             state.starts = starts(variables, placed, wavelengths, weights, read.optimizer.starts, read.optimizer.seed)
         merit = Merit(read, opened.scene, opened.params, variables, opened.thickness_keys)
-        searches = Searches(merit, variables.shares, variables.values, read.optimizer, state, file, progress)
+        searches = Searches(
+            *(merit, variables.shares, variables.values, read.optimizer, state, file, progress),
+            seconds=None if end is None else SHARE_OF_SEARCH * (end - time.perf_counter()),
+        )
         searches.run()
+        if end is not None:  # both designs are traced on every seed
+            in_time = int((end - time.perf_counter()) / (2 * searches.each))
+            verification_seeds = min(max(in_time, LEAST_SEEDS), verification_seeds)
         best = searches.best
         started = time.perf_counter()
         designs = variables.start, np.array(best.x)

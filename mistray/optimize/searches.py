@@ -16,6 +16,7 @@ from mistray.optimize.state import Evaluation, Start, State, Step
 from mistray.optimize.study import Optimizer
 
 STEPS_USED = "all steps used"
+TIME_USED = "the time was up"
 LIMITS_HOLD = "all limits hold"
 ZERO = "all that was to be minimised is 0, and all limits hold"
 EXACT = 1e-12  # relative error of a merit that is known exactly
@@ -65,6 +66,8 @@ class Searches:
     file : Checkpoint, optional
     progress : callable, optional
         Called after each step.
+    seconds : float, optional
+        Time for all searches. The first start is evaluated whatever it is; then nothing begins that would end too late.
 
     Attributes
     ----------
@@ -83,7 +86,10 @@ class Searches:
         state: State,
         file: Checkpoint | None = None,
         progress: Progress | None = None,
+        seconds: float | None = None,
     ) -> None:
+        self._started, self._made = time.perf_counter(), 0
+        self._seconds = seconds
         self.problem, self.shares, self.values, self.optimizer = problem, shares, values, optimizer
         self.state, self.file, self.progress = state, file, progress
         self.steps: list[Step] = []
@@ -100,6 +106,8 @@ class Searches:
             self.state.evaluations.append([])
         first = []
         for number, start in enumerate(self.state.starts):
+            if number and not self.state.evaluations[number] and self._is_time_used():
+                break
             first.append(self._at(number, 0, self.shares(start.x)))
             self._asked += 1
             self._note(number, 0, first[-1], self._known[number] == 0)
@@ -141,6 +149,7 @@ class Searches:
             if number == 0:
                 raise
             raise Ended(f"the next point has no merit: {error}") from None
+        self._made += 1
         # What is left out comes with numbers that differ from point to point; the last ones stay
         told = [*self.state.left_out, *result.pop("left_out")]
         self.state.left_out = list({text.partition(":")[0]: text for text in told}.values())
@@ -148,6 +157,15 @@ class Searches:
         if self.file is not None:
             self.file.write(self.state)
         return kept[-1]
+
+    def _is_time_used(self) -> bool:
+        """Whether one evaluation more would come too late."""
+        return self._seconds is not None and time.perf_counter() - self._started + self.each > self._seconds
+
+    @property
+    def each(self) -> float:
+        """Mean time of an evaluation, s; the first ones compile kernels: rather too long than too short."""
+        return (time.perf_counter() - self._started) / max(self._made, 1)
 
     def _note(self, start: int, step: int, at: Evaluation, new: bool) -> None:
         """Add a step, and show it if it was not made before an interruption."""
@@ -178,6 +196,8 @@ class Searches:
             nonlocal asked
             if asked >= len(kept) and len(merits) > self.optimizer.steps:
                 raise Ended(STEPS_USED)
+            if asked >= len(kept) and self._is_time_used():
+                raise Ended(TIME_USED)
             at = self._at(start, asked, y)
             self._asked += asked > 0  # the start itself is counted already
             asked += 1

@@ -13,6 +13,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.time_budget import is_limited, time_is_up
 from mistray.trace.adjoint import Adjoint
 from mistray.trace.backward_parts import Ahead, BackwardTask
 from mistray.trace.detector_start import DetectorStart
@@ -454,6 +455,8 @@ def see(
     """
     Trace against the light and tell what the detector sees: surfaces, media, the sky.
 
+    A time budget around it (`mistray.time_budget`) ends it with the rays that it has, but not before the first pass.
+
     Parameters
     ----------
     scene : mi.Scene
@@ -474,8 +477,11 @@ def see(
     wavelength = float(spectrum_of(scene, wavelength_nm, None)[0][0])
     whole = DirectionGrid.of([45.0], cell_deg=90.0)
     trace = BackwardTrace(scene, whole, chosen, wavelength, detector=detector, both_sides=False)
-    for done in range(0, chosen.rays, PASS_LANES):
-        trace.advance(min(PASS_LANES, chosen.rays - done))
+    done = 0
+    while done < chosen.rays and not (done and time_is_up()):
+        here = min(trace.next_pass if is_limited() else PASS_LANES, chosen.rays - done)
+        trace.advance(here)
+        done += here
     started = trace.rays
 
     def estimate(by_batch: np.ndarray) -> tuple[float, float, np.ndarray]:

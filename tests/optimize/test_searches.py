@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -183,6 +184,33 @@ class Valley(Bowl):
         r = max(r, 0.0) if self.one_sided else r
         found = super().evaluate(y, number)
         return {**found, "merit": value + r**2, "slope": slope + 2 * r * row}
+
+
+class Slow(Bowl):
+    """Takes its time."""
+
+    def evaluate(self, y: np.ndarray, number: int) -> dict[str, Any]:
+        time.sleep(0.05)
+        return super().evaluate(y, number)
+
+
+@pytest.mark.parametrize("optimizer", METHODS)
+class TestTime:
+    def test_searches_end_in_time_and_can_go_on(self, optimizer: Optimizer) -> None:
+        whole = searches(Bowl([0.3, 0.6]), optimizer, begin([1, 9], [8, 8]))
+        state = begin([1, 9], [8, 8])
+        began = time.monotonic()
+        done = searches(Slow([0.3, 0.6]), optimizer, state, seconds=0.3)
+        assert time.monotonic() - began < 1.0
+        assert 1 < sum(len(kept) for kept in state.evaluations) <= 6
+        assert set(done.ended.values()) == {"the time was up"}
+        more = searches(Bowl([0.3, 0.6]), optimizer, state)
+        assert [step.merit for step in more.steps] == [step.merit for step in whole.steps]
+
+    def test_the_first_start_is_evaluated_whatever_the_time(self, optimizer: Optimizer) -> None:
+        done = searches(Slow([0.3, 0.6]), optimizer, begin([1, 9], [8, 8]), seconds=1e-3)
+        assert [(step.start, step.step) for step in done.steps] == [(0, 0)]
+        assert done.best.x == pytest.approx([1, 9])
 
 
 class TestValleys:

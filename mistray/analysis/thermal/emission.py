@@ -8,6 +8,7 @@ Analysis and Control, SPIE Press 2013, chapter 3). Where everything has one temp
 
 from __future__ import annotations
 
+import itertools
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -22,6 +23,7 @@ from mistray.errors import MistrayError
 from mistray.ids import fits
 from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
+from mistray.time_budget import share, within
 from mistray.trace import Settings
 from mistray.trace.backward import Seen, see
 
@@ -173,6 +175,7 @@ def thermal(
     detector: str | None = None,
     rays: int | None = None,
     progress: Progress | None = None,
+    seconds: float | None = None,
     **settings: Any,
 ) -> ThermalReport:
     """
@@ -201,6 +204,8 @@ def thermal(
         Of each trace; by default 200 000. There are two for each wavelength: of everything, and of the image.
     progress : callable, optional
         Called with the traces done and their number.
+    seconds : float, optional
+        Time for all traces, in equal shares; each ends with the rays that it has, and a note says so.
     **settings
         Fields of `mistray.trace.Settings`.
 
@@ -225,14 +230,21 @@ def thermal(
     _check_names(scene, rules)
     chosen = Settings.of(scene, **settings)
     runs: tuple[list[Seen], list[Seen]] = ([], [])
-    for number, wave in enumerate(waves):
-        for which, limits in enumerate(({}, IMAGE_ONLY)):
+    traces = 2 * len(waves)
+    with within(seconds):
+        for done, (wave, (which, limits)) in enumerate(itertools.product(waves, enumerate(({}, IMAGE_ONLY)))):
             # Independent traces, whose errors add in quadrature
-            more = {**settings, **limits, "seed": (chosen.seed + 2 * number + which) % 2**32}
-            runs[which].append(see(scene, rays or RAYS, wavelength_nm=1e3 * wave, detector=detector, **more))
+            more = {**settings, **limits, "seed": (chosen.seed + done) % 2**32}
+            with share(1 / (traces - done)):
+                runs[which].append(see(scene, rays or RAYS, wavelength_nm=1e3 * wave, detector=detector, **more))
             if progress is not None:
-                progress(2 * number + which + 1, 2 * len(waves))
+                progress(done + 1, traces)
     report = _report(*runs, waves, (low, high), float(temperature_K), outside, rules, settings)
+    planned = traces * (rays or RAYS)
+    if report.facts["rays"] < 0.99 * planned:  # batches are of one size, so that a few rays may be left out
+        report.notes.append(
+            f"{report.facts['rays']:.4g} of {planned:.4g} rays were traced in the time; errors are theirs"
+        )
     if report.detector_K >= report.temperature_K or not report.self_view.value:
         return report
     fewer = min(rays or RAYS, RETURN_RAYS)
