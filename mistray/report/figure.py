@@ -9,6 +9,11 @@ from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter, FuncFormatter
 
 
+def legend_label(name: str) -> str:
+    """A name as it stands in a legend, from which Matplotlib leaves out what begins with an underscore."""
+    return f" {name}" if name.startswith("_") else name
+
+
 class Figure(figure.Figure):
     """
     A figure of Matplotlib that shows every text as it is written.

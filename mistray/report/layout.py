@@ -19,7 +19,7 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
 from mistray.report.cut_open import CutPlane, clip, role_of, surface_names, triangles
-from mistray.report.figure import Figure
+from mistray.report.figure import Figure, legend_label
 from mistray.report.path_rays import check_count, chosen_rows, row_name
 from mistray.report.plots import BLACK, BLUE, BROWN, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.trace.path_events import DIRECT
@@ -260,7 +260,7 @@ def _figure(scene: Any, chosen: Sequence[Chosen], title: str, width: float, size
     for rays, colour, label in chosen:
         style: dict[str, Any] = {"color": colour, "ls": LINE_STYLES[used[colour] % len(LINE_STYLES)]}
         used[colour] += 1
-        axes.plot([], [], **style, lw=0.8, label=label if rays else f"{label}, too rare to draw")
+        axes.plot([], [], **style, lw=0.8, label=legend_label(label if rays else f"{label}, too rare to draw"))
         for ray in rays:
             axes.plot(ray[:, 2], ray[:, 1], **style, lw=0.8 * weight, alpha=0.9, zorder=4)
     margin = 0.06 * span

@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.optimize import Optimization, Step
 from mistray.optimize.study_scene import Placed
-from mistray.report.figure import Figure
+from mistray.report.figure import Figure, legend_label
 from mistray.report.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
@@ -76,7 +76,11 @@ def variables_figure(result: Optimization) -> Figure:
         style = {**_style(number), "marker": marker, "mfc": "none", "ms": 4 + 2 * (number % 3)}
         start = number % every  # so that markers of lines on top of each other take turns
         axes.plot(
-            [step.step for step in best], shares[:, number], label=variable.name, markevery=(start, every), **style
+            [step.step for step in best],
+            shares[:, number],
+            label=legend_label(variable.name),
+            markevery=(start, every),
+            **style,
         )
     axes.set_ylim(-0.03, 1.03)
     axes.set_ylabel("share of the way from low to high bound")

@@ -16,7 +16,7 @@ from mistray.analysis.pst.causes import cause_frame, field_edge
 from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
 from mistray.renamed import renamed
-from mistray.report.figure import Figure
+from mistray.report.figure import Figure, legend_label
 from mistray.report.plots import (
     BLACK,
     BLUE,
@@ -118,7 +118,7 @@ def pst_causes(pst: Pst, title: str = "") -> Figure:
         parts.append((f"{len(rest)} more", table[rest].sum(axis=1).to_numpy(), "#c9ced4"))
     base = np.zeros(len(centres))
     for name, share, colour in parts:
-        axes.bar(centres, share, widths, bottom=base, color=colour, label=name, lw=0.3, edgecolor="white")
+        axes.bar(centres, share, widths, bottom=base, color=colour, label=legend_label(name), lw=0.3, edgecolor="white")
         base += share
     axes.set_ylim(0, 100)
     axes.set_xlim(_ends(pst))
@@ -214,7 +214,8 @@ def _band(axes: Axes, pst: Pst, group: str, floor: float) -> None:
     shown = np.where(value > 0, value, np.nan)
     axes.plot(
         pst.field_deg, shown, color=colour, lw=width, marker=marker, ms=3 if marker else 0,
-        label=LABELS.get(group, name_of(group)), solid_capstyle="butt", zorder=2 if group == "stray" else 3,
+        label=LABELS.get(group, legend_label(name_of(group))), solid_capstyle="butt",
+        zorder=2 if group == "stray" else 3,
     )  # fmt: skip
     if group != "stray":
         low = np.maximum(shown - se, floor / 10)

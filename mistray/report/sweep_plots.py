@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from mistray.report.figure import Figure
+from mistray.report.figure import Figure, legend_label
 from mistray.report.plots import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from mistray.sweeps import Sweep
 from mistray.sweeps.result import estimate_of
@@ -83,4 +83,4 @@ def _draw(panel: Axes, result: Sweep, column: str, across: str) -> None:
     for (text, colour, (marker, dashes)), points in lines.items():
         x, y, se = np.array(sorted(points)).T
         style: dict[str, Any] = {"color": colour, "marker": marker, "ms": 4, "lw": 1.0, "capsize": 2}
-        panel.errorbar(x, y, yerr=se, label=text or None, ls=dashes, **style)
+        panel.errorbar(x, y, yerr=se, label=legend_label(text) or None, ls=dashes, **style)

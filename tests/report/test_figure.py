@@ -10,7 +10,7 @@ import pytest
 from matplotlib.text import Text
 
 from mistray import report
-from mistray.report.figure import Figure
+from mistray.report.figure import Figure, legend_label
 
 NAMES = (r"$\frac{", r"a$b_{$", r"$x^2_1$", r"\$", "_^\\", '<i>"q"&</script>')
 
@@ -36,6 +36,13 @@ def test_any_name_can_stand_anywhere(name: str, kind: str) -> None:
     powers = [label for label in axes.get_yticklabels() if "10^" in label.get_text()]
     assert powers
     assert all(label.get_parse_math() for label in powers)
+
+
+def test_a_legend_has_names_that_begin_with_an_underscore() -> None:
+    axes = Figure().subplots()
+    for name in ("_edge", "edge", "__"):
+        axes.plot([0, 1], [0, 1], label=legend_label(name))
+    assert [text.get_text().strip() for text in axes.legend().get_texts()] == ["_edge", "edge", "__"]
 
 
 def test_no_report_has_another_figure() -> None:
