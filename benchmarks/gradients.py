@@ -17,9 +17,10 @@ from modes import coated
 from rows import REPEATS, Row, agree, alternate
 
 import mistray
+from mistray.gradients.raw_gradient import Wanted
 from mistray.optimize import gradient, parameters, path_power
 from mistray.optimize.gradient import chosen_parameters, wanted_of
-from mistray.trace.raw_gradient import RIM_COLUMNS, Wanted
+from mistray.surfaces.gradient_columns import RIM_COLUMNS
 
 SHAPES = ("curvature", "conic", "asphere", "position", "tilt", "index")
 KINDS = {"coatings": ("coating", "share"), "geometry": SHAPES, "rims": ("rim",)}

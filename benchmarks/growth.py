@@ -16,10 +16,10 @@ from modes import coated, stack
 from rows import REPEATS, Row, alternate, slope
 
 import mistray
+from mistray.execute.tracer import Run, prepare
 from mistray.prescription import Detector, Prescription, Source, Surface, barrel
-from mistray.trace.settings import Settings
-from mistray.trace.tallies import SEGMENTS
-from mistray.trace.tracer import Run, prepare
+from mistray.recorders.tallies import SEGMENTS
+from mistray.settings import Settings
 
 LINEAR = 1.05
 THREADS_BAR = 1.8

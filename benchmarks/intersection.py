@@ -17,9 +17,9 @@ import numpy as np
 from rows import REPEATS, NotTheSameWorkError, Row, alternate, measured
 
 import mistray
-from mistray.trace.settings import Settings
-from mistray.trace.tallies import SEGMENTS
-from mistray.trace.tracer import Run, prepare
+from mistray.execute.tracer import Run, prepare
+from mistray.recorders.tallies import SEGMENTS
+from mistray.settings import Settings
 
 CASES = (("double_gauss", 1 << 18, 10.0), ("phone_camera", 1 << 14, 3.0))
 OFFSET_MM = 1e-3  # along the ray: the facets lie up to their sag beside the surface that the ray leaves

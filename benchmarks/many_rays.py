@@ -22,7 +22,7 @@ from memory import peak_mb
 from rows import Row
 
 import mistray
-from mistray.trace.tracer import PASS_LANES
+from mistray.execute.tracer import PASS_LANES
 
 FEW = 4 * PASS_LANES  # as many passes as memory takes to settle
 MOST_MIB = 1e9 / 2**20

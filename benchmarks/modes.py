@@ -11,9 +11,9 @@ import numpy as np
 from rows import REPEATS, Row, Timing, alternate
 
 import mistray
+from mistray.execute.tracer import prepare
 from mistray.prescription import Coating
-from mistray.trace.settings import Settings
-from mistray.trace.tracer import prepare
+from mistray.settings import Settings
 
 
 def coated(name: str, layers: str) -> mi.Scene:

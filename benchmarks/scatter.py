@@ -16,12 +16,12 @@ import numpy as np
 from rows import REPEATS, Row, alternate
 
 import mistray
+from mistray.execute.tracer import prepare
+from mistray.recorders.tallies import SEGMENTS
 from mistray.scatter.abg import ABg
 from mistray.scatter.scan import table
 from mistray.scatter.zemax_bsdf import write_zemax_bsdf
-from mistray.trace.settings import Settings
-from mistray.trace.tallies import SEGMENTS
-from mistray.trace.tracer import prepare
+from mistray.settings import Settings
 
 SEGMENTS_BAR = 1e7
 SAMPLES_BAR = 5e7

@@ -35,7 +35,7 @@ from rows import REPEATS, Row, agree, alternate, duration, measured, missing, ve
 import mistray
 from mistray.materials import refractive_index
 from mistray.prescription import Coating, Prescription, Structure, Surface
-from mistray.trace.settings import NO_LIMIT
+from mistray.settings import NO_LIMIT
 
 FIELD_DEG = 10.0
 REFLECTANCE = 0.02

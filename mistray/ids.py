@@ -8,7 +8,7 @@ from fnmatch import fnmatchcase
 
 from mistray.errors import MistrayError
 
-EVENT_LETTERS = "ATRItrij"  # as of `mistray.trace.path_events.LETTERS`
+EVENT_LETTERS = "ATRItrij"  # as of `mistray.recorders.path_events.LETTERS`
 FORMULA_SIGNS = "=+-@"  # a spreadsheet that reads a table takes what begins so for a formula
 _BETWEEN = re.compile(rf"(?<=:[{EVENT_LETTERS}])\s+")
 

@@ -1,4 +1,4 @@
-"""Hits close to rims and their coefficients, as `mistray.trace.edges` finds them, for the oracle of distances."""
+"""Hits close to rims and their coefficients, as `mistray.gradients.edges` finds them, for the oracle of distances."""
 
 from __future__ import annotations
 
@@ -9,15 +9,15 @@ import mitsuba as mi
 import numpy as np
 from oracles.rim_distances import RimHits, bundles_of_hits
 
-from mistray.trace.adjoint import Adjoint
-from mistray.trace.backward import BackwardTrace
-from mistray.trace.edges import Edges
-from mistray.trace.ledger import EVENT_BITS
-from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
-from mistray.trace.settings import Settings
-from mistray.trace.start_rays import StartRays
-from mistray.trace.tracer import Run, prepare
-from mistray.trace.upload import upload
+from mistray.execute.backward import BackwardTrace
+from mistray.execute.tracer import Run, prepare
+from mistray.gradients.edges import Edges
+from mistray.recorders.adjoint import Adjoint
+from mistray.recorders.ledger import EVENT_BITS
+from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS
+from mistray.recorders.start_rays import StartRays
+from mistray.settings import Settings
+from mistray.surfaces.upload import upload
 
 
 def edge_hits(

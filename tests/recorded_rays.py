@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 from oracles.frozen_paths import Bundle
 
+from mistray.recorders.branch_recorder import NODE_FLOATS
+from mistray.recorders.ledger import EVENT_BITS
+from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS
 from mistray.trace import Trace
-from mistray.trace.branch_recorder import NODE_FLOATS
-from mistray.trace.ledger import EVENT_BITS
-from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
 
 
 def recorded_bundles(trace: Trace, run: int = 0) -> list[Bundle]:

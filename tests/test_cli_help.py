@@ -11,8 +11,8 @@ from dataclasses import fields
 import pytest
 
 from mistray.cli import program
+from mistray.settings import NO_LIMIT
 from mistray.trace import Settings
-from mistray.trace.settings import NO_LIMIT
 
 COMMANDS: dict[str, argparse.ArgumentParser] = program._parser()._subparsers._group_actions[0].choices
 OPTIONS = {

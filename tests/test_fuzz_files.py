@@ -23,9 +23,9 @@ from mistray._mitsuba_compat import silence_warnings
 from mistray.cli import program
 from mistray.coatings import read_coating_file, spectrum
 from mistray.errors import MistrayError
+from mistray.execute.tracer import prepare
 from mistray.scene import load
-from mistray.trace.settings import Settings
-from mistray.trace.tracer import prepare
+from mistray.settings import Settings
 
 DATA = Path(__file__).parent / "data"
 SCENES = Path(mistray.scenes.__file__).parent

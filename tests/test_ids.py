@@ -16,8 +16,8 @@ from mistray import cli
 from mistray.errors import MistrayError
 from mistray.ids import check_id, event_words, fits
 from mistray.optimize.read_study import read_study
+from mistray.recorders.path_events import LETTERS
 from mistray.sweeps.configurations import as_configurations
-from mistray.trace.path_events import LETTERS
 
 PLAIN = ("p0_front", "p0_rear", "detector")
 STRANGE = (

@@ -18,7 +18,7 @@ from mistray.cli.arguments import Angles, Help
 from mistray.cli.program import _parser
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, RAYS, THRESHOLD, Range, check_fields
-from mistray.trace.settings import Settings
+from mistray.settings import Settings
 
 RANGES = {name: value for name, value in vars(ranges).items() if isinstance(value, Range)}
 COMMANDS: dict[str, argparse.ArgumentParser] = _parser()._subparsers._group_actions[0].choices  # type: ignore

@@ -18,9 +18,9 @@ from mistray.optimize.metrics import path_power
 from mistray.optimize.pst_metrics import PstMetric, pst_bin, pst_mask
 from mistray.optimize.read_study import read_study
 from mistray.ranges import FIELD_DEG
+from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import by_new_names, old_names, renamed
 from mistray.sweeps import rank_edits, sweep_pst
-from mistray.trace.directions import DirectionGrid
 
 
 @renamed(sizes="size", ways="way")

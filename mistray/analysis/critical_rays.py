@@ -14,9 +14,9 @@ import pandas as pd
 
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG
+from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
 from mistray.trace import trace
-from mistray.trace.path_events import DIRECT
 
 RIM = 8
 RAYS = 4000

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
+from mistray.recorders.path_events import DIRECT
 from mistray.trace import Trace
-from mistray.trace.path_events import DIRECT
 
 
 @dataclass(frozen=True)

@@ -31,12 +31,12 @@ from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.ranges import FIELD_DEG
+from mistray.recorders.film import groups_of
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.recorders.sampled import Sampled
 from mistray.renamed import renamed
 from mistray.time_budget import within
 from mistray.trace import Settings, Trace
-from mistray.trace.film import groups_of
-from mistray.trace.path_events import DIRECT, STRAY_KINDS
-from mistray.trace.sampled import Sampled
 
 MAPPED_PATHS = 4  # stray paths of each field that get a map of their own
 CELLS, CELLS_OF_ALL = 96, 256  # along the longer side of the map of a path in a report, and of that of all light

@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
-from mistray.trace.sampled import Sampled
+from mistray.recorders.sampled import Sampled
 
 Map = npt.NDArray[np.float64]
 Extent = tuple[float, float, float, float]

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.analysis.irradiance import Map
-from mistray.trace.sampled import Sampled
+from mistray.recorders.sampled import Sampled
 
 
 @dataclass(frozen=True)

@@ -10,8 +10,8 @@ import pandas as pd
 
 from mistray.analysis.irradiance import brightest
 from mistray.analysis.ranking import ranks
+from mistray.recorders.film import groups_of
 from mistray.trace import Trace
-from mistray.trace.film import groups_of
 
 MAP_BYTES = 400e6  # of the maps of paths while they are summed
 BYTES_PER_PIXEL = 8  # of a map; of one with standard errors for each group of batches

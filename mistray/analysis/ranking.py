@@ -11,9 +11,9 @@ import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.errors import MistrayError
-from mistray.trace.path_events import DIRECT, path_labels
+from mistray.recorders.path_events import DIRECT, path_labels
+from mistray.recorders.sampled import Sampled
 from mistray.trace.paths import PathTable
-from mistray.trace.sampled import Sampled
 
 FEWEST_RAYS = 30  # below this the RMS radius of a path is too uncertain to rank by
 RANKS = {"rms": "rank_rms_irradiance", "power": "rank_power", "peak": "rank_peak"}  # what paths are ranked by: column

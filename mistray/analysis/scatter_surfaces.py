@@ -8,8 +8,8 @@ from __future__ import annotations
 import numpy as np
 import pandas as pd
 
+from mistray.recorders.path_events import DIRECT
 from mistray.trace import Trace
-from mistray.trace.path_events import DIRECT
 
 COLUMNS = ("surface", "part", "paths", "rays", "power_W", "power_se_W", "percent_of_stray")
 

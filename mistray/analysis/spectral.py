@@ -7,8 +7,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 import numpy.typing as npt
 
+from mistray.recorders.path_events import DIRECT
 from mistray.trace import Trace
-from mistray.trace.path_events import DIRECT
 
 
 @dataclass(frozen=True)

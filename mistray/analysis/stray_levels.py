@@ -10,8 +10,8 @@ from __future__ import annotations
 import pandas as pd
 
 from mistray.errors import MistrayError
+from mistray.recorders.path_events import DIRECT
 from mistray.trace import Trace
-from mistray.trace.path_events import DIRECT
 
 LEVELS = ("scatter", "split")
 COLUMNS = ("level", "surface", "part", "paths", "rays", "power_W", "power_se_W", "percent_of_stray", "path_ids")

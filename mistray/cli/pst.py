@@ -39,7 +39,7 @@ from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, PIXEL
 if TYPE_CHECKING:
     from mistray.analysis import Pst
     from mistray.analysis.pst.state import PstProgress
-    from mistray.trace.directions import DirectionGrid
+    from mistray.recorders.directions import DirectionGrid
 
 MAP_PIXELS = 64
 STATE = "pst_state.npz"
@@ -110,9 +110,9 @@ def run(options: argparse.Namespace) -> int:
     _check(options)
     start_mitsuba(options)
     from mistray.analysis.pst.run import pst
+    from mistray.recorders.directions import DirectionGrid
     from mistray.report.pst_tables import pst_record, pst_text
     from mistray.scene import load
-    from mistray.trace.directions import DirectionGrid
 
     claim_folder(options)
     grid = DirectionGrid.of(

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any
 from mistray._variant import ensure_variant
 from mistray.cluster.worker import bring, do_part, host_of
 from mistray.errors import MistrayError, UnfinishedError
-from mistray.trace.workers import working_with
+from mistray.execute.workers import working_with
 
 if TYPE_CHECKING:
     from distributed import Client, Future
@@ -118,7 +118,7 @@ def _quiet() -> Iterator[None]:
 
 class Cluster:
     """
-    The workers of a dask cluster, for `mistray.trace.workers`.
+    The workers of a dask cluster, for `mistray.execute.workers`.
 
     Parameters
     ----------
@@ -165,7 +165,7 @@ class Cluster:
 
     @contextlib.contextmanager
     def job(self, task: Any) -> Iterator[DaskJob]:
-        """Begin a task, see `mistray.trace.workers.Workers`."""
+        """Begin a task, see `mistray.execute.workers.Workers`."""
         from mistray.cluster.travel import Parcel
 
         parcel = Parcel.of(task)
@@ -203,7 +203,7 @@ class Cluster:
 
 class DaskJob:
     """
-    Parts of a task at the workers of a cluster, see `mistray.trace.workers.Job`.
+    Parts of a task at the workers of a cluster, see `mistray.execute.workers.Job`.
 
     Parameters
     ----------

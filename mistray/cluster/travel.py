@@ -16,8 +16,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.scene import load
 from mistray.scene.source import PackedScene, source_of
+from mistray.surfaces.scene_numbers import put_numbers, read_numbers
 from mistray.trace.forward import versions
-from mistray.trace.scene_numbers import put_numbers, read_numbers
 
 SCENE, FRAME = "scene", "frame"
 SCENES_KEPT, TASKS_KEPT = 4, 2  # by a worker

@@ -10,16 +10,15 @@ import drjit as dr
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.gradients.geometry_gradient import geometry_columns
+from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
+from mistray.gradients.raw_gradient import EDGE_WIDTH, RawGradient, Wanted
 from mistray.optimize.metrics import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.ranges import EDGE_WIDTH as ZONE
-from mistray.trace.energy import batch_error
-from mistray.trace.geometry_gradient import geometry_columns
-from mistray.trace.ledger import BATCHES
-from mistray.trace.optics import OPAQUE, TABLED
-from mistray.trace.parameter_gradient import edge_gradient, parameter_gradient
-from mistray.trace.raw_gradient import EDGE_WIDTH, RawGradient, Wanted
-from mistray.trace.sampled import Sampled
+from mistray.recorders.sampled import Sampled, batch_error
+from mistray.settings import BATCHES
+from mistray.surfaces.optics import OPAQUE, TABLED
 
 COATING_KINDS = ("coating", "share")
 OTHER_KINDS = ("scatter", "index")
@@ -35,7 +34,7 @@ class Gradient:
     value, value_se : float
         The metric and its standard error.
     value_noise : (b,) float64
-        The noise of the metric by batch, or by group of batches, see `mistray.trace.sampled.Sampled.apart`.
+        The noise of the metric by batch, or by group of batches, see `mistray.recorders.sampled.Sampled.apart`.
     gradient, standard_error : dict
         Key of the parameter → (entries,) float64. The errors are those of the mean over the start rays, for the
         derivatives of the metric by the fluxes as they were traced: for a metric that is not linear in the fluxes, such

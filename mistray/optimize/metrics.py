@@ -17,9 +17,9 @@ from mistray.errors import MistrayError
 from mistray.optimize.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum
 from mistray.optimize.views import View
 from mistray.ranges import FIELD_DEG
+from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
 from mistray.trace import trace
-from mistray.trace.path_events import DIRECT
 
 AXIS_DEG = 0.0
 SMALLEST_STEP_DEG, LARGEST_STEP_DEG = 0.02, 0.5  # between the fields of a slope

@@ -14,13 +14,14 @@ import numpy as np
 
 from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.errors import MistrayError
+from mistray.gradients.raw_gradient import RawGradient, Wanted
 from mistray.ids import event_words
+from mistray.recorders.path_derivative import MOMENTS, HitDerivative
+from mistray.recorders.path_events import DIRECT, LETTERS, STRAY_KINDS, way_text
+from mistray.recorders.sampled import Sampled
+from mistray.settings import BATCHES
+from mistray.surfaces.upload import upload
 from mistray.trace import PathRow, Trace
-from mistray.trace.ledger import BATCHES
-from mistray.trace.path_events import DIRECT, LETTERS, STRAY_KINDS, way_text
-from mistray.trace.raw_gradient import MOMENTS, HitDerivative, RawGradient, Wanted
-from mistray.trace.sampled import Sampled
-from mistray.trace.upload import upload
 
 Selection = str | Sequence[str] | Callable[[PathRow], bool]
 ALL, STRAY = "all", "stray"

@@ -43,13 +43,13 @@ import numpy as np
 from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
+from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
+from mistray.gradients.geometry_gradient import DISPLACEMENT, RIMS, ROTATION, SHIFTS, shape_parameters
+from mistray.gradients.scatter_gradient import fixed
 from mistray.ids import fits
 from mistray.physics.sag import sag
-from mistray.trace.coating_gradient import IDEAL_PARAMETERS
-from mistray.trace.geometry_gradient import DISPLACEMENT, RIMS, ROTATION, SHIFTS, shape_parameters
-from mistray.trace.raw_gradient import COEFFICIENTS
-from mistray.trace.scatter_gradient import fixed
-from mistray.trace.surfaces import solid_shapes
+from mistray.surfaces.gradient_columns import COEFFICIENTS
+from mistray.surfaces.surfaces import solid_shapes
 
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index")
 # Scatter: unit, range and tolerance relative to the value

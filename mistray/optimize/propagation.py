@@ -9,7 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
-from mistray.trace.energy import batch_error
+from mistray.recorders.sampled import batch_error
 
 
 @dataclass(frozen=True)

@@ -17,10 +17,10 @@ from mistray.optimize.observation import NORM, smooth_maximum
 from mistray.optimize.pst_observation import Light, PstObservation, named_classes, require_convention, require_quantity
 from mistray.optimize.views import PstView, View
 from mistray.ranges import POLAR_DEG, POSITIVE
+from mistray.recorders.directions import CELL_DEG
 from mistray.renamed import renamed
+from mistray.surfaces.upload import upload
 from mistray.trace import Settings
-from mistray.trace.directions import CELL_DEG
-from mistray.trace.upload import upload
 
 LARGEST_DEG = 90.0
 PST_FIELD = "pst_field_deg"  # field angles of the PST; `field_deg` is that of the metric

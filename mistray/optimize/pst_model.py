@@ -11,15 +11,15 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.gradients.parameter_gradient import parameter_gradient
+from mistray.gradients.raw_gradient import EDGE_WIDTH
 from mistray.optimize.gradient import chosen_parameters, wanted_of
 from mistray.optimize.pst_observation import Light, PstObservation, named_classes
 from mistray.optimize.scene_values import assign
 from mistray.optimize.views import PstView
-from mistray.trace.energy import batch_error
-from mistray.trace.ledger import BATCHES
-from mistray.trace.parameter_gradient import parameter_gradient
-from mistray.trace.raw_gradient import EDGE_WIDTH
-from mistray.trace.sky import CLASSES
+from mistray.recorders.sampled import batch_error
+from mistray.recorders.sky import CLASSES
+from mistray.settings import BATCHES
 
 
 @dataclass(frozen=True)

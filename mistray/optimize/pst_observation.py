@@ -13,12 +13,12 @@ from mistray.analysis.metrics.extended_source import ExtendedSource, Sky, cover
 from mistray.analysis.metrics.glare import glare_cells
 from mistray.analysis.pst.result import CONVENTIONS, STRAY, Pst
 from mistray.errors import MistrayError
+from mistray.gradients.raw_gradient import RawGradient, Wanted
 from mistray.optimize.observation import leaf
+from mistray.recorders.sampled import Sampled
+from mistray.recorders.sky import CLASSES
 from mistray.renamed import renamed
-from mistray.trace.raw_gradient import RawGradient, Wanted
-from mistray.trace.sampled import Sampled
-from mistray.trace.sky import CLASSES
-from mistray.trace.upload import upload
+from mistray.surfaces.upload import upload
 
 Light = str | Sequence[str]
 GROUPS = {"total": CLASSES, "stray": STRAY}

@@ -17,11 +17,11 @@ from scipy.stats import qmc
 
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
+from mistray.gradients.raw_gradient import Wanted
 from mistray.materials import complex_index
 from mistray.optimize.metrics import Metric
 from mistray.physics.thinfilm import reflectance_transmittance
-from mistray.trace.optics import REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION
-from mistray.trace.raw_gradient import Wanted
+from mistray.surfaces.optics import REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION
 
 COSINES = np.linspace(0.0, 1.0, 33)  # in the rarer material; R is taken as linear between them
 POINTS, KEPT = 128, 6  # of the Latin hypercube, and those of them that are followed to a minimum

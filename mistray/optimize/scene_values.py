@@ -10,7 +10,7 @@ import numpy as np
 
 from mistray._mitsuba_compat import peek
 from mistray.errors import MistrayError
-from mistray.trace.upload import upload
+from mistray.surfaces.upload import upload
 
 
 def assign(params: Any, values: Mapping[str, np.ndarray]) -> None:

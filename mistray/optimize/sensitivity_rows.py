@@ -10,13 +10,12 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.gradients.geometry_gradient import DISPLACEMENT, SHIFTS
 from mistray.optimize.changes import Change, Ranges, single_changes
 from mistray.optimize.gradient import EQUAL, Gradient
 from mistray.optimize.parameters import Parameter
 from mistray.optimize.proposals import structure
-from mistray.trace.energy import batch_error
-from mistray.trace.geometry_gradient import DISPLACEMENT, SHIFTS
-from mistray.trace.sampled import Sampled
+from mistray.recorders.sampled import Sampled, batch_error
 
 INDEX = "index"
 

@@ -18,9 +18,9 @@ from mistray.errors import MistrayError
 from mistray.optimize.parameters import Parameter, parameters
 from mistray.optimize.study import CoatingGroup, Study
 from mistray.optimize.terms import of_layers
+from mistray.sampling.sources import beams
 from mistray.scene import load
 from mistray.scene.recoat import SharedCoating, write_recoated
-from mistray.trace.sources import beams
 
 THIN = 1.01  # index of the medium that counts as air
 

@@ -12,11 +12,11 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.execute.workers import Workers, current_workers, do_parts
 from mistray.optimize.metrics import Metric
 from mistray.optimize.scene_values import assign
 from mistray.optimize.sensitivity_rows import Row, shifted_values, whole_values
 from mistray.scene.check import check_overlaps
-from mistray.trace.workers import Workers, current_workers, do_parts
 
 PERCENTILES = (5.0, 50.0, 95.0)
 RESAMPLES = 400  # of the draws, for the errors of percentiles
@@ -188,7 +188,7 @@ def _checked(number: int, trace: Callable[[], float]) -> float:
 
 @dataclass(frozen=True, eq=False)
 class _SystemsTask:
-    """Perturbed systems for `mistray.trace.workers`; `given` are the values of the nominal one."""
+    """Perturbed systems for `mistray.execute.workers`; `given` are the values of the nominal one."""
 
     metric: Metric
     given: Mapping[str, np.ndarray]

@@ -12,8 +12,8 @@ import pandas as pd
 
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.stray_levels import LEVELS
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.trace import Trace
-from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
 
 def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:

@@ -16,7 +16,7 @@ import numpy.typing as npt
 
 from mistray._mitsuba_compat import import_mitsuba, mesh_arrays
 from mistray.errors import MistrayError
-from mistray.trace.surfaces import solid_shapes
+from mistray.surfaces.surfaces import solid_shapes
 
 Points = npt.NDArray[Any]
 Faces = npt.NDArray[np.int64]

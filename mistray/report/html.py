@@ -10,6 +10,7 @@ from typing import Any
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.recorders.path_events import STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.report.html_coatings import coatings
 from mistray.report.html_explorer import page_data
@@ -31,7 +32,6 @@ from mistray.report.page import page
 from mistray.report.plots import as_png, levels_against_field, montage
 from mistray.report.tables import warnings
 from mistray.report.text import ABSENT, with_error
-from mistray.trace.path_events import STRAY_KINDS
 
 ASSUMPTIONS = (
     "Geometric optics: rays are straight lines between surfaces; no diffraction, and paths add without interference.",

@@ -5,7 +5,7 @@ from __future__ import annotations
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.study.surfaces import coatings_and_scatter
 from mistray.report.study_tables import table_html
-from mistray.trace.design_path import find_design_path
+from mistray.sampling.design_path import find_design_path
 
 TEXT = (
     "R, T and A of every kind of surface and what it scatters, for unpolarised light at normal incidence: "

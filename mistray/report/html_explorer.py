@@ -14,10 +14,10 @@ import numpy as np
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.path_maps import FieldMaps
+from mistray.recorders.path_events import INTERCEPTS, LETTERS
 from mistray.report.embedded import MapStore, colour_text, json_script, rounded
 from mistray.report.layout import RAYS_DRAWN, glass_bodies, meridional, section, worst_paths
 from mistray.report.markup import cell
-from mistray.trace.path_events import INTERCEPTS, LETTERS
 
 DIGITS = 4  # of the size of the system, that coordinates are rounded to
 EVENT_WORDS = {

@@ -17,13 +17,13 @@ from matplotlib.axes import Axes
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
+from mistray.recorders.path_events import DIRECT
 from mistray.replace_file import replace_file
 from mistray.report.cut_open import CutPlane, clip, role_of, surface_names, triangles
 from mistray.report.figure import Figure, legend_label
 from mistray.report.path_rays import check_count, chosen_rows, row_name
 from mistray.report.plots import BLACK, BLUE, BROWN, GREEN, ORANGE, PURPLE, SKY, VERMILION
-from mistray.trace.path_events import DIRECT
-from mistray.trace.surfaces import solid_shapes
+from mistray.surfaces.surfaces import solid_shapes
 
 if TYPE_CHECKING:
     from mistray.trace import Trace

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
-from mistray.trace.path_events import INTERCEPTS, LETTERS
+from mistray.recorders.path_events import INTERCEPTS, LETTERS
 
 if TYPE_CHECKING:
     from mistray.trace import Trace

@@ -19,9 +19,9 @@ from matplotlib.colors import Colormap
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.irradiance import Extent, Map, log10_image, log_range
 from mistray.errors import MistrayError
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.report.figure import Figure
-from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7",

@@ -12,10 +12,10 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.ranges import EVENTS
+from mistray.recorders.path_events import DIRECT
 from mistray.report.scatter_tables import scatter_text
 from mistray.report.text import ABSENT, number, text_table, with_error
-from mistray.trace.path_events import DIRECT
-from mistray.trace.settings import BRANCHES
+from mistray.settings import BRANCHES
 
 LIMIT_WARNING = 1e-6  # of the launched flux
 COATING_WARNING = 1e-4  # of R and T, by interpolation over the angle

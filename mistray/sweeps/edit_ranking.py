@@ -13,6 +13,7 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
+from mistray.gradients.raw_gradient import EDGE_WIDTH
 from mistray.optimize.gradient import gradient_seen, wanted_of
 from mistray.optimize.parameters import Parameter, groups, match, parameters
 from mistray.optimize.proposals import structure
@@ -22,7 +23,6 @@ from mistray.optimize.sensitivity_rows import Line, Table, lines_of
 from mistray.ranges import POLAR_DEG
 from mistray.renamed import renamed
 from mistray.scene import find, load
-from mistray.trace.raw_gradient import EDGE_WIDTH
 
 if TYPE_CHECKING:
     import pandas as pd

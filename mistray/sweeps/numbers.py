@@ -9,8 +9,8 @@ import pandas as pd
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.ranking import direct_image, ranked, stray_to_direct
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.trace import Trace
-from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
 KIND_COLUMNS = {kind: re.sub(r"\W+", "_", kind).lower() for kind in STRAY_KINDS}
 """Kinds of stray paths and the beginnings of their columns."""

@@ -15,6 +15,7 @@ from mistray.errors import MistrayError, UnfinishedError
 from mistray.optimize.scene_values import changed
 from mistray.ranges import FIELD_DEG
 from mistray.renamed import renamed
+from mistray.sampling.sources import beams, spectrum, spectrum_of
 from mistray.scene import find, load
 from mistray.scene.check import check_overlaps
 from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
@@ -23,7 +24,6 @@ from mistray.sweeps.numbers import Numbers, numbers_of
 from mistray.sweeps.result import CELL, Source, Sweep
 from mistray.time_budget import share, time_is_up, within
 from mistray.trace import Settings, trace
-from mistray.trace.sources import beams, spectrum, spectrum_of
 
 Progress = Callable[[float, float], None]
 

@@ -7,14 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mistray.trace.host_points import outline
-from mistray.trace.ledger import EVENT_BITS
-from mistray.trace.path_events import EVENT_MASK, FIRST_SCATTERED
-from mistray.trace.scattering_bodies import medium_of
-from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.tallies import AIMED, HITS, INCIDENT, LANDED
-from mistray.trace.targets import AimSet, Inside, Target
-from mistray.trace.tracer import Run
+from mistray.execute.tracer import Run
+from mistray.kernel.targets import AimSet, Inside, Target
+from mistray.recorders.ledger import EVENT_BITS
+from mistray.recorders.path_events import EVENT_MASK, FIRST_SCATTERED
+from mistray.recorders.tallies import AIMED, HITS, INCIDENT, LANDED
+from mistray.sampling.outlines import outline
+from mistray.sampling.scattering_bodies import medium_of
+from mistray.surfaces.surfaces import SurfaceTable
 
 FEWEST_HITS = 100.0  # of a place below which it says little that none of its rays arrives
 SAME = 1e-6  # of the size of the detector

@@ -8,26 +8,25 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.trace.aiming import aims
-from mistray.trace.arrivals import CountedWays, FoundWays
-from mistray.trace.film import Film
-from mistray.trace.intersect import Intersector
-from mistray.trace.kernel_scene import KernelScene
-from mistray.trace.launches import launches_of
-from mistray.trace.ledger import BATCHES
-from mistray.trace.plane_wave import PlaneWaves, wave_rays
-from mistray.trace.ray_tree import trace_tree
-from mistray.trace.recorder import Recorder
-from mistray.trace.scatter_tables import ScatterTables
-from mistray.trace.scattering import Scattering
-from mistray.trace.settings import Settings
-from mistray.trace.sky import PathBook
-from mistray.trace.space_filling import curve_points
-from mistray.trace.start_rays import StartRays, generators
-from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.tallies import REASONS, SEGMENTS, Tallies
-from mistray.trace.upload import upload
-from mistray.trace.way_table import WayTable
+from mistray.kernel.kernel_scene import KernelScene
+from mistray.kernel.launches import launches_of
+from mistray.kernel.ray_tree import trace_tree
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
+from mistray.recorders.arrivals import CountedWays, FoundWays
+from mistray.recorders.film import Film
+from mistray.recorders.recorder import Recorder
+from mistray.recorders.sky import PathBook
+from mistray.recorders.start_rays import StartRays, generators
+from mistray.recorders.tallies import REASONS, SEGMENTS, Tallies
+from mistray.recorders.way_table import WayTable
+from mistray.sampling.aiming import aims
+from mistray.sampling.plane_wave import PlaneWaves, wave_rays
+from mistray.sampling.space_filling import curve_points
+from mistray.settings import BATCHES, Settings
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
 
 PASS_LANES = 1 << 19
 PATH_SLOTS, ENTRY_SLOTS = 1 << 16, 1 << 19

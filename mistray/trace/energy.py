@@ -8,45 +8,18 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from mistray.trace.sampled import Sampled
-from mistray.trace.settings import BRANCHES
-from mistray.trace.tallies import (
+from mistray.execute.tracer import Run
+from mistray.recorders.sampled import batch_error
+from mistray.recorders.tallies import (
     ABSORBED_HERE,
-    CONSECUTIVE,
-    CONTROL,
-    CUT_BRANCHES,
+    CUTS,
     ESCAPED,
-    EVENTS,
-    GENERATIONS,
     HITS,
     INCIDENT,
-    MEDIUM,
-    REFLECTIONS,
-    ROULETTE,
-    SAMPLING,
-    SCATTERS,
-    THRESHOLD,
-    TREE,
 )
-from mistray.trace.tracer import Run
 
 if TYPE_CHECKING:
     import pandas as pd
-
-CUTS = {
-    "flux_threshold": THRESHOLD,
-    "roulette": ROULETTE,
-    "max_reflections": REFLECTIONS,
-    "max_scatters": SCATTERS,
-    "scatter_sampling": SAMPLING,
-    "max_generations": GENERATIONS,
-    "max_events": EVENTS,
-    "max_consecutive": CONSECUTIVE,
-    "max_segments": TREE,
-    "medium": MEDIUM,
-    "ray_control": CONTROL,
-    **{f"{branch}_below": CUT_BRANCHES + k for k, branch in enumerate(BRANCHES.values())},
-}
 
 
 @dataclass(frozen=True)
@@ -148,11 +121,6 @@ class FluxReport(Sequence[SurfaceFlux]):
         import pandas as pd
 
         return pd.DataFrame([asdict(row) for row in self._rows])
-
-
-def batch_error(by_batch: np.ndarray, rays: np.ndarray) -> np.ndarray:
-    """Standard error of a sum over batches (last axis) of `rays` start rays each, from the spread of their means."""
-    return Sampled.of(by_batch, rays).se
 
 
 def flux_report(runs: Sequence[Run]) -> FluxReport:

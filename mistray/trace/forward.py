@@ -12,16 +12,16 @@ from typing import Any, NoReturn
 import mitsuba as mi
 
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
+from mistray.execute.by_parts import TraceTask, execute_by_parts, tables_of
+from mistray.execute.forecast import Forecast
+from mistray.execute.tracer import MOST_PATHS_KEPT, PASS_LANES, Run, prepare
+from mistray.execute.workers import current_workers
 from mistray.interrupts import later, requested
+from mistray.recorders.tallies import FIRST_MISS
+from mistray.sampling.sources import Beam
+from mistray.settings import Settings
 from mistray.time_budget import is_limited, share, within
-from mistray.trace.by_parts import TraceTask, execute_by_parts, tables_of
-from mistray.trace.forecast import Forecast
 from mistray.trace.result import Trace
-from mistray.trace.settings import Settings
-from mistray.trace.sources import Beam
-from mistray.trace.tallies import FIRST_MISS
-from mistray.trace.tracer import MOST_PATHS_KEPT, PASS_LANES, Run, prepare
-from mistray.trace.workers import current_workers
 
 
 @lru_cache(maxsize=1)

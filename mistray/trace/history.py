@@ -8,15 +8,15 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from mistray.trace.branch_recorder import NODE_FLOATS, BranchRecorder
-from mistray.trace.ledger import EVENT_BITS
-from mistray.trace.path_events import EVENT_MASK, INTERCEPTS
+from mistray.recorders.branch_recorder import NODE_FLOATS, BranchRecorder
+from mistray.recorders.ledger import EVENT_BITS
+from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS
 from mistray.trace.precise import retrace
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from mistray.trace.tracer import Run
+    from mistray.execute.tracer import Run
 
 
 @dataclass

@@ -10,12 +10,12 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ids import check_id
-from mistray.trace.ledger import EVENT_BITS, TRANSMITTED
-from mistray.trace.path_events import EVENT_MASK, Events, distinct, event_text, way
+from mistray.recorders.ledger import EVENT_BITS, TRANSMITTED
+from mistray.recorders.path_events import EVENT_MASK, Events, distinct, event_text, way
 from mistray.trace.path_filter import named_like, unknown_name
 
 if TYPE_CHECKING:
-    from mistray.trace.surfaces import SurfaceTable
+    from mistray.surfaces.surfaces import SurfaceTable
 
 PART, SPACE = "part", "space"
 NAMES = ("ghost_1", "ghost_2", "scatter_1", "last_object", "critical")  # columns that name a surface
@@ -74,7 +74,7 @@ def aliased(
     Parameters
     ----------
     codes, lengths
-        As of `mistray.trace.path_events.Events`.
+        As of `mistray.recorders.path_events.Events`.
     names : sequence of str
         Of each place.
 

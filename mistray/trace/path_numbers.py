@@ -8,9 +8,8 @@ from typing import NamedTuple
 
 import numpy as np
 
-from mistray.trace.energy import batch_error
-from mistray.trace.ledger import SUMS
-from mistray.trace.sampled import Sampled
+from mistray.recorders.ledger import SUMS
+from mistray.recorders.sampled import Sampled, batch_error
 
 CHUNK = 1024  # paths that are worked out together
 RAYS, INCIDENT, ABSORBED, BY_X, BY_Y, BY_SQUARE, POLARIZED = range(7)  # columns of `RunSums.columns`
@@ -23,7 +22,7 @@ class RunSums(NamedTuple):
     Attributes
     ----------
     sums : (p, BATCHES, SUMS or STOKES_SUMS) float64
-        See `mistray.trace.ledger`.
+        See `mistray.recorders.ledger`.
     started : (BATCHES,) float64
         Start rays of the batches.
     unit : float

@@ -13,10 +13,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ids import event_words
-from mistray.trace.energy import batch_error
-from mistray.trace.ledger import BATCHES, host_keys
-from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
-from mistray.trace.path_events import (
+from mistray.recorders.ledger import host_keys
+from mistray.recorders.path_events import (
     DIRECT,
     INTERCEPTS,
     LETTERS,
@@ -27,16 +25,18 @@ from mistray.trace.path_events import (
     way_letters,
     way_text,
 )
+from mistray.recorders.sampled import Sampled, batch_error
+from mistray.settings import BATCHES
+from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
 from mistray.trace.path_filter import PathFilter, Rows
 from mistray.trace.path_numbers import CHUNK, PathNumbers, RunSums, path_numbers
-from mistray.trace.sampled import Sampled
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from mistray.trace.ledger import DecodedPaths
-    from mistray.trace.surfaces import SurfaceTable
-    from mistray.trace.tracer import Run
+    from mistray.execute.tracer import Run
+    from mistray.recorders.ledger import DecodedPaths
+    from mistray.surfaces.surfaces import SurfaceTable
 
 ROWS_PRINTED = 20
 LABELLED_BY = ("events", "kind", "ghost_1", "ghost_2", "scatter_1", "scatters", "source", "wavelength_nm")
@@ -56,7 +56,7 @@ class PathRow:
         Id of the source.
     wavelength_nm : float
     label : str
-        Name of the path, another one for each path of the table, see `mistray.trace.path_events.path_labels`.
+        Name of the path, another one for each path of the table, see `mistray.recorders.path_events.path_labels`.
     events : str
         Surfaces and what happened there, ``L1_front:T L1_rear:R … detector:A``; T transmitted, R reflected, I totally
         internally reflected, A absorbed; scattered or diffracted at random: t in transmission, r in reflection;

@@ -10,11 +10,11 @@ from __future__ import annotations
 import numpy as np
 
 from mistray.physics.sag import sag, sag_derivative
-from mistray.trace.host_rays import specular
-from mistray.trace.ledger import ABSORBED, AIMED_TRANSMITTED, EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
-from mistray.trace.optics import OPAQUE
-from mistray.trace.path_events import EVENT_MASK, FIRST_SCATTERED
-from mistray.trace.surfaces import SurfaceTable
+from mistray.recorders.ledger import ABSORBED, AIMED_TRANSMITTED, EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
+from mistray.recorders.path_events import EVENT_MASK, FIRST_SCATTERED
+from mistray.surfaces.host_rays import specular
+from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
 
 
 def retrace(

@@ -7,11 +7,11 @@ from collections.abc import Sequence
 import mitsuba as mi
 import numpy as np
 
+from mistray.execute.tracer import PASS_LANES, Run
+from mistray.recorders.branch_recorder import BranchRecorder, as_many
+from mistray.surfaces.upload import upload
 from mistray.time_budget import time_is_up
-from mistray.trace.branch_recorder import BranchRecorder, as_many
 from mistray.trace.history import Ray, rays_in_slots
-from mistray.trace.tracer import PASS_LANES, Run
-from mistray.trace.upload import upload
 
 START_RAYS = 640  # of the sample
 FIRST = 32  # of them; each time as many again as before, until all paths have enough
@@ -27,7 +27,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
     ----------
     run : Run
     keys : sequence of int
-        Of the paths, see `mistray.trace.ledger.extend_key`.
+        Of the paths, see `mistray.recorders.ledger.extend_key`.
     most : int
         Rays of each path after which no more are looked for.
 

@@ -12,19 +12,19 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.trace.branch_recorder import BranchRecorder
-from mistray.trace.film import Box
+from mistray.execute.tracer import Run
+from mistray.recorders.branch_recorder import BranchRecorder
+from mistray.recorders.film import Box
+from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS, Events
+from mistray.surfaces.upload import upload
 from mistray.trace.history import Ray, RayHistory, bundles
-from mistray.trace.path_events import EVENT_MASK, INTERCEPTS, Events
 from mistray.trace.path_filter import PathFilter, Rows
 from mistray.trace.paths import PathRow, PathTable
-from mistray.trace.tracer import Run
-from mistray.trace.upload import upload
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from mistray.trace.start_rays import StartRays
+    from mistray.recorders.start_rays import StartRays
 
 CAPACITY = 1 << 14  # branches that are recorded at a time
 FIRST = 1 << 12  # start rays of the first walk; each time twice as many

@@ -11,23 +11,24 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.execute.by_parts import TraceTask, images_by_parts
+from mistray.execute.tracer import Run, image
+from mistray.execute.workers import current_workers
+from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.gradients.run_gradient import run_gradient
+from mistray.recorders.film import image_word
+from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
+from mistray.recorders.sampled import Sampled
+from mistray.recorders.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.trace.aimed_rays import aimed_surfaces, silent_places
-from mistray.trace.by_parts import TraceTask, images_by_parts
 from mistray.trace.energy import Energy, FluxReport, energy_ledger, flux_report
-from mistray.trace.film import image_word
 from mistray.trace.history import Ray, RayHistory, read_rays
 from mistray.trace.path_filter import PathFilter
 from mistray.trace.paths import PathTable, path_table
-from mistray.trace.raw_gradient import MOMENTS, HitDerivative, PathDerivative, RawGradient, Wanted
 from mistray.trace.ray_sample import sample_rays
 from mistray.trace.ray_table import check_box, ray_table
-from mistray.trace.run_gradient import run_gradient
-from mistray.trace.sampled import Sampled
-from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.tallies import SCATTERED_FLUX, SCATTERED_HITS, SCATTERED_SQUARES, SEGMENTS
-from mistray.trace.thin_gaps import thin_gaps
-from mistray.trace.tracer import Run, image
-from mistray.trace.workers import current_workers
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -64,7 +65,7 @@ class Trace:
     effective_scattered_rays : float
         (Σ flux)²/Σ flux² of those hits: as many hits of equal flux would be as good.
     notes : list of str
-        What a reader must know: gaps too thin for float32, see `mistray.trace.thin_gaps`, media that were taken as
+        What a reader must know: gaps too thin for float32, see `mistray.surfaces.thin_gaps`, media that were taken as
         opaque because no light gets through their bodies, that only a part of the rays was traced, and that the
         detector gets no light of the sources at the field of their own, for which a scene is made.
     aiming : list of AimedSurface
@@ -216,7 +217,7 @@ class Trace:
             Path ids; a path may be in one group only.
         with_noise : sequence of bool
             Which maps are to know their noise; that of the others is NaN. While they are summed a pixel of a map takes
-            8 bytes, with its noise 8 bytes for each group of batches (`mistray.trace.film.groups_of`).
+            8 bytes, with its noise 8 bytes for each group of batches (`mistray.recorders.film.groups_of`).
 
         Yields
         ------

@@ -20,7 +20,7 @@ from mistray.plugins.bsdfs.lobe_sum import LobeSum
 from mistray.plugins.bsdfs.sample_axis import SampleAxis, SampleFrame, common_axis
 from mistray.ranges import AIMED_RAYS, SHARE, WAVELENGTH_NM
 from mistray.scatter import Scatter
-from mistray.trace.optics import (
+from mistray.surfaces.optics import (
     REFLECTION_BACK,
     REFLECTION_FRONT,
     TRANSMISSION,

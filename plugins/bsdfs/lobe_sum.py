@@ -17,16 +17,16 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.gradients.scatter_gradient import quotient
+from mistray.kernel.lobes import RadialSampler, multilinear
+from mistray.kernel.scatter_tables import ANGLES, Side, check_side, side_of
+from mistray.kernel.scattering import fraction_of
 from mistray.plugins.bsdfs.lobe_pair import Pair, Slot, cosine, factor
 from mistray.plugins.bsdfs.sample_axis import SampleFrame
 from mistray.scatter import Lobe
 from mistray.scatter.lobe import EVENTS
 from mistray.scatter.radial import RadialTable
-from mistray.trace.lobes import RadialSampler, multilinear
-from mistray.trace.scatter_gradient import quotient
-from mistray.trace.scatter_tables import ANGLES, Side, check_side, side_of
-from mistray.trace.scattering import fraction_of
-from mistray.trace.upload import upload
+from mistray.surfaces.upload import upload
 
 STEP = 1e-3  # relative, of a parameter, for differences of tables in single precision
 SMALLEST_SHARE = 0.1  # of R and T, when directions are chosen before the light's angle is known

@@ -13,8 +13,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG
-from mistray.trace.surface_frame import AXES, ROW, axis_row, tangent_axis
-from mistray.trace.upload import upload
+from mistray.surfaces.surface_frame import AXES, ROW, axis_row, tangent_axis
+from mistray.surfaces.upload import upload
 
 KEYS = ("sample_axis", "rotation_deg")
 PLACE = 4  # vectors of a shape: its row, and the rows of its frame with the origin
@@ -37,7 +37,7 @@ class SampleFrame:
     mirrored: bool
 
     def plane(self, tangent: mi.Vector2f, lit: mi.Float) -> tuple[mi.Vector2f, mi.Vector2f, mi.Float]:
-        """As `mistray.trace.scattering.plane_of_sample`; the sign of `lit` is that of z where the light comes from."""
+        """As `mistray.kernel.scattering.plane_of_sample`; the sign of `lit` is that of z where the light comes from."""
         tangent = dr.select(dr.squared_norm(tangent) > 1e-12, tangent, self.x)
         beside = mi.Vector2f(-tangent.y, tangent.x) * dr.mulsign(mi.Float(-1 if self.mirrored else 1), lit)
         return tangent, beside, dr.atan2(dr.dot(self.x, beside), dr.dot(self.x, tangent)) * (0.5 / dr.pi)
@@ -45,7 +45,7 @@ class SampleFrame:
 
 class SampleAxis:
     """
-    Where the x axis of a sample points, see `mistray.trace.surface_frame`.
+    Where the x axis of a sample points, see `mistray.surfaces.surface_frame`.
 
     Parameters
     ----------

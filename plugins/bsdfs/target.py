@@ -6,8 +6,8 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.errors import MistrayError
+from mistray.kernel.targets import CONES
 from mistray.ranges import PART, RAYS_PER_HIT, TARGET_SCALE, Range
-from mistray.trace.targets import CONES
 
 TARGET_CONE_DEG = Range(1e-6, 180.0, unit="degrees")
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, POSITIVE, RADIUS_MM, SIZE_MM, WAVELENGTH_NM, WEIGHT, Range
-from mistray.trace.host_points import box_corners
+from mistray.surfaces.host_points import box_corners
 
 STOCK_DISTANCE = 100.0  # start of the beam for stock integrators, in units of its size
 

@@ -12,16 +12,16 @@ import numpy as np
 from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS
 from mistray.errors import MistrayError
+from mistray.execute.tracer import prepare
+from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
+from mistray.gradients.frozen_tangent import run_tangent
+from mistray.gradients.geometry_gradient import geometry_columns
+from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
+from mistray.gradients.raw_gradient import EDGE_WIDTH, Wanted
+from mistray.gradients.run_gradient import run_gradient
 from mistray.ranges import EDGE_WIDTH as ZONE
-from mistray.trace.coating_gradient import IDEAL_PARAMETERS
+from mistray.settings import Settings
 from mistray.trace.forward import trace
-from mistray.trace.frozen_tangent import run_tangent
-from mistray.trace.geometry_gradient import geometry_columns
-from mistray.trace.parameter_gradient import edge_gradient, parameter_gradient
-from mistray.trace.raw_gradient import EDGE_WIDTH, Wanted
-from mistray.trace.run_gradient import run_gradient
-from mistray.trace.settings import Settings
-from mistray.trace.tracer import prepare
 
 COATING = (*LAYER_PARAMETERS, *IDEAL_PARAMETERS)
 
@@ -78,10 +78,10 @@ class StrayLight(mi.CppADIntegrator):
 
     None of these is differentiable. ``dr.backward`` through ``mi.render(scene, params, …)`` gives the derivatives by
     coatings, scatter models, indices, shapes, positions and rims of the scene; `mistray.optimize.parameters` lists
-    them. Coatings alone take one walk in reverse (`mistray.trace.adjoint`), anything else a replay of all rays
-    (`mistray.trace.replay`). Branches below ``flux_threshold`` are left out. `mistray.gradient` gives standard errors
-    as well. ``dr.forward`` knows all but scatter, and holds visibility (``edges`` off). ``polarization="stokes"`` and
-    parameters of stock shapes raise.
+    them. Coatings alone take one walk in reverse (`mistray.recorders.adjoint`), anything else a replay of all rays
+    (`mistray.gradients.replay`). Branches below ``flux_threshold`` are left out. `mistray.gradient` gives standard
+    errors as well. ``dr.forward`` knows all but scatter, and holds visibility (``edges`` off).
+    ``polarization="stokes"`` and parameters of stock shapes raise.
 
     .. code-block:: xml
 

@@ -9,10 +9,10 @@ import pytest
 
 import mistray
 from mistray.analysis.study.first_order import FirstOrder, first_order
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.sources import beams
 from mistray.scenes.cooke_triplet.prescription import build as triplet
-from mistray.trace.design_path import find_design_path
-from mistray.trace.sources import beams
-from mistray.trace.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 
 def measured(name: str) -> tuple[FirstOrder, SurfaceTable]:

@@ -13,8 +13,8 @@ from mistray.analysis.ghosts import GhostReport, ghosts
 from mistray.analysis.ranking import direct_image
 from mistray.analysis.spectral import spectral_maps
 from mistray.errors import MistrayError
-from mistray.trace.path_events import STRAY_KINDS
-from mistray.trace.path_events import short_label as label
+from mistray.recorders.path_events import STRAY_KINDS
+from mistray.recorders.path_events import short_label as label
 
 
 @pytest.fixture

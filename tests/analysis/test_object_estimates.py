@@ -15,8 +15,8 @@ from mistray.analysis.objects.estimates import surface_bsdf
 from mistray.analysis.objects.patches import Patches
 from mistray.analysis.objects.search import objects
 from mistray.analysis.objects.sources import DiskSource, Surroundings, source_axes
-from mistray.trace.host_points import surface_points
-from mistray.trace.surfaces import SurfaceTable
+from mistray.surfaces.host_points import surface_points
+from mistray.surfaces.surfaces import SurfaceTable
 
 RAYS = 100_000
 

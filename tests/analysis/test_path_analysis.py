@@ -18,7 +18,7 @@ import mistray
 from mistray.analysis.path_analysis import SORT_KEYS, path_analysis
 from mistray.cli import ghosts as cli_ghosts
 from mistray.cli.program import main
-from mistray.trace.path_events import way_text
+from mistray.recorders.path_events import way_text
 
 INDEX, PLATE, GAP, BEFORE = 1.5, 2.0, 7.0, 3.0
 

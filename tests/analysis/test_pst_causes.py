@@ -9,7 +9,7 @@ from report.fake_pst import fake_pst
 
 from mistray.analysis.pst.causes import breaks, cause_frame, first_level_scatter, reigns, stray_paths, strongest
 from mistray.analysis.pst.result import CLASSES, Pst
-from mistray.trace.directions import DirectionGrid
+from mistray.recorders.directions import DirectionGrid
 
 BATCHES = 32
 ANGLES = np.arange(0.0, 81.0, 2.0)

@@ -18,11 +18,11 @@ import mistray
 from mistray.analysis.pst.forward import forward_pst
 from mistray.analysis.pst.forward_cells import FIRST_RAYS
 from mistray.errors import MistrayError
-from mistray.trace.directions import DirectionGrid
-from mistray.trace.host_points import surface_points
-from mistray.trace.plane_wave import Entrance, PlaneWaves, hull_points
-from mistray.trace.settings import Settings
-from mistray.trace.surfaces import SurfaceTable
+from mistray.recorders.directions import DirectionGrid
+from mistray.sampling.plane_wave import Entrance, PlaneWaves, hull_points
+from mistray.settings import Settings
+from mistray.surfaces.host_points import surface_points
+from mistray.surfaces.surfaces import SurfaceTable
 
 SCENES = Path(__file__).parents[2] / "scenes"
 ANGLES = (0.0, 10.0, 20.0, 40.0, 60.0, 80.0)

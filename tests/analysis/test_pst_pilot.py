@@ -13,13 +13,13 @@ import pytest
 import mistray
 from mistray.analysis.pst.pilot import BACKWARD, FORWARD, SELDOM, Pilot, Plan, against_the_light, with_the_light
 from mistray.analysis.pst.result import Pst, notes
+from mistray.execute.backward import BackwardTrace
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.ledger import ABSORBED, EVENT_BITS, REFLECTED, TRANSMITTED, host_keys
+from mistray.recorders.sky import CLASS_COUNT, SINGLE
+from mistray.sampling.plane_wave import PlaneWaves, hull_points
+from mistray.settings import Settings
 from mistray.trace.all_cells import AllCells
-from mistray.trace.backward import BackwardTrace
-from mistray.trace.directions import DirectionGrid
-from mistray.trace.ledger import ABSORBED, EVENT_BITS, REFLECTED, TRANSMITTED, host_keys
-from mistray.trace.plane_wave import PlaneWaves, hull_points
-from mistray.trace.settings import Settings
-from mistray.trace.sky import CLASS_COUNT, SINGLE
 
 PAINT = {"type": "interface", "R": 0.0, "m": {"type": "paint", "reflectance": 0.1}}
 

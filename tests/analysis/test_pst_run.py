@@ -14,9 +14,9 @@ from oracles.small_scenes import interface_xml, write
 import mistray
 from mistray.analysis.pst import run
 from mistray.analysis.pst.state import PstProgress, load_state
-from mistray.trace.backward import BackwardTrace
-from mistray.trace.settings import Settings
-from mistray.trace.sky import CLASSES, DIFFRACTED, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
+from mistray.execute.backward import BackwardTrace
+from mistray.recorders.sky import CLASSES, DIFFRACTED, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
+from mistray.settings import Settings
 
 RAYS = 8192  # less than a first pass: one pass
 SCATTERED = ("single_scatter", "multiple_scatter")

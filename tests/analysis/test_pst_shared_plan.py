@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.analysis.pst.pilot import Plan
 from mistray.analysis.pst.shared_plan import share
-from mistray.trace.ledger import EVENT_BITS, REFLECTED, TRANSMITTED
+from mistray.recorders.ledger import EVENT_BITS, REFLECTED, TRANSMITTED
 
 
 def table(*ids: str, media: tuple[str, ...] = ("unknown",)) -> Any:

@@ -34,7 +34,7 @@ from mistray.analysis.metrics.ratios import (
 from mistray.analysis.pst.result import CLASSES, Pst
 from mistray.analysis.pst.sums import quotient, weighted_sum
 from mistray.errors import MistrayError
-from mistray.trace.directions import DirectionGrid
+from mistray.recorders.directions import DirectionGrid
 
 Curve = Callable[[np.ndarray], np.ndarray]
 

@@ -19,11 +19,11 @@ from mistray.analysis.study.run import Study, study
 from mistray.analysis.study.step import STEPS
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.errors import MistrayError
+from mistray.sampling.aiming import aims
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.sources import beams
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import Settings
-from mistray.trace.aiming import aims
-from mistray.trace.design_path import find_design_path
-from mistray.trace.sources import beams
-from mistray.trace.surfaces import SurfaceTable
 
 ANGLES = (0.0, 20.0, 40.0, 60.0)
 FIELDS = (0.0, 20.0)

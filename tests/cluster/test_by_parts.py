@@ -12,10 +12,10 @@ from workers_here import Here
 
 import mistray
 from mistray import UnfinishedError
+from mistray.execute import by_parts
+from mistray.execute.sparse import pack
+from mistray.execute.workers import working_with
 from mistray.optimize import metrics
-from mistray.trace import by_parts
-from mistray.trace.sparse import pack
-from mistray.trace.workers import working_with
 
 SCENE = "lens_and_window"
 ROUNDING = 1e-12  # of sums of some 1e5 numbers of float64

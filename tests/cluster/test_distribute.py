@@ -19,8 +19,8 @@ import pytest
 import mistray
 from mistray import MistrayError, UnfinishedError
 from mistray.cli import main
-from mistray.trace import by_parts
-from mistray.trace.workers import current_workers, do_parts
+from mistray.execute import by_parts
+from mistray.execute.workers import current_workers, do_parts
 
 distributed = pytest.importorskip("distributed", reason="the extra 'distributed' is not installed")
 

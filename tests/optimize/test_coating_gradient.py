@@ -12,11 +12,11 @@ import pytest
 from oracles.small_scenes import scene_text, shape_xml
 
 import mistray
+from mistray.execute.tracer import Run
 from mistray.optimize import Metric, ghost_to_signal, gradient, image_metric, path_power
 from mistray.prescription import Coating, Prescription
 from mistray.scenes.cooke_triplet.prescription import build as build_triplet
 from mistray.scenes.phone_camera.prescription import build as build_phone
-from mistray.trace.tracer import Run
 
 TOLERANCE = 1e-3
 STEPS = {"thickness_nm": 0.5, "n_shift": 2e-3, "k_shift": 1e-3, "R": 1e-3, "T": 1e-3}

@@ -11,8 +11,8 @@ import pytest
 
 import mistray
 from mistray.errors import MistrayError
+from mistray.gradients.raw_gradient import Wanted
 from mistray.optimize import Modelled, PstBands, fit, pst_bin
-from mistray.trace.raw_gradient import Wanted
 
 X = np.linspace(0, 2, 12)
 TRUTH = {"height": 3.0, "decay": 0.7}

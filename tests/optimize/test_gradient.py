@@ -12,7 +12,7 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 
 import mistray
 from mistray.optimize import ghost_to_signal, gradient, image_metric, parameters, path_power
-from mistray.trace import adjoint
+from mistray.recorders import adjoint
 
 FRONT_R, FRONT_T, REAR_R, REAR_T = (f"p0_{face}.bsdf.{what}" for face in ("front", "rear") for what in "RT")
 

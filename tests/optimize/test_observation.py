@@ -15,8 +15,8 @@ from oracles.derivatives import central_differences
 from mistray.errors import MistrayError
 from mistray.optimize.metrics import Metric
 from mistray.optimize.observation import Observation, smooth_maximum, smooth_minimum
+from mistray.recorders.sampled import Sampled
 from mistray.trace.paths import PathRow
-from mistray.trace.sampled import Sampled
 
 HALF_MM, PIXELS = 2.0, 8
 # Kind and events of each path; the third is the second at another wavelength, the last are scattered and aimed alike

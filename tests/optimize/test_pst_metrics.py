@@ -25,8 +25,8 @@ from mistray.optimize.metrics import Metric, combine, log
 from mistray.optimize.observation import smooth_maximum
 from mistray.optimize.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
 from mistray.optimize.pst_observation import PstObservation
-from mistray.trace.directions import DirectionGrid
-from mistray.trace.sky import CLASSES
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.sky import CLASSES
 
 BATCHES = 32
 

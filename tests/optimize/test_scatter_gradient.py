@@ -18,7 +18,7 @@ from oracles.statistics import z_limit, z_score
 
 import mistray
 from mistray.optimize import gradient, path_power
-from mistray.trace import adjoint
+from mistray.recorders import adjoint
 
 BOTH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8)
 THROUGH = bsdf_xml("abg", A=2e-3, B=1e-3, g=1.8, event="transmission")

@@ -18,8 +18,8 @@ import pytest
 
 import mistray
 from mistray.optimize import path_power
-from mistray.trace.energy import batch_error
-from mistray.trace.ledger import BATCHES
+from mistray.recorders.sampled import batch_error
+from mistray.settings import BATCHES
 
 LIMIT = 3.0
 FIELD_DEG = 6.0

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.trace.settings import Settings
-from mistray.trace.tracer import prepare
+from mistray.execute.tracer import prepare
+from mistray.settings import Settings
 
 BLACK = {"type": "interface", "R": 0.0}
 

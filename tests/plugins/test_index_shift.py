@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.trace.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 SHIFT = 0.125  # exact in float32, as are the indices with it
 COATINGS: dict[str, dict[str, Any]] = {

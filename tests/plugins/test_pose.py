@@ -12,7 +12,7 @@ import pytest
 import mistray
 from mistray._mitsuba_compat import mesh_arrays
 from mistray.physics.pose import moved
-from mistray.trace.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 BLACK = {"type": "interface", "R": 0.0}
 GLASS = {"type": "interface", "back": "1.5"}

@@ -10,7 +10,7 @@ import pytest
 
 import mistray
 from mistray import MistrayError
-from mistray.trace.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 T = mi.ScalarTransform4f
 

@@ -7,9 +7,10 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mistray.trace.ledger import BATCHES, EVENT_BITS, SUMS, DecodedPaths, host_keys
-from mistray.trace.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
-from mistray.trace.path_events import LETTERS
+from mistray.recorders.ledger import EVENT_BITS, SUMS, DecodedPaths, host_keys
+from mistray.recorders.path_events import LETTERS
+from mistray.settings import BATCHES
+from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 
 GLASS, STRUCTURE, EDGE, RING = 0, OPAQUE, WALL, DIFFRACTS
 SENSOR, REFLECTOR = OPAQUE | DETECTOR, OPAQUE | MIRROR

@@ -7,7 +7,7 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.pst.result import CLASSES, Pst
-from mistray.trace.directions import DirectionGrid
+from mistray.recorders.directions import DirectionGrid
 
 BATCHES = 32
 AREA = 18.0

@@ -9,11 +9,12 @@ from types import SimpleNamespace
 import numpy as np
 from report.fake_ledger import GLASS, SENSOR, STRUCTURE, decoded, encode, fake_run, hit_sums
 
+from mistray.recorders.ledger import SUMS
+from mistray.recorders.sampled import Sampled
+from mistray.settings import BATCHES
 from mistray.trace import Energy, FluxReport, Settings, SurfaceFlux
 from mistray.trace.aimed_rays import AimedSurface
-from mistray.trace.ledger import BATCHES, SUMS
 from mistray.trace.paths import path_table
-from mistray.trace.sampled import Sampled
 
 PARTS = {
     "window_front": "window",

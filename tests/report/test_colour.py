@@ -13,10 +13,10 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.spectral import SpectralMaps
 from mistray.coatings import preset
 from mistray.errors import MistrayError
+from mistray.recorders.sampled import Sampled
 from mistray.report.colour import ColourPictures, Look, check_wavelengths, develop, observer, xyz
 from mistray.report.plots import as_png
-from mistray.trace.ledger import BATCHES
-from mistray.trace.sampled import Sampled
+from mistray.settings import BATCHES
 
 VISIBLE = np.arange(400.0, 701.0, 10.0)
 DESIGN_NM, GLASS = 550.0, 1.5168

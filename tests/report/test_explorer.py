@@ -18,7 +18,7 @@ from report.test_embedded import stored
 from mistray.analysis.ghosts import GhostReport
 from mistray.report.html import html_text
 from mistray.report.html_fields import explored_paths
-from mistray.trace.ledger import BATCHES
+from mistray.settings import BATCHES
 
 NODE = shutil.which("node")
 needs_node = pytest.mark.skipif(NODE is None, reason="no node to run the scripts of a report; install nodejs")

@@ -10,7 +10,7 @@ from report.fake_trace import trace_at
 import mistray
 from mistray.analysis.ghosts import GhostReport
 from mistray.report.html import html_text
-from mistray.trace.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable
 
 
 @pytest.fixture(scope="module")

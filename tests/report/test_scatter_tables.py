@@ -10,14 +10,14 @@ from report.fake_trace import FakePath, FakeTrace, scatter_trace_at, trace_at
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.cli.ghosts_json import as_json
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.recorders.path_events import short_label as label
 from mistray.report.csv_tables import csv_tables, write_csv
 from mistray.report.html import html_text
 from mistray.report.path_sort import parse_path_sort, path_sort_text
 from mistray.report.plots import KIND_COLOURS, KIND_MARKERS
 from mistray.report.scatter_tables import scatter_text
 from mistray.report.tables import main_table, warnings
-from mistray.trace.path_events import DIRECT, STRAY_KINDS
-from mistray.trace.path_events import short_label as label
 
 WINDOW, STOP, GHOST, TWICE = 8e-5, 2e-5, 4e-6, 1e-6
 STRAY = 2e-4 + 1e-4 + 3e-6 + 1e-9 + WINDOW + STOP + GHOST + TWICE

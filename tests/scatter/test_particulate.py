@@ -10,12 +10,12 @@ import pytest
 from scipy.interpolate import CubicSpline
 
 from mistray.errors import MistrayError
+from mistray.kernel.scatter_tables import make_side, side_of
 from mistray.physics import mie
 from mistray.physics.contamination import Cloud
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.particulate import Particulate
 from mistray.scatter.total import check_budget, lobe_total, totals
-from mistray.trace.scatter_tables import make_side, side_of
 
 DATA = Path(__file__).parents[1] / "data"
 VECTORS = 1e-3  # relative, as required

@@ -9,7 +9,7 @@ import pytest
 from report.fake_ledger import EDGE, GLASS, REFLECTOR, RING, SENSOR, STRUCTURE, encode
 
 import mistray
-from mistray.trace.path_events import Events, describe_events
+from mistray.recorders.path_events import Events, describe_events
 from mistray.trace.path_filter import PathFilter, Rows
 
 SURFACES = {

@@ -9,8 +9,8 @@ import pytest
 import mistray
 from mistray.analysis.pst.causes import stray_paths
 from mistray.errors import MistrayWarning
+from mistray.recorders.path_events import path_names
 from mistray.scene.load import shipped_scenes
-from mistray.trace.path_events import path_names
 
 
 def test_a_label_of_its_own_is_kept() -> None:

@@ -19,8 +19,9 @@ from report.fake_ledger import (
 )
 
 from mistray.errors import MistrayError
-from mistray.trace.ledger import BATCHES, SUMS
-from mistray.trace.path_events import INTERCEPTS, LETTERS, describe_events, way_text
+from mistray.recorders.ledger import SUMS
+from mistray.recorders.path_events import INTERCEPTS, LETTERS, describe_events, way_text
+from mistray.settings import BATCHES
 from mistray.trace.paths import PathTable, path_table
 
 SURFACES = {

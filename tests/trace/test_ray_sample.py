@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 import mistray
+from mistray.execute import tracer
+from mistray.recorders.ledger import EVENT_BITS
+from mistray.recorders.path_events import EVENT_MASK, LETTERS
 from mistray.report.embedded import power_codes
-from mistray.trace import tracer
-from mistray.trace.ledger import EVENT_BITS
-from mistray.trace.path_events import EVENT_MASK, LETTERS
 
 RAYS = 4000
 

@@ -13,8 +13,8 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
+from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.trace import ray_table
-from mistray.trace.path_events import DIRECT, STRAY_KINDS
 
 FIRST = [
     "ray", "path_id", "kind", "wavelength_nm", "source", "start_ray", "node", "type", "history", "flux_W",

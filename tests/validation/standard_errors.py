@@ -19,7 +19,7 @@ import mistray
 from mistray.analysis.metrics import glare, ratios
 from mistray.analysis.metrics.extended_source import Disc, Sky, source_irradiance
 from mistray.optimize import metrics
-from mistray.trace.sky import CLASSES
+from mistray.recorders.sky import CLASSES
 
 SEEDS = 100
 Entry = tuple[str, str, float, float]  # kind, name, value, standard error

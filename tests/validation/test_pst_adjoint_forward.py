@@ -22,8 +22,8 @@ import mistray
 from mistray.analysis.pst.forward import forward_pst
 from mistray.analysis.pst.result import CLASSES, Pst
 from mistray.analysis.pst.run import pst
-from mistray.trace.plane_wave import Entrance
-from mistray.trace.settings import Settings
+from mistray.sampling.plane_wave import Entrance
+from mistray.settings import Settings
 
 pytestmark = pytest.mark.validation
 

@@ -26,9 +26,9 @@ from mistray.analysis.metrics.extended_source import Sky, source_irradiance
 from mistray.analysis.metrics.glare import veiling_glare_index
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.run import pst
+from mistray.execute.backward import see
 from mistray.prescription import Coating, Prescription, Scatter
 from mistray.scenes.phone_camera.prescription import build as phone_camera
-from mistray.trace.backward import see
 
 Load = Callable[[str], Any]
 

@@ -30,7 +30,7 @@ from random_scenes import STRUCTURES
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.trace.tallies import SAMPLING
+from mistray.recorders.tallies import SAMPLING
 
 pytestmark = pytest.mark.validation
 

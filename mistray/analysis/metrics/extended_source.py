@@ -17,8 +17,8 @@ from mistray.analysis.metrics.metric import Metric
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.sums import Light, weighted_sum
 from mistray.errors import MistrayError
+from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import renamed
-from mistray.trace.directions import DirectionGrid
 
 SUN_DEG = 0.53
 """Angular diameter of the sun from the Earth, degrees (0.524 … 0.542 over the year)."""

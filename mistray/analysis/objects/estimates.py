@@ -27,11 +27,11 @@ from scipy.spatial import cKDTree
 
 from mistray.analysis.objects.patches import Patches
 from mistray.analysis.objects.view import SIDES, Samples, View
+from mistray.kernel.scatter_tables import side_of
 from mistray.scatter.evaluate import bsdf
-from mistray.trace.ledger import BATCHES
-from mistray.trace.optics import OPAQUE
-from mistray.trace.scatter_tables import side_of
-from mistray.trace.surfaces import SurfaceTable
+from mistray.settings import BATCHES
+from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
 
 if TYPE_CHECKING:
     import pandas as pd

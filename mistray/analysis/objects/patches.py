@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.physics.sag import sag_derivative
-from mistray.trace.pieces import Piece
-from mistray.trace.surfaces import SurfaceTable
+from mistray.surfaces.pieces import Piece
+from mistray.surfaces.surfaces import SurfaceTable
 
 HITS_PER_PATCH = 8  # of the rarer of the two kinds of rays, on average at least
 MOST_PATCHES = 256

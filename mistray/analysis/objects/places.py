@@ -10,10 +10,10 @@ import numpy as np
 
 from mistray.analysis.objects.rays import ChainTracer, Escape, Hits, StartPoints
 from mistray.errors import MistrayError
-from mistray.trace.design_path import find_design_path
-from mistray.trace.host_points import across
-from mistray.trace.optics import OPAQUE
-from mistray.trace.surfaces import SurfaceTable
+from mistray.sampling.design_path import find_design_path
+from mistray.surfaces.host_points import across
+from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
 
 FAN_HEIGHTS, FAN_AZIMUTHS, FAN_ROUNDS = 4096, 8, 2  # rounds: each divides the last interval again
 NEAR = 1e-5  # of the size of the scene: no distance at all

@@ -13,14 +13,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.trace.interaction import Interaction, interact
-from mistray.trace.intersect import Intersector
-from mistray.trace.next_hit import next_hit
-from mistray.trace.optics import MIRROR, OPAQUE
-from mistray.trace.pieces import NO_SURFACE
-from mistray.trace.scattering import Scattering
-from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.upload import upload
+from mistray.kernel.interaction import Interaction, interact
+from mistray.kernel.next_hit import next_hit
+from mistray.kernel.scattering import Scattering
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.optics import MIRROR, OPAQUE
+from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
 
 FAINTEST = 1e-12  # weight below which a ray ends
 

@@ -22,17 +22,17 @@ from mistray.analysis.objects.rows import LISTS, SceneObject, StraightShot, both
 from mistray.analysis.objects.sources import DetectorView, DiskSource, RaySource, Surroundings, source_axes
 from mistray.analysis.objects.view import SIDES, View
 from mistray.errors import MistrayError
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
 from mistray.ranges import FIELD_DEG, PART
 from mistray.renamed import renamed
+from mistray.sampling.sources import spectrum_of
+from mistray.settings import Settings
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.time_budget import share, within
-from mistray.trace.intersect import Intersector
-from mistray.trace.optics import OPAQUE
-from mistray.trace.scatter_tables import ScatterTables
-from mistray.trace.scattering import Scattering
-from mistray.trace.settings import Settings
-from mistray.trace.sources import spectrum_of
-from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.thin_gaps import thin_gaps
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,11 +15,12 @@ import numpy as np
 from mistray.analysis.objects.rays import StartPoints
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CONE_DEG, FIELD_DEG, PLACE_MM, SIZE_MM, check_fields
-from mistray.trace.directions import DirectionGrid
-from mistray.trace.host_points import across, detector_area, outline, surface_points
-from mistray.trace.ledger import BATCHES
-from mistray.trace.plane_wave import PlaneWave, PlaneWaves, hull_points
-from mistray.trace.surfaces import SurfaceTable
+from mistray.recorders.directions import DirectionGrid
+from mistray.sampling.outlines import detector_area, outline
+from mistray.sampling.plane_wave import PlaneWave, PlaneWaves, hull_points
+from mistray.settings import BATCHES
+from mistray.surfaces.host_points import across, surface_points
+from mistray.surfaces.surfaces import SurfaceTable
 
 SMALL_FIELD_DEG = 1.0
 

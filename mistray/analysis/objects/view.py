@@ -10,10 +10,10 @@ import numpy as np
 from mistray.analysis.objects.places import Places
 from mistray.analysis.objects.rays import ChainTracer, Escape, Hits
 from mistray.analysis.objects.sources import RaySource
+from mistray.recorders.sampled import batch_error
+from mistray.settings import BATCHES
+from mistray.surfaces.optics import OPAQUE
 from mistray.time_budget import is_limited, time_is_up
-from mistray.trace.energy import batch_error
-from mistray.trace.ledger import BATCHES
-from mistray.trace.optics import OPAQUE
 
 PASS_RAYS = 1 << 18
 SMALLER = 16  # so many passes instead of one where there is a time budget

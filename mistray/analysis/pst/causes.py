@@ -9,8 +9,8 @@ import numpy as np
 import pandas as pd
 
 from mistray.analysis.pst.result import Pst
+from mistray.recorders.path_events import path_labels
 from mistray.renamed import renamed
-from mistray.trace.path_events import path_labels
 
 GHOSTS = "ghosts"
 STRAIGHT_SHOTS = "straight shots"
@@ -29,8 +29,9 @@ def stray_paths(pst: Pst, field_deg: float, n: int | None = None) -> pd.DataFram
     Returns
     -------
     DataFrame
-        The columns of `Pst.paths` and ``label``, the name of the path, see `mistray.trace.path_events.path_labels`. The
-        errors of several azimuths are added in quadrature, as if their rays were different ones.
+        The columns of `Pst.paths` and ``label``, the name of the path, see
+        `mistray.recorders.path_events.path_labels`. The errors of several azimuths are added in
+        quadrature, as if their rays were different ones.
     """
     azimuths = pst.grid.azimuths_deg
     parts = [pst.paths(field_deg, azimuth) for azimuth in azimuths]

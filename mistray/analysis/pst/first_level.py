@@ -17,7 +17,7 @@ from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.run import pst
 from mistray.errors import MistrayError
 from mistray.renamed import renamed
-from mistray.trace.settings import Settings
+from mistray.settings import Settings
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -15,14 +15,14 @@ from mistray.analysis.pst.forward_parts import CellPart, CellsTask
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.execute.workers import Workers, current_workers, do_parts
 from mistray.ranges import RELATIVE_ERROR
+from mistray.recorders.directions import DirectionGrid
+from mistray.sampling.plane_wave import Entrance
+from mistray.sampling.sources import spectrum_of
+from mistray.settings import Settings
+from mistray.surfaces.thin_gaps import thin_gaps
 from mistray.time_budget import share
-from mistray.trace.directions import DirectionGrid
-from mistray.trace.plane_wave import Entrance
-from mistray.trace.settings import Settings
-from mistray.trace.sources import spectrum_of
-from mistray.trace.thin_gaps import thin_gaps
-from mistray.trace.workers import Workers, current_workers, do_parts
 
 Progress = Callable[[PstProgress], None]
 
@@ -75,7 +75,7 @@ def forward_pst(
     entrance : Entrance, optional
         Trace the light through this disc only.
     points : (p, 3) float64, optional
-        What the light covers, mm, see `mistray.trace.plane_wave.hull_points`. Default: the scene.
+        What the light covers, mm, see `mistray.sampling.plane_wave.hull_points`. Default: the scene.
     progress : callable, optional
         Called after each pass of a cell.
     settings : Settings, optional

@@ -10,25 +10,25 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.execute.by_parts import tables_of
+from mistray.execute.tracer import Run, image
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.film import Film, groups_of
+from mistray.recorders.ledger import host_keys
+from mistray.recorders.path_events import DIRECT, describe_events, way
+from mistray.recorders.sampled import batch_error
+from mistray.recorders.sky import CLASSES
+from mistray.recorders.tallies import SCATTERED_FLUX, SEGMENTS
+from mistray.sampling.aiming import aims
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.outlines import detector_area
+from mistray.sampling.plane_wave import Entrance, PlaneWaves, hull_points
+from mistray.settings import BATCHES, Settings
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import time_is_up
-from mistray.trace.aiming import aims
-from mistray.trace.by_parts import tables_of
-from mistray.trace.design_path import find_design_path
-from mistray.trace.directions import DirectionGrid
-from mistray.trace.energy import batch_error
-from mistray.trace.film import Film, groups_of
-from mistray.trace.host_points import detector_area
-from mistray.trace.intersect import Intersector
-from mistray.trace.ledger import BATCHES, host_keys
-from mistray.trace.path_events import DIRECT, describe_events, way
-from mistray.trace.plane_wave import Entrance, PlaneWaves, hull_points
-from mistray.trace.scatter_tables import ScatterTables
-from mistray.trace.scattering import Scattering
-from mistray.trace.settings import Settings
-from mistray.trace.sky import CLASSES
-from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.tallies import SCATTERED_FLUX, SEGMENTS
-from mistray.trace.tracer import Run, image
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -69,7 +69,7 @@ class Ways:
     ids : sequence of str
         Names of the places of events.
     words : (s,) uint32
-        Their bits, see `mistray.trace.path_events.describe_events`.
+        Their bits, see `mistray.recorders.path_events.describe_events`.
     has_optics : bool
         Whether the scene images by lenses or mirrors; if not, light that meets nothing is the direct image.
 

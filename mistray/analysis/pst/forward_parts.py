@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import NamedTuple
 
 from mistray.analysis.pst.forward_cells import Cell, ForwardCells
-from mistray.trace.by_parts import SceneTask
+from mistray.execute.by_parts import SceneTask
 
 
 class CellPart(NamedTuple):
@@ -19,7 +19,7 @@ class CellPart(NamedTuple):
 
 
 class CellsTask(SceneTask):
-    """Cells of a grid, for `mistray.trace.workers`."""
+    """Cells of a grid, for `mistray.execute.workers`."""
 
     def make(self) -> ForwardCells:
         """The cells at a worker."""

@@ -9,10 +9,10 @@ import numpy as np
 
 from mistray.analysis.pst.pilot import BACKWARD, FORWARD, SELDOM, with_the_light
 from mistray.analysis.pst.with_light import WithLight
-from mistray.trace.backward import BackwardTrace
-from mistray.trace.ledger import host_keys
-from mistray.trace.path_events import DIRECT, describe_events
-from mistray.trace.sky import CLASS_COUNT
+from mistray.execute.backward import BackwardTrace
+from mistray.recorders.ledger import host_keys
+from mistray.recorders.path_events import DIRECT, describe_events
+from mistray.recorders.sky import CLASS_COUNT
 
 if TYPE_CHECKING:
     import pandas as pd

@@ -16,10 +16,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from mistray.execute.backward import BackwardTrace
+from mistray.recorders.ledger import ABSORBED, EVENT_BITS, host_keys
+from mistray.recorders.path_books import join_books
 from mistray.trace.all_cells import AllCells, whole_batches
-from mistray.trace.backward import BackwardTrace
-from mistray.trace.ledger import ABSORBED, EVENT_BITS, host_keys
-from mistray.trace.path_books import join_books
 
 FORWARD, BACKWARD = 0, 1
 BETTER = 0.5  # variance × cost, with the light over against it, below which a way is counted with the light

@@ -11,17 +11,17 @@ import numpy as np
 
 from mistray.analysis.pst.pilot import SELDOM
 from mistray.errors import MistrayError
+from mistray.gradients.backward_gradient import backward_gradient
+from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.path_events import DIRECT
+from mistray.recorders.sky import CLASSES
 from mistray.renamed import renamed
-from mistray.trace.backward_gradient import backward_gradient
-from mistray.trace.directions import DirectionGrid
-from mistray.trace.path_events import DIRECT
-from mistray.trace.raw_gradient import RawGradient, Wanted
-from mistray.trace.sky import CLASSES
 
 if TYPE_CHECKING:
     import pandas as pd
 
-    from mistray.trace.backward import BackwardTrace
+    from mistray.execute.backward import BackwardTrace
 
 STRAY = CLASSES[1:]
 CONVENTIONS = ("normal", "projected")
@@ -48,7 +48,7 @@ class Pst:
     grid : DirectionGrid
         (n, m) cells.
     by_batch : (c, n, m, b) float64
-        PST_normal of each class in `mistray.trace.sky.CLASSES` from each batch of start rays alone. Batches are
+        PST_normal of each class in `mistray.recorders.sky.CLASSES` from each batch of start rays alone. Batches are
         independent of each other; the cells of one batch are not.
     weight : (b,) or (n, m, b) float64
         Share of the start rays that each batch has, of each cell where cells have their own start rays.
@@ -100,7 +100,7 @@ class Pst:
             Of the metric by PST_normal of each class in each cell.
         wanted : Wanted
         groups : (n, m) int, optional
-            Numbers of groups of cells, see `mistray.trace.backward_gradient`.
+            Numbers of groups of cells, see `mistray.gradients.backward_gradient`.
 
         Yields
         ------

@@ -25,20 +25,20 @@ from mistray.analysis.pst.shared_plan import share
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
 from mistray.analysis.pst.with_light import PLAN, SUMS, WithLight, saved_plan
 from mistray.errors import MistrayError, UnfinishedError
+from mistray.execute.backward import FIRST_PASS, BackwardTrace
+from mistray.execute.workers import current_workers
 from mistray.interrupts import later, requested
 from mistray.ranges import PIXELS_OR_NONE, RELATIVE_ERROR
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.path_books import join_books
+from mistray.recorders.sky import DIFFRACTED, MULTIPLE, SINGLE
 from mistray.renamed import renamed
+from mistray.sampling.plane_wave import PlaneWaves, hull_points
+from mistray.sampling.sources import spectrum_of
+from mistray.settings import Settings
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import time_is_up, within
 from mistray.trace.all_cells import AllCells
-from mistray.trace.backward import FIRST_PASS, BackwardTrace
-from mistray.trace.directions import DirectionGrid
-from mistray.trace.path_books import join_books
-from mistray.trace.plane_wave import PlaneWaves, hull_points
-from mistray.trace.settings import Settings
-from mistray.trace.sky import DIFFRACTED, MULTIPLE, SINGLE
-from mistray.trace.sources import spectrum_of
-from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.workers import current_workers
 
 METHODS = ("adjoint", "forward")
 RAYS = {"adjoint": 4_000_000, "forward": 200_000}  # where a call says nothing; forward: at each angle

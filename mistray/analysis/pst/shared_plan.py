@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from mistray.analysis.pst.pilot import Plan
-from mistray.trace.ledger import EVENT_BITS, host_keys
-from mistray.trace.surfaces import SurfaceTable
+from mistray.recorders.ledger import EVENT_BITS, host_keys
+from mistray.surfaces.surfaces import SurfaceTable
 
 
 def share(plans: Sequence[Plan], tables: Sequence[SurfaceTable]) -> list[Plan]:

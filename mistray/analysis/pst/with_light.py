@@ -9,11 +9,12 @@ import numpy as np
 
 from mistray.analysis.pst.forward_cells import Ways
 from mistray.analysis.pst.pilot import FORWARD, Plan, against_the_light
+from mistray.execute.backward import BackwardTrace
+from mistray.recorders.ledger import host_keys
+from mistray.recorders.sky import CLASS_COUNT
+from mistray.recorders.way_table import WayTable
+from mistray.settings import BATCHES
 from mistray.trace.all_cells import AllCells
-from mistray.trace.backward import BackwardTrace
-from mistray.trace.ledger import BATCHES, host_keys
-from mistray.trace.sky import CLASS_COUNT
-from mistray.trace.way_table import WayTable
 
 PLAN, SUMS = "plan_", "light_"  # names of arrays that are saved
 

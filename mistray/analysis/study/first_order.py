@@ -1,7 +1,7 @@
 """First-order numbers of an optical system by real rays: focal length, aperture, field, and what stops the beam.
 
 The system may be folded or tilted: all numbers are about its base ray, the way of the ray in the middle of the beam
-(see `mistray.trace.design_path`). Derivatives along it are differences of rays in float64.
+(see `mistray.sampling.design_path`). Derivatives along it are differences of rays in float64.
 """
 
 from __future__ import annotations
@@ -13,10 +13,11 @@ from typing import Any
 
 import numpy as np
 
-from mistray.trace.design_path import DesignPath
-from mistray.trace.host_points import across, outline
-from mistray.trace.host_rays import first_hit, onward
-from mistray.trace.sources import beams
+from mistray.sampling.design_path import DesignPath
+from mistray.sampling.outlines import outline
+from mistray.sampling.sources import beams
+from mistray.surfaces.host_points import across
+from mistray.surfaces.host_rays import first_hit, onward
 
 STEP = 1e-5  # height of the rays for derivatives, in units of the beam's size
 AFOCAL = 1e-9  # slope per unit of height, in units of 1/size, below which the system has no focus
@@ -82,7 +83,7 @@ def first_order(scene: Any, path: DesignPath) -> FirstOrder:
     ----------
     scene : mi.Scene
     path : DesignPath
-        Its design path, see `mistray.trace.design_path.find_design_path`.
+        Its design path, see `mistray.sampling.design_path.find_design_path`.
     """
     lengths, back = _focus(path)
     finite = [value for value in lengths if math.isfinite(value)]

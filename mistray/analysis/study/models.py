@@ -10,10 +10,10 @@ import pandas as pd
 
 from mistray.analysis.study.first_order import FirstOrder, first_order
 from mistray.analysis.study.step import Fact, StudyStep, count_of
-from mistray.trace.design_path import DesignPath
-from mistray.trace.optics import OPAQUE, WALL
-from mistray.trace.sources import beams
-from mistray.trace.surfaces import SurfaceTable
+from mistray.sampling.design_path import DesignPath
+from mistray.sampling.sources import beams
+from mistray.surfaces.optics import OPAQUE, WALL
+from mistray.surfaces.surfaces import SurfaceTable
 
 UNDERFILL = 0.99  # radius of the source over that of the pupil, below which the source is said not to fill it
 OPTIC, BEVEL, OTHER_OPTIC, STRUCTURE, DETECTOR = "optic", "bevel or edge", "other optic", "structure", "detector"

@@ -24,15 +24,15 @@ from mistray.analysis.study.step import STEPS, StudyStep
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
+from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import renamed
+from mistray.sampling.aiming import aims
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.sources import beams
+from mistray.settings import NO_LIMIT
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
 from mistray.trace import Settings, trace
-from mistray.trace.aiming import aims
-from mistray.trace.design_path import find_design_path
-from mistray.trace.directions import DirectionGrid
-from mistray.trace.settings import NO_LIMIT
-from mistray.trace.sources import beams
-from mistray.trace.surfaces import SurfaceTable
 
 RAYS = 1_000_000  # of the PST
 QUICK_RAYS = 100_000

@@ -15,16 +15,16 @@ from mistray.analysis.aiming_check import SamplingCheck, sampling_check
 from mistray.analysis.study.models import role
 from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.coatings import Bare, Ideal
+from mistray.kernel.targets import AimSet, AnyTarget, Cone, Inside, Place
+from mistray.sampling.design_path import DesignPath
+from mistray.sampling.detector_images import DetectorImages
 from mistray.scatter import Scatter
 from mistray.scatter.particulate import particle_indices
 from mistray.scatter.total import Totals, model_lobes, totals
+from mistray.surfaces.host_rays import normals
+from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import Trace
-from mistray.trace.design_path import DesignPath
-from mistray.trace.detector_images import DetectorImages
-from mistray.trace.host_rays import normals
-from mistray.trace.optics import OPAQUE
-from mistray.trace.surfaces import SurfaceTable
-from mistray.trace.targets import AimSet, AnyTarget, Cone, Inside, Place
 
 BUDGET_ROUNDING = 1e-9
 SAME_DIGITS = 9
@@ -231,7 +231,7 @@ def importance_sampling(
     table : SurfaceTable
     path : DesignPath, optional
     targets : mapping
-        Where light is scattered → targets, as from `mistray.trace.aiming.aims`.
+        Where light is scattered → targets, as from `mistray.sampling.aiming.aims`.
     probe : Trace, optional
         A trace with scatter, whose sampling is judged; None where nothing scatters.
 
@@ -243,7 +243,7 @@ def importance_sampling(
     light enters, in columns surface, leaves, distance_mm, half_width_mm, half_height_mm and half_angle_deg as above,
     and in a row for each target that is traced from there its number (0: none is), traced_distance_mm,
     traced_half_width_mm, traced_half_height_mm and traced_half_angle_deg. Traced targets are as large as real rays
-    need, see `mistray.trace.detector_images`.
+    need, see `mistray.sampling.detector_images`.
     """
     rows = []
     far_away = FAR_SIZES * float(np.linalg.norm(np.ptp(table.vertices, axis=0)))

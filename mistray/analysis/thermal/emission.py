@@ -20,12 +20,12 @@ from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.thermal.narcissus import Return, mean_returns, returns
 from mistray.analysis.thermal.spectrum import band_weights, traced_wavelengths
 from mistray.errors import MistrayError
+from mistray.execute.backward import Seen, see
 from mistray.ids import fits
 from mistray.physics import planck
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
 from mistray.time_budget import share, within
 from mistray.trace import Settings
-from mistray.trace.backward import Seen, see
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -11,18 +11,17 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
-from mistray.trace.design_path import find_design_path
-from mistray.trace.detector_start import DetectorStart
-from mistray.trace.interaction import counts_as_reflection, interact
-from mistray.trace.intersect import Intersector
-from mistray.trace.ledger import BATCHES
-from mistray.trace.next_hit import next_hit
-from mistray.trace.optics import OPAQUE
-from mistray.trace.pieces import NO_SURFACE
-from mistray.trace.scatter_tables import ScatterTables
-from mistray.trace.scattering import Scattering
-from mistray.trace.settings import Settings
-from mistray.trace.surfaces import SurfaceTable
+from mistray.kernel.interaction import counts_as_reflection, interact
+from mistray.kernel.next_hit import next_hit
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.detector_start import DetectorStart
+from mistray.settings import BATCHES, Settings
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.optics import OPAQUE
+from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surfaces import SurfaceTable
 
 TOTAL = "(total reflection)"
 FAINTEST = 1e-9  # weight below which a ray ends

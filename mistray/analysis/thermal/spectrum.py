@@ -12,7 +12,7 @@ from mistray.coatings import METAL_K, Stack
 from mistray.errors import MistrayError
 from mistray.physics import planck
 from mistray.ranges import WAVELENGTH_UM
-from mistray.trace.optics import unpolarized_shares
+from mistray.surfaces.optics import unpolarized_shares
 
 if TYPE_CHECKING:
     import mitsuba as mi

@@ -1,0 +1,526 @@
+"""Traces against the light: from the detector to the sky, which is every direction that stray light can come from."""
+
+from __future__ import annotations
+
+import contextlib
+import time
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.execute.backward_parts import Ahead, BackwardTask
+from mistray.execute.fingerprint import fingerprint, kernel_arrays
+from mistray.execute.workers import current_workers
+from mistray.kernel.kernel_scene import BranchProbabilities, KernelScene
+from mistray.kernel.launches import launches_of
+from mistray.kernel.ray_tree import trace_tree
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
+from mistray.recorders.adjoint import Adjoint
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.film import Film
+from mistray.recorders.path_books import join_books
+from mistray.recorders.recorder import Recorder, Recorders
+from mistray.recorders.sampled import batch_error
+from mistray.recorders.sky import PathBook, Sky
+from mistray.recorders.start_rays import StartRays
+from mistray.recorders.tallies import (
+    ABSORBED_HERE,
+    CUTS,
+    ESCAPED,
+    HITS,
+    INCIDENT,
+    REASONS,
+    SEGMENTS,
+    SURFACE_SUMS,
+    Tallies,
+)
+from mistray.recorders.way_table import WayTable
+from mistray.sampling.detector_start import DetectorStart
+from mistray.sampling.exits import exits
+from mistray.sampling.sources import spectrum_of
+from mistray.settings import BATCHES, NO_LIMIT, Settings
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.thin_gaps import thin_gaps
+from mistray.surfaces.upload import upload
+from mistray.time_budget import is_limited, time_is_up
+
+FIRST_PASS, PASS_LANES = 1 << 14, 1 << 18  # rays of the first pass, and of the fifth and all that follow
+PATH_SLOTS, ENTRY_SLOTS = 1 << 17, 1 << 20
+FIRST_SEARCH = 1 << 24  # number of a pass, beyond those of any run
+# Of a ray that meets all optics about so many hits scatter, and so many reflections are followed; but a surface that
+# sees the sky scatters with so many times the share of its rays that get there
+SCATTERS_OF_RAY, REFLECTIONS_OF_RAY, VIEWS_OF_SKY = 2.0, 4.0, 2.0
+
+
+@dataclass(frozen=True)
+class Band:
+    """One wavelength of a trace."""
+
+    table: SurfaceTable
+    scattering: Scattering
+    start: DetectorStart
+    share: float
+
+
+class BackwardTrace:
+    """
+    A trace against the light that can go on for as long as one likes.
+
+    A ray leaves the detector like light from a Lambertian surface and goes on as the light came that would be detected
+    there. Of light of radiance L that a cell of directions sends towards the scene, the irradiance on the detector is
+    E = n² π L mean(w), where w is the weight of the rays that leave within the cell; for a distant source that is
+    PST_normal = n² π/ΔΩ mean(w). The factor n², for a detector in a medium, is part of the weights.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    grid : DirectionGrid
+    settings : Settings
+    wavelength_nm : float or sequence of float, optional
+        By default those of the first source, else 550 nm.
+    weights : sequence of float, optional
+        Shares of the flux.
+    detector : str, optional
+    map_pixels : int
+        Longer side of the maps of the detector; 0: none.
+    paths : bool
+        Keep a table of the paths.
+    both_sides : bool
+        Light that meets the detector from behind counts as well, as in a trace with the light.
+    left_out : tuple of (p,) uint64 and (p,) int, optional
+        Keys of ways, in the order of the rays, and cells that are counted elsewhere and not here.
+
+    Attributes
+    ----------
+    sums : dict of str to np.ndarray
+        Everything that has been counted, see `Sky.read`, and ``surfaces``, ``media``, ``reasons`` (see
+        `mistray.recorders.tallies`); sums over all passes.
+    passes : int
+        That have been traced.
+    pass_rays : list of int or None
+        Rays of each of them; None if the trace has gone on from another.
+    area : float
+        Of the detector, mm².
+    has_optics : bool
+        Whether there is a lens or a mirror on the way from a source to the detector.
+
+    Raises
+    ------
+    MistrayError
+        For settings that a backward trace does not know.
+    """
+
+    def __init__(
+        self,
+        scene: mi.Scene,
+        grid: DirectionGrid,
+        settings: Settings,
+        wavelength_nm: float | Sequence[float] | None = None,
+        weights: Sequence[float] | None = None,
+        detector: str | None = None,
+        map_pixels: int = 0,
+        paths: bool = False,
+        both_sides: bool = True,
+        left_out: tuple[np.ndarray, np.ndarray] | None = None,
+    ) -> None:
+        if settings.stokes:
+            raise MistrayError("polarization is 'stokes'; rays against the light know unpolarised light only")
+        if settings.max_random_scatters < NO_LIMIT:
+            raise MistrayError(
+                f"max_random_scatters is {settings.max_random_scatters}; it limits how light is sampled, which is "
+                "another thing against the light: use max_scatters"
+            )
+        self.grid, self.settings = grid, settings
+        self._scene = scene
+        self._elsewhere: Ahead | None = None
+        self._arguments = (grid, settings, wavelength_nm, weights, detector, map_pixels, paths, both_sides, left_out)
+        self._left_out: WayTable | None = None
+        if left_out is not None:
+            self.leave_out(*left_out)
+        self._paths_elsewhere: dict[str, np.ndarray] = {}
+        wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
+        self.wavelength_nm, self.weights = tuple(map(float, wavelengths)), tuple(map(float, shares))
+        first = SurfaceTable(scene, self.wavelength_nm[0], detector)
+        self.intersector = Intersector(first)
+        axis = np.asarray(grid.rotation)[:, 2]
+        found = exits(first, scene, settings, axis)
+        self.has_optics = found.has_optics
+        optics = max(len(found.views), 1)
+        chance = np.ones(first.count)
+        for surface, share in found.views.items():
+            chance[surface] = np.clip(VIEWS_OF_SKY * share, min(1.0, SCATTERS_OF_RAY / optics), 1.0)
+        ghosts = dr.opaque(mi.Float, min(1.0, REFLECTIONS_OF_RAY / optics))
+        self._probabilities = BranchProbabilities(upload(mi.Float, chance), ghosts)
+        self.bands = []
+        for wavelength, share in zip(self.wavelength_nm, self.weights, strict=True):
+            table = first if wavelength == first.wavelength_nm else first.at(wavelength)
+            scattering = Scattering(ScatterTables(table, found.aims, backward=True))
+            light = found.light if found.light is not None else axis
+            self.bands.append(Band(table, scattering, DetectorStart(table, light, found.start, both_sides), share))
+        start = self.bands[0].start
+        self.table, self.area, self.extent = first, start.area, start.extent
+        long_side = max(start.width, start.height)
+        self.map_size = (
+            (max(1, round(map_pixels * start.width / long_side)), max(1, round(map_pixels * start.height / long_side)))
+            if map_pixels
+            else (0, 0)
+        )
+        cells = int(np.prod(grid.shape))
+        self._book = PathBook(PATH_SLOTS, ENTRY_SLOTS, settings.max_events, cells) if paths else None
+        corner_x, corner_y, per_mm_x, per_mm_y = (dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0))
+        self.film = Film(1, 1, corner_x, corner_y, per_mm_x, per_mm_y, groups=1)
+        self.passes = 0
+        self.pass_rays: list[int] | None = []
+        self.seconds = 0.0
+        self.sums: dict[str, np.ndarray] = {}
+
+    def leave_out(self, keys: np.ndarray, cells: np.ndarray) -> None:
+        """Do not count ways in cells from now on, see `left_out`."""
+        self._arguments = (*self._arguments[:-1], (keys, cells))
+        self._left_out = WayTable(keys, cells) if len(keys) else None
+
+    @property
+    def notes(self) -> list[str]:
+        """Gaps too thin for float32, and what was assumed of the media, see `Optics.notes`."""
+        return [
+            *thin_gaps(self.table),
+            *dict.fromkeys(text for band in self.bands for text in band.table.optics.notes),
+        ]
+
+    @property
+    def lists_paths(self) -> bool:
+        """Whether there is a table of the paths."""
+        return self._book is not None
+
+    def go_on_from(self, sums: dict[str, np.ndarray], passes: int, seconds: float) -> None:
+        """Take over what another trace with the same arguments has counted."""
+        self.sums, self.passes, self.seconds = dict(sums), passes, seconds
+        self.pass_rays = None
+
+    @property
+    def next_pass(self) -> int:
+        """Rays of the next pass."""
+        return self.pass_size(self.passes)
+
+    @staticmethod
+    def pass_size(number: int) -> int:
+        """Rays of a pass: few at first, so that there is a result after seconds."""
+        return min(FIRST_PASS << number, PASS_LANES)
+
+    def advance(self, rays: int | None = None) -> None:
+        """Trace one more pass of about so many rays, by default `next_pass`; `sums` grow."""
+        rays = self.next_pass if rays is None else rays
+        started = time.perf_counter()
+        books: list[dict[str, np.ndarray]] = []
+        # What an interrupt leaves out is a whole pass
+        if self._elsewhere is None:
+            new = [self.band_sums(number, self.passes, rays) for number in range(len(self.bands))]
+        else:
+            new, books = self._elsewhere.whole_pass(self.passes, rays)
+        for sums in new:
+            self._add(sums)
+        for book in books:
+            self._paths_elsewhere = join_books(self._paths_elsewhere, book) if self._paths_elsewhere else book
+        self.passes += 1
+        if self.pass_rays is not None:
+            self.pass_rays.append(rays)
+        self.seconds += time.perf_counter() - started
+
+    def band_sums(self, number: int, done: int, rays: int) -> dict[str, np.ndarray]:
+        """What a pass of so many rays, after so many passes, adds to `sums` at one wavelength."""
+        one = self.bands[number]
+        sky = self.make_sky(maps=True)
+        tallies = Tallies(one.table.count, len(one.table.optics.media))
+        start = self.start_pass(number, done, rays)
+        self.walk(one, start, tallies, sky)
+        # Sums by surface are in the order of the first wavelength's media
+        return sky.read() | {
+            "surfaces": np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: one.table.count],
+            "media": self._by_medium(one.table, np.array(tallies.media).reshape(-1, BATCHES)),
+            "reasons": np.array(tallies.reasons).reshape(REASONS, BATCHES),
+            "rays": np.full(BATCHES, rays * one.share / BATCHES),
+        }
+
+    def find(self, rays: int, number: int) -> tuple[dict[str, np.ndarray], float]:
+        """
+        List the ways by which light reaches the detector, from rays that are in no sums.
+
+        Parameters
+        ----------
+        rays : int
+        number : int
+            Of this search: another number is another sample.
+
+        Returns
+        -------
+        book : dict
+            See `PathBook.read`.
+        segments : float
+            Ray segments that were traced.
+        """
+        book = PathBook(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
+        sky = Sky(self.grid, 0, book, self.has_optics)
+        segments = 0.0
+        for band, one in enumerate(self.bands):
+            tallies = Tallies(one.table.count, len(one.table.optics.media))
+            start = self.start_pass(band, FIRST_SEARCH + number, rays)
+            self.walk(one, start, tallies, sky)
+            segments += float(np.array(tallies.reasons).reshape(REASONS, BATCHES)[SEGMENTS].sum())
+        return book.read(), segments
+
+    def scene(self, band: Band) -> KernelScene:
+        """What the kernel traces at a wavelength."""
+        return KernelScene(band.table, band.scattering, self.intersector, self._probabilities)
+
+    def walk(self, band: Band, start: StartRays, *recorders: Recorder) -> None:
+        """Trace the trees of some start rays of a wavelength."""
+
+        def trace(part: StartRays) -> None:
+            trace_tree(self.scene(band), part, self.settings, recorders)
+
+        launches_of(band.table, self.settings, Recorders(recorders).code).whole(start, trace)
+
+    def adjoint(self, derivative: np.ndarray) -> Adjoint:
+        """The gain of a metric, see `Sky`."""
+        return Adjoint(0, self.film, sky=self.make_sky(derivative))
+
+    def forget_paths(self) -> None:
+        """Empty the table of the paths."""
+        if self._book is not None:
+            self._book = PathBook(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
+
+    @contextlib.contextmanager
+    def shared(self, rays: int) -> Iterator[None]:
+        """Let other processes, if there are any, trace the passes of the block, which take so many rays in all."""
+        workers = current_workers()
+        if workers is None:
+            yield
+            return
+        with workers.job(BackwardTask(self._scene, self._arguments, self.kernel_arrays())) as job:
+            self._elsewhere = Ahead(self, job, workers.count(), rays)
+            try:
+                yield
+            finally:
+                self._elsewhere = None
+
+    def make_sky(self, derivative: np.ndarray | None = None, maps: bool = False) -> Sky:
+        """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `Sky`."""
+        pixels = self.map_size[0] * self.map_size[1] if maps else 0
+        if derivative is not None:  # the gradient is that of the rays against the light alone, which have the same mean
+            return Sky(self.grid, pixels, None, self.has_optics, derivative)
+        return Sky(self.grid, pixels, self._book, self.has_optics, left_out=self._left_out)
+
+    def start_pass(self, number: int, done: int, rays: int) -> StartRays:
+        """The start rays of a wavelength in a pass of so many rays, after so many passes."""
+        one = self.bands[number]
+        lanes = max(BATCHES, round(rays * one.share / BATCHES) * BATCHES)
+        seed = self.settings.seed + 0x9E3779B9 * (number + len(self.bands) * done)
+        # The share of a wavelength is that of its rays, but for rounding
+        start = one.start.pass_rays(seed, lanes, one.share * rays / lanes, self.map_size)
+        dr.eval(
+            start.lane,
+            start.batch,
+            start.rng,
+            start.o,
+            start.d,
+            start.w,
+            start.left,
+            start.normal,
+            start.pixel,
+            start.medium,
+        )
+        return start
+
+    def _by_medium(self, table: SurfaceTable, sums: np.ndarray) -> np.ndarray:
+        """Rows of media in the order of the first wavelength, where numbers by index may fall together otherwise."""
+        names = self.table.optics.media
+        found = np.zeros((len(names), BATCHES))
+        for name, row in zip(table.optics.media, sums, strict=True):
+            found[names.index(name) if name in names else 0] += row
+        return found
+
+    def _add(self, more: Mapping[str, np.ndarray]) -> None:
+        for key, values in more.items():
+            if key == "largest":
+                self.sums[key] = np.maximum(self.sums.get(key, 0.0), values)
+            else:
+                self.sums[key] = self.sums.get(key, 0.0) + values
+
+    @property
+    def fingerprint(self) -> str:
+        """Hash of all that the kernel reads: geometry, coatings, media, scatter, of every wavelength."""
+        return fingerprint((one.table, one.scattering) for one in self.bands)
+
+    def kernel_arrays(self) -> list[list[np.ndarray]]:
+        """What the kernel reads, for each wavelength."""
+        return [kernel_arrays(one.table, one.scattering) for one in self.bands]
+
+    def paths(self) -> dict[str, np.ndarray] | None:
+        """The path table so far, see `PathBook.read`."""
+        if self._book is None:
+            return None
+        here = self._book.read()
+        return join_books(self._paths_elsewhere, here) if self._paths_elsewhere else here
+
+    @property
+    def rays(self) -> np.ndarray:
+        """(BATCHES,) rays that have been started, by batch."""
+        return np.asarray(self.sums.get("rays", np.zeros(BATCHES)))
+
+    @property
+    def segments(self) -> float:
+        """Ray segments that have been traced."""
+        return float(self.sums["reasons"][SEGMENTS].sum())
+
+    @property
+    def lost(self) -> np.ndarray:
+        """(BATCHES,) weight that limits and thresholds cut, and what random choices have taken or added so far."""
+        return np.asarray(self.sums["reasons"][list(CUTS.values())].sum(axis=0))
+
+
+@dataclass(frozen=True)
+class SeenSurface:
+    """
+    What the detector sees of a surface.
+
+    Attributes
+    ----------
+    id, part : str
+    space : int
+        Optical space.
+    hits : int
+    share, share_se : float
+        Mean weight that meets the surface, of Lambertian rays from the detector. If the surface alone had the
+        radiance L, towards all sides, the irradiance on the detector would be π L · share (but for light that is
+        scattered at the surface itself).
+    emission, emission_se : float
+        The same times what the surface absorbs at each angle, 1 - R - T - scatter, which by Kirchhoff's law is its
+        emissivity: a surface with the blackbody radiance L gives the irradiance π L · emission.
+    emission_by_batch : (BATCHES,) float64
+        Its estimates from single batches of rays.
+    """
+
+    id: str
+    part: str
+    space: int
+    hits: int
+    share: float
+    share_se: float
+    emission: float
+    emission_se: float
+    emission_by_batch: np.ndarray
+
+
+@dataclass(frozen=True)
+class Seen:
+    """
+    What a detector sees, in a trace against the light.
+
+    All shares are of Lambertian rays from the side of the detector that the light of the design comes to, times n² of
+    the medium there; emission, escaped and lost add up to n².
+
+    Attributes
+    ----------
+    rows : list of SeenSurface
+        All surfaces, in the order of the scene; the detector itself where it sees itself.
+    media : dict
+        Material → (emission, standard error, by batch) of absorbing media.
+    escaped : tuple
+        Share of the rays that leave the scene, standard error, by batch.
+    lost : tuple
+        Share that limits and thresholds cut, standard error, by batch.
+    detector : str
+    detector_area_mm2 : float
+    wavelength_nm : float
+    rays : int
+    seconds : float
+    """
+
+    rows: list[SeenSurface]
+    media: dict[str, tuple[float, float, np.ndarray]]
+    escaped: tuple[float, float, np.ndarray]
+    lost: tuple[float, float, np.ndarray]
+    detector: str
+    detector_area_mm2: float
+    wavelength_nm: float
+    rays: int
+    seconds: float
+
+
+def see(
+    scene: mi.Scene,
+    rays: int = 200_000,
+    wavelength_nm: float | None = None,
+    detector: str | None = None,
+    **settings: Any,
+) -> Seen:
+    """
+    Trace against the light and tell what the detector sees: surfaces, media, the sky.
+
+    A time budget around it (`mistray.time_budget`) ends it with the rays that it has, but not before the first pass.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+    rays : int
+    wavelength_nm : float, optional
+        By default the first of the scene's source.
+    detector : str, optional
+    **settings
+        Fields of `mistray.trace.Settings`; ``max_reflections=0, max_scatters=0`` or
+        ``ray_control="transmit_specular"`` for what is seen directly.
+
+    Raises
+    ------
+    MistrayError
+        For bad settings, or a detector that cannot be found.
+    """
+    chosen = Settings.of(scene, rays=rays, **settings)
+    wavelength = float(spectrum_of(scene, wavelength_nm, None)[0][0])
+    whole = DirectionGrid.of([45.0], cell_deg=90.0)
+    trace = BackwardTrace(scene, whole, chosen, wavelength, detector=detector, both_sides=False)
+    done = 0
+    while done < chosen.rays and not (done and time_is_up()):
+        here = min(trace.next_pass if is_limited() else PASS_LANES, chosen.rays - done)
+        trace.advance(here)
+        done += here
+    started = trace.rays
+
+    def estimate(by_batch: np.ndarray) -> tuple[float, float, np.ndarray]:
+        return (
+            float(by_batch.sum() / started.sum()),
+            float(batch_error(by_batch, started) / started.sum()),
+            by_batch / started,
+        )
+
+    rows = []
+    for i in trace.table.listed:
+        sums = trace.sums["surfaces"][i]
+        share, share_se, _ = estimate(sums[INCIDENT])
+        emission = estimate(sums[ABSORBED_HERE])
+        table = trace.table
+        hits = round(float(sums[HITS].sum()))
+        rows.append(SeenSurface(table.ids[i], table.parts[i], table.spaces[i], hits, share, share_se, *emission))
+    media = {
+        name: estimate(row)
+        for name, row in zip(trace.table.optics.media[1:], trace.sums["media"][1:], strict=True)
+        if row.any()
+    }
+    return Seen(
+        rows=rows,
+        media=media,
+        escaped=estimate(trace.sums["reasons"][ESCAPED]),
+        lost=estimate(trace.lost),
+        detector=trace.table.ids[trace.table.detector],
+        detector_area_mm2=trace.area,
+        wavelength_nm=wavelength,
+        rays=round(float(started.sum())),
+        seconds=trace.seconds,
+    )

@@ -1,0 +1,343 @@
+"""A trace whose passes other processes trace: parts of passes go out, sums come back and are merged.
+
+A part is some batches of the start rays of a pass, with the random numbers that they have in any case. What it finds is
+added once, so that the merged sums are those of one process but for the rounding of float64.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import Any, NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError, UnfinishedError
+from mistray.execute.fingerprint import agree, kernel_arrays
+from mistray.execute.sparse import Packed, pack
+from mistray.execute.tracer import FIRST_CAPACITY, LAST_CAPACITY, PASS_LANES, Part, Run, prepare
+from mistray.execute.workers import Workers, do_parts
+from mistray.recorders.ledger import STOKES_SUMS, SUMS, DecodedPaths, Ledger
+from mistray.recorders.tallies import REASONS, STARTED, SURFACE_SUMS
+from mistray.settings import BATCHES, Settings
+from mistray.surfaces.upload import upload
+
+PARTS_PER_WORKER = 4  # so that one that is slow does not keep the others waiting for long
+LEAST_RAYS = 1 << 14  # of a part: fewer take as long as what goes with every part
+LOAD = 0.35  # of a table of paths
+
+Progress = Callable[[int, int], None]
+
+
+class Place(NamedTuple):
+    """A part of one of the runs of a trace."""
+
+    run: int
+    part: Part
+
+
+@dataclass(frozen=True)
+class PartSums:
+    """
+    What a part has found; `surfaces`, `media`, `reasons` and the sums of `paths` are those of its own batches only.
+
+    See `Run` for what they are.
+    """
+
+    surfaces: np.ndarray
+    media: np.ndarray
+    reasons: np.ndarray
+    largest: float
+    film: Packed
+    paths: DecodedPaths | None
+    seconds: float
+
+    @classmethod
+    def of(cls, run: Run, part: Part) -> PartSums:
+        """The sums of a run that has traced this part alone."""
+        own = slice(part.low, part.high)
+        paths = run.paths
+        if paths is not None:
+            paths = DecodedPaths(paths.keys, paths.slots, paths.events, paths.lengths, paths.sums[:, own])
+        return cls(
+            run.surfaces[..., own], run.media[:, own], run.reasons[:, own], run.largest, pack(run.film), paths,
+            run.seconds,
+        )  # fmt: skip
+
+
+@dataclass(frozen=True, eq=False)
+class TraceTask:
+    """
+    The runs of a trace, for `mistray.execute.workers`.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+    settings : Settings
+    beam : dict
+        The further arguments of `mistray.execute.tracer.prepare`.
+    ledger : bool
+        Keep the paths.
+    arrays : sequence of list of array
+        What the kernel reads here, for each wavelength: workers check that they have the same.
+    """
+
+    scene: mi.Scene
+    settings: Settings
+    beam: Mapping[str, Any]
+    ledger: bool
+    arrays: Sequence[list[np.ndarray]]
+
+    def make(self) -> list[Run]:
+        """The runs, as they are everywhere."""
+        runs = prepare(self.scene, self.settings, **self.beam)
+        require_same(self.arrays, tables_of(runs))
+        return runs
+
+    def do(self, made: list[Run], part: Place | MapPlace) -> PartSums | Packed:
+        """Trace a part."""
+        run = made[part.run]
+        run.parts = (part.part,)
+        if isinstance(part, MapPlace):
+            return pack(_images(run, part))
+        run.execute(self.ledger, None)
+        return PartSums.of(run, part.part)
+
+
+@dataclass(frozen=True, eq=False)
+class SceneTask:
+    """
+    What a worker builds again from a scene; the kind of task says which class and what it does with it.
+
+    Attributes
+    ----------
+    scene : mi.Scene
+    arguments : tuple
+        The others of the class.
+    arrays : sequence of list of array
+        What the kernel reads here, for each wavelength.
+    """
+
+    scene: mi.Scene
+    arguments: tuple[Any, ...]
+    arrays: Sequence[list[np.ndarray]]
+
+    def build(self, kind: Callable[..., Any]) -> Any:
+        """An object of the class at a worker; refused if its kernel would read something else."""
+        made = kind(self.scene, *self.arguments)
+        require_same(self.arrays, made.kernel_arrays())
+        return made
+
+
+def tables_of(runs: Sequence[Run]) -> list[list[np.ndarray]]:
+    """What the kernel reads, for each wavelength of some runs."""
+    return [kernel_arrays(run.table, run.scattering) for run in {id(run.table): run for run in runs}.values()]
+
+
+def require_same(here: Sequence[list[np.ndarray]], there: Sequence[list[np.ndarray]]) -> None:
+    """Refuse to trace a scene that became another one on its way to a worker."""
+    if len(here) != len(there) or not all(agree(a, b) for a, b in zip(here, there, strict=True)):
+        raise MistrayError(
+            "the scene is another one at the worker than here: it, or a file that it names, has changed since it was "
+            "loaded or traced; load it again"
+        )
+
+
+def split(runs: Sequence[Run], workers: int) -> list[Place]:
+    """Parts of runs, so many that workers are busy to the end; the runs take turns."""
+    wanted = max(LEAST_RAYS, sum(run.rays for run in runs) / (PARTS_PER_WORKER * workers))
+    placed = []
+    for number, run in enumerate(runs):
+        found = []
+        for k in range(run.passes):
+            rays = min(PASS_LANES, run.rays - k * PASS_LANES)
+            pieces = 1 << int(math.log2(min(max(rays / wanted, 1), BATCHES)))
+            step = BATCHES // pieces
+            found += [Part(k, low, low + step) for low in range(0, BATCHES, step)]
+        placed += [((k + 0.5) / len(found), Place(number, part)) for k, part in enumerate(found)]
+    return [place for _, place in sorted(placed)]
+
+
+@dataclass
+class _Merged:
+    """The sums of the parts of a run so far."""
+
+    run: Run
+    parts: list[Part] = field(default_factory=list)
+    sums: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    places: dict[int, int] = field(default_factory=dict)  # of keys among the paths
+    events: list[np.ndarray] = field(default_factory=list)
+
+    def __post_init__(self) -> None:
+        run = self.run
+        film = run.make_film()
+        self.film = np.zeros((film.groups, film.height, film.width))
+        self.surfaces = np.zeros((run.table.count + len(run.table.optics.media), SURFACE_SUMS, BATCHES))
+        self.media = np.zeros((len(run.table.optics.media), BATCHES))
+        self.reasons = np.zeros((REASONS, BATCHES))
+        self.largest = self.seconds = 0.0
+        self.sums = np.zeros((0, BATCHES, STOKES_SUMS if run.settings.stokes else SUMS))
+
+    def add(self, part: Part, found: PartSums) -> int:
+        """Add what a part has found; the number of its start rays."""
+        own = slice(part.low, part.high)
+        self.parts.append(part)
+        self.surfaces[..., own] += found.surfaces
+        self.media[:, own] += found.media
+        self.reasons[:, own] += found.reasons
+        self.largest, self.seconds = max(self.largest, found.largest), self.seconds + found.seconds
+        found.film.add_to(self.film)
+        if found.paths is not None:
+            before = len(self.places)
+            rows = [self.places.setdefault(key, len(self.places)) for key in found.paths.keys.tolist()]
+            place = np.array(rows, dtype=np.int64)
+            self.events += [
+                found.paths.events[k, : found.paths.lengths[k]] for k in np.flatnonzero(place >= before).tolist()
+            ]
+            if len(self.places) > len(self.sums):
+                room = max(len(self.places), 2 * len(self.sums)) - len(self.sums)
+                self.sums = np.concatenate([self.sums, np.zeros((room, *self.sums.shape[1:]))])
+            self.sums[place, own] += found.paths.sums
+        return round(float(found.reasons[STARTED].sum()))
+
+    def finish(self, ledger: bool, whole: bool) -> None:
+        """Give the run its sums; one that is not whole stands for the rays of its parts alone."""
+        run = self.run
+        run.surfaces, run.media, run.reasons, run.film = self.surfaces, self.media, self.reasons, self.film
+        run.largest, run.seconds = self.largest, self.seconds
+        if not whole:
+            run.stand_for(sorted(self.parts))
+        if ledger:
+            keys = np.array(list(self.places), dtype=np.uint64)
+            lengths = np.array([len(events) for events in self.events], dtype=np.int64)
+            events = np.zeros((len(keys), int(lengths.max(initial=0))), dtype=np.uint32)
+            for row, path in zip(events, self.events, strict=True):
+                row[: len(path)] = path
+            run.ledger, slots = _filled(run, keys, events, lengths)
+            order = np.argsort(slots)
+            sums = self.sums[: len(keys)]
+            run.paths = DecodedPaths(keys[order], slots[order], events[order], lengths[order], sums[order])
+
+
+def _filled(
+    run: Run, keys: np.ndarray, events: np.ndarray, lengths: np.ndarray, least: int = FIRST_CAPACITY
+) -> tuple[Ledger, np.ndarray]:
+    """A ledger of at least so many slots that knows some paths, and their slots in it."""
+    settings = run.settings
+    capacity = max(least, 1 << math.ceil(math.log2(max(len(keys), 1) / LOAD)))
+    if capacity > LAST_CAPACITY:
+        raise MistrayError(
+            f"{len(keys)} paths reach the detector; raise flux_threshold ({settings.flux_threshold:g}), lower "
+            f"max_reflections ({settings.max_reflections}) or set ledger=False"
+        )
+    ledger = Ledger(capacity, settings.max_events, settings.stokes)
+    if not len(keys):
+        return ledger, np.zeros(0, dtype=np.int64)
+    slot, _, _ = ledger.find(upload(mi.UInt64, keys), mi.Bool(True))
+    dr.eval(slot, ledger.keys)
+    slots = np.array(slot).astype(np.int64)
+    whole = np.zeros((capacity, settings.max_events), dtype=np.uint32)
+    whole[slots, : events.shape[1]] = events
+    all_lengths = np.zeros(capacity, dtype=np.uint32)
+    all_lengths[slots] = lengths
+    ledger.events, ledger.lengths = upload(mi.UInt32, whole), upload(mi.UInt32, all_lengths)
+    return ledger, slots
+
+
+def execute_by_parts(workers: Workers, task: TraceTask, runs: Sequence[Run], progress: Progress | None = None) -> None:
+    """
+    Let workers trace some runs, which get the sums that `Run.execute` would give them.
+
+    ``seconds`` of a run are those of its parts together, wherever they were traced.
+
+    Raises
+    ------
+    UnfinishedError
+        If the workers are gone. Runs of which a part was traced have the sums of these parts, and say so in ``parts``.
+    """
+    merged = [_Merged(run) for run in runs]
+    places = split(runs, workers.count())
+    expected = [sum(place.run == number for place in places) for number in range(len(runs))]
+    rays, done = sum(run.rays for run in runs), 0
+    lost: UnfinishedError | None = None
+    try:
+        with do_parts(workers, task, places) as results:
+            for place, found in results:
+                done += merged[place.run].add(place.part, found)
+                if progress:
+                    progress(done, rays)
+    except UnfinishedError as error:
+        lost = error
+    for one, count in zip(merged, expected, strict=True):
+        one.finish(task.ledger, len(one.parts) == count)
+    if lost is not None:
+        raise lost
+
+
+class MapPlace(NamedTuple):
+    """A part of a run for so many images: keys of paths, uint64, and where the light of each goes, uint32."""
+
+    run: int
+    part: Part
+    keys: bytes
+    words: bytes
+    images: int
+    capacity: int  # of the table of paths
+
+
+def images_by_parts(
+    workers: Workers, task: TraceTask, runs: Sequence[Run], words: Sequence[Mapping[int, int]], count: int
+) -> list[np.ndarray]:
+    """
+    What `Run.images` gives for some runs of a trace, by workers.
+
+    Parameters
+    ----------
+    workers : Workers
+    task : TraceTask
+    runs : sequence of Run
+    words : sequence of mapping of int to int
+        For each run ledger slot → where its light goes; a run without is not traced.
+    count : int
+        Of images.
+    """
+    totals = [np.zeros((count, *run.film.shape[1:])) for run in runs]
+    groups, capacities = {}, {}
+    for number, (run, slots) in enumerate(zip(runs, words, strict=True)):
+        assert run.paths is not None
+        assert run.ledger is not None
+        capacities[number] = run.ledger.capacity
+        place = np.searchsorted(run.paths.slots, np.array(list(slots), dtype=np.int64))
+        groups[number] = run.paths.keys[place].tobytes(), np.array(list(slots.values()), dtype=np.uint32).tobytes()
+    places = [
+        MapPlace(place.run, place.part, *groups[place.run], count, capacities[place.run])
+        for place in _traced(runs, workers.count())
+        if words[place.run]
+    ]
+    with do_parts(workers, task, places) as results:
+        for place, found in results:
+            found.add_to(totals[place.run])
+    return totals
+
+
+def _traced(runs: Sequence[Run], workers: int) -> list[Place]:
+    """The parts of runs that have been traced."""
+    if all(run.parts is None for run in runs):
+        return split(runs, workers)
+    return [Place(k, part) for k, run in enumerate(runs) for part in run.parts or map(Part, range(run.passes))]
+
+
+def _images(run: Run, place: MapPlace) -> np.ndarray:
+    """Images of a part, at a worker: its ledger knows the paths that count before the rays come."""
+    before = run.ledger
+    keys = np.frombuffer(place.keys, dtype=np.uint64)
+    empty = np.zeros((len(keys), 0), dtype=np.uint32)
+    run.ledger, slots = _filled(run, keys, empty, np.zeros(len(keys)), place.capacity)
+    try:
+        words = np.frombuffer(place.words, dtype=np.uint32).tolist()
+        return run.images(dict(zip(slots.tolist(), words, strict=True)), place.images)
+    finally:
+        run.ledger = before

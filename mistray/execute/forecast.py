@@ -1,0 +1,89 @@
+"""How long a trace will take, as far as its first launches tell, and what makes it long."""
+
+from __future__ import annotations
+
+import time
+import warnings
+
+from mistray.errors import MistrayWarning
+from mistray.execute.tracer import Run
+from mistray.recorders.tallies import SEGMENTS
+
+LONG = 120.0  # s: who waits for longer shall know it
+FIRST_LOOK = 2.0  # s after the start
+LARGE_TREE = 10_000  # ray segments of a start ray; a lens has some hundred
+
+
+class Forecast:
+    """
+    Tells once of a trace that takes long.
+
+    Parameters
+    ----------
+    rays : int
+        In all.
+    tells : bool
+        Whether it is to tell.
+    """
+
+    def __init__(self, rays: int, tells: bool = True) -> None:
+        self._rays, self._tells = rays, tells
+        self._began = time.perf_counter()
+        self._first: tuple[int, float] | None = None  # rays of the first launch, and when it had ended: compiled
+
+    def look(self, run: Run, done: int) -> None:
+        """
+        Tell, if it is time to.
+
+        Parameters
+        ----------
+        run : Run
+            That is traced.
+        done : int
+            Rays that are traced, those of other runs included.
+
+        Warns
+        -----
+        MistrayWarning
+            If what is left takes longer than `LONG`.
+        """
+        now = time.perf_counter()
+        if self._first is None:
+            self._first = done, now
+            return
+        rays, then = self._first
+        if not self._tells or now - self._began < FIRST_LOOK or done == rays:
+            return
+        self._tells = False
+        left = (now - then) / (done - rays) * (self._rays - done)
+        if left > LONG:
+            segments = float(run.reasons[SEGMENTS].sum() / run.started.sum())
+            warnings.warn(
+                f"the trace takes {_duration(left)} more: a start ray has {segments:.3g} ray segments; "
+                f"{_remedy(run, segments)}, or give a time with seconds",
+                MistrayWarning,
+                stacklevel=2,
+            )
+
+
+def _remedy(run: Run, segments: float) -> str:
+    """What to lower, with its value."""
+    settings = run.settings
+    if segments < LARGE_TREE:
+        return f"lower rays ({run.rays:.3g})"
+    scatters = run.scattering.any or run.table.optics.scatters
+    if scatters and settings.max_scatters > 1:
+        limit = f"lower max_scatters ({settings.max_scatters})"
+    elif settings.max_reflections > 1:
+        limit = f"lower max_reflections ({settings.max_reflections})"
+    else:
+        limit = f"lower max_events ({settings.max_events})"
+    return f"{limit}, raise flux_threshold ({settings.flux_threshold:g})"
+
+
+def _duration(seconds: float) -> str:
+    """A time in words, "3 min" or "5.2 h"."""
+    for size, unit in ((86400.0, "days"), (3600.0, "h")):
+        if seconds >= size:
+            return f"{seconds / size:.2g} {unit}"
+    return f"{seconds / 60:.0f} min"

@@ -1,0 +1,452 @@
+"""Runs the kernel: passes of bounded size, ledgers that grow when full, one run for each source and wavelength."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from typing import NamedTuple
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.interrupts import requested
+from mistray.kernel.kernel_scene import KernelScene
+from mistray.kernel.launches import Spread, launches_of
+from mistray.kernel.ray_tree import trace_tree
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
+from mistray.recorders.adjoint import CHANNELS, Adjoint
+from mistray.recorders.branch_recorder import BranchRecorder, PathChoice
+from mistray.recorders.film import Box, Film, Images, groups_of, spreads
+from mistray.recorders.ledger import DecodedPaths, Ledger
+from mistray.recorders.path_derivative import MOMENTS, PathDerivative
+from mistray.recorders.recorder import Recorder, Recorders
+from mistray.recorders.sampled import Sampled
+from mistray.recorders.start_rays import StartRays, generators
+from mistray.recorders.tallies import REASONS, STARTED, SURFACE_SUMS, Tallies
+from mistray.sampling.aiming import aims
+from mistray.sampling.sources import Beam, Source, beams
+from mistray.settings import BATCHES, Settings
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+from mistray.time_budget import time_is_up
+
+PASS_LANES = 1 << 20
+FIRST_CAPACITY, FIRST_CAPACITY_OF_SCATTER = 1 << 12, 1 << 15  # slots: paths multiply where surfaces scatter
+RECORD_CAPACITY = 1 << 12
+LAST_CAPACITY = 1 << 20
+MOST_PATHS_KEPT = 10_000  # at an interrupt: a table of more takes longer than a second
+
+Progress = Callable[[int, int], None]
+
+
+class Part(NamedTuple):
+    """
+    The start rays of a pass that are of the batches low ≤ batch < high: each batch is a sample of the whole beam.
+
+    Of a part that was not finished only so many `rays`, the first in the order of `mistray.kernel.launches.Spread`.
+    """
+
+    number: int
+    low: int = 0
+    high: int = BATCHES
+    rays: int | None = None
+
+
+@dataclass
+class Run:
+    """
+    One source at one wavelength: what the kernel needs, and what it found.
+
+    Attributes
+    ----------
+    beam : Source
+    table : SurfaceTable
+    rays : int
+        Start rays.
+    unit : float
+        Flux of a start ray, W.
+    surfaces : (s + m, SURFACE_SUMS, BATCHES) float64
+        Hits, incident and absorbed flux of every surface, in `unit`; rays that it aims, and those that land. The last
+        two also of media, which come behind.
+    largest : float
+        Largest flux of a scattered ray at the detector, in `unit`.
+    media : (m, BATCHES) float64
+        Flux that each medium absorbs, in `unit`.
+    reasons : (REASONS, BATCHES) float64
+    film : (groups, height, width) float64
+        Detected flux by group of batches, in `unit`; see `mistray.recorders.film.groups_of`.
+    paths : DecodedPaths or None
+    ledger : Ledger or None
+    seconds : float
+        Time in the kernel, compilation included.
+    parts : tuple of Part or None
+        What is traced; None: all passes.
+    """
+
+    beam: Source
+    table: SurfaceTable
+    scattering: Scattering
+    intersector: Intersector
+    settings: Settings
+    rays: int
+    seed: int
+    unit: float
+    surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    largest: float = 0.0
+    media: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    reasons: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    film: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    paths: DecodedPaths | None = None
+    ledger: Ledger | None = None
+    seconds: float = 0.0
+    parts: tuple[Part, ...] | None = None
+
+    def make_film(self) -> Film:
+        """The detector's pixel grid for the kernel."""
+        width, height, (x0, x1, y0, y1) = self.table.film()
+        return Film(
+            width,
+            height,
+            dr.opaque(mi.Float, x0),
+            dr.opaque(mi.Float, y0),
+            dr.opaque(mi.Float, width / (x1 - x0)),
+            dr.opaque(mi.Float, height / (y1 - y0)),
+            groups_of(width * height),
+            tent=spreads(self.table.shapes[self.table.detector].sensor().film()),
+        )
+
+    @property
+    def passes(self) -> int:
+        """Number of passes that all start rays take."""
+        return -(-self.rays // PASS_LANES)
+
+    @property
+    def is_sample(self) -> bool:
+        """Whether what is traced stands for the whole beam: any part does, but for the rows of a grid in one pass."""
+        whole_rows = self.beam.pattern != "grid" or self.passes == 1
+        return self.parts is None or (bool(self.parts) and whole_rows)
+
+    def start_pass(self, number: int) -> StartRays:
+        """The start rays of one pass."""
+        done = number * PASS_LANES
+        lanes = min(PASS_LANES, self.rays - done)
+        index = dr.arange(mi.UInt32, lanes)
+        lane = index + dr.opaque(mi.UInt32, done)
+        rng, scrambled = generators(self.seed, lane)
+        # Random batches of a grid: its rows are no sample of it
+        blocks = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
+        batch = scrambled % BATCHES if self.beam.pattern == "grid" else blocks
+        dr.eval(lane, batch, rng)
+        closing = np.random.default_rng((self.seed, number)).exponential(size=BATCHES)
+        o, d = self.beam.start(lane, batch, self.rays, rng, closing, self.table.centre)
+        dr.eval(o, d, rng)
+        return StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes))
+
+    def starts(self) -> Iterator[tuple[Part, StartRays]]:
+        """The start rays of all parts."""
+        for part in self.parts if self.parts is not None else map(Part, range(self.passes)):
+            start = self.start_pass(part.number)
+            if (part.low, part.high) != (0, BATCHES):
+                batch = np.array(start.batch)
+                start = start.take(upload(mi.UInt32, np.flatnonzero((batch >= part.low) & (batch < part.high))))
+            if part.rays is not None:
+                first = Spread(dr.width(start.lane), self._order(part)).first(part.rays)
+                start = start.take(upload(mi.UInt32, first))
+            yield part, start
+
+    def _order(self, part: Part) -> int:
+        """Seed of the order in which the rays of a part are traced."""
+        return (self.seed << 32) | part.number
+
+    def start_rays(self, lanes: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Origins (mm) and directions of start rays by their numbers, (n, 3) float64 each."""
+        origins, directions = np.zeros((len(lanes), 3)), np.zeros((len(lanes), 3))
+        for number in np.unique(lanes // PASS_LANES):
+            here = lanes // PASS_LANES == number
+            index = upload(mi.UInt32, lanes[here] - number * PASS_LANES)
+            origins[here], directions[here] = self.exact(self.start_pass(int(number)).take(index))
+        return origins, directions
+
+    def exact(self, start: StartRays) -> tuple[np.ndarray, np.ndarray]:
+        """Origins (mm) and directions of start rays in the world, without rounding of the device; (n, 3) float64."""
+        return self.beam.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
+
+    def make_tallies(self) -> Tallies:
+        """Sums at zero."""
+        return Tallies(self.table.count, len(self.table.optics.media))
+
+    @property
+    def scene(self) -> KernelScene:
+        """What the kernel traces."""
+        return KernelScene(self.table, self.scattering, self.intersector)
+
+    def launch(
+        self,
+        *recorders: Recorder | None,
+        progress: Progress | None = None,
+        stop: Callable[[], bool] | None = None,
+    ) -> tuple[Part, ...] | None:
+        """
+        Run the passes one after the other, until `stop`, which is asked after each launch, says so.
+
+        Returns
+        -------
+        tuple of Part or None
+            What was traced, if that is not all.
+        """
+        before, finished = 0, []
+        for part, start in self.starts():
+            count = dr.width(start.lane)
+            for done in self.walks(start, self._order(part), *recorders):
+                if progress:
+                    progress(before + done, self.rays)
+                if stop and stop():
+                    finished.append(part if done == count else part._replace(rays=done))
+                    return tuple(finished)
+            before += count
+            finished.append(part)
+        return None
+
+    def walk(self, start: StartRays, *recorders: Recorder | None) -> None:
+        """Trace the trees of some start rays."""
+        for _ in self.walks(start, 0, *recorders):
+            pass
+
+    def walks(self, start: StartRays, order: int, *recorders: Recorder | None) -> Iterator[int]:
+        """The same launch by launch; gives the number of rays after each, the first of `Spread` with that seed."""
+        launches = launches_of(self.table, self.settings, Recorders(recorders).code)
+
+        def trace(part: StartRays) -> None:
+            trace_tree(self.scene, part, self.settings, recorders)
+
+        yield from launches.run(start, trace, order)
+
+    def execute(self, ledger: bool, progress: Progress | None, stop: Callable[[], bool] | None = None) -> None:
+        """
+        Trace everything and read the sums back; a ledger that fills up is made larger and the trace starts again.
+
+        What is traced when `stop`, which is asked after each launch, says so, or the time is up, is all then: it stands
+        in `parts`. At an interrupt a table of more than `MOST_PATHS_KEPT` paths is not read.
+        """
+        started = time.perf_counter()
+        film = self.make_film()
+        capacity = FIRST_CAPACITY_OF_SCATTER if self.scattering.any and self.settings.max_scatters else FIRST_CAPACITY
+        if self.ledger is not None:  # executed before: the table had to grow so far
+            capacity = self.ledger.capacity
+        while True:
+            tallies, images = self.make_tallies(), Images(film)
+            self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
+
+            def pause(tallies: Tallies = tallies) -> bool:
+                self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
+                return self.ledger_full() or time_is_up() or (stop is not None and stop())
+
+            found = self.launch(tallies, self.ledger, images, progress=progress, stop=pause)
+            if requested() or not self.ledger_full():
+                break
+            if capacity >= LAST_CAPACITY:
+                raise MistrayError(
+                    f"more than {0.7 * capacity:.0f} paths reach the detector; raise flux_threshold "
+                    f"({self.settings.flux_threshold:g}), lower max_reflections ({self.settings.max_reflections}) or "
+                    f"max_scatters ({self.settings.max_scatters}), or set ledger=False"
+                )
+            capacity = min(8 * capacity, LAST_CAPACITY)
+        self.seconds = time.perf_counter() - started
+        self.surfaces = np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)
+        self.largest = float(np.array(tallies.largest).view(np.float32)[0])
+        self.media = np.array(tallies.media).reshape(-1, BATCHES)
+        self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
+        self.film = np.array(images.sums).reshape(film.groups, film.height, film.width)
+        few = self.ledger is not None and (not requested() or self.ledger.used <= MOST_PATHS_KEPT)
+        self.paths = self.ledger.decode() if self.ledger is not None and few else None
+        if found is not None:
+            self.stand_for(found)
+
+    def stand_for(self, parts: Sequence[Part]) -> None:
+        """Let what was found in some parts stand for all light of the source."""
+        self.parts = tuple(parts)
+        self.unit = self.beam.power / max(float(self.started.sum()), 1.0)
+
+    @property
+    def started(self) -> np.ndarray:
+        """Start rays by batch, (BATCHES,)."""
+        return self.reasons[STARTED]
+
+    def ledger_full(self) -> bool:
+        """Whether there is a ledger that needs more room."""
+        return self.ledger is not None and self.ledger.full
+
+    def images(self, word_of_slot: Mapping[int, int], count: int) -> np.ndarray:
+        """
+        Images of the light of some paths on the detector, by tracing the same rays again.
+
+        Parameters
+        ----------
+        word_of_slot : mapping
+            Ledger slot → where its light goes, see `mistray.recorders.film.image_word`.
+        count : int
+            Number of images.
+
+        Returns
+        -------
+        (count, height, width) float64
+            Flux, in `unit`.
+        """
+        assert self.ledger is not None
+        film = self.make_film()
+        words = np.zeros(self.ledger.capacity, dtype=np.uint32)
+        words[list(word_of_slot)] = list(word_of_slot.values())
+        film.image_of_slot = upload(mi.UInt32, words)
+        images = Images(film, count)
+        self.launch(self.ledger, images)
+        return np.array(images.sums).reshape(count, film.height, film.width)
+
+    @property
+    def pixel_area(self) -> float:
+        """Area of a pixel of the detector, mm²."""
+        width, height, (x0, x1, y0, y1) = self.table.film()
+        return (x1 - x0) * (y1 - y0) / (width * height)
+
+    def adjoint(self, pixel: np.ndarray | None, paths: PathDerivative | None, rows: int) -> Adjoint:
+        """
+        Derivative of a metric for a walk.
+
+        Parameters
+        ----------
+        pixel : (maps, height, width) or None
+            By the flux in each pixel, in units of a start ray.
+        paths : PathDerivative or None
+            By the flux of each path; needs the ledger.
+        rows : int
+            See `Adjoint`.
+        """
+        by_path = number = None
+        if paths is not None:
+            assert self.ledger is not None
+            coefficients = np.zeros((self.ledger.capacity, MOMENTS))
+            coefficients[paths.slots] = paths.coefficients
+            numbers = np.zeros(self.ledger.capacity, dtype=np.uint32)
+            numbers[paths.slots] = paths.maps + 1
+            by_path, number = upload(mi.Float64, coefficients), upload(mi.UInt32, numbers)
+        image = None if pixel is None else upload(mi.Float, pixel)
+        ledger = self.ledger if paths is not None else None
+        return Adjoint(rows, self.make_film(), image, by_path, number, ledger)
+
+    def derivatives(self, pixel: np.ndarray | None, paths: PathDerivative | None) -> np.ndarray:
+        """
+        Derivatives of a metric by the rows of the tables of R and T, by tracing the same rays in reverse.
+
+        Parameters
+        ----------
+        pixel, paths
+            As for `adjoint`.
+
+        Returns
+        -------
+        (BATCHES, rows, CHANNELS) float64
+            By batch of start rays; see `mistray.recorders.adjoint`.
+        """
+        adjoint = self.adjoint(pixel, paths, self.table.optics.rows)
+        self.launch(adjoint)
+        return np.array(adjoint.sums).reshape(BATCHES, -1, CHANNELS)
+
+    def paths_in_box(self, box: Sequence[float]) -> DecodedPaths:
+        """The ledger of the same rays, of the hits within x0 ≤ x ≤ x1, y0 ≤ y ≤ y1 only; mm."""
+        assert self.ledger is not None
+        self.ledger.clear_sums()
+        self.launch(Box(box), self.ledger)
+        return self.ledger.decode()
+
+    def recorder(self, capacity: int, slots: np.ndarray | None = None) -> BranchRecorder:
+        """For so many branches, of the paths in these slots of the ledger; None: of any path."""
+        choice = None
+        if slots is not None:
+            assert self.ledger is not None
+            chosen = np.zeros(self.ledger.capacity, dtype=np.uint32)
+            chosen[slots] = 1
+            choice = PathChoice(self.ledger, upload(mi.UInt32, chosen))
+        return BranchRecorder(capacity, self.settings.max_events, choice=choice)
+
+    def peak_W(self) -> float:
+        """Flux of the strongest ray that meets the detector, by tracing all rays again; W."""
+        recorder = self.recorder(RECORD_CAPACITY, np.zeros(0, dtype=np.int64))
+        for _, start in self.starts():
+            self.walk(start, recorder)
+        return self.unit * float(np.array(recorder.peak).view(np.float32)[0])
+
+    def record(self, slots: np.ndarray | None, count: int) -> BranchRecorder:
+        """
+        Branches that end in the detector, node by node, of the paths in these slots of the ledger (None: of any path).
+
+        Start rays are traced until there are at least `count` branches or no more rays: first one batch, which is a
+        sample of the whole beam, then the others of the first pass, then the other passes.
+        """
+        recorder = self.recorder(max(count, RECORD_CAPACITY), slots)
+        for part, start in self.starts():
+            host_batch = np.array(start.batch) - part.low
+            groups = [
+                np.flatnonzero((host_batch >= low) & (host_batch < high))
+                for low, high in (((0, 1), (1, 4), (4, BATCHES)) if part.number == 0 else ((0, BATCHES),))
+            ]
+            # The recorder keeps what comes first: of a large batch, rays that are spread over it
+            spread = slice(None, None, -(-len(groups[0]) // RECORD_CAPACITY) or 1)
+            for lanes in (groups[0][spread], np.delete(groups[0], spread), *groups[1:]):
+                if len(lanes):
+                    self.walk(start.take(upload(mi.UInt32, lanes)), recorder)
+                if int(recorder.count[0]) >= count:
+                    return recorder
+        return recorder
+
+
+def image(film: np.ndarray, started: np.ndarray) -> Sampled:
+    """
+    An image of the detector with its noise, which is not known (NaN) where there is one image of all batches.
+
+    Parameters
+    ----------
+    film : (groups, height, width) float64
+        Flux by group of batches.
+    started : (BATCHES,) float64
+        Start rays of the batches.
+    """
+    if len(film) == 1:
+        return Sampled(film[0], np.full((*film.shape[1:], 1), np.nan))
+    return Sampled.of(np.moveaxis(film, 0, -1), started.reshape(len(film), -1).sum(axis=1))
+
+
+def prepare(
+    scene: mi.Scene,
+    settings: Settings,
+    field_deg: float | None = None,
+    azimuth_deg: float | None = None,
+    wavelength_nm: float | Sequence[float] | None = None,
+    weights: Sequence[float] | None = None,
+    detector: str | None = None,
+) -> list[Run]:
+    """Build one `Run` for each source and wavelength; the rays are shared in proportion to their flux."""
+    return runs_of(scene, settings, beams(scene, field_deg, azimuth_deg, wavelength_nm, weights), detector)
+
+
+def runs_of(scene: mi.Scene, settings: Settings, sources: Sequence[Beam], detector: str | None = None) -> list[Run]:
+    """Build one `Run` for each beam; the rays are shared in proportion to their flux."""
+    total = sum(beam.power for beam in sources)
+    first = SurfaceTable(scene, sources[0].wavelength_nm, detector, settings.stokes)
+    intersector = Intersector(first)
+    targets = aims(first, scene, settings)
+    tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first, targets)))}
+    runs = []
+    for number, beam in enumerate(sources):
+        if beam.wavelength_nm not in tables:
+            other = first.at(beam.wavelength_nm)
+            tables[beam.wavelength_nm] = other, Scattering(ScatterTables(other, targets))
+        count = beam.count(max(1, round(settings.rays * beam.power / total)))
+        stream = (settings.seed + 0x9E3779B9 * number) % 2**32
+        table, scattering = tables[beam.wavelength_nm]
+        unit = beam.power / count
+        runs.append(Run(beam, table, scattering, intersector, settings.with_unit(unit), count, stream, unit))
+    return runs

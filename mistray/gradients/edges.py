@@ -1,0 +1,369 @@
+"""What a metric gains where rims move: rays that hit a surface close to a rim, and what became of them without it.
+
+Let Δ ≥ 0 be the distance of a hit from a rim: outer radius less ρ, ρ less inner radius, z less z_low and so on, in
+the frame of the surface. If the rim moves outwards by dΔ relative to the rays, those that have just missed it hit the
+surface, and the metric changes by the flux of rays per unit of Δ at the rim times what it gains from a ray that hits
+less what it gains from one that goes past. The flux density comes from the rays with Δ < ε, weighted with the one-
+sided linear boundary kernel (J. Fan and I. Gijbels, Local Polynomial Modelling and Its Applications, 1996, section
+3.2)
+
+    k(Δ) = (4 - 6 Δ/ε)/ε,   ∫ k dΔ = 1,   ∫ k Δ dΔ = 0   over 0 … ε,
+
+so that the error goes with ε². With c = k · (gain of the hit - gain past the rim) held fixed, the derivative of Σ c Δ
+by any parameter is that of the metric: Δ depends on the rim, on the surface and on all that the ray has met before.
+
+A ray past the rim starts just outside of it, in the direction of the ray that hit. Where another surface of
+revolution touches the rim, the edge is the line in which both meet (see `mistray.gradients.rim_joints`). A convex
+edge is described by the rays on either surface; if both end there, each counts half. The same goes for a concave
+edge, but there the rim itself has no part in where it is: Δ follows from the distance D = F/|∇F| of the hit from the
+other surface, which `EdgeEvents.joined` names, Δ = -D s/(n · u) with the gradient's direction n, the direction u in
+which the rim ends the surface and s the part of u along the coordinate in which Δ counts. The coefficient of D takes
+the place of that of Δ.
+
+Silhouettes of curved surfaces and the onset of total reflection are treated the same way, with a distance and a
+kernel of their own: see `mistray.gradients.grazing`.
+
+What this does not see: lines in which surfaces cross away from their rims, and rims of meshes and other stock shapes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.gradients.grazing import SILHOUETTE, grazing_kernel
+from mistray.gradients.rim_joints import rim_circles
+from mistray.gradients.rims import HALF_HEIGHT, HALF_WIDTH, RimRecorder, rim_sizes, zone_widths
+from mistray.kernel.kernel_scene import KernelScene
+from mistray.kernel.launches import launches_of
+from mistray.kernel.ray_tree import trace_tree
+from mistray.physics.sag import sag
+from mistray.recorders.adjoint import Adjoint
+from mistray.recorders.branch_recorder import BranchRecorder, as_many
+from mistray.recorders.ledger import EVENT_BITS
+from mistray.recorders.start_rays import StartRays
+from mistray.settings import Settings
+from mistray.surfaces.gradient_columns import RIM_COLUMNS
+from mistray.surfaces.optics import ASPHERIC
+from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.upload import upload
+
+CAPACITY = 1 << 17  # hits that are kept at a time
+ROOM = 0.7  # share of it that the next portion of rays should fill
+FIRST_LANES = 1 << 12
+PAST = 1e-4  # distance from the rim at which rays go past it, in units of its radius or half side
+CLEAR = 1.25  # lift over a silhouette, in units of what a sphere needs
+FLAT = 1e-3  # sine of the angle between surfaces that go on in one another
+CIRCLE_FLOATS, JOINT_FLOATS = 5, 6
+STREAM = 0x3C6EF372  # of the random numbers of rays past rims
+
+
+@dataclass
+class EdgeEvents:
+    """
+    Hits close to rims, with what they say about the derivative of a metric.
+
+    Attributes
+    ----------
+    paths : BranchRecorder
+        Where the paths up to and with the hits are; points only.
+    row : (n,) mi.UInt32
+        Rows of the hits in `paths`.
+    batch : (n,) mi.UInt32
+        Batches of their start rays.
+    rim : (n,) mi.UInt32
+        The rim, as a place in `RIM_COLUMNS`.
+    joined : (n,) mi.UInt32
+        Surface that meets the rim in a concave edge; `NO_SURFACE` for all others.
+    delta : (n,) mi.Float
+        Distance from the rim, mm.
+    scale : (n,) mi.Float
+        Of jumps, see `mistray.gradients.grazing.Jump`.
+    c, c_half : (n,) mi.Float64
+        Coefficients of Δ, 1/mm, for the width that was asked for and for half of it; where there is a `joined` surface
+        those of the distance F/|∇F| from it. In units of a start ray.
+    """
+
+    paths: BranchRecorder
+    row: mi.UInt32
+    batch: mi.UInt32
+    rim: mi.UInt32
+    joined: mi.UInt32
+    delta: mi.Float
+    scale: mi.Float
+    c: mi.Float64
+    c_half: mi.Float64
+
+
+class Edges:
+    """
+    Rims of a scene, for rays with or against the light.
+
+    Parameters
+    ----------
+    scene : KernelScene
+    settings : Settings
+    width : float
+        Of the zones along the rims, in units of their radius or half side.
+    """
+
+    def __init__(
+        self,
+        scene: KernelScene,
+        settings: Settings,
+        width: float,
+    ) -> None:
+        table = scene.table
+        self._scene, self._table, self._settings = scene, table, settings
+        self._book = RimRecorder(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
+        self._lanes, self._launches = FIRST_LANES, launches_of(table, settings, Edges)
+        rims = len(RIM_COLUMNS)
+        sizes = np.zeros((table.count, rims, 2))
+        for piece in table.pieces:
+            for rim, zone in zone_widths(piece, width).items():
+                sizes[piece.index, rim] = rim_sizes(piece)[rim], zone
+        found = rim_circles(table)
+        self._most = max((len(circle.joints) for circle in found.values()), default=0)
+        room = max(self._most, 1)
+        circles = np.zeros((table.count, rims, CIRCLE_FLOATS))
+        joints = np.zeros((table.count, rims, room, JOINT_FLOATS))
+        surfaces = np.full((table.count, rims, room), NO_SURFACE, dtype=np.uint32)
+        for (surface, rim), circle in found.items():
+            circles[surface, rim] = *circle.point, *circle.outward, circle.stretch
+            for k, joint in enumerate(circle.joints):
+                joints[surface, rim, k] = *joint.along, *joint.gradient, float(joint.ends), 1.0
+                surfaces[surface, rim, k] = joint.surface
+        self._sizes, self._circles, self._joints = (upload(mi.Float, v) for v in (sizes, circles, joints))
+        self._joined = upload(mi.UInt32, surfaces)
+
+    def events(self, start: StartRays, adjoint: Adjoint) -> Iterator[tuple[StartRays, EdgeEvents]]:
+        """
+        Hits close to rims of the trees of some start rays, in portions of a bounded size.
+
+        Parameters
+        ----------
+        start : StartRays
+        adjoint : Adjoint
+            The metric; without rows.
+
+        Yields
+        ------
+        start : StartRays
+            The rays of the portion.
+        events : EdgeEvents
+            Valid until the next portion.
+
+        Raises
+        ------
+        MistrayError
+            If a single start ray has more hits than can be kept.
+        """
+        done, count = 0, dr.width(start.lane)
+        while done < count:
+            here = min(self._lanes, self._launches.lanes, count - done)
+            part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
+            self._book.paths.clear()
+            self._launches.time(here, lambda part=part: self._gains(part, adjoint, self._book))  # type: ignore[misc]
+            hits = int(self._book.paths.count[0])
+            self._lanes = max(1, min(4 * here, int(here * ROOM * self._book.paths.capacity / max(hits, 1))))
+            if hits > self._book.paths.capacity:
+                if here == 1:
+                    raise MistrayError(
+                        f"a single start ray hits {hits} times close to a rim, more than "
+                        f"{self._book.paths.capacity}; narrow the edge zones or lower max_reflections or max_scatters"
+                    )
+                continue
+            done += here
+            found = self._compare(hits, adjoint) if hits else None
+            if found is not None and dr.width(found.row):
+                yield part, found
+
+    def _gains(self, start: StartRays, adjoint: Adjoint, rims: RimRecorder | None = None) -> mi.Float64:
+        """What the metric gains from the tree of each ray."""
+        trace_tree(self._scene, start, self._settings, [rims, adjoint])
+        dr.eval(adjoint.gain)
+        dr.sync_thread()
+        return adjoint.gain
+
+    def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents:
+        """Let rays go past the rims, and compare."""
+        book, row = self._book, dr.arange(mi.UInt32, hits)
+        rim, delta, scale, copies = (
+            dr.gather(type(v), v, row) for v in (book.rim, book.delta, book.scale, book.copies)
+        )
+        past = self._past(row, rim)
+        gain = dr.gather(mi.Float64, book.gain, row) - self._gains(past.start, adjoint)
+        gain *= past.factor * mi.Float64(copies)
+        zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
+        jumps, grazes = rim >= SILHOUETTE, rim == SILHOUETTE
+        zone = dr.select(jumps, book.grazing.zone * dr.select(grazes, 0.5 * scale, 1), zone)
+
+        def density(width: mi.Float) -> mi.Float64:
+            distance, width = mi.Float64(delta), mi.Float64(width)
+            return dr.select(jumps, grazing_kernel(distance, width), kernel(distance, width))
+
+        c, c_half = (gain * density(width) for width in (zone, 0.5 * zone))
+        counts = dr.compress(c != 0)
+        found = row, past.start.batch, rim, past.joined, delta, scale, c, c_half
+        kept = [dr.gather(type(v), v, counts) for v in found]
+        dr.eval(kept)
+        return EdgeEvents(book.paths, *kept)
+
+    def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
+        """Rays that go past the rims."""
+        book, table = self._book, self._table
+        jumps = rim >= SILHOUETTE
+        rim = dr.select(jumps, 0, rim)
+        length = dr.gather(mi.UInt32, book.paths.length, row)
+        last = row * book.paths.max_events + length - 1
+        s = dr.gather(mi.UInt32, book.paths.codes, last) >> EVENT_BITS
+        p = mi.Vector3f(*(dr.gather(mi.Float, book.paths.nodes, last * book.paths.node_floats + j) for j in range(3)))
+        d = mi.Vector3f(*(dr.gather(mi.Float, book.paths.heading, 3 * row + j) for j in range(3)))
+        w = mi.Float(dr.gather(mi.Float64, book.paths.weight, row))
+        vertex = dr.gather(mi.Vector4f, table.vertex, s)
+        frame = table.frame(s)
+        q, along = frame.inward(p - vertex.xyz), frame.inward(d)
+        place = s * len(RIM_COLUMNS) + rim
+        size = dr.gather(mi.Float, self._sizes, 2 * place)
+        circle = [dr.gather(mi.Float, self._circles, CIRCLE_FLOATS * place + j) for j in range(CIRCLE_FLOATS)]
+        rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
+        radial = mi.Vector2f(q.x, q.y) / rho
+        outward = mi.Vector2f(circle[2], circle[3])
+        direction = mi.Vector2f(dr.dot(radial, mi.Vector2f(along.x, along.y)), along.z)
+        before = {name: dr.gather(type(v), v, row) for name, v in book.before.items()}
+        corner = self._corner(place, outward, circle[4], direction, before["depth"] == 0)
+        # Beside a circle: just past its point nearest to the hit, or on the surface that begins there, next to it
+        beside = mi.Vector2f(circle[0], circle[1]) + PAST * size * corner.step
+        beside = mi.Vector3f(radial.x * beside.x, radial.y * beside.x, beside.y)
+        beside = dr.select(circle[4] > 0, beside, self._beside_straight(s, q, rim, PAST * size))
+        o = frame.outward(beside) + vertex.xyz
+        key = before["key"]
+        # The order of the rows changes from run to run: random numbers go with the ray itself
+        bits = dr.reinterpret_array(mi.UInt32, p.x) ^ (dr.reinterpret_array(mi.UInt32, p.y) * 0x85EBCA6B)
+        lane = dr.gather(mi.UInt32, book.paths.lane, row)
+        own = mi.UInt32(key) ^ mi.UInt32(key >> 32) ^ bits ^ dr.opaque(mi.UInt32, self._settings.seed ^ STREAM)
+        state, sequence = mi.sample_tea_32(own, lane)
+        rng = mi.PCG32()  # whose constructor would add the number of the row to both
+        rng.seed(mi.UInt64(state), mi.UInt64(sequence))
+        left = dr.select(corner.left == NO_SURFACE, s, corner.left)
+        o, d, left, at = self._jump(row, jumps, p, s, (o, d, left, corner.at))
+        start = StartRays(lane=lane, rng=rng, o=o, d=d, w=w, left=left, at=at, **before)
+        dr.eval(rng, vars(start))
+        factor, joined = dr.select(jumps, 1, corner.factor), dr.select(jumps, NO_SURFACE, corner.joined)
+        return _Past(start, place, factor, joined)
+
+    def _jump(self, row: mi.UInt32, jumps: mi.Bool, p: mi.Vector3f, s: mi.UInt32, others: tuple[Any, ...]) -> Any:
+        """Start of rays beyond a jump (origin, direction, surface that they leave, surface that they are at)."""
+        book = self._book
+        o, d, left, at = others
+        axis = mi.Vector3f(*(dr.gather(mi.Float, book.axis, 3 * row + j, jumps) for j in range(3)))
+        scale, delta = (dr.gather(mi.Float, v, row, jumps) for v in (book.scale, book.delta))
+        grazes = jumps & (dr.gather(mi.UInt32, book.rim, row) == SILHOUETTE)
+        critical = jumps & ~grazes
+        # Past a silhouette: above the surface by a little where the ray is nearest to it, even if it bends more there
+        depth = scale * (dr.rsqrt(1 - 2 * delta / scale) - 1)
+        o = dr.select(grazes, p - (CLEAR * depth + PAST * scale) * axis, dr.select(critical, p, o))
+        # Beyond the critical angle: in the same plane of incidence, at the same place
+        sine = dr.sqrt(1 + PAST) / scale
+        aside = dr.normalize(d - dr.dot(d, axis) * axis)
+        beyond = dr.sqrt(dr.maximum(1 - dr.square(sine), 0)) * axis + sine * aside
+        d = dr.select(critical, beyond, d)
+        return o, d, dr.select(jumps, NO_SURFACE, left), dr.select(critical, s, dr.select(grazes, NO_SURFACE, at))
+
+    def _beside_straight(self, s: mi.UInt32, q: mi.Vector3f, rim: mi.UInt32, step: mi.Float) -> mi.Vector3f:
+        """The point past a side of a rectangle, in the frame of the surface, mm."""
+        table = self._table
+        half = dr.gather(mi.Vector2f, table.clip, s) + step
+        x = dr.select(rim == HALF_WIDTH, dr.mulsign(half.x, q.x), q.x)
+        y = dr.select(rim == HALF_HEIGHT, dr.mulsign(half.y, q.y), q.y)
+        quadric = dr.gather(mi.Vector4f, table.quadric, s)
+        conic = dr.select(quadric.x == 0, 0, quadric.y / quadric.x - 1)
+        r2 = dr.fma(x, x, y * y)
+        z = sag(r2, quadric.x, conic)
+        if table.coefficient_count:
+            word = dr.gather(mi.UInt32, table.optics.words, s)
+            z = dr.select((word & ASPHERIC) != 0, sag(r2, *table.asphere_sag(s)), z)
+        return mi.Vector3f(x, y, z)
+
+    def _corner(self, place: mi.UInt32, u: mi.Vector2f, stretch: mi.Float, d: mi.Vector2f, starts: mi.Bool) -> _Corner:
+        """What the surfaces that touch a rim mean for rays along d beside it, see `mistray.gradients.rim_joints`."""
+        found = _Corner(mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.Float64(1), u)
+        first = mi.Float(dr.inf)
+        for k in range(self._most):
+            number = place * self._most + k
+            v = [dr.gather(mi.Float, self._joints, JOINT_FLOATS * number + j) for j in range(JOINT_FLOATS)]
+            along, gradient = mi.Vector2f(v[0], v[1]), mi.Vector2f(v[2], v[3])
+            surface, there, ends = dr.gather(mi.UInt32, self._joined, number), v[5] > 0, v[4] > 0
+            across = _cross(along, d)
+            t = _cross(u, along) / across
+            corner = dr.abs(_cross(u, along)) > FLAT
+            beyond = _cross(u, d) * across > 0
+            share = mi.Float64(dr.select(ends, 0.5, 1))
+            distance = -mi.Float64(stretch / dr.dot(gradient, u))
+            # The ray that hit has just left the other surface: light that moves from one to the other is in the events
+            # of rays that arrive there. But on both sides of the rim the surface may emit rays of its own
+            left = there & ~beyond & corner & (t > 0)
+            near = there & beyond & (t < first)
+            concave = corner & (t < 0)
+            first = dr.select(left, -dr.inf, dr.select(near, t, first))
+            found = _Corner(
+                at=dr.select(near, surface, dr.select(left, NO_SURFACE, found.at)),
+                left=dr.select(left, surface, dr.select(near, NO_SURFACE, found.left)),
+                joined=dr.select(left | (near & concave), surface, dr.select(near, NO_SURFACE, found.joined)),
+                factor=dr.select(
+                    left,
+                    dr.select(starts & ~ends, distance, 0),
+                    dr.select(near, dr.select(concave, share * distance, share), found.factor),
+                ),
+                step=dr.select(left, -along, dr.select(near, along, found.step)),
+            )
+        return found
+
+
+@dataclass
+class _Corner:
+    """
+    How a ray goes past a rim where other surfaces touch it.
+
+    Attributes
+    ----------
+    at, left : mi.UInt32
+        Surface that it meets at once, or that it starts on.
+    joined : mi.UInt32
+        Surface that says where the edge is.
+    factor : mi.Float64
+        Of the coefficient.
+    step : mi.Vector2f
+        Direction from the rim to where it starts.
+    """
+
+    at: mi.UInt32
+    left: mi.UInt32
+    joined: mi.UInt32
+    factor: mi.Float64
+    step: mi.Vector2f
+
+
+@dataclass
+class _Past:
+    """Rays that go past rims, the places of these in the tables, the factors of their coefficients, what they join."""
+
+    start: StartRays
+    place: mi.UInt32
+    factor: mi.Float64
+    joined: mi.UInt32
+
+
+def kernel(delta: Any, width: Any) -> Any:
+    """The boundary kernel at a distance from the rim, 1/mm; 0 beyond its width."""
+    return dr.select(delta < width, (4 - 6 * delta / width) / width, 0)
+
+
+def _cross(a: mi.Vector2f, b: mi.Vector2f) -> mi.Float:
+    return a.x * b.y - a.y * b.x

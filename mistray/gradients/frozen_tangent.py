@@ -1,0 +1,200 @@
+"""How an image changes when the numbers of a scene move together: forward mode of `mistray.gradients.replay`.
+
+Recorded rays are followed in float64 with the numbers moved a little to either side, through the same events; what a
+ray carries and where it lands changes by the difference. Visibility is held as it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.execute.tracer import Run
+from mistray.gradients.gatherer import Gatherer, branches
+from mistray.gradients.number_direction import number_direction
+from mistray.gradients.raw_gradient import Wanted
+from mistray.gradients.replay import Branches, Followed, follow
+from mistray.gradients.replay_surfaces import Numbers, ReplaySurfaces
+from mistray.gradients.run_gradient import HITS_PER_RAY
+from mistray.recorders.film import Film
+from mistray.recorders.ledger import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
+from mistray.recorders.path_events import EVENT_MASK
+from mistray.surfaces.gradient_columns import GEOMETRY
+
+STEP = 1e-6  # largest move of a number, in units of its scale
+
+
+def step_of(direction: Numbers, sizes: np.ndarray) -> float:
+    """
+    Factor by which a direction is moved to either side.
+
+    Parameters
+    ----------
+    direction : Numbers
+    sizes : (surfaces,) float64
+        Of the surfaces, mm.
+
+    Raises
+    ------
+    MistrayError
+        If nothing moves.
+    """
+    powers = {"curvature": -1, "conic": 0, "slope": 0, "tilt_x": 0, "tilt_y": 0, "tilt_z": 0}
+    powers |= {name: 1 - int(name[1:]) for name in GEOMETRY if name[0] == "a"}
+    scale = np.stack([sizes ** powers.get(name, 1) for name in GEOMETRY], axis=1)
+    largest = [
+        np.max(np.abs(part), initial=0.0)
+        for part in (direction.geometry / scale, direction.indices, direction.rows, direction.ideal)
+    ]
+    if not max(largest) > 0:
+        raise MistrayError("no parameter moves; set derivatives with dr.set_grad before a forward pass")
+    return float(STEP / max(largest))
+
+
+def arrivals(
+    surfaces: ReplaySurfaces, rays: Branches, base: Followed
+) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64]:
+    """
+    Follow rays through their events.
+
+    Parameters
+    ----------
+    surfaces : ReplaySurfaces
+        Perhaps moved.
+    rays : Branches
+        They end at the detector.
+    base : Followed
+        From `follow`, with the numbers as they are.
+
+    Returns
+    -------
+    x, y : mi.Float64
+        Place on the detector in its own frame, mm.
+    factor, absorbed : mi.Float64
+        ln of the product of all factors of the flux, and of the last of them, what the detector absorbs.
+    """
+    count = dr.width(rays.row)
+
+    def step(
+        k: mi.UInt32, p: mi.Vector3d, d: mi.Vector3d, q: mi.Vector3d, total: mi.Float64, absorbed: mi.Float64
+    ) -> tuple[mi.UInt32, mi.Vector3d, mi.Vector3d, mi.Vector3d, mi.Float64, mi.Float64]:
+        active = k < rays.length
+        code = rays.code(k, active)
+        s, what = code >> EVENT_BITS, code & EVENT_MASK
+        here = base.point(k, active)
+        met = surfaces.meet(p, d, dr.dot(here - p, d), s, rays.batch, active, 2)
+        split = surfaces.split(met, s, what, rays.batch, active)
+        last = k + 1 == rays.length
+        transmitted = what == TRANSMITTED
+        share = dr.select(last, 1 - split.R - split.T, dr.select(transmitted, split.T, split.R))
+        factor = dr.log(dr.select(active & (share > 0), share, 1))
+        absorbed = dr.select(active & last, factor, absorbed)
+        if surfaces.table.optics.absorbs:
+            factor -= surfaces.extinction(base.medium(k, active), active) * met.length
+        heading = surfaces.world_direction(met, dr.select(transmitted, split.transmitted, split.reflected), s, active)
+        ahead = base.point(k + 1, active & ~last) - here
+        heading = dr.select(what >= RANDOM_TRANSMITTED, ahead, heading)
+        point = surfaces.world_point(met, s, active)
+        return k + 1, point, dr.normalize(heading), mi.Vector3d(met.q), total + factor, absorbed
+
+    start = dr.zeros(mi.UInt32, count), mi.Vector3d(rays.o), mi.Vector3d(rays.d), dr.zeros(mi.Vector3d, count)
+    _, _, _, q, total, absorbed = dr.while_loop(
+        (*start, dr.zeros(mi.Float64, count), dr.zeros(mi.Float64, count)),
+        lambda k, *_: k < rays.length,
+        step,
+        mode="symbolic",
+        label="follow moved rays",
+    )
+    return q.x, q.y, total, absorbed
+
+
+def add_tangent(
+    image: mi.Float64,
+    film: Film,
+    rays: Branches,
+    base: Followed,
+    sides: tuple[ReplaySurfaces, ReplaySurfaces],
+    step: float,
+    flux: mi.Float64,
+) -> None:
+    """
+    Add the change of the image by recorded rays, per unit of the move.
+
+    Parameters
+    ----------
+    image : (height · width,) mi.Float64
+        In units of a start ray.
+    film : Film
+    rays, base
+        As for `arrivals`.
+    sides : (ReplaySurfaces, ReplaySurfaces)
+        The numbers moved back and forth.
+    step : float
+        By so much.
+    flux : mi.Float64
+        With which each ray meets the detector.
+    """
+    (x0, y0, f0, last0), (x1, y1, f1, last1) = (arrivals(surfaces, rays, base) for surfaces in sides)
+    per = dr.opaque(mi.Float64, 0.5 / step)
+    alive = ~base.strayed
+    flux = flux * dr.exp(0.5 * (last0 + last1))
+    move_x, move_y, growth = (x1 - x0) * per, (y1 - y0) * per, (f1 - f0) * per
+    x, y = 0.5 * (x0 + x1), 0.5 * (y0 + y1)
+    for pixel, share in film.places(mi.Float(x), mi.Float(y)):
+        part = flux * growth * (mi.Float64(1) if share is None else mi.Float64(share))
+        dr.scatter_reduce(dr.ReduceOp.Add, image, part, pixel, alive)
+    # Between the centres of the pixels the share that each gets is linear in either coordinate
+    with dr.resume_grad():
+        at = mi.Float(x), mi.Float(y)
+        dr.enable_grad(at)
+        dr.set_grad(at[0], mi.Float(move_x))
+        dr.set_grad(at[1], mi.Float(move_y))
+        places = replace(film, tent=True).places(*at)
+        dr.enqueue(dr.ADMode.Forward, at)
+        dr.traverse(dr.ADMode.Forward)
+        speeds = [(pixel, mi.Float64(dr.grad(share))) for pixel, share in places]
+    for pixel, speed in speeds:
+        dr.scatter_reduce(dr.ReduceOp.Add, image, flux * speed, pixel, alive)
+
+
+def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.ndarray:
+    """
+    How the detected flux of a run changes.
+
+    Parameters
+    ----------
+    run : Run
+    tangents : mapping
+        Identity of a plugin and name of a parameter → (entries,) how fast the parameter moves.
+
+    Returns
+    -------
+    (height, width) float64
+        Change of the flux in each pixel, in units of a start ray.
+    """
+    table, film = run.table, run.make_film()
+    nothing = Wanted(rows=False, edges=False)
+    gatherer = Gatherer(table, run.scattering, run.settings, nothing, run.settings.max_events)
+    direction = number_direction(table, tangents)
+    step = step_of(direction, np.array([piece.outer or float(np.hypot(*piece.half_size)) for piece in table.pieces]))
+    still = ReplaySurfaces(table, nothing)
+    back, forth = (ReplaySurfaces(table, nothing, direction.times(sign * step)) for sign in (-1, 1))
+    image = dr.zeros(mi.Float64, film.width * film.height)
+    recorder = gatherer.recorder
+    with dr.suspend_grad():
+        for number in range(run.passes):
+            for start in gatherer.portions(run.start_pass(number), HITS_PER_RAY, lambda s: run.walk(s, recorder)):
+                count = int(recorder.count[0])
+                if not count:
+                    continue
+                rays = branches(recorder, start, np.arange(count))
+                base = follow(still, rays)
+                flux = dr.gather(mi.Float64, recorder.weight, rays.row)
+                add_tangent(image, film, rays, base, (back, forth), step, flux)
+                dr.eval(image)
+    return np.array(image).reshape(film.height, film.width)

@@ -1,0 +1,240 @@
+"""Recorded rays of a pass, sorted by path and replayed: what traces with the light and against it have in common."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.gradients.edges import EdgeEvents
+from mistray.gradients.grazing import SILHOUETTE, jump_distance
+from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.gradients.replay import Branches, End, Exit, follow, replay_rays
+from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
+from mistray.gradients.scatter_replay import ScatterReplay
+from mistray.kernel.scattering import Scattering
+from mistray.recorders.adjoint import CHANNELS
+from mistray.recorders.branch_recorder import BranchRecorder, as_many
+from mistray.recorders.start_rays import StartRays
+from mistray.settings import Settings
+from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+CAPACITY = 1 << 18  # rays that are recorded at once
+ROOM = 1.3  # of the buffer over what the trace has counted
+
+
+class Gatherer:
+    """
+    Sums of the derivatives of a metric over recorded rays.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    scattering : Scattering
+    settings : Settings
+    wanted : Wanted
+    longest : int
+        Longest path.
+    start_surface : int, optional
+        Surface that the rays start from, against the light.
+
+    Raises
+    ------
+    MistrayError
+        For meshes and other stock shapes, media that scatter, polarised light.
+    """
+
+    def __init__(
+        self,
+        table: SurfaceTable,
+        scattering: Scattering,
+        settings: Settings,
+        wanted: Wanted,
+        longest: int,
+        start_surface: int | None = None,
+    ) -> None:
+        _check(table, settings)
+        self.table, self.scattering, self.wanted = table, scattering, wanted
+        self.surfaces = ReplaySurfaces(table, wanted)
+        self.scatter = ScatterReplay(table, scattering) if scattering.any else None
+        self.recorder = BranchRecorder(as_many(CAPACITY, longest), longest, points_only=True)
+        self.start_surface = start_surface
+        # Rays at rims have only a place that changes; what it costs is in their coefficients
+        places = replace(wanted, rows=False, scatter=False)
+        self.edges = [ReplaySurfaces(table, places) for _ in range(2)] if wanted.edges and wanted.moves else []
+        self.strayed = self.rays = 0
+
+    def portions(self, start: StartRays, hits_per_ray: float, walk: Callable[[StartRays], None]) -> Iterator[StartRays]:
+        """
+        Walk the rays of a pass in portions that the recorder holds; yields each when it is recorded.
+
+        Parameters
+        ----------
+        start : StartRays
+        hits_per_ray : float
+            What is recorded of a start ray on average.
+        walk : callable
+            Traces some start rays with `recorder`.
+        """
+        lanes = max(1, int(self.recorder.capacity / (ROOM * max(1.0, hits_per_ray))))
+        count, done = dr.width(start.lane), 0
+        while done < count:
+            here = min(lanes, count - done)
+            part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
+            self.recorder.clear()
+            walk(part)
+            recorded = int(self.recorder.count[0])
+            if recorded <= self.recorder.capacity:
+                yield part
+                done += here
+            elif here == 1:
+                raise MistrayError(
+                    f"a single start ray has {recorded} ends, more than {self.recorder.capacity}; raise flux_threshold "
+                    "or lower max_reflections or max_scatters"
+                )
+            lanes = here // 2 if recorded > self.recorder.capacity else lanes
+
+    def replay(
+        self,
+        start: StartRays,
+        counts: Callable[[np.ndarray], np.ndarray],
+        end: Callable[[mi.UInt32, np.ndarray], End | Exit],
+        group: Callable[[mi.UInt32], mi.UInt32] | None = None,
+    ) -> None:
+        """
+        Replay the recorded rays of a portion.
+
+        Parameters
+        ----------
+        start : StartRays
+            The portion.
+        counts : callable
+            Takes the keys of the rays, (n,) uint64, and says which of them matter, (n,) bool.
+        end : callable
+            What the metric gains from them, given their rows in the recorder in the order of the lanes, and their keys.
+        group : callable, optional
+            Numbers below BATCHES by which sums are kept instead of by batch, given the rows.
+        """
+        keys = np.array(self.recorder.path)[: int(self.recorder.count[0])]
+        # Neighbours do the same work when they have had the same events
+        order = np.argsort(keys, kind="stable")
+        order = order[each(counts, keys[order])]
+        if not len(order):
+            return
+        rays = branches(self.recorder, start, order)
+        if group is not None:
+            rays = replace(rays, batch=group(rays.row))
+        found = follow(self.surfaces, rays)
+        replay_rays(self.surfaces, rays, found, end(rays.row, keys[order]), self.scatter, self.start_surface)
+        self.strayed += int(dr.count(found.strayed)[0])
+        self.rays += len(order)
+
+    def replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
+        """Replay the hits close to rims of a portion."""
+        rows = np.array(events.row)
+        for surfaces, c in zip(self.edges, (events.c, events.c_half), strict=True):
+            used = np.flatnonzero(np.array(c))
+            if not len(used):
+                continue
+            chosen = used[np.argsort(np.array(events.paths.path)[rows[used]], kind="stable")]
+            rays = branches(events.paths, start, rows[chosen])
+            picked = upload(mi.UInt32, chosen)
+            kept = (dr.gather(type(v), v, picked) for v in (events.rim, events.joined, events.scale, c))
+            end = RimEnd(*kept)
+            replay_rays(surfaces, rays, follow(surfaces, rays), end, None, self.start_surface)
+
+    def result(self) -> RawGradient:
+        """What has been gathered."""
+        wanted = self.wanted
+        raw = RawGradient(self.table, self.scattering, backward=self.start_surface is not None)
+        if wanted.geometry:
+            raw.geometry = self.surfaces.geometry()
+        if wanted.indices:
+            raw.indices = self.surfaces.index_gradient()
+        if self.edges:
+            raw.edges = np.stack([surfaces.geometry() for surfaces in self.edges])
+            if wanted.indices:
+                raw.edge_indices = np.stack([surfaces.index_gradient() for surfaces in self.edges])
+        if wanted.rows:
+            raw.rows = self.surfaces.row_gradient(CHANNELS)
+        if wanted.scatter and self.scatter is not None:
+            raw.scatter = self.scatter.derivatives()
+        if self.strayed:
+            raw.left_out.append(f"{self.strayed} of {self.rays} rays, which could not be followed again in float64")
+        return raw
+
+
+class RimEnd:
+    """
+    What the metric gains from hits close to rims when they move relative to the rim, see `mistray.gradients.edges`.
+
+    Parameters
+    ----------
+    rim, joined : mi.UInt32
+    scale : mi.Float
+    c : mi.Float64
+        As in `EdgeEvents`.
+    """
+
+    def __init__(self, rim: mi.UInt32, joined: mi.UInt32, scale: mi.Float, c: mi.Float64) -> None:
+        self._rim, self._joined, self._c = rim, joined, c
+        self._scale = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # that of rims is not set
+
+    def __call__(
+        self, surfaces: ReplaySurfaces, met: Met, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
+    ) -> mi.Float64:
+        """The gain to first order: its value is 0."""
+        free, jumps = self._joined == NO_SURFACE, self._rim >= SILHOUETTE
+        distance = surfaces.rim_distance(met, self._rim, s, batch, active & free & ~jumps)
+        distance = dr.select(jumps, jump_distance(split, self._rim, self._scale), distance)
+        corner = active & ~free
+        apart = surfaces.distance_from(
+            surfaces.world_point(met, s, corner), dr.select(free, 0, self._joined), batch, corner
+        )
+        value = self._c * dr.select(free, distance, apart)
+        return value - dr.detach(value)
+
+
+def each(function: Callable[[np.ndarray], Any], keys: np.ndarray) -> Any:
+    """An array, or a tuple of them, for rays sorted by key: computed once for all that have had the same events."""
+    if not len(keys):
+        return function(keys)
+    first = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
+    times = np.diff(np.append(first, len(keys)))
+    found = function(keys[first])
+    if isinstance(found, tuple):
+        return tuple(np.repeat(values, times, axis=0) for values in found)
+    return np.repeat(found, times)
+
+
+def branches(recorder: BranchRecorder, start: StartRays, rows: np.ndarray) -> Branches:
+    """Recorded rays of a portion."""
+    row = upload(mi.UInt32, rows)
+    lane = dr.gather(mi.UInt32, recorder.lane, row) - dr.opaque(mi.UInt32, int(start.lane[0]))
+    length = dr.gather(mi.UInt32, recorder.length, row)
+    o, d = (mi.Vector3d(dr.gather(mi.Vector3f, v, lane)) for v in (start.o, start.d))
+    d = dr.normalize(d)
+    batch = dr.gather(mi.UInt32, start.batch, lane)
+    dr.eval(row, length, o, d, batch)
+    stride = dr.opaque(mi.UInt32, recorder.max_events)
+    longest = max(1, int(np.array(length).max()))
+    return Branches(o, d, batch, length, row, recorder.codes, recorder.nodes, stride, recorder.node_floats, longest)
+
+
+def _check(table: SurfaceTable, settings: Settings) -> None:
+    if settings.stokes:
+        raise MistrayError("gradients need polarization='unpolarized'; the Stokes vector has no derivative yet")
+    if table.stock_scene is not None:
+        raise MistrayError(
+            f"shape '{table.ids[len(table.pieces)]}' is none of mistray's own; gradients by anything but coatings need "
+            "'asphere' and 'frustum' shapes only"
+        )
+    if table.optics.scatters:
+        raise MistrayError("a medium of the scene scatters; gradients by anything but coatings know surfaces only")

@@ -1,0 +1,158 @@
+"""Where light jumps without a rim: silhouettes of curved surfaces, and the onset of total reflection.
+
+A ray that just touches a curved surface either meets it or goes past. A real interface reflects everything at grazing
+incidence, so that it makes no difference; a wall, and an ideal coating whose R and T are the same at every angle, make
+a jump. So does an ideal coating at the critical angle. Both are treated like rims (see `mistray.gradients.edges`), with
+
+    Δ = cos²θ / (2 κ)      depth of the ray below the surface that it cuts, κ the curvature along the ray, mm
+    Δ = cos²θ_t            margin from the critical angle, θ_t the angle of refraction
+
+What happens to a ray changes with cos θ, that is with √Δ, so the boundary kernel over 0 … ε is the one that is exact
+for it:  k = (9 - 12 √(Δ/ε))/ε,  ∫ k dΔ = 1,  ∫ k √Δ dΔ = 0.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.gradients.replay_surfaces import Split
+from mistray.kernel.interaction import Interaction
+from mistray.physics.sag import sag_derivative
+from mistray.surfaces.gradient_columns import RIM_COLUMNS
+from mistray.surfaces.optics import ASPHERIC, IDEAL, OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+SILHOUETTE, CRITICAL = len(RIM_COLUMNS), len(RIM_COLUMNS) + 1  # numbers that follow those of rims
+ZONE = 1.0  # of the square of the cosine, in units of the width of the zones at rims
+NEARBY = 0.01  # of an asphere's radius: step of differences along the ray
+FLAT = 1e-6  # curvature along the ray in units of that of the aperture, below which there is no silhouette
+
+
+def grazing_kernel(delta: Any, width: Any) -> Any:
+    """The boundary kernel of this module at Δ; 0 beyond its width."""
+    return dr.select(delta < width, (9 - 12 * dr.sqrt(delta / width)) / width, 0)
+
+
+def jump_distance(split: Split, kind: mi.UInt32, scale: mi.Float64) -> mi.Float64:
+    """Δ of replayed hits, differentiable by all but the radius of curvature, which is `scale`."""
+    cosine2 = split.cos_i * split.cos_i
+    margin = 1 - split.eta * split.eta * (1 - cosine2)
+    return dr.select(kind == SILHOUETTE, 0.5 * scale * cosine2, margin)
+
+
+@dataclass
+class Jump:
+    """
+    Hits close to a jump.
+
+    Attributes
+    ----------
+    kind : mi.UInt32
+        `SILHOUETTE` or `CRITICAL`.
+    delta : mi.Float
+        Δ, mm or 1.
+    scale : mi.Float
+        Radius of curvature along the ray (mm), or n_i/n_t.
+    near : mi.Bool
+        Whether Δ is within the zone.
+    """
+
+    kind: mi.UInt32
+    delta: mi.Float
+    scale: mi.Float
+    near: mi.Bool
+
+
+class Grazing:
+    """
+    Looks for hits close to jumps, in the kernel.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    width : float
+        Of the zones at rims, in units of their radii.
+
+    Attributes
+    ----------
+    zone : mi.Float
+        Squares of cosines that are looked at.
+    """
+
+    def __init__(self, table: SurfaceTable, width: float) -> None:
+        self._table = table
+        self.zone = dr.opaque(mi.Float, ZONE * width)
+        # Least and greatest radius of each surface, or z of a cone, its size, and whether it is a cone
+        extents = np.zeros((table.count, 4))
+        for piece in table.pieces:
+            cone = piece.kind == "cone"
+            size = piece.outer or float(np.hypot(*piece.half_size))
+            extents[piece.index] = *(piece.z_range if cone else (piece.inner, size)), size, cone
+        self._extents = upload(mi.Float, extents)
+
+    def find(self, s: mi.UInt32, it: Interaction, d: mi.Vector3f, active: mi.Bool) -> Jump:
+        """
+        Jumps next to hits.
+
+        Parameters
+        ----------
+        s : mi.UInt32
+        it : Interaction
+        d : mi.Vector3f
+            Direction of arrival.
+        active : mi.Bool
+        """
+        ideal, opaque = (it.word & 3) == IDEAL, (it.word & OPAQUE) != 0
+        steep = active & (dr.square(it.cos_i) < self.zone) & (ideal | opaque)
+        local = self._table.frame(s, steep).inward(d)
+        extent = dr.gather(mi.Vector4f, self._extents, s, steep)
+        along, bend, length = self._second_order(s, it.local, local, it.word, extent.z, steep)
+        radius = length / dr.abs(bend)
+        # The ray comes out again on the side that it came from, where the surface still is
+        turning = -along / bend
+        there = it.local + turning * local
+        place = dr.select(extent.w > 0, there.z, dr.sqrt(dr.fma(there.x, there.x, there.y * there.y)))
+        inside = (place > extent.x) & (place < extent.y)
+        grazes = steep & inside & (turning > 0) & (dr.abs(bend) * extent.z > FLAT * length)
+        margin = 1 - dr.square(it.eta) * (1 - dr.square(it.cos_i))
+        critical = active & ~grazes & ideal & ~opaque & ~it.tir & (it.eta > 1) & (margin < self.zone)
+        return Jump(
+            dr.select(grazes, mi.UInt32(SILHOUETTE), CRITICAL),
+            dr.select(grazes, 0.5 * dr.square(it.cos_i) * radius, margin),
+            dr.select(grazes, radius, it.eta),
+            grazes | critical,
+        )
+
+    def _second_order(
+        self, s: mi.UInt32, q: mi.Vector3f, d: mi.Vector3f, word: mi.UInt32, outer: mi.Float, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Float, mi.Float]:
+        """F(q + t d) = 2 t along + t² bend to second order, with half gradients of this length."""
+        table = self._table
+        quadric = dr.gather(mi.Vector4f, table.quadric, s, active)
+        a, b, e = quadric.x, quadric.y, quadric.z
+        g = mi.Vector3f(a * q.x, a * q.y, dr.fma(b, q.z, 0.5 * e))
+        along, bend = dr.dot(g, d), a * (d.x * d.x + d.y * d.y) + b * d.z * d.z
+        length = dr.norm(g)
+        if table.coefficient_count:
+            aspheric = active & ((word & ASPHERIC) != 0)
+            shape = table.asphere_sag(s, aspheric)
+
+            def slope(t: mi.Float) -> tuple[mi.Float, mi.Float]:
+                x, y = dr.fma(t, d.x, q.x), dr.fma(t, d.y, q.y)
+                steepness = 2 * sag_derivative(dr.fma(x, x, y * y), *shape)
+                return steepness * (x * d.x + y * d.y) - d.z, steepness
+
+            h = NEARBY * outer
+            (before, _), (here, steepness), (after, _) = slope(-h), slope(mi.Float(0)), slope(h)
+            usable = aspheric & dr.isfinite(before) & dr.isfinite(after)
+            along = dr.select(aspheric, here, along)
+            bend = dr.select(aspheric, dr.select(usable, (after - before) / (2 * h), 0), bend)
+            size = dr.sqrt(dr.fma(dr.square(steepness), q.x * q.x + q.y * q.y, 1))
+            length = dr.select(aspheric, size, length)
+        return along, bend, length

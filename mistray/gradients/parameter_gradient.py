@@ -1,0 +1,50 @@
+"""From what the tracer knows of the derivatives of a metric to derivatives by the parameters of plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+
+from mistray.gradients.coating_gradient import coating_gradient
+from mistray.gradients.geometry_gradient import geometry_gradient, index_gradient
+from mistray.gradients.raw_gradient import RawGradient
+from mistray.gradients.scatter_gradient import scatter_gradient
+
+Wish = Callable[[Any, str], bool]
+Derivatives = Iterator[tuple[Any, str, np.ndarray]]
+
+
+def parameter_gradient(raw: RawGradient, wanted: Wish) -> Derivatives:
+    """
+    Derivatives by parameters with visibility as it is.
+
+    Parameters
+    ----------
+    raw : RawGradient
+    wanted : callable
+        Says of a plugin and a name whether its derivative is asked for.
+
+    Yields
+    ------
+    owner, name, gradient
+        The plugin that owns the parameter, its name, and the derivatives by batch, (BATCHES, entries). A parameter may
+        come several times; the parts add up.
+    """
+    if raw.rows is not None:
+        yield from coating_gradient(raw.table.optics, raw.rows, wanted)
+    if raw.geometry is not None:
+        yield from geometry_gradient(raw.table, raw.geometry, wanted)
+    if raw.indices is not None:
+        yield from index_gradient(raw.table, raw.indices, wanted, raw.rows)
+    if raw.scatter:
+        yield from scatter_gradient(raw.table, raw.scattering, raw.scatter, wanted)
+
+
+def edge_gradient(raw: RawGradient, wanted: Wish, half_width: bool = False) -> Derivatives:
+    """The part of rims, as `parameter_gradient`; with half the width of the zones if asked for."""
+    if raw.edges is not None:
+        yield from geometry_gradient(raw.table, raw.edges[int(half_width)], wanted)
+    if raw.edge_indices is not None:
+        yield from index_gradient(raw.table, raw.edge_indices[int(half_width)], wanted)

@@ -1,0 +1,113 @@
+"""What the tracer knows of the derivatives of a metric: by rows of coatings, geometry, indices, tables of scatter."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from mistray.surfaces.gradient_columns import RIM_COLUMNS
+
+if TYPE_CHECKING:
+    from mistray.kernel.scattering import Scattering
+    from mistray.surfaces.surfaces import SurfaceTable
+
+EDGE_WIDTH = 0.05  # usual width of the zones at rims, in units of their radii
+
+
+@dataclass(frozen=True)
+class Wanted:
+    """
+    Which derivatives are asked for.
+
+    Attributes
+    ----------
+    rows : bool
+        By the rows of the tables of R and T, and by ideal R and T.
+    geometry : frozenset of str
+        Columns of `GEOMETRY`.
+    indices : bool
+        By the refractive indices on both sides of every surface.
+    scatter : bool
+        By the tables of scatter.
+    edges : bool
+        With what rays gain and lose at rims.
+    edge_width : float
+        Width of the zone at a rim in which rays are looked at, in units of its radius.
+    """
+
+    rows: bool = True
+    geometry: frozenset[str] = frozenset()
+    indices: bool = False
+    scatter: bool = False
+    edges: bool = True
+    edge_width: float = EDGE_WIDTH
+
+    @property
+    def replays(self) -> bool:
+        """Whether more than factors of coatings is asked for, so that rays are followed again one by one."""
+        return self.moves or self.scatter
+
+    @property
+    def moves(self) -> bool:
+        """Whether places of hits change, and with them what rays gain and lose at rims."""
+        return bool(self.geometry) or self.indices
+
+    @property
+    def only_rims(self) -> bool:
+        """Whether visibility is all that can change."""
+        return self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter)
+
+
+@dataclass
+class RawGradient:
+    """
+    Derivatives of a metric at one source and wavelength, by batch of start rays.
+
+    Attributes
+    ----------
+    table : SurfaceTable
+    scattering : Scattering
+    rows : (BATCHES, rows, CHANNELS) float64 or None
+        By the rows of the tables of R and T, see `mistray.recorders.adjoint`.
+    geometry : (BATCHES, surfaces, len(GEOMETRY)) float64 or None
+        With visibility as it is: what rims gain and lose is in `edges`.
+    edges : (2, BATCHES, surfaces, len(GEOMETRY)) float64 or None
+        Of rims, with the width that was asked for and with half of it.
+    indices : (BATCHES, surfaces, 2) float64 or None
+        By the real indices in front and behind.
+    edge_indices : (2, BATCHES, surfaces, 2) float64 or None
+        Their part of `edges`.
+    scatter : dict
+        Name of an array of `Scattering.arrays` (totals, lobes, ratios, logs) → (BATCHES, size) float64.
+    left_out : list of str
+        What is not in it.
+    seconds : float
+        Time it took.
+    backward : bool
+        Of a trace against the light.
+    """
+
+    table: SurfaceTable
+    scattering: Scattering
+    rows: np.ndarray | None = None
+    geometry: np.ndarray | None = None
+    edges: np.ndarray | None = None
+    indices: np.ndarray | None = None
+    edge_indices: np.ndarray | None = None
+    scatter: dict[str, np.ndarray] = field(default_factory=dict)
+    left_out: list[str] = field(default_factory=list)
+    seconds: float = 0.0
+    backward: bool = False
+
+    def add(self, other: RawGradient) -> None:
+        """Add another one, with the same tables and the same parts."""
+        for name in ("rows", "geometry", "edges", "indices", "edge_indices"):
+            value = getattr(self, name)
+            if value is not None:
+                value += getattr(other, name)
+        for name, values in self.scatter.items():
+            values += other.scatter[name]
+        self.left_out += [text for text in other.left_out if text not in self.left_out]
+        self.seconds += other.seconds

@@ -1,0 +1,325 @@
+"""Recorded rays again, in reverse: derivatives of a metric by geometry, indices and everything else along their paths.
+
+A recorded ray is a start ray, a list of events and what the metric gains from it. Its flux is a product of factors, one
+at each event, and its place a chain of refractions and reflections, so the derivative of its part of the metric is a
+sum over events: G d ln(factor), with G the part itself, and the derivative of the place carried back from the end. A
+first pass follows the rays forward in float64 and stores their points; a second goes back along them and lets Dr.Jit
+differentiate one event at a time, so that memory does not grow with the number of parameters.
+
+Visibility is held as it is: what rays gain and lose at rims comes from `mistray.gradients.edges`. The direction after a
+scatter event is held fixed, and its flux changes with the BSDF; random choices keep their probabilities. Source:
+reverse mode of a chain; compare D. Vicini et al., "Path replay backpropagation", ACM Trans. Graph. 40, 108 (2021).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
+from mistray.gradients.scatter_replay import ScatterEvent, ScatterReplay
+from mistray.recorders.ledger import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
+from mistray.recorders.path_events import EVENT_MASK
+
+NEWTON_STEPS = 1  # of the first pass, from the recorded float32 point: its error of 1e-6 is squared, then again
+FAR_OFF = 1e-3  # a ray that misses its recorded points by more, in units of 1 + their coordinates, is not the same
+
+
+@dataclass
+class Branches:
+    """
+    Recorded rays, one lane each.
+
+    Attributes
+    ----------
+    o, d : mi.Vector3d
+        Start, mm, and unit direction.
+    batch, length : mi.UInt32
+        Batch of the start ray, number of events.
+    row : mi.UInt32
+        Row of the lane in `codes` and `nodes`.
+    codes : mi.UInt32
+        (rows, stride) events, surface << EVENT_BITS | what.
+    nodes : mi.Float
+        (rows, stride, node_floats) recorded points, perhaps more behind them.
+    stride : mi.UInt32
+        Events that a row has room for, opaque.
+    node_floats, longest : int
+        Floats of a node, and events of the longest ray.
+    """
+
+    o: mi.Vector3d
+    d: mi.Vector3d
+    batch: mi.UInt32
+    length: mi.UInt32
+    row: mi.UInt32
+    codes: mi.UInt32
+    nodes: mi.Float
+    stride: mi.UInt32
+    node_floats: int
+    longest: int
+
+    def code(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Event k."""
+        return dr.gather(mi.UInt32, self.codes, self.row * self.stride + k, active)
+
+    def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """Recorded point of event k, mm."""
+        base = (self.row * self.stride + k) * self.node_floats
+        return mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, self.nodes, base + j, active)) for j in range(3)))
+
+
+class Followed:
+    """Points of all rays in float64 (mm), and what they pass through, event by event."""
+
+    def __init__(self, rays: int, longest: int) -> None:
+        self.rays = dr.opaque(mi.UInt32, rays)
+        # Each an array of its own: equal ones would be shared, and copied before they are written to
+        self.points = [dr.empty(mi.Float64, rays * longest) for _ in range(3)]
+        self.media = dr.empty(mi.UInt32, rays * longest)
+        self.strayed = dr.zeros(mi.Bool, rays)
+        dr.eval(self.points, self.media, self.strayed)
+
+    def _index(self, k: mi.UInt32) -> mi.UInt32:
+        return k * self.rays + dr.arange(mi.UInt32, self.rays[0])
+
+    def write(self, k: mi.UInt32, p: mi.Vector3d, medium: mi.UInt32, active: mi.Bool) -> None:
+        """Store the point of event k and the medium of the segment that led to it."""
+        for values, value in zip(self.points, p, strict=True):
+            dr.scatter(values, value, self._index(k), active)
+        dr.scatter(self.media, medium, self._index(k), active)
+
+    def point(self, k: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """Point of event k."""
+        return mi.Vector3d(*(dr.gather(mi.Float64, values, self._index(k), active) for values in self.points))
+
+    def medium(self, k: mi.UInt32, active: mi.Bool) -> mi.UInt32:
+        """Medium of the segment that led to event k."""
+        return dr.gather(mi.UInt32, self.media, self._index(k), active)
+
+
+# What the metric gains from the last hit of a ray
+End = Callable[[ReplaySurfaces, Met, Split, mi.UInt32, mi.UInt32, mi.Bool], mi.Float64]
+
+
+@dataclass
+class Exit:
+    """
+    Rays that leave the scene after their last event.
+
+    Attributes
+    ----------
+    gain : mi.Float64
+        What the metric gains from each.
+    by_direction : mi.Vector3d
+        Its derivative by the direction in which they leave.
+    heading : mi.Vector3d
+        That direction as it was recorded.
+    """
+
+    gain: mi.Float64
+    by_direction: mi.Vector3d
+    heading: mi.Vector3d
+
+
+def follow(surfaces: ReplaySurfaces, rays: Branches) -> Followed:
+    """
+    Find the points of recorded rays again, in float64.
+
+    Parameters
+    ----------
+    surfaces : ReplaySurfaces
+    rays : Branches
+
+    Returns
+    -------
+    Followed
+        `strayed` marks rays that could not be followed, because a hit is not where it was recorded.
+    """
+    count = dr.width(rays.row)
+    found = Followed(count, rays.longest)
+    start = dr.full(mi.UInt32, 0, count)
+
+    def step(
+        k: mi.UInt32, p: mi.Vector3d, d: mi.Vector3d, medium: mi.UInt32, strayed: mi.Bool
+    ) -> tuple[mi.UInt32, mi.Vector3d, mi.Vector3d, mi.UInt32, mi.Bool]:
+        active = k < rays.length
+        code = rays.code(k, active)
+        s, what = code >> EVENT_BITS, code & EVENT_MASK
+        recorded = rays.point(k, active)
+        met = surfaces.meet(p, d, dr.dot(recorded - p, d), s, rays.batch, active, NEWTON_STEPS, still=True)
+        split = surfaces.split(met, s, what, rays.batch, active)
+        here = surfaces.world_point(met, s, active)
+        off = dr.norm(here - recorded) > FAR_OFF * (1 + dr.norm(recorded))
+        strayed |= active & (off | ~dr.isfinite(dr.squared_norm(here)))
+        found.write(k, here, dr.select(split.medium_in == 0, medium, split.medium_in), active)
+        heading = surfaces.world_direction(
+            met, dr.select(what == TRANSMITTED, split.transmitted, split.reflected), s, active
+        )
+        more = active & (k + 1 < rays.length)
+        scattered = what >= RANDOM_TRANSMITTED
+        heading = dr.select(scattered & more, rays.point(k + 1, more) - here, heading)
+        through = (what == TRANSMITTED) | (scattered & ((what & 1) == 0))
+        medium = dr.select(through, split.medium_out, dr.select(split.medium_in == 0, medium, split.medium_in))
+        return k + 1, here, dr.normalize(heading), medium, strayed
+
+    _, _, _, _, found.strayed = dr.while_loop(
+        (start, mi.Vector3d(rays.o), mi.Vector3d(rays.d), dr.zeros(mi.UInt32, count), dr.full(mi.Bool, False, count)),
+        lambda k, *_: k < rays.length,
+        step,
+        mode="symbolic",
+        label="follow rays",
+    )
+    dr.eval(found.points, found.media, found.strayed)
+    return found
+
+
+def replay_rays(
+    surfaces: ReplaySurfaces,
+    rays: Branches,
+    found: Followed,
+    end: End | Exit,
+    scatter: ScatterReplay | None = None,
+    start_surface: int | None = None,
+) -> None:
+    """
+    Add the derivatives of what the metric gains from recorded rays to the numbers of the surfaces.
+
+    Parameters
+    ----------
+    surfaces : ReplaySurfaces
+        Gathers the derivatives.
+    rays : Branches
+    found : Followed
+        From `follow`; rays that strayed are left out.
+    end : callable or Exit
+        What the metric gains from a ray as a differentiable function of its last hit, or for rays that leave.
+    scatter : ScatterReplay, optional
+        Of a scene that scatters.
+    start_surface : int, optional
+        Surface that the rays start from and move with.
+    """
+    alive = ~found.strayed
+    away = end if isinstance(end, Exit) else None
+
+    def differentiate(
+        k: mi.UInt32,
+        here: mi.Vector3d,
+        active: mi.Bool,
+        gain: Callable[[mi.Vector3d, mi.Vector3d, mi.Float64], mi.Float64],
+    ) -> tuple[mi.Vector3d, mi.Vector3d, mi.Vector3d, mi.Float64]:
+        """Origin of the segment to event k, here; derivatives of its gain by origin and direction; the gain."""
+        first = k == 0
+        origin = dr.select(first, rays.o, found.point(dr.maximum(k, 1) - 1, active & ~first))
+        along = here - origin
+        length = dr.norm(along)
+        with dr.resume_grad():
+            o, d = mi.Vector3d(origin), dr.select(first, rays.d, along / length)
+            dr.enable_grad(o, d)
+            value = gain(o, d, length)
+            result = mi.Float64(dr.detach(value))
+            dr.set_grad(value, dr.select(active, mi.Float64(1), 0))
+            dr.enqueue(dr.ADMode.Backward, value)
+            dr.traverse(dr.ADMode.Backward)
+            by_o, by_d = mi.Vector3d(dr.grad(o)), mi.Vector3d(dr.grad(d))
+        return origin, dr.select(active, by_o, 0), dr.select(active, by_d, 0), dr.select(active, result, 0)
+
+    def thin(met: Met, k: mi.UInt32, active: mi.Bool) -> mi.Float64:
+        """Ln of what is left behind the segment that led to event k."""
+        if not surfaces.table.optics.absorbs:
+            return mi.Float64(0)
+        return -surfaces.extinction(found.medium(k, active), active) * met.length
+
+    def event_at(k: mi.UInt32, active: mi.Bool) -> tuple[mi.UInt32, mi.UInt32]:
+        code = rays.code(k, active)
+        return code >> EVENT_BITS, code & EVENT_MASK
+
+    if isinstance(end, Exit):
+        weight = end.gain
+        by_p, by_d, last = (
+            dr.zeros(mi.Vector3d, dr.width(rays.row)),
+            mi.Vector3d(end.by_direction),
+            mi.UInt32(rays.length),
+        )
+        here = found.point(dr.maximum(last, 1) - 1, alive & (last > 0))
+    else:
+        meets = end
+        alive &= rays.length > 0
+        last = dr.select(alive, rays.length - 1, 0)
+
+        def at_end(o: mi.Vector3d, d: mi.Vector3d, t: mi.Float64) -> mi.Float64:
+            s, what = event_at(last, alive)
+            met = surfaces.meet(o, d, t, s, rays.batch, alive)
+            split = surfaces.split(met, s, what, rays.batch, alive)
+            gain = meets(surfaces, met, split, s, rays.batch, alive)
+            left = thin(met, last, alive)  # is in the recorded flux already: only its derivative counts
+            return gain + dr.detach(gain) * (left - dr.detach(left))
+
+        here, by_p, by_d, weight = differentiate(last, found.point(last, alive), alive, at_end)
+
+    def step(
+        k: mi.UInt32, here: mi.Vector3d, by_p: mi.Vector3d, by_d: mi.Vector3d
+    ) -> tuple[mi.UInt32, mi.Vector3d, mi.Vector3d, mi.Vector3d]:
+        active = alive & (k > 0)
+        k = k - 1
+        s, what = event_at(k, active)
+        scattered, transmitted = what >= RANDOM_TRANSMITTED, what == TRANSMITTED
+
+        def event(o: mi.Vector3d, d: mi.Vector3d, t: mi.Float64) -> mi.Float64:
+            met = surfaces.meet(o, d, t, s, rays.batch, active)
+            split = surfaces.split(met, s, what, rays.batch, active)
+            p = surfaces.world_point(met, s, active)
+            heading = surfaces.world_direction(
+                met, dr.select(transmitted, split.transmitted, split.reflected), s, active
+            )
+            share = dr.select(transmitted, split.T, split.R)
+            factor = dr.log(dr.select(active & ~scattered & (share > 0), share, 1))
+            if scatter is not None:
+                reflect = dr.select(scattered, (what & 1) != 0, ~transmitted)
+                ahead = found.point(k + 1, active & (k + 1 < rays.length)) - dr.detach(p)
+                if away is not None:
+                    ahead = dr.select(k + 1 < rays.length, ahead, away.heading)
+                at_surface = surfaces.local_direction(met, dr.normalize(ahead), s, active)
+                hit = scatter_event(met, split, s, reflect, rays.batch)
+                coating = surfaces.coating(split, s, rays.batch, active)
+                factor = factor + scatter.log_kept(hit, active & ~scattered)
+                factor = factor + scatter.log_flux(hit, at_surface, active & scattered, coating)
+            gain = weight * (factor + thin(met, k, active)) + dr.dot(by_p, p)
+            return gain + dr.select(scattered, 0, dr.dot(by_d, heading))
+
+        before, before_p, before_d, _ = differentiate(k, here, active, event)
+        here = dr.select(active, before, here)
+        return k, here, dr.select(active, before_p, by_p), dr.select(active, before_d, by_d)
+
+    _, _, by_p, by_d = dr.while_loop(
+        (mi.UInt32(last), here, by_p, by_d),
+        lambda k, *_: alive & (k > 0),
+        step,
+        mode="symbolic",
+        label="replay rays",
+    )
+    if start_surface is not None:
+        surfaces.move_start(start_surface, rays.o, rays.d, by_p, by_d, rays.batch, alive)
+    dr.eval(by_p, by_d)
+    dr.sync_thread()
+
+
+def scatter_event(met: Met, split: Split, s: mi.UInt32, reflect: mi.Bool, batch: mi.UInt32) -> ScatterEvent:
+    """A hit as `ScatterReplay` takes it, in the frame of the surface."""
+    return ScatterEvent(
+        s,
+        batch,
+        reflect,
+        split.from_front,
+        met.d,
+        split.axis,
+        split.cos_i,
+        split.cos_t,
+        split.eta,
+        split.R,
+        split.T,
+        met.q,
+    )

@@ -1,0 +1,481 @@
+"""Surfaces in float64 for rays whose events are known: the hit, Snell's law, R and T, differentiable by every number.
+
+The kernel looks for the next surface in float32 and keeps no derivatives. Here the surface is given, and so is the
+place of the hit up to rounding: one Newton step from it is exact to second order and carries the first derivatives of
+the hit by the ray and by the surface. All is computed in the frame of the surface; a displacement and a rotation of
+that frame, both zero, are among the numbers.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.gradients.raw_gradient import Wanted
+from mistray.physics.fresnel import reflectance
+from mistray.recorders.ledger import TOTAL
+from mistray.settings import BATCHES
+from mistray.surfaces.aspheric_terms import AsphericTerms
+from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, RIM_COLUMNS, SHAPE_COLUMNS
+from mistray.surfaces.number_rows import NumberRows, tracked_array
+from mistray.surfaces.optics import (
+    BACK_MEDIUM_SHIFT,
+    FRESNEL,
+    FRONT_MEDIUM_SHIFT,
+    IDEAL,
+    MEDIUM_MASK,
+    OPAQUE,
+    REFLECTION_BACK,
+    REFLECTION_FRONT,
+    TABLED,
+    TRANSMISSION,
+    total_variable,
+)
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+TABLE_CHANNELS = 3  # R from the front, R from the back, T
+
+
+@dataclass
+class Met:
+    """
+    A hit in the frame of its surface, float64.
+
+    Attributes
+    ----------
+    q, d, normal : mi.Vector3d
+        Point (mm), direction of arrival, unit normal.
+    length : mi.Float64
+        Of the segment, mm.
+    frame : tuple of mi.Vector3d
+        Rotation, displacement of the frame, vertex: what leads back to the world.
+    """
+
+    q: mi.Vector3d
+    d: mi.Vector3d
+    normal: mi.Vector3d
+    length: mi.Float64
+    turn: mi.Vector3d
+    shift: mi.Vector3d
+
+
+class ReplaySurfaces:
+    """
+    The numbers of all surfaces, those that are asked for with one copy for each batch of start rays.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    wanted : Wanted
+    moved : Numbers, optional
+        Added to all numbers.
+    """
+
+    def __init__(self, table: SurfaceTable, wanted: Wanted, moved: Numbers | None = None) -> None:
+        self.table, self.wanted = table, wanted
+        self.count = table.count
+        self._surfaces = dr.opaque(mi.UInt32, self.count)
+        base = numbers_of(table)
+        numbers = base if moved is None else base.plus(moved)
+        self._still = NumberRows(numbers.geometry, SHAPE_COLUMNS)
+        self._shape = NumberRows(numbers.geometry, SHAPE_COLUMNS, wanted.geometry)
+        self._rims = NumberRows(numbers.geometry, RIM_COLUMNS, wanted.geometry)
+        optics = table.optics
+        indices, rows, ideal = numbers.indices, numbers.rows, numbers.ideal
+        self._indices = tracked_array(np.tile(indices.ravel(), BATCHES)) if wanted.indices else None
+        self._plain_indices = upload(mi.Float64, indices)
+        self.rows = len(rows)
+        if wanted.rows:
+            self._rows, self._ideal = (tracked_array(np.tile(v.ravel(), BATCHES)) for v in (rows, ideal))
+        else:
+            self._rows, self._ideal = upload(mi.Float64, rows), upload(mi.Float64, ideal)
+        self._row_stride = dr.opaque(mi.UInt32, rows.size if wanted.rows else 0)
+        self._ideal_stride = dr.opaque(mi.UInt32, ideal.size if wanted.rows else 0)
+        self._rotations = upload(mi.Float64, table.rotations)
+        # Vertices, and whether F grows along the normal: it does for cones only, see `_surface`
+        places = np.column_stack([table.vertices - table.centre, np.full(self.count, -1.0)])
+        for piece in table.pieces:
+            places[piece.index, 3] = 1.0 if piece.kind == "cone" else -1.0
+        self._places = upload(mi.Float64, places)
+        self._extinction = upload(mi.Float64, np.array(optics.extinction))
+        self._tilts = bool(self._shape.names & {"tilt_x", "tilt_y", "tilt_z"})
+        self._shifts = bool(self._shape.names & {"x", "y", "z"})
+        dr.eval(self._indices, self._plain_indices, self._rows, self._ideal, self._places)
+        dr.eval(self._rotations, self._extinction)
+
+    # ---- numbers
+
+    def _sides(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Vector2d:
+        """Indices in front and behind."""
+        if self._indices is None:
+            return dr.gather(mi.Vector2d, self._plain_indices, s, active)
+        return dr.gather(mi.Vector2d, self._indices, batch * self._surfaces + s, active)
+
+    def _to_world(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        if not self.table.rotated:
+            return v
+        m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
+        return mi.Vector3d(*(m[3 * k] * v.x + m[3 * k + 1] * v.y + m[3 * k + 2] * v.z for k in range(3)))
+
+    def _to_local(self, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        if not self.table.rotated:
+            return v
+        m = [dr.gather(mi.Float64, self._rotations, 9 * s + k, active) for k in range(9)]
+        return mi.Vector3d(*(m[k] * v.x + m[3 + k] * v.y + m[6 + k] * v.z for k in range(3)))
+
+    def vertex(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """Vertices of the surfaces, mm."""
+        return mi.Vector3d(*list(self._place(s, active))[:3])
+
+    def _place(self, s: mi.UInt32, active: mi.Bool) -> mi.Vector4d:
+        return dr.gather(mi.Vector4d, self._places, s, active)
+
+    def extinction(self, medium: mi.UInt32, active: mi.Bool) -> mi.Float64:
+        """What media absorb, 1/mm."""
+        return dr.gather(mi.Float64, self._extinction, medium, active)
+
+    # ---- geometry
+
+    def meet(
+        self,
+        o: mi.Vector3d,
+        d: mi.Vector3d,
+        t: mi.Float64,
+        s: mi.UInt32,
+        batch: mi.UInt32,
+        active: mi.Bool,
+        steps: int = 1,
+        still: bool = False,
+    ) -> Met:
+        """
+        The hit of a ray with the surfaces s near the distance t.
+
+        Parameters
+        ----------
+        o, d : mi.Vector3d
+            Origin (mm) and unit direction in the world.
+        t : mi.Float64
+            Distance of a point near the hit, mm.
+        steps : int
+            Newton steps; one is enough for derivatives at the hit itself.
+        still : bool
+            Without derivatives, and without the work for terms that are 0.
+        """
+        vertex = self.vertex(s, active)
+        p, direction = self._to_local(o - vertex, s, active), self._to_local(d, s, active)
+        numbers = self._numbers(s, batch, active, still)
+        shift, turn = self._pose(numbers)
+        if self._shifts:
+            p = p - shift
+        if self._tilts:  # to first order; the rotation itself is 0
+            p, direction = p - dr.cross(turn, p), direction - dr.cross(turn, direction)
+        for _ in range(steps):
+            q = p + t * direction
+            value, gradient = self._surface(q, numbers)
+            slope = dr.detach(2 * dr.dot(gradient, direction))
+            step = value / slope
+            t = t - dr.select(active & dr.isfinite(step), step, 0)
+        q = p + t * direction
+        _, gradient = self._surface(q, numbers)
+        normal = dr.normalize(gradient) * self._place(s, active).w
+        return Met(q, direction, normal, t, turn, shift)
+
+    def _numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
+        rows = self._still if still else self._shape
+        numbers = rows.read(s, batch, active)
+        numbers["cone"] = self._place(s, active).w > 0
+        for key, some in (("coefficients", rows), ("still", self._still)):
+            known = [order for order, name in enumerate(COEFFICIENTS, 1) if name in some.names]
+            numbers[key] = [numbers[name] for name in COEFFICIENTS[: max(known, default=0)]]
+        return numbers
+
+    def _surface(self, q: mi.Vector3d, n: dict[str, Any]) -> tuple[mi.Float64, mi.Vector3d]:
+        """
+        F and half its gradient in the surface's own frame; F = 0 is the surface.
+
+        An asphere is its conic with z less the polynomial terms in the place of z, which needs no root.
+        """
+        c, k1, coefficients = n["curvature"], 1 + n["conic"], n["coefficients"]
+        r2 = q.x * q.x + q.y * q.y
+        z, bend = q.z, mi.Float64(0)
+        if coefficients:
+            z = z - dr.custom(AsphericTerms, r2, coefficients, n["still"], False)
+            bend = 2 * dr.custom(AsphericTerms, r2, coefficients, n["still"], True)
+        radius = n["r0"] + n["slope"] * q.z
+        cone = n["cone"]
+        along = c * k1 * z - 1
+        across = c - along * bend
+        value = dr.select(cone, r2 - radius * radius, c * (r2 + k1 * z * z) - 2 * z)
+        gradient = mi.Vector3d(
+            dr.select(cone, q.x, across * q.x),
+            dr.select(cone, q.y, across * q.y),
+            dr.select(cone, -n["slope"] * radius, along),
+        )
+        return value, gradient
+
+    def world_point(self, met: Met, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """The hit in the world, mm."""
+        q = met.q
+        if self._tilts:
+            q = q + dr.cross(met.turn, q)
+        if self._shifts:
+            q = q + met.shift
+        return self._to_world(q, s, active) + self.vertex(s, active)
+
+    def rim_distance(self, met: Met, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
+        """Distance of a hit from a rim of its surface, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
+        rho = dr.sqrt(dr.maximum(met.q.x * met.q.x + met.q.y * met.q.y, 1e-24))
+        x, y, z = dr.abs(met.q.x), dr.abs(met.q.y), met.q.z
+        # Place of the hit along the coordinate, and whether the surface lies below the rim in it
+        places = ((rho, 1), (rho, -1), (x, 1), (y, 1), (z, -1), (z, 1))
+        distance, values = mi.Float64(0), self._rims.read(s, batch, active)
+        for number, (name, (place, sign)) in enumerate(zip(RIM_COLUMNS, places, strict=True)):
+            distance = dr.select(active & (rim == number), sign * (values[name] - place), distance)
+        return distance
+
+    def distance_from(self, p: mi.Vector3d, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
+        """Distance of points of the world from the surfaces s next to them, mm; positive along the gradient of F."""
+        q = self._to_local(p - self.vertex(s, active), s, active)
+        numbers = self._numbers(s, batch, active)
+        shift, turn = self._pose(numbers)
+        if self._shifts:
+            q = q - shift
+        if self._tilts:
+            q = q - dr.cross(turn, q)
+        value, gradient = self._surface(q, numbers)
+        return value / dr.detach(2 * dr.norm(gradient))
+
+    @staticmethod
+    def _pose(numbers: dict[str, Any]) -> tuple[mi.Vector3d, mi.Vector3d]:
+        """Displacement and rotation of the frames."""
+        shift, turn = (mi.Vector3d(*(numbers[prefix + axis] for axis in "xyz")) for prefix in ("", "tilt_"))
+        return shift, turn
+
+    def world_direction(self, met: Met, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """A direction of the surface's frame in the world."""
+        if self._tilts:
+            v = v + dr.cross(met.turn, v)
+        return self._to_world(v, s, active)
+
+    def local_direction(self, met: Met, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+        """A direction of the world in the surface's frame."""
+        v = self._to_local(v, s, active)
+        return v - dr.cross(met.turn, v) if self._tilts else v
+
+    def move_start(
+        self,
+        surface: int,
+        o: mi.Vector3d,
+        d: mi.Vector3d,
+        by_o: mi.Vector3d,
+        by_d: mi.Vector3d,
+        batch: mi.UInt32,
+        active: mi.Bool,
+    ) -> None:
+        """Add derivatives of rays that start from a surface and move with it, given those by their start."""
+        s = dr.full(mi.UInt32, surface, dr.width(batch))
+        with dr.resume_grad():
+            shift, turn = self._pose(self._numbers(s, batch, active))
+            q = self._to_local(o - self.vertex(s, active), s, active)
+            along = self._to_local(d, s, active)
+            moved = self._to_world(shift + dr.cross(turn, q), s, active)
+            turned = self._to_world(dr.cross(turn, along), s, active)
+            value = dr.dot(by_o, moved) + dr.dot(by_d, turned)
+            if dr.grad_enabled(value):
+                dr.set_grad(value, dr.select(active, mi.Float64(1), 0))
+                dr.enqueue(dr.ADMode.Backward, value)
+                dr.traverse(dr.ADMode.Backward)
+
+    # ---- optics
+
+    def coating(
+        self, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
+    ) -> Callable[[mi.Bool, mi.Float64], tuple[mi.Float64, mi.Float64]]:
+        """R and T of the surfaces s for other light: a function of its side and its cosine of incidence."""
+
+        def shares(from_front: mi.Bool, cos_i: mi.Float64) -> tuple[mi.Float64, mi.Float64]:
+            front, back = self._sides(s, batch, active)
+            n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
+            return self._coated(s, split.word, from_front, cos_i, n_i, n_t, mi.Bool(False), batch, active)[:2]
+
+        return shares
+
+    def split(self, met: Met, s: mi.UInt32, what: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> Split:
+        """Directions and shares at a hit; `what` says whether the reflection was a total one."""
+        cosine = dr.dot(met.d, met.normal)
+        from_front = dr.detach(cosine) > 0
+        axis = dr.select(from_front, met.normal, -met.normal)
+        cos_i = dr.abs(cosine)
+        front, back = self._sides(s, batch, active)
+        n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
+        word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
+        R, T, cos_t, eta, total = self._coated(s, word, from_front, cos_i, n_i, n_t, what == TOTAL, batch, active)
+        reflected = met.d - 2 * cosine * met.normal
+        transmitted = eta * met.d + (cos_t - eta * cos_i) * axis
+        medium_in, medium_out = (
+            (dr.select(from_front, word >> first, word >> second)) & MEDIUM_MASK
+            for first, second in (
+                (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT),
+                (BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT),
+            )
+        )
+        return Split(
+            reflected, transmitted, R, T, from_front, axis, cos_i, cos_t, eta, total, medium_in, medium_out, word
+        )
+
+    def _coated(
+        self,
+        s: mi.UInt32,
+        word: mi.UInt32,
+        from_front: mi.Bool,
+        cos_i: mi.Float64,
+        n_i: mi.Float64,
+        n_t: mi.Float64,
+        known_total: mi.Bool,
+        batch: mi.UInt32,
+        active: mi.Bool,
+    ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64, mi.Bool]:
+        """R and T (means of s and p), cosine of refraction, n_i/n_t, and whether light is reflected in total."""
+        eta = n_i / n_t
+        sin2_t = eta * eta * (1 - cos_i * cos_i)
+        opaque = (word & OPAQUE) != 0
+        total = known_total | ((dr.detach(sin2_t) >= 1) & ~opaque)
+        cos_t = dr.select(total, 0, dr.sqrt(dr.maximum(dr.select(total, mi.Float64(1), 1 - sin2_t), 1e-24)))
+        kind, kinds = word & 3, self.table.optics.kinds
+        R, T = mi.Float64(0), mi.Float64(0)
+        if FRESNEL in kinds:
+            bare = reflectance(cos_i, cos_t, n_i, n_t)
+            R, T = bare, 1 - bare
+        if IDEAL in kinds:
+            ideal = active & (kind == IDEAL)
+            base = batch * self._ideal_stride + 2 * s
+            own = [dr.gather(mi.Float64, self._ideal, base + k, ideal) for k in range(2)]
+            R = dr.select(ideal, dr.select(total, own[0] + own[1], own[0]), R)
+            T = dr.select(ideal, own[1], T)
+        if TABLED in kinds:
+            tabled = active & (kind == TABLED)
+            places = dr.gather(mi.Vector4u, self.table.optics.places, s, tabled)
+            w = total_variable(dr.select(total, sin2_t, 2), eta, cos_i)
+            x = dr.select(total, w, dr.select(eta <= 1, cos_i, cos_t))
+            start, last = dr.select(total, places.z, places.x), dr.select(total, places.w, places.y)
+            x = x * mi.Float64(last)
+            node = dr.minimum(mi.UInt32(dr.detach(x)), last - 1)
+            fraction = x - mi.Float64(node)
+
+            still = dr.detach(fraction)
+
+            def value(k: mi.UInt32, channel: mi.UInt32) -> mi.Float64:
+                index = batch * self._row_stride + TABLE_CHANNELS * (start + k) + channel
+                return dr.gather(mi.Float64, self._rows, index, tabled)
+
+            def read(channel: mi.UInt32) -> mi.Float64:
+                # Between the nodes the value is linear as in the kernel. The slope of that is good to the spacing of
+                # the nodes only; differences over two spacings, linear between the nodes, are good to its square
+                low, high = value(node, channel), value(node + 1, channel)
+                before, after = dr.maximum(node, 1) - 1, dr.minimum(node + 2, last)
+                slopes = (
+                    (dr.detach(high) - dr.detach(value(before, channel))) / mi.Float64(node + 1 - before),
+                    (dr.detach(value(after, channel)) - dr.detach(low)) / mi.Float64(after - node),
+                )
+                return dr.lerp(low, high, still) + dr.lerp(*slopes, still) * (fraction - still)
+
+            side = dr.select(from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
+            R = dr.select(tabled, read(side), R)
+            T = dr.select(tabled, read(mi.UInt32(TRANSMISSION)), T)
+        return R, dr.select(total | opaque, 0, T), cos_t, eta, total
+
+    # ---- results
+
+    def geometry(self) -> np.ndarray:
+        """Derivatives that have been gathered, (BATCHES, surfaces, len(GEOMETRY)) float64."""
+        found = np.zeros((BATCHES, self.count, len(GEOMETRY)))
+        for rows in (self._shape, self._rims):
+            for name, values in rows.gradient().items():
+                found[:, :, GEOMETRY.index(name)] = values
+        return found
+
+    def index_gradient(self) -> np.ndarray:
+        """By the indices, (BATCHES, surfaces, 2) float64."""
+        return np.array(dr.grad(self._indices)).reshape(BATCHES, self.count, 2)
+
+    def row_gradient(self, channels: int) -> np.ndarray:
+        """By the rows of the tables and ideal R and T, (BATCHES, rows, channels), see `mistray.recorders.adjoint`."""
+        found = np.zeros((BATCHES, self.rows, channels))
+        found[:, :, :TABLE_CHANNELS] = np.array(dr.grad(self._rows)).reshape(BATCHES, self.rows, TABLE_CHANNELS)
+        ideal = np.array(dr.grad(self._ideal)).reshape(BATCHES, self.count, 2)
+        for s, place in enumerate(self.table.optics.host_places):
+            if int(self.table.optics.host_words[s]) & 3 == IDEAL:
+                found[:, place[0], REFLECTION_FRONT] += ideal[:, s, 0]
+                found[:, place[0], TRANSMISSION] += ideal[:, s, 1]
+        return found
+
+
+@dataclass
+class Split:
+    """What becomes of light at a hit; directions in the surface's frame, see `mistray.kernel.interaction`."""
+
+    reflected: mi.Vector3d
+    transmitted: mi.Vector3d
+    R: mi.Float64
+    T: mi.Float64
+    from_front: mi.Bool
+    axis: mi.Vector3d
+    cos_i: mi.Float64
+    cos_t: mi.Float64
+    eta: mi.Float64
+    total: mi.Bool
+    medium_in: mi.UInt32
+    medium_out: mi.UInt32
+    word: mi.UInt32
+
+
+@dataclass
+class Numbers:
+    """
+    All numbers of the surfaces that have a derivative.
+
+    Attributes
+    ----------
+    geometry : (surfaces, len(GEOMETRY)) float64
+    indices : (surfaces, 2) float64
+        In front and behind.
+    rows : (rows, TABLE_CHANNELS) float64
+        Of the tables of R and T.
+    ideal : (surfaces, 2) float64
+        R and T of ideal coatings.
+    """
+
+    geometry: np.ndarray
+    indices: np.ndarray
+    rows: np.ndarray
+    ideal: np.ndarray
+
+    def plus(self, other: Numbers) -> Numbers:
+        """These plus others."""
+        return Numbers(*(getattr(self, f.name) + getattr(other, f.name) for f in fields(self)))
+
+    def times(self, factor: float) -> Numbers:
+        """A multiple of these."""
+        return Numbers(*(factor * getattr(self, f.name) for f in fields(self)))
+
+
+def numbers_of(table: SurfaceTable) -> Numbers:
+    """The numbers of a table as they are."""
+    geometry = np.zeros((table.count, len(GEOMETRY)))
+    for piece in table.pieces:
+        for name, value in piece.columns.items():
+            geometry[piece.index, GEOMETRY.index(name)] = value
+    optics = table.optics
+    rows = np.array(optics.table, dtype=np.float64).reshape(-1, 4)[:, :TABLE_CHANNELS]
+    # The kernel's rows are float32; differences of neighbours, which are slopes, need the digits of the host's
+    for known, (first, _, total, _) in zip(optics.tables, optics.host_places, strict=True):
+        if known is not None:
+            for place, part in ((first, known.refraction), (total, known.total)):
+                rows[place : place + len(part)] = part[:, :, 0]
+    return Numbers(geometry, optics.host_indices[:, :2].copy(), rows, optics.host_indices[:, 2:].copy())

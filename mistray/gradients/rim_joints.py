@@ -1,0 +1,167 @@
+"""Where the rim of a surface of revolution touches another surface, and what a ray beside the rim meets there.
+
+At a joint no gap opens when the rim alone moves: the edge that light sees is the line in which the two surfaces meet.
+Whether a ray that just misses the rim meets the other surface at once is decided in the plane of the axis: with the
+direction u in which the rim ends the surface, the direction v from the joint along the other surface and the ray's
+direction d, the ray η u + t d meets the other surface at τ v for
+
+    τ = η (u × d)/(v × d),   t = -η (u × v)/(d × v)
+
+that is, if τ > 0; before it passes the rim (a concave corner) if t < 0, behind it (a convex one) if t > 0. The ray that
+hits at the same distance within the rim has the opposite τ and t: where its τ > 0 and t < 0, it comes from the other
+surface. Such rays say nothing about the edge, because their ways begin on one side of it only.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.gradients.rims import INNER, OUTER, Z_HIGH, Z_LOW, rim_sizes
+from mistray.physics.sag import sag, sag_derivative
+from mistray.surfaces.pieces import Piece
+from mistray.surfaces.surfaces import SurfaceTable
+
+TOUCH = 1e-4  # distance of surfaces that touch, in units of the rim's radius
+PARALLEL = 1e-7  # by which the directions of axes may differ
+
+
+@dataclass(frozen=True)
+class Joint:
+    """
+    Half of another surface that begins at a rim.
+
+    Attributes
+    ----------
+    surface : int
+        Its number.
+    along : (2,) float64
+        Unit vector from the joint along it, in the plane of the axis: away from the axis and along it, in the frame of
+        the surface that the rim belongs to.
+    gradient : (2,) float64
+        Unit vector along the gradient of its F, see `ReplaySurfaces`: away from the axis for cones and tubes, towards
+        smaller z for all others.
+    ends : bool
+        Whether it ends here too; else its other half is another `Joint`.
+    """
+
+    surface: int
+    along: np.ndarray
+    gradient: np.ndarray
+    ends: bool
+
+
+@dataclass(frozen=True)
+class RimCircle:
+    """
+    A rim that is a circle.
+
+    Attributes
+    ----------
+    point : (2,) float64
+        Its radius and its place along the axis from the vertex, mm.
+    outward : (2,) float64
+        Unit vector in which it ends the surface, away from the axis and along it.
+    stretch : float
+        Part of `outward` along the coordinate in which distances from the rim count.
+    joints : list of Joint
+    """
+
+    point: np.ndarray
+    outward: np.ndarray
+    stretch: float
+    joints: list[Joint]
+
+
+def rim_circles(table: SurfaceTable) -> dict[tuple[int, int], RimCircle]:
+    """Circular rims of all surfaces, by surface and place in `RIM_COLUMNS`, with what touches them."""
+    found = {}
+    extents = np.array([piece.z_range for piece in table.pieces])
+    for piece in table.pieces:
+        beside, sign, place = _relative_axes(table, piece)
+        for rim in rim_sizes(piece):
+            if rim not in (OUTER, INNER, Z_LOW, Z_HIGH):
+                continue
+            point = _rim_point(piece, rim)
+            tolerance = TOUCH * point[0]
+            along = sign * (point[1] - place)  # in the frames of the other surfaces
+            near = (beside <= tolerance) & (along >= extents[:, 0] - tolerance) & (along <= extents[:, 1] + tolerance)
+            near[piece.index] = False
+            tangent, _ = _profile(piece, point)
+            outward = tangent if rim in (OUTER, Z_HIGH) else -tangent
+            joints = [
+                joint
+                for k in np.flatnonzero(near)
+                for joint in _joints(table.pieces[k], np.array([point[0], along[k]]), float(sign[k]))
+            ]
+            stretch = float(abs(outward[0 if rim in (OUTER, INNER) else 1]))
+            found[piece.index, rim] = RimCircle(point, outward, stretch, joints)
+    return found
+
+
+def _rim_point(piece: Piece, rim: int) -> np.ndarray:
+    if rim in (OUTER, INNER):
+        radius = piece.outer if rim == OUTER else piece.inner
+        return np.array([radius, _sag(piece, radius)])
+    z = piece.z_range[0 if rim == Z_LOW else 1]
+    return np.array([_radius(piece, z), z])
+
+
+def _sag(piece: Piece, radius: float) -> float:
+    return float(sag(radius**2, *piece.conic, piece.coefficients))
+
+
+def _radius(piece: Piece, z: float) -> float:
+    return abs(piece.r0 + piece.slope * z)
+
+
+def _profile(piece: Piece, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Unit vectors along the profile at a point of it, outwards or towards +z, and along the gradient of F."""
+    if piece.kind == "cone":
+        slope = piece.slope
+        tangent, gradient = np.array([slope, 1.0]), np.array([1.0, -slope])
+    else:
+        slope = float(2 * point[0] * sag_derivative(point[0] ** 2, *piece.conic, piece.coefficients))
+        tangent, gradient = np.array([1.0, slope]), np.array([slope, -1.0])
+    return tangent / np.linalg.norm(tangent), gradient / np.linalg.norm(gradient)
+
+
+def _relative_axes(table: SurfaceTable, piece: Piece) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    The axes of all surfaces as one of them sees them.
+
+    Returns
+    -------
+    beside : (n,) float64
+        Distance from the axis of this one, mm; infinite for those that are not parallel to it.
+    sign : (n,) float64
+        -1 for those that point the other way.
+    place : (n,) float64
+        Of the vertices along the axis of this one, from its own, mm.
+    """
+    axes, vertices = (numbers[: len(table.pieces)] for numbers in (table.rotations[:, :, 2], table.vertices))
+    axis, apart = axes[piece.index], vertices - vertices[piece.index]
+    place = apart @ axis
+    beside = np.linalg.norm(apart - place[:, None] * axis, axis=1)
+    turned = np.linalg.norm(np.cross(axis, axes), axis=1)
+    return np.where(turned > PARALLEL, np.inf, beside), np.sign(axes @ axis), place
+
+
+def _joints(other: Piece, here: np.ndarray, sign: float) -> list[Joint]:
+    """The halves of another surface on the same axis that begin at a circle, given in the frame of that surface."""
+    tolerance = TOUCH * here[0]
+    if other.kind == "cone":
+        place, (low, high), off = here[1], other.z_range, here[0] - _radius(other, here[1])
+    else:
+        reach = other.outer or min(other.half_size)
+        if here[0] > reach + tolerance:
+            return []
+        place, (low, high), off = here[0], (other.inner, reach), here[1] - _sag(other, min(here[0], reach))
+    tangent, gradient = _profile(other, here)
+    if not abs(off) <= tolerance or not low - tolerance <= place <= high + tolerance:
+        return []
+    at_low, at_high = place < low + tolerance, place > high - tolerance
+    turn = np.array([1.0, sign])
+    ways = [tangent] if at_low else [-tangent] if at_high else [tangent, -tangent]
+    return [Joint(other.index, turn * way, turn * gradient, at_low or at_high) for way in ways]

@@ -1,0 +1,201 @@
+"""Rays that hit a surface close to one of its rims: where they hit, on which way, and what the metric gains from them.
+
+A rim is the end of an analytic surface: clear radii, the sides of a rectangle, the ends of a cone or tube. Rays within
+a narrow zone along it say how much light a move of the rim would let pass or catch; `mistray.gradients.edges` makes the
+derivative out of them.
+"""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.gradients.grazing import Grazing
+from mistray.recorders.adjoint import GAIN
+from mistray.recorders.branch_recorder import POINT_FLOATS, BranchRecorder
+from mistray.recorders.recorder import Memory, Recorder, Return, Visit
+from mistray.recorders.start_rays import StartRays
+from mistray.surfaces.gradient_columns import RIM_COLUMNS
+from mistray.surfaces.pieces import Piece
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+OUTER, INNER, HALF_WIDTH, HALF_HEIGHT, Z_LOW, Z_HIGH = range(len(RIM_COLUMNS))
+ROUND, RECTANGLE, CONE = range(3)  # kinds of bounds; their rims are 2 kind and 2 kind + 1
+NO_EVENT = 0xFFFFFFFF
+RIMS = "rims"  # of a lane, in the memory
+FAR = 1e30  # mm, where there is no rim
+# State of a ray before a hit, as `StartRays` has it
+STATE = {
+    "batch": "UInt32",
+    "medium": "UInt32",
+    "depth": "UInt32",
+    "reflections": "UInt32",
+    "scatters": "UInt32",
+    "key": "UInt64",
+    "birth": "Float",
+    "aimed_from": "UInt32",
+    "aside": "Bool",
+    "run": "UInt32",
+}
+
+
+def rim_sizes(piece: Piece) -> dict[int, float]:
+    """Rims of a surface, by their place in `RIM_COLUMNS`, and their radius or half side, mm."""
+    if piece.kind == "cone":
+        found = {rim: abs(piece.r0 + piece.slope * z) for rim, z in zip((Z_LOW, Z_HIGH), piece.z_range, strict=True)}
+    elif piece.outer:
+        found = {OUTER: piece.outer, INNER: piece.inner}
+    else:
+        found = {HALF_WIDTH: piece.half_size[0], HALF_HEIGHT: piece.half_size[1]}
+    return {rim: size for rim, size in found.items() if size > 0}
+
+
+def zone_widths(piece: Piece, width: float) -> dict[int, float]:
+    """
+    Widths of the zones along the rims of a surface, mm.
+
+    Parameters
+    ----------
+    piece : Piece
+    width : float
+        In units of the radius or half side; zones of a round surface or a cone end where they would overlap.
+    """
+    sizes = rim_sizes(piece)
+    extent = np.ptp(piece.z_range) if piece.kind == "cone" else piece.outer - piece.inner
+    return {
+        rim: min(width * size, size if rim in (HALF_WIDTH, HALF_HEIGHT) else 0.5 * float(extent))
+        for rim, size in sizes.items()
+    }
+
+
+class RimRecorder(Recorder):
+    """
+    Append buffer for hits close to rims, in a trace with an `Adjoint` after it.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    width : float
+        Of the zones, in units of the rim's radius or half side.
+    capacity : int
+        Most hits that are kept.
+    max_events : int
+        Longest path.
+
+    Attributes
+    ----------
+    paths : BranchRecorder
+        Paths up to and with the hit; `weight` is the flux that arrives, `heading` the direction of arrival.
+    rim : (capacity,) mi.UInt32
+        Place in `RIM_COLUMNS`, or a jump of `mistray.gradients.grazing`.
+    delta : (capacity,) mi.Float
+        Distance from the rim, mm, or from the jump.
+    axis : (capacity, 3) mi.Float
+        Normal at the hit, on the side that the light goes to.
+    scale : (capacity,) mi.Float
+        See `mistray.gradients.grazing.Jump`.
+    copies : (capacity,) mi.Float
+        How often the hit counts: once, twice where two zones overlap, of which one was chosen at random.
+    gain : (capacity,) mi.Float64
+        What the metric gains from the hit and all that follows.
+    before : dict
+        Fields of `StartRays` → (capacity,) state of the ray before the hit.
+    """
+
+    node_floats = POINT_FLOATS
+
+    def __init__(self, table: SurfaceTable, width: float, capacity: int, max_events: int) -> None:
+        bounds = np.tile([FAR, -FAR, 0.0, 0.0], (table.count, 1))
+        kinds = np.zeros(table.count, dtype=np.uint32)
+        for piece in table.pieces:
+            i, zones = piece.index, zone_widths(piece, width)
+            if piece.kind == "cone":
+                kinds[i] = CONE
+                rims = {Z_HIGH: (0, piece.z_range[1]), Z_LOW: (1, piece.z_range[0])}
+            elif piece.outer:
+                kinds[i] = ROUND
+                rims = {OUTER: (0, piece.outer), INNER: (1, piece.inner)}
+            else:
+                kinds[i] = RECTANGLE
+                rims = {HALF_WIDTH: (0, piece.half_size[0]), HALF_HEIGHT: (1, -piece.half_size[1])}
+            for rim, zone in zones.items():
+                column, value = rims[rim]
+                bounds[i, column], bounds[i, 2 + column] = value, zone
+        self._bounds, self._kinds = upload(mi.Float, bounds), upload(mi.UInt32, kinds)
+        self.paths = BranchRecorder(capacity, max_events, points_only=True)
+        self.rim = dr.zeros(mi.UInt32, capacity)
+        self.delta, self.copies = dr.zeros(mi.Float, capacity), dr.zeros(mi.Float, capacity)
+        self.gain = dr.zeros(mi.Float64, capacity)
+        self.grazing = Grazing(table, width)
+        self.axis, self.scale = dr.zeros(mi.Float, 3 * capacity), dr.zeros(mi.Float, capacity)
+        self.before = {name: dr.zeros(getattr(mi, kind), capacity) for name, kind in STATE.items()}
+        dr.eval(self.rim, self.delta, self.copies, self.gain, self.axis, self.scale, self.before)
+
+    def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
+        """Local arrays by depth: slot of the hit, and what the metric had gained before it."""
+        memory[RIMS] = dr.alloc_local(mi.UInt32, max_events), dr.alloc_local(mi.Float64, max_events)
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Write down the hits that are close to a rim."""
+        it, state, valid = visit.interaction, visit.state, visit.active
+        slots, before = memory[RIMS]
+        depth = state["depth"]
+        rim, delta, near, both = self._nearest(state["s"], it.local, valid)
+        jump = self.grazing.find(state["s"], it, state["d"], valid)
+        # A hit is written once: where a rim and a jump are close, one of them is chosen by a bit of a coordinate
+        mixed = near & jump.near
+        jumps = jump.near & (~near | ((dr.reinterpret_array(mi.UInt32, it.local.y) & 1) != 0))
+        rim, delta = dr.select(jumps, jump.kind, rim), dr.select(jumps, jump.delta, delta)
+        copies = dr.select(mixed, mi.Float(2), 1) * dr.select(both & ~jumps, mi.Float(2), 1)
+        near |= jump.near
+
+        def write(near: mi.Bool) -> mi.UInt32:
+            weight = mi.Float64(state["w"])
+            slot, kept = self.paths.write(visit, near, it.p, weight, heading=state["d"])
+            numbers = (self.rim, rim), (self.delta, delta), (self.copies, copies), (self.scale, jump.scale)
+            for values, value in numbers:
+                dr.scatter(values, value, slot, kept)
+            for j, component in enumerate(it.axis):
+                dr.scatter(self.axis, component, 3 * slot + j, kept)
+            for name, values in self.before.items():
+                dr.scatter(values, visit.start.batch if name == "batch" else state[name], slot, kept)
+            return dr.select(kept, slot, NO_EVENT)
+
+        slot = dr.if_stmt(
+            (near,), near, write, lambda near: mi.UInt32(NO_EVENT), arg_labels=("near",), mode="symbolic", label="rim"
+        )
+        slots.write(slot, depth, visit.visited)
+        before.write(memory[GAIN], depth, near)
+
+    def _nearest(self, s: mi.UInt32, q: mi.Vector3f, active: mi.Bool) -> tuple[mi.UInt32, mi.Float, mi.Bool, mi.Bool]:
+        """Rim, distance from it (mm), whether that is within its zone, and whether another zone was as good."""
+        bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
+        kind = dr.gather(mi.UInt32, self._kinds, s, active)
+        rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
+        along = dr.select(kind == ROUND, rho, dr.select(kind == CONE, q.z, dr.abs(q.x)))
+        across = dr.select(kind == RECTANGLE, -dr.abs(q.y), along)
+        to_first, to_second = dr.maximum(bounds.x - along, 0), dr.maximum(across - bounds.y, 0)
+        near_first, near_second = active & (to_first < bounds.z), active & (to_second < bounds.w)
+        both = near_first & near_second
+        # Which of the two it is, is decided by the last bit of a coordinate
+        odd = (dr.reinterpret_array(mi.UInt32, q.x) & 1) != 0
+        first = near_first & (~both | odd)
+        rim = 2 * kind + dr.select(first ^ (kind == CONE), mi.UInt32(0), 1)
+        return rim, dr.select(first, to_first, to_second), near_first | near_second, both
+
+    def back(self, back: Return, memory: Memory) -> None:
+        """Note what the metric has gained from the hits whose subtrees are complete."""
+        (slots, before), gain, active = memory[RIMS], memory[GAIN], back.active
+
+        def step(k):  # type: ignore[no-untyped-def]
+            going = active & (k <= back.depth)
+            slot = slots.read(k, going)
+            here = going & (slot != NO_EVENT)
+            dr.scatter(self.gain, gain - before.read(k, here), slot, here)
+            return (k + 1,)
+
+        dr.while_loop(
+            (mi.UInt32(back.closed),), lambda k: active & (k <= back.depth), step, mode="symbolic", label="close rims"
+        )

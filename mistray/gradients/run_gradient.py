@@ -1,0 +1,171 @@
+"""Derivatives of a metric by geometry and all else for one source and wavelength: record, sort, replay by passes."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.execute.tracer import Run
+from mistray.gradients.edges import Edges
+from mistray.gradients.gatherer import Gatherer, each
+from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.gradients.replay import scatter_event
+from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
+from mistray.gradients.scatter_replay import ScatterReplay
+from mistray.recorders.film import Film
+from mistray.recorders.path_derivative import MOMENTS, PathDerivative
+from mistray.recorders.start_rays import StartRays
+from mistray.recorders.tallies import HITS
+from mistray.surfaces.upload import upload
+
+BOX_FILM = (
+    "light that moves from pixel to pixel counts as if the derivative by the image were linear between their centres; "
+    "a film with the reconstruction filter 'tent' has it exactly"
+)
+UNKNOWN_SHARE = 1e-9  # of the detected light past rims that is worth a line
+HITS_PER_RAY = 8.0  # a first guess where the scene has not been traced; portions that are too large are halved
+
+
+class DetectorEnd:
+    """
+    What the metric gains from a hit of the detector.
+
+    Parameters
+    ----------
+    film : Film
+    coefficients : (n, MOMENTS) float64 or None
+        Of each ray.
+    pixel : mi.Float64 or None
+        (maps, height, width) derivative by the flux in each pixel, in units of a start ray.
+    maps : (n,) int
+        Number of the map of each ray, -1: none.
+    flux : mi.Float64
+        With which each ray meets the detector.
+    scatter : ScatterReplay or None
+        Of a scene that scatters.
+    """
+
+    def __init__(
+        self,
+        film: Film,
+        coefficients: np.ndarray | None,
+        pixel: mi.Float64 | None,
+        maps: np.ndarray,
+        flux: mi.Float64,
+        scatter: ScatterReplay | None,
+    ) -> None:
+        self._film, self._pixel, self._flux, self._scatter = film, pixel, flux, scatter
+        self._mapped = upload(mi.Bool, maps >= 0)
+        pixels = film.width * film.height
+        self._first = upload(mi.UInt32, (np.maximum(maps, 0) * pixels).astype(np.uint32))
+        self._terms = None
+        if coefficients is not None:
+            self._terms = [upload(mi.Float64, coefficients[:, k]) for k in range(MOMENTS)]
+
+    def __call__(
+        self, surfaces: ReplaySurfaces, met: Met, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
+    ) -> mi.Float64:
+        """What each ray adds to the metric, to first order, as a function of its last hit."""
+        x, y = met.q.x, met.q.y
+        gain = mi.Float64(0)
+        if self._terms is not None:
+            a, bx, by, cxx, cyy, cxy = self._terms
+            gain = gain + a + x * (bx + cxx * x + cxy * y) + y * (by + cyy * y)
+        if self._pixel is not None:
+            gain = gain + self._image(x, y, active)
+        absorbed = 1 - split.R - split.T
+        if self._scatter is not None:
+            here = scatter_event(met, split, s, mi.Bool(True), batch)
+            absorbed = self._scatter.absorbed(here, active)
+        return self._flux * absorbed * gain
+
+    def _image(self, x: mi.Float64, y: mi.Float64, active: mi.Bool) -> mi.Float64:
+        """The derivative by the image: its value as the film has it, its slope between the centres of the pixels."""
+        film = self._film
+        column, row = (
+            (x - mi.Float64(film.x0)) * mi.Float64(film.per_mm_x),
+            (y - mi.Float64(film.y0)) * mi.Float64(film.per_mm_y),
+        )
+
+        def pixel(i: mi.Int32, j: mi.Int32) -> mi.Float64:
+            i, j = dr.clip(i, 0, film.width - 1), dr.clip(j, 0, film.height - 1)
+            return dr.gather(
+                mi.Float64, self._pixel, self._first + mi.UInt32(j * film.width + i), active & self._mapped
+            )
+
+        u, v = column - 0.5, row - 0.5
+        i, j = mi.Int32(dr.floor(dr.detach(u))), mi.Int32(dr.floor(dr.detach(v)))
+        fu, fv = u - mi.Float64(i), v - mi.Float64(j)
+        smooth = dr.lerp(
+            dr.lerp(pixel(i, j), pixel(i + 1, j), fu), dr.lerp(pixel(i, j + 1), pixel(i + 1, j + 1), fu), fv
+        )
+        if film.tent:
+            return smooth
+        own = pixel(mi.Int32(dr.floor(dr.detach(column))), mi.Int32(dr.floor(dr.detach(row))))
+        return own + (smooth - dr.detach(smooth))
+
+
+def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | None, wanted: Wanted) -> RawGradient:
+    """
+    Derivatives of a metric at one source and wavelength, by tracing the same rays again.
+
+    Parameters
+    ----------
+    run : Run
+    paths : PathDerivative or None
+        None: all hits count, in map 0.
+    pixel : (maps, height, width) or None
+        In units of a start ray.
+    wanted : Wanted
+        Coatings alone take a walk in reverse (see `mistray.recorders.adjoint`); for anything else rays are recorded and
+        replayed (see `mistray.gradients.replay`).
+    """
+    if not wanted.replays:
+        return RawGradient(run.table, run.scattering, rows=run.derivatives(pixel, paths))
+    longest = run.settings.max_events if run.paths is None else int(run.paths.lengths.max(initial=1))
+    gatherer = Gatherer(run.table, run.scattering, run.settings, wanted, longest)
+    film = run.make_film()
+    image = None if pixel is None else upload(mi.Float64, np.asarray(pixel, dtype=np.float64))
+    traced = run.surfaces.size > 0
+    hits = float(run.surfaces[run.table.detector, HITS].sum()) / run.rays if traced else HITS_PER_RAY
+    recorder = gatherer.recorder
+
+    def walk(start: StartRays) -> None:
+        run.walk(start, recorder)
+
+    def counts(keys: np.ndarray) -> np.ndarray:
+        if paths is None:
+            return np.ones(len(keys), dtype=bool)
+        coefficients, maps = paths.of(keys)
+        return np.asarray(coefficients.any(axis=1) | ((maps >= 0) & (image is not None)))
+
+    def end(row: mi.UInt32, keys: np.ndarray) -> DetectorEnd:
+        coefficients, maps = each(paths.of, keys) if paths is not None else (None, np.zeros(len(keys), dtype=np.int64))
+        return DetectorEnd(
+            film, coefficients, image, maps, dr.gather(mi.Float64, recorder.weight, row), gatherer.scatter
+        )
+
+    with dr.suspend_grad():  # single events are differentiated, nothing around them
+        edges = None
+        if gatherer.edges:
+            edges = Edges(run.scene, run.settings, wanted.edge_width)
+            adjoint = run.adjoint(pixel, paths, rows=0)
+        for number in range(run.passes):
+            whole = run.start_pass(number)
+            if not wanted.only_rims:
+                for start in gatherer.portions(whole, hits, walk):
+                    gatherer.replay(start, counts, end)
+            if edges is not None:
+                for start, events in edges.events(whole, adjoint):
+                    gatherer.replay_edges(start, events)
+    raw = gatherer.result()
+    if edges is not None and traced:
+        strange = float(adjoint.unknown[0]) / max(float(run.film.sum()), np.finfo(float).tiny)
+        if strange > UNKNOWN_SHARE:
+            raw.left_out.append(
+                f"light past rims on paths that the trace has not met: {strange:.1e} of what is detected"
+            )
+    if image is not None and wanted.geometry and not film.tent:
+        raw.left_out.append(BOX_FILM)
+    return raw

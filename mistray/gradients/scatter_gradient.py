@@ -1,0 +1,192 @@
+"""From derivatives by the entries of the scatter tables to derivatives by the values of the scatter models.
+
+The tables are functions of the models' values in float64 on the host. Each is computed again a little to either side of
+a value, and the difference quotients are multiplied with the derivatives by the entries. The error is of second order
+in the relative step, about its square; the models are smooth.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.gradients.scatter_replay import LOBES, LOGS, RATIOS, TOTAL_FLOATS, TOTALS
+from mistray.kernel.lobes import STRIDE, stored_logs
+from mistray.kernel.scatter_tables import (
+    LOBE_FLOATS,
+    RATIO_HEAD,
+    Case,
+    PackedLobes,
+    Side,
+    light_indices,
+    lobe_floats,
+    make_side,
+    pack,
+)
+from mistray.scatter.lobe import Lobe
+from mistray.settings import BATCHES
+
+if TYPE_CHECKING:
+    from mistray.kernel.scattering import Scattering
+    from mistray.surfaces.surfaces import SurfaceTable
+
+STEP = 1e-4  # relative to the value
+PROBES = ((550.0, 1.0, 1.5, True), (550.0, 1.5, 1.0, False))  # wavelength, indices and side where `fixed` looks
+
+
+def scatter_gradient(
+    table: SurfaceTable,
+    scattering: Scattering,
+    derivatives: dict[str, np.ndarray],
+    wanted: Callable[[Any, str], bool] = lambda owner, name: True,
+) -> Iterator[tuple[Any, str, np.ndarray]]:
+    """
+    Derivatives of a metric by the values of the scatter models of a scene.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+        Of the run.
+    scattering : Scattering
+        Of the run.
+    derivatives : dict
+        From `mistray.gradients.scatter_replay.ScatterReplay.derivatives`.
+    wanted : callable
+        Says of a plugin and a name whether its derivative is asked for; by default all are.
+
+    Yields
+    ------
+    owner, name, gradient
+        A scatter plugin, the name of one of its values, and the derivatives by batch, (BATCHES, 1), of all surfaces
+        that have the plugin.
+
+    Raises
+    ------
+    MistrayError
+        If lobes come or go at a value, so that it has no derivative, see `fixed`.
+    """
+    packed = pack(scattering.tables.all_cases, by_plugin=True)
+    cases: dict[int, dict[int, Case]] = {}  # by plugin and place
+    for number, case in enumerate(scattering.tables.all_cases):
+        for member in case.members:
+            cases.setdefault(id(member.plugin), {})[number] = case
+    for plugin in _plugins(table):
+        own = list(cases.get(id(plugin), {}).values())
+        for name in plugin.values:
+            if not wanted(plugin, name):
+                continue
+            reason = fixed(plugin, name)
+            if reason is not None:
+                raise MistrayError(
+                    f"{plugin.title}: {reason}, where it has no derivative; leave it out, or start elsewhere"
+                )
+            total = np.zeros(BATCHES)
+            for array, place, slope in _slopes(table, own, packed, plugin, quotient(plugin, name)):
+                total += derivatives[array][:, place : place + slope.size] @ slope.ravel()
+            yield plugin, name, total[:, None]
+
+
+def _plugins(table: SurfaceTable) -> list[Any]:
+    """The scatter plugins of all surfaces, each once."""
+    return list({id(plugin): plugin for bsdf in table.optics.bsdfs for plugin in bsdf.scatterers}.values())
+
+
+def fixed(plugin: Any, name: str) -> str | None:
+    """
+    Why a value of a scatter plugin has no derivative in a trace where it stands; None if it has one.
+
+    At 0 lobes may come or go, as at the amplitude 0, so that a trace does not know what lies on the other side; and a
+    model may allow one value only.
+    """
+    value = float(dr.detach(plugin.values[name])[0])
+    try:
+        models = [plugin.model, *(model for _, model in quotient(plugin, name))]
+        if value != 0:
+            return None
+    except MistrayError:
+        return f"{name} can only be {value:g}"
+    try:
+        kinds = {tuple(_kind(lobe) for at in PROBES for lobe in model.lobes(*at)) for model in models}
+    except MistrayError:  # what the model refuses at these indices, a trace of the scene refuses in its own words
+        return None
+    return None if len(kinds) == 1 else f"lobes come or go at {name} = 0"
+
+
+def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[float, Any]]:
+    """
+    Weights and models whose sum is the derivative by a value: a central difference, one-sided at the end of its range.
+
+    Parameters
+    ----------
+    plugin : Scatterer
+    name : str
+    relative_step : float
+        In units of the value, or of 1 where that is 0.
+
+    Raises
+    ------
+    MistrayError
+        If there is no room to either side.
+    """
+    values = {key: float(dr.detach(value)[0]) for key, value in plugin.values.items()}
+    step = relative_step * (abs(values[name]) or 1.0)
+
+    def at(steps: int) -> Any:
+        return plugin._model_of(**{**values, name: values[name] + steps * step})
+
+    for stencil in ({-1: -0.5, 1: 0.5}, {0: -1.5, 1: 2.0, 2: -0.5}, {0: 1.5, -1: -2.0, -2: 0.5}):
+        try:
+            return [(weight / step, at(steps)) for steps, weight in stencil.items()]
+        except MistrayError:
+            continue
+    raise MistrayError(f"{plugin.title}: no derivative by {name} at {values[name]:g}, which has no neighbours")
+
+
+def _slopes(
+    table: SurfaceTable, cases: list[Case], packed: PackedLobes, plugin: Any, models: list[tuple[float, Any]]
+) -> Iterator[tuple[str, int, np.ndarray]]:
+    """Derivatives of the entries that depend on a plugin: name of the array, place of the first, and what they are."""
+    known: dict[tuple[float, float, bool], list[tuple[float, Side]]] = {}
+    done: set[tuple[str, int]] = set()
+    for case in cases:
+        own = [(case.first_lobe + k, member) for k, member in enumerate(case.members) if member.plugin is plugin]
+        key = (*light_indices(table.optics, case.surface, case.from_front), case.from_front)
+        if key not in known:
+            known[key] = [(weight, make_side((model,), table.wavelength_nm, *key)) for weight, model in models]
+        sides = known[key]
+        for _, side in sides:
+            lobes = [lobe for lobe in side.lobes if lobe.event == case.event]
+            if [_kind(lobe) for lobe in lobes] != [_kind(member.lobe) for _, member in own]:
+                raise MistrayError(
+                    f"{plugin.title}: its lobes at surface '{table.ids[case.surface]}' come or go with its values, so "
+                    "they have no derivative there"
+                )
+        slopes = _sum((w, np.broadcast_to(side.rows[case.event], case.rows.shape)) for w, side in sides)
+        yield TOTALS, case.first_row * TOTAL_FLOATS, slopes
+        for k, member in own:
+            moved = [(w, side.lobes[member.number], side.tables[member.number]) for w, side in sides]
+            yield LOBES, k * LOBE_FLOATS, _sum((w, lobe_floats(lobe, radial)) for w, lobe, radial in moved)
+            # Tables that several lobes share count once
+            place = packed.table_numbers[k] * STRIDE
+            if (LOGS, place) not in done:
+                yield LOGS, place, _sum((w, stored_logs(radial)) for w, _, radial in moved)
+            done.add((LOGS, place))
+            place = int(packed.words[k, 1]) + RATIO_HEAD
+            if member.lobe.ratio is not None and not member.lobe.ratio.fixed and (RATIOS, place) not in done:
+                yield RATIOS, place, _sum((w, lobe.ratio.values) for w, lobe, _ in moved if lobe.ratio is not None)
+                done.add((RATIOS, place))
+
+
+def _sum(terms: Iterable[tuple[float, np.ndarray]]) -> np.ndarray:
+    """Weighted sum of arrays."""
+    return np.asarray(sum(weight * values for weight, values in terms))
+
+
+def _kind(lobe: Lobe) -> tuple[Any, ...]:
+    """What must not change where a lobe is differentiated."""
+    shape = None if lobe.ratio is None else (lobe.ratio.axes, lobe.ratio.r_min, lobe.ratio.values.shape)
+    return lobe.event, lobe.measure, lobe.centre, lobe.factor, shape

@@ -1,0 +1,136 @@
+"""Light that is not followed although it could be, by limits that most traces do not set: then they take no code."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.kernel.interaction import Interaction, counts_as_reflection
+from mistray.recorders.recorder import Recorder
+from mistray.recorders.tallies import CONSECUTIVE, CONTROL, CUT_BRANCHES, GENERATIONS
+from mistray.settings import BRANCHES, NO_LIMIT, Settings
+from mistray.surfaces.optics import MIRROR
+
+# Hits of one surface in a row in a word: the surface, and above it their number
+RUN_SHIFT, SURFACE_MASK = 16, 0xFFFF
+NO_RUN = SURFACE_MASK
+ABSORPTION = list(BRANCHES).index("A")
+
+
+class BranchLimits:
+    """
+    `Settings.ray_control`, `max_generations`, `cut_below` and `max_consecutive` in the kernel, and what they cut.
+
+    Parameters
+    ----------
+    settings : Settings
+    recorder : Recorder
+        Told of it.
+    batch : mi.UInt32
+    """
+
+    def __init__(self, settings: Settings, recorder: Recorder, batch: mi.UInt32) -> None:
+        self._recorder, self._batch = recorder, batch
+        self._allowed = frozenset(settings.allowed)
+        self._controls = settings.ray_control != "allow_all"
+        self._generations, self._consecutive = (
+            dr.opaque(mi.UInt32, limit) if is_set else None
+            for limit, is_set in (
+                (settings.max_generations, settings.max_generations < NO_LIMIT),
+                (settings.max_consecutive, settings.limits_consecutive),
+            )
+        )
+        self._below = [dr.opaque(mi.Float, limit) for limit in settings.cut_below]
+        self._cuts_branches = any(settings.cut_below[:ABSORPTION])
+        self._cuts_absorption = settings.cut_below[ABSORPTION] > 0
+
+    def _cut(self, reason: int | mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
+        self._recorder.cut(reason, self._batch, flux, active & (flux > 0))
+
+    def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
+        """What counts of the flux that a surface absorbs, and whether the hit counts on a detector."""
+        if "A" not in self._allowed:
+            self._cut(CONTROL, absorbed, active)
+            return mi.Float(0), mi.Bool(False)
+        if not self._cuts_absorption:
+            return absorbed, mi.Bool(True)
+        faint = absorbed < self._below[ABSORPTION]
+        self._cut(CUT_BRANCHES + ABSORPTION, absorbed, active & faint)
+        return dr.select(faint, 0, absorbed), ~faint
+
+    def follow(
+        self, it: Interaction, generations: mi.UInt32, flux: tuple[mi.Float, ...], active: mi.Bool
+    ) -> tuple[mi.Float, ...]:
+        """
+        What is left of the light that goes on from a node.
+
+        Parameters
+        ----------
+        it : Interaction
+        generations : mi.UInt32
+            Reflections and scatter events before.
+        flux : tuple of four mi.Float
+            Transmitted, reflected, scattered by the surface, and scattered by the medium in front of it.
+        active : mi.Bool
+            Lanes that book what is cut.
+        """
+        if self._controls:
+            total, mirror, other, through = (mi.Bool(letter in self._allowed) for letter in "IMRT")
+            reflects = dr.select(it.tir, total, dr.select((it.word & MIRROR) != 0, mirror, other))
+            scatters = mi.Bool(bool(self._allowed & set("rt")))  # one side of two: see `end`
+            flux = self._keep(CONTROL, flux, (through, reflects, scatters, mi.Bool("t" in self._allowed)), active)
+        if self._generations is not None:
+            young = generations < self._generations
+            kept = mi.Bool(True), young | ~counts_as_reflection(it), young, young
+            flux = self._keep(GENERATIONS, flux, kept, active)
+        return flux
+
+    def _keep(
+        self, reason: int, flux: tuple[mi.Float, ...], kept: tuple[mi.Bool, ...], active: mi.Bool
+    ) -> tuple[mi.Float, ...]:
+        parts = list(zip(flux, kept, strict=True))
+        self._cut(reason, sum((dr.select(keep, 0, value) for value, keep in parts), mi.Float(0)), active)
+        return tuple(dr.select(keep, value, 0) for value, keep in parts)
+
+    def end(self, child: mi.Float, scatter: mi.Bool, cloud: mi.Bool, reflect: mi.Bool, active: mi.Bool) -> mi.Float:
+        """
+        What is left of one branch.
+
+        Parameters
+        ----------
+        child : mi.Float
+            Its flux.
+        scatter, cloud, reflect : mi.Bool
+            Whether the surface scattered it, the medium did, and whether it goes back to where it came from.
+        active : mi.Bool
+        """
+        if len(self._allowed & set("rt")) == 1:
+            refused = scatter & (reflect if "t" in self._allowed else ~reflect)
+            self._cut(CONTROL, child, active & refused)
+            child = dr.select(refused, 0, child)
+        if self._cuts_branches:
+            scattered = scatter | cloud
+            back, on, scattered_back, scattered_on = self._below[:ABSORPTION]
+            limit = dr.select(
+                reflect, dr.select(scattered, scattered_back, back), dr.select(scattered, scattered_on, on)
+            )
+            number = dr.select(reflect, mi.UInt32(0), 1) + dr.select(scattered, mi.UInt32(2), 0)
+            weak = child < limit
+            self._cut(CUT_BRANCHES + number, child, active & weak)
+            child = dr.select(weak, 0, child)
+        return child
+
+    def arrive(self, run: mi.UInt32, surface: mi.UInt32, flux: mi.Float, hit: mi.Bool) -> mi.Bool:
+        """Which rays may meet the surface that they come to, after such a run."""
+        if self._consecutive is None:
+            return hit
+        over = hit & ((run & SURFACE_MASK) == surface) & ((run >> RUN_SHIFT) >= self._consecutive)
+        self._cut(CONSECUTIVE, flux, over)
+        return hit & ~over
+
+    def run_after(self, run: mi.UInt32, surface: mi.UInt32, cloud: mi.Bool) -> mi.UInt32:
+        """The run of hits with one of this surface; a medium that scatters before it ends the run."""
+        if self._consecutive is None:
+            return run
+        times = dr.select((run & SURFACE_MASK) == surface, run >> RUN_SHIFT, 0) + 1
+        return dr.select(cloud, NO_RUN, surface | (times << RUN_SHIFT))

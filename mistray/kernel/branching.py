@@ -1,0 +1,369 @@
+"""Which children a node of the ray tree has, and which of them a visit sends on.
+
+A node has several children, in this order: the transmitted one, the reflected one, and the scattered ones. Light can be
+split, so that each visit sends on the next child that has enough flux, or one child, drawn at random, takes it all.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.kernel.branch_limits import BranchLimits
+from mistray.kernel.bulk_scattering import BulkAim
+from mistray.kernel.event_codes import scatters_done
+from mistray.kernel.interaction import Interaction, counts_as_reflection
+from mistray.kernel.kernel_scene import KernelScene
+from mistray.kernel.scatter_shares import Given, ScatteredRay
+from mistray.recorders.ledger import COUNT_MASK
+from mistray.recorders.recorder import Memory
+from mistray.recorders.tallies import EVENTS, REFLECTIONS, ROULETTE, SAMPLING, SCATTERS, THRESHOLD
+from mistray.settings import Settings
+from mistray.surfaces.optics import ONE_CHILD, OPAQUE
+
+Loss = Callable[[int | mi.UInt32, Any, mi.Bool, Memory], None]
+
+TRANSMIT, REFLECT, SCATTER = range(3)  # numbers of children; scattered ones follow
+# Share of `scatter_threshold` that holds at walls of a backward trace: in the dark little is all there is
+WORTH_IN_THE_DARK = 1e-3
+
+
+@dataclass
+class Node:
+    """
+    Nodes that the lanes visit.
+
+    Attributes
+    ----------
+    state : dict
+        Variables of the loop, see `mistray.kernel.ray_tree`.
+    interaction : Interaction
+    shares : Given or None
+        What the surface scatters; None: no surface does.
+    R, T : mi.Float
+        What it reflects and transmits as a specular beam.
+    first, again : mi.Bool
+        Lanes that visit for the first time, and that come back.
+    rng : mi.PCG32
+    """
+
+    state: dict[str, Any]
+    interaction: Interaction
+    shares: Given | None
+    R: mi.Float
+    T: mi.Float
+    first: mi.Bool
+    again: mi.Bool
+    rng: mi.PCG32
+
+    @property
+    def visit(self) -> mi.Bool:
+        """Lanes that send a ray on, if there is one."""
+        return self.first | self.again
+
+
+@dataclass
+class Children:
+    """
+    Flux that goes on from nodes, after all limits but the thresholds.
+
+    Attributes
+    ----------
+    transmitted, reflected, scattered, clouded : mi.Float
+        The last is what the medium on the way has scattered.
+    counted : mi.Bool
+        Whether a reflection counts.
+    transmits : mi.Bool
+        Whether the surface is not opaque.
+    random_rays, aimed_rays : mi.UInt32
+        Scattered rays of a surface.
+    random_clouds, clouded_rays : mi.UInt32
+        Rays that a medium scatters at random, and all.
+    bulk_aim : BulkAim or None
+        Targets of the medium.
+    remainder : mi.UInt32 or int
+        Loss channel of what scattered rays leave over.
+    """
+
+    transmitted: mi.Float
+    reflected: mi.Float
+    scattered: mi.Float
+    clouded: mi.Float
+    counted: mi.Bool
+    transmits: mi.Bool
+    random_rays: mi.UInt32
+    aimed_rays: mi.UInt32
+    random_clouds: mi.UInt32
+    clouded_rays: mi.UInt32
+    bulk_aim: BulkAim | None
+    remainder: mi.UInt32 | int
+
+
+@dataclass
+class Choice:
+    """
+    The child that a visit sends on.
+
+    Attributes
+    ----------
+    number : mi.UInt32
+    later : mi.UInt32
+        Number of the next one.
+    pending : mi.Bool
+        Whether there is a next one, for which the lane comes back.
+    flux : mi.Float
+        0: none is sent on.
+    scatter, cloud : mi.Bool
+        Whether the surface scatters it, or the medium before it has.
+    boost : mi.Float
+        For later visits, see `mistray.kernel.ray_tree`.
+    factor : mi.Float
+        Of the flux of a ray that the surface scatters.
+    draw, draw_cloud : callable
+        ``draw(rng)`` gives the ray of the surface, ``draw_cloud(rng)`` whether the ray of the medium is aimed, and how
+        many rays it stands for at random and aimed.
+    """
+
+    number: mi.UInt32
+    later: mi.UInt32
+    pending: mi.Bool
+    flux: mi.Float
+    scatter: mi.Bool
+    cloud: mi.Bool
+    boost: mi.Float
+    factor: mi.Float
+    draw: Callable[[mi.PCG32], ScatteredRay]
+    draw_cloud: Callable[[mi.PCG32], tuple[mi.Bool, mi.Float, mi.Float]]
+
+
+class Branching:
+    """
+    How the nodes of a trace branch.
+
+    Parameters
+    ----------
+    scene : KernelScene
+    settings : Settings
+    limits : BranchLimits
+    lose : callable
+        ``lose(channel, flux, active, memory)``, see `mistray.recorders.recorder.Recorder.lose`.
+    """
+
+    def __init__(self, scene: KernelScene, settings: Settings, limits: BranchLimits, lose: Loss) -> None:
+        self._optics, self._scattering, self._probabilities = scene.table.optics, scene.scattering, scene.probabilities
+        self._limits, self._lose, self._max_events = limits, lose, settings.max_events
+        self._bulk, self._scatters = scene.table.optics.scatters, scene.scatters(settings)
+        self._threshold, self._scatter_threshold = (
+            dr.opaque(mi.Float, limit) for limit in (settings.flux_threshold, settings.scatter_threshold)
+        )
+        self._scatter_limits = [dr.opaque(mi.UInt32, limit) for limit in settings.scatter_limits]
+        self._max_reflections, self._scatter_rays, self.max_segments = (
+            dr.opaque(mi.UInt32, limit) for limit in settings.tree_limits
+        )
+        self._split, self._roulette = settings.splitting == "split", settings.below_threshold == "roulette"
+
+    def children(self, node: Node, memory: Memory) -> Children:
+        """What goes on from nodes; what the limits cut is lost at the first visit."""
+        state, it, given, first, scatters = node.state, node.interaction, node.shares, node.first, self._scatters
+        w, depth, visit, optics_bulk = state["w"], state["depth"], node.visit, self._bulk
+        counted = counts_as_reflection(it)
+        reflections = state["reflections"]
+        # Pending nodes are emptied
+        room = (depth + 1 < self._max_events) & (node.again | (state["segments"] < self.max_segments))
+        may_reflect = ~counted | (reflections < self._max_reflections)
+        w_t, w_r = w * node.T, w * node.R
+        w_s = w * given.scattered if given is not None else mi.Float(0)
+        w_b = dr.select(visit, state["clouded"], 0) if optics_bulk else mi.Float(0)
+        self._lose(EVENTS, w_t + w_r + w_s + w_b, first & ~room & (w_t + w_r + w_s + w_b > 0), memory)
+        self._lose(REFLECTIONS, w_r, first & room & ~may_reflect & (node.R > 0), memory)
+        w_t = dr.select(room, w_t, 0)
+        w_r = dr.select(room & may_reflect, w_r, 0)
+        generations = reflections + (state["scatters"] & COUNT_MASK)
+        w_t, w_r, w_s, w_b = self._limits.follow(it, generations, (w_t, w_r, w_s, w_b), first & room)
+        transmits = (it.word & OPAQUE) == 0
+        random_rays = aimed_rays = random_clouds = clouded_rays = mi.UInt32(0)
+        remainder: mi.UInt32 | int = SCATTERS
+        may_scatter = may_cloud = mi.Bool(False)
+        bulk_aim = None
+        if scatters:
+            if self._scattering.bulk is not None:
+                bulk_aim = self._scattering.bulk.aim(state["s"], it, visit)
+            done = scatters_done(state["scatters"])
+            may_scatter = room & (done[0] < self._scatter_limits[0])
+            at_random, at_optics = done[1] < self._scatter_limits[1], done[2] < self._scatter_limits[2]
+            random_clouds = dr.select(at_random, mi.UInt32(1), 0)
+            if bulk_aim is not None:
+                clouded_rays = random_clouds + bulk_aim.rays
+            may_cloud = may_scatter & at_optics & (clouded_rays > 0)
+            wanted_rays = self._scatter_rays
+            if given is not None:
+                wanted_rays = dr.select(given.random_rays > 0, given.random_rays, wanted_rays)
+            random_rays = dr.select(at_random, wanted_rays, 0)
+            remainder = dr.select(at_random, mi.UInt32(SAMPLING), mi.UInt32(SCATTERS))  # aimed rays leave light out
+            aimed_rays = given.aimed_t + given.aimed_r if given is not None else mi.UInt32(0)
+            may_scatter &= (~transmits | at_optics) & (random_rays + aimed_rays > 0)
+        stopped = dr.select(may_scatter, 0, w_s) + dr.select(may_cloud, 0, w_b)
+        self._lose(SCATTERS, stopped, first & room & (stopped > 0), memory)
+        w_s, w_b = dr.select(may_scatter, w_s, 0), dr.select(may_cloud, w_b, 0)
+        return Children(
+            *(w_t, w_r, w_s, w_b, counted, transmits, random_rays, aimed_rays, random_clouds, clouded_rays),
+            *(bulk_aim, remainder),
+        )
+
+    def choose(self, node: Node, children: Children, memory: Memory) -> Choice:
+        """
+        The child of this visit; what is below the thresholds is lost, or plays roulette.
+
+        A ray that has not been scattered keeps to the flux threshold; one that has plays roulette below its own.
+        """
+        state, first = node.state, node.first
+        fresh = (state["scatters"] & COUNT_MASK) == 0 if self._scatters else mi.Bool(True)
+        own = state["birth"] * self._scatter_threshold
+        limit = dr.select(fresh, self._threshold if self._roulette else 0, own)
+        # One for all children: none knows of another
+        draws = self._roulette or self._scatters or self._probabilities is not None
+        u = node.rng.next_float32() if draws else mi.Float(0)
+        if not self._split:
+            return self._one(node, children, fresh, limit, u, memory)
+        boost = self._boost(node, children, own, u) if self._scatters else state["boost"]
+        if self._optics.one_child:
+            boost = self._only_child(node, children, boost)
+        if self._scatters:
+            scattered = children.scattered + children.clouded
+            self._lose(children.remainder, scattered, first & (scattered > 0), memory)
+        self._cut_weak(node, children, fresh, limit, u, memory)
+        return self._next(node, children, boost)
+
+    def _boost(self, node: Node, children: Children, own: mi.Float, u: mi.Float) -> mi.Float:
+        """Factor of scattered rays; a weak node scatters with a probability in proportion to the light there."""
+        state, first, w = node.state, node.first, node.state["w"]
+        least = own
+        if self._probabilities is not None:
+            least = dr.select(children.transmits, own, own * WORTH_IN_THE_DARK)
+        if self._bulk:
+            # Of all rays of a segment one scatters again on average: trees in a medium would grow without end
+            least = dr.maximum(least, state["shared"])
+        chance = dr.minimum((w + state["clouded"] if self._bulk else w) / least, 1)
+        if self._probabilities is not None:
+            chance = chance * dr.gather(mi.Float, self._probabilities.scatter, state["s"], first)
+        return dr.select(first, dr.select(1 - u <= chance, dr.rcp(chance), 0), state["boost"])
+
+    @staticmethod
+    def _only_child(node: Node, children: Children, boost: mi.Float) -> mi.Float:
+        """
+        Let one of transmission, reflection and scatter take the flux of all, at surfaces that are declared so.
+
+        A negative boost: the surface does not scatter, what its medium has scattered is sent on all the same.
+        """
+        w_t, w_r, w_s = children.transmitted, children.reflected, children.scattered
+        w_all = w_t + w_r + w_s
+        chosen = node.rng.next_float32() * w_all
+        only = node.first & ((node.interaction.word & ONE_CHILD) != 0)
+        to_t, to_r = chosen < w_t, (chosen >= w_t) & ((chosen < w_t + w_r) | (w_s == 0))
+        boost = dr.select(only, dr.select(to_t | to_r, -boost, boost * w_all / w_s), boost)
+        children.transmitted = dr.select(only, dr.select(to_t, w_all, 0), w_t)
+        children.reflected = dr.select(only, dr.select(to_r, w_all, 0), w_r)
+        children.scattered = dr.select(only, dr.select(to_t | to_r, 0, w_all), w_s)
+        return boost
+
+    def _cut_weak(
+        self, node: Node, children: Children, fresh: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
+    ) -> None:
+        """Cut specular children below the threshold, or let them play roulette."""
+        first, again, probabilities = node.first, node.again, self._probabilities
+        w_t, w_r = children.transmitted, children.reflected
+        if not self._roulette:
+            cut_t, cut_r = fresh & (w_t < self._threshold), fresh & (w_r < self._threshold)
+            cut = dr.select(cut_t, w_t, 0) + dr.select(cut_r, w_r, 0)
+            self._lose(THRESHOLD, cut, first & (cut > 0), memory)
+            w_t, w_r = dr.select(cut_t, 0, w_t), dr.select(cut_r, 0, w_r)
+        if probabilities is not None:
+            thinned = fresh & children.transmits & children.counted & ((node.interaction.word & ONE_CHILD) == 0)
+            followed = again | (u < probabilities.reflection)
+            kept_r = dr.select(thinned, dr.select(followed, w_r / probabilities.reflection, 0), w_r)
+            self._lose(ROULETTE, w_r - kept_r, first & thinned, memory)
+            w_r = kept_r
+        if self._roulette or self._scatters:
+            # A later visit is for a child that has survived
+            left_t, left_r = (
+                dr.select((v > 0) & (v < limit), dr.select(u * limit < v, limit, 0), v) for v in (w_t, w_r)
+            )
+            left_r = dr.select(again & (w_r > 0), dr.maximum(w_r, limit), left_r)
+            self._lose(ROULETTE, w_t + w_r - left_t - left_r, first & (dr.minimum(w_t, w_r) < limit), memory)
+            w_t, w_r = left_t, left_r
+        children.transmitted, children.reflected = w_t, w_r
+
+    @staticmethod
+    def _next(node: Node, children: Children, boost: mi.Float) -> Choice:
+        """Of all children the next that has flux."""
+        first, visit, given, bulk_aim = node.first, node.visit, node.shares, children.bulk_aim
+        w_t, w_r, w_s, w_b = children.transmitted, children.reflected, children.scattered, children.clouded
+        random_rays, random_clouds = children.random_rays, children.random_clouds
+        scattered_rays = dr.select((boost > 0) & (w_s > 0), random_rays + children.aimed_rays, 0)
+        end = SCATTER + scattered_rays + dr.select((boost != 0) & (w_b > 0), children.clouded_rays, 0)
+        after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
+        number = dr.select(first, dr.select(w_t > 0, mi.UInt32(TRANSMIT), after_t), node.state["child"])
+        later = dr.select(number == TRANSMIT, after_t, dr.maximum(number + 1, SCATTER))
+        pending = visit & ((later == REFLECT) | (later < end))
+        flux = dr.select(number == TRANSMIT, w_t, dr.select(number == REFLECT, w_r, 0))
+        scatter = visit & (number >= SCATTER) & (number < SCATTER + scattered_rays)
+        cloud = visit & (number >= SCATTER + scattered_rays) & (number < end)
+        flux = dr.select(cloud, w_b * dr.abs(boost), flux)
+
+        def draw(rng: mi.PCG32) -> ScatteredRay:
+            assert given is not None
+            return given.ray(number - SCATTER, random_rays, rng)
+
+        def draw_cloud(rng: mi.PCG32) -> tuple[mi.Bool, mi.Float, mi.Float]:
+            assert bulk_aim is not None
+            aimed = number >= SCATTER + scattered_rays + random_clouds
+            return aimed, mi.Float(random_clouds), mi.Float(bulk_aim.rays)
+
+        return Choice(number, later, pending, flux, scatter, cloud, boost, boost, draw, draw_cloud)
+
+    def _one(
+        self, node: Node, children: Children, fresh: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
+    ) -> Choice:
+        """One child takes the flux of all, at random in proportion to what each would have had."""
+        first, visit, given, bulk_aim = node.first, node.visit, node.shares, children.bulk_aim
+        w_t, w_r, w_s, w_b = children.transmitted, children.reflected, children.scattered, children.clouded
+        random_rays, random_clouds = children.random_rays, children.random_clouds
+        both = w_t + w_r + w_s + w_b
+        chosen = node.rng.next_float32() * both
+        number = dr.select(
+            chosen < w_t,
+            mi.UInt32(TRANSMIT),
+            dr.select((chosen < w_t + w_r) | (w_s + w_b == 0), mi.UInt32(REFLECT), mi.UInt32(SCATTER)),
+        )
+        flux = both
+        if self._roulette or self._scatters:
+            small = (both > 0) & (both < limit)
+            flux = dr.select(small, dr.select(u * limit < both, limit, 0), both)
+            self._lose(ROULETTE, both - flux, visit & small, memory)
+        if not self._roulette:
+            cut = fresh & (both < self._threshold)
+            self._lose(THRESHOLD, both, first & cut & (both > 0), memory)
+            flux = dr.select(cut, 0, flux)
+        scatter = visit & (number == SCATTER) & (flux > 0)
+        cloud = scatter & (chosen >= w_t + w_r + w_s) & (w_b > 0)
+        scatter &= ~cloud & (w_s > 0)
+        flux = dr.select((number == SCATTER) & ~scatter & ~cloud, 0, flux)
+        if self._scatters:
+            self._lose(children.remainder, flux, scatter | cloud, memory)
+
+        def draw(rng: mi.PCG32) -> ScatteredRay:
+            assert given is not None
+            return given.one_ray(w_s / both, random_rays, rng)
+
+        def draw_cloud(rng: mi.PCG32) -> tuple[mi.Bool, mi.Float, mi.Float]:
+            bulk = self._scattering.bulk
+            assert bulk is not None
+            assert bulk_aim is not None
+            return bulk.one_ray(bulk_aim, random_clouds, rng)
+
+        boost = node.state["boost"]
+        return Choice(number, number, mi.Bool(False), flux, scatter, cloud, boost, flux / both, draw, draw_cloud)

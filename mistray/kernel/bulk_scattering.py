@@ -1,0 +1,147 @@
+"""How the kernel scatters a ray within a medium.
+
+The place on a segment has the density of what is scattered there. The direction is drawn either from the phase function
+or towards a target of the side of the surface at which the segment ends, and all rays of a segment together are
+weighted as in `mistray.kernel.scattering`: given the place, a direction counts f/Σ n_i p_i.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.kernel.device_targets import DeviceTargets
+from mistray.kernel.targets import AimSet, Inside, Place
+from mistray.physics.henyey_greenstein import phase_about, sampled_cosine
+from mistray.surfaces.optics import THIN
+from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.kernel.interaction import Interaction
+    from mistray.surfaces.surfaces import SurfaceTable
+
+
+@dataclass
+class BulkAim:
+    """
+    What a segment aims at.
+
+    Attributes
+    ----------
+    targets : mi.Vector2u
+        The first and how many.
+    rays : mi.UInt32
+        Aimed rays of the segment.
+    """
+
+    targets: mi.Vector2u
+    rays: mi.UInt32
+
+
+class BulkScattering:
+    """
+    Scatter in the media of a scene at one wavelength.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    aims : mapping
+        `Inside` → targets; other keys are left out.
+    """
+
+    def __init__(self, table: SurfaceTable, aims: Mapping[Place, AimSet]) -> None:
+        optics = table.optics
+        rows = np.zeros((2 * len(optics.bsdfs), 4), dtype=np.uint32)
+        sets, first = [], 0
+        for place, aim in aims.items():
+            if isinstance(place, Inside):
+                rows[2 * place.surface + place.at_back, :3] = first, len(aim.targets), aim.rays
+                sets.append(aim)
+                first += len(aim.targets)
+        self._optics, self._aimed = optics, bool(sets)
+        self._rows, self._targets = upload(mi.UInt32, rows), DeviceTargets(sets, table.centre)
+
+    def aim(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> BulkAim:
+        """What the segments aim at that end at the surfaces s."""
+        if not self._aimed:
+            return BulkAim(mi.Vector2u(0), mi.UInt32(0))
+        side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
+        row = dr.gather(mi.Vector4u, self._rows, side, active)
+        return BulkAim(row.xy, row.z)
+
+    def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> tuple[mi.Bool, mi.Float, mi.Float]:
+        """One ray for all of a segment, aimed half of the time: whether it is, and rays of both kinds on average."""
+        if not self._aimed:
+            return mi.Bool(False), mi.Float(1), mi.Float(0)
+        aiming = dr.select(aim.rays > 0, dr.select(random_rays > 0, mi.Float(0.5), 1), 0)
+        return rng.next_float32() < aiming, 1 - aiming, aiming
+
+    def scatter(
+        self,
+        medium: mi.UInt32,
+        p: mi.Vector3f,
+        d: mi.Vector3f,
+        length: mi.Float,
+        aim: BulkAim,
+        aimed: mi.Bool,
+        random_rays: mi.Float,
+        aimed_rays: mi.Float,
+        rng: mi.PCG32,
+        active: mi.Bool,
+    ) -> tuple[mi.Float, mi.Vector3f, mi.Float]:
+        """
+        Where on a segment its medium scatters, and whereto.
+
+        Parameters
+        ----------
+        medium : mi.UInt32
+        p, d : mi.Vector3f
+            End of the segment (mm) and its direction.
+        length : mi.Float
+            Of the segment, mm.
+        aim : BulkAim
+        aimed : mi.Bool
+            Whether this ray goes to a target.
+        random_rays, aimed_rays : mi.Float
+            How many rays of either kind the segment sends on average.
+        rng : mi.PCG32
+        active : mi.Bool
+
+        Returns
+        -------
+        away : mi.Float
+            Distance from the end of the segment, mm; of density exp(extinction · distance).
+        direction : mi.Vector3f
+        share : mi.Float
+            Flux of the ray in units of what the segment scatters in all.
+        """
+        coefficient = dr.gather(mi.Float, self._optics.extinction, medium, active)
+        g = dr.gather(mi.Float, self._optics.asymmetry, medium, active)
+        u = [rng.next_float32() for _ in range(3)]
+        depth = coefficient * length
+        away = dr.select(
+            depth < THIN, u[0] * length, dr.log(dr.fma(u[0], dr.exp(depth) - 1, 1)) / dr.maximum(coefficient, 1e-30)
+        )
+        away = dr.minimum(away, length)
+        cosine = sampled_cosine(u[1], g)
+        sine = dr.sqrt(dr.maximum(dr.fma(-cosine, cosine, 1), 0))
+        across, beside = mi.coordinate_system(d)
+        sin_phi, cos_phi = dr.sincos(2 * dr.pi * u[2])
+        direction = dr.normalize(cosine * d + sine * (cos_phi * across + sin_phi * beside))
+        if not self._aimed:
+            return away, direction, mi.Float(1)
+        origin = dr.fma(-away, d, p)
+        here = active & (aimed_rays > 0)
+        to_target, own = self._targets.sample(
+            aim.targets, [u[1], u[2], mi.Float(0), rng.next_float32()], origin, d, here & aimed
+        )
+        direction = dr.select(here & aimed, to_target, direction)
+        phase = phase_about(dr.squared_norm(direction - d), dr.squared_norm(direction + d), g)
+        density = self._targets.density(aim.targets, origin, direction, d, aimed, own, here)
+        share = phase / dr.fma(random_rays, phase, dr.select(here, aimed_rays * density, 0))
+        return away, direction, dr.select(dr.isfinite(share), share, 0)

@@ -1,0 +1,214 @@
+"""Targets of scattered rays on the device: a direction towards one, and the density of such directions."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.kernel.targets import AimSet, AnyTarget, Cone, Ellipsoid
+from mistray.surfaces.upload import upload
+
+VECTORS = 6  # of four floats for each target
+DENSITY_VECTORS = 4  # the first of them, which say where a direction meets the target
+SHARES = 19  # place of the sum of shares among them
+# Shapes as the kernel knows them; of an ellipse it is the hole, 0 … 1
+PARALLELOGRAM, TRIANGLE, ELLIPSOID = -1.0, -2.0, -3.0
+CONES = {"direction": -4.0, "point": -5.0, "specular": -6.0}
+
+
+class DeviceTargets:
+    """
+    The targets of some sets, one set after the other.
+
+    Parameters
+    ----------
+    sets : sequence of AimSet
+    centre : (3,) float64
+        What positions on the device are relative to, mm.
+    """
+
+    def __init__(self, sets: Sequence[AimSet], centre: np.ndarray) -> None:
+        targets = [target for aim in sets for target in aim.targets]
+        rows = [row for aim in sets for row in _rows(aim, centre)]
+        self._values = upload(mi.Float, np.array(rows if rows else [np.zeros(4 * VECTORS)]))
+        # What no target is takes no time
+        self._ellipsoids = any(isinstance(target, Ellipsoid) for target in targets)
+        self._cones = any(isinstance(target, Cone) for target in targets)
+
+    def _row(self, number: mi.UInt32, count: int, active: mi.Bool) -> list[mi.Vector4f]:
+        return [dr.gather(mi.Vector4f, self._values, VECTORS * number + k, active) for k in range(count)]
+
+    def sample(
+        self, aims: mi.Vector2u, u: list[mi.Float], p: mi.Vector3f, specular: mi.Vector3f, active: mi.Bool
+    ) -> tuple[mi.Vector3f, mi.UInt32]:
+        """
+        A direction to a target, which is chosen by its share; and the number of that target.
+
+        Parameters
+        ----------
+        aims : mi.Vector2u
+            The first target and how many.
+        u : list of mi.Float
+            Random numbers: 0 and 1 place the direction, 3 chooses the target.
+        p : mi.Vector3f
+            Where the ray starts, mm.
+        specular : mi.Vector3f
+            Direction of the light that is not scattered.
+        active : mi.Bool
+        """
+
+        def later(k: mi.UInt32) -> mi.Bool:
+            upto = dr.gather(mi.Float, self._values, 4 * VECTORS * (aims.x + k) + SHARES, active)
+            return active & (k + 1 < aims.y) & (u[3] >= upto)
+
+        (k,) = dr.while_loop(
+            (dr.zeros(mi.UInt32, dr.width(u[3])),), later, lambda k: (k + 1,), mode="symbolic", label="choose a target"
+        )
+        rows = self._row(aims.x + k, VECTORS, active)
+        centre, _, _, normal, first, second = rows
+        hole = centre.w
+        ellipse, triangle = hole >= 0, hole == TRIANGLE
+        root = dr.sqrt(dr.select(ellipse, dr.lerp(hole * hole, 1, u[0]), u[0]))
+        sine, cosine = dr.sincos(2 * dr.pi * u[1])
+        a = dr.select(ellipse, root * cosine, dr.select(triangle, root * (1 - u[1]), 2 * u[0] - 1))
+        b = dr.select(ellipse, root * sine, dr.select(triangle, root * u[1], 2 * u[1] - 1))
+        point = centre.xyz + a * first.xyz + b * second.xyz
+        direction = (point - p) * normal.w
+        if self._ellipsoids:
+            # Where the ellipsoid is the unit sphere it is seen within a cone, all of whose directions are as likely
+            _, towards, width = _sphere(rows, p)
+            mapped = _within(towards, width, u[0], sine, cosine) * normal.w
+            to_world = sum(
+                (c * v.xyz / dr.squared_norm(v.xyz) for c, v in zip(mapped, rows[1:4], strict=True)), mi.Vector3f(0)
+            )
+            direction = dr.select(hole == ELLIPSOID, to_world, direction)
+        if self._cones:
+            within = _within(_axis(centre, p, specular) * normal.w, first.x, u[0], sine, cosine)
+            direction = dr.select(hole <= CONES["direction"], within, direction)
+        return dr.normalize(direction), k
+
+    def density(
+        self,
+        aims: mi.Vector2u,
+        p: mi.Vector3f,
+        direction: mi.Vector3f,
+        specular: mi.Vector3f,
+        aim: mi.Bool,
+        own: mi.UInt32,
+        active: mi.Bool,
+    ) -> mi.Float:
+        """Density of the aimed rays in a direction, 1/sr; `own` is the target of a ray that was aimed."""
+
+        def step(k: mi.UInt32, density: mi.Float) -> tuple[mi.UInt32, mi.Float]:
+            going = active & (k < aims.y)
+            rows = self._row(aims.x + k, DENSITY_VECTORS, going)
+            centre, along, beside, normal = rows
+            cosine = dr.dot(direction, normal.xyz)
+            t = dr.dot(centre.xyz - p, normal.xyz) / cosine
+            q = dr.fma(t, direction, p) - centre.xyz
+            a, b = dr.dot(q, along.xyz), dr.dot(q, beside.xyz)
+            radius = dr.sqrt(dr.fma(a, a, b * b))
+            ring = (radius <= 1) & (radius >= centre.w)
+            box = (dr.abs(a) <= 1) & (dr.abs(b) <= 1)
+            inside = (a >= 0) & (b >= 0) & (a + b <= 1)
+            on = dr.select(centre.w >= 0, ring, dr.select(centre.w == TRIANGLE, inside, box)) & (t * normal.w > 0)
+            each = t * t / dr.abs(cosine)
+            if self._ellipsoids:
+                round_one = centre.w == ELLIPSOID
+                start, towards, width = _sphere(rows, p)
+                mapped = mi.Vector3f(*(dr.dot(direction, v.xyz) for v in rows[1:4])) * normal.w
+                length = dr.norm(mapped)
+                mapped /= length
+                beside_centre = start - dr.dot(start, mapped) * mapped
+                meets = (dr.squared_norm(beside_centre) <= 1) & ((dr.dot(mapped, towards) > 0) | (width == 2))
+                on = dr.select(round_one, meets, on)
+                each = dr.select(round_one, dr.rcp(2 * dr.pi * width * length * length * length), each)
+            if self._cones:
+                cone = centre.w <= CONES["direction"]
+                apart = direction - _axis(centre, p, specular) * normal.w
+                on = dr.select(cone, dr.squared_norm(apart) <= 2 * along.x, on)
+                each = dr.select(cone, 1, each)
+            # A ray that was aimed at a small or distant target need not find it again: its direction is rounded
+            here = going & (on | (aim & (k == own)))
+            density += dr.select(here, beside.w * along.w * each, 0)
+            return k + 1, density
+
+        width = dr.width(direction)
+        _, density = dr.while_loop(
+            (dr.zeros(mi.UInt32, width), dr.zeros(mi.Float, width)),
+            lambda k, density: active & (k < aims.y),
+            step,
+            mode="symbolic",
+            label="density of targets",
+        )
+        return density
+
+
+def _sphere(rows: list[mi.Vector4f], p: mi.Vector3f) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float]:
+    """Where an ellipsoid is the unit sphere: the point p, the direction to the centre, 1 - cos of what it fills."""
+    start = mi.Vector3f(*(dr.dot(p - rows[0].xyz, v.xyz) for v in rows[1:4]))
+    square = dr.squared_norm(start)
+    sine2 = dr.rcp(square)
+    return start, -start * dr.rsqrt(square), dr.select(square > 1, sine2 / (1 + dr.sqrt(1 - sine2)), 2)
+
+
+def _axis(centre: mi.Vector4f, p: mi.Vector3f, specular: mi.Vector3f) -> mi.Vector3f:
+    """Axis of a cone."""
+    to_point = dr.normalize(centre.xyz - p)
+    axis = dr.select(centre.w == CONES["point"], to_point, centre.xyz)
+    return dr.select(centre.w == CONES["specular"], specular, axis)
+
+
+def _within(axis: mi.Vector3f, width: mi.Float, u: mi.Float, sine: mi.Float, cosine: mi.Float) -> mi.Vector3f:
+    """A direction within a cone of `width` = 1 - cos of its half-angle about an axis, uniform in solid angle."""
+    less = u * width
+    aside = dr.sqrt(less * (2 - less))
+    across, beside = mi.coordinate_system(axis)
+    return (1 - less) * axis + aside * (cosine * across + sine * beside)
+
+
+def _rows(aim: AimSet, centre: np.ndarray) -> list[np.ndarray]:
+    """
+    Targets as the kernel reads them.
+
+    - flat: centre, shape | dual of u, 1/area | dual of v, share | normal, -1 if reverse | u, sum of shares | v, 0;
+    - ellipsoid: centre, shape | three inverse half axes, with 1/(a b c), share, -1 if reverse | 0, sum of shares | 0;
+    - cone: centre or axis, kind | 1 - cos, 0, 0, 1/solid angle | 0, share | 0, -1 if reverse | 1 - cos, 0, 0, sum | 0.
+    """
+    rows, so_far = [], 0.0
+    for target in aim.targets:
+        so_far += target.share
+        shape, one, two, three, first, second = _vectors(target, centre)
+        sign = -1.0 if target.reverse else 1.0
+        rows.append(
+            np.concatenate([shape, one, [*two, target.share], [*three, sign], [*first, so_far], [*second, 0.0]])
+        )
+    return rows
+
+
+def _vectors(target: AnyTarget, origin: np.ndarray) -> tuple[Any, ...]:
+    """The rows of a target without its share, its sign and the sum of shares."""
+    nothing = np.zeros(3)
+    if isinstance(target, Cone):
+        width = target.width
+        return (
+            [*(target.axis - origin if target.about == "point" else target.axis), CONES[target.about]],
+            [width, 0.0, 0.0, 1 / target.solid_angle],
+            nothing,
+            nothing,
+            [width, 0.0, 0.0],
+            nothing,
+        )
+    if isinstance(target, Ellipsoid):
+        one, two, three = (axis / np.dot(axis, axis) for axis in target.axes)
+        lengths = np.linalg.norm(target.axes, axis=1)
+        return [*(target.centre - origin), ELLIPSOID], [*one, 1 / np.prod(lengths)], two, three, nothing, nothing
+    normal = np.cross(target.u, target.v)
+    along, beside = np.cross(target.v, normal), np.cross(normal, target.u)
+    along, beside = along / np.dot(along, target.u), beside / np.dot(beside, target.v)
+    shape = {"parallelogram": PARALLELOGRAM, "triangle": TRIANGLE}.get(target.shape, target.hole)
+    return [*(target.centre - origin), shape], [*along, 1 / target.area], beside, target.normal, target.u, target.v

@@ -1,0 +1,64 @@
+"""The code of an event in the kernel: where it is, and what happens there."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.kernel.interaction import Interaction
+from mistray.recorders.ledger import (
+    AIMED_TRANSMITTED,
+    COUNT_MASK,
+    EVENT_BITS,
+    NOT_DIFFRACTED,
+    OPTICAL_SHIFT,
+    RANDOM_SHIFT,
+    RANDOM_TRANSMITTED,
+    REFLECTED,
+    TOTAL,
+    TRANSMITTED,
+)
+from mistray.surfaces.optics import DIFFRACTS, Optics
+
+
+def event_code(
+    place: mi.UInt32, it: Interaction, reflect: mi.Bool, scattered: tuple[mi.Bool, mi.Bool, mi.Bool] | None
+) -> mi.UInt32:
+    """
+    Code of an event, see `mistray.recorders.ledger`.
+
+    Parameters
+    ----------
+    place : mi.UInt32
+        Number of the surface or medium.
+    it : Interaction
+    reflect : mi.Bool
+        Whether the ray leaves on the side that it came from.
+    scattered : tuple of mi.Bool or None
+        Whether the surface scattered it, whether the medium did, and whether it was aimed; None: nothing scatters.
+    """
+    what = dr.select(reflect, dr.select(it.tir, mi.UInt32(TOTAL), mi.UInt32(REFLECTED)), mi.UInt32(TRANSMITTED))
+    if scattered is not None:
+        surface, medium, aim = scattered
+        technique = dr.select(aim, mi.UInt32(AIMED_TRANSMITTED), mi.UInt32(RANDOM_TRANSMITTED))
+        what = dr.select(surface, technique + dr.select(reflect, mi.UInt32(1), 0), what)
+        what = dr.select(medium, technique, what)
+    return (place << EVENT_BITS) | what
+
+
+def scatters_done(word: mi.UInt32) -> list[mi.UInt32]:
+    """Scatter events of a path by their word: all, those that were not aimed, those at optical surfaces."""
+    return [(word >> shift) & COUNT_MASK for shift in (0, RANDOM_SHIFT, OPTICAL_SHIFT)]
+
+
+def after_scatter(word: mi.UInt32, aim: mi.Bool, optical: mi.Bool, diffracted: mi.Bool) -> mi.UInt32:
+    """The word of `scatters_done` after one event more, see `mistray.recorders.ledger.COUNT_MASK`."""
+    count = 1 + dr.select(aim, 0, 1 << RANDOM_SHIFT) + dr.select(optical, mi.UInt32(1 << OPTICAL_SHIFT), 0)
+    return (word + count) | dr.select(diffracted, 0, mi.UInt32(NOT_DIFFRACTED))
+
+
+def is_diffraction(optics: Optics, it: Interaction, scatter: mi.Bool, reflect: mi.Bool) -> mi.Bool:
+    """Whether a scatter event is diffraction by an edge."""
+    if not optics.diffracts:
+        return mi.Bool(False)
+    return scatter & ~reflect & ((it.word & DIFFRACTS) != 0)

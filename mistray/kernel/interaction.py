@@ -1,0 +1,335 @@
+"""What happens to light at a point of a surface: normal, Snell's law, R and T."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.kernel.polarization import Mueller, from_plane, plane_of_incidence, to_plane
+from mistray.physics.fresnel import reflectance
+from mistray.physics.sag import sag, sag_derivative
+from mistray.surfaces.extrema import larger, smaller
+from mistray.surfaces.optics import (
+    ASPHERIC,
+    BACK_MEDIUM_SHIFT,
+    FRESNEL,
+    FRONT_MEDIUM_SHIFT,
+    IDEAL,
+    MEDIUM_MASK,
+    MIRROR,
+    OPAQUE,
+    REFLECTION_BACK,
+    REFLECTION_FRONT,
+    TABLED,
+    TRANSMISSION,
+    WALL,
+    total_variable,
+)
+from mistray.surfaces.surface_rows import LaneRows, gathered_row
+from mistray.surfaces.surfaces import SurfaceTable
+
+# Channel of a gradient: an ideal coating reflects R + T beyond the critical angle
+REFLECTION_AND_TRANSMISSION = 3
+
+
+@dataclass
+class Interaction:
+    """
+    Outcome at a node of the ray tree.
+
+    Attributes
+    ----------
+    p : mi.Vector3f
+        The point, moved onto the surface, mm.
+    reflected, transmitted : mi.Vector3f
+        Unit directions.
+    R, T : mi.Float
+        Shares of the flux that the coating reflects and transmits, for the polarisation of the branch, before scatter
+        takes its part; what is left is absorbed. Total internal reflection has T = 0.
+    tir : mi.Bool
+        Total internal reflection.
+    axis : mi.Vector3f
+        The normal on the side that the light goes to.
+    cos_i, cos_t : mi.Float
+        Cosines of the angles of incidence and refraction; the latter 0 in total reflection.
+    eta : mi.Float
+        Index on the side of incidence over the one on the other side.
+    word : mi.UInt32
+        The surface's description (flags of `mistray.surfaces.surfaces`).
+    medium_in, medium_out : mi.UInt32
+        Numbers of the materials on the side of incidence and on the other; 0 where any will do.
+    local : mi.Vector3f
+        The point in the surface's own frame, mm.
+    from_front : mi.Bool
+        Whether the light comes from the front.
+    place : Place
+        Where R and T stand in the tables.
+    polarized : Polarized or None
+        What becomes of the Stokes vector.
+    """
+
+    p: mi.Vector3f
+    reflected: mi.Vector3f
+    transmitted: mi.Vector3f
+    R: mi.Float
+    T: mi.Float
+    tir: mi.Bool
+    axis: mi.Vector3f
+    cos_i: mi.Float
+    cos_t: mi.Float
+    eta: mi.Float
+    word: mi.UInt32
+    medium_in: mi.UInt32
+    medium_out: mi.UInt32
+    local: mi.Vector3f
+    from_front: mi.Bool
+    place: Place
+    polarized: Polarized | None
+
+    def channel(self, reflect: mi.Bool) -> mi.UInt32:
+        """Column of the table that holds the factor of the reflected or the transmitted child."""
+        both = self.tir & ((self.word & 3) == IDEAL)
+        reflection = dr.select(self.from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
+        reflection = dr.select(both, REFLECTION_AND_TRANSMISSION, reflection)
+        return dr.select(reflect, reflection, mi.UInt32(TRANSMISSION))
+
+
+@dataclass
+class Place:
+    """Row of the table and the fraction of the way to the next row."""
+
+    row: mi.UInt32
+    fraction: mi.Float
+
+
+@dataclass
+class Polarized:
+    """The Stokes vector in the plane of incidence and what the surface does to it."""
+
+    stokes: mi.Vector3f
+    s: mi.Vector3f
+    reflection: Mueller
+    transmission: Mueller
+
+    def after(self, reflect: mi.Bool, d: mi.Vector3f) -> mi.Vector3f:
+        """Stokes vector of the child that leaves along d."""
+        chosen = dr.select(reflect, self.reflection.apply(self.stokes), self.transmission.apply(self.stokes))
+        return from_plane(chosen, d, self.s)
+
+
+def interact(
+    table: SurfaceTable,
+    p: mi.Vector3f,
+    d: mi.Vector3f,
+    s: mi.UInt32,
+    stock_normal: mi.Vector3f | None,
+    stokes: mi.Vector3f | None,
+    active: mi.Bool,
+    rows: LaneRows | None = None,
+) -> Interaction:
+    """
+    Evaluate the surfaces s at the points p for light that travels along d.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    p, d : mi.Vector3f
+        Point close to the surface (mm) and unit direction of propagation.
+    s : mi.UInt32
+        Numbers of the surfaces.
+    stock_normal : mi.Vector3f, optional
+        Normal where the surface is a stock shape; needed if the scene has any.
+    stokes : mi.Vector3f, optional
+        Stokes vector of the light; None: unpolarised everywhere.
+    active : mi.Bool
+        Lanes that matter.
+    rows : LaneRows, optional
+        Copies of the table's rows.
+    """
+    row = gathered_row(table, s, active) if rows is None else rows.row(s, active)
+    vertex, optics, word = row.vertex, row.optics, row.word
+    q = p - vertex.xyz
+    frame = table.frame(s, active)
+    q, dl = frame.inward(q), frame.inward(d)
+
+    # Value and half gradient of F at q; the normal is along the gradient
+    a, b, e, g = row.quadric
+    r2 = dr.fma(q.x, q.x, q.y * q.y)
+    value = dr.fma(a, r2, dr.fma(dr.fma(b, q.z, e), q.z, g))
+    across, along_z = a, dr.fma(b, q.z, 0.5 * e)  # the gradient is (across x, across y, along_z)
+    if table.coefficient_count:
+        aspheric = active & ((word & ASPHERIC) != 0)
+        shape = table.asphere_sag(s, aspheric)
+        slope = sag_derivative(r2, *shape)
+        # F = 2 (sag - z), to be of the same sign and scale as the quadric
+        value = dr.select(aspheric, 2 * (sag(r2, *shape) - q.z), value)
+        across, along_z = dr.select(aspheric, 2 * slope, across), dr.select(aspheric, -1, along_z)
+    if table.stock_scene is not None:
+        assert stock_normal is not None
+        stock = s >= len(table.pieces)
+        value = dr.select(stock, 0, value)
+
+    # One Newton step along the ray removes the rounding of a distant origin
+    along = 2 * (across * dr.fma(q.x, dl.x, q.y * dl.y) + along_z * dl.z)
+    step = -value / along
+    step = dr.select(step * step < 1e-6 * (1 + r2), step, 0)
+    p, q = dr.fma(step, d, p), dr.fma(step, dl, q)
+
+    # There, not where the step began: after 10 m of way that may be 1e-6 rad
+    along_z = dr.fma(dr.select(aspheric, 0, b) if table.coefficient_count else b, step * dl.z, along_z)
+    gradient = mi.Vector3f(across * q.x, across * q.y, along_z)
+    if table.stock_scene is not None:
+        gradient = dr.select(stock, stock_normal, gradient)
+    normal = gradient * dr.mulsign(dr.rsqrt(dr.squared_norm(gradient)), vertex.w)
+    if table.rotated:
+        rotated = frame.outward(normal)
+        normal = rotated if table.stock_scene is None else dr.select(stock, normal, rotated)
+    cosine = dr.dot(d, normal)
+    from_front = cosine > 0  # the normal points from front to back
+    along_d = dr.mulsign(normal, cosine)
+    cos_i = smaller(dr.abs(cosine), 1)
+    n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
+    eta = n_i / n_t
+    sin2_t = eta * eta * (1 - cos_i * cos_i)
+    opaque = (word & OPAQUE) != 0
+    tir = (sin2_t >= 1) & ~opaque
+    cos_t = dr.sqrt(larger(1 - sin2_t, 0))
+    reflected = dr.normalize(d - 2 * cos_i * along_d)
+    transmitted = dr.normalize(eta * d + (cos_t - eta * cos_i) * along_d)
+    kind = word & 3
+    place = _place(table, s, kind, tir, cos_i, cos_t, sin2_t, eta, active)
+    polarized = None
+    if stokes is None:
+        R, T = _unpolarized(table, kind, optics, place, cos_i, cos_t, n_i, n_t, from_front, active)
+        R, T = dr.select(tir, R + T, R), dr.select(tir | opaque, 0, T)
+    else:
+        in_plane = plane_of_incidence(d, normal)
+        turned = to_plane(stokes, d, in_plane)
+        reflection, transmission = _mueller(table, kind, optics, place, tir, from_front, active)
+        polarized = Polarized(turned, in_plane, reflection, transmission)
+        R, T = reflection.share(turned), dr.select(tir | opaque, 0, transmission.share(turned))
+    front, back = (word >> FRONT_MEDIUM_SHIFT) & MEDIUM_MASK, (word >> BACK_MEDIUM_SHIFT) & MEDIUM_MASK
+    return Interaction(
+        p=p,
+        reflected=reflected,
+        transmitted=transmitted,
+        R=R,
+        T=T,
+        tir=tir,
+        axis=along_d,
+        cos_i=cos_i,
+        cos_t=cos_t,
+        eta=eta,
+        word=word,
+        medium_in=dr.select(from_front, front, back),
+        medium_out=dr.select(from_front, back, front),
+        local=q,
+        from_front=from_front,
+        place=place,
+        polarized=polarized,
+    )
+
+
+def shares_at(
+    table: SurfaceTable, s: mi.UInt32, word: mi.UInt32, from_front: mi.Bool, cos_i: mi.Float, active: mi.Bool
+) -> tuple[mi.Float, mi.Float, mi.Float]:
+    """R, T and the cosine of refraction of the surfaces s for unpolarised light of another angle of incidence."""
+    optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
+    n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
+    eta, kind, opaque = n_i / n_t, word & 3, (word & OPAQUE) != 0
+    sin2_t = eta * eta * (1 - cos_i * cos_i)
+    tir = (sin2_t >= 1) & ~opaque
+    cos_t = dr.sqrt(larger(1 - sin2_t, 0))
+    place = _place(table, s, kind, tir, cos_i, cos_t, sin2_t, eta, active)
+    R, T = _unpolarized(table, kind, optics, place, cos_i, cos_t, n_i, n_t, from_front, active)
+    return dr.select(tir, R + T, R), dr.select(tir | opaque, 0, T), cos_t
+
+
+def _place(
+    table: SurfaceTable,
+    s: mi.UInt32,
+    kind: mi.UInt32,
+    tir: mi.Bool,
+    cos_i: mi.Float,
+    cos_t: mi.Float,
+    sin2_t: mi.Float,
+    eta: mi.Float,
+    active: mi.Bool,
+) -> Place:
+    """Where the angle of incidence stands in the surface's table, see `mistray.surfaces.optics`."""
+    places = dr.gather(mi.Vector4u, table.optics.places, s, active)
+    x = dr.select(tir, total_variable(sin2_t, eta, cos_i), smaller(cos_i, cos_t))
+    start, last = dr.select(tir, places.z, places.x), dr.select(tir, places.w, places.y)
+    x = dr.select(kind == TABLED, x * mi.Float(last), 0)
+    node = dr.minimum(mi.UInt32(x), last - 1)
+    return Place(start + node, x - mi.Float(node))
+
+
+def _unpolarized(
+    table: SurfaceTable,
+    kind: mi.UInt32,
+    optics: mi.Vector4f,
+    place: Place,
+    cos_i: mi.Float,
+    cos_t: mi.Float,
+    n_i: mi.Float,
+    n_t: mi.Float,
+    from_front: mi.Bool,
+    active: mi.Bool,
+) -> tuple[mi.Float, mi.Float]:
+    """R and T, each the mean of s and p."""
+    kinds = table.optics.kinds
+    R, T = optics.z, optics.w
+    if FRESNEL in kinds:
+        bare = reflectance(cos_i, cos_t, n_i, n_t)
+        if len(kinds) == 1:
+            return bare, 1 - bare
+        fresnel = kind == FRESNEL
+        R, T = dr.select(fresnel, bare, R), dr.select(fresnel, 1 - bare, T)
+    if TABLED in kinds:
+        tabled = active & (kind == TABLED)
+        low, high = (dr.gather(mi.Vector4f, table.optics.table, place.row + k, tabled) for k in range(2))
+        values = dr.lerp(low, high, place.fraction)
+        R = dr.select(tabled, dr.select(from_front, values.x, values.y), R)
+        T = dr.select(tabled, values.z, T)
+    return R, T
+
+
+def _mueller(
+    table: SurfaceTable,
+    kind: mi.UInt32,
+    optics: mi.Vector4f,
+    place: Place,
+    tir: mi.Bool,
+    from_front: mi.Bool,
+    active: mi.Bool,
+) -> tuple[Mueller, Mueller]:
+    """Reflection and transmission of polarised light; bare surfaces are tabled as well."""
+    # An ideal coating acts on s and p alike, as a bare surface does at normal incidence
+    R, T = dr.select(tir, optics.z + optics.w, optics.z), optics.w
+    reflection, transmission = mi.Vector4f(R, R, -R, 0), mi.Vector4f(T, T, T, 0)
+    if TABLED in table.optics.kinds:
+        tabled = active & (kind == TABLED)
+        side = dr.select(from_front, mi.UInt32(REFLECTION_FRONT), mi.UInt32(REFLECTION_BACK))
+
+        def row(channel: mi.UInt32) -> mi.Vector4f:
+            low, high = (
+                dr.gather(mi.Vector4f, table.optics.table, 3 * (place.row + k) + channel, tabled) for k in range(2)
+            )
+            return dr.lerp(low, high, place.fraction)
+
+        reflection = dr.select(tabled, row(side), reflection)
+        transmission = dr.select(tabled, row(mi.UInt32(TRANSMISSION)), transmission)
+    return Mueller(reflection), Mueller(transmission)
+
+
+def counts_as_reflection(interaction: Interaction) -> mi.Bool:
+    """Whether a reflection here uses up one of `max_reflections`: total and design reflections do not."""
+    return ~interaction.tir & ((interaction.word & MIRROR) == 0)
+
+
+def is_aside(interaction: Interaction, reflect: mi.Bool) -> mi.Bool:
+    """Whether a specular event is none of a direct image: at a surface of the mechanics, or total reflection."""
+    return ((interaction.word & WALL) != 0) | (reflect & interaction.tir)

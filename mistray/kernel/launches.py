@@ -1,0 +1,192 @@
+"""
+Launches of the kernel that last about a second, since one that runs can be neither stopped nor asked how far it is.
+
+The first launch of a kernel takes a ray of each batch. How long it ran, its compilation left out, says how many rays
+the next one may take, and those of later traces like it. The rays of a launch are spread over all start rays of a pass,
+so that those of the launches so far are a sample of the whole beam; a ray has its own random numbers, whichever launch
+it is in.
+"""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable, Hashable, Iterator
+from dataclasses import replace
+from functools import lru_cache
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.interrupts import check, end_overdue
+from mistray.recorders.start_rays import StartRays
+from mistray.settings import BATCHES, Settings
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+SECONDS = 1.0  # of a launch
+STRETCH = 1.5  # a launch may be so much longer if it is the last one then
+GROWTH = 512.0  # from a launch to the next
+PACKET, PACKETS = 16, 1 << 12  # fewest neighbours that stay together, since they walk similar trees; so many groups
+KERNELS = 256  # of which it is known how fast they are
+GOLDEN = (5**0.5 - 1) / 2
+MILLISECOND = 1e-3
+
+
+class Launches:
+    """Launches of one kernel, each as large as the time of those before allows."""
+
+    def __init__(self) -> None:
+        self._rate = 0.0  # rays per second
+        self._compiled = False
+
+    @property
+    def lanes(self) -> int:
+        """Rays of the next launch at most, but for `STRETCH`."""
+        return max(BATCHES, int(self._rate * SECONDS))
+
+    def run(self, start: StartRays, walk: Callable[[StartRays], object], seed: int = 0) -> Iterator[int]:
+        """
+        Trace start rays.
+
+        Parameters
+        ----------
+        start : StartRays
+        walk : callable
+            Traces some of them.
+        seed : int
+            Of the order in which they come, see `Spread`.
+
+        Yields
+        ------
+        int
+            Rays that have been traced: the first of that order.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            After a launch, if one was dropped meanwhile.
+        """
+        count, done = dr.width(start.lane), 0
+        order: Spread | None = None
+        while done < count:
+            here, part = self._next(count - done), start
+            if here < count:
+                order = order or Spread(count, seed)
+                numbers = order.next(done, here)
+                part, here = start.take(upload(mi.UInt32, numbers)), len(numbers)
+            self.time(here, lambda part=part: walk(part))  # type: ignore[misc]
+            done += here
+            yield done
+
+    def whole(self, start: StartRays, walk: Callable[[StartRays], object]) -> None:
+        """Trace all of them, or none in the end if an interrupt waits for too long; parameters as for `run`."""
+        count = dr.width(start.lane)
+        for done in self.run(start, walk):
+            if done < count:
+                end_overdue()
+
+    def _next(self, left: int) -> int:
+        """Rays of the next launch, of so many that are left: launches to come are of one size."""
+        return left if left <= STRETCH * self.lanes else math.ceil(left / math.ceil(left / self.lanes))
+
+    def time(self, lanes: int, work: Callable[[], object]) -> None:
+        """
+        Launch, and choose the size of the next launch by the time it took.
+
+        Raises
+        ------
+        KeyboardInterrupt
+            If one was dropped meanwhile.
+        """
+        first, self._compiled = not self._compiled, True
+        # The time of the first launch in the kernel alone is in Dr.Jit's history
+        with dr.scoped_set_flag(dr.JitFlag.KernelHistory, first or dr.flag(dr.JitFlag.KernelHistory)):
+            if first:
+                dr.kernel_history_clear()
+            began = time.perf_counter()
+            work()
+            dr.eval()
+            dr.sync_thread()
+            seconds = time.perf_counter() - began
+            if first:
+                seconds = MILLISECOND * sum(kernel.get("execution_time", 0.0) for kernel in dr.kernel_history())
+        if lanes >= self.lanes / 4 or seconds > SECONDS:  # the last rays of a pass say little
+            self._rate = lanes * min(1 / max(seconds, 1e-9), GROWTH / SECONDS)
+        check()
+
+
+@lru_cache(maxsize=KERNELS)
+def _launches(*_: Hashable) -> Launches:
+    return Launches()
+
+
+def launches_of(table: SurfaceTable, settings: Settings, *writes: Hashable) -> Launches:
+    """
+    Launches of a kernel, which know what an earlier trace like it has found.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    settings : Settings
+        How many rays there are, and their seed, do not matter.
+    *writes : hashable
+        What tells kernels of the same scene apart.
+    """
+    return _launches(tuple(table.ids), replace(settings, rays=1, seed=0), *writes)
+
+
+class Spread:
+    """
+    Numbers 0 … count-1 in an order of which every beginning is spread over all of them.
+
+    First comes one number of each of `BATCHES` equal blocks, then packets of neighbours, by multiples of the golden
+    ratio from a random one on.
+
+    Parameters
+    ----------
+    count : int
+    seed : int
+    """
+
+    def __init__(self, count: int, seed: int) -> None:
+        rng = np.random.default_rng((seed, count))
+        block = (np.arange(BATCHES) + (np.arange(BATCHES) * GOLDEN + rng.random()) % 1) * (count / BATCHES)
+        self._size = max(1, count // (PACKET * PACKETS)) * PACKET
+        packets = -(-count // self._size)
+        stride = max(1, round(GOLDEN * packets))
+        while math.gcd(stride, packets) > 1:
+            stride += 1
+        self._first = np.unique(block.astype(np.int64))
+        self._packets = (rng.integers(packets) + np.arange(packets) * stride) % packets
+        # Where the packets end: the numbers of the first group are left out of theirs, and the last one may be short
+        sizes = np.full(packets, self._size)
+        sizes[-1] -= packets * self._size - count
+        np.subtract.at(sizes, self._first // self._size, 1)
+        self._ends = len(self._first) + np.cumsum(sizes[self._packets])
+        self._count = count
+
+    def next(self, done: int, rays: int) -> np.ndarray:
+        """
+        Numbers that come after the first `done`, which `next` has given: about so many, in ascending order.
+
+        Returns
+        -------
+        (n,) int64
+        """
+        if done < len(self._first):
+            return self._first
+        low, high = np.searchsorted(self._ends, (done, done + rays), side="right")
+        packets = np.sort(self._packets[low : max(high, low + 1)])
+        found = (packets[:, None] * self._size + np.arange(self._size)).ravel()
+        found = found[: np.searchsorted(found, self._count)]
+        place = np.searchsorted(found, self._first)
+        place = place[place < len(found)]
+        return np.delete(found, place[np.isin(found[place], self._first)])
+
+    def first(self, rays: int) -> np.ndarray:
+        """The first numbers, as many as `next` has given, in ascending order."""
+        if rays <= len(self._first):
+            return self._first
+        return np.sort(np.concatenate([self._first, self.next(len(self._first), rays - len(self._first))]))

@@ -1,0 +1,129 @@
+"""The radial tables of scatter lobes on the device: evaluated and sampled by the kernel and by the plugins."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.scatter.radial import ALMOST_LOG, OCTAVES, PER_OCTAVE, RINGS, RadialTable
+from mistray.surfaces.upload import upload
+
+STRIDE = RINGS + 2  # floats of a table: values at the nodes, and one more so that every cell has a next node
+CELLS = RINGS + 1
+LAST_BIT = 2.0**-24  # of a random number: a cell of no share is not kept even if the number is 0
+LOG2_FIRST = 1.0 - OCTAVES  # of the radius of the first node
+FIRST_R2 = 4.0**LOG2_FIRST
+
+
+class RadialSampler:
+    """
+    Some radial tables in device memory.
+
+    Parameters
+    ----------
+    tables : sequence of RadialTable
+        Addressed by their numbers.
+
+    Attributes
+    ----------
+    total : mi.Float
+        (tables,): integral of 2π r f(r) of each.
+    """
+
+    def __init__(self, tables: Sequence[RadialTable]) -> None:
+        logs = [stored_logs(table) for table in tables]
+        cells = [np.column_stack([table.probability, table.alias]) for table in tables]
+        self._logs = upload(mi.Float, np.concatenate(logs))
+        self._cells = upload(mi.Float, np.concatenate(cells))
+        self.total = upload(mi.Float, np.array([table.total for table in tables]))
+        dr.eval(self._logs, self._cells, self.total)
+
+    @property
+    def arrays(self) -> list[mi.Float]:
+        """All that is stored."""
+        return [self._logs, self._cells]
+
+    def value(self, table: mi.UInt32, r2: mi.Float, active: mi.Bool) -> mi.Float:
+        """Value f of a table at the squared radius r2."""
+        place = radial_place(r2)
+        node = mi.UInt32(place)
+        low, high = self._pair(table, node, active)
+        return dr.exp2(dr.lerp(low, high, place - mi.Float(node)))
+
+    def sample(self, table: mi.UInt32, u: mi.Float, v: mi.Float, active: mi.Bool) -> mi.Float:
+        """
+        A radius with the density 2π r f(r) / total, from two uniform random numbers.
+
+        The first gives the cell and the place in it, the second decides between the cell and its alias. One number for
+        both would not do: the places in a cell that a float32 can have are few, and many cells have a small share.
+        """
+        place = u * CELLS
+        cell = dr.minimum(mi.UInt32(place), CELLS - 1)
+        inner = place - mi.Float(cell)
+        entry = dr.gather(mi.Vector2f, self._cells, table * CELLS + cell, active)
+        cell = dr.select(v + LAST_BIT < entry.x, cell, mi.UInt32(entry.y))
+        ring = dr.maximum(cell, 1) - 1
+        low, high = self._pair(table, ring, active)
+        exponent = (high - low) * PER_OCTAVE + 2
+        growth = dr.exp2(exponent * (1 / PER_OCTAVE)) - 1
+        octaves = dr.select(
+            dr.abs(exponent) < ALMOST_LOG, inner * (1 / PER_OCTAVE), dr.log2(dr.fma(inner, growth, 1)) / exponent
+        )
+        # Within the first node f is constant, so that r² is uniform
+        octaves = dr.select(cell == 0, 0.5 * dr.log2(dr.maximum(inner, 1e-12)), octaves)
+        return dr.exp2(LOG2_FIRST + mi.Float(ring) * (1 / PER_OCTAVE) + octaves)
+
+    def _pair(self, table: mi.UInt32, node: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.Float]:
+        """log2 f at a node and at the next."""
+        at = table * STRIDE + node
+        return dr.gather(mi.Float, self._logs, at, active), dr.gather(mi.Float, self._logs, at + 1, active)
+
+
+def radial_place(r2: mi.Float) -> mi.Float:
+    """Place of a squared radius among the nodes, 0 … RINGS."""
+    # Bounded below before the logarithm, whose derivative is then finite
+    return dr.minimum((0.5 * dr.log2(dr.maximum(r2, FIRST_R2)) - LOG2_FIRST) * PER_OCTAVE, RINGS)
+
+
+def stored_logs(table: RadialTable) -> np.ndarray:
+    """(STRIDE,) float64 numbers of a table as they are stored: log2 of its values, the last one twice."""
+    return np.append(table.log2_values, table.log2_values[-1])
+
+
+def multilinear(
+    values: mi.Float, first: Any, sizes: Sequence[Any], places: Sequence[mi.Float], active: mi.Bool
+) -> mi.Float:
+    """
+    Interpolate in a table of several axes.
+
+    Parameters
+    ----------
+    values : mi.Float
+        Tables, one after the other, the last axis running fastest.
+    first : mi.UInt32 or int
+        Where the table begins.
+    sizes : sequence of mi.UInt32 or int
+        Nodes of each axis, at least 2.
+    places : sequence of mi.Float
+        Along each axis, 0 … 1.
+    active : mi.Bool
+    """
+    low, fraction = [], []
+    for place, size in zip(places, sizes, strict=True):
+        place = place * mi.Float(size - 1)
+        node = dr.minimum(mi.UInt32(place), size - 2)
+        low.append(node)
+        fraction.append(place - mi.Float(node))
+    result = mi.Float(0)
+    for corner in range(2 ** len(sizes)):
+        weight, index = mi.Float(1), mi.UInt32(0)
+        for axis in range(len(sizes)):
+            step = corner >> axis & 1
+            weight = weight * (fraction[axis] if step else 1 - fraction[axis])
+            index = index * sizes[axis] + low[axis] + step
+        result += weight * dr.gather(type(values), values, first + index, active)
+    return result

@@ -1,0 +1,47 @@
+"""Where a ray goes next, and where on the detector it arrives."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.surfaces.intersect import Intersector
+from mistray.surfaces.surfaces import SurfaceTable
+
+GRAZING = 0.01  # smallest cosine that counts when a ray leaves a stock surface behind
+
+
+def next_hit(
+    table: SurfaceTable,
+    intersector: Intersector,
+    o: mi.Vector3f,
+    d: mi.Vector3f,
+    last: mi.UInt32,
+    active: mi.Bool,
+    normal: mi.Vector3f | None = None,
+) -> tuple[mi.Float, mi.UInt32, mi.Vector3f]:
+    """Nearest hit of analytic and stock surfaces: distance, surface, and the normal if it is stock."""
+    t, s = intersector.nearest(o, d, last, active)
+    if table.stock_scene is None:
+        return t, s, mi.Vector3f(0)
+    skip = mi.Float(0)
+    if normal is not None:  # leave a stock surface behind by a few roundings, along the ray so that it stays the same
+        slant = dr.maximum(dr.abs(dr.dot(normal, d)), GRAZING)
+        skip = dr.select(last >= len(table.pieces), table.stock_epsilon / slant, 0)
+    ray = mi.Ray3f(mi.Point3f(dr.fma(skip, d, o) + table.stock_offset), d)
+    ray.maxt = dr.select(dr.isfinite(t), t - skip, dr.largest(mi.Float))
+    hit = table.stock_scene.ray_intersect_preliminary(ray, coherent=False, active=active)
+    nearer = active & hit.is_valid() & (hit.t + skip < t)
+    si = hit.compute_surface_interaction(ray, mi.RayFlags.Minimal, nearer)
+    number = dr.gather(mi.UInt32, table.stock_lookup, dr.reinterpret_array(mi.UInt32, si.shape), nearer)
+    return dr.select(nearer, si.t + skip, t), dr.select(nearer, number, s), mi.Vector3f(si.n)
+
+
+def film_coordinates(table: SurfaceTable, it: Any) -> tuple[mi.Float, mi.Float]:
+    """Position on the detector in its own frame, mm."""
+    if table.detector < len(table.pieces):
+        return it.local.x, it.local.y
+    centre, right, up = table.detector_axes
+    return dr.dot(it.p - centre, right), dr.dot(it.p - centre, up)

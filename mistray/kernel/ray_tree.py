@@ -1,0 +1,396 @@
+"""The kernel: every lane walks the whole ray tree of its start ray, depth first.
+
+A lane holds one node at a time: a point on a surface, reached along a direction with a weight (its flux in units of
+the start ray's). At each visit it sends one of the node's children on (see `mistray.kernel.branching`) and, if others
+have flux, marks its depth as pending; when a branch ends the lane returns to the deepest pending node and sends on the
+next. The nodes of the current path lie in local memory, indexed by depth, so the path is always at hand and nothing can
+overflow below `max_events`.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.errors import MistrayError
+from mistray.kernel.branch_limits import NO_RUN, BranchLimits
+from mistray.kernel.branching import REFLECT, TRANSMIT, Branching, Children, Choice, Node
+from mistray.kernel.event_codes import after_scatter, event_code, is_diffraction
+from mistray.kernel.interaction import interact, is_aside
+from mistray.kernel.kernel_scene import KernelScene
+from mistray.kernel.next_hit import film_coordinates, next_hit
+from mistray.kernel.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
+from mistray.recorders.ledger import ABSORBED, EVENT_BITS, FIRST_KEY, extend_key
+from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Visit
+from mistray.recorders.start_rays import StartRays
+from mistray.recorders.tallies import ESCAPED, FIRST_MISS, MEDIUM, STARTED
+from mistray.settings import Settings
+from mistray.surfaces.optics import DETECTOR, NO_LOSS
+from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surface_rows import LaneRows
+
+State = dict[str, Any]
+
+
+def trace_tree(scene: KernelScene, start: StartRays, settings: Settings, recorders: Sequence[Recorder | None]) -> None:
+    """
+    Trace the trees of a set of start rays.
+
+    Parameters
+    ----------
+    scene : KernelScene
+        Says whether rays follow the light from a source to the detector, or go backward from the detector to the sky.
+    start : StartRays
+        One lane each.
+    settings : Settings
+    recorders : sequence of Recorder or None
+        Take the results, in this order; None is left out.
+    """
+    tree = _Tree(scene, start, settings, Recorders(recorders))
+    state = tree.first_segment()
+    state, constant = tree.varying(state)
+
+    def visit(state: State) -> State:
+        following = tree.visit({**state, **constant})
+        return {name: value for name, value in following.items() if name not in constant}
+
+    walk_on = at_once if tree.scatters else in_step
+    tree.end(walk_on(state, visit, partial(tree.nodes.resume, child=REFLECT)))
+
+
+@dataclass
+class _Sent:
+    """Rays that nodes send on: where from, along which direction, with which flux, and how they were found."""
+
+    origin: mi.Vector3f
+    heading: mi.Vector3f
+    flux: mi.Float
+    reflect: mi.Bool
+    aim: mi.Bool
+    slope: mi.Float  # d ln(flux) / d(R or T)
+    medium_in: mi.UInt32
+    place: mi.UInt32  # number of the surface, or of the medium that scatters
+    away: mi.Float  # of the node behind the origin, see the state
+    shared: mi.Float  # see the state
+    active: mi.Bool  # whether there is one
+
+
+class _Tree:
+    """The steps of a visit, with what is the same for all of them."""
+
+    def __init__(self, scene: KernelScene, start: StartRays, settings: Settings, recorders: Recorders) -> None:
+        if any(settings.cut_below_W):
+            raise MistrayError("cut_below_W is in watts of a source, and this trace starts from none; use cut_below")
+        table = scene.table
+        self.scene, self.start, self.settings, self.recorders = scene, start, settings, recorders
+        self.n = dr.width(start.o)
+        self.has_stock, self.bulk = table.stock_scene is not None, table.optics.scatters
+        self.scatters = scene.scatters(settings)
+        self.runs = settings.limits_consecutive
+        self.by_way = scene.backward or recorders.by_way  # how a direction was found is not asked
+        self.limits = BranchLimits(settings, recorders, start.batch)
+        self.branching = Branching(scene, settings, self.limits, recorders.lose)
+        self.nodes = PendingNodes(
+            settings.max_events, self.has_stock, settings.stokes, self.scatters, self.bulk, self.runs
+        )
+        self.rows = LaneRows(table, self.n) if LaneRows.pay(table) else None
+        self.first_depth = start.given("depth", self.full())
+
+    # A Local array takes an index of traced size 1 as uniform over the lanes: every index must start at full width
+    def full(self, value: int = 0) -> mi.UInt32:
+        """A number of each lane."""
+        return dr.full(mi.UInt32, value, self.n)
+
+    def first_segment(self) -> State:
+        """From the source to the first surface: the variables of the loop."""
+        start, table, n, full = self.start, self.scene.table, self.n, self.full
+        o, d, bulk = start.o, start.d, self.bulk
+        memory: Memory = {}
+        codes = dr.alloc_local(mi.UInt32, self.settings.max_events)
+        self.recorders.begin(start, self.settings.max_events, memory)
+        left_behind, medium = start.given("left", full(NO_SURFACE)), start.given("medium", full())
+        key = start.given("key", dr.full(mi.UInt64, FIRST_KEY, n))
+        reflections, scatters = start.given("reflections", full()), start.given("scatters", full())
+        aside = start.given("aside", dr.full(mi.Bool, False, n))
+        under_way = start.w > 0
+        if start.at is not None:
+            under_way &= start.at == NO_SURFACE
+        t, s, normal = next_hit(table, self.scene.intersector, o, d, left_behind, under_way, normal=start.normal)
+        if start.at is not None:
+            t, s = dr.select(under_way, t, 0), dr.select(under_way, s, start.at)
+        hit = s != NO_SURFACE
+        missed = ~hit & (start.w > 0)
+        run = start.given("run", full(NO_RUN))
+        hit = self.limits.arrive(run, s, start.w, hit)
+        lose = self.recorders.lose
+        lose(ESCAPED, start.w, missed, memory)
+        lose(FIRST_MISS, 1.0, missed, memory)
+        lose(STARTED, 1.0, mi.Bool(True), memory)
+        if self.scene.backward:
+            depth = self.first_depth
+            gone = Departure(start, d, start.w, reflections, scatters, aside, key, depth, lambda k, _: k, missed)
+            self.recorders.depart(gone, memory)
+        w, clouded = self._attenuate(start.w, medium, t, hit)
+        return {
+            "active": hit,  # the lane has a node to visit
+            "child": full(TRANSMIT),  # number of the child that this visit is for; the first visit looks for one
+            "p": dr.fma(t, d, o),  # the node
+            "d": mi.Vector3f(d),  # direction in which it was reached
+            "w": mi.Float(w),  # weight with which it was reached
+            "stokes": dr.zeros(mi.Vector3f, n if self.settings.stokes else 1),  # polarisation with which it was reached
+            "s": dr.select(hit, s, 0),  # its surface
+            "normal": normal,  # there, if the surface is stock
+            "medium": mi.UInt32(medium),  # material of the segment that led to it; 0 is not known
+            "depth": mi.UInt32(self.first_depth),  # events before it
+            "reflections": mi.UInt32(reflections),  # counted reflections before it
+            "key": mi.UInt64(key),  # of the events before it
+            "aside": mi.Bool(aside),  # an event before it is none of a direct image, see `is_aside`
+            "run": mi.UInt32(run),  # hits of one surface in a row before it
+            "pending": full(),  # depth + 1 of the deepest node before it that has a child still to come; 0: none
+            "segments": full(1),
+            "scatters": mi.UInt32(scatters),  # scatter events before it, see COUNT_MASK
+            # Surface that sent the ray to a target, unless it was reflected since
+            "aimed_from": mi.UInt32(start.given("aimed_from", full(NO_SURFACE))),
+            "birth": mi.Float(start.given("birth", start.w)),  # weight when it left the source or was scattered last
+            "boost": dr.full(mi.Float, 1, n),  # factor of its scattered rays; 0: none, negative: see `_only_child`
+            "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # of the segment that led to it, mm
+            # Of the node behind p, where its medium has scattered, mm
+            "away": dr.zeros(mi.Float, n if bulk else 1),
+            # Flux that the medium scattered in all where it sent this ray among others; 0 of other rays
+            "shared": dr.zeros(mi.Float, n if bulk else 1),
+            # Flux that its medium scattered on the way
+            "clouded": mi.Float(clouded) if bulk else dr.zeros(mi.Float, 1),
+            "trunk": full(),  # deepest node of the current path before its first reflection
+            "wait": full(),  # level at which the lane waits, see `mistray.kernel.pending_nodes`; 0: it is under way
+            "rng": mi.PCG32(start.rng),
+            "memory": (self.nodes.memory, codes),
+            "recorders": memory,
+        }
+
+    def varying(self, state: State) -> tuple[State, State]:
+        """The variables that this scene needs, and the others with the values that they keep."""
+        scatters, bulk = self.scatters, self.bulk
+        needed = {
+            "run": self.runs,
+            "stokes": self.settings.stokes,
+            "normal": self.has_stock,
+            "length": bulk,
+            "away": bulk and scatters,
+            "shared": bulk and scatters,
+            "clouded": bulk,
+        }
+        needed |= dict.fromkeys(("scatters", "aimed_from", "birth", "boost"), scatters)
+        constant = {name: state[name] for name, is_needed in needed.items() if not is_needed}
+        return {name: value for name, value in state.items() if name not in constant}, constant
+
+    def visit(self, state: State) -> State:
+        """One visit of a node by every lane: arrive, report, choose a child, send it on, or go back."""
+        path, codes = state["memory"]
+        memory = dict(state["recorders"])
+        trunk = dr.select(state["reflections"] == 0, state["depth"], state["trunk"])
+        node = self._arrive(state, path, codes, memory)
+        children = self.branching.children(node, memory)
+        choice = self.branching.choose(node, children, memory)
+        sent = self._send(node, children, choice)
+        path, code = self._keep(node, children, choice, sent, path, codes, memory)
+        following = self._follow(node, children, choice, sent, path, codes, code, memory)
+        following |= self._go_back(node, choice, following.pop("hit"), trunk, memory)
+        return {**state, **following, "rng": node.rng, "memory": (path, codes), "recorders": memory}
+
+    def end(self, state: State) -> None:
+        """All trees are complete."""
+        segments = state["segments"]
+        self.recorders.end(self.start, segments, segments >= self.branching.max_segments, state["recorders"])
+
+    def _attenuate(
+        self, flux: mi.Float, medium: mi.UInt32, length: mi.Float, hit: mi.Bool
+    ) -> tuple[mi.Float, mi.Float]:
+        """What is left at the end of segments, and what their media scatter; what they absorb is reported."""
+        optics = self.scene.table.optics
+        if not optics.absorbs:
+            return flux, mi.Float(0)
+        left, clouded, taken = optics.attenuate(flux, medium, length, hit)
+        self.recorders.take(medium, self.start.batch, taken, hit & (taken > 0))
+        return left, clouded
+
+    def _arrive(self, state: State, path: Any, codes: Any, memory: Memory) -> Node:
+        """What the light meets, and at a first visit what the surface takes of it, which is reported."""
+        active, d, w, s = (state[k] for k in ("active", "d", "w", "s"))
+        table, scattering = self.scene.table, self.scene.scattering
+        first = active & (state["child"] == TRANSMIT)
+        visited = mi.Bool(first)
+        again = active & ~first
+        stokes = state["stokes"] if self.settings.stokes else None
+        reached = dr.fma(state["away"], d, state["p"]) if self.bulk and self.scatters else state["p"]
+        it = interact(table, reached, d, s, state["normal"] if self.has_stock else None, stokes, active, self.rows)
+        strayed = first & (state["medium"] != 0) & (it.medium_in != 0) & (it.medium_in != state["medium"])
+        self.recorders.lose(MEDIUM, w, strayed, memory)
+        first &= ~strayed
+        R, T = it.R, it.T
+        given = None
+        if scattering.any:
+            given = scattering.give(s, it, first | again)
+            R, T = R * given.reflection.kept, T * given.transmission.kept
+        loss = 1 - R - T if given is None else given.absorbed
+        absorbed = dr.select(dr.abs(loss) < NO_LOSS, 0, w * loss)
+        absorbed, counts = self.limits.absorb(absorbed, first)
+        detected = mi.Bool(False) if self.scene.backward else first & ((it.word & DETECTOR) != 0) & counts
+        if not self.recorders.incident:
+            detected &= absorbed > 0
+        code = (s << EVENT_BITS) | ABSORBED
+        hits = Visit(
+            *(self.start, state, it, given, visited, first, detected, detected, w, absorbed),
+            *(film_coordinates(table, it), code, extend_key(state["key"], code), codes, path, self.scatters),
+        )
+        self.recorders.visit(hits, memory)
+        return Node(state, it, given, R, T, first, again, state["rng"])
+
+    def _send(self, node: Node, children: Children, choice: Choice) -> _Sent:
+        """The chosen child's origin, direction and flux."""
+        state, it, given, rng = node.state, node.interaction, node.shares, node.rng
+        w, d, s, p = state["w"], state["d"], state["s"], it.p
+        table, scattering = self.scene.table, self.scene.scattering
+        scatter, cloud, flux = choice.scatter, choice.cloud, choice.flux
+        reflect = choice.number == REFLECT
+        heading = dr.select(reflect, it.reflected, it.transmitted)
+        origin = p
+        aim, slope = mi.Bool(False), dr.rcp(dr.select(reflect, it.R, it.T))
+        if self.scatters and given is not None:
+            heading, share, scatter_slope, back_side, aim, rng = scattering.scatter(
+                table, s, given, choice.draw, it, d, heading, rng, scatter
+            )
+            reflect = dr.select(scatter, back_side, reflect)
+            slope = dr.select(scatter, scatter_slope, slope)
+            flux = dr.select(scatter, w * share * choice.factor, flux)
+        # Behind an opaque surface is no medium: the light stays in the one that led to it
+        medium_in = dr.select(it.medium_in == 0, state["medium"], it.medium_in)
+        away, shared = mi.Float(0), mi.Float(0)
+        bulk_aim = children.bulk_aim
+        if bulk_aim is not None and scattering.bulk is not None:
+            aim_cloud, random_parts, aimed_parts = choice.draw_cloud(rng)
+            away, along, share = scattering.bulk.scatter(
+                medium_in, p, d, state["length"], bulk_aim, aim_cloud, random_parts, aimed_parts, rng, cloud
+            )
+            away = dr.select(cloud, away, 0)
+            origin, heading = dr.fma(-away, d, p), dr.select(cloud, along, heading)
+            slope = dr.select(cloud, 0, slope)
+            shared = dr.select(cloud & (bulk_aim.rays > 0), flux, 0)
+            flux = dr.select(cloud, flux * share, flux)
+            aim |= cloud & aim_cloud
+        node.rng = rng
+        place = dr.select(cloud, table.count + medium_in, s) if self.bulk else s
+        return _Sent(origin, heading, flux, reflect, aim, slope, medium_in, place, away, shared, node.visit)
+
+    def _keep(
+        self, node: Node, children: Children, choice: Choice, sent: _Sent, path: Any, codes: Any, memory: Memory
+    ) -> tuple[Any, mi.UInt32]:
+        """Keep the node, for its later visits and as part of the path, and report the branch; its nodes and code."""
+        state, it, visit = node.state, node.interaction, node.visit
+        depth, scatter, cloud = state["depth"], choice.scatter, choice.cloud
+        if self.scatters:
+            self.recorders.lose(children.remainder, -sent.flux, (scatter | cloud) & (sent.flux > 0), memory)
+        sent.flux = self.limits.end(sent.flux, scatter, cloud, sent.reflect, visit)
+        sent.active = go = visit & (sent.flux > 0)
+        word = node_word(state["s"], state["reflections"], state["aside"] if self.scene.backward else None)
+        kept = {**state, "p": sent.origin, "away": sent.away, "word": word}
+        kept |= {"child": choice.later, "boost": choice.boost}
+        path = self.nodes.keep(path, kept, depth, choice.pending, choice.pending | go, self.recorders.node_floats)
+        how = (scatter, cloud, mi.Bool(False) if self.by_way else sent.aim) if self.scatters else None
+        code = event_code(sent.place, it, sent.reflect, how)
+        codes.write(code, depth, go)
+        aimed = sent.aim if self.scatters else None
+        self.recorders.branch(Branch(self.start, depth, it, sent.place, sent.reflect, aimed, sent.slope, go), memory)
+        return path, code
+
+    def _follow(
+        self,
+        node: Node,
+        children: Children,
+        choice: Choice,
+        sent: _Sent,
+        path: Any,
+        codes: Any,
+        code: mi.UInt32,
+        memory: Memory,
+    ) -> State:
+        """Follow rays to the next surface, or out of the scene; the variables of the loop for those that go on."""
+        state, it, bulk, scatters = node.state, node.interaction, self.bulk, self.scatters
+        table, depth, s, key = self.scene.table, state["depth"], state["s"], extend_key(state["key"], code)
+        scatter, cloud, reflect, go = choice.scatter, choice.cloud, sent.reflect, sent.active
+        medium = dr.select(reflect | cloud, sent.medium_in, it.medium_out)
+        last = dr.select(cloud, NO_SURFACE, s) if bulk else s
+        left_behind = state["normal"] if self.has_stock else None
+        t, s2, normal = next_hit(table, self.scene.intersector, sent.origin, sent.heading, last, go, normal=left_behind)
+        hit = go & (s2 != NO_SURFACE)
+        leaving = go & ~hit
+        self.recorders.lose(ESCAPED, sent.flux, leaving, memory)
+        run = self.limits.run_after(state["run"], s, cloud)
+        hit = self.limits.arrive(run, s2, sent.flux, hit)
+        bounced = reflect & children.counted & ~scatter
+        scattered, aside, after = scatter | cloud, state["aside"], state["scatters"]
+        if scatters:
+            diffracted = is_diffraction(table.optics, it, scatter, reflect)
+            after = dr.select(scattered, after_scatter(after, sent.aim, children.transmits | cloud, diffracted), after)
+        if self.scene.backward:
+            reflections = state["reflections"] + dr.select(bounced, mi.UInt32(1), 0)
+            aside = aside | is_aside(it, reflect)
+            gone = Departure(
+                *(self.start, sent.heading, sent.flux, reflections, after, aside, key, depth + 1, codes.read, leaving),
+                *(path, (*sent.origin, *state["d"], state["w"])),
+            )
+            self.recorders.depart(gone, memory)
+        flux, clouded = self._attenuate(sent.flux, medium, t, hit)
+        following: State = {}
+        if scatters:
+            aimed_from = dr.select(bounced, NO_SURFACE, state["aimed_from"])
+            following = {
+                "scatters": after,
+                "aimed_from": dr.select(scattered, dr.select(sent.aim, sent.place, NO_SURFACE), aimed_from),
+                "birth": dr.select(scattered, flux, state["birth"]),
+                "boost": dr.full(mi.Float, 1, self.n),
+            }
+            if bulk:
+                shared = dr.select(scattered, sent.shared, state["shared"])
+                following |= {"length": t, "clouded": clouded, "away": mi.Float(0), "shared": shared}
+        elif bulk:  # nothing is followed: a first visit reports what the medium scatters
+            following = {"clouded": clouded}
+        if it.polarized:
+            following["stokes"] = dr.select(scattered, 0, it.polarized.after(reflect, sent.heading))
+        return following | {
+            "hit": hit,
+            "child": self.full(TRANSMIT),
+            "p": dr.fma(t, sent.heading, sent.origin),
+            "d": sent.heading,
+            "w": flux,
+            "s": dr.select(hit, s2, 0),
+            "normal": normal if self.has_stock else state["normal"],
+            "medium": medium,
+            "reflections": dr.select(bounced, state["reflections"] + 1, state["reflections"]),
+            "aside": aside,
+            "key": key,
+            "run": run,
+            "segments": dr.select(go, state["segments"] + 1, state["segments"]),
+        }
+
+    def _go_back(self, node: Node, choice: Choice, hit: mi.Bool, trunk: mi.UInt32, memory: Memory) -> State:
+        """Let lanes whose branch has ended go back to their deepest pending node; the variables that this changes."""
+        state = node.state
+        depth = state["depth"]
+        pending = dr.select(choice.pending, depth + 1, state["pending"])
+        ended = state["active"] & ~hit
+        back = ended & (pending != 0)
+        k = dr.select(back, pending - 1, 0)
+        closed = dr.select(back, k + 1, self.first_depth)
+        self.recorders.back(Return(self.start, depth, k, closed, ended), memory)
+        return {
+            "active": hit | back,
+            "wait": wait_level(k, trunk, back, 1 if self.scatters else LEVELS),
+            "trunk": trunk,
+            "depth": dr.select(back, k, depth + 1),
+            "pending": pending,
+        }

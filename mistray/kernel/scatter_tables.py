@@ -1,0 +1,448 @@
+"""Scatter of all surfaces, packed for the kernel: lobes, targets, and totals over the angle of incidence.
+
+Light of one side of a surface that leaves by one event (transmission or reflection) is one *case*, number
+4 s + 2 side + event. Each case has a list of lobes, a list of targets, and a table over the angle of incidence of what
+the specular beam loses and of what is scattered.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from functools import lru_cache, partial
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.kernel.bulk_scattering import BulkScattering
+from mistray.kernel.device_targets import DeviceTargets
+from mistray.kernel.lobes import RadialSampler, multilinear
+from mistray.kernel.targets import AimSet, Place
+from mistray.scatter.lobe import Lobe, RatioTable, Scatter
+from mistray.scatter.particulate import particle_indices
+from mistray.scatter.radial import RadialTable
+from mistray.scatter.total import Totals, check_budget, model_lobes, specular_cosine, totals
+from mistray.surfaces.optics import OPAQUE, Optics
+from mistray.surfaces.surface_frame import SurfaceFrames
+from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.surfaces.surfaces import SurfaceTable
+
+EVENT_NAMES = ("transmission", "reflection")  # in the order of the cases
+CASES = 4  # of a surface
+ANGLES = 256  # intervals of the tables of totals, uniform in the cosine
+# Flags of a lobe; the number of its radial table stands above them
+BY_ANGLE, RETRO, NORMAL, GHS, RAYLEIGH_RICE, EDGE, COSINE, RATIO, BY_COSINES, ANGULAR, TURNED, FROM_X = (
+    1 << bit for bit in range(12)
+)
+TABLE_SHIFT = 12
+LOBE_FLOATS = 6
+# Numbers before those of a ratio table: nodes along its three axes, or along the first, the rotation and the last two;
+# 0 or the first rotation of the sample, in turns
+RATIO_HEAD = 5
+NO_TOTALS = 2  # rows of zeros before the totals, for what has no scatter
+TURNED_ANGLES = 64  # intervals of the totals of anisotropic lobes, which are interpolated to the others
+RANDOM_RAYS_SHIFT = 16
+
+
+@dataclass(frozen=True)
+class Side:
+    """What the models of a surface make of light of one side: lobes with their tables, and totals by angle."""
+
+    lobes: tuple[Lobe, ...]
+    tables: tuple[RadialTable, ...]
+    # Event → (turns, ANGLES + 1, 4): loss, and three terms of what is scattered, at uniform rotations of the sample,
+    # the last one the first again; 1 where it makes no difference
+    rows: dict[str, np.ndarray]
+    models: tuple[int, ...] = ()  # by lobe, number of the model that it is of
+
+    def without_transmission(self) -> Side:
+        """The same of an opaque surface."""
+        kept = [k for k, lobe in enumerate(self.lobes) if lobe.event == "reflection"]
+        return Side(
+            tuple(self.lobes[k] for k in kept),
+            tuple(self.tables[k] for k in kept),
+            {**self.rows, "transmission": np.zeros((1, ANGLES + 1, 4))},
+            tuple(self.models[k] for k in kept),
+        )
+
+
+def side_of(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
+    """What models make of light of one side, computed once."""
+    return _known_side(models, particle_indices(models, wavelength_nm), wavelength_nm, n_in, n_out, from_front)
+
+
+@lru_cache(maxsize=1024)
+def _known_side(
+    models: tuple[Scatter, ...],
+    _particles: tuple[complex, ...],
+    wavelength_nm: float,
+    n_in: float,
+    n_out: float,
+    from_front: bool,
+) -> Side:
+    return make_side(models, wavelength_nm, n_in, n_out, from_front)
+
+
+def make_side(models: tuple[Scatter, ...], wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> Side:
+    """
+    Lobes and totals.
+
+    Nodes are uniform in cos θi for reflection, in the cosine in the rarer medium for transmission, where the cosine of
+    incidence in the denser one is that of a direction refracted there.
+    """
+    own = [model_lobes([model], wavelength_nm, n_in, n_out, from_front) for model in models]
+    lobes = tuple(lobe for part in own for lobe in part)
+    tables = tuple(RadialTable.of(lobe.profile, lobe.r_max) for lobe in lobes)
+    rows = {}
+    for event in EVENT_NAMES:
+        here = [k for k, lobe in enumerate(lobes) if lobe.event == event]
+        still, turned = ([k for k in here if lobes[k].anisotropic == kind] for kind in (False, True))
+
+        def block(numbers: list[int], nodes: int, rotation: float, event: str = event) -> np.ndarray:
+            x = np.linspace(0.0, 1.0, nodes)
+            cos_i = x if event == "reflection" else np.sqrt(1 - (1 - x * x) * min(n_out / n_in, 1.0) ** 2)
+            chosen, radial = [lobes[k] for k in numbers], [tables[k] for k in numbers]
+            sums = totals(chosen, cos_i, n_in, n_out, radial, rotation)
+            return np.column_stack([sums.loss[event], *sums.terms[event]])
+
+        rows[event] = block(still, ANGLES + 1, 0.0)[None]
+        if turned:
+            count = max(ratio.values.shape[1] for k in turned if (ratio := lobes[k].ratio) is not None)
+            blocks = [block(turned, TURNED_ANGLES + 1, turn) for turn in np.linspace(0, 2 * np.pi, count)[:-1]]
+            rows[event] = rows[event] + _finer(np.array([*blocks, blocks[0]]))
+    return Side(lobes, tables, rows, tuple(number for number, part in enumerate(own) for _ in part))
+
+
+def _finer(rows: np.ndarray) -> np.ndarray:
+    """Rows at `TURNED_ANGLES` intervals of the cosine at `ANGLES`, linear between, (turns, ANGLES + 1, 4)."""
+    places = np.linspace(0, TURNED_ANGLES, ANGLES + 1)
+    low = np.minimum(places.astype(int), TURNED_ANGLES - 1)
+    fraction = (places - low)[:, None]
+    return np.asarray((1 - fraction) * rows[:, low] + fraction * rows[:, low + 1])
+
+
+@dataclass(frozen=True)
+class Member:
+    """
+    A lobe of a case.
+
+    Attributes
+    ----------
+    plugin : Scatterer
+        That the lobe is of.
+    number : int
+        Its place among the lobes of the plugin's model for light of this side.
+    lobe : Lobe
+    table : RadialTable
+    """
+
+    plugin: Any
+    number: int
+    lobe: Lobe
+    table: RadialTable
+
+
+@dataclass(frozen=True)
+class Case:
+    """
+    Light of one side of a surface that is scattered in one event.
+
+    Attributes
+    ----------
+    surface : int
+    from_front : bool
+        The side that the light comes from; against the light, in transmission, not that of the ray.
+    event : str
+    rows : (turns, ANGLES + 1, 4) float64
+        Totals over the rotation of the sample and the angle, see `Side`.
+    members : tuple of Member
+    first_row, first_lobe : int
+        Where its rows begin among those of all cases, and its members among all lobes.
+    """
+
+    surface: int
+    from_front: bool
+    event: str
+    rows: np.ndarray
+    members: tuple[Member, ...]
+    first_row: int
+    first_lobe: int
+
+    @property
+    def end_row(self) -> int:
+        """Row behind its last."""
+        return self.first_row + self.rows.shape[0] * self.rows.shape[1]
+
+
+@dataclass(frozen=True)
+class PackedLobes:
+    """
+    The lobes of all cases, one after the other, in float64.
+
+    Attributes
+    ----------
+    members : list of Member
+    floats : (n, LOBE_FLOATS) float64
+        c0, c1, c2, total of the profile, limit of 1/cos θi, log2 of the ratio's smallest r.
+    words : (n, 2) uint32
+        Flags and number of the radial table; place of the ratio.
+    tables : list of RadialTable
+    table_numbers : list of int
+        By lobe.
+    ratios : (m,) float64
+        Ratio tables, each behind `RATIO_HEAD` numbers; first those that change with the models' values.
+    moving : int
+        Numbers in these.
+    """
+
+    members: list[Member]
+    floats: np.ndarray
+    words: np.ndarray
+    tables: list[RadialTable]
+    table_numbers: list[int]
+    ratios: np.ndarray
+    moving: int
+
+    @property
+    def flags(self) -> int:
+        """All flags that occur."""
+        return int(np.bitwise_or.reduce(self.words[:, 0] & ((1 << TABLE_SHIFT) - 1), initial=0))
+
+
+def pack(cases: Sequence[Case], by_plugin: bool = False) -> PackedLobes:
+    """
+    Number the tables of the lobes of all cases.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+    by_plugin : bool
+        Equal tables of two plugins are then two tables, so that each has its own derivatives.
+    """
+    members = [member for case in cases for member in case.members]
+    owners = [id(member.plugin) if by_plugin else 0 for member in members]
+    tables: dict[tuple[int, int], tuple[int, RadialTable]] = {}
+    ratios: dict[tuple[int, int], RatioTable] = {}
+    for member, owner in zip(members, owners, strict=True):
+        tables.setdefault((id(member.table), owner), (len(tables), member.table))
+        if member.lobe.ratio is not None:
+            ratios.setdefault((id(member.lobe.ratio), owner), member.lobe.ratio)
+    places, parts, place, moving = {}, [np.zeros(0)], 0, 0
+    for key, ratio in sorted(ratios.items(), key=lambda item: item[1].fixed):
+        places[key] = place
+        sizes = ratio.values.shape if ratio.anisotropic else (*ratio.values.shape, 0)
+        parts += [np.array([*sizes, ratio.first_rotation / (2 * np.pi)]), ratio.values.ravel()]
+        place += RATIO_HEAD + ratio.values.size
+        moving = moving if ratio.fixed else place
+    floats, words, numbers = np.zeros((len(members), LOBE_FLOATS)), np.zeros((len(members), 2), dtype=np.uint32), []
+    for k, (member, owner) in enumerate(zip(members, owners, strict=True)):
+        numbers.append(tables[id(member.table), owner][0])
+        floats[k] = lobe_floats(member.lobe, member.table)
+        words[k] = _flags(member.lobe) | numbers[-1] << TABLE_SHIFT, places.get((id(member.lobe.ratio), owner), 0)
+    return PackedLobes(
+        members, floats, words, [table for _, table in tables.values()], numbers, np.concatenate(parts), moving
+    )
+
+
+def lobe_floats(lobe: Lobe, table: RadialTable) -> np.ndarray:
+    """(LOBE_FLOATS,) numbers of a lobe, see `PackedLobes`."""
+    r_min = lobe.ratio.r_min if lobe.ratio is not None else 1.0
+    return np.array([*lobe.shares, table.total, min(lobe.oblique_limit, 1e30), np.log2(r_min)])
+
+
+def _flags(lobe: Lobe) -> int:
+    """Flags of a lobe."""
+    flags = BY_ANGLE if lobe.measure == "angle" else 0
+    flags |= {"specular": 0, "retro": RETRO, "normal": NORMAL}[lobe.centre]
+    flags |= {"none": 0, "ghs": GHS, "rayleigh_rice": RAYLEIGH_RICE, "edge": EDGE, "cosine": COSINE}[lobe.factor]
+    if lobe.ratio is None:
+        return flags
+    flags |= RATIO | {"radial": 0, "angular": ANGULAR, "cosines": BY_COSINES}[lobe.ratio.axes]
+    if not lobe.anisotropic:
+        return flags
+    return flags | TURNED | (FROM_X if lobe.ratio.from_x else 0)
+
+
+class ScatterTables:
+    """
+    Scatter of all surfaces at one wavelength.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+        The surfaces with their coatings and materials at a wavelength.
+    aims : mapping
+        Where light is scattered → targets.
+    backward : bool
+        For rays that go against the light. A case is then that of the light which the ray goes against: a ray from the
+        front that is transmitted meets light from the back that is.
+
+    Attributes
+    ----------
+    any : bool
+        Whether a surface scatters.
+    aims : mapping
+        As given.
+    bulk : BulkScattering or None
+        Scatter in media, if any scatters.
+    all_cases : list of Case
+        Those that scatter, in the order of their totals and lobes.
+    total_rows : int
+        Number of rows of the totals.
+    """
+
+    def __init__(
+        self,
+        table: SurfaceTable,
+        aims: Mapping[Place, AimSet],
+        backward: bool = False,
+    ) -> None:
+        optics = table.optics
+        bsdfs = optics.bsdfs
+        self.backward, self.aims = backward, aims
+        self.bulk = BulkScattering(table, aims) if optics.scatters else None
+        self.all_cases: list[Case] = []
+        count = len(bsdfs)
+        # By side: first row of the totals of transmission and reflection, aimed rays of either, the first of them with
+        # the random rays above; by case: first lobe, lobes, first target, targets
+        sides = np.zeros((count * 2, 4), dtype=np.uint32)
+        cases = np.zeros((count * CASES, 4), dtype=np.uint32)
+        # By side: rotations of the sample in the totals of transmission, reflection, and transmission of its own light
+        turns = np.ones((count * 2, 4), dtype=np.uint32)
+        transmission_rows = np.zeros(count * 2, dtype=np.uint32)  # by side, that of its own light
+        aim_sets: list[AimSet] = []
+        targets = lobes = 0
+        self.total_rows = NO_TOTALS
+        self.most_lobes = 0
+        for s, bsdf in enumerate(bsdfs):
+            if not bsdf.scatter:
+                continue
+            found = self._sides_of(table.ids, optics, s)
+            for side, from_front in enumerate((True, False)):
+                sides[2 * s + side, 2] = bsdf.scatter_rays << RANDOM_RAYS_SHIFT
+                for number, event in enumerate(EVENT_NAMES):
+                    lit = 1 - side if backward and event == "transmission" else side
+                    first = self.total_rows
+                    case = _case(bsdf.scatterers, s, lit == 0, event, found[lit], first, lobes)
+                    if not case.members:
+                        continue
+                    self.total_rows = case.end_row
+                    sides[2 * s + side, number] = first
+                    turns[2 * s + side, number] = len(case.rows)
+                    row = cases[s * CASES + 2 * side + number]
+                    row[:2] = lobes, len(case.members)
+                    if event == "transmission":
+                        transmission_rows[2 * s + lit] = first
+                        turns[2 * s + lit, 2] = len(case.rows)
+                    self.all_cases.append(case)
+                    lobes += len(case.members)
+                    self.most_lobes = max(self.most_lobes, len(case.members))
+                    aim = aims.get((s, from_front == (event == "transmission")))
+                    if aim is not None:
+                        row[2:] = targets, len(aim.targets)
+                        sides[2 * s + side, 2 + number] += aim.rays
+                        aim_sets.append(aim)
+                        targets += len(aim.targets)
+        self.any = bool(self.all_cases)
+        if not self.any:
+            return
+        self.aimed = bool(aim_sets)
+        self.sides, self.cases = upload(mi.UInt32, sides), upload(mi.UInt32, cases)
+        self.transmission_rows = upload(mi.UInt32, transmission_rows)
+        self.totals = upload(
+            mi.Float,
+            np.concatenate([np.zeros((NO_TOTALS, 4)), *(case.rows.reshape(-1, 4) for case in self.all_cases)]),
+        )
+        packed = pack(self.all_cases)
+        self.flags = packed.flags
+        self._upload_lobes(packed)
+        turned = {case.surface for case in self.all_cases if any(member.lobe.anisotropic for member in case.members)}
+        self.frames = SurfaceFrames(table, sorted(turned)) if turned else None
+        self.turns = upload(mi.UInt32, turns)
+        self.targets = DeviceTargets(aim_sets, table.centre)
+        self.radial = RadialSampler(packed.tables)
+        dr.eval(self.sides, self.cases, self.transmission_rows, self.turns, self.totals, self.lobes, self.ratios)
+
+    def _upload_lobes(self, packed: PackedLobes) -> None:
+        bits = packed.floats.astype(np.float32).view(np.uint32)
+        self.lobes = upload(mi.UInt32, np.hstack([bits, packed.words]))
+        self.ratios = upload(mi.Float, packed.ratios if len(packed.ratios) else np.zeros(1))
+
+    @staticmethod
+    def _sides_of(ids: Sequence[str], optics: Optics, s: int) -> list[Side]:
+        """What a surface makes of light from the front and from the back, checked."""
+        found = []
+        for from_front in (True, False):
+            n_in, n_out = light_indices(optics, s, from_front)
+            side = side_of(tuple(optics.bsdfs[s].scatter), optics.wavelength_nm, n_in, n_out, from_front)
+            if optics.host_words[s] & OPAQUE:
+                side = side.without_transmission()
+            if side.lobes:
+                title = f"surface '{ids[s]}', light from the {'front' if from_front else 'back'}"
+                check_side(title, side, n_in, n_out, partial(optics.shares, s, from_front))
+            found.append(side)
+        return found
+
+    def total(self, row: mi.UInt32, active: mi.Bool) -> mi.Vector4f:
+        """A row of the totals."""
+        return dr.gather(mi.Vector4f, self.totals, row, active)
+
+    def lobe(self, row: mi.UInt32, active: mi.Bool) -> tuple[mi.Vector4f, mi.Float, mi.Float, mi.Vector2u]:
+        """Of a lobe: its shares and its profile's total; the limit of 1/cos θi; log2 of its ratio's r_min; words."""
+        numbers, more = (dr.gather(mi.Vector4u, self.lobes, 2 * row + k, active) for k in range(2))
+        shares = mi.Vector4f(*(dr.reinterpret_array(mi.Float, v) for v in numbers))
+        limit, log2_r_min = (dr.reinterpret_array(mi.Float, v) for v in more.xy)
+        return shares, limit, log2_r_min, more.zw
+
+    def ratio(self, place: mi.UInt32, places: Sequence[mi.Float], active: mi.Bool) -> mi.Float:
+        """The ratio table at a place, linear along each of its three or four axes."""
+        sizes = self._ratio_sizes(place, len(places), active)
+        return multilinear(self.ratios, place + RATIO_HEAD, sizes, places, active)
+
+    def first_rotation(self, place: mi.UInt32, active: mi.Bool) -> mi.Float:
+        """The first rotation of the sample of an anisotropic ratio table, in turns."""
+        return dr.gather(mi.Float, self.ratios, place + RATIO_HEAD - 1, active)
+
+    def _ratio_sizes(self, place: mi.UInt32, axes: int, active: mi.Bool) -> list[mi.UInt32]:
+        """Nodes of a ratio table along its axes."""
+        numbers = [dr.gather(mi.Float, self.ratios, place + k, active) for k in range(axes)]
+        return [dr.maximum(mi.UInt32(number), 2) for number in numbers]
+
+
+def light_indices(optics: Optics, surface: int, from_front: bool) -> tuple[float, float]:
+    """Real indices on the side that light comes from and on the other."""
+    front, back = (float(n) for n in optics.host_indices[surface, :2])
+    return (front, back) if from_front else (back, front)
+
+
+def _case(
+    plugins: Sequence[Any], surface: int, from_front: bool, event: str, side: Side, first_row: int, first_lobe: int
+) -> Case:
+    """One case of a surface with these scatter plugins."""
+    members = []
+    for k, (lobe, table, model) in enumerate(zip(side.lobes, side.tables, side.models, strict=True)):
+        if lobe.event == event:
+            members.append(Member(plugins[model], k - side.models.index(model), lobe, table))
+    return Case(surface, from_front, event, side.rows[event], tuple(members), first_row, first_lobe)
+
+
+def check_side(
+    title: str, side: Side, n_in: float, n_out: float, response: Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]
+) -> None:
+    """Raise if a surface gives away more light than it gets."""
+    cos_i = np.linspace(0.0, 1.0, ANGLES + 1)
+    rarer = np.minimum(cos_i, specular_cosine("transmission", cos_i, n_in, n_out))
+    reflectance, transmittance = response(cos_i)
+    for turn in range(max(len(rows) for rows in side.rows.values())):
+        rows = {
+            event: np.array(
+                [np.interp(x, cos_i, column) for column in side.rows[event][turn % len(side.rows[event])].T]
+            )
+            for event, x in (("reflection", cos_i), ("transmission", rarer))
+        }
+        sums = Totals({event: row[0] for event, row in rows.items()}, {event: row[1:] for event, row in rows.items()})
+        check_budget(title, sums, cos_i, reflectance, transmittance)

@@ -1,0 +1,6 @@
+"""What a trace writes down: sums of flux, images, the table of paths, branches, directions, derivatives."""
+
+from mistray._variant import active_variant, ensure_variant
+
+if active_variant() is None:  # types of the variant are used while modules are imported
+    ensure_variant()

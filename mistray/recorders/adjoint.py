@@ -1,0 +1,189 @@
+"""The kernel run in reverse: derivatives of a metric by R and T of every surface, angle and side.
+
+The weight of a branch is the product of the R and T along it, and a metric is known to first order by its derivative
+by the flux of every hit of the detector. So a second walk with the same start rays, at each event, needs the sum of
+derivative × flux over the subtree that the event leads to; divided by the event's own R or T it is the derivative by
+that number. In depth-first order the sum over a subtree is the difference of a running total between entering and
+leaving it. It is added to the two rows of the coating's table between which R or T was interpolated, so that what comes
+out is the exact derivative of the traced metric by the rows. `mistray.gradients.coating_gradient` goes on from the rows
+to layers.
+
+What it leaves out: children that the primal did not follow (R or T exactly 0, or below the flux threshold).
+Source: the subtree sums are reverse-mode differentiation of a product over a tree; compare D. Vicini et al., "Path
+replay backpropagation", ACM Trans. Graph. 40, 108 (2021).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Hashable
+from typing import TYPE_CHECKING
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.recorders.film import Film
+from mistray.recorders.ledger import Ledger
+from mistray.recorders.path_derivative import MOMENTS
+from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Return, Visit
+from mistray.recorders.start_rays import StartRays
+from mistray.settings import BATCHES
+
+if TYPE_CHECKING:
+    from mistray.recorders.sky import Sky
+
+GAIN, EVENTS = "gain", "events"  # of a lane, in the memory
+CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
+
+
+class Adjoint(Recorder):
+    """
+    Sums of the derivatives of one metric.
+
+    Parameters
+    ----------
+    rows : int
+        Rows of the tables of R and T; 0: no derivatives by rows, only what the metric gains from each lane.
+    film : Film
+    pixel : (maps · pixels,) mi.Float, optional
+        Derivative of the metric by the flux in each pixel of the film, for one or more groups of paths.
+    path : (capacity · MOMENTS,) mi.Float64, optional
+        For each path of the ledger the coefficients of 1, x, y, x², y², x y (mm, in the detector's frame) of the
+        derivative of the metric by the flux of a hit at (x, y).
+    map_of_slot : (capacity,) mi.UInt32, optional
+        Number of the map + 1 of each path of the ledger, 0 for none; None: all hits count in the first map.
+    ledger : Ledger, optional
+        That knows the paths.
+    sky : Sky, optional
+        Says what the metric gains from rays that leave the scene.
+
+    Attributes
+    ----------
+    gain : (n,) mi.Float64
+        What the metric gains from each lane of the latest trace: derivative × flux, summed over its hits.
+    sums : (BATCHES, rows, CHANNELS) mi.Float64
+        Derivatives of the metric by the rows, by batch of start rays; in units of a start ray's flux.
+    unknown : (1,) mi.Float64
+        Flux of hits by paths that the ledger does not know, whose derivative is taken to be 0.
+    """
+
+    def __init__(
+        self,
+        rows: int,
+        film: Film,
+        pixel: mi.Float | None = None,
+        path: mi.Float64 | None = None,
+        map_of_slot: mi.UInt32 | None = None,
+        ledger: Ledger | None = None,
+        sky: Sky | None = None,
+    ) -> None:
+        self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
+        self.ledger, self.sky, self._film, self.incident = ledger, sky, film, film.incident
+        self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
+        self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
+        self.unknown = dr.zeros(mi.Float64, 1)
+        dr.eval(self.sums, self.unknown)
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        parts = (self.pixel, self.path, self.map_of_slot, self.ledger)
+        return type(self).__name__, self.rows > 0, *(part is not None for part in parts), self.sky and self.sky.code
+
+    def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
+        """No metric yet; local arrays by depth: cell of the table, fraction, slope, gain when the event was entered."""
+        memory[GAIN] = dr.zeros(mi.Float64, dr.width(start.lane))
+        if self.rows:
+            types = (mi.UInt32, mi.Float, mi.Float, mi.Float64)
+            memory[EVENTS] = tuple(dr.alloc_local(dtype, max_events) for dtype in types)
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """The metric gains from hits of the detector."""
+        if self.ledger is not None:
+            slot, found = self.ledger.known(visit.key, visit.counted)
+            unknown = visit.counted & ~found
+            dr.scatter_reduce(dr.ReduceOp.Add, self.unknown, mi.Float64(visit.absorbed), mi.UInt32(0), unknown)
+            visit.slot, visit.counted = slot, found
+        film, counted = self._film, visit.counted
+        derivative = self._derivative(visit)
+        gained = derivative * mi.Float64(visit.weight if film.incident else visit.absorbed)
+        memory[GAIN] = dr.select(counted, memory[GAIN] + gained, memory[GAIN])
+        if self.rows and not film.incident:
+            self._detected(visit, mi.Float(derivative) * visit.weight)
+
+    def branch(self, branch: Branch, memory: Memory) -> None:
+        """Note the event, before its child is followed."""
+        if not self.rows:
+            return
+        it, depth, active = branch.interaction, branch.depth, branch.active
+        cells, fractions, slopes, gains = memory[EVENTS]
+        cells.write(it.place.row * CHANNELS + it.channel(branch.reflect), depth, active)
+        fractions.write(it.place.fraction, depth, active)
+        slopes.write(branch.slope, depth, active)
+        gains.write(memory[GAIN], depth, active)
+
+    def depart(self, departure: Departure, memory: Memory) -> None:
+        """The metric gains from rays that leave."""
+        if self.sky is not None:
+            memory[GAIN] = memory[GAIN] + self.sky.gain(departure)
+
+    def back(self, back: Return, memory: Memory) -> None:
+        """Close the events whose subtrees are complete."""
+        if not self.rows:
+            return
+        cells, fractions, slopes, gains = memory[EVENTS]
+        gain, last, active = memory[GAIN], back.last, back.active
+
+        def step(k):  # type: ignore[no-untyped-def]
+            k = k - 1
+            going = active & (k + 1 > last)
+            subtree = gain - gains.read(k, going)
+            share = mi.Float(subtree) * slopes.read(k, going)
+            found = going & (subtree != 0)
+            self._add(cells.read(k, going), fractions.read(k, going), back.start.batch, share, found)
+            return (k,)
+
+        dr.while_loop((dr.select(active, back.depth, 0),), lambda k: active & (k > last), step, mode="symbolic")
+
+    def end(self, start: StartRays, segments: mi.UInt32, cut_off: mi.Bool, memory: Memory) -> None:
+        """Keep the gains."""
+        self.gain = memory[GAIN]
+
+    def _derivative(self, visit: Visit) -> mi.Float64:
+        """Derivative of the metric by the flux of hits."""
+        (x, y), slot, active, film = visit.position, visit.slot, visit.counted, self._film
+        total = dr.zeros(mi.Float64, dr.width(x))
+        if self.pixel is not None:
+            here, first = active, mi.UInt32(0)
+            if self.map_of_slot is not None:
+                number = dr.gather(mi.UInt32, self.map_of_slot, slot, active)
+                here = active & (number > 0)
+                first = (number - 1) * (film.width * film.height)
+            for pixel, share in film.places(x, y):
+                value = dr.gather(mi.Float, self.pixel, first + pixel, here)
+                total += mi.Float64(value if share is None else value * share)
+        if self.path is not None:
+            assert slot is not None
+            # Of a small spot far from the axis the terms nearly cancel
+            far_x, far_y = mi.Float64(x), mi.Float64(y)
+            terms = (1, far_x, far_y, far_x * far_x, far_y * far_y, far_x * far_y)
+            for k, term in enumerate(terms):
+                total += term * dr.gather(mi.Float64, self.path, slot * MOMENTS + k, active)
+        return total
+
+    def _detected(self, visit: Visit, weighted: mi.Float) -> None:
+        """Hits of the detector, which absorbs the rest; `weighted` is the derivative times the incident flux."""
+        it, shares = visit.interaction, visit.shares
+        active = visit.counted & (weighted != 0)
+        for reflect in (True, False):
+            cell = it.place.row * CHANNELS + it.channel(mi.Bool(reflect))
+            taken = weighted
+            if shares is not None:
+                share = shares.reflection if reflect else shares.transmission
+                taken = weighted * (share.kept + share.slope)
+            self._add(cell, it.place.fraction, visit.start.batch, -taken, active)
+
+    def _add(self, cell: mi.UInt32, fraction: mi.Float, batch: mi.UInt32, value: mi.Float, active: mi.Bool) -> None:
+        index = batch * self.stride + cell
+        low, high = mi.Float64(value * (1 - fraction)), mi.Float64(value * fraction)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, low, index, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, high, index + CHANNELS, active & (fraction > 0))

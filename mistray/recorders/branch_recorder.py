@@ -1,0 +1,211 @@
+"""Whole branches, node by node: everything on the way to the detector or out of the scene."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Sequence
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.recorders.ledger import Ledger
+from mistray.recorders.recorder import Departure, EventReader, Memory, Recorder, Visit
+
+if TYPE_CHECKING:
+    from mistray.recorders.sky import Sky
+
+NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
+POINT_FLOATS = 3  # of them the point
+
+
+@dataclass
+class PathChoice:
+    """
+    Some of the paths of a ledger.
+
+    Attributes
+    ----------
+    ledger : Ledger
+        That knows the paths.
+    chosen : (capacity,) mi.UInt32
+        1 for the slots of the chosen paths, 0 for the others.
+    """
+
+    ledger: Ledger
+    chosen: mi.UInt32
+
+    def holds(self, key: mi.UInt64, active: mi.Bool) -> mi.Bool:
+        """Whether the path of this key is one of them."""
+        slot, known = self.ledger.known(key, active)
+        return known & (dr.gather(mi.UInt32, self.chosen, slot, known) != 0)
+
+
+@dataclass
+class BranchRecorder(Recorder):
+    """
+    Append buffer for whole branches: everything on the way to a leaf.
+
+    Attributes
+    ----------
+    capacity : int
+        Most branches that are kept.
+    max_events : int
+        Longest branch that is kept whole.
+    points_only : bool
+        Keep the points of the nodes only.
+    choice : PathChoice or None
+        Only branches of these paths are recorded; None: of every path that reaches the detector. Against the light
+        every ray is recorded that leaves the scene and counts.
+    sky : Sky or None
+        Says what counts of rays that leave the scene; None: nothing.
+    count : (1,) mi.UInt32
+        Branches that there were.
+    lane, length : (capacity,) mi.UInt32
+        Start ray and number of events of each.
+    codes : (capacity, max_events) mi.UInt32
+        Events, surface << EVENT_BITS | what.
+    nodes : (capacity, max_events, node_floats) mi.Float
+        Points (mm), and unless `points_only` directions of arrival and weights.
+    weight : (capacity,) mi.Float64
+        Flux that meets the detector in units of the start ray's; against the light what the metric gains.
+    heading : (capacity, 3) mi.Float
+        Directions of rays that leave the scene.
+    place : (capacity, 2) mi.Float
+        x and y of the hits in the detector's frame, mm.
+    path : (capacity,) mi.UInt64
+        Keys of the events, see `mistray.recorders.ledger.extend_key`.
+    peak : (1,) mi.UInt32
+        The largest flux that one ray brought to the detector, recorded or not, as the bits of a float32.
+    """
+
+    capacity: int
+    max_events: int
+    points_only: bool = False
+    choice: PathChoice | None = None
+    sky: Sky | None = None
+
+    def __post_init__(self) -> None:
+        size = self.capacity * self.max_events
+        self.node_floats = POINT_FLOATS if self.points_only else NODE_FLOATS
+        self.count = dr.zeros(mi.UInt32, 1)
+        self.lane = dr.zeros(mi.UInt32, self.capacity)
+        self.length = dr.zeros(mi.UInt32, self.capacity)
+        self.codes = dr.zeros(mi.UInt32, size)
+        self.nodes = dr.zeros(mi.Float, size * self.node_floats)
+        self.weight = dr.zeros(mi.Float64, self.capacity)
+        self.heading = dr.zeros(mi.Float, 3 * self.capacity)
+        self.place = dr.zeros(mi.Float, 2 * self.capacity)
+        self.path = dr.zeros(mi.UInt64, self.capacity)
+        self.peak = dr.zeros(mi.UInt32, 1)
+        dr.eval(self.count, self.lane, self.length, self.codes, self.nodes, self.weight, self.heading, self.place)
+        dr.eval(self.path, self.peak)
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self.choice is None, None if self.sky is None else self.sky.code
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Record hits of the detector."""
+        # The bits of positive floats are in the order of the floats
+        bits = dr.reinterpret_array(mi.UInt32, visit.weight)
+        dr.scatter_reduce(dr.ReduceOp.Max, self.peak, bits, mi.UInt32(0), visit.detected)
+        chosen = visit.detected if self.choice is None else self.choice.holds(visit.key, visit.detected)
+        self.write(visit, chosen & visit.counted, visit.node, mi.Float64(visit.weight), place=visit.position)
+
+    def depart(self, departure: Departure, memory: Memory) -> None:
+        """Record rays that leave the scene from within."""
+        if self.sky is None or departure.node is None:
+            return
+        gained, lane = self.sky.gain(departure), departure.start.lane
+        depth, counts = departure.length - 1, departure.active & (gained != 0)
+        self._write(
+            *(departure.nodes, departure.event, counts, departure.node, depth, lane, departure.key, gained),
+            heading=departure.heading,
+        )
+
+    def write(
+        self,
+        visit: Visit,
+        active: mi.Bool,
+        node: Sequence[mi.Float],
+        weight: mi.Float64,
+        heading: mi.Vector3f | None = None,
+        place: tuple[mi.Float, mi.Float] | None = None,
+    ) -> tuple[mi.UInt32, mi.Bool]:
+        """
+        Write the paths of rays that meet surfaces.
+
+        Parameters
+        ----------
+        visit : Visit
+        active : mi.Bool
+        node : sequence of mi.Float
+            What the last node consists of.
+        weight : mi.Float64
+        heading, place : optional
+            See `BranchRecorder`.
+
+        Returns
+        -------
+        slot : mi.UInt32
+            Where each was written.
+        kept : mi.Bool
+            Whether there was room for it.
+        """
+        lane = visit.start.lane
+        return self._write(
+            visit.nodes, visit.event, active, node, visit.depth, lane, visit.key, weight, heading=heading, place=place
+        )
+
+    def clear(self) -> None:
+        """Forget all branches."""
+        self.count = dr.zeros(mi.UInt32, 1)
+        dr.eval(self.count)
+
+    def _write(
+        self,
+        nodes: Any,
+        event: EventReader,
+        active: mi.Bool,
+        last: Sequence[mi.Float],
+        depth: mi.UInt32,
+        lane: mi.UInt32,
+        key: mi.UInt64,
+        weight: mi.Float64,
+        *,
+        heading: mi.Vector3f | None = None,
+        place: tuple[mi.Float, mi.Float] | None = None,
+    ) -> tuple[mi.UInt32, mi.Bool]:
+        """Write paths, node by node; `last` is what the nodes at `depth` consist of, `key` counts the last event."""
+        slot = dr.scatter_inc(self.count, mi.UInt32(0), active)
+        active = active & (slot < self.capacity)
+        dr.scatter(self.lane, lane, slot, active)
+        dr.scatter(self.length, depth + 1, slot, active)
+        dr.scatter(self.path, key, slot, active)
+        dr.scatter(self.weight, weight, slot, active)
+        if heading is not None:
+            for j, component in enumerate(heading):
+                dr.scatter(self.heading, component, 3 * slot + j, active)
+        if place is not None:
+            for j, component in enumerate(place):
+                dr.scatter(self.place, component, 2 * slot + j, active)
+
+        def step(k):  # type: ignore[no-untyped-def]
+            going = active & (k <= depth)
+            here = k == depth
+            row = slot * self.max_events + k
+            dr.scatter(self.codes, event(k, going), row, going)
+            for j in range(self.node_floats):
+                value = dr.select(here, last[j], nodes[j].read(k, going & ~here))
+                dr.scatter(self.nodes, value, row * self.node_floats + j, going)
+            return (k + 1,)
+
+        dr.while_loop((dr.zeros(mi.UInt32, dr.width(depth)),), lambda k: active & (k <= depth), step, mode="symbolic")
+        return slot, active
+
+
+def as_many(capacity: int, max_events: int) -> int:
+    """Branches that take the memory of so many of 64 events."""
+    return max(1, capacity * 64 // max(max_events, 64))

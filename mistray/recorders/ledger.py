@@ -1,0 +1,311 @@
+"""The path ledger: an open-addressing hash table in device memory that the kernel fills.
+
+A path is the sequence of its events, (surface, what happened). Its key is a rolling 64-bit hash; the first ray that
+brings a new key claims a slot by compare-and-swap and writes the event list there. Two different paths share a key
+with a probability of about paths²/2^65, 3e-11 for 30 000 paths; `Ledger.decode` hashes every recorded list again and
+compares.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from dataclasses import dataclass
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.interrupts import end_overdue
+from mistray.recorders.packets import add_packet, packet_size
+from mistray.recorders.recorder import Memory, Recorder, Visit
+from mistray.settings import BATCHES
+
+# What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
+ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
+RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
+EVENT_BITS = 3
+# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; a bit
+# says whether one of them was not diffraction
+COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED = 0x3FF, 10, 20, 1 << 30
+# Sums of a slot and batch: rays, incident, absorbed, absorbed², absorbed · x, absorbed · y, absorbed · (x² + y²), and
+# in Stokes mode absorbed · (q, u, v)
+SUMS, STOKES_SUMS = 7, 10
+FIRST_KEY = 0x9E3779B97F4A7C15
+MULTIPLIER = 0xFF51AFD7ED558CCD
+MOST_PROBES = 256  # slots of the table that are tried for a path
+LARGE = 1 << 24  # entries of an array
+USUAL_PROBES = 4  # are enough for most paths while the table is not full
+
+
+def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
+    """Key of the path that has one event more; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
+    key = (key ^ mi.UInt64(code + 1)) * mi.UInt64(MULTIPLIER)
+    return key ^ (key >> 29)
+
+
+def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """
+    The keys of event lists, computed on the host.
+
+    Parameters
+    ----------
+    events : (p, k) uint32
+        Lists, filled up at their ends.
+    lengths : (p,) int
+        Number of events of each.
+
+    Returns
+    -------
+    (p,) uint64
+        What `extend_key` makes of `FIRST_KEY` and the events one after the other.
+    """
+    keys = np.full(len(events), FIRST_KEY, dtype=np.uint64)
+    for k in range(events.shape[1]):
+        keys = np.where(k < lengths, host_extend(keys, events[:, k]), keys)
+    return keys
+
+
+def host_extend(keys: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """(p,) uint64: what `extend_key` makes of keys and codes, computed on the host."""
+    longer = (keys ^ (codes.astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
+    return np.asarray(longer ^ (longer >> np.uint64(29)))
+
+
+@dataclass
+class DecodedPaths:
+    """
+    Contents of a ledger on the host.
+
+    Attributes
+    ----------
+    keys : (p,) uint64
+    slots : (p,) int
+        Where each path lives in the table.
+    events : (p, k) uint32
+        Event lists, surface << EVENT_BITS | what, filled up with 0; the last is the absorption in the detector.
+    lengths : (p,) int
+        Number of events of each path.
+    sums : (p, BATCHES, SUMS or STOKES_SUMS) float64
+        In units of the flux of one start ray, see `SUMS`.
+    """
+
+    keys: np.ndarray
+    slots: np.ndarray
+    events: np.ndarray
+    lengths: np.ndarray
+    sums: np.ndarray
+
+
+def claim(
+    keys: Any,
+    key: Any,
+    start: mi.UInt32,
+    mask: mi.UInt32,
+    most_probes: int,
+    active: mi.Bool,
+    flag: mi.UInt32 | None = None,
+) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
+    """
+    Find a key in an open-addressing table in device memory, or claim a free slot for it by compare-and-swap.
+
+    Parameters
+    ----------
+    keys : mi.UInt64 or mi.UInt32
+        The table, a power of two of slots; 0 is a free one.
+    key : same type
+        Not 0.
+    start : mi.UInt32
+        Slot that is tried first.
+    mask : mi.UInt32
+        Number of slots less 1.
+    most_probes : int
+        Slots that are tried.
+    active : mi.Bool
+    flag : mi.UInt32, optional
+        Entry of the table that is set once a key has found no slot. Searches end early from then on, since in a full
+        table each would be a long one.
+
+    Returns
+    -------
+    slot : mi.UInt32
+    found, new : mi.Bool
+        Whether the key has this slot, and whether it was claimed just now.
+    """
+
+    def probe(slot, going, found, new, tries):  # type: ignore[no-untyped-def]
+        place, value, tried, full = slot, key, going, mi.Bool(False)
+        if flag is not None:  # by the same instruction, since a kernel cannot read what it writes by another one
+            asks, gives_up = tries == USUAL_PROBES, tries == most_probes
+            place = dr.select(asks | gives_up, flag, slot)
+            value = dr.select(asks, type(key)(0), dr.select(gives_up, type(key)(1), key))
+            tried = going & ~asks & ~gives_up
+        old, swapped = dr.scatter_cas(keys, type(key)(0), value, place, going)
+        here = tried & (swapped | (old == key))
+        found |= here
+        new |= tried & swapped
+        if flag is not None:
+            full = gives_up | (asks & (old != 0))
+        going = going & ~here & ~full & (tries + 1 < last)
+        return dr.select(going & tried, (slot + 1) & mask, slot), going, found, new, tries + 1
+
+    last = most_probes if flag is None else most_probes + 1
+    slot, _, found, new, _ = dr.while_loop(
+        (start, mi.Bool(active), mi.Bool(False), mi.Bool(False), mi.UInt32(0)),
+        lambda *v: v[1],
+        probe,
+        labels=("slot", "going", "found", "new", "tries"),
+        mode="symbolic",
+    )
+    return slot, active & found, active & new
+
+
+def write_list(
+    memory: mi.UInt32,
+    first: mi.UInt32,
+    length: mi.UInt32,
+    read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
+    active: mi.Bool,
+) -> None:
+    """Store an event list from an index on; `read(k, mask)` gives event k."""
+
+    def step(k):  # type: ignore[no-untyped-def]
+        going = active & (k < length)
+        dr.scatter(memory, read(k, going), first + k, going)
+        return (k + 1,)
+
+    dr.while_loop((dr.zeros(mi.UInt32, dr.width(first)),), lambda k: active & (k < length), step, mode="symbolic")
+
+
+def _zeros(dtype: Any, size: int) -> Any:
+    """
+    Zeros in memory.
+
+    A large array takes seconds, since the system clears what it hands out: all threads share the work, and an interrupt
+    ends it.
+    """
+    if size <= LARGE:
+        return dr.zeros(dtype, size)
+    array = dr.empty(dtype, size)
+    for first in range(0, size, LARGE):
+        place = dr.arange(mi.UInt32, min(LARGE, size - first)) + dr.opaque(mi.UInt32, first)
+        dr.scatter(array, dtype(0), place)
+        dr.eval(array)
+        dr.sync_thread()
+        end_overdue()
+    return array
+
+
+class Ledger(Recorder):
+    """
+    Table of paths in device memory.
+
+    Parameters
+    ----------
+    capacity : int
+        Number of slots, a power of two. Memory: about 2 KiB a slot.
+    max_events : int
+        Longest event list.
+    stokes : bool
+        Sum the Stokes vectors as well.
+    """
+
+    def __init__(self, capacity: int, max_events: int, stokes: bool = False) -> None:
+        self.capacity, self.max_events = capacity, max_events
+        self.terms = STOKES_SUMS if stokes else SUMS
+        self.row = packet_size(self.terms)
+        self.mask = dr.opaque(mi.UInt32, capacity - 1)
+        self.keys = dr.zeros(mi.UInt64, capacity + 1)  # the last entry is set once a path has found no slot
+        self.lengths = dr.zeros(mi.UInt32, capacity)
+        self.events = _zeros(mi.UInt32, capacity * max_events)
+        self.sums = _zeros(mi.Float64, capacity * BATCHES * self.row)
+        dr.eval(self.keys, self.lengths, self.events, self.sums)
+
+    def clear_sums(self) -> None:
+        """Forget the sums and keep the paths, so that a second trace finds the same slots."""
+        self.sums = _zeros(mi.Float64, self.capacity * BATCHES * self.row)
+        dr.eval(self.sums)
+
+    def find(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool, mi.Bool]:
+        """Slot of a key, whether it was found or claimed, and whether it was claimed just now."""
+        start = mi.UInt32(key >> 32) & self.mask
+        return claim(self.keys, key, start, self.mask, MOST_PROBES, active, self.mask + 1)
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        return type(self).__name__, self.max_events, self.terms
+
+    def visit(self, visit: Visit, memory: Memory) -> None:
+        """Find the paths of hits, or make room for them; only hits that have found it are counted further on."""
+        slot, found, new = self.find(visit.key, visit.counted)
+        visit.slot, visit.counted = slot, found
+        self._add(visit, visit.state["stokes"] if self.terms == STOKES_SUMS else None)
+        dr.scatter(self.lengths, visit.depth + 1, slot, new)
+        write_list(self.events, slot * self.max_events, visit.depth + 1, visit.event, new)
+
+    def known(self, key: mi.UInt64, active: mi.Bool) -> tuple[mi.UInt32, mi.Bool]:
+        """Slot of a key, and whether it has one; the table stays as it is."""
+
+        def probe(slot, going, found, tries):  # type: ignore[no-untyped-def]
+            there = dr.gather(mi.UInt64, self.keys, slot, going)
+            found |= going & (there == key)
+            going = going & (there != key) & (there != 0) & (tries + 1 < MOST_PROBES)
+            return dr.select(going, (slot + 1) & self.mask, slot), going, found, tries + 1
+
+        slot, _, found, _ = dr.while_loop(
+            (mi.UInt32(key >> 32) & self.mask, mi.Bool(active), mi.Bool(False), mi.UInt32(0)),
+            lambda *v: v[1],
+            probe,
+            labels=("slot", "going", "found", "tries"),
+            mode="symbolic",
+        )
+        return slot, active & found
+
+    def _add(self, visit: Visit, stokes: mi.Vector3f | None) -> None:
+        """Add hits of the detector to their slots."""
+        x, y = (mi.Float64(coordinate) for coordinate in visit.position)
+        a = mi.Float64(visit.absorbed)
+        terms = [mi.Float64(1), mi.Float64(visit.weight), a, a * a, a * x, a * y, a * (x * x + y * y)]
+        if stokes is not None:
+            terms += [a * mi.Float64(component) for component in stokes]
+        assert visit.slot is not None
+        add_packet(self.sums, terms, visit.slot * BATCHES + visit.start.batch, visit.counted)
+
+    @property
+    def used(self) -> int:
+        """Paths in the table."""
+        return int(dr.count(self.keys != 0)[0]) - self._lost
+
+    @property
+    def _lost(self) -> bool:
+        """Whether a path has found no slot."""
+        return int(self.keys[self.capacity]) != 0
+
+    @property
+    def full(self) -> bool:
+        """Whether the table is so full that hits were lost or soon will be."""
+        return self._lost or self.used > 0.7 * self.capacity
+
+    def decode(self) -> DecodedPaths:
+        """
+        Read the table back.
+
+        Raises
+        ------
+        MistrayError
+            If a recorded event list does not hash to its key: two paths collided or the kernel wrote garbage.
+        """
+        keys = np.array(self.keys)[: self.capacity]
+        slots = np.flatnonzero(keys)
+        lengths = np.array(self.lengths)[slots].astype(np.int64)
+        events = np.array(self.events).reshape(self.capacity, self.max_events)[slots]
+        events = events[:, : int(lengths.max(initial=0))]
+        sums = np.array(self.sums).reshape(self.capacity, BATCHES, self.row)[slots, :, : self.terms]
+        wrong = int(np.count_nonzero(host_keys(events, lengths) != keys[slots]))
+        if wrong:
+            raise MistrayError(
+                f"ledger: {wrong} of {len(slots)} event lists do not match their key; please report this"
+            )
+        return DecodedPaths(keys[slots], slots, events, lengths, sums)

@@ -1,0 +1,69 @@
+"""Derivatives of a metric by the flux of hits, by their path and place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+MOMENTS = 6  # coefficients of a path: 1, x, y, x², y², x y
+
+
+@dataclass(frozen=True)
+class HitDerivative:
+    """
+    Derivative of a metric by the flux of a hit of the detector, as a function of its path and place.
+
+    Attributes
+    ----------
+    pixel : (maps, height, width) float64 or None
+        By the flux in each pixel, 1/W, for one or more groups of paths.
+    map_of_path : (paths,) int or None
+        Number of the map that a path counts in, -1: in none; None: all hits count in map 0.
+    path : (paths, MOMENTS) float64 or None
+        For each path, in the order of `Trace.paths`, the coefficients of 1, x, y, x², y², x y (mm, in the detector's
+        frame) of the derivative by the flux of a hit at (x, y), 1/W.
+    """
+
+    pixel: np.ndarray | None = None
+    path: np.ndarray | None = None
+    map_of_path: np.ndarray | None = None
+
+
+@dataclass(frozen=True)
+class PathDerivative:
+    """
+    `HitDerivative.path` and `map_of_path` for one run, by path.
+
+    Attributes
+    ----------
+    keys : (p,) uint64
+        Of the paths, ascending.
+    slots : (p,) int
+        Their slots in the ledger.
+    coefficients : (p, MOMENTS) float64
+        By the flux in units of a start ray.
+    maps : (p,) int
+    """
+
+    keys: np.ndarray
+    slots: np.ndarray
+    coefficients: np.ndarray
+    maps: np.ndarray
+
+    @classmethod
+    def of_paths(
+        cls, keys: np.ndarray, slots: np.ndarray, coefficients: np.ndarray, maps: np.ndarray
+    ) -> PathDerivative:
+        """The same with the paths in any order."""
+        order = np.argsort(keys)
+        return cls(keys[order], slots[order], coefficients[order], maps[order])
+
+    def of(self, keys: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coefficients of some rays by their keys, (n, MOMENTS), and their maps, (n,); 0 and -1 of unknown keys."""
+        found, maps = np.zeros((len(keys), MOMENTS)), np.full(len(keys), -1)
+        if len(self.keys):
+            place = np.minimum(np.searchsorted(self.keys, keys), len(self.keys) - 1)
+            same = self.keys[place] == keys
+            found[same], maps[same] = self.coefficients[place[same]], self.maps[place[same]]
+        return found, maps

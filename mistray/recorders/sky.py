@@ -1,0 +1,258 @@
+"""Recorder of backward traces: rays that leave the scene, by the direction of the light that they go against."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Hashable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.ledger import COUNT_MASK, MULTIPLIER, NOT_DIFFRACTED, claim, host_keys, write_list
+from mistray.recorders.recorder import Departure, Memory, Recorder
+from mistray.recorders.way_table import WayTable
+from mistray.settings import BATCHES
+from mistray.surfaces.upload import upload
+
+# Classes of the light, in the order of their sums
+CLASSES = ("direct", "straight_shot", "ghost", "single_scatter", "multiple_scatter", "edge_diffraction")
+CLASS_COUNT = len(CLASSES)
+DIRECT, STRAIGHT, GHOST, SINGLE, MULTIPLE, DIFFRACTED = range(CLASS_COUNT)
+# Tables of paths: a path that finds no place within so many slots is not listed
+MOST_PROBES = 24
+HIT_SUMS = 3  # of a path in a cell: hits, weight, squared weight
+FAR_SIDE = 2.0  # more than any squared sine: a direction that comes from behind
+
+
+class PathBook:
+    """
+    Weights of rays by path and cell, in device memory of a fixed size.
+
+    Paths that find no room are left out; they are in the sums of the cells all the same.
+
+    Parameters
+    ----------
+    paths, entries : int
+        Slots for paths, and for pairs of a path and a cell; powers of two.
+    max_events : int
+        Longest event list.
+    cells : int
+    """
+
+    def __init__(self, paths: int, entries: int, max_events: int, cells: int) -> None:
+        if paths * cells >= 2**32:
+            raise MistrayError(
+                f"{paths} paths in {cells} cells are too many to number; ask for fewer angles or azimuths"
+            )
+        self.max_events, self.cells = max_events, cells
+        self._path_mask, self._entry_mask = dr.opaque(mi.UInt32, paths - 1), dr.opaque(mi.UInt32, entries - 1)
+        self.keys = dr.zeros(mi.UInt64, paths)
+        self.lengths = dr.zeros(mi.UInt32, paths)
+        self.events = dr.zeros(mi.UInt32, paths * max_events)
+        self.entries = dr.zeros(mi.UInt32, entries)
+        self.sums = dr.zeros(mi.Float64, entries * HIT_SUMS)
+        dr.eval(self.keys, self.lengths, self.events, self.entries, self.sums)
+
+    def record(
+        self,
+        key: mi.UInt64,
+        length: mi.UInt32,
+        read: Callable[[mi.UInt32, mi.Bool], mi.UInt32],
+        cell: mi.UInt32,
+        weight: mi.Float,
+        active: mi.Bool,
+    ) -> None:
+        """Add a ray that left after the events `read(k, mask)`, k < length."""
+        slot, found, new = claim(
+            self.keys, key, mi.UInt32(key >> 32) & self._path_mask, self._path_mask, MOST_PROBES, active
+        )
+        dr.scatter(self.lengths, length, slot, new)
+        write_list(self.events, slot * self.max_events, length, read, new)
+        number = slot * self.cells + cell + 1
+        start = mi.UInt32((mi.UInt64(number) * mi.UInt64(MULTIPLIER)) >> 32) & self._entry_mask
+        entry, found, _ = claim(self.entries, number, start, self._entry_mask, MOST_PROBES, found)
+        w = mi.Float64(weight)
+        for k, value in enumerate((mi.Float64(1), w, w * w)):
+            dr.scatter_reduce(dr.ReduceOp.Add, self.sums, value, entry * HIT_SUMS + k, found)
+
+    def read(self) -> dict[str, np.ndarray]:
+        """
+        The book on the host.
+
+        Returns
+        -------
+        dict
+            ``events`` (p, k) uint32 and ``lengths`` (p,) of the paths, in the order of the rays; ``path``, ``cell``
+            (e,) int and ``hits``, ``weight``, ``squares`` (e,) float64 of the entries.
+
+        Raises
+        ------
+        MistrayError
+            If an event list does not hash to its key.
+        """
+        keys = np.array(self.keys)
+        slots = np.flatnonzero(keys)
+        lengths = np.array(self.lengths)[slots].astype(np.int64)
+        events = np.array(self.events).reshape(-1, self.max_events)[slots][:, : int(lengths.max(initial=0))]
+        wrong = int(np.count_nonzero(host_keys(events, lengths) != keys[slots]))
+        if wrong:
+            raise MistrayError(f"paths: {wrong} of {len(slots)} event lists do not match their key; please report this")
+        entries = np.array(self.entries)
+        used = np.flatnonzero(entries)
+        number = entries[used].astype(np.int64) - 1
+        place = np.zeros(len(keys), dtype=np.int64)
+        place[slots] = np.arange(len(slots))
+        hits, weight, squares = np.array(self.sums).reshape(-1, HIT_SUMS)[used].T
+        return {
+            "events": events,
+            "lengths": lengths,
+            "path": place[number // self.cells],
+            "cell": number % self.cells,
+            "hits": hits,
+            "weight": weight,
+            "squares": squares,
+        }
+
+
+class Sky(Recorder):
+    """
+    Sums of the weights of rays that leave the scene.
+
+    Parameters
+    ----------
+    grid : DirectionGrid
+    pixels : int
+        Of a map of the detector for every cell; 0: no maps.
+    paths : PathBook, optional
+    has_optics : bool
+        Whether light must pass a lens or a mirror to be part of the direct image.
+    derivative : (CLASS_COUNT, n, m) float64, optional
+        Derivative of a metric by the sums of the weights of each class in each cell, for `gain`.
+    left_out : WayTable, optional
+        Ways and cells that are counted elsewhere; keys in the order of the rays.
+    """
+
+    def __init__(
+        self,
+        grid: DirectionGrid,
+        pixels: int = 0,
+        paths: PathBook | None = None,
+        has_optics: bool = True,
+        derivative: np.ndarray | None = None,
+        left_out: WayTable | None = None,
+    ) -> None:
+        self._left_out = left_out
+        self._has_optics = has_optics
+        self._derivative = None if derivative is None else upload(mi.Float64, np.asarray(derivative, dtype=np.float64))
+        self.grid, self.pixels, self.paths = grid, pixels, paths
+        self._angles, self._azimuths = grid.shape
+        self.cells = self._angles * self._azimuths
+        low, high = np.sin(np.radians(grid.edges_deg)).T ** 2
+        # The last angle of a cell at 90° belongs to it
+        self._low = upload(mi.Float, low)
+        self._high = upload(mi.Float, np.where(high >= 1, FAR_SIDE, high))
+        self._azimuth = upload(mi.Float, grid.azimuths_deg)
+        self._half = dr.opaque(mi.Float, grid.azimuth_cell_deg / 2)
+        self._rows = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in column)) for column in grid.rotation.T]
+        self.sums = dr.zeros(mi.Float64, CLASS_COUNT * self.cells * BATCHES)
+        self.elsewhere = dr.zeros(mi.Float64, BATCHES)
+        self.largest = dr.zeros(mi.UInt32, self.cells)  # bits of the largest weight of a scattered ray
+        self.maps = dr.zeros(mi.Float64, 2 * self.cells * pixels) if pixels else None
+        dr.eval(self.sums, self.elsewhere, self.largest, self.maps)
+
+    by_way = True
+
+    @property
+    def code(self) -> Hashable:
+        """See `Recorder.code`."""
+        parts = (self.maps, self.paths, self._left_out, self._derivative)
+        return type(self).__name__, *(part is not None for part in parts)
+
+    def cell(self, d: mi.Vector3f) -> tuple[mi.UInt32, mi.Bool]:
+        """Cell of the light that goes against rays along d, and whether there is one."""
+        x, y, z = (-dr.dot(d, row) for row in self._rows)
+        sine2 = dr.fma(x, x, y * y)
+        index = dr.binary_search(0, self._angles - 1, lambda k: dr.gather(mi.Float, self._high, k) <= sine2)
+        inside = (z >= 0) & (sine2 >= dr.gather(mi.Float, self._low, index))
+        inside &= sine2 < dr.gather(mi.Float, self._high, index)
+        if self.grid.azimuth_cell_deg == 360:
+            return index, inside
+        azimuth = dr.atan2(-x, y) * (180 / dr.pi)
+
+        def nearer(k: mi.UInt32, best: mi.UInt32, least: mi.Float) -> tuple[mi.UInt32, mi.UInt32, mi.Float]:
+            apart = azimuth - dr.gather(mi.Float, self._azimuth, k)
+            apart = dr.abs(apart - 360 * dr.round(apart * (1 / 360)))
+            return k + 1, dr.select(apart < least, k, best), dr.minimum(apart, least)
+
+        width, count = dr.width(d), dr.opaque(mi.UInt32, self._azimuths)
+        _, best, least = dr.while_loop(
+            (dr.zeros(mi.UInt32, width), dr.zeros(mi.UInt32, width), dr.full(mi.Float, 360, width)),
+            lambda k, best, least: k < count,
+            nearer,
+            mode="symbolic",
+            label="azimuth",
+        )
+        return index * self._azimuths + best, inside & (least <= self._half)
+
+    def depart(self, departure: Departure, memory: Memory) -> None:
+        """Add rays that leave the scene."""
+        start, weight, active = departure.start, departure.weight, departure.active
+        cell, inside = self.cell(departure.heading)
+        w = mi.Float64(weight)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.elsewhere, w, start.batch, active & ~inside)
+        inside &= active
+        if self._left_out is not None:
+            inside &= ~self._left_out.find(departure.key, cell, inside)[1]
+        place = (self._kind(departure) * self.cells + cell) * BATCHES + start.batch
+        dr.scatter_reduce(dr.ReduceOp.Add, self.sums, w, place, inside)
+        scattered = inside & ((departure.scatters & COUNT_MASK) > 0)
+        # The bits of positive floats are in the order of the floats
+        dr.scatter_reduce(dr.ReduceOp.Max, self.largest, dr.reinterpret_array(mi.UInt32, weight), cell, scattered)
+        if self.maps is not None:
+            place = 2 * (cell * self.pixels + start.pixel)
+            for k, value in enumerate((w, w * w)):
+                dr.scatter_reduce(dr.ReduceOp.Add, self.maps, value, place + k, inside)
+        if self.paths is not None:
+            self.paths.record(departure.key, departure.length, departure.event, cell, weight, inside)
+
+    def gain(self, departure: Departure) -> mi.Float64:
+        """What the metric gains from rays that leave; nothing is added to the sums."""
+        cell, inside = self.cell(departure.heading)
+        index = self._kind(departure) * self.cells + cell
+        inside &= departure.active
+        gained = mi.Float64(departure.weight) * dr.gather(mi.Float64, self._derivative, index, inside)
+        return dr.select(inside, gained, 0)
+
+    def _kind(self, departure: Departure) -> mi.UInt32:
+        """Class of light by its events."""
+        aside, scatters = departure.aside, departure.scatters
+        past = aside | (departure.length == 0) if self._has_optics else aside
+        direct = dr.select(past, mi.UInt32(STRAIGHT), mi.UInt32(DIRECT))
+        ghost = dr.select(departure.reflections > 0, mi.UInt32(GHOST), direct)
+        count = scatters & COUNT_MASK
+        scattered = dr.select(count == 1, mi.UInt32(SINGLE), mi.UInt32(MULTIPLE))
+        scattered = dr.select((scatters & NOT_DIFFRACTED) == 0, mi.UInt32(DIFFRACTED), scattered)
+        return dr.select(count == 0, ghost, scattered)
+
+    def read(self) -> dict[str, Any]:
+        """
+        The sums on the host.
+
+        Returns
+        -------
+        dict
+            ``cells`` (CLASS_COUNT, n, m, BATCHES), ``elsewhere`` (BATCHES,), ``largest`` (n, m), and ``maps`` (2, n, m,
+            pixels) if there are any.
+        """
+        n, m = self.grid.shape
+        found = {
+            "cells": np.array(self.sums).reshape(CLASS_COUNT, n, m, BATCHES),
+            "elsewhere": np.array(self.elsewhere),
+            "largest": np.array(self.largest).view(np.float32).astype(np.float64).reshape(n, m),
+        }
+        if self.maps is not None:
+            found["maps"] = np.moveaxis(np.array(self.maps).reshape(n, m, self.pixels, 2), 3, 0)
+        return found

@@ -1,0 +1,111 @@
+"""Rays at the start of a trace, with the light from a source or against it from the detector."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+
+def generators(seed: int, lane: mi.UInt32) -> tuple[mi.PCG32, mi.UInt32]:
+    """
+    One random number generator for each lane.
+
+    Returns
+    -------
+    rng : mi.PCG32
+    scrambled : mi.UInt32
+        A random number of each lane that goes with its generator.
+    """
+    # Streams of PCG32 with neighbouring numbers are correlated: seed and ray number are scrambled first
+    state, sequence = mi.sample_tea_32(dr.opaque(mi.UInt32, seed % 2**32), lane)
+    return mi.PCG32(size=dr.width(lane), initstate=mi.UInt64(state), initseq=mi.UInt64(sequence)), sequence
+
+
+@dataclass
+class StartRays:
+    """
+    Rays as they leave a source.
+
+    Attributes
+    ----------
+    lane : mi.UInt32
+        Numbers of the start rays within the trace.
+    batch : mi.UInt32
+        Batch of each ray, for standard errors.
+    rng : mi.PCG32
+        One generator a lane.
+    o, d : mi.Vector3f
+        Origins (mm) and unit directions.
+    w : mi.Float
+        Weights; 1 from a source.
+    left : mi.UInt32, optional
+        Surface that the rays start on.
+    normal : mi.Vector3f, optional
+        Its normal at the origins.
+    pixel : mi.UInt32, optional
+        Pixel of the detector that they start from.
+    cell : mi.UInt32, optional
+        Cell of directions that they come from.
+    medium : mi.UInt32, optional
+        Number of the material that they start in; 0 is not known.
+    depth, reflections, scatters : mi.UInt32, optional
+        Of rays that go on from within a tree: events before, counted reflections, scatter events (packed as in
+        `mistray.kernel.ray_tree`).
+    key : mi.UInt64, optional
+        Key of these events.
+    birth : mi.Float, optional
+        Weight with which such a ray left the source or was scattered last.
+    aimed_from : mi.UInt32, optional
+        Surface that sent it to a target, `NO_SURFACE` if none did.
+    aside : mi.Bool, optional
+        Whether an event before is none of a direct image.
+    run : mi.UInt32, optional
+        Hits of one surface in a row before, see `mistray.kernel.branch_limits`.
+    at : mi.UInt32, optional
+        Surface that a ray has just arrived at, with its origin on it; `NO_SURFACE`: it is on its way.
+    """
+
+    lane: mi.UInt32
+    batch: mi.UInt32
+    rng: mi.PCG32
+    o: mi.Vector3f
+    d: mi.Vector3f
+    w: mi.Float
+    left: mi.UInt32 | None = None
+    normal: mi.Vector3f | None = None
+    pixel: mi.UInt32 | None = None
+    cell: mi.UInt32 | None = None
+    medium: mi.UInt32 | None = None
+    depth: mi.UInt32 | None = None
+    reflections: mi.UInt32 | None = None
+    scatters: mi.UInt32 | None = None
+    key: mi.UInt64 | None = None
+    birth: mi.Float | None = None
+    aimed_from: mi.UInt32 | None = None
+    aside: mi.Bool | None = None
+    run: mi.UInt32 | None = None
+    at: mi.UInt32 | None = None
+
+    def given(self, name: str, otherwise: Any) -> Any:
+        """An optional field, or what holds where it is not given."""
+        value = getattr(self, name)
+        return otherwise if value is None else value
+
+    def take(self, index: mi.UInt32) -> StartRays:
+        """Some of the rays; what is one constant stays one, so that they take the same kernel as all of them."""
+        rng = mi.PCG32()
+        rng.state, rng.inc = (dr.gather(mi.UInt64, v, index) for v in (self.rng.state, self.rng.inc))
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "rng"}
+        taken = {name: v if v is None else _chosen(v, index) for name, v in values.items()}
+        dr.eval(rng, taken)
+        return StartRays(rng=rng, **taken)
+
+
+def _chosen(value: Any, index: mi.UInt32) -> Any:
+    """Entries of an array; those of a constant are that constant."""
+    if getattr(value, "state", None) == dr.VarState.Literal:
+        return dr.full(type(value), value[0], dr.width(index))
+    return dr.gather(type(value), value, index)

@@ -1,0 +1,236 @@
+"""Where scattered light should be sent so that it reaches the detector: the targets of all surfaces that scatter.
+
+- Light that leaves a surface of the design path towards the detector is aimed at the image of the detector.
+- Light that leaves any other surface is aimed at what can be seen from there: at the detector, and at each lens and
+  mirror of the design path from the side on which the design has its light. It goes to the image of the detector by
+  that lens or mirror where rays from the surface reach the detector that way, else to its aperture.
+- What a surface of the design path scatters backwards is not aimed.
+- Light that a medium scatters is aimed likewise, see `mistray.sampling.bulk_aiming`.
+- A surface that a shape with a ``target`` names has those targets and no others, as have the media on its sides for
+  the light that they scatter on its way to the surface.
+
+Rays that are not aimed are the rest: whatever the targets are, the result is the same but for its error.
+"""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.kernel.targets import AimSet, Inside, Place, Side, Target
+from mistray.sampling.bulk_aiming import Sight, body_targets
+from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
+from mistray.sampling.detector_images import DetectorImages
+from mistray.sampling.outlines import outline
+from mistray.sampling.scattering_bodies import scattering_bodies
+from mistray.sampling.scene_targets import scene_targets
+from mistray.settings import Settings
+from mistray.surfaces.host_points import surface_points
+from mistray.surfaces.host_rays import first_hit
+from mistray.surfaces.surfaces import SurfaceTable
+
+PATH_POINTS, SEEN_POINTS = 4096, 1024  # points of a surface from which rays to the image are tried
+PROBES, DETECTOR_PROBES = 16, 256  # rays from a surface that look whether a lens, or the detector, can be seen
+SEEN, DETECTOR_SEEN = 0.04, 0.005  # share of them that must see it
+LANDED = 0.02  # share of the rays to an image that must land on the detector
+MOST_TARGETS = 4
+
+_OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg")
+MOST_KNOWN = 32  # scenes whose automatic targets are kept: a scene is traced at many fields
+_known: dict[str, dict[Place, list[Target]]] = {}
+
+
+def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Place, AimSet]:
+    """
+    The targets of all surfaces and media that scatter.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    scene : mi.Scene
+    settings : Settings
+        `aim` and `aimed_rays`.
+
+    Returns
+    -------
+    dict
+        Where light is scattered → AimSet. Without an entry nothing is aimed.
+    """
+    scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
+    if settings.aim == "none" or not (scatterers or table.optics.scatters):
+        return {}
+    given = scene_targets(table, scene)
+    found: dict[Place, AimSet] = {}
+    for sets in given.values():
+        found |= sets
+    rest = [surface for surface in scatterers if surface not in given]
+    if settings.aim == "targets" or not settings.aimed_rays:
+        return found
+    key = signature(table, scene, rest)
+    if key not in _known:
+        while len(_known) >= MOST_KNOWN:
+            _known.pop(next(iter(_known)))
+        path = find_design_path(table, scene)
+        _known[key] = automatic_targets(table, path, rest) | automatic_bulk_targets(table, path)
+    for place, targets in _known[key].items():
+        if (place.surface if isinstance(place, Inside) else place[0]) not in given:
+            found[place] = AimSet.of(targets, settings.aimed_rays)
+    return found
+
+
+def signature(table: SurfaceTable, scene: mi.Scene, surfaces: Sequence[int]) -> str:
+    """What automatic targets depend on, near enough: old targets would cost accuracy, not correctness."""
+    facts = [
+        *((shape.id(), str(shape.bbox()), str(getattr(shape, "values", ""))) for shape in table.shapes),
+        *(getattr(shape, "coefficients", "") for shape in table.shapes),
+        *(repr([getattr(emitter, key, "") for key in _OF_SOURCES]) for emitter in scene.emitters()),
+        table.vertices.tobytes(),
+        table.rotations.tobytes(),
+        table.optics.host_indices.tobytes(),
+        table.optics.host_words.tobytes(),
+        table.optics.host_scattering.tobytes(),
+        table.film(),
+        tuple(surfaces),
+    ]
+    return hashlib.sha256(repr(facts).encode()).hexdigest()
+
+
+def automatic_bulk_targets(
+    table: SurfaceTable, path: DesignPath | None, sky: Sequence[Target] = ()
+) -> dict[Place, list[Target]]:
+    """
+    Targets of the media that scatter.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    path : DesignPath, optional
+        As of `automatic_targets`.
+    sky : sequence of Target
+        Against the light, what a body beside the path is aimed at.
+    """
+    if not table.optics.scatters:
+        return {}
+    rng = np.random.default_rng(0)
+    images = DetectorImages(path) if path else None
+    sights: list[Sight] = [(target, -1) for target in sky]
+    if not sights:
+        sights.append((outline(table.shapes[table.detector]), table.detector))
+        steps = path.steps[:-1] if path else ()
+        sights += [(outline(table.shapes[step.surface]), step.surface) for step in steps]
+    found: dict[Place, list[Target]] = {}
+    for body in scattering_bodies(table):
+        targets = body_targets(table, body, images, sights, rng)
+        found |= dict.fromkeys(body.sides, targets) if targets else {}
+    return found
+
+
+def automatic_targets(
+    table: SurfaceTable, path: DesignPath | None, surfaces: Sequence[int]
+) -> dict[Place, list[Target]]:
+    """
+    Targets of surfaces, on the sides that have some.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    path : DesignPath, optional
+        To the detector, or against the light to the opening. Without it only the detector itself is a target.
+    surfaces : sequence of int
+    """
+    images = DetectorImages(path) if path else None
+    on_path = {step.surface for step in path.steps} if path else {table.detector}
+    found: dict[Place, list[Target]] = {}
+    rng = np.random.default_rng(0)
+    for surface in surfaces:
+        if images and surface in on_path:
+            points, normals = surface_points(table, surface, PATH_POINTS, rng)
+            for number, step in enumerate(images.path.steps[:-1], start=1):
+                if step.surface == surface:
+                    outward = normals if step.to_back else -normals
+                    target = images.fitted(number, points, outward, rng).target
+                    found.setdefault((surface, step.to_back), []).append(target)
+    others = [surface for surface in surfaces if surface not in on_path]
+    return found | _seen_targets(table, images, others, rng)
+
+
+@dataclass(frozen=True)
+class _View:
+    """What may be seen from one side of a surface: step `number` of the path, with so many rays."""
+
+    side: Side
+    number: int
+    rays: int
+
+
+def _seen_targets(
+    table: SurfaceTable, images: DetectorImages | None, surfaces: Sequence[int], rng: np.random.Generator
+) -> dict[Side, list[Target]]:
+    """The detector, lenses and mirrors that can be seen from either side of surfaces, as targets."""
+    if not surfaces:
+        return {}
+    candidates = [step.surface for step in images.path.steps] if images else [table.detector]
+    end = candidates[-1]
+    outlines = [outline(table.shapes[candidate]) for candidate in candidates[:-1]]
+    outlines.append(images.path.end if images else outline(table.shapes[end]))
+    sampled = {surface: surface_points(table, surface, SEEN_POINTS, rng) for surface in surfaces}
+    views = [
+        _View((surface, to_back), number, DETECTOR_PROBES if candidate == end else PROBES)
+        for surface in surfaces
+        for to_back in (False, True)
+        for number, candidate in enumerate(candidates)
+    ]
+    seen = _seen(table, images, views, outlines, sampled, rng)
+    found: dict[Side, list[tuple[float, Target]]] = {}
+    for view, share in zip(views, seen, strict=True):
+        target, direct = outlines[view.number], candidates[view.number] == end
+        if share < (DETECTOR_SEEN if direct else SEEN):
+            continue
+        if images and not direct:
+            points, normals = sampled[view.side[0]]
+            image = images.fitted(view.number, points, normals if view.side[1] else -normals, rng)
+            if image.landed > LANDED:
+                found.setdefault(view.side, []).append((share, image.target))
+                if end != OPENING:
+                    continue
+                # Against the light, what is seen by that lens beside the opening counts as well
+        found.setdefault(view.side, []).append((share + direct, target))
+    return {
+        side: [target for _, target in sorted(entries, key=lambda entry: -entry[0])[:MOST_TARGETS]]
+        for side, entries in found.items()
+    }
+
+
+def _seen(
+    table: SurfaceTable,
+    images: DetectorImages | None,
+    views: Sequence[_View],
+    outlines: Sequence[Target],
+    sampled: dict[int, tuple[np.ndarray, np.ndarray]],
+    rng: np.random.Generator,
+) -> np.ndarray:
+    """Share of the rays of each view that arrive, on the side of the design light."""
+    rays = [view.rays for view in views]
+    origins = np.concatenate([sampled[view.side[0]][0][: view.rays] for view in views])
+    outward = np.concatenate([sampled[view.side[0]][1][: view.rays] * (1 if view.side[1] else -1) for view in views])
+    ends = np.concatenate([outlines[view.number].points(rng.random((view.rays, 2))) for view in views])
+    d = (ends - origins) / np.linalg.norm(ends - origins, axis=1, keepdims=True)
+    which = np.repeat(np.arange(len(views)), rays)
+    surface = np.array([view.side[0] for view in views])[which]
+    wanted = np.full(len(d), table.detector)
+    goes = np.einsum("ij,ij->i", d, outward) > 0
+    if images:
+        steps = [images.path.steps[view.number] for view in views]
+        wanted = np.array([step.surface for step in steps])[which]
+        from_front = np.array([step.from_front for step in steps])[which]
+        goes &= np.einsum("ij,ij->i", d, np.array([step.before for step in steps])[which]) > 0
+    some = np.flatnonzero(goes)
+    hit, _, normal = first_hit(table, origins[some], d[some], surface[some])
+    arrives = hit == wanted[some]
+    if images:
+        arrives &= (hit == OPENING) | ((np.einsum("ij,ij->i", d[some], normal) > 0) == from_front[some])
+    return np.bincount(which[some[arrives]], minlength=len(views)) / rays

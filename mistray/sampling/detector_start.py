@@ -1,0 +1,229 @@
+"""Start rays of a backward trace: they leave the detector as light from a Lambertian surface would."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.kernel.device_targets import DeviceTargets
+from mistray.kernel.targets import AimSet
+from mistray.physics.sag import in_proportion, sag, sag_derivative
+from mistray.recorders.start_rays import StartRays, generators
+from mistray.sampling.outlines import detector_area
+from mistray.sampling.space_filling import curve_points
+from mistray.settings import BATCHES
+from mistray.surfaces.host_points import lambertian_directions, surface_points
+from mistray.surfaces.host_rays import first_hit
+from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
+
+FROM_BACK = 1 / 16  # share of the rays that start on the side away from the light of the design
+PROBES = 256  # rays that look what the detector is in
+AIMED = 0.4  # share of the others that start towards the opening
+
+
+class DetectorStart:
+    """
+    The detector of a scene as a Lambertian source, towards both sides.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    light : (3,) float64
+        Direction of the light of the design at the detector.
+    aim : AimSet, optional
+        Where a part of the rays towards the light starts to.
+    both_sides : bool
+        Or only towards the light.
+
+    Attributes
+    ----------
+    area : float
+        Of the detector, mm².
+
+    Raises
+    ------
+    MistrayError
+        If the detector is a tube or a stock shape other than a rectangle, see `SurfaceTable.film`.
+    """
+
+    def __init__(self, table: SurfaceTable, light: np.ndarray, aim: AimSet | None, both_sides: bool) -> None:
+        self._back = FROM_BACK if both_sides else 0.0
+        self._table = table
+        self.width, self.height, (x0, x1, y0, y1) = table.film()
+        self.extent = (x0, x1, y0, y1)
+        self._targets = (DeviceTargets([aim], table.centre), len(aim.targets)) if aim is not None else None
+        self._half = [dr.opaque(mi.Float, 0.5 * (x1 - x0)), dr.opaque(mi.Float, 0.5 * (y1 - y0))]
+        self._round = False
+        self._curved = False
+        self.area = detector_area(table)
+        if table.detector < len(table.pieces):
+            self._analytic()
+        else:
+            origin, x_axis, y_axis = table.detector_axes
+            self._origin, self._axes = origin, [x_axis, y_axis, dr.cross(x_axis, y_axis)]
+            (normal,) = table.stock_normals(table.download_points(origin)[:1], np.array(self._axes[2]).reshape(1, 3))
+            if normal @ np.array(self._axes[2]).ravel() < 0:
+                self._axes[2] = -self._axes[2]
+        normal = np.array(self._axes[2]).ravel()
+        towards = -1.0 if normal @ light > 0 else 1.0  # side of the normal that the light of the design comes from
+        self._towards = dr.opaque(mi.Float, towards)
+        media = [self._medium(side) for side in (towards, -towards)]
+        self._media = [dr.opaque(mi.UInt32, number) for number, _ in media]
+        self._index2 = [dr.opaque(mi.Float, n * n) for _, n in media]
+
+    def _analytic(self) -> None:
+        table = self._table
+        piece = table.pieces[table.detector]
+        self._origin = table.upload_point(table.vertices[table.detector])
+        axes = table.rotations[table.detector].T
+        self._axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in axis)) for axis in axes]
+        self._round = piece.outer > 0
+        self._radii2 = [dr.opaque(mi.Float, r * r) for r in (piece.inner, piece.outer)]
+        conic = piece.conic if piece.kind != "plane" else (0.0, 0.0)
+        self._curved = piece.kind != "plane"
+        coefficients, per_area = in_proportion(piece.coefficients, piece.size)
+        c, k, w, *rest = (dr.opaque(mi.Float, v) for v in (*conic, per_area, *coefficients))
+        self._shape = c, k, rest, w
+        x0, x1, y0, y1 = self.extent
+        flat = np.pi * (piece.outer**2 - piece.inner**2) if self._round else (x1 - x0) * (y1 - y0)
+        self._stretch = dr.opaque(mi.Float, self.area / flat)
+
+    def _medium(self, side: float) -> tuple[int, float]:
+        """
+        Number and index of the material before the detector, on the side of its normal times `side`.
+
+        It is that of the refracting surface that most rays meet first; vacuum, where they meet none.
+        """
+        table = self._table
+        rng = np.random.default_rng(0)
+        points, normals = surface_points(table, table.detector, PROBES, rng)
+        d = lambertian_directions(side * normals, rng)
+        hit, _, normal = first_hit(table, points, d, np.full(PROBES, table.detector))
+        words = table.optics.host_words[hit]
+        clear = (hit >= 0) & ((words & OPAQUE) == 0)
+        if not np.any(clear):
+            return 0, 1.0
+        from_back = (np.einsum("ij,ij->i", d, normal) < 0).astype(int)
+        shift = np.where(from_back, BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT)
+        media = (words >> shift) & MEDIUM_MASK
+        number = int(np.bincount(media[clear]).argmax())
+        first = int(np.flatnonzero(clear & (media == number))[0])
+        return number, float(table.optics.host_indices[hit[first], from_back[first]])
+
+    def pixel(self, x: mi.Float, y: mi.Float, columns: int, rows: int) -> mi.UInt32:
+        """Pixel of a map of the detector, row 0 at the smallest y."""
+        column = dr.clip(mi.Int32((0.5 + 0.5 * x / self._half[0]) * columns), 0, columns - 1)
+        row = dr.clip(mi.Int32((0.5 + 0.5 * y / self._half[1]) * rows), 0, rows - 1)
+        return mi.UInt32(row * columns + column)
+
+    def pass_rays(self, seed: int, lanes: int, weight: float, pixels: tuple[int, int] = (0, 0)) -> StartRays:
+        """
+        Start rays of a pass.
+
+        Parameters
+        ----------
+        seed : int
+        lanes : int
+            A multiple of the number of batches.
+        weight : float
+            Of the rays on average.
+        pixels : tuple of int
+            Columns and rows of the maps.
+        """
+        index = dr.arange(mi.UInt32, lanes)
+        rng, _ = generators(seed, index)
+        batch, place = stratified_places(index, lanes, rng)
+        return self.rays(index, batch, place, rng, dr.opaque(mi.Float, weight), pixels)
+
+    def rays(
+        self,
+        lane: mi.UInt32,
+        batch: mi.UInt32,
+        place: mi.Float64,
+        rng: mi.PCG32,
+        weight: mi.Float,
+        pixels: tuple[int, int],
+    ) -> StartRays:
+        """
+        Start rays.
+
+        Parameters
+        ----------
+        lane, batch : mi.UInt32
+        place : mi.Float64
+            0 … 1, stratified within each batch.
+        rng : mi.PCG32
+        weight : mi.Float
+            Of the rays on average.
+        pixels : tuple of int
+            Columns and rows of the maps.
+        """
+        back = place < self._back
+        aimed_share = AIMED if self._targets is not None else 0.0
+        first_random = self._back + (1 - self._back) * aimed_share
+        aim = ~back & (place < first_random)
+        low = dr.select(back, 0, dr.select(aim, self._back, first_random))
+        high = dr.select(back, self._back, dr.select(aim, first_random, 1))
+        u = curve_points((place - low) / (high - low), 4, rng)
+        # The two dimensions that change fastest are those of the direction, which most decides where a ray goes
+        p, normal, stretch, x, y = self._position(u[2], u[3])
+        outward = normal * dr.select(back, -self._towards, self._towards)
+        disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u[0], u[1]))
+        cosine = dr.sqrt(dr.maximum(1 - dr.squared_norm(disk), 0))
+        across, along = mi.coordinate_system(outward)
+        d = dr.normalize(disk.x * across + disk.y * along + cosine * outward)
+        w = stretch * weight / dr.select(back, self._back, 1 - self._back)
+        if self._targets is not None:
+            targets, count = self._targets
+            plan = dr.zeros(mi.Vector2u, dr.width(lane)) + mi.Vector2u(0, count)
+            spare = rng.next_float32()
+            to_target, own = targets.sample(plan, [u[0], u[1], spare, spare], p, outward, aim)
+            d = dr.select(aim, to_target, d)
+            lambertian = dr.maximum(dr.dot(d, outward), 0) / dr.pi
+            density = targets.density(plan, p, d, outward, aim, own, ~back)
+            w = dr.select(back, w, w * lambertian / dr.lerp(lambertian, density, aimed_share))
+            w = dr.select(dr.isfinite(w), w, 0)
+        w = w * dr.select(back, self._index2[1], self._index2[0])
+        left = dr.full(mi.UInt32, self._table.detector, dr.width(lane))
+        medium = dr.select(back, self._media[1], self._media[0])
+        return StartRays(lane, batch, rng, p, d, w, left, normal, self.pixel(x, y, *pixels), medium)
+
+    def _position(self, u: mi.Float, v: mi.Float) -> tuple[mi.Vector3f, mi.Vector3f, mi.Float, mi.Float, mi.Float]:
+        """Point, normal, area of the surface there over the mean one, and the detector's own coordinates, mm."""
+        x, y, z = (2 * u - 1) * self._half[0], (2 * v - 1) * self._half[1], mi.Float(0)
+        if self._round:
+            disk = mi.warp.square_to_uniform_disk_concentric(mi.Point2f(u, v))
+            r2 = dr.squared_norm(disk)
+            inner2, outer2 = self._radii2
+            scale = dr.sqrt((inner2 + r2 * (outer2 - inner2)) / dr.maximum(r2, 1e-12))
+            x, y = disk.x * scale, disk.y * scale
+        normal, stretch = mi.Vector3f(0, 0, 1), mi.Float(1)
+        if self._curved:
+            r2 = dr.fma(x, x, y * y)
+            z, slope = sag(r2, *self._shape), 2 * sag_derivative(r2, *self._shape)
+            normal = dr.normalize(mi.Vector3f(-slope * x, -slope * y, 1))
+            stretch = 1 / (normal.z * self._stretch)
+        first, second, third = self._axes
+        p = self._origin + x * first + y * second + z * third
+        n = normal.x * first + normal.y * second + normal.z * third
+        return p, n + dr.zeros(mi.Vector3f, dr.width(x)), stretch, x, y
+
+
+def stratified_places(index: mi.UInt32, lanes: int, rng: mi.PCG32) -> tuple[mi.UInt32, mi.Float64]:
+    """
+    Batches of lanes, and a place 0 … 1 for each lane that is uniform in its own stratum of the batch.
+
+    Parameters
+    ----------
+    index : mi.UInt32
+        0 … lanes - 1.
+    lanes : int
+        A multiple of the number of batches.
+    rng : mi.PCG32
+    """
+    strata = lanes // BATCHES
+    batch = index // dr.opaque(mi.UInt32, strata)
+    within = mi.Float64(index - batch * dr.opaque(mi.UInt32, strata)) + mi.Float64(rng.next_float32())
+    return batch, dr.minimum(within / dr.opaque(mi.Float64, strata), 1 - 1e-15)

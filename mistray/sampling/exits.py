@@ -1,0 +1,207 @@
+"""Where rays that go against the light should be sent so that they leave the scene: targets for a backward trace.
+
+- The *opening* is where the light comes in: the disc, at the front of the scene, through which the first surface of the
+  design path (or the detector, where there is none) sees the outside.
+- Rays that leave a surface of the design path against the light, and those that start on the detector, are aimed at the
+  image of the opening by the surfaces that follow; rays from any other surface at what they see of the opening and of
+  lenses and mirrors from behind. This is `automatic_targets` for the design path in reverse.
+- From a side that sees much of the sky itself, rays are aimed at the sky: at discs so far away and so large that all
+  field angles get their share.
+
+Whatever the targets are, the result is the same but for its error.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.kernel.targets import AimSet, Place, Side, Target
+from mistray.sampling.aiming import MOST_KNOWN, automatic_bulk_targets, automatic_targets, signature
+from mistray.sampling.design_path import OPENING, DesignPath, Step, find_design_path
+from mistray.sampling.detector_images import FAR, DetectorImages
+from mistray.settings import Settings
+from mistray.surfaces.host_points import across, box_corners, lambertian_directions, surface_points
+from mistray.surfaces.host_rays import first_hit, onward
+from mistray.surfaces.optics import MIRROR, OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable, solid_shapes
+
+PROBES = 2048  # rays that look for the opening
+SKY_PROBES = 256  # that look for the sky
+VIEW_PROBES, MOST_STEPS = 128, 40  # that look for it through optics, and hits of each
+CONES_DEG = (80.0, 20.0, 5.0, 1.0)  # field angles up to which the opening is sought
+OPEN = 0.2  # share of a side's rays that must see the sky for the sky to be its target
+SKY_DEG = (10.0, 35.0, 80.0)  # field angles that the discs of the sky reach to
+LANDED = 0.02  # share of the rays to an image of the opening that must leave by it
+
+_known: dict[str, Exits] = {}
+
+
+@dataclass(frozen=True)
+class Exits:
+    """
+    Targets of a backward trace.
+
+    Attributes
+    ----------
+    aims : dict
+        Where light is scattered → AimSet.
+    start : AimSet or None
+        Of the rays that start on the detector, towards the light.
+    light : (3,) float64 or None
+        Direction of the design light at the detector.
+    has_optics : bool
+        Whether the design path has lenses or mirrors.
+    views : dict
+        Surface that transmits or is a mirror → share of Lambertian rays from it that leave the scene by refraction and
+        at mirrors.
+    """
+
+    aims: dict[Place, AimSet]
+    start: AimSet | None
+    light: np.ndarray | None
+    has_optics: bool
+    views: dict[int, float]
+
+
+def exits(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.ndarray) -> Exits:
+    """
+    The targets of all surfaces that scatter, and of the detector.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    scene : mi.Scene
+    settings : Settings
+        `aim` (only "auto" has targets here) and `aimed_rays`.
+    axis : (3,) float64
+        Direction of light at field angle 0.
+    """
+    scatterers = [i for i in range(table.count) if table.interfaces[i].scatter]
+    key = signature(table, scene, scatterers) + repr(np.round(axis, 9).tolist())
+    if key not in _known:
+        while len(_known) >= MOST_KNOWN:
+            _known.pop(next(iter(_known)))
+        _known[key] = _find(table, scene, scatterers, axis)
+    found = _known[key]
+    if settings.aim != "auto" or not settings.aimed_rays:
+        return replace(found, aims={}, start=None)
+    return replace(found, aims={place: replace(aim, rays=settings.aimed_rays) for place, aim in found.aims.items()})
+
+
+def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> Exits:
+    """The targets with one aimed ray each."""
+    rng = np.random.default_rng(0)
+    path = find_design_path(table, scene)
+    opening = find_opening(table, scene, path, axis, rng)
+    found: dict[Place, list[Target]] = {}
+    start = back = None
+    if opening is not None:
+        back = path.reversed(opening) if path is not None else _straight(table, opening, axis)
+        found = automatic_targets(table, back, scatterers)
+        points, normals = surface_points(table, table.detector, PROBES, rng)
+        towards = normals * np.sign(normals @ back.steps[0].before)[:, None]
+        fitted = DetectorImages(back).fitted(0, points, towards, rng)
+        start = AimSet.of([fitted.target], 1) if fitted.landed > LANDED else None
+    far = sky_discs(scene, axis)
+    found |= {side: far for side, share in _sky_shares(table, scatterers, axis, rng).items() if share > OPEN}
+    found |= automatic_bulk_targets(table, back, far)
+    words = table.optics.host_words
+    views = _views(table, [i for i in range(table.count) if not words[i] & OPAQUE or words[i] & MIRROR], axis, rng)
+    light = path.steps[-1].before if path is not None else None
+    aims = {place: AimSet.of(targets, 1) for place, targets in found.items()}
+    return Exits(aims, start, light, path is not None and path.has_optics, views)
+
+
+def find_opening(
+    table: SurfaceTable, scene: mi.Scene, path: DesignPath | None, axis: np.ndarray, rng: np.random.Generator
+) -> Target | None:
+    """The disc through which the first surface of the design path, or the detector, sees the outside, if it does."""
+    first = path.steps[0].surface if path is not None else table.detector
+    points, _ = surface_points(table, first, PROBES, rng)
+    frame, front = across(axis), _front(scene, axis)
+    through = []
+    for widest in CONES_DEG:  # a distant opening is missed by most rays of a wide cone
+        cosine = rng.uniform(np.cos(np.radians(widest)), 1.0, PROBES)
+        phi = rng.uniform(0.0, 2 * np.pi, PROBES)
+        aside = np.sqrt(1 - cosine**2)[:, None] * (np.stack([np.cos(phi), np.sin(phi)], axis=1) @ frame.T)
+        d = aside - cosine[:, None] * axis
+        free = first_hit(table, points, d, np.full(PROBES, first))[0] < 0
+        t = np.maximum((points[free] @ axis - front) / cosine[free], 0.0)
+        through.append(points[free] + t[:, None] * d[free])
+    p = np.concatenate(through)
+    if not len(p):
+        return None
+    middle = 0.5 * (p.max(axis=0) + p.min(axis=0))
+    middle += (front - middle @ axis) * axis
+    radius = float(np.max(np.linalg.norm(p - middle - ((p - middle) @ axis)[:, None] * axis, axis=1)))
+    if radius == 0:
+        return None
+    u, v = radius * frame.T
+    return Target("ellipse", middle, u, v)
+
+
+def sky_discs(scene: mi.Scene, axis: np.ndarray) -> list[Target]:
+    """Discs so far before the scene that their directions are the same from everywhere."""
+    corners = box_corners(shape.bbox() for shape in solid_shapes(scene))
+    distance = FAR * float(np.linalg.norm(corners[-1] - corners[0]))
+    frame = across(axis)
+    centre = corners.mean(axis=0) - distance * axis
+    return [Target("ellipse", centre, *(distance * np.tan(np.radians(angle)) * frame.T)) for angle in SKY_DEG]
+
+
+def _front(scene: mi.Scene, axis: np.ndarray) -> float:
+    """Position along the axis of the front of the scene, mm."""
+    along = box_corners(shape.bbox() for shape in solid_shapes(scene)) @ axis
+    return float(along.min() - 1e-3 * np.ptp(along))
+
+
+def _straight(table: SurfaceTable, opening: Target, axis: np.ndarray) -> DesignPath:
+    """A path against the light that meets no surface."""
+    out = Step(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
+    return DesignPath(table, (out,), opening)
+
+
+def _lambertian_rays(
+    table: SurfaceTable, surfaces: list[int], count: int, rng: np.random.Generator
+) -> tuple[np.ndarray, np.ndarray]:
+    """Points and directions of so many rays of each surface, first to its front, then to its back: (s, 2, n, 3)."""
+    o, d = (np.zeros((len(surfaces), 2, count, 3)) for _ in range(2))
+    for row, surface in enumerate(surfaces):
+        o[row], normals = surface_points(table, surface, count, rng)
+        for side, sign in enumerate((-1.0, 1.0)):
+            d[row, side] = lambertian_directions(sign * normals, rng)
+    return o, d
+
+
+def _sky_shares(
+    table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
+) -> dict[Side, float]:
+    """Shares of the rays of each side of surfaces that leave the scene against the light, at once."""
+    o, d = _lambertian_rays(table, surfaces, SKY_PROBES, rng)
+    last = np.repeat(surfaces, 2 * SKY_PROBES)
+    hit, _, _ = first_hit(table, o.reshape(-1, 3), d.reshape(-1, 3), last)
+    free = (hit.reshape(d.shape[:3]) < 0) & (d @ axis < 0)
+    shares = free.mean(axis=2)
+    return {(surface, bool(side)): shares[row, side] for row, surface in enumerate(surfaces) for side in (0, 1)}
+
+
+def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator) -> dict[int, float]:
+    """Shares of the rays of surfaces, each to its better side, that leave the scene against the light specularly."""
+    start, along = _lambertian_rays(table, surfaces, VIEW_PROBES, rng)
+    o, d, last = start.reshape(-1, 3), along.reshape(-1, 3), np.repeat(surfaces, 2 * VIEW_PROBES)
+    side, gone = np.repeat(np.arange(2 * len(surfaces)), VIEW_PROBES), np.zeros(2 * len(surfaces))
+    for _ in range(MOST_STEPS):
+        if not len(o):
+            break
+        hit, p, normal = first_hit(table, o, d, last)
+        gone += np.bincount(side[(hit < 0) & (d @ axis < 0)], minlength=len(gone))
+        met = np.flatnonzero(hit >= 0)
+        after, _ = onward(table, hit[met], d[met], normal[met])
+        goes = np.isfinite(after[:, 0])
+        on = met[goes]
+        o, d, last, side = p[on], after[goes], hit[on], side[on]
+    best = gone.reshape(-1, 2).max(axis=1) / VIEW_PROBES
+    return dict(zip(surfaces, best.tolist(), strict=True))

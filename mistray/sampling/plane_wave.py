@@ -1,0 +1,263 @@
+"""A plane wave over the whole scene: the light of a distant source, as a point source transmittance has it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.recorders.directions import DirectionGrid
+from mistray.sampling.sources import sorted_points
+from mistray.surfaces.host_points import box_corners
+from mistray.surfaces.surfaces import SurfaceTable
+
+RIM_POINTS = 24  # corners of the polygon around a rim
+FIELD_STEPS, AZIMUTH_STEP_DEG = 8, 5.0  # directions of a cell for which the size of the beam is worked out
+CLEARANCE = 1e-3  # of the start plane from the scene, in units of the scene's size
+
+
+@dataclass(frozen=True)
+class Entrance:
+    """
+    A disc across the beam that holds all light that matters, where the user knows one smaller than the scene.
+
+    Light that passes it by is not traced: what would reach the detector from there is missing in the result.
+
+    Attributes
+    ----------
+    centre : (3,) float
+        mm.
+    radius : float
+        mm, > 0.
+    """
+
+    centre: tuple[float, float, float]
+    radius: float
+
+    def __post_init__(self) -> None:
+        centre = np.asarray(self.centre, dtype=np.float64)
+        if centre.shape != (3,) or not np.all(np.isfinite(centre)):
+            raise MistrayError(f"entrance: centre is {self.centre}; give three coordinates in mm")
+        if not 0 < self.radius < np.inf:
+            raise MistrayError(f"entrance: radius is {self.radius:g} mm; it must be positive")
+
+
+@dataclass(frozen=True)
+class PlaneWave:
+    """
+    Light from the directions of one cell of a grid, of an irradiance of 1 W/mm² across each of them.
+
+    A ray's direction is uniform in solid angle within the cell, and its position is uniform over a cross-section that
+    turns with the direction: a rectangle along azimuth and field angle, or a disc, of the same size for all directions.
+
+    Attributes
+    ----------
+    name : str
+    wavelength_nm : float
+    share : float
+        Share of the flux that this wavelength has.
+    rotation : (3, 3) float64
+        Columns: the axes of the grid.
+    half_sine2 : (2,) float64
+        sin²(θ/2) at the edges of the cell.
+    azimuth : (2,) float64
+        Middle and half width of the cell in azimuth, radians.
+    centre : (3,) float64
+        Point of the scene that the cross-section is measured from, mm.
+    middle, half : (2,) float64
+        Middle and half size of the cross-section along azimuth and field angle, mm.
+    is_round : bool
+        A disc of radius ``half[0]`` instead of the rectangle.
+    distance : float
+        From the cross-section back to the start of the rays, mm.
+    """
+
+    name: str
+    wavelength_nm: float
+    share: float
+    rotation: np.ndarray
+    half_sine2: np.ndarray
+    azimuth: np.ndarray
+    centre: np.ndarray
+    middle: np.ndarray
+    half: np.ndarray
+    is_round: bool
+    distance: float
+
+    pattern = "random"
+
+    @property
+    def area(self) -> float:
+        """Cross-section, mm²."""
+        a, b = self.half
+        return float(np.pi * a * a if self.is_round else 4 * a * b)
+
+    @property
+    def power(self) -> float:
+        """Flux at this wavelength, W."""
+        return self.share * self.area
+
+    def count(self, rays: int) -> int:
+        """Rays that a request for `rays` starts."""
+        return rays
+
+    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The rays themselves: their directions are random."""
+        return o, d
+
+    def start(
+        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
+    ) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """
+        Origins and directions of the start rays of one pass; arguments as of `Beam.start`.
+
+        Five random numbers a lane. The positions of a batch are sorted along a curve.
+        """
+        sample = sorted_points(batch, rng, closing)
+        numbers = [dr.opaque(mi.Float, value) for value in self.numbers]
+        return wave_rays(numbers, self.rotation, self.centre - centre, sample, rng.next_float32(), rng.next_float32())
+
+    @property
+    def numbers(self) -> list[float]:
+        """What differs from cell to cell, in the order in which `wave_rays` takes it."""
+        values = (*self.half_sine2, *self.azimuth, *self.middle, *self.half, self.is_round, self.distance)
+        return [float(value) for value in values]
+
+
+def wave_rays(
+    numbers: Sequence[mi.Float],
+    rotation: np.ndarray,
+    centre: np.ndarray,
+    sample: mi.Point2f,
+    u: mi.Float,
+    v: mi.Float,
+) -> tuple[mi.Vector3f, mi.Vector3f]:
+    """
+    Origins and directions of the rays of plane waves.
+
+    Parameters
+    ----------
+    numbers : sequence of mi.Float
+        `PlaneWave.numbers` of each ray's wave.
+    rotation, centre
+        Of all waves, see `PlaneWave`; the centre in the coordinates of the kernel.
+    sample : mi.Point2f
+        Places in the cross-section, in the unit square.
+    u, v : mi.Float
+        0 … 1: field angle and azimuth within the cell.
+    """
+    low, high, azimuth, half_azimuth, middle_x, middle_y, half_x, half_y, is_round, distance = numbers
+
+    def vector(values: np.ndarray) -> mi.Vector3f:
+        return mi.Vector3f(*(dr.opaque(mi.Float, float(value)) for value in values))
+
+    # sin²(θ/2) is uniform where the solid angle is, and keeps its digits near the axis
+    h = dr.lerp(low, high, u)
+    cosine, sine = 1 - 2 * h, 2 * dr.sqrt(h * (1 - h))
+    s, c = dr.sincos(azimuth + half_azimuth * (2 * v - 1))
+    x_axis, y_axis, z_axis = (vector(column) for column in rotation.T)
+    radial = c * y_axis - s * x_axis
+    d = dr.normalize(sine * radial + cosine * z_axis)
+    across, along = c * x_axis + s * y_axis, cosine * radial - sine * z_axis
+
+    disk = mi.warp.square_to_uniform_disk_concentric(sample)
+    x = dr.select(is_round > 0, disk.x, 2 * sample.x - 1) * half_x + middle_x
+    y = dr.select(is_round > 0, disk.y, 2 * sample.y - 1) * half_y + middle_y
+    return vector(centre) + across * x + along * y - distance * d, d
+
+
+class PlaneWaves:
+    """
+    The plane waves of a grid that cover all surfaces of a scene, or of several scenes that are compared.
+
+    Parameters
+    ----------
+    points : (p, 3) float64
+        From `hull_points`.
+    grid : DirectionGrid
+    entrance : Entrance, optional
+        Cover this disc only.
+    """
+
+    def __init__(self, points: np.ndarray, grid: DirectionGrid, entrance: Entrance | None = None) -> None:
+        self.grid, self.entrance = grid, entrance
+        self._points = points
+        self._centre = 0.5 * (self._points.min(axis=0) + self._points.max(axis=0))
+
+    def at(self, i: int, j: int, wavelength_nm: float, share: float) -> PlaneWave:
+        """The wave of cell (i, j) at a wavelength that has a share of the flux."""
+        grid = self.grid
+        theta = np.radians(grid.edges_deg[i])
+        azimuth = np.radians([grid.azimuths_deg[j], grid.azimuth_cell_deg / 2])
+        centre, middle, half, is_round, distance = self._cross_section(theta, azimuth)
+        return PlaneWave(
+            name=f"light at {grid.field_deg[i]:g} deg",
+            wavelength_nm=wavelength_nm,
+            share=share,
+            rotation=np.asarray(grid.rotation, dtype=np.float64),
+            half_sine2=np.sin(theta / 2) ** 2,
+            azimuth=azimuth,
+            centre=centre,
+            middle=middle,
+            half=half,
+            is_round=is_round,
+            distance=distance,
+        )
+
+    def _cross_section(
+        self, theta: np.ndarray, azimuth: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, bool, float]:
+        """
+        Centre, middle, half size, whether it is a disc, and the distance of the start, for a cell of directions.
+
+        Coordinates of a point along a direction are sine waves over field angle and azimuth; between samples they rise
+        by at most (1 - cos(half a step)) of the point's distance above the higher one.
+        """
+        q = (self._points - self._centre) @ self.grid.rotation
+        size = float(np.linalg.norm(q, axis=1).max())
+        count = max(3, int(np.ceil(np.degrees(2 * azimuth[1]) / AZIMUTH_STEP_DEG)) + 1)
+        phi, step = np.linspace(azimuth[0] - azimuth[1], azimuth[0] + azimuth[1], count, retstep=True)
+        field = np.linspace(theta[0], theta[1], FIELD_STEPS + 1)
+        margin = size * (2 - np.cos(step / 2) - np.cos((field[1] - field[0]) / 2)) + 1e-6 * size
+        s, c = np.sin(phi), np.cos(phi)
+        x = q[:, :1] * c + q[:, 1:2] * s
+        radial, z = (q[:, 1:2] * c - q[:, :1] * s)[..., None], q[:, 2, None, None]
+        y = radial * np.cos(field) - z * np.sin(field)
+        along = radial * np.sin(field) + z * np.cos(field)
+        distance = float(margin + CLEARANCE * size - along.min())
+        if self.entrance is not None:
+            centre, radius = np.asarray(self.entrance.centre, dtype=np.float64), self.entrance.radius
+            # From the start plane of the whole scene, wherever the disc lies
+            distance += float(np.linalg.norm(centre - self._centre))
+            return centre, np.zeros(2), np.full(2, radius), True, distance
+        low = np.array([x.min(), y.min()]) - margin
+        high = np.array([x.max(), y.max()]) + margin
+        radius = float(np.sqrt(np.max(x[..., None] ** 2 + y**2))) + margin
+        if np.pi * radius**2 < np.prod(high - low):
+            return self._centre, np.zeros(2), np.full(2, radius), True, distance
+        return self._centre, 0.5 * (low + high), 0.5 * (high - low), False, distance
+
+
+def hull_points(*tables: SurfaceTable) -> np.ndarray:
+    """(p, 3) float64: points whose convex hull holds all surfaces of scenes, mm; rims are polygons around them."""
+    return np.concatenate([part for table in tables for part in _hull_parts(table)])
+
+
+def _hull_parts(table: SurfaceTable) -> list[np.ndarray]:
+    turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
+    polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)
+    corners = np.array([[x, y] for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
+    points = []
+    for number, piece in enumerate(table.pieces):
+        for z in piece.z_range:
+            radius = piece.r0 + piece.slope * z if piece.kind == "cone" else piece.outer
+            flat = corners * piece.half_size if not piece.outer else radius * polygon
+            local = np.concatenate([flat, np.full((len(flat), 1), z)], axis=1)
+            points.append(local @ table.rotations[number].T + table.vertices[number])
+    for shape in table.shapes[len(table.pieces) :]:
+        points.append(box_corners([shape.bbox()]))
+    return points

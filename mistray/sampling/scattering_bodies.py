@@ -1,0 +1,106 @@
+"""Bodies of media that scatter, on the host: the sides of surfaces that face them, and points within."""
+
+from __future__ import annotations
+
+from collections import Counter
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.kernel.targets import Inside
+from mistray.surfaces.host_points import lambertian_directions, surface_points
+from mistray.surfaces.host_rays import first_hit
+from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, OPAQUE
+from mistray.surfaces.surfaces import SurfaceTable
+
+PROBES = 256  # rays into the medium from each side
+
+
+@dataclass(frozen=True)
+class Body:
+    """
+    A region of one medium that scatters.
+
+    Attributes
+    ----------
+    medium : int
+    faces : frozenset of Inside
+        The sides of surfaces that transmit which bound it.
+    walls : frozenset of Inside
+        The sides of opaque surfaces that are seen from within.
+    points : (n, 3) float64
+        Points within, mm.
+    """
+
+    medium: int
+    faces: frozenset[Inside]
+    walls: frozenset[Inside]
+    points: np.ndarray
+
+    @property
+    def sides(self) -> list[Inside]:
+        """All at which a segment within it may end."""
+        return sorted(self.faces | self.walls, key=lambda side: (side.surface, side.at_back))
+
+
+def medium_of(table: SurfaceTable, side: Inside) -> int:
+    """Number of the medium on one side of a surface; 0 of an opaque one."""
+    shift = BACK_MEDIUM_SHIFT if side.at_back else FRONT_MEDIUM_SHIFT
+    return int(table.optics.host_words[side.surface] >> shift) & MEDIUM_MASK
+
+
+def scattering_bodies(table: SurfaceTable) -> list[Body]:
+    """
+    The bodies of the scene that scatter.
+
+    Sides that see each other through one medium bound one body. A body that no ray from within meets again, such as
+    haze around everything, ends where the surfaces do.
+    """
+    rng = np.random.default_rng(0)
+    faces = [
+        side
+        for surface in range(table.count)
+        for side in (Inside(surface, False), Inside(surface, True))
+        if table.optics.host_scattering[medium_of(table, side)] > 0
+    ]
+    parent = {face: face for face in faces}
+
+    def root(face: Inside) -> Inside:
+        while parent[face] != face:
+            face = parent[face]
+        return face
+
+    within: dict[Inside, list[np.ndarray]] = {}
+    seen: dict[Inside, Counter[Inside]] = {}
+    for face in faces:
+        o, normals = surface_points(table, face.surface, PROBES, rng)
+        d = lambertian_directions(normals if face.at_back else -normals, rng)
+        hit, p, normal = first_hit(table, o, d, np.full(PROBES, face.surface))
+        from_front = np.einsum("ij,ij->i", d, normal) > 0
+        medium, arrives = medium_of(table, face), np.zeros(PROBES, dtype=bool)
+        for number, (surface, front) in enumerate(zip(hit.tolist(), from_front.tolist(), strict=True)):
+            if surface < 0:
+                continue
+            other = Inside(surface, not front)
+            if other in parent and medium_of(table, other) == medium:
+                parent[root(other)] = root(face)
+                arrives[number] = True
+            elif table.optics.host_words[surface] & OPAQUE:
+                seen.setdefault(other, Counter())[face] += 1
+                arrives[number] = True
+        depth = rng.random((PROBES, 1))
+        within[face] = [(o + depth * (p - o))[arrives]]
+    walls: dict[Inside, Inside] = {}
+    for wall, counts in seen.items():
+        together: Counter[Inside] = Counter()
+        for face, count in counts.items():
+            together[root(face)] += count
+        walls[wall] = together.most_common(1)[0][0]
+    found = []
+    for first in dict.fromkeys(root(face) for face in faces):
+        own = [face for face in faces if root(face) == first]
+        points = np.concatenate([part for face in own for part in within[face]])
+        if len(points):
+            its_walls = frozenset(wall for wall, body in walls.items() if body == first)
+            found.append(Body(medium_of(table, first), frozenset(own), its_walls, points))
+    return found

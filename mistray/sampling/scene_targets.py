@@ -1,0 +1,200 @@
+"""Targets that a scene brings along: shapes that carry a `target` instead of an `interface`."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray._mitsuba_compat import mesh_arrays
+from mistray.errors import MistrayError
+from mistray.ids import fits
+from mistray.kernel.targets import AimSet, AnyTarget, Cone, Ellipsoid, Place, Target
+from mistray.ranges import RAYS_PER_HIT
+from mistray.sampling.outlines import outline
+from mistray.sampling.scattering_bodies import scattering_bodies
+from mistray.surfaces.host_points import surface_points
+from mistray.surfaces.surfaces import SurfaceTable
+
+MOST_TRIANGLES = 64
+PROBES = 256  # pairs of a point of the surface and one of the target that tell on which sides the target lies
+
+
+def scene_targets(table: SurfaceTable, scene: mi.Scene) -> dict[int, dict[Place, AimSet]]:
+    """
+    The targets of the scene, by the surfaces that they name, and the sides on which they lie.
+
+    Each target has a share of the aimed rays by its own number of rays.
+
+    Returns
+    -------
+    dict
+        Surface → where light is scattered, at its sides and in the media there → AimSet.
+
+    Raises
+    ------
+    MistrayError
+        If a target names no surface of the scene, has an impossible shape or size, or a surface has too many rays.
+    """
+    found: dict[int, dict[Place, list[tuple[int, AnyTarget]]]] = {}
+    rng = np.random.default_rng(0)
+    insides = [side for body in scattering_bodies(table) for side in body.sides] if table.optics.scatters else []
+    for shape in scene.shapes():
+        bsdf = shape.bsdf()
+        if not getattr(bsdf, "is_target", False):
+            continue
+        targets = shape_targets(shape, table)
+        for surface in _named(table, shape.id(), bsdf.surfaces):
+            points, normals = surface_points(table, surface, PROBES, rng)
+            places = found.setdefault(surface, {})
+            for target in targets:
+                reached: list[Place] = [inside for inside in insides if inside.surface == surface]
+                sides = target.sides(points, normals, rng)
+                reached += [(surface, to_back) for to_back, side in zip((False, True), sides, strict=True) if side]
+                for place in reached:
+                    places.setdefault(place, []).append((bsdf.rays, target))
+    return {
+        surface: {place: _aim_set(table.ids[surface], entries) for place, entries in places.items()}
+        for surface, places in found.items()
+    }
+
+
+def _named(table: SurfaceTable, name: str, patterns: tuple[str, ...], one: bool = False) -> list[int]:
+    """Numbers of the surfaces whose ids fit the patterns of a target, or of the one surface that is its entity."""
+    numbers: dict[int, None] = {}
+    for pattern in patterns:
+        fitting = [i for i, surface in enumerate(table.ids) if fits(surface, pattern)]
+        if not fitting:
+            key = "entity" if one else "surfaces"
+            raise MistrayError(f"target '{name}': no surface of the scene is called '{pattern}'; correct {key}")
+        if one and len(fitting) > 1:
+            raise MistrayError(f"target '{name}': entity '{pattern}' fits {len(fitting)} surfaces; name one")
+        numbers.update(dict.fromkeys(fitting))
+    return list(numbers)
+
+
+def _aim_set(surface: str, entries: list[tuple[int, AnyTarget]]) -> AimSet:
+    """Targets of one side with their numbers of rays; the parts of one mesh share its rays by their `share`."""
+    weights = [rays * target.share for rays, target in entries]
+    total = round(sum(weights))
+    if total > RAYS_PER_HIT.high:
+        raise MistrayError(
+            f"surface '{surface}': {total} aimed rays; its targets may have {RAYS_PER_HIT.high:g} together"
+        )
+    return AimSet.of([target for _, target in entries], max(total, 1), weights)
+
+
+def shape_targets(shape: Any, table: SurfaceTable) -> list[AnyTarget]:
+    """
+    The targets of a shape that carries a `target`.
+
+    A rectangle, a disk, an `asphere` (by its rim), a flat `frustum` and a sphere are one target; a mesh is one for each
+    triangle, with shares by area. `scale` is about the centre (of a mesh: the centroid of its area).
+
+    Raises
+    ------
+    MistrayError
+        For another shape, a mesh of too many triangles, a hole in a target without a round rim, an entity that is not
+        there.
+    """
+    name, bsdf = shape.id(), shape.bsdf()
+    if bsdf.about:
+        return [_cone(shape)]
+    if bsdf.entity:
+        (number,) = _named(table, name, (bsdf.entity,), one=True)
+        return [replace(_around(table.shapes[number], bsdf.scale), reverse=bsdf.reverse)]
+    own, kind = _kind(shape)
+    found: list[Target]
+    no_hole = f"target '{name}': hole is {bsdf.hole:g}; only a disk, a ring or a round asphere has one"
+    if kind == "Sphere":
+        if bsdf.hole:
+            raise MistrayError(no_hole)
+        return [replace(_sphere(shape, bsdf.scale, bsdf.half_axes), reverse=bsdf.reverse)]
+    if bsdf.half_axes:
+        raise MistrayError(f"target '{name}' is {own or kind}; half_axes are those of a sphere: use one or leave them")
+    if _is_flat(shape):
+        found = [_scaled(outline(shape), bsdf.scale)]
+    elif shape.is_mesh() and not own:
+        found = _triangles(name, *mesh_arrays(shape), bsdf.scale)
+    else:
+        raise MistrayError(
+            f"target '{name}' is {own or kind}; use a disk, a rectangle, a flat frustum, an asphere, a sphere or a mesh"
+        )
+    if bsdf.hole and found[0].shape != "ellipse":
+        raise MistrayError(no_hole)
+    hole = max(found[0].hole, bsdf.hole)
+    return [replace(target, hole=hole, reverse=bsdf.reverse) for target in found]
+
+
+def _kind(shape: Any) -> tuple[str, str]:
+    """Kind of one of mistray's own shapes or "", and the class of the shape."""
+    return getattr(shape, "kind", ""), str(shape).partition("[")[0].strip()
+
+
+def _is_flat(shape: Any) -> bool:
+    """Whether the outline of a shape is all there is to aim at."""
+    own, kind = _kind(shape)
+    return (own == "frustum" and shape.flat) or own == "asphere" or kind in ("Rectangle", "Disk")
+
+
+def _scaled(target: Target, scale: float) -> Target:
+    return replace(target, u=scale * target.u, v=scale * target.v)
+
+
+def _middle(shape: Any) -> tuple[np.ndarray, np.ndarray]:
+    """Centre and half edges of the bounding box of a shape, mm."""
+    low, high = (np.array(corner, dtype=np.float64) for corner in (shape.bbox().min, shape.bbox().max))
+    return 0.5 * (low + high), 0.5 * (high - low)
+
+
+def _sphere(shape: Any, scale: float, half_axes: tuple[float, ...]) -> Ellipsoid:
+    """A sphere, or an ellipsoid of these half axes (mm) along the axes of the sphere's own frame."""
+    matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
+    centre, half = _middle(shape)
+    frame = matrix[:3, :3].T / np.linalg.norm(matrix[:3, :3], axis=0)[:, None]
+    lengths = np.array(half_axes) if half_axes else half
+    return Ellipsoid(centre, scale * lengths[:, None] * frame)
+
+
+def _around(shape: Any, scale: float) -> AnyTarget:
+    """A surface as a target: its outline if that is all there is to see of it, else the ellipsoid around its box."""
+    if _is_flat(shape):
+        return _scaled(outline(shape), scale)
+    if _kind(shape)[1] == "Sphere":
+        return _sphere(shape, scale, ())
+    centre, half = _middle(shape)
+    half = np.maximum(half, 1e-6 * half.max())
+    return Ellipsoid(centre, scale * np.sqrt(3) * np.diag(half))
+
+
+def _cone(shape: Any) -> Cone:
+    """The cone of a `target` that says about what."""
+    bsdf = shape.bsdf()
+    if bsdf.about == "direction" and not _is_flat(shape):
+        own, kind = _kind(shape)
+        raise MistrayError(
+            f"target '{shape.id()}' is {own or kind}, which has no direction; use a disk, a rectangle, a flat frustum "
+            "or an asphere, whose local z is the direction"
+        )
+    axis = outline(shape).normal if bsdf.about == "direction" else _middle(shape)[0]
+    return Cone(bsdf.about, axis, float(np.radians(bsdf.cone_deg)), reverse=bsdf.reverse)
+
+
+def _triangles(name: str, vertices: np.ndarray, faces: np.ndarray, scale: float) -> list[Target]:
+    corners = vertices.astype(np.float64)[faces]
+    if len(corners) > MOST_TRIANGLES:
+        raise MistrayError(
+            f"target '{name}': a mesh of {len(corners)} triangles; at most {MOST_TRIANGLES} are possible"
+        )
+    u, v = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]
+    area = 0.5 * np.linalg.norm(np.cross(u, v), axis=1)
+    if not np.all(area > 0):
+        raise MistrayError(f"target '{name}': a triangle of its mesh has no area; remove it")
+    middle = np.average(corners.mean(axis=1), axis=0, weights=area)
+    starts = middle + scale * (corners[:, 0] - middle)
+    return [
+        Target("triangle", start, scale * a, scale * b, share=float(part))
+        for start, a, b, part in zip(starts, u, v, area / area.sum(), strict=True)
+    ]

@@ -1,0 +1,222 @@
+"""Arguments of a trace and their defaults, once for the function, the integrator plugin and the command line."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, fields, replace
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.ranges import (
+    AIMED_RAYS,
+    CONSECUTIVE,
+    EVENTS,
+    LIMIT,
+    NOT_NEGATIVE,
+    RAYS,
+    RAYS_PER_HIT,
+    SEED,
+    SEGMENTS,
+    THRESHOLD,
+    check_fields,
+)
+
+BATCHES = 32  # of start rays, each a sample of the whole beam, for standard errors
+NO_LIMIT = int(LIMIT.high)
+OPERATIONS = "TRIMtrA"  # what light may do at a surface, see `Settings.ray_control`
+RAY_CONTROLS = {"allow_all": OPERATIONS, "transmit_specular": "TIMA", "reflect_specular": "RIMA", "halt_all": "A"}
+BRANCHES = {
+    "R": "specular_reflection",
+    "T": "specular_transmission",
+    "r": "scattered_reflection",
+    "t": "scattered_transmission",
+    "A": "absorption",
+}  # letters of the branches that `cut_below` tells apart, in its order; what a medium scatters is transmitted
+LARGEST = 1e30  # threshold: the kernel has float32
+MAX_SEGMENTS = 1 << 19  # a second of a core, also where each segment scatters
+
+
+@dataclass(frozen=True)
+class Settings:
+    """
+    How a scene is traced.
+
+    Attributes
+    ----------
+    rays : int
+        Start rays of all sources together.
+    max_reflections : int
+        Most reflections along a path; total internal ones and those at surfaces declared ``mirror`` are free.
+    max_scatters : int
+        Most scatter events along a path; 0: surfaces only reflect and refract, what scatters is lost.
+    max_optical_scatters : int
+        Most of them at surfaces that transmit.
+    max_random_scatters : int
+        Most of them that are not aimed at a target. From there on hits send aimed rays only, and what they would
+        scatter elsewhere is lost; `Energy.cut` has it under "max_scatters".
+    max_generations : int
+        Most reflections and scatter events together.
+    max_events : int
+        Most surfaces along a path, the detector included; 1 … 1000.
+    max_consecutive : int
+        Most hits of one surface in a row; a ray that would meet it once more ends.
+    max_segments : int
+        Most ray segments of the tree of one start ray, 1 … 2³²-1; what a larger tree still holds is cut, and
+        `Energy.cut` has it, with what `max_events` cuts of such a tree.
+    scatter_rays : int
+        Rays that are scattered at random from the BSDF at every hit.
+    aimed_rays : int
+        Rays that are scattered towards the automatic targets at every hit, for reflection and transmission each.
+    aim : {"auto", "targets", "none"}
+        Aim scattered rays at the targets of the scene and, where a surface has none, at automatic ones; only at targets
+        of the scene; or not at all. The result is the same but for its error.
+    cut_below : tuple of five float
+        Smallest flux of specularly reflected, specularly transmitted, reflected scattered and transmitted scattered
+        branches, and of what a surface absorbs of a ray, relative to the start ray; weaker ones are cut, before and
+        after scatter, and `Energy.cut` has them by kind. Given as such numbers, as a mapping from the letters R, T, r,
+        t and A, or as a text such as "R=1e-6, t=1e-9"; what is not named is 0, which cuts nothing. A scattered branch
+        is one ray, and the more rays are sent the weaker it is: unlike `scatter_threshold` this changes the result.
+        Absorption that is cut is booked at no surface, and a hit of the detector counts nowhere then; what a medium
+        absorbs on the way is always booked.
+    cut_below_W : tuple of five float
+        The same in W, of a trace with the light.
+    scatter_threshold : float
+        Below this share of the flux with which a ray started, at the source or where it was scattered last, its hits
+        scatter with a probability in proportion to the flux, and after a scatter event its weak branches are followed
+        with one; the rays that are left carry more. It does not change the result but for its error; 0 follows all.
+    splitting : {"split", "one"}
+        Follow both children at an interface, or one of them at random (one in, one out).
+    below_threshold : {"cut", "roulette"}
+        Below the threshold end the branch and book its flux, or play Russian roulette, which is unbiased.
+    seed : int
+        Of the random numbers, 0 … 2³²-1.
+    ray_control : str
+        What light may do at a surface: letters of T (be transmitted), R (be reflected), I (total internal reflection),
+        M (reflection by a surface declared ``mirror``), t and r (be scattered in transmission, also by a medium, and in
+        reflection) and A (be absorbed there); light that may not is cut. Or a name: "allow_all" is "TRIMtrA",
+        "transmit_specular" "TIMA", "reflect_specular" "RIMA" and "halt_all" "A", so that a ray ends at the first
+        surface.
+    polarization : {"unpolarized", "stokes"}
+        Average R and T over both polarisations at every hit, or carry the Stokes vector of every branch along.
+    """
+
+    rays: int = RAYS.field(1_000_000)
+    max_reflections: int = LIMIT.field(2)
+    max_scatters: int = LIMIT.field(1)
+    max_optical_scatters: int = LIMIT.field(NO_LIMIT)
+    max_random_scatters: int = LIMIT.field(NO_LIMIT)
+    max_generations: int = LIMIT.field(NO_LIMIT)
+    max_events: int = EVENTS.field(64)
+    max_consecutive: int = CONSECUTIVE.field(NO_LIMIT)
+    max_segments: int = SEGMENTS.field(MAX_SEGMENTS)
+    scatter_rays: int = RAYS_PER_HIT.field(1)
+    aimed_rays: int = AIMED_RAYS.field(1)
+    aim: str = "auto"
+    flux_threshold: float = THRESHOLD.field(1e-8)
+    cut_below: Any = (0.0,) * len(BRANCHES)
+    cut_below_W: Any = (0.0,) * len(BRANCHES)
+    scatter_threshold: float = THRESHOLD.field(0.1)
+    splitting: str = "split"
+    below_threshold: str = "cut"
+    seed: int = SEED.field(0)
+    ray_control: str = "allow_all"
+    polarization: str = "unpolarized"
+
+    def __post_init__(self) -> None:
+        def fail(key: str, what: str) -> None:
+            raise MistrayError(f"{key} is {getattr(self, key)!r}; {what}")
+
+        check_fields(self)
+        for key in ("cut_below", "cut_below_W"):
+            object.__setattr__(self, key, _by_branch(key, getattr(self, key)))
+        if self.aim not in ("auto", "targets", "none"):
+            fail("aim", "use 'auto', 'targets' or 'none'")
+        if self.splitting not in ("split", "one"):
+            fail("splitting", "use 'split' or 'one'")
+        if self.below_threshold not in ("cut", "roulette"):
+            fail("below_threshold", "use 'cut' or 'roulette'")
+        object.__setattr__(self, "ray_control", _control(self.ray_control))
+        if self.polarization not in ("unpolarized", "stokes"):
+            fail("polarization", "use 'unpolarized' or 'stokes'")
+
+    @classmethod
+    def of(cls, scene: Any, **given: Any) -> Settings:
+        """Settings of a scene's ``straylight`` integrator, or the defaults; what is given and not None comes first."""
+        own = getattr(scene.integrator(), "settings", None) or cls()
+        unknown = set(given) - {f.name for f in fields(cls)}
+        if unknown:
+            raise MistrayError(f"unknown argument {', '.join(sorted(unknown))} of a trace")
+        values = {f.name: getattr(own, f.name) for f in fields(cls)}
+        return cls(**(values | {key: value for key, value in given.items() if value is not None}))
+
+    def with_unit(self, unit_W: float) -> Settings:
+        """The same for start rays of this flux, W, with `cut_below_W` in `cut_below`."""
+        if not any(self.cut_below_W):
+            return self
+        relative = (max(a, float(b) / float(unit_W)) for a, b in zip(self.cut_below, self.cut_below_W, strict=True))
+        return replace(
+            self, cut_below=tuple(min(value, LARGEST) for value in relative), cut_below_W=(0.0,) * len(BRANCHES)
+        )
+
+    @property
+    def scatter_limits(self) -> tuple[int, int, int]:
+        """Most scatter events along a path: in all, at random, at surfaces that transmit."""
+        return self.max_scatters, self.max_random_scatters, self.max_optical_scatters
+
+    @property
+    def allowed(self) -> str:
+        """The letters of `ray_control`."""
+        return RAY_CONTROLS.get(self.ray_control, self.ray_control)
+
+    @property
+    def limits_consecutive(self) -> bool:
+        """Whether `max_consecutive` can end a ray before `max_events` does."""
+        return self.max_consecutive < self.max_events
+
+    @property
+    def tree_limits(self) -> tuple[int, int, int]:
+        """`max_reflections`, `scatter_rays` and `max_segments`."""
+        return self.max_reflections, self.scatter_rays, self.max_segments
+
+    @property
+    def stokes(self) -> bool:
+        """Whether branches carry their polarisation."""
+        return self.polarization == "stokes"
+
+
+def _control(given: Any) -> str:
+    """Name of a ray control, or its letters in the order of `OPERATIONS`."""
+    if given in RAY_CONTROLS:
+        return str(given)
+    letters = given.replace(",", "").replace(" ", "") if isinstance(given, str) else ""
+    if not letters or set(letters) - set(OPERATIONS):
+        names = ", ".join(map(repr, RAY_CONTROLS))
+        raise MistrayError(
+            f"ray_control is {given!r}; use {names}, or letters of {', '.join(OPERATIONS)} such as 'TIA'"
+        )
+    ordered = "".join(letter for letter in OPERATIONS if letter in letters)
+    return next((name for name, allowed in RAY_CONTROLS.items() if allowed == ordered), ordered)
+
+
+def _by_branch(key: str, given: Any) -> tuple[float, ...]:
+    """Numbers by branch, see `Settings.cut_below`, from any of their forms."""
+    letters = ", ".join(BRANCHES)
+    if isinstance(given, str):
+        parts = [part.partition("=") for part in given.replace(",", " ").split()]
+        given = {letter: value for letter, _, value in parts}
+        if len(given) < len(parts):
+            raise MistrayError(f"{key} names a branch twice; give each of {letters} once")
+    if isinstance(given, Mapping):
+        unknown = [str(letter) for letter in given if letter not in BRANCHES]
+        if unknown:
+            raise MistrayError(f"{key} has '{unknown[0]}'; its branches are {letters}, as in 'R=1e-6, t=1e-9'")
+        given = [given.get(letter, 0.0) for letter in BRANCHES]
+    try:
+        found = tuple(float(value) for value in given)
+    except (TypeError, ValueError):
+        raise MistrayError(f"{key} is {given!r}; give a number for {letters}, as in 'R=1e-6, t=1e-9'") from None
+    if len(found) != len(BRANCHES):
+        raise MistrayError(f"{key} has {len(found)} numbers; give one for each of {letters}")
+    for letter, value in zip(BRANCHES, found, strict=True):
+        NOT_NEGATIVE.check(f"{key} of {letter}", value)
+    return found

@@ -1,0 +1,259 @@
+"""First crossing of rays with even aspheres.
+
+A ray usually runs through the bounds of many aspheres and meets one. So the kernel only computes where it enters the
+bounds of each, and then searches them in the order of entry, every lane its own, until a crossing is nearer than the
+next entry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.physics.sag import sag, sag_derivative
+from mistray.surfaces.extrema import larger, smaller
+from mistray.surfaces.pieces import SELF_HIT, Piece
+from mistray.surfaces.surfaces import SurfaceTable
+
+AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
+INTERVALS = 12  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
+ITERATIONS = 24
+# Newton steps end when one is this small, in units of the aperture; a last one then squares the error
+CONVERGED = 1e-3
+
+
+def stretch(
+    ox: mi.Float,
+    oy: mi.Float,
+    oz: mi.Float,
+    dz: mi.Float,
+    dd: mi.Float,
+    od: mi.Float,
+    oo: mi.Float,
+    inv_dz: mi.Float,
+    outer2: mi.Float,
+    z_low: mi.Float,
+    z_high: mi.Float,
+) -> tuple[mi.Float, mi.Float]:
+    """Part of a ray within a cylinder and a slab, empty if its end is not beyond its start."""
+    discriminant = dr.fma(od, od, -dd * (oo - outer2))
+    root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(dd)
+    axial = dd < AXIAL  # such a ray never leaves the cylinder
+    z0, z1 = (z_low - oz) * inv_dz, (z_high - oz) * inv_dz
+    start = larger(larger(dr.select(axial, 0, (-od - root) * inv), smaller(z0, z1)), 0)
+    end = smaller(dr.select(axial, dr.inf, (-od + root) * inv), larger(z0, z1))
+    inside = dr.select(axial, oo <= outer2, discriminant >= 0)
+    return start, dr.select(inside, end, -1)
+
+
+class AsphereSearch:
+    """
+    Aspheres of a `SurfaceTable`.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    pieces : sequence of Piece
+    """
+
+    def __init__(self, table: SurfaceTable, pieces: Sequence[Piece]) -> None:
+        self.table, self.pieces = table, pieces
+        self.rectangular = [piece for piece in self.pieces if not piece.outer]
+        self.clipped = bool(self.rectangular) or any(piece.inner > 0 for piece in self.pieces)
+        self.count = max((len(piece.coefficients) for piece in self.pieces), default=0)
+
+    def nearest(
+        self,
+        o: mi.Vector3f,
+        d: mi.Vector3f,
+        last: mi.UInt32,
+        entries: list[mi.Float],
+        best: mi.Float,
+        surface: mi.UInt32,
+        active: mi.Bool,
+    ) -> tuple[mi.Float, mi.UInt32]:
+        """
+        Improve the nearest hit by the aspheres.
+
+        Parameters
+        ----------
+        o, d : mi.Vector3f
+            Ray, mm and unit direction.
+        last : mi.UInt32
+            Surface the ray starts on.
+        entries : list of mi.Float
+            Distance at which the ray enters the bounds of each asphere; infinite if it need not be looked at.
+        best, surface : mi.Float, mi.UInt32
+            Nearest hit so far.
+        """
+
+        def choose(best: mi.Float, searched: mi.UInt32) -> tuple[mi.UInt32, mi.UInt32, mi.Bool]:
+            """Asphere with the nearest entry that has not been searched and begins before the best hit."""
+            nearest, number, bit = mi.Float(best), mi.UInt32(0), mi.UInt32(0)
+            for k, (piece, entry) in enumerate(zip(self.pieces, entries, strict=True)):
+                take = (entry < nearest) & ((searched & (1 << k)) == 0)
+                nearest = dr.select(take, entry, nearest)
+                number, bit = dr.select(take, mi.UInt32(piece.index), number), dr.select(take, mi.UInt32(1 << k), bit)
+            return number, bit, bit != 0
+
+        def step(best, surface, searched, number, bit, going):  # type: ignore[no-untyped-def]
+            t = self.first(o, d, number, last == number, best, going)
+            nearer = going & (t < best)
+            best, surface = dr.select(nearer, t, best), dr.select(nearer, number, surface)
+            searched |= bit
+            number, bit, more = choose(best, searched)
+            return best, surface, searched, number, bit, going & more
+
+        number, bit, some = choose(best, mi.UInt32(0))
+        best, surface, *_ = dr.while_loop(
+            (mi.Float(best), mi.UInt32(surface), mi.UInt32(0), number, bit, active & some),
+            lambda *v: v[5],
+            step,
+            labels=("best", "surface", "searched", "number", "bit", "going"),
+            mode="symbolic",
+            label="aspheres",
+        )
+        return best, surface
+
+    def first(
+        self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
+    ) -> mi.Float:
+        """Distance to the first crossing within the aperture and nearer than `best`, infinite if there is none.
+
+        A ray may pass the full surface outside of a rectangular aperture, or in a central hole, and meet it later.
+        """
+        if not self.clipped:
+            return self._crossing(o, d, number, own, best, active)[0]
+
+        def step(t, passed, own, going):  # type: ignore[no-untyped-def]
+            further, skipped = self._crossing(dr.fma(passed, d, o), d, number, own, best - passed, going)
+            t = dr.select(going, passed + further, t)
+            going = going & dr.isfinite(skipped)
+            return t, dr.select(going, passed + skipped, passed), own | going, going
+
+        t, *_ = dr.while_loop(
+            (dr.full(mi.Float, dr.inf, dr.width(best)), mi.Float(0), mi.Bool(own), mi.Bool(active)),
+            lambda *v: v[3],
+            step,
+            labels=("t", "passed", "own", "going"),
+            mode="symbolic",
+            label="aperture",
+        )
+        return t
+
+    def _crossing(
+        self, o: mi.Vector3f, d: mi.Vector3f, number: mi.UInt32, own: mi.Bool, best: mi.Float, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Float]:
+        """
+        Distance to the first crossing nearer than `best`: bracket, then safeguarded Newton.
+
+        Returned twice: if it lies within the aperture, and if it does not; infinite otherwise.
+
+        Along the ray, f(t) = z - sag(r) is monotonic where the ray is steeper than the surface anywhere,
+        |dz| > slope · sqrt(dx² + dy²): then the stretch holds one crossing at most. Otherwise it is walked in
+        intervals until f changes sign, or until f turns back in an interval and its extremum lies beyond zero.
+        """
+        table = self.table
+        vertex = dr.gather(mi.Vector4f, table.vertex, number, active)
+        frame = table.frame(number, active)
+        o, d = frame.inward(o - vertex.xyz), frame.inward(d)
+        numbers = table.asphere_row(number, active)
+        shape = numbers[0], numbers[1], numbers[2 : 2 + self.count], numbers[11]
+        z_low, z_high, outer, slope = numbers[12:]
+        size = outer
+        if self.clipped:
+            clip = dr.gather(mi.Vector2f, table.clip, number, active)
+        if self.rectangular:
+            rectangle = outer < 0
+            size = dr.select(rectangle, dr.norm(clip), outer)
+        outer2 = size * size
+
+        dd, od, oo = dr.fma(d.x, d.x, d.y * d.y), dr.fma(o.x, d.x, o.y * d.y), dr.fma(o.x, o.x, o.y * o.y)
+        start, end = stretch(o.x, o.y, o.z, d.z, dd, od, oo, dr.rcp(d.z), outer2, z_low, z_high)
+        end = dr.minimum(end, best)
+        active &= end > start
+        length = dr.select(active, end - start, 0)
+        o = dr.fma(start, d, o)
+
+        def f(s: mi.Float) -> tuple[mi.Float, mi.Float]:
+            """Height over the surface at a distance s from the start of the stretch, and its derivative."""
+            x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
+            r2 = dr.minimum(dr.fma(x, x, y * y), outer2)
+            height = dr.fma(s, d.z, o.z) - sag(r2, *shape)
+            return height, d.z - 2 * sag_derivative(r2, *shape) * dr.fma(x, d.x, y * d.y)
+
+        monotonic = dr.square(d.z) > dr.square(slope) * dd
+        stride = length / INTERVALS
+        f0, g0 = f(mi.Float(0))
+        f0 = dr.select(own, dr.mulsign(mi.Float(1e-30), g0), f0)  # on the surface: the sign is the one it leaves with
+
+        def sign(v: mi.Float) -> mi.Float:
+            return dr.mulsign(mi.Float(1), v)
+
+        def walk(s, fs, gs, lo, hi, flo, fhi, found, going):  # type: ignore[no-untyped-def]
+            t = dr.minimum(s + stride, length)
+            ft, gt = f(t)
+            crossed = sign(ft) != sign(fs)
+            # f turns round inside of the interval: does its extremum reach beyond zero?
+            dips = ~crossed & (gs * fs < 0) & (gt * ft > 0)
+            turn = dr.clip(s + (t - s) * gs / dr.select(dips, gs - gt, 1), s, t)
+            fm, _ = f(turn)
+            dips &= sign(fm) != sign(ft)
+            now = going & (crossed | dips)
+            lo, flo = dr.select(now, s, lo), dr.select(now, fs, flo)
+            hi, fhi = dr.select(now, dr.select(crossed, t, turn), hi), dr.select(now, dr.select(crossed, ft, fm), fhi)
+            return t, ft, gt, lo, hi, flo, fhi, found | now, going & ~now & (t < length)
+
+        # A monotonic f rises or falls as z does: it comes to zero, or grows away from it
+        ahead = sign(f0) != sign(d.z)
+        zero = mi.Float(0)
+        _, _, _, lo, hi, flo, fhi, found, _ = dr.while_loop(
+            (zero, f0, g0, zero, length, zero, zero, active & monotonic & ahead, active & ~monotonic),
+            lambda *v: v[8],
+            walk,
+            labels=("s", "fs", "gs", "lo", "hi", "flo", "fhi", "found", "going"),
+            mode="symbolic",
+            label="bracket",
+        )
+        side = sign(dr.select(monotonic, f0, flo))
+
+        def newton(i, s, lo, hi, ends, found, going):  # type: ignore[no-untyped-def]
+            fs, gs = f(s)
+            before = sign(fs) == side
+            lo, hi = dr.select(before, s, lo), dr.select(before, hi, s)
+            # The end of a monotonic stretch is a bracket only if f has another sign there
+            ends &= before
+            missed = ends & (s >= length)
+            trial = s - fs / gs
+            inside = (trial >= lo) & (trial <= hi)
+            new = dr.select(inside, trial, dr.select(ends & (trial > hi), length, 0.5 * (lo + hi)))
+            going = going & ~missed & (dr.abs(new - s) > CONVERGED * size) & (i < ITERATIONS)
+            return i + 1, dr.select(missed, s, new), lo, hi, ends, found & ~missed, going
+
+        chord = dr.clip(lo + (hi - lo) * flo / dr.select(flo == fhi, 1, flo - fhi), lo, hi)
+        guess = dr.select(monotonic, dr.clip(-f0 / g0, 0, length), dr.select(own & (lo == 0), 0.5 * (lo + hi), chord))
+        _, s, _, _, _, found, _ = dr.while_loop(
+            (mi.UInt32(0), guess, lo, hi, mi.Bool(monotonic), mi.Bool(found), mi.Bool(found)),
+            lambda *v: v[6],
+            newton,
+            labels=("i", "s", "lo", "hi", "ends", "found", "going"),
+            mode="symbolic",
+            label="newton",
+        )
+        last_f, last_g = f(s)
+        last_step = last_f / last_g
+        found &= dr.abs(last_step) < CONVERGED * size  # not where the steps ended at the rim, short of a crossing
+        s -= last_step
+        x, y = dr.fma(s, d.x, o.x), dr.fma(s, d.y, o.y)
+        r2 = dr.fma(x, x, y * y)
+        inside = r2 <= outer2
+        if self.clipped:
+            inside &= r2 >= clip.x
+        if self.rectangular:
+            within = (dr.abs(x) <= clip.x) & (dr.abs(y) <= clip.y)
+            inside = dr.select(rectangle, within, inside)
+        t = start + s
+        found &= t > dr.select(own, SELF_HIT * size, 0)
+        return dr.select(found & inside, t, dr.inf), dr.select(found & ~inside, t, dr.inf)

@@ -1,0 +1,65 @@
+"""How thick the bodies behind the surfaces of a scene are, measured on the host."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import TYPE_CHECKING
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.surfaces.host_rays import first_hit, inside, normals
+from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.surfaces.surfaces import SurfaceTable
+
+PROFILE, AZIMUTHS, ACROSS = 17, 4, 6  # points of a surface at which its bodies are measured
+
+
+class Bodies:
+    """
+    Thicknesses on either side of the surfaces of a scene.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+        Its geometry; the optical properties are not asked for.
+    """
+
+    def __init__(self, table: SurfaceTable) -> None:
+        self._table = table
+        self._thickness: dict[int, np.ndarray] = {}
+
+    @cached_property
+    def size(self) -> float:
+        """Diagonal of the scene, mm: no body in it is thicker."""
+        boxes = [shape.bbox() for shape in self._table.shapes]
+        low = np.min([np.array(box.min, dtype=np.float64).ravel() for box in boxes], axis=0)
+        high = np.max([np.array(box.max, dtype=np.float64).ravel() for box in boxes], axis=0)
+        return float(np.linalg.norm(high - low))
+
+    def thickness(self, surface: int) -> np.ndarray:
+        """(2,) float64: the least distance along the normal to the next surface, in front and behind, mm; or inf."""
+        if surface not in self._thickness:
+            points, normal = self._points(surface)
+            result = np.full(2, np.inf)
+            for side, d in enumerate((-normal, normal)):
+                hit, end, _ = first_hit(self._table, points, d, np.full(len(points), surface))
+                result[side] = np.linalg.norm(end - points, axis=1)[hit >= 0].min(initial=np.inf)
+            self._thickness[surface] = result
+        return self._thickness[surface]
+
+    def _points(self, surface: int) -> tuple[np.ndarray, np.ndarray]:
+        """Points (n, 3) of a surface off its rims, and its unit normals there, from front to back."""
+        table, shape = self._table, self._table.shapes[surface]
+        if surface >= len(table.pieces):
+            u = (np.stack(np.meshgrid(*2 * [np.arange(ACROSS)]), axis=-1).reshape(-1, 2) + 0.5) / ACROSS
+            found = shape.sample_position(0.0, mi.Point2f(*(upload(mi.Float, column) for column in u.T)))
+            return tuple(np.array(v, dtype=np.float64).T for v in (found.p, found.n))  # type: ignore[return-value]
+        r, z = shape.profile(PROFILE)[1::2].T
+        phi = 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
+        local = np.stack([np.outer(np.sin(phi), r), np.outer(np.cos(phi), r), np.tile(z, (AZIMUTHS, 1))], axis=-1)
+        points = local.reshape(-1, 3) @ shape.matrix[:3, :3].T + shape.matrix[:3, 3]
+        points = points[inside(table, surface, points)]
+        return points, normals(table, surface, points)

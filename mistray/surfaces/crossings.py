@@ -1,0 +1,250 @@
+"""Crossings of a ray with one analytic surface within its bounds, in float32 in the kernel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.physics.sag import in_proportion, sag, sag_derivative
+from mistray.surfaces.aspheres import stretch
+from mistray.surfaces.extrema import larger, smaller
+from mistray.surfaces.pieces import MILD_MARGIN, SELF_HIT, Piece
+
+ONE_STEP = 1e-6  # error after one Newton step that is small enough, in units of the aperture
+FAR = 1e30  # stands for infinity where it may be multiplied by zero
+
+
+# Numbers of a surface in a row, four of which are read at a time, and the fours that a kind of surface needs
+ROW = (
+    *("z", "self_hit", "curvature", "one_plus_conic"),
+    *("r0", "slope", "z_low", "z_high"),
+    *("outer2", "inner2", "half_width", "half_height"),
+)
+FOURS = {"plane": (0, 2), "conic": (0, 2), "cone": (0, 1)}
+
+
+@dataclass
+class Numbers:
+    """A `Piece` as Dr.Jit numbers."""
+
+    z: mi.Float
+    curvature: mi.Float
+    one_plus_conic: mi.Float
+    r0: mi.Float
+    slope: mi.Float
+    outer2: mi.Float
+    inner2: mi.Float
+    half_width: mi.Float
+    half_height: mi.Float
+    z_low: mi.Float
+    z_high: mi.Float
+    self_hit: mi.Float
+    wide2: mi.Float
+    departure: mi.Float
+    shape: tuple[Any, ...]
+
+    @classmethod
+    def of(cls, p: Piece) -> Numbers:
+        """Opaque copies of the numbers of a piece."""
+
+        def opaque(value: float) -> mi.Float:
+            return dr.opaque(mi.Float, value)
+
+        a, b = p.quadric[:2]
+        coefficients, per_area = in_proportion(p.coefficients, p.size)
+        conic_constant = opaque(b / a - 1 if p.kind in ("conic", "asphere") and a else 0.0)
+        return cls(
+            **{name: opaque(value) for name, value in _values(p).items()},
+            shape=(opaque(a), conic_constant, [opaque(value) for value in coefficients], opaque(per_area)),
+        )
+
+    @staticmethod
+    def row(p: Piece, overlap: float) -> list[float]:
+        """The numbers that `read` reads, of a piece that is larger by the `overlap` (mm) on each side."""
+        values = _values(p)
+        ends = {"z_low": -overlap, "z_high": overlap, "half_width": overlap, "half_height": overlap}
+        radii = {"outer2": (p.size + overlap) ** 2, "inner2": max(p.inner - overlap, 0.0) ** 2}
+        values |= {name: values[name] + more for name, more in ends.items()} | radii
+        return [values[name] for name in ROW]
+
+    @classmethod
+    def read(cls, rows: mi.Float, kind: str, place: mi.UInt32) -> Numbers:
+        """What surfaces of a kind that is no asphere need, out of the rows of several."""
+        values = dict.fromkeys((field.name for field in fields(cls)), mi.Float(0))
+        for four in FOURS[kind]:
+            found = dr.gather(mi.Vector4f, rows, len(ROW) // 4 * place + four)
+            values |= dict(zip(ROW[4 * four : 4 * four + 4], found, strict=True))
+        return cls(**values)
+
+
+def _values(p: Piece) -> dict[str, float]:
+    a, b = p.quadric[:2]
+    return {
+        "z": p.z,
+        "curvature": a,
+        "one_plus_conic": b / a if p.kind in ("conic", "asphere") and a else 1.0,
+        "r0": p.r0,
+        "slope": p.slope,
+        "outer2": p.size**2,
+        "inner2": p.inner**2,
+        "half_width": p.half_size[0],
+        "half_height": p.half_size[1],
+        "z_low": p.z_range[0],
+        "z_high": p.z_range[1],
+        "self_hit": SELF_HIT * p.size,
+        "wide2": (MILD_MARGIN * p.size) ** 2,
+        "departure": p.departure,
+    }
+
+
+@dataclass
+class AxisRay:
+    """A ray in the frame of an axis, with the products that all surfaces on that axis share."""
+
+    ox: mi.Float
+    oy: mi.Float
+    oz: mi.Float
+    dx: mi.Float
+    dy: mi.Float
+    dz: mi.Float
+    dd: mi.Float  # dx² + dy²
+    od: mi.Float  # ox dx + oy dy
+    oo: mi.Float  # ox² + oy²
+    inv_dz: mi.Float
+
+    @classmethod
+    def of(cls, ox: mi.Float, oy: mi.Float, oz: mi.Float, d: mi.Vector3f) -> AxisRay:
+        """A ray by its origin (mm) and its direction."""
+        return cls(
+            ox,
+            oy,
+            oz,
+            d.x,
+            d.y,
+            d.z,
+            dr.fma(d.x, d.x, d.y * d.y),
+            dr.fma(ox, d.x, oy * d.y),
+            dr.fma(ox, ox, oy * oy),
+            dr.rcp(d.z),
+        )
+
+    def widest2(self, t: mi.Float) -> mi.Float:
+        """Square of the greatest distance from the axis up to t: at one of the ends."""
+        t = smaller(t, FAR)
+        return larger(self.oo, dr.fma(t, dr.fma(t, self.dd, 2 * self.od), self.oo))
+
+    def lateral(self, t: mi.Float) -> tuple[mi.Float, mi.Float]:
+        """Place beside the axis at the distance t, mm."""
+        return dr.fma(t, self.dx, self.ox), dr.fma(t, self.dy, self.oy)
+
+
+def _inside(ray: AxisRay, t: mi.Float, p: Piece, n: Numbers) -> mi.Bool:
+    """Whether the point at t is within the aperture."""
+    x, y = ray.lateral(t)
+    if not p.outer:
+        return (dr.abs(x) <= n.half_width) & (dr.abs(y) <= n.half_height)
+    r2 = dr.fma(x, x, y * y)
+    ok = r2 <= n.outer2
+    return ok & (r2 >= n.inner2) if p.inner > 0 else ok
+
+
+def _plane(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
+    t = (n.z - ray.oz) * ray.inv_dz
+    ok = (t > 0) & ~own & _inside(ray, t, p, n)
+    return dr.select(ok, t, dr.inf)
+
+
+def _two_roots(a: mi.Float, b: mi.Float, c: mi.Float, own: mi.Bool) -> tuple[mi.Float, mi.Float, mi.Bool]:
+    """Roots of a t² + 2 b t + c = 0 without cancellation; on the surface itself c is 0 exactly, and so is one root."""
+    c = dr.select(own, 0, c)
+    discriminant = dr.fma(b, b, -a * c)
+    q = -(b + dr.mulsign(dr.sqrt(larger(discriminant, 0)), b))
+    return q / a, c / q, discriminant >= 0
+
+
+def _first(ta: mi.Float, tb: mi.Float, ok_a: mi.Bool, ok_b: mi.Bool) -> mi.Float:
+    return smaller(dr.select(ok_a, ta, dr.inf), dr.select(ok_b, tb, dr.inf))
+
+
+def _conic(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
+    oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
+    a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
+    b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
+    g = dr.fma(c, dr.fma(k1 * oz, oz, ray.oo), -2 * oz)
+    ta, tb, real = _two_roots(a, b, g, own)
+    nearest = dr.select(own, n.self_hit, 0)
+
+    def ok(t: mi.Float) -> mi.Bool:
+        z = dr.fma(t, ray.dz, oz)
+        sheet = c * k1 * z < 1  # the half of the conic that holds the vertex
+        return real & (t > nearest) & sheet & _inside(ray, t, p, n)
+
+    return _first(ta, tb, ok(ta), ok(tb))
+
+
+def mild_asphere(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Bool]:
+    """
+    Hit of an asphere that is close to its conic: one or two Newton steps from the conic's hit.
+
+    Also tells the rays for which that is not safe, because they meet the conic twice within the aperture, nearly touch
+    it, could come back to the surface they leave, or because the steps do not settle; they need the full search.
+    """
+    oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
+    a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
+    b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
+    g = dr.fma(c, dr.fma(k1 * oz, oz, ray.oo), -2 * oz)
+    ta, tb, real = _two_roots(a, b, g, own)
+    # The conic is hit where the asphere is, but for the departure along the ray
+    early = dr.select(own, n.self_hit, -4 * n.departure)
+
+    def near(t: mi.Float) -> mi.Bool:
+        x, y = ray.lateral(t)
+        sheet = c * k1 * dr.fma(t, ray.dz, oz) < 1
+        return real & (t > early) & sheet & (dr.fma(x, x, y * y) <= n.wide2)
+
+    near_a, near_b = near(ta), near(tb)
+    found = near_a | near_b
+    touching = dr.abs(dr.fma(b, b, -a * g)) < 4 * n.departure * dr.abs(a)
+    unsure = (near_a & near_b) | (own & found) | (touching & ~own)
+    t = dr.select(near_a, ta, tb)
+    # A step squares the error; the interaction at the hit adds one more
+    for _ in range(1 if p.departure**2 * abs(p.quadric[0]) < ONE_STEP * p.outer else 2):
+        x, y = ray.lateral(t)
+        r2 = smaller(dr.fma(x, x, y * y), n.wide2)
+        height = dr.fma(t, ray.dz, oz) - sag(r2, *n.shape)
+        slope = ray.dz - 2 * sag_derivative(r2, *n.shape) * dr.fma(x, ray.dx, y * ray.dy)
+        step = height / slope
+        t -= step
+    unsure |= found & ~(dr.abs(step) * dr.abs(slope) < 4 * n.departure)
+    ok = found & ~unsure & (t > 0) & _inside(ray, t, p, n)
+    return dr.select(ok, t, dr.inf), unsure
+
+
+def _cone(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
+    oz = ray.oz - n.z
+    r = dr.fma(n.slope, oz, n.r0)
+    a = dr.fma(-n.slope * ray.dz, n.slope * ray.dz, ray.dd)
+    b = dr.fma(-n.slope * r, ray.dz, ray.od)
+    ta, tb, real = _two_roots(a, b, dr.fma(-r, r, ray.oo), own)
+    nearest = dr.select(own, n.self_hit, 0)
+
+    def ok(t: mi.Float) -> mi.Bool:
+        z = dr.fma(t, ray.dz, oz)
+        return real & (t > nearest) & (z >= n.z_low) & (z <= n.z_high)
+
+    return _first(ta, tb, ok(ta), ok(tb))
+
+
+def asphere_entry(ray: AxisRay, n: Numbers, own: mi.Bool) -> mi.Float:
+    """Distance at which a ray enters the cylinder and the slab that hold an asphere; infinite if it misses them."""
+    oz = ray.oz - n.z
+    start, end = stretch(ray.ox, ray.oy, oz, ray.dz, ray.dd, ray.od, ray.oo, ray.inv_dz, n.outer2, n.z_low, n.z_high)
+    # A ray steeper than the surface is anywhere cannot come back to it
+    leaves = own & (dr.square(ray.dz) > dr.square(n.slope) * ray.dd)
+    return dr.select((end > start) & ~leaves, start, dr.inf)
+
+
+CROSSINGS = {"plane": _plane, "conic": _conic, "cone": _cone}

@@ -1,0 +1,261 @@
+"""Exact nearest hit of rays with the analytic surfaces of a scene, in the caller's kernel.
+
+Surfaces are unrolled; where they are many, they lie in a tree (see `mistray.surfaces.shell_tree`). Every number of an
+unrolled one is an opaque scalar, so that the code is the same for all scenes of equal structure (no recompilation when
+a parameter changes) and its loads broadcast over the lanes.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from functools import partial
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+
+from mistray.surfaces.aspheres import AsphereSearch
+from mistray.surfaces.crossings import CROSSINGS, FAR, AxisRay, Numbers, asphere_entry, mild_asphere
+from mistray.surfaces.extrema import smaller
+from mistray.surfaces.pieces import NO_SURFACE, Piece
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.tree_search import TreeSearch
+
+GROUP = 8  # walls that are looked at together
+SLACK = 1e-5  # of the sizes of a group of walls, for rounding
+
+
+class Intersector:
+    """Nearest hit with the analytic pieces of a `SurfaceTable`."""
+
+    def __init__(self, table: SurfaceTable) -> None:
+        self.pieces = table.pieces
+        looped = set(table.tree.members) if table.tree else set()
+        unrolled = [k for k in range(len(self.pieces)) if k not in looped]
+        self.numbers = {k: Numbers.of(self.pieces[k]) for k in unrolled}
+        walls = [k for k in unrolled if self.pieces[k].wall]
+        if len(walls) <= GROUP:
+            walls = []
+        aspheres = [k for k in unrolled if self.pieces[k].kind == "asphere"]
+        self.aspheres = AsphereSearch(table, [self.pieces[k] for k in aspheres])
+        self.tree = TreeSearch(table) if table.tree else None
+        self.singles = sorted(set(unrolled).difference(walls, aspheres))
+        self.groups = _groups(self.pieces, walls)
+        self.stacks = _stacks(self.pieces, self.singles)
+        self.main_axes = {self.pieces[k].axis for k in walls + aspheres}
+        self.main_axes |= {group.axis for stack in self.stacks for group in stack.groups if len(group.members) == 1}
+        self.bounds = {k: _Group.of(self.pieces, [k]) for k in aspheres}
+        self.along_axis = sorted(aspheres, key=lambda k: self.pieces[k].z)
+        frames, axes = (sorted({getattr(self.pieces[k], name) for k in unrolled}) for name in ("frame", "axis"))
+        self.frames = {k: [dr.opaque(mi.Float, float(x)) for x in table.frames[k].ravel()] for k in frames}
+        self.axes = {k: tuple(dr.opaque(mi.Float, v) for v in table.axes[k][1:]) for k in axes}
+        self.centred = {k for k in axes if table.axes[k][1:] == (0, 0)}
+
+    def nearest(self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, active: mi.Bool) -> tuple[mi.Float, mi.UInt32]:
+        """
+        First crossing of rays with a surface.
+
+        Parameters
+        ----------
+        o, d : mi.Vector3f
+            Origin (mm) and unit direction.
+        last : mi.UInt32
+            Number of the surface the origin lies on; it is hit again only where its shape allows it.
+
+        Returns
+        -------
+        t : mi.Float
+            Distance, mm; infinite if nothing is hit.
+        surface : mi.UInt32
+            Number of the surface, `NO_SURFACE` if none.
+        """
+        best, surface = mi.Float(dr.inf), mi.UInt32(NO_SURFACE)
+        frames: dict[int, tuple[Any, Any]] = {}
+        rays: dict[int, AxisRay] = {}
+        for k in self.numbers:
+            p = self.pieces[k]
+            if p.frame not in frames:
+                frames[p.frame] = self._rotate(o, p.frame), self._rotate(d, p.frame)
+            if p.axis not in rays and p.axis in self.main_axes:
+                rays[p.axis] = self._axis_ray(*frames[p.frame], p.axis)
+
+        def test(members: Sequence[int], best: mi.Float, surface: mi.UInt32) -> tuple[mi.Float, mi.UInt32]:
+            here: dict[int, AxisRay] = {}
+            for k in members:
+                p = self.pieces[k]
+                ray = rays.get(p.axis) or here.get(p.axis)
+                if ray is None:  # made where it is needed, see `_stacks`
+                    ray = here[p.axis] = self._axis_ray(*frames[p.frame], p.axis)
+                t = CROSSINGS[p.kind](ray, p, self.numbers[k], last == p.index)
+                nearer = t < best
+                best, surface = dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
+            return best, surface
+
+        def follow(
+            stack: _Stack, backward: bool, here: mi.Bool, best: mi.Float, surface: mi.UInt32
+        ) -> tuple[mi.Float, mi.UInt32]:
+            """Test the pieces of a stack one after the other, as long as they may be nearer than the nearest hit."""
+            o, d = frames[stack.frame]
+            far = _z_at(o, d, best)
+            for group in reversed(stack.groups) if backward else stack.groups:
+
+                def search(
+                    best: mi.Float, surface: mi.UInt32, far: mi.Float, members: Sequence[int] = group.members
+                ) -> tuple[mi.Float, mi.UInt32, mi.Float]:
+                    best, surface = test(members, best, surface)
+                    return best, surface, _z_at(o, d, best)
+
+                if backward:
+                    between = (far <= group.z_high) & (o.z >= group.z_low)
+                else:
+                    between = (far >= group.z_low) & (o.z <= group.z_high)
+                best, surface, far = dr.if_stmt(
+                    (best, surface, far),
+                    here & between,
+                    search,
+                    lambda *state: state,
+                    arg_labels=("best", "surface", "far"),
+                    mode="symbolic",
+                )
+            return best, surface
+
+        for stack in self.stacks:
+            forward = frames[stack.frame][1].z >= 0
+            for backward in (False, True):
+                here = active & (~forward if backward else forward)
+                best, surface = dr.if_stmt(
+                    (best, surface),
+                    here,
+                    partial(follow, stack, backward, here),
+                    lambda *state: state,
+                    arg_labels=("best", "surface"),
+                    mode="symbolic",
+                )
+        entries: dict[int, mi.Float] = {}
+        for k in self.along_axis:  # a ray along the axis passes by all aspheres behind the first that it meets
+            p = self.pieces[k]
+            if not p.departure:
+                entries[k] = asphere_entry(rays[p.axis], self.numbers[k], last == p.index)
+                continue
+
+            def search_asphere(
+                best: mi.Float, surface: mi.UInt32, entry: mi.Float, k: int = k
+            ) -> tuple[mi.Float, mi.UInt32, mi.Float]:
+                p = self.pieces[k]
+                t, unsure = mild_asphere(rays[p.axis], p, self.numbers[k], last == p.index)
+                nearer = t < best
+                best, surface = dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
+                return best, surface, dr.select(unsure, mi.Float(0), dr.inf)
+
+            best, surface, entries[k] = dr.if_stmt(
+                (best, surface, dr.full(mi.Float, dr.inf, dr.width(last))),
+                active & _reaches(rays[p.axis], best, self.bounds[k].z_low, self.bounds[k].z_high),
+                search_asphere,
+                lambda *state: state,
+                arg_labels=("best", "surface", "entry"),
+                mode="symbolic",
+            )
+        if entries:
+            ordered = [entries[k] for k in sorted(entries)]
+            best, surface = self.aspheres.nearest(o, d, last, ordered, best, surface, active)
+        # Walls come last, in groups along the axis: most lanes have met a lens before they reach most groups
+        for group in self.groups:
+            ray = rays[group.axis]
+            near = _reaches(ray, best, group.z_low, group.z_high) & (ray.widest2(best) >= group.inner2)
+
+            def search(
+                best: mi.Float, surface: mi.UInt32, members: list[int] = group.members
+            ) -> tuple[mi.Float, mi.UInt32]:
+                return test(members, best, surface)
+
+            best, surface = dr.if_stmt(
+                (best, surface),
+                active & near,
+                search,
+                lambda best, surface: (best, surface),
+                arg_labels=("best", "surface"),
+                mode="symbolic",
+            )
+        return self.tree.nearest(o, d, last, best, surface, active) if self.tree else (best, surface)
+
+    def _rotate(self, v: mi.Vector3f, frame: int) -> mi.Vector3f:
+        if frame == 0:
+            return v
+        r = self.frames[frame]
+        return mi.Vector3f(*(r[k] * v.x + r[3 + k] * v.y + r[6 + k] * v.z for k in range(3)))
+
+    def _axis_ray(self, o: mi.Vector3f, d: mi.Vector3f, axis: int) -> AxisRay:
+        x, y = self.axes[axis]
+        ox, oy = (o.x, o.y) if axis in self.centred else (o.x - x, o.y - y)
+        return AxisRay.of(ox, oy, o.z, d)
+
+
+@dataclass
+class _Group:
+    """Pieces looked at together, their extent along the axis (mm) and the square of their least radius; opaque."""
+
+    axis: int
+    members: list[int]
+    z_low: mi.Float
+    z_high: mi.Float
+    inner2: mi.Float
+
+    @classmethod
+    def of(cls, pieces: list[Piece], members: list[int]) -> _Group:
+        """Group of the pieces with these numbers."""
+        low, high = min(pieces[k].extent[0] for k in members), max(pieces[k].extent[1] for k in members)
+        slack = SLACK * (1 + abs(low) + abs(high))
+        inner = max(min(pieces[k].least_radius for k in members) - slack, 0.0)
+        numbers = (dr.opaque(mi.Float, v) for v in (low - slack, high + slack, inner**2))
+        return cls(pieces[members[0]].axis, members, *numbers)
+
+
+@dataclass
+class _Stack:
+    """Pieces of one orientation that are no walls, from front to back."""
+
+    frame: int
+    groups: list[_Group]
+
+
+def _stacks(pieces: list[Piece], singles: list[int]) -> list[_Stack]:
+    """
+    Stacks of the pieces with these numbers.
+
+    Each is a group of its own, apart from rectangles with axes of their own: such are mostly the parts of the board
+    around the detector, and looked at together.
+    """
+    on_axis = Counter(piece.axis for piece in pieces)
+    stacks = []
+    for frame in sorted({pieces[k].frame for k in singles}):
+        here = sorted((k for k in singles if pieces[k].frame == frame), key=lambda k: pieces[k].z)
+        boards = [k for k in here if not pieces[k].outer and on_axis[pieces[k].axis] == 1]
+        groups = [[k] for k in here if k not in boards] + ([boards] if boards else [])
+        groups.sort(key=lambda members: pieces[members[0]].z)
+        stacks.append(_Stack(frame, [_Group.of(pieces, members) for members in groups]))
+    return stacks
+
+
+def _groups(pieces: list[Piece], walls: list[int]) -> list[_Group]:
+    """Cut the walls on each axis into groups of `GROUP`, from front to back."""
+    groups = []
+    for axis in sorted({pieces[k].axis for k in walls}):
+        here = [k for k in walls if pieces[k].axis == axis]
+        members = sorted(here, key=lambda k: sum(pieces[k].extent))
+        for first in range(0, len(members), GROUP):
+            groups.append(_Group.of(pieces, members[first : first + GROUP]))
+    return groups
+
+
+def _z_at(o: mi.Vector3f, d: mi.Vector3f, t: mi.Float) -> mi.Float:
+    """Place along the axis at the distance t, however far."""
+    return dr.fma(smaller(t, FAR), d.z, o.z)
+
+
+def _reaches(ray: AxisRay, best: mi.Float, z_low: mi.Float, z_high: mi.Float) -> mi.Bool:
+    """Whether a ray up to the distance `best` has a part between two planes."""
+    far = dr.fma(smaller(best, FAR), ray.dz, ray.oz)
+    forward = ray.dz >= 0
+    return (dr.select(forward, far, ray.oz) >= z_low) & (dr.select(forward, ray.oz, far) <= z_high)

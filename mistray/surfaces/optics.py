@@ -1,0 +1,496 @@
+"""What the surfaces of a scene do to the flux, as the kernel wants it: words, indices, media and tables of R and T.
+
+A coating is evaluated on the host in float64 and enters the kernel as a table over the angle of incidence, so that the
+cost of a hit does not depend on the number of its layers. A table has two parts:
+
+- *refraction*: uniform nodes in the cosine of the angle in the rarer of the two materials, 0 … 1. In this variable R
+  and T are smooth from either side, the critical angle of the denser side is the node 0;
+- *total reflection*: uniform nodes in w = y/(y + ρ cos θ), 0 … 1, where ρ ≥ 1 is the ratio of the indices, θ the angle
+  in the denser material and y² = ρ² sin² θ - 1. R is analytic in y at the critical angle (w = 0) and in cos θ at
+  grazing incidence (w = 1), and w is in both.
+
+The kernel interpolates linearly. Nodes are added until the error, estimated at the midpoints, is below `TABLE_ERROR`,
+or their number reaches `LAST_INTERVALS`. The refraction part of no stack we tried (40 random layers) needs as many;
+total reflection from a thick stack can have guided modes, dips too narrow for any table. The error is known:
+`Trace.coating_error`.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import lru_cache
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.coatings import METAL_K, Bare, Response, Stack
+from mistray.errors import MistrayError
+from mistray.materials import bulk_scatter
+from mistray.scatter.edge_diffraction import EdgeDiffraction
+from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.surfaces.bodies import Bodies
+
+# Kinds of surfaces, the lowest bits of their words
+FRESNEL, IDEAL, TABLED = 0, 1, 2
+OPAQUE, MIRROR, DETECTOR, STOCK, ASPHERIC, WALL = (1 << bit for bit in range(2, 8))
+FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT, MEDIUM_MASK = 8, 20, 0x7FF
+ONE_CHILD = 1 << 19  # of all children at random one is followed
+DARK = 1e-12  # share of the light after the length of a body, below which it is dark
+DIFFRACTS = 1 << 31  # what it scatters in transmission is diffracted light
+THIN = 1e-3  # optical depth below which a medium takes the same light everywhere
+NO_LOSS = 4e-7  # absorption 1 - R - T below which it is taken for rounding
+TABLE_ERROR = 1e-6  # of R, T and the Stokes coefficients, by linear interpolation
+FIRST_INTERVALS, LAST_INTERVALS = 256, 1 << 14
+AT_ONCE = 1024  # intervals
+# Channels of a table: R for light from the front and from the back, T; in Stokes mode four numbers for each
+REFLECTION_FRONT, REFLECTION_BACK, TRANSMISSION = range(3)
+
+
+@dataclass(frozen=True)
+class AngleTable:
+    """
+    R and T of one surface at one wavelength.
+
+    Attributes
+    ----------
+    refraction : (a, 3, c) float64
+        At uniform nodes of the cosine in the rarer material: R from the front, R from the back, T. c = 1 in unpolarised
+        light (mean of s and p); c = 4 in Stokes mode: the shares of s and p, and real and imaginary part of the product
+        of the amplitude of s with the conjugate one of p.
+    total : (b, 3, c) float64
+        The same at uniform nodes of w, for light from the denser side.
+    refraction_error, total_error : float
+        Bounds of the interpolation error of either part.
+    """
+
+    refraction: np.ndarray
+    total: np.ndarray
+    refraction_error: float
+    total_error: float
+
+
+def absorption_per_mm(n: Any, wavelength_nm: float) -> Any:
+    """4πk/λ of indices n + ik, 1/mm (Beer and Lambert)."""
+    return 4e6 * np.pi * np.imag(n) / wavelength_nm
+
+
+def is_dark(n: Any, wavelength_nm: float, length_mm: Any) -> Any:
+    """
+    Whether light does not get through bodies of these indices and lengths.
+
+    Of a metal none does: nothing that rays describe is thin enough. Elsewhere exp(-4πkd/λ) must be below `DARK`.
+    """
+    depth = absorption_per_mm(n, wavelength_nm) * np.where(np.imag(n) > 0, length_mm, 0.0)
+    return (np.imag(n) > METAL_K) | (depth > -math.log(DARK))
+
+
+def node_cosines(n_front: float, n_back: float, x: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """
+    Cosines of the angle of incidence at the nodes of a table.
+
+    Parameters
+    ----------
+    n_front, n_back : float
+        Indices on both sides.
+    x : (m,) float64
+        The variable of either part, 0 … 1.
+
+    Returns
+    -------
+    front, back : (m,) float64
+        Of the refraction part, in the front and in the back material.
+    dense : (m,) float64
+        Of the total-reflection part, in the denser material.
+    """
+    rho = max(n_front, n_back) / min(n_front, n_back)
+    denser = np.sqrt(1 - (1 - x * x) / rho**2)
+    front, back = (denser, x) if n_front > n_back else (x, denser)
+    return front, back, (1 - x) / np.hypot(x, 1 - x) * np.sqrt(rho * rho - 1) / rho
+
+
+def _channels(response: Response, reflection: bool, stokes: bool) -> np.ndarray:
+    """(m, c) numbers of one channel of a table."""
+    values, phase = (response.R, response.phase_r) if reflection else (response.T, response.phase_t)
+    if not stokes:
+        return values.mean(axis=1, keepdims=True)
+    product = np.sqrt(values[:, 0] * values[:, 1]) * np.exp(1j * phase)
+    return np.column_stack([values, product.real, product.imag])
+
+
+def total_variable(sin2_t: Any, eta: Any, cos_i: Any) -> Any:
+    """
+    The variable w of the total-reflection part, as Dr.Jit array; 0 where light is refracted.
+
+    Parameters
+    ----------
+    sin2_t : mi.Float
+        (n_i/n_t)² sin² θ, at least 1 in total reflection.
+    eta, cos_i : mi.Float
+        n_i/n_t, and the cosine of incidence.
+    """
+    y = dr.sqrt(dr.maximum(sin2_t - 1, 0))
+    return dr.select(y > 0, y / (y + eta * cos_i), 0)
+
+
+def angle_table(
+    coating: Any, wavelength_nm: float, n_front: complex, n_back: complex, opaque: bool, stokes: bool
+) -> AngleTable:
+    """
+    Tabulate a coating, with as many nodes as `TABLE_ERROR` asks for, at most `LAST_INTERVALS` + 1.
+
+    Parameters
+    ----------
+    coating : coating
+        See `mistray.coatings`.
+    wavelength_nm : float
+    n_front, n_back : complex
+        Of the materials on both sides.
+    opaque : bool
+        Light that enters is absorbed: the cosine is then the one on the side of incidence, and T is left out.
+    stokes : bool
+        Four numbers for each channel instead of one.
+    """
+    # Layers are known by the names of their materials, and a file may hold other numbers than before
+    indices = coating.indices(wavelength_nm) if isinstance(coating, Stack) else ()
+    return _known_table(coating, indices, wavelength_nm, n_front, n_back, opaque, stokes)
+
+
+@lru_cache(maxsize=512)
+def _known_table(
+    coating: Any,
+    _indices: tuple[complex, ...],
+    wavelength_nm: float,
+    n_front: complex,
+    n_back: complex,
+    opaque: bool,
+    stokes: bool,
+) -> AngleTable:
+    """See `angle_table`; the indices of the layers tell two contents of a file apart."""
+    sides = n_front, n_back
+
+    def refraction(x: np.ndarray) -> np.ndarray:
+        at_front, at_back = (x, x) if opaque else node_cosines(n_front.real, n_back.real, x)[:2]
+        return refraction_rows(coating, wavelength_nm, sides, opaque, stokes, at_front, at_back)
+
+    def total(x: np.ndarray) -> np.ndarray:
+        cosines = node_cosines(n_front.real, n_back.real, x)[2]
+        return total_rows(coating, wavelength_nm, sides, stokes, cosines)
+
+    first, first_error = _refined(refraction)
+    if opaque or n_front.real == n_back.real:  # there is no critical angle
+        return AngleTable(first, np.zeros((2, *first.shape[1:])), first_error, 0.0)
+    second, second_error = _refined(total)
+    return AngleTable(first, second, first_error, second_error)
+
+
+def refraction_rows(
+    coating: Any,
+    wavelength_nm: float,
+    sides: tuple[complex, complex],
+    opaque: bool,
+    stokes: bool,
+    at_front: np.ndarray,
+    at_back: np.ndarray,
+) -> np.ndarray:
+    """Rows of the refraction part, (m, 3, c), at cosines of incidence in the front and in the back material, (m,)."""
+
+    def side(cosines: np.ndarray, from_front: bool) -> Response:
+        if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing travels in a metal; it is never read
+            from_front = not from_front
+        answer: Response = coating.response(wavelength_nm, *sides, cosines, from_front)
+        return answer
+
+    front, back = side(at_front, True), side(at_back, False)
+    through = _channels(front, False, stokes)
+    if opaque:
+        through = 0 * through
+    elif sides[0].imag or sides[1].imag:  # out of an absorbing medium R + T may exceed 1 by about k/n
+        shares = 1 - np.maximum(_channels(front, True, stokes), _channels(back, True, stokes))
+        through[:, :2] = np.minimum(through, shares)[:, :2]
+    return np.stack([_channels(front, True, stokes), _channels(back, True, stokes), through], axis=1)
+
+
+def total_rows(
+    coating: Any, wavelength_nm: float, sides: tuple[complex, complex], stokes: bool, cosines: np.ndarray
+) -> np.ndarray:
+    """Rows of the total-reflection part, (m, 3, c), at cosines of incidence in the denser material, (m,)."""
+    row = _channels(coating.response(wavelength_nm, *sides, cosines, sides[0].real > sides[1].real), True, stokes)
+    return np.stack([row, row, np.zeros_like(row)], axis=1)
+
+
+def unpolarized_shares(
+    coating: Any,
+    wavelength_nm: float,
+    sides: tuple[complex, complex],
+    opaque: bool,
+    from_front: bool,
+    cosines: np.ndarray,
+) -> tuple[np.ndarray, np.ndarray]:
+    """R and T of a coating between two materials at cosines of incidence, (m,) each: the means of s and p."""
+    if opaque and sides[0 if from_front else 1].imag > METAL_K:  # nothing comes out of a metal
+        return np.zeros_like(cosines), np.zeros_like(cosines)
+    answer = coating.response(wavelength_nm, *sides, cosines, from_front)
+    return answer.R.mean(axis=1), 0 * cosines if opaque else answer.T.mean(axis=1)
+
+
+def _refined(values: Callable[[np.ndarray], np.ndarray]) -> tuple[np.ndarray, float]:
+    """Values at so many uniform nodes that linear interpolation is good enough, and the bound of its error."""
+    intervals = FIRST_INTERVALS
+    # All of the first levels at once: a call costs as much as a thousand values
+    known = values(np.linspace(0.0, 1.0, AT_ONCE + 1))
+    while True:
+        if 2 * intervals <= AT_ONCE:
+            fine = known[:: AT_ONCE // (2 * intervals)]
+        else:
+            fine = np.empty((2 * intervals + 1, *known.shape[1:]))
+            fine[::2] = known
+            fine[1::2] = values((np.arange(intervals) + 0.5) / intervals)
+            known = fine
+        middle = float(np.max(np.abs(fine[1::2] - 0.5 * (fine[:-1:2] + fine[2::2]))))
+        if middle == 0:  # a constant
+            return fine[[0, -1]], 0.0
+        # The error at the midpoints falls with the square of the spacing; twice that for where it is not yet so
+        error = 0.5 * middle
+        if error <= TABLE_ERROR or 2 * intervals >= LAST_INTERVALS:
+            return fine, error
+        intervals *= 2
+
+
+class Optics:
+    """
+    Optical properties of all surfaces at one wavelength.
+
+    Parameters
+    ----------
+    ids : sequence of str
+        Names of the surfaces, for messages.
+    bsdfs : sequence
+        Their ``interface`` plugins.
+    flags : (s,) uint32
+        Bits of the words that the geometry knows.
+    bodies : Bodies
+        Asked only where a medium absorbs so much that it may be dark.
+    wavelength_nm : float
+        Vacuum wavelength, nm.
+    stokes : bool
+        Tabulate s, p and their phases.
+
+    Attributes
+    ----------
+    words : mi.UInt32
+        Kind, bits and media of each surface.
+    host_words : (s,) uint32
+    indices : mi.Float
+        (s, 4): index in front, index behind, R and T of an ideal coating.
+    places : mi.UInt32
+        (s, 4): first row and last interval of the refraction part and of the total-reflection part of its table.
+    table : mi.Float
+        Rows of `row_floats` numbers.
+    kinds : set of int
+        Kinds that occur.
+    media : list of str
+        Names of the materials by their numbers; 0 is "unknown".
+    extinction : mi.Float
+        Coefficient of absorption and scatter of each medium, 1/mm.
+    albedo : mi.Float
+        Share of the scatter in it.
+    host_scattering : (m,) float64
+        Coefficient of scatter of each medium, 1/mm.
+    asymmetry : mi.Float
+        g of each medium, see `mistray.physics.henyey_greenstein`.
+    one_child : bool
+        Whether a surface has one child instead of all.
+    diffracts : bool
+        Whether one of them is the ring of an edge.
+    absorbs, scatters : bool
+        Whether a medium takes light from the beam, and whether one scatters it.
+    error : float
+        Largest interpolation error of the tables.
+    notes : list of str
+        Which media were taken as opaque, and why; a metal is not named unless it is thin.
+    """
+
+    def __init__(
+        self,
+        ids: Sequence[str],
+        bsdfs: Sequence[Any],
+        flags: np.ndarray,
+        bodies: Bodies,
+        wavelength_nm: float,
+        stokes: bool,
+    ) -> None:
+        self.wavelength_nm, self.stokes = wavelength_nm, stokes
+        self.bsdfs = list(bsdfs)
+        self.row_floats = 12 if stokes else 4
+        count = len(bsdfs)
+        self.host_indices = np.zeros((count, 4))
+        self.host_places = np.zeros((count, 4), dtype=np.uint32)
+        words = np.array(flags, dtype=np.uint32)
+        self.rows = 0
+        self.kinds: set[int] = set()
+        self.media = ["unknown"]
+        absorption, scattering, asymmetry = [0.0], [0.0], [0.0]
+        numbers: dict[tuple[float, ...], int] = {}
+        self.error = 0.0
+        rows: list[np.ndarray] = []
+        self.tables: list[AngleTable | None] = []
+        self.complex_indices = [self._sides(name, bsdf) for name, bsdf in zip(ids, bsdfs, strict=True)]
+        dark, self.notes = self._dark(ids, bodies)
+        for i, bsdf in enumerate(bsdfs):
+            sides = self.complex_indices[i]
+            opaque = bsdf.opaque or bool(dark[i].any())
+            kind = self._kind(bsdf, max(n.imag for n in sides))
+            self.kinds.add(kind)
+            words[i] |= kind | (OPAQUE if opaque else 0) | (MIRROR if bsdf.mirror else 0)
+            words[i] |= ONE_CHILD if bsdf.one_child else 0
+            words[i] |= DIFFRACTS if any(isinstance(model, EdgeDiffraction) for model in bsdf.scatter) else 0
+            # An opaque surface sends nothing on: no refraction, so one index will do
+            self.host_indices[i, :2] = (1.0, 1.0) if opaque else (sides[0].real, sides[1].real)
+            self.host_places[i] = self.rows, 1, self.rows, 1
+            table = None
+            if kind == IDEAL:
+                self.host_indices[i, 2:] = float(bsdf.R[0]), float(bsdf.T[0])
+            elif kind == TABLED:
+                table = angle_table(bsdf.coating, wavelength_nm, *sides, opaque, stokes)
+                self.error = max(self.error, table.refraction_error, table.total_error)
+                both = [self._rows(part) for part in (table.refraction, table.total)]
+                self.host_places[i] = (
+                    self.rows,
+                    len(both[0]) - 1,
+                    self.rows + len(both[0]),
+                    len(both[1]) - 1,
+                )
+                rows += both
+                self.rows += sum(map(len, both))
+            if kind != TABLED:  # a row of its own, for the gradient
+                rows.append(np.zeros((2, self.row_floats)))
+                self.rows += 2
+            self.tables.append(table)
+            if opaque:
+                continue
+            for n, spec, shift in zip(
+                sides, (bsdf.front, bsdf.back), (FRONT_MEDIUM_SHIFT, BACK_MEDIUM_SHIFT), strict=True
+            ):
+                # By index, not by name: "air" and "vacuum", "1.5" and "1.50" are one medium
+                cloud = bulk_scatter(spec)
+                key = (round(n.real, 9), float(f"{n.imag:.9g}"), cloud.per_mm, cloud.g)
+                if key not in numbers:
+                    numbers[key] = len(self.media)
+                    self.media.append(spec.strip())
+                    absorption.append(absorption_per_mm(n, wavelength_nm))
+                    scattering.append(cloud.per_mm)
+                    asymmetry.append(cloud.g)
+                words[i] |= numbers[key] << shift
+        if len(self.media) > MEDIUM_MASK:
+            raise MistrayError(f"the scene has {len(self.media) - 1} materials; at most {MEDIUM_MASK - 1} are possible")
+        detector = int(np.flatnonzero(words & DETECTOR)[0])
+        if self._absorbs_nothing(detector):
+            raise MistrayError(
+                f"detector '{ids[detector]}' absorbs nothing (R + T = 1); give its interface R (and T = 0)"
+            )
+        self.host_words = words
+        self.one_child = bool(np.any(words & ONE_CHILD))
+        self.diffracts = bool(np.any(words & DIFFRACTS))
+        self.words = upload(mi.UInt32, words)
+        self.indices = upload(mi.Float, self.host_indices)
+        self.places = upload(mi.UInt32, self.host_places)
+        self.table = upload(mi.Float, np.concatenate(rows))
+        self.host_scattering = np.array(scattering)
+        extinction = np.array(absorption) + scattering
+        self.extinction = upload(mi.Float, extinction)
+        self.albedo = upload(mi.Float, np.array(scattering) / np.maximum(extinction, np.finfo(float).tiny))
+        self.asymmetry = upload(mi.Float, np.array(asymmetry))
+        self.absorbs, self.scatters = bool(extinction.any()), any(scattering)
+        dr.eval(self.words, self.indices, self.places, self.table, self.extinction, self.albedo, self.asymmetry)
+
+    def _sides(self, name: str, bsdf: Any) -> tuple[complex, complex]:
+        """Indices on both sides; those of a surface that is opaque whatever lies behind it do not matter."""
+        if bsdf.opaque and not isinstance(bsdf.coating, Stack):
+            return 1 + 0j, 1 + 0j
+        try:
+            front, back = bsdf.complex_indices(self.wavelength_nm)
+        except MistrayError as error:
+            raise MistrayError(f"surface '{name}': {error}") from None
+        return complex(front), complex(back)
+
+    def _dark(self, ids: Sequence[str], bodies: Bodies) -> tuple[np.ndarray, list[str]]:
+        """(s, 2) bool: the sides of surfaces on which nothing travels; and what a reader should know of them."""
+        n = np.array(self.complex_indices)
+        if not n.imag.any():
+            return np.zeros(n.shape, dtype=bool), []
+        doubtful = is_dark(n, self.wavelength_nm, bodies.size)
+        # One answer for all surfaces of a body: the thinnest place counts. What nothing closes is as thick as may be
+        length = np.full(n.shape, bodies.size)
+        closed = np.zeros(n.shape, dtype=bool)
+        for i in np.flatnonzero(doubtful.any(axis=1)).tolist():
+            thickness = bodies.thickness(i)
+            closed[i] = np.isfinite(thickness)
+            length[i, closed[i]] = thickness[closed[i]]
+        for index in np.unique(n):
+            same = closed & (n == index)
+            length[same] = length[same].min(initial=np.inf)
+        dark = is_dark(n, self.wavelength_nm, length)
+        passed = np.exp(-absorption_per_mm(n, self.wavelength_nm) * length)
+        at = f"at {self.wavelength_nm:g} nm"
+        notes: dict[tuple[str, bool], str] = {}
+        for i, side in np.argwhere(dark):
+            bsdf = self.bsdfs[i]
+            medium, where = ((bsdf.front, "in front of"), (bsdf.back, "behind"))[side]
+            metal, clear = n[i, side].imag > METAL_K, passed[i, side] > DARK
+            if metal and clear:
+                text = (
+                    f"the metal {medium} {where} {ids[i]} is taken as opaque, though {passed[i, side]:.1g} of the "
+                    f"light {at} would pass its {length[i, side]:.2g} mm; make it a layer of a coating"
+                )
+            elif not metal:
+                why = f"its {length[i, side]:.3g} mm" if closed[i, side] else "it, and no surface closes its body"
+                text = f"{medium} {where} {ids[i]} is taken as opaque: no light {at} gets through {why}"
+            else:
+                continue
+            notes.setdefault((medium, bool(closed[i, side])), text)
+        return dark, list(notes.values())
+
+    def _kind(self, bsdf: Any, k: float) -> int:
+        if bsdf.ideal:
+            return IDEAL
+        # The kernel's own equations leave out k, an error of R of about k²
+        exact = k * k <= TABLE_ERROR and not self.stokes
+        return FRESNEL if isinstance(bsdf.coating, Bare) and exact else TABLED
+
+    def attenuate(
+        self, flux: mi.Float, medium: mi.UInt32, length: mi.Float, active: mi.Bool
+    ) -> tuple[mi.Float, mi.Float, mi.Float]:
+        """What is left of light at the end of segments (mm), what their media scatter, and what they absorb."""
+        coefficient = dr.gather(mi.Float, self.extinction, medium, active)
+        left = flux * dr.exp(-coefficient * dr.select(active, length, 0))
+        taken, clouded = flux - left, mi.Float(0)
+        if self.scatters:
+            clouded = taken * dr.gather(mi.Float, self.albedo, medium, active)
+            taken = taken - clouded
+        return left, clouded, taken
+
+    def shares(self, surface: int, from_front: bool, cosines: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """R and T of a surface in unpolarised light at cosines of incidence, (m,) each, exact."""
+        opaque = bool(self.host_words[surface] & OPAQUE)
+        coating, sides = self.bsdfs[surface].coating, self.complex_indices[surface]
+        return unpolarized_shares(coating, self.wavelength_nm, sides, opaque, from_front, cosines)
+
+    def _rows(self, part: np.ndarray) -> np.ndarray:
+        """(nodes, row_floats) as the kernel reads them."""
+        if self.stokes:
+            return part.reshape(len(part), 12)
+        return np.concatenate([part[:, :, 0], np.zeros((len(part), 1))], axis=1)
+
+    def _absorbs_nothing(self, surface: int) -> bool:
+        """Whether an interface takes less than the rounding at every angle, so that a detector stays dark."""
+        bsdf, table = self.bsdfs[surface], self.tables[surface]
+        if table is not None:
+            shares = table.refraction if not self.stokes else table.refraction[:, :, :2].mean(axis=2, keepdims=True)
+            return bool(np.all(shares[:, :2, 0].min(axis=1) + shares[:, 2, 0] > 1 - NO_LOSS))
+        return not bsdf.ideal or float(bsdf.R[0]) + float(bsdf.T[0]) > 1 - NO_LOSS

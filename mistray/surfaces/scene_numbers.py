@@ -1,0 +1,62 @@
+"""The numbers of a scene, ``mi.traverse``, on the host: read, and put into another scene from the same source."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray._mitsuba_compat import holds_numbers, peek
+from mistray.errors import MistrayError
+from mistray.surfaces.upload import upload
+
+
+def read_numbers(scene: mi.Scene) -> dict[str, np.ndarray]:
+    """Arrays of a scene by their keys, flat, and frames as (4, 4); single numbers of Mitsuba's own are left out."""
+    return {key: _on_host(value) for key, value in _numbers(mi.traverse(scene))}
+
+
+def put_numbers(scene: mi.Scene, numbers: Mapping[str, np.ndarray]) -> bool:
+    """
+    Set those numbers of a scene that differ.
+
+    Returns
+    -------
+    bool
+        Whether any did.
+
+    Raises
+    ------
+    MistrayError
+        If the scene has others.
+    """
+    params = mi.traverse(scene)
+    own = dict(_numbers(params))
+    if own.keys() != numbers.keys():
+        odd = min(own.keys() ^ numbers.keys())
+        raise MistrayError(f"number '{odd}' of the scene is not in its source; load the scene again")
+    differing = {key: value for key, value in own.items() if not np.array_equal(_on_host(value), numbers[key])}
+    for key, value in differing.items():
+        given = numbers[key]
+        params[key] = type(value)(given) if _is_frame(value) else upload(type(value), given)
+    if differing:
+        params.update()
+    return bool(differing)
+
+
+def _numbers(params: Any) -> Iterator[tuple[str, Any]]:
+    for key in params.keys():  # noqa: SIM118  SceneParameters iterates over pairs
+        value = peek(params, key)
+        if holds_numbers(value) or isinstance(value, mi.UInt32) or _is_frame(value):
+            yield key, value
+
+
+def _is_frame(value: Any) -> bool:
+    return isinstance(value, mi.Transform4f)
+
+
+def _on_host(value: Any) -> np.ndarray:
+    return np.array(value.matrix).reshape(4, 4) if _is_frame(value) else np.array(dr.detach(value))

@@ -1,0 +1,212 @@
+"""Many surfaces in a tree of bounds, so that a ray is tested against few of them and the kernel does not grow.
+
+The bounds of a node are a shell about an axis: a stretch of the axis and the least and the greatest distance from it.
+The surfaces on one axis share a binary tree of shells about it, so that bounds hold the wall of a barrel and not the
+hole in it. Surfaces on different axes are gathered in cylinders, the shells without a hole. Each node lies before those
+below it; a ray that misses the bounds of a node goes on at the `skip` of the node, and needs no memory of where it has
+been.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from mistray.surfaces.pieces import Piece
+
+MOST_UNROLLED = 128  # surfaces of a sort that are tested one after the other; a tree holds them if they are more
+MOST_ASPHERES = 32  # the same of aspheres, one bit of a word each
+SLACK = 1e-5  # of the sizes of a node, for rounding
+
+Axis = tuple[int, float, float]
+"""Number of an orientation, and the place of the axis across it, mm; see `SurfaceTable.axes`."""
+
+
+@dataclass(frozen=True)
+class _Body:
+    """Surfaces on one axis: their places among the members of the tree, and the box around them, mm."""
+
+    axis: Axis
+    members: np.ndarray
+    box: np.ndarray
+
+
+@dataclass
+class _Nodes:
+    """Nodes in the order in which rays come to them, while they are made."""
+
+    axes: list[Axis] = field(default_factory=list)
+    shells: list[np.ndarray] = field(default_factory=list)
+    pieces: list[int] = field(default_factory=list)
+    skips: list[int] = field(default_factory=list)
+
+    def add(self, axis: Axis, shell: np.ndarray, piece: int, below: int) -> None:
+        self.axes.append(axis)
+        self.shells.append(shell)
+        self.pieces.append(piece)
+        self.skips.append(len(self.skips) + 1 + below)
+
+
+class ShellTree:
+    """
+    Tree of some surfaces.
+
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        All of the scene.
+    members : sequence of int
+        Those in the tree.
+    frames : sequence of (3, 3) float64
+        Orientations of the scene, the first of them unrotated.
+    axes : sequence of Axis
+        Of the scene.
+
+    Attributes
+    ----------
+    members : list of int
+    axes : list of Axis
+        Of the nodes.
+    axis : (n,) uint32
+        The axis of each node, in either order.
+    bounds : (2, n, 4) float64
+        The least and the greatest place along the axis, mm, and the squares of the least and the greatest distance from
+        it, mm². First in the order for rays that go along the axis, then in that for rays that go against it.
+    piece : (2, n) uint32
+        The only surface of a node as a place in `members`; the number of members at all other nodes.
+    skip : (2, n) uint32
+        The node behind the last one below a node.
+    """
+
+    def __init__(
+        self, pieces: Sequence[Piece], members: Sequence[int], frames: Sequence[np.ndarray], axes: Sequence[Axis]
+    ) -> None:
+        self.members = list(members)
+        self._shells = np.array([(*pieces[k].extent, pieces[k].least_radius, pieces[k].size) for k in self.members])
+        numbers = np.array([pieces[k].axis for k in self.members])
+        order = np.argsort(numbers, kind="stable")
+        groups = np.split(order, np.flatnonzero(np.diff(numbers[order])) + 1)
+        bodies = [self._body(axes[numbers[group[0]]], group, frames) for group in groups]
+        both = []
+        for backwards in (False, True):
+            nodes = _Nodes()
+            self._gather(nodes, bodies, backwards)
+            both.append(nodes)
+        known = {axis: k for k, axis in enumerate(dict.fromkeys(both[0].axes))}
+        self.axes = list(known)
+        self.axis = np.array([known[axis] for axis in both[0].axes], dtype=np.uint32)
+        self.piece, self.skip = (
+            np.array([getattr(nodes, name) for nodes in both], dtype=np.uint32) for name in ("pieces", "skips")
+        )
+        shells = np.array([nodes.shells for nodes in both])
+        slack = SLACK * (1 + np.abs(shells[..., :2]).sum(axis=-1))
+        wide = SLACK * shells[..., 3] + slack
+        inner, outer = np.maximum(shells[..., 2] - wide, 0), shells[..., 3] + wide
+        self.bounds = np.stack([shells[..., 0] - slack, shells[..., 1] + slack, inner**2, outer**2], axis=-1)
+
+    def _body(self, axis: Axis, group: np.ndarray, frames: Sequence[np.ndarray]) -> _Body:
+        frame, x, y = axis
+        low, high, _, radius = _around(self._shells[group])
+        ends = np.array([(x, y, low), (x, y, high)]) @ frames[frame].T
+        beside = radius * np.sqrt(np.maximum(1 - frames[frame][:, 2] ** 2, 0))
+        return _Body(axis, group, np.array([ends.min(axis=0) - beside, ends.max(axis=0) + beside]))
+
+    def _gather(self, nodes: _Nodes, bodies: Sequence[_Body], backwards: bool) -> None:
+        """Add the nodes of some bodies."""
+        if len(bodies) == 1:
+            self._divide(nodes, bodies[0].axis, bodies[0].members, backwards)
+            return
+        boxes = np.array([body.box for body in bodies])
+        low, high = boxes[:, 0].min(axis=0), boxes[:, 1].max(axis=0)
+        x, y, _ = 0.5 * (low + high)
+        shell = np.array([low[2], high[2], 0.0, 0.5 * np.hypot(*(high - low)[:2])])
+        below = sum(2 * len(body.members) for body in bodies) - 2
+        nodes.add((0, float(x), float(y)), shell, len(self.members), below)
+        for half in _halves(boxes.mean(axis=1)):
+            self._gather(nodes, [bodies[k] for k in half], backwards)
+
+    def _divide(self, nodes: _Nodes, axis: Axis, members: np.ndarray, backwards: bool) -> None:
+        """Add the nodes of surfaces on one axis."""
+        shells, single = self._shells[members], len(members) == 1
+        nodes.add(axis, _around(shells), members[0] if single else len(self.members), 2 * len(members) - 2)
+        if single:
+            return
+        halves = _halves(np.stack([shells[:, :2].mean(axis=1), shells[:, 2:].mean(axis=1)], axis=1))
+        for half in reversed(halves) if backwards else halves:
+            self._divide(nodes, axis, members[half], backwards)
+
+    def candidates(self, o: np.ndarray, d: np.ndarray, frames: Sequence[np.ndarray]) -> dict[int, np.ndarray]:
+        """
+        Numbers of the rays that come into the bounds of each surface.
+
+        Parameters
+        ----------
+        o, d : (n, 3) float64
+            Origins relative to `SurfaceTable.centre`, mm, and unit directions.
+        frames : sequence of (3, 3) float64
+            As given.
+        """
+        found: dict[int, np.ndarray] = {}
+        columns = np.array([*o.T, *d.T])
+        waiting = [(0, np.arange(len(o)))]
+        while waiting:
+            node, rays = waiting.pop()
+            frame, x, y = self.axes[self.axis[node]]
+            here = columns[:, rays]
+            if frame:
+                here = np.concatenate([frames[frame].T @ here[:3], frames[frame].T @ here[3:]])
+            rays = rays[_meets(here[0] - x, here[1] - y, *here[2:], *self.bounds[0, node])]
+            if not len(rays):
+                continue
+            if self.piece[0, node] < len(self.members):
+                found[self.members[self.piece[0, node]]] = rays
+            else:
+                waiting += [(node + 1, rays), (int(self.skip[0, node + 1]), rays)]
+        return found
+
+
+def many(pieces: Sequence[Piece]) -> list[int]:
+    """The surfaces that belong into a tree: walls, lens surfaces and aspheres, each if there are too many of them."""
+    walls = [k for k, piece in enumerate(pieces) if piece.wall]
+    aspheres = [k for k, piece in enumerate(pieces) if piece.kind == "asphere"]
+    others = [k for k, piece in enumerate(pieces) if not piece.wall and piece.kind != "asphere"]
+    limits = (walls, MOST_UNROLLED), (others, MOST_UNROLLED), (aspheres, MOST_ASPHERES)
+    return sorted(k for found, limit in limits if len(found) > limit for k in found)
+
+
+def _around(shells: np.ndarray) -> np.ndarray:
+    """The shell around shells, (n, 4)."""
+    low, high = shells.min(axis=0), shells.max(axis=0)
+    return np.array([low[0], high[1], low[2], high[3]])
+
+
+def _halves(middles: np.ndarray) -> list[np.ndarray]:
+    """Numbers of points, (n, k), in two halves, parted where they differ most."""
+    order = np.argsort(middles[:, np.argmax(np.ptp(middles, axis=0))], kind="stable")
+    return [order[: len(order) // 2], order[len(order) // 2 :]]
+
+
+def _meets(
+    x: np.ndarray,
+    y: np.ndarray,
+    z: np.ndarray,
+    dx: np.ndarray,
+    dy: np.ndarray,
+    dz: np.ndarray,
+    low: float,
+    high: float,
+    inner2: float,
+    outer2: float,
+) -> np.ndarray:
+    """Whether rays come into a shell about the z axis: into its slab, not beside it nor through its hole."""
+    with np.errstate(all="ignore"):
+        first, second = (low - z) / dz, (high - z) / dz
+        start, end = np.fmax(np.fmin(first, second), 0), np.fmax(first, second)
+        closest = np.clip(-(x * dx + y * dy) / (dx * dx + dy * dy), start, end)
+
+        def off2(t: np.ndarray) -> np.ndarray:
+            return np.asarray((x + t * dx) ** 2 + (y + t * dy) ** 2)
+
+        return np.asarray(~((start > end) | (np.fmax(off2(start), off2(end)) < inner2) | (off2(closest) > outer2)))

@@ -1,0 +1,125 @@
+"""Which way a surface is turned: the x axis of a sample at each point, for scatter that depends on it.
+
+An interface says where the axis comes from. "x" is the local x axis of its shape, turned by `rotation_deg` about the
+local z axis, right-handed, and projected onto the tangent plane: a sample that was ground or brushed straight.
+"meridian" is the tangent in the plane through the local z axis, away from it on a plane, turned by `rotation_deg` about
+the normal from front to back, right-handed: a sample that was turned on a lathe. A row of four numbers holds either: x,
+y, z of a vector in the frame of the surface and 0, or cosine and sine of the turn, 0 and 1.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from mistray.surfaces.surfaces import SurfaceTable
+
+AXES = ("x", "meridian")
+ROW = 4
+TINY = 1e-30  # squared length of a projection that has no direction
+
+
+def axis_row(axis: str, rotation_deg: float) -> np.ndarray:
+    """The row of a surface, (4,), in the frame of its shape."""
+    turn = np.radians(rotation_deg)
+    return np.array([np.cos(turn), np.sin(turn), 0.0, float(AXES.index(axis))])
+
+
+def tangent_axis(row: Any, normal: Any, q: Any, any_meridian: bool = True) -> Any:
+    """
+    The x axis of the sample, a unit vector at right angles to the normal.
+
+    Parameters
+    ----------
+    row : mi.Vector4f
+        From `axis_row`.
+    normal : mi.Vector3f or mi.Vector3d
+        Unit normal, from front to back, in the frame of the surface.
+    q : mi.Vector3f or mi.Vector3d
+        The point in that frame, mm; only its direction from the z axis matters.
+    any_meridian : bool
+        Whether a row may ask for the meridian.
+    """
+    kind = type(normal)
+    axis = kind(row.x, row.y, row.z)
+    if any_meridian:
+        meridian = dr.cross(kind(-q.y, q.x, 0), normal)
+        meridian *= dr.rsqrt(dr.maximum(dr.squared_norm(meridian), TINY))
+        turned = row.x * meridian + row.y * dr.cross(normal, meridian)
+        axis = dr.select(row.w > 0.5, turned, axis)
+    axis = axis - dr.dot(axis, normal) * normal
+    return axis * dr.rsqrt(dr.maximum(dr.squared_norm(axis), TINY))
+
+
+class SurfaceFrames:
+    """
+    The x axes of all surfaces.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    turned : sequence of int
+        Surfaces whose scatter asks for the axis.
+
+    Raises
+    ------
+    MistrayError
+        If one of these has no such axis.
+
+    Attributes
+    ----------
+    rows : mi.Float
+        (surfaces · 4,), see `axis_row`.
+    """
+
+    def __init__(self, table: SurfaceTable, turned: Sequence[int]) -> None:
+        self._table = table
+        rows = np.tile(axis_row("x", 0.0), (table.count, 1))
+        for s in turned:
+            rows[s] = _row(table, s)
+        self._any_meridian = bool(np.any(rows[:, 3] > 0))
+        self.rows = upload(mi.Float, rows)
+
+    def row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> mi.Vector4f:
+        """Of the surfaces s."""
+        return dr.gather(mi.Vector4f, self.rows, s, active)
+
+    def local(self, s: mi.UInt32, normal: Any, q: Any, active: mi.Bool | bool = True) -> Any:
+        """The axis in the frame of the surface, see `tangent_axis`."""
+        return tangent_axis(self.row(s, active), normal, q, self._any_meridian)
+
+    def at(self, s: mi.UInt32, normal: mi.Vector3f, q: mi.Vector3f, active: mi.Bool) -> mi.Vector3f:
+        """The axis in the scene, for a normal in the scene and a point in the frame of the surface."""
+        frame = self._table.frame(s, active)
+        return frame.outward(self.local(s, frame.inward(normal), q, active))
+
+
+def _row(table: SurfaceTable, s: int) -> np.ndarray:
+    """The row of a surface that scatters by its axis."""
+    sample, name = table.optics.bsdfs[s].sample_axis, table.ids[s]
+    if sample is None:
+        raise MistrayError(f"surface '{name}': its scatter is anisotropic, but its plugin sets no sample_axis")
+    row = axis_row(sample.axis, sample.rotation_deg)
+    if s < len(table.pieces):
+        if sample.axis == "x" and table.pieces[s].kind == "cone":
+            raise MistrayError(
+                f"surface '{name}' scatters by the x axis of a sample, which a tube has not everywhere; set "
+                "sample_axis of its interface to 'meridian'"
+            )
+        return row
+    shape = table.shapes[s]
+    if not str(shape).startswith("Rectangle") or sample.axis != "x":
+        raise MistrayError(
+            f"surface '{name}' scatters by the x axis of a sample, and a {str(shape).partition('[')[0]} has none of "
+            "its own; use an 'asphere', a 'frustum', or a 'rectangle' with sample_axis 'x', or set anisotropy to 'mean'"
+        )
+    matrix = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)[:3, :3]
+    return np.append(matrix / np.linalg.norm(matrix, axis=0) @ row[:3], 0.0)

@@ -1,0 +1,89 @@
+"""The numbers of a surface that its interaction with light needs, read by the number of the surface."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+
+if TYPE_CHECKING:
+    from mistray.surfaces.surfaces import SurfaceTable
+
+MOST_ROWS = 128  # of a table that is copied to the lanes, 52 bytes for each row and lane
+
+
+@dataclass
+class SurfaceRow:
+    """
+    What a surface is.
+
+    Attributes
+    ----------
+    quadric : mi.Vector4f
+        a, b, e, g of its shape.
+    vertex : mi.Vector4f
+        Position (mm) and the sign that turns the gradient of its shape into its normal.
+    optics : mi.Vector4f
+        Indices in front and behind, R and T of an ideal coating.
+    word : mi.UInt32
+        See `mistray.surfaces.optics`.
+    """
+
+    quadric: mi.Vector4f
+    vertex: mi.Vector4f
+    optics: mi.Vector4f
+    word: mi.UInt32
+
+
+def gathered_row(table: SurfaceTable, s: mi.UInt32, active: mi.Bool | bool = True) -> SurfaceRow:
+    """The rows of the surfaces s."""
+    quadric, vertex, optics = (
+        dr.gather(mi.Vector4f, vectors, s, active) for vectors in (table.quadric, table.vertex, table.optics.indices)
+    )
+    return SurfaceRow(quadric, vertex, optics, dr.gather(mi.UInt32, table.optics.words, s, active))
+
+
+class LaneRows:
+    """
+    A copy of the rows in the memory of each lane.
+
+    The lanes of a packet are mostly at the same surface; then a number is one load for all of them, where a gather
+    makes one for each.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+    width : int
+        Number of lanes.
+    """
+
+    def __init__(self, table: SurfaceTable, width: int) -> None:
+        count = dr.opaque(mi.UInt32, table.count)
+
+        def copy(k: mi.UInt32, numbers: tuple[Any, ...]) -> tuple[mi.UInt32, tuple[Any, ...]]:
+            row = gathered_row(table, k)
+            for memory, number in zip(numbers, (*row.quadric, *row.vertex, *row.optics, row.word), strict=True):
+                memory.write(number, k)
+            return k + 1, numbers
+
+        types = (*(mi.Float,) * 12, mi.UInt32)
+        _, self._numbers = dr.while_loop(
+            (dr.zeros(mi.UInt32, width), tuple(dr.alloc_local(dtype, table.count) for dtype in types)),
+            lambda k, numbers: k < count,
+            copy,
+            mode="symbolic",
+            label="rows of the lanes",
+        )
+
+    @staticmethod
+    def pay(table: SurfaceTable) -> bool:
+        """Whether a copy is faster: threads of a GPU have caches of their own."""
+        return table.count <= MOST_ROWS and dr.backend_v(mi.Float) == dr.JitBackend.LLVM
+
+    def row(self, s: mi.UInt32, active: mi.Bool) -> SurfaceRow:
+        """The rows of the surfaces s."""
+        *numbers, word = (memory.read(s, active) for memory in self._numbers)
+        quadric, vertex, optics = (mi.Vector4f(*numbers[k : k + 4]) for k in (0, 4, 8))
+        return SurfaceRow(quadric, vertex, optics, word)

@@ -1,0 +1,332 @@
+"""The scene as the kernel wants it: analytic surfaces unrolled, their properties in packed tables.
+
+Surfaces that the plugins `asphere` and `frustum` describe are one family, a quadric of revolution
+
+    F(x, y, z) = a (x² + y²) + b z² + e z + g = 0
+
+in the frame of their vertex, with bounds in radius (or a rectangle) or in z, plus an even polynomial for aspheres.
+Positions on the device are in float32, which has 7 digits: they are relative to `SurfaceTable.centre`. On the host all
+are in the world, in float64.
+
+Every other shape of the scene ("stock": meshes, Mitsuba's own primitives) goes to one Mitsuba scene of its own and is
+hit through its acceleration structure.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from copy import copy
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.sag import in_proportion
+from mistray.ranges import FILM_PIXELS, FILM_SIDE
+from mistray.surfaces.bodies import Bodies
+from mistray.surfaces.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
+from mistray.surfaces.pieces import Piece, piece_numbers, vertex_frame
+from mistray.surfaces.shell_tree import ShellTree, many
+from mistray.surfaces.upload import upload
+
+SAME_FRAME = 1e-9  # by which the directions of axes may differ
+# Row of the polynomial table: curvature, conic, a4 … a20 in units of the aperture and the unit of these, see
+# `mistray.physics.sag.in_proportion`; z range, outer (-1: a rectangle), slope
+POLYNOMIAL_VECTORS = 4
+
+
+class LocalFrame:
+    """
+    The axes of surfaces, to turn directions into their own frames and back.
+
+    Parameters
+    ----------
+    rows : list of mi.Vector4f, optional
+        Rows of the rotations out of these frames; None: no surface of the scene is turned.
+    """
+
+    def __init__(self, rows: list[mi.Vector4f] | None) -> None:
+        self._rows = rows
+
+    def inward(self, v: mi.Vector3f) -> mi.Vector3f:
+        """A vector of the scene in the frame of the surface."""
+        if self._rows is None:
+            return v
+        rows = self._rows
+        return mi.Vector3f(*(rows[0][k] * v.x + rows[1][k] * v.y + rows[2][k] * v.z for k in range(3)))
+
+    def outward(self, v: mi.Vector3f) -> mi.Vector3f:
+        """A vector of the frame of the surface in the scene."""
+        if self._rows is None:
+            return v
+        return mi.Vector3f(*(row.x * v.x + row.y * v.y + row.z * v.z for row in self._rows))
+
+
+class SurfaceTable:
+    """
+    All surfaces of a scene at one wavelength.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        Every shape must carry an ``interface``; those that carry a ``target`` are left out.
+    wavelength_nm : float
+        Vacuum wavelength, nm.
+    detector : str, optional
+        Id of the detector; by default the only shape with an ``irradiancemeter``.
+    stokes : bool
+        Tabulate the coatings for polarised light.
+
+    Raises
+    ------
+    MistrayError
+        For a shape without interface, a missing or ambiguous detector, a missing material.
+
+    Attributes
+    ----------
+    centre : (3,) float64
+        What positions on the device are relative to, mm: the middle of the surfaces, or the origin if that is not far
+        from them.
+    tree : ShellTree or None
+        Of the surfaces that are too many to be unrolled into the kernel.
+    """
+
+    def __init__(
+        self, scene: mi.Scene, wavelength_nm: float, detector: str | None = None, stokes: bool = False
+    ) -> None:
+        # In the order of their ids: a ray that meets two surfaces within the rounding must not see the scene's order
+        solid = solid_shapes(scene)
+        named = {shape.id() or f"shape_{number}": shape for number, shape in enumerate(solid, start=1)}
+        if len(named) < len(solid):
+            raise MistrayError("two shapes of the scene have the same id; give every shape an id of its own")
+        shapes = sorted(named.items())
+        analytic = [(name, shape) for name, shape in shapes if hasattr(shape, "outer_radius")]
+        stock = [(name, shape) for name, shape in shapes if not hasattr(shape, "outer_radius")]
+        self.ids = [name for name, _ in analytic + stock]
+        self.shapes = [shape for _, shape in analytic + stock]
+        numbers = {name: i for i, name in enumerate(self.ids)}
+        self.listed = [numbers[name] for name in named]
+        self.parts = [getattr(shape, "part", "") or name for name, shape in analytic + stock]
+        self.spaces = [int(getattr(shape, "space", -1)) for shape in self.shapes]
+        self.count = len(self.shapes)
+        self.wavelength_nm = wavelength_nm
+        self.interfaces = [_interface(shape) for shape in self.shapes]
+        self.detector = self._find_detector(detector)
+        self._geometry(self.shapes[: len(analytic)])
+        self._stock(self.shapes[len(analytic) :])
+        self.bodies = Bodies(self)
+        self.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, stokes)
+
+    def at(self, wavelength_nm: float) -> SurfaceTable:
+        """The same surfaces at another wavelength; the geometry is shared."""
+        other = copy(self)
+        other.wavelength_nm = wavelength_nm
+        other.optics = Optics(self.ids, self.interfaces, self._flags(), self.bodies, wavelength_nm, self.optics.stokes)
+        return other
+
+    @property
+    def event_ids(self) -> list[str]:
+        """Names of the places of events: the surfaces, then the media in brackets."""
+        return [*self.ids, *(f"({medium})".replace(" ", "_") for medium in self.optics.media)]
+
+    @property
+    def event_parts(self) -> list[str]:
+        """Parts of the places of events."""
+        return [*self.parts, *self.optics.media]
+
+    @property
+    def event_words(self) -> np.ndarray:
+        """Words of the places of events; those of media are 0."""
+        return np.concatenate([self.optics.host_words, np.zeros(len(self.optics.media), dtype=np.uint32)])
+
+    def upload_point(self, point: np.ndarray) -> mi.Vector3f:
+        """A point of the world, (3,) float64 in mm, on the device."""
+        return mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in point - self.centre))
+
+    def upload_points(self, points: np.ndarray) -> mi.Vector3f:
+        """Points of the world, (n, 3) float64 in mm, on the device."""
+        return mi.Vector3f(*(upload(mi.Float, column) for column in (points - self.centre).T))
+
+    def download_points(self, points: mi.Vector3f) -> np.ndarray:
+        """Points of the device in the world, (n, 3) float64 in mm."""
+        return np.array(points, dtype=np.float64).T + self.centre
+
+    def frame(self, s: mi.UInt32, active: mi.Bool | bool = True) -> LocalFrame:
+        """The frames of the surfaces s."""
+        if not self.rotated:
+            return LocalFrame(None)
+        return LocalFrame([dr.gather(mi.Vector4f, self.rotation, 3 * s + k, active) for k in range(3)])
+
+    def asphere_row(self, s: mi.UInt32, active: mi.Bool | bool = True) -> list[mi.Float]:
+        """All numbers of the aspheres s, see `POLYNOMIAL_VECTORS`."""
+        row = [
+            dr.gather(mi.Vector4f, self.polynomial, POLYNOMIAL_VECTORS * s + k, active)
+            for k in range(POLYNOMIAL_VECTORS)
+        ]
+        return [vector[k] for vector in row for k in range(4)]
+
+    def asphere_sag(
+        self, s: mi.UInt32, active: mi.Bool | bool = True
+    ) -> tuple[mi.Float, mi.Float, list[mi.Float], mi.Float]:
+        """Shape of the aspheres s as `mistray.physics.sag` takes it: curvature, conic constant, coefficients, unit."""
+        row = self.asphere_row(s, active)
+        return row[0], row[1], row[2 : 2 + self.coefficient_count], row[11]
+
+    def _find_detector(self, wanted: str | None) -> int:
+        sensors = [i for i, shape in enumerate(self.shapes) if shape.is_sensor()]
+        names = ", ".join(self.ids[i] for i in sensors)
+        if not sensors:
+            raise MistrayError("the scene has no detector; nest an 'irradiancemeter' sensor in the shape that detects")
+        if wanted is None and len(sensors) > 1:
+            raise MistrayError(
+                f"the scene has {len(sensors)} detectors ({names}); leave one sensor, or in Python name a detector="
+            )
+        if wanted is None:
+            return sensors[0]
+        if wanted not in [self.ids[i] for i in sensors]:
+            raise MistrayError(f"'{wanted}' is no detector of this scene; choose one of {names}")
+        return self.ids.index(wanted)
+
+    def _geometry(self, shapes: list[Any]) -> None:
+        self.frames: list[np.ndarray] = [np.eye(3)]
+        self.pieces: list[Piece] = []
+        vertices = np.zeros((self.count, 3))
+        rotations = np.tile(np.eye(3), (self.count, 1, 1))
+        own = [piece_numbers(shape.kind, shape.values) for shape in shapes]
+        matrices = [vertex_frame(shape.kind, shape.values, shape.matrix) for shape in shapes]
+        self.centre = _centre([matrix[:3, 3] for matrix in matrices], [shape.outer_radius for shape in shapes])
+        known = np.tile(np.eye(3), (len(shapes) + 1, 1, 1))
+        axes: dict[tuple[int, float, float], int] = {}
+        for i, (piece, matrix) in enumerate(zip(own, matrices, strict=True)):
+            rotation, position = matrix[:3, :3], matrix[:3, 3]
+            same = np.all(np.abs(known[: len(self.frames)] - rotation) <= SAME_FRAME, axis=(1, 2))
+            frame = int(np.argmax(same)) if same.any() else len(self.frames)
+            if frame == len(self.frames):
+                known[frame] = rotation
+                self.frames.append(rotation)
+            local = self.frames[frame].T @ (position - self.centre)
+            axis = axes.setdefault((frame, round(float(local[0]), 9), round(float(local[1]), 9)), len(axes))
+            self.pieces.append(Piece(index=i, frame=frame, axis=axis, z=float(local[2]), **piece))
+            vertices[i], rotations[i] = position, self.frames[frame]
+        self.axes = list(axes)
+        looped = many(self.pieces)
+        self.tree = ShellTree(self.pieces, looped, self.frames, self.axes) if looped else None
+        self.vertices, self.rotations = vertices, rotations
+        self.rotated = len(self.frames) > 1
+        quadric = np.zeros((self.count, 4))
+        vertex = np.zeros((self.count, 4))
+        vertex[:, :3], vertex[:, 3] = vertices - self.centre, 1.0
+        self.coefficient_count = max((len(p.coefficients) for p in self.pieces), default=0)
+        polynomial = np.zeros((self.count, 4 * POLYNOMIAL_VECTORS))
+        for p in self.pieces:
+            quadric[p.index], vertex[p.index, 3] = p.quadric, p.sign
+            if p.coefficients:
+                coefficients, per_area = in_proportion(p.coefficients, p.size)
+                polynomial[p.index, : 2 + len(coefficients)] = [*p.conic, *coefficients]
+                polynomial[p.index, 11:] = [per_area, *p.z_range, p.outer or -1.0, p.slope]
+        clip = np.zeros((self.count, 2))
+        for p in self.pieces:
+            clip[p.index] = (p.inner**2, 0.0) if p.outer else p.half_size
+        self.clip = upload(mi.Float, clip)  # half size of a rectangle; square of the inner radius of all else
+        self.quadric = upload(mi.Float, quadric)
+        self.vertex = upload(mi.Float, vertex)
+        self.polynomial = upload(mi.Float, polynomial)
+        self.rotation = upload(mi.Float, np.concatenate([self.rotations, np.zeros((self.count, 3, 1))], axis=2))
+
+    def _stock(self, shapes: list[Any]) -> None:
+        """A Mitsuba scene of the shapes that are not ours, and the way from its shapes to surface numbers."""
+        self.stock_scene = None
+        if not shapes:
+            return
+        self.stock_scene = mi.load_dict(
+            {"type": "scene", **dict(zip(self.ids[len(self.pieces) :], shapes, strict=True))},
+            optimize=False,  # the key becomes the id
+        )
+        pointers = dr.reinterpret_array(mi.UInt32, mi.ShapePtr(shapes))
+        registry = np.array(pointers)
+        lookup = np.zeros(int(registry.max()) + 1, dtype=np.uint32)
+        lookup[registry] = np.arange(len(shapes), dtype=np.uint32) + len(self.pieces)
+        self.stock_lookup = upload(mi.UInt32, lookup)
+        size = float(np.max(np.abs([*self.stock_scene.bbox().min, *self.stock_scene.bbox().max])))
+        self.stock_epsilon = 4e-6 * (1.0 + size)
+        self.stock_offset = mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in self.centre))
+
+    def stock_normals(self, points: np.ndarray, directions: np.ndarray) -> np.ndarray:
+        """Normals of the stock shapes that rays along `directions` meet at `points`, (n, 3) float64."""
+        assert self.stock_scene is not None
+        starts = points - 8 * self.stock_epsilon * directions
+        # From memory: with numbers of their own in the code, each ray would be a kernel to compile
+        origin, along = (dr.unravel(mi.Vector3f, upload(mi.Float, rays)) for rays in (starts, directions))
+        found = self.stock_scene.ray_intersect(mi.Ray3f(mi.Point3f(origin), along))
+        return np.array(found.n, dtype=np.float64).T
+
+    def _flags(self) -> np.ndarray:
+        """The bits of the words that the geometry knows."""
+        flags = np.zeros(self.count, dtype=np.uint32)
+        for i in range(self.count):
+            piece = self.pieces[i] if i < len(self.pieces) else None
+            flags[i] = (
+                (DETECTOR if i == self.detector else 0)
+                | (STOCK if piece is None else 0)
+                | (WALL if piece is not None and piece.wall else 0)
+                | (ASPHERIC if piece is not None and piece.coefficients else 0)
+            )
+        return flags
+
+    def film(self) -> tuple[int, int, tuple[float, float, float, float]]:
+        """Pixels across and down the detector, and its extent (x0, x1, y0, y1) in its own frame, mm."""
+        shape = self.shapes[self.detector]
+        width, height = (int(n) for n in shape.sensor().film().size())
+        owner = f"detector '{self.ids[self.detector]}'"
+        FILM_SIDE.check("width of its film", width, owner)
+        FILM_SIDE.check("height of its film", height, owner)
+        FILM_PIXELS.check("number of its pixels", width * height, owner)
+        if self.detector < len(self.pieces):
+            piece = self.pieces[self.detector]
+            half = piece.half_size if not piece.outer else (piece.outer, piece.outer)
+            if piece.kind == "cone":
+                raise MistrayError(
+                    f"detector '{self.ids[self.detector]}' is a tube; use an 'asphere' or a flat 'frustum'"
+                )
+            return width, height, (-half[0], half[0], -half[1], half[1])
+        matrix = _rectangle_matrix(shape, self.ids[self.detector])
+        half = float(np.linalg.norm(matrix[:3, 0])), float(np.linalg.norm(matrix[:3, 1]))
+        axes = (matrix[:3, 3] - self.centre, matrix[:3, 0] / half[0], matrix[:3, 1] / half[1])
+        self.detector_axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in axis)) for axis in axes]
+        return width, height, (-half[0], half[0], -half[1], half[1])
+
+
+def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarray:
+    """Middle of surfaces with these vertices and radii, or the origin if it is no farther from it than they reach."""
+    if not vertices:
+        return np.zeros(3)
+    places, reach = np.array(vertices), np.array(radii)[:, None]
+    low, high = (places - reach).min(axis=0), (places + reach).max(axis=0)
+    middle = 0.5 * (low + high)
+    return middle if np.linalg.norm(middle) > np.linalg.norm(high - low) else np.zeros(3)
+
+
+def solid_shapes(scene: mi.Scene) -> list[Any]:
+    """The shapes that light meets: all but those that only say where scattered rays are aimed at."""
+    return [shape for shape in scene.shapes() if not getattr(shape.bsdf(), "is_target", False)]
+
+
+def _interface(shape: Any) -> Any:
+    bsdf = shape.bsdf()
+    if not hasattr(bsdf, "coating"):
+        kind = type(bsdf).__name__ if bsdf is None else str(bsdf).split("[")[0].strip()
+        raise MistrayError(
+            f"shape '{shape.id()}' carries the BSDF {kind}, which the ray tree cannot split; nest an 'interface' in it"
+        )
+    return bsdf
+
+
+def _rectangle_matrix(shape: Any, name: str) -> np.ndarray:
+    params = mi.traverse(shape)
+    if not str(shape).startswith("Rectangle"):
+        raise MistrayError(
+            f"detector '{name}' is {str(shape).split('[')[0]}; use an 'asphere', a flat 'frustum' or a 'rectangle'"
+        )
+    return np.array(params["to_world"].matrix, dtype=np.float64).reshape(4, 4)

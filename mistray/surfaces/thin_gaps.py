@@ -1,0 +1,49 @@
+"""Gaps between surfaces that are thinner than the digits of the device's positions: light is lost in them."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+
+from mistray.physics.sag import conic_end, sag
+from mistray.surfaces.pieces import Piece
+from mistray.surfaces.surfaces import SurfaceTable
+
+ROUNDINGS = 4  # of a position: a gap that is thicker passes its light
+SAMPLES = 65  # of the common aperture, in equal areas
+SHARE = 0.02  # of it that may be thinner: where surfaces touch
+
+
+def thin_gaps(table: SurfaceTable) -> list[str]:
+    """
+    What float32 does not resolve, one line for each gap.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+        Compared are its neighbours on one axis; walls are left alone.
+    """
+    found = []
+    optics = sorted((p for p in table.pieces if not p.wall), key=lambda p: (p.axis, p.z))
+    for a, b in pairwise(optics):
+        low, high = max(a.inner, b.inner), min(a.size, b.size)
+        if a.axis != b.axis or high <= low:
+            continue
+        r2 = np.linspace(low**2, high**2, SAMPLES)
+        gap = np.abs(_height(b, r2) - _height(a, r2))
+        place = abs(a.z) if a.frame == 0 else float(np.linalg.norm(table.vertices[a.index] - table.centre))
+        least = ROUNDINGS * float(np.spacing(np.float32(place)))
+        if np.mean(gap < least) > SHARE:
+            found.append(
+                f"surfaces '{table.ids[a.index]}' and '{table.ids[b.index]}' are {np.median(gap):.2g} mm apart, and "
+                f"{place:.4g} mm from the middle of the scene, where rays are placed to {least:.2g} mm: light may be "
+                "lost between them; trace a scene of the parts near them alone"
+            )
+    return found
+
+
+def _height(piece: Piece, r2: np.ndarray) -> np.ndarray:
+    """Positions along the axis at squared radii, mm."""
+    c, k = piece.conic
+    return np.asarray(piece.z + sag(np.minimum(r2, conic_end(c, k) ** 2 * (1 - 1e-12)), c, k, piece.coefficients))

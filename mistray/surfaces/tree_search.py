@@ -1,0 +1,140 @@
+"""Nearest hit of rays with the surfaces of a `ShellTree`, in a loop whose code does not grow with their number."""
+
+from __future__ import annotations
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.surfaces.aspheres import AsphereSearch
+from mistray.surfaces.crossings import CROSSINGS, FAR, AxisRay, Numbers
+from mistray.surfaces.extrema import larger, smaller
+from mistray.surfaces.pieces import NO_SURFACE, Piece
+from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.upload import upload
+
+ROUNDING = 1e-6  # of distances along a ray, relative
+ROUNDINGS = 1  # by which surfaces overlap
+
+
+class TreeSearch:
+    """
+    The surfaces in the tree of a `SurfaceTable`.
+
+    Parameters
+    ----------
+    table : SurfaceTable
+        With a `tree`.
+    """
+
+    def __init__(self, table: SurfaceTable) -> None:
+        tree = table.tree
+        assert tree is not None
+        pieces = [table.pieces[k] for k in tree.members]
+        # One of each sort: what the kernel's code hangs on is the same for all of a sort
+        self._sorts: dict[tuple[str, bool, bool], Piece] = {}
+        for piece in pieces:
+            self._sorts.setdefault(_sort(piece), piece)
+        sorts = list(self._sorts)
+        self._aspheres = AsphereSearch(table, [piece for piece in pieces if piece.kind == "asphere"])
+        # What a node tells of its surface; the last line is for nodes that have none
+        facts = np.array(
+            [*((piece.index, sorts.index(_sort(piece))) for piece in pieces), (NO_SURFACE, len(sorts))], dtype=np.uint32
+        )
+        links = np.concatenate([tree.skip[..., None], tree.piece[..., None], facts[tree.piece]], axis=-1)
+        self._bounds, self._links = upload(mi.Float, tree.bounds), upload(mi.UInt32, links)
+        self._axis, self._nodes = upload(mi.UInt32, tree.axis), dr.opaque(mi.UInt32, len(tree.axis))
+        # Surfaces that meet overlap by as much as their places are rounded, so that no ray slips through between them
+        reach = np.abs(table.vertices[tree.members] - table.centre).max()
+        reach += max(piece.size + np.ptp(piece.z_range) for piece in pieces)
+        overlap = ROUNDINGS * float(np.spacing(np.float32(reach)))
+        self._rows = upload(mi.Float, np.array([Numbers.row(piece, overlap) for piece in pieces]))
+        self._places = upload(mi.Float, np.array([(x, y) for _, x, y in tree.axes]))
+        frames = np.array([frame for frame, _, _ in tree.axes], dtype=np.uint32)
+        self._frames, self._turned = upload(mi.UInt32, frames), bool(frames.any())
+        self._turns = upload(mi.Float, np.array([np.append(frame.ravel(), np.zeros(3)) for frame in table.frames]))
+
+    def nearest(
+        self, o: mi.Vector3f, d: mi.Vector3f, last: mi.UInt32, best: mi.Float, surface: mi.UInt32, active: mi.Bool
+    ) -> tuple[mi.Float, mi.UInt32]:
+        """
+        Improve the nearest hit by the surfaces of the tree.
+
+        Parameters
+        ----------
+        o, d : mi.Vector3f
+            Ray, mm and unit direction.
+        last : mi.UInt32
+            Surface the ray starts on.
+        best, surface : mi.Float, mi.UInt32
+            Nearest hit so far.
+        """
+
+        def step(k: mi.UInt32, best: mi.Float, surface: mi.UInt32) -> tuple[mi.UInt32, mi.Float, mi.UInt32]:
+            going = active & (k < self._nodes)
+            ray = self._axis_ray(o, d, dr.gather(mi.UInt32, self._axis, k, going), going)
+            node = dr.select(ray.dz >= 0, k, k + self._nodes)
+            near = going & _meets(ray, dr.gather(mi.Vector4f, self._bounds, node, going), best)
+            skip, place, number, sort = dr.gather(mi.Vector4u, self._links, node, going)
+            for number_of_sort, piece in enumerate(self._sorts.values()):
+
+                def test(best: mi.Float, surface: mi.UInt32, piece: Piece = piece) -> tuple[mi.Float, mi.UInt32]:
+                    if piece.kind == "asphere":
+                        t = self._aspheres.first(o, d, number, last == number, best, mi.Bool(True))
+                    else:
+                        numbers = Numbers.read(self._rows, piece.kind, place)
+                        t = CROSSINGS[piece.kind](ray, piece, numbers, last == number)
+                    nearer = t < best
+                    return dr.select(nearer, t, best), dr.select(nearer, number, surface)
+
+                best, surface = dr.if_stmt(
+                    (best, surface),
+                    near & (sort == number_of_sort),
+                    test,
+                    lambda best, surface: (best, surface),
+                    arg_labels=("best", "surface"),
+                    mode="symbolic",
+                )
+            return dr.select(near, k + 1, skip), best, surface
+
+        _, best, surface = dr.while_loop(
+            (dr.zeros(mi.UInt32, dr.width(last)), mi.Float(best), mi.UInt32(surface)),
+            lambda k, best, surface: active & (k < self._nodes),
+            step,
+            labels=("k", "best", "surface"),
+            mode="symbolic",
+            label="tree",
+        )
+        return best, surface
+
+    def _axis_ray(self, o: mi.Vector3f, d: mi.Vector3f, axis: mi.UInt32, active: mi.Bool) -> AxisRay:
+        """Rays in the frames of axes."""
+        if self._turned:
+            frame = dr.gather(mi.UInt32, self._frames, axis, active)
+            rows = [dr.gather(mi.Vector4f, self._turns, 3 * frame + k, active) for k in range(3)]
+            turn = [component for row in rows for component in row]
+            o, d = (
+                mi.Vector3f(*(turn[k] * v.x + turn[3 + k] * v.y + turn[6 + k] * v.z for k in range(3))) for v in (o, d)
+            )
+        x, y = dr.gather(mi.Vector2f, self._places, axis, active)
+        return AxisRay.of(o.x - x, o.y - y, o.z, d)
+
+
+def _sort(piece: Piece) -> tuple[str, bool, bool]:
+    """What the code for a surface hangs on: its kind, whether it is round, whether it has a hole."""
+    return piece.kind, bool(piece.outer), piece.inner > 0
+
+
+def _meets(ray: AxisRay, bounds: mi.Vector4f, best: mi.Float) -> mi.Bool:
+    """Whether rays up to the distance `best` come into a shell: into its slab, not beside it nor through its hole."""
+    low, high, inner2, outer2 = bounds
+    first, second = (low - ray.oz) * ray.inv_dz, (high - ray.oz) * ray.inv_dz
+    start = larger(smaller(first, second) * (1 - ROUNDING), 0)
+    end = smaller(smaller(larger(first, second), best) * (1 + ROUNDING), FAR)
+
+    def off2(t: mi.Float) -> mi.Float:
+        x, y = ray.lateral(t)
+        return dr.fma(x, x, y * y)
+
+    closest = smaller(larger(-ray.od / ray.dd, start), end)
+    return (start <= end) & (larger(off2(start), off2(end)) >= inner2) & (off2(closest) <= outer2)

@@ -1,0 +1,463 @@
+"""Derivatives of scatter along a path: by the models' values, by directions and normals, by R and T.
+
+The tables, their replay and the chain to the values are held against central differences of closed forms in float64,
+`scatter_forms`, which know nothing of tables. The 32 batches of start rays are 32 rays here, eight for each
+event and side, so that each has a derivative of its own. The limit of the issue is 1e-2; most models have nothing but
+radial tables, good to 1e-4, and a lower limit. A derivative that is 2 % wrong fails everywhere.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles import scatter_integrals as integrals
+from oracles.derivatives import central_differences
+from oracles.scatter_scenes import bsdf_xml, scattering_xml
+from oracles.small_scenes import scene_text, shape_xml
+from scatter_forms import FORMS, WAVELENGTH_NM, Form, Light
+from tiers import slow_unless
+
+from mistray.errors import MistrayError
+from mistray.gradients.scatter_gradient import fixed, scatter_gradient
+from mistray.gradients.scatter_replay import ScatterEvent, ScatterReplay
+from mistray.kernel.scatter_tables import ScatterTables
+from mistray.kernel.scattering import Scattering
+from mistray.physics import contamination
+from mistray.settings import BATCHES
+from mistray.surfaces.surfaces import SurfaceTable
+
+R, T, GLASS = 0.3, 0.4, 1.5
+RAYS = BATCHES // 4
+# Largest error as a part of the largest derivative of eight rays; where a table of directions stands beside the radial
+# one, or Mie's curves ripple with the level, the issue's
+VALUES, COARSE = 2e-3, 1e-2
+STEP, TURN = 1e-4, 1e-4  # of values, relative; of directions, rad
+Load = Callable[[str], Any]
+
+
+def table_of(load_scene: Load, *models: str, back: str = str(GLASS)) -> SurfaceTable:
+    """A face that scatters, and a detector."""
+    face = shape_xml("asphere", "face", 0.0, scattering_xml(models, "air", back, R=R, T=T), semi_diameter=50.0)
+    detector = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=10.0, half_height=10.0)
+    return SurfaceTable(load_scene(scene_text(face, detector)), WAVELENGTH_NM)
+
+
+def scattering_of(table: SurfaceTable, backward: bool) -> Scattering:
+    return Scattering(ScatterTables(table, {}, backward))
+
+
+def model_xml(form: Form) -> str:
+    return bsdf_xml(form.kind, **form.values, **form.options)
+
+
+class Rays:
+    """Eight rays that a face between air and glass scatters, in a frame at random; `least` is a sine of incidence."""
+
+    def __init__(self, reflect: bool, from_front: bool, least: float) -> None:
+        self.reflect, self.from_front = reflect, from_front
+        self.n_in, self.n_out = (1.0, GLASS) if from_front else (GLASS, 1.0)
+        rng = np.random.default_rng((7, reflect, from_front))
+        frame = np.linalg.qr(rng.standard_normal((3, 3)))[0]
+        # So far from the normal that light is refracted from either side, along the ray and against it
+        sine = rng.uniform(least, 0.6, RAYS) / self.n_in
+        most = 0.95 * min(1.0, self.n_in / self.n_out)
+        r, psi = 10 ** rng.uniform(-2.0, -0.5, RAYS), rng.uniform(0, 2 * np.pi, RAYS)
+        centre = sine if reflect else sine * self.n_in / self.n_out
+        beta = np.stack([centre + r * np.cos(psi), r * np.sin(psi)], axis=1)
+        beta *= np.minimum(1, most / np.linalg.norm(beta, axis=1))[:, None]
+        away = np.sqrt(1 - np.sum(beta**2, axis=1)) * (-1 if reflect else 1)
+        self.d = np.column_stack([sine, np.zeros(RAYS), np.sqrt(1 - sine**2)]) @ frame
+        self.w = np.column_stack([beta, away]) @ frame
+        self.across, self.beside, self.axis = (np.tile(row, (RAYS, 1)) for row in frame)
+
+    def log_flux(self, form: Form, values: dict[str, float], backward: bool, *turns: float) -> np.ndarray:
+        """The oracle. Along the light and against it, the flux per étendue n² cos θ dω is the same."""
+        d, axis = self.d, self.axis
+        if turns:
+            a, b, c, e = turns
+            d, axis = d + a * self.across + b * self.beside, axis + c * self.across + e * self.beside
+            d, axis = (v / np.linalg.norm(v, axis=1, keepdims=True) for v in (d, axis))
+        share = R if self.reflect else T
+        if not backward:
+            light = Light(d, self.w, axis, self.reflect, self.from_front, self.n_in, self.n_out)
+            return np.log(form.bsdf(values, light, share) * light.cos_s)
+        front = self.from_front == self.reflect
+        sides = (self.n_in, self.n_out) if self.reflect else (self.n_out, self.n_in)
+        light = Light(-self.w, -d, axis if self.reflect else -axis, self.reflect, front, *sides)
+        return np.log(form.bsdf(values, light, share) * light.cos_i * (sides[0] / self.n_in) ** 2)
+
+    def event(self, table: SurfaceTable, *turns: mi.Float64, face: str = "face") -> ScatterEvent:
+        """The same for the replay."""
+        d, axis, across, beside = (mi.Vector3d(v.T.copy()) for v in (self.d, self.axis, self.across, self.beside))
+        if turns:
+            a, b, c, e = turns
+            d, axis = dr.normalize(d + a * across + b * beside), dr.normalize(axis + c * across + e * beside)
+        eta, cos_i = mi.Float64(self.n_in / self.n_out), dr.dot(d, axis)
+        cos_t = dr.safe_sqrt(1 - dr.square(eta) * (1 - dr.square(cos_i)))
+        lanes = dr.arange(mi.UInt32, RAYS) + RAYS * (2 * self.reflect + self.from_front)
+        shares = mi.Float64(R), mi.Float64(T)
+        flags = mi.Bool(self.reflect), mi.Bool(self.from_front)
+        return ScatterEvent(
+            mi.UInt32(table.ids.index(face)) + 0 * lanes, lanes, *flags, d, axis, cos_i, cos_t, eta, *shares
+        )
+
+    @property
+    def direction(self) -> mi.Vector3d:
+        return mi.Vector3d(self.w.T.copy())
+
+
+def all_rays(form: Form, backward: bool) -> list[Rays]:
+    """For events and sides where the model scatters; against a ray that is transmitted, light comes from beyond."""
+    # Tables of directions are uniform in the cosine of incidence, and so coarse near the normal: 2 % of the slope there
+    least = 0.25 if is_tabled(form) else 0.05
+    every = [Rays(reflect, front, least) for reflect in (False, True) for front in (False, True)]
+    return [
+        r for r in every if form.scatters(r.reflect, r.from_front if r.reflect or not backward else not r.from_front)
+    ]
+
+
+def by_values(
+    table: SurfaceTable,
+    backward: bool,
+    form: Form,
+    rays: list[Rays],
+    function: Callable[[ScatterReplay, Rays], mi.Float64],
+) -> dict[str, dict[Rays, np.ndarray]]:
+    """Derivatives of a function of each ray by the values of the form that the face has."""
+    scattering = scattering_of(table, backward)
+    replay = ScatterReplay(table, scattering)
+    for some in rays:
+        dr.backward(dr.sum(function(replay, some)))
+    found = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name in differentiable(form))
+    parts = {
+        some: slice(first, first + RAYS) for some in rays for first in [RAYS * (2 * some.reflect + some.from_front)]
+    }
+    return {name: {some: gradient[part, 0] for some, part in parts.items()} for _, name, gradient in found}
+
+
+def assert_derivative(found: np.ndarray, expected: np.ndarray, relative: float) -> None:
+    """Within a part of the largest; and a number that is wrong by 2 % is seen."""
+    largest = np.max(np.abs(expected))
+    assert largest > 0
+    np.testing.assert_allclose(found, expected, rtol=0, atol=relative * largest)
+    assert np.max(np.abs(1.02 * found - expected)) > relative * largest
+
+
+def difference(function: Callable[[dict[str, float]], np.ndarray], values: dict[str, float], name: str) -> np.ndarray:
+    """Central, by one of the values."""
+    step = STEP * abs(values[name])
+    high, low = (function(values | {name: values[name] + sign * step}) for sign in (1, -1))
+    return (high - low) / (2 * step)
+
+
+def is_tabled(form: Form) -> bool:
+    return form.kind in ("paint", "particulate", "polynomial", "psd_table") or form.options.get("theory") in (
+        "ghs_full",
+        "rayleigh_rice_vector",
+    )
+
+
+def limit_of(form: Form) -> float:
+    return COARSE if is_tabled(form) else VALUES
+
+
+def differentiable(form: Form) -> set[str]:
+    """Names of values; the theory of all orders knows one slope only."""
+    return set(form.values) - ({"slope"} if form.options.get("theory") == "ghs_full" else set())
+
+
+# Forms whose light differs most by the direction in which it is traced; all others against the light are slow
+BACKWARD = ("abg", "paint", "rayleigh_rice", "ghs_full")
+DIRECTIONS = [pytest.param(name, False, id=f"{name}-forward") for name in FORMS] + [
+    pytest.param(name, True, id=f"{name}-backward", marks=slow_unless(name in BACKWARD)) for name in FORMS
+]
+
+
+@pytest.mark.parametrize(("name", "backward"), DIRECTIONS)
+def test_flux_by_values(load_scene: Load, name: str, backward: bool) -> None:
+    form = FORMS[name]
+    table, rays = table_of(load_scene, model_xml(form)), all_rays(form, backward)
+    found = by_values(
+        table,
+        backward,
+        form,
+        rays,
+        lambda replay, some: replay.log_flux(some.event(table), some.direction, mi.Bool(True)),
+    )
+    assert set(found) == differentiable(form)
+    for key, derivatives in found.items():
+        for some, derivative in derivatives.items():
+            expected = difference(lambda values: some.log_flux(form, values, backward), form.values, key)  # noqa: B023
+            assert_derivative(derivative, expected, limit_of(form))
+
+
+@pytest.mark.parametrize("name", FORMS)
+def test_flux_by_direction_and_normal(load_scene: Load, name: str) -> None:
+    """The direction of departure is held fixed; R and T are constant."""
+    form = FORMS[name]
+    table = table_of(load_scene, model_xml(form))
+    for backward in (False, True):
+        replay = ScatterReplay(table, scattering_of(table, backward))
+        for rays in all_rays(form, backward):
+            turns = [dr.zeros(mi.Float64, RAYS) for _ in range(4)]
+            dr.enable_grad(turns)
+            value = replay.log_flux(rays.event(table, *turns), rays.direction, mi.Bool(True))
+            dr.backward(dr.sum(value))
+            found = np.array([dr.grad(turn) for turn in turns])
+
+            def log_flux(*turn: float) -> np.ndarray:
+                return rays.log_flux(form, form.values, backward, *turn)  # noqa: B023
+
+            np.testing.assert_allclose(np.array(value), log_flux(), atol=2 * limit_of(form))
+            expected = central_differences(log_flux, [0.0] * 4, [TURN] * 4)
+            size = np.linalg.norm(expected, axis=0)
+            limit = limit_of(form) * np.maximum(size, 0.1 * np.max(size))
+            error = np.linalg.norm(found - expected, axis=0)
+            assert np.all(error <= limit), np.max(error / limit)
+            assert np.any(np.linalg.norm(1.02 * found - expected, axis=0) > limit)
+
+
+class TestShares:
+    """What stays in the specular beams, and what is absorbed."""
+
+    SINES = np.linspace(0.05, 0.6, RAYS)
+
+    def event(self, table: SurfaceTable, reflect: bool, n_out: float, sines: mi.Float64 | None = None) -> ScatterEvent:
+        sine = mi.Float64(self.SINES) if sines is None else sines
+        cos_i, cos_t = dr.sqrt(1 - sine * sine), dr.sqrt(1 - dr.square(sine / n_out))
+        s, lanes = mi.UInt32(table.ids.index("face")), dr.arange(mi.UInt32, RAYS)
+        d, axis = mi.Vector3d(sine, 0, cos_i), mi.Vector3d(0, 0, 1)
+        shares = mi.Float64(R), mi.Float64(T)
+        flags = mi.Bool(reflect), mi.Bool(True)
+        return ScatterEvent(s, lanes, *flags, d, axis, cos_i, cos_t, mi.Float64(1 / n_out), *shares)
+
+    def by_values(
+        self,
+        table: SurfaceTable,
+        reflect: bool,
+        n_out: float,
+        function: Callable[..., mi.Float64],
+        backward: bool = False,
+    ) -> dict[str, np.ndarray]:
+        """Derivatives for eight angles of incidence."""
+        scattering = scattering_of(table, backward)
+        replay = ScatterReplay(table, scattering)
+        dr.backward(dr.sum(function(replay, self.event(table, reflect, n_out), mi.Bool(True))))
+        found = scatter_gradient(table, scattering, replay.derivatives(), lambda *key: fixed(*key) is None)
+        return {name: gradient[:RAYS, 0] for _, name, gradient in found}
+
+    @pytest.mark.parametrize("reflect", [True, False], ids=["reflection", "transmission"])
+    @pytest.mark.parametrize("name", ["abg", "harvey_shack", "gaussian_lobe"])
+    def test_kept_by_values(self, load_scene: Load, name: str, reflect: bool) -> None:
+        """ln(1 - TIS) with the TIS by quadrature over the unit disc of direction cosines."""
+        form = FORMS[name]
+        profiles = {
+            "abg": lambda v: integrals.abg(v["A"], v["B"], v["g"]),
+            "harvey_shack": lambda v: integrals.harvey_shack(v["b0"], v["l"], v["s"]),
+            "gaussian_lobe": lambda v: lambda r: integral_peak(v) * np.exp(-((r / v["width"]) ** 2)),
+        }
+        table = table_of(load_scene, model_xml(form))
+        for backward in (False, True):
+            # Of the specular direction; against a ray into the glass light comes out of it
+            sines = self.SINES if reflect or backward else self.SINES / GLASS
+
+            def log_kept(values: dict[str, float]) -> np.ndarray:
+                profile = profiles[name](values)
+                return np.log1p(-np.array([integrals.total_scatter(profile, sine) for sine in sines]))  # noqa: B023
+
+            found = self.by_values(table, reflect, GLASS, ScatterReplay.log_kept, backward)
+            assert set(found) == set(form.values)
+            for key, derivative in found.items():
+                assert_derivative(derivative, difference(log_kept, form.values, key), VALUES)
+
+    def test_particles_take_their_extinction(self, load_scene: Load) -> None:
+        """Once in transmission and twice in reflection, times 1/cos θ; a film in air."""
+        form = FORMS["particulate"]
+        table = table_of(load_scene, model_xml(form), back="air")
+        cosine = np.sqrt(1 - self.SINES**2)
+        for reflect, times in ((True, 2), (False, 1)):
+
+            def log_kept(values: dict[str, float]) -> np.ndarray:
+                cloud = contamination.cloud(1e-3 * WAVELENGTH_NM, contamination.dust_index(0.55), values["level"])
+                return np.log1p(-times * cloud.extinction / cosine)  # noqa: B023
+
+            found = self.by_values(table, reflect, 1.0, ScatterReplay.log_kept)
+            assert_derivative(found["level"], difference(log_kept, form.values, "level"), VALUES)
+
+    def test_absorbed_by_values(self, load_scene: Load) -> None:
+        """Absolute scatter takes nothing from the beams: a Lambertian of reflectance ρ leaves 1 - R - T - ρ."""
+        table = table_of(load_scene, bsdf_xml("paint", reflectance=0.05))
+        found = self.by_values(table, True, GLASS, ScatterReplay.absorbed)
+        assert_derivative(found["reflectance"], -np.ones(RAYS), 1e-5)
+
+    def test_kept_by_angle(self, load_scene: Load) -> None:
+        """By the sine of incidence, both events; the slope jumps a little at each of the 257 cosines of the table."""
+        form = FORMS["abg"]
+        table, profile = table_of(load_scene, model_xml(form)), integrals.abg(*form.values.values())
+        for reflect in (True, False):
+            sine = mi.Float64(self.SINES)
+            dr.enable_grad(sine)
+            replay = ScatterReplay(table, scattering_of(table, False))
+            dr.backward(dr.sum(replay.log_kept(self.event(table, reflect, GLASS, sine), mi.Bool(True))))
+
+            def log_kept(turn: float) -> np.ndarray:
+                sines = (self.SINES + turn) / (1 if reflect else GLASS)  # noqa: B023
+                return np.log1p(-np.array([integrals.total_scatter(profile, sine) for sine in sines]))
+
+            (expected,) = central_differences(log_kept, [0.0], [1e-3])
+            assert_derivative(np.array(dr.grad(sine)), expected, COARSE)
+
+
+def integral_peak(values: dict[str, float]) -> float:
+    """Of a Gaussian with this total at normal incidence."""
+    return values["total"] / (np.pi * values["width"] ** 2 * -np.expm1(-(values["width"] ** -2)))
+
+
+def test_shares_of_the_coating(load_scene: Load) -> None:
+    """d ln f/dR: 1/R where scatter is a share of R, 0 where it is absolute; the same against the light."""
+    for name, expected in (("abg", 1 / R), ("abg absolute", 0.0)):
+        table = table_of(load_scene, model_xml(FORMS[name]))
+        for backward in (False, True):
+            replay, rays = ScatterReplay(table, scattering_of(table, backward)), Rays(True, True, 0.05)
+            event, share = rays.event(table), mi.Float64(R) + dr.zeros(mi.Float64, RAYS)
+            dr.enable_grad(share)
+            event.R = share
+            value = replay.log_flux(event, rays.direction, mi.Bool(True), lambda front, cos_i: (share, mi.Float64(T)))  # noqa: B023
+            dr.backward(dr.sum(value))
+            np.testing.assert_allclose(np.array(dr.grad(share)), expected, rtol=1e-6)
+
+
+class TestPlugins:
+    """Two faces with equal models."""
+
+    ABG = FORMS["abg"]
+
+    def table(self, load_scene: Load, *nested: str) -> SurfaceTable:
+        faces = [
+            shape_xml("asphere", f"face_{k}", 5.0 * k, scattering_xml([model], R=R, T=T), semi_diameter=50.0)
+            for k, model in enumerate(nested)
+        ]
+        shared = model_xml(self.ABG).replace("<bsdf ", '<bsdf id="polish" ', 1)
+        detector = shape_xml("asphere", "detector", 60.0, sensor=True, half_width=10.0, half_height=10.0)
+        return SurfaceTable(load_scene(scene_text(shared, *faces, detector)), WAVELENGTH_NM)
+
+    def by_amplitude(self, table: SurfaceTable, *faces: str) -> list[float]:
+        """By A of each plugin, of the sum of ln f of the rays at these faces, times A: their number."""
+        scattering, rays = scattering_of(table, False), Rays(True, True, 0.05)
+        replay = ScatterReplay(table, scattering)
+        for face in faces:
+            event = rays.event(table, face=face)
+            dr.backward(dr.sum(replay.log_flux(event, rays.direction, mi.Bool(True))))
+        found = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name == "A")
+        return [self.ABG.values["A"] * float(gradient.sum()) for _, _, gradient in found]
+
+    def test_a_shared_plugin_has_the_sum(self, load_scene: Load) -> None:
+        table = self.table(load_scene, '<ref id="polish"/>', '<ref id="polish"/>')
+        assert self.by_amplitude(table, "face_0", "face_1") == pytest.approx([2 * RAYS], rel=1e-4)
+
+    def test_two_plugins_do_not_mix(self, load_scene: Load) -> None:
+        """Though their models are equal, so that the kernel has one table for both."""
+        table = self.table(load_scene, model_xml(self.ABG), model_xml(self.ABG))
+        assert self.by_amplitude(table, "face_1") == pytest.approx([0.0, RAYS], rel=1e-4)
+
+    def test_two_models_on_one_face(self, load_scene: Load) -> None:
+        """Equal parts of the flux, of which each has its share."""
+        table = table_of(load_scene, model_xml(self.ABG), model_xml(self.ABG))
+        assert self.by_amplitude(table, "face") == pytest.approx([RAYS / 2, RAYS / 2], rel=1e-4)
+
+
+@pytest.mark.parametrize(
+    ("kind", "name", "values", "reason"),
+    [
+        ("abg", "A", {"A": 0.0, "B": 1e-3, "g": 2.0}, "lobes come or go at A = 0"),
+        ("abg", "g", {"A": 0.1, "B": 0.01, "g": 0.0}, "lobes come or go at g = 0"),
+        ("harvey_shack", "rms_nm", {"rms_nm": 0.0}, "lobes come or go at rms_nm = 0"),
+        ("paint", "b0", {"reflectance": 0.1}, "lobes come or go at b0 = 0"),
+        (
+            "k_correlation",
+            "slope",
+            {"rms_nm": 4.0, "B_um": 20.0, "slope": 3.0, "theory": "ghs_full", "side": "front", "event": "reflection"},
+            "slope can only be 3",
+        ),
+    ],
+)
+def test_values_without_derivative(
+    load_scene: Load, kind: str, name: str, values: dict[str, float], reason: str
+) -> None:
+    table = table_of(load_scene, bsdf_xml(kind, **values))
+    (plugin,) = table.optics.bsdfs[table.ids.index("face")].scatterers
+    assert fixed(plugin, name) == reason
+    scattering = scattering_of(table, False)
+    derivatives = ScatterReplay(table, scattering).derivatives() if scattering.any else {}
+    with pytest.raises(MistrayError, match=f"{reason}, where it has no derivative"):
+        list(scatter_gradient(table, scattering, derivatives, lambda _, key: key == name))
+    assert all(fixed(plugin, other) is None for other in values if other in plugin.values and other != name)
+
+
+def test_at_the_end_of_a_range(load_scene: Load) -> None:
+    """B = 0 of a Lambertian has a derivative to one side: f = A/(1 + B), d ln f/dB = -1."""
+    table = table_of(load_scene, bsdf_xml("abg", A=0.1, B=0.0, g=0.0))
+    scattering, rays = scattering_of(table, False), Rays(True, True, 0.05)
+    replay = ScatterReplay(table, scattering)
+    dr.backward(dr.sum(replay.log_flux(rays.event(table), rays.direction, mi.Bool(True))))
+    ((_, _, gradient),) = scatter_gradient(table, scattering, replay.derivatives(), lambda _, name: name == "B")
+    assert gradient.sum() == pytest.approx(-RAYS, rel=1e-4)
+
+
+def test_rays_that_do_not_matter(load_scene: Load) -> None:
+    """Lanes that are not active have no value and no derivative, whatever their numbers are."""
+    table = table_of(load_scene, *map(model_xml, (FORMS["paint"], FORMS["ghs"])))
+    for backward in (False, True):
+        replay, rays = ScatterReplay(table, scattering_of(table, backward)), Rays(False, True, 0.05)
+        turns = [mi.Float64([0.0] * (RAYS - 2) + [np.nan, np.inf]) for _ in range(4)]
+        dr.enable_grad(turns)
+        active = dr.arange(mi.UInt32, RAYS) < RAYS - 2
+        event = rays.event(table, *turns)
+        value = replay.log_flux(event, rays.direction, active) + replay.log_kept(event, active)
+        dr.backward(dr.sum(value + replay.absorbed(event, active)))
+        assert np.all(np.array(value)[-2:] == 0)
+        found = replay.derivatives()
+        assert all(np.all(np.isfinite(values)) for values in found.values())
+        replay.clear()
+        assert not any(values.any() for values in replay.derivatives().values())
+
+
+@pytest.mark.parametrize("name", ["ghs", "rayleigh_rice_vector", "ghs_full", "particulate"])
+def test_directions_without_azimuth_or_slope(load_scene: Load, name: str) -> None:
+    """Normal incidence, the specular direction itself, and the plane of incidence: derivatives are finite numbers."""
+    form = FORMS[name]
+    table = table_of(load_scene, model_xml(form))
+    for backward in (False, True):
+        replay, rays = ScatterReplay(table, scattering_of(table, backward)), Rays(True, True, 0.05)
+        angle = np.array([0.0, 0.0, 0.0, 0.3, 0.3, 0.3, 0.3, 0.3])
+        out = np.array([0.0, 0.2, -0.2, 0.3, 0.4, 0.2, -0.1, 0.0])
+        rays.across, rays.beside, rays.axis = (np.tile(row, (RAYS, 1)) for row in np.eye(3))
+        rays.d = np.column_stack([np.sin(angle), np.zeros(RAYS), np.cos(angle)])
+        rays.w = np.column_stack([np.sin(out), np.zeros(RAYS), -np.cos(out)])
+        turns = [dr.zeros(mi.Float64, RAYS) for _ in range(4)]
+        dr.enable_grad(turns)
+        value = replay.log_flux(rays.event(table, *turns), rays.direction, mi.Bool(True))
+        dr.backward(dr.sum(value))
+        found = np.array([dr.grad(turn) for turn in turns])
+        assert np.all(np.isfinite(found))
+        # What scatters is the same on both sides of the plane of incidence
+        np.testing.assert_allclose(found[[1, 3]], 0, atol=1e-3 * np.max(np.abs(found)))
+
+
+@pytest.mark.parametrize("name", ["ghs", "rayleigh_rice_vector"])
+def test_ratios_that_are_called_fixed_are(load_scene: Load, name: str) -> None:
+    form = FORMS[name]
+    table = table_of(load_scene, model_xml(form))
+    (plugin,) = table.optics.bsdfs[table.ids.index("face")].scatterers
+    for key, value in form.values.items():
+        models = (plugin._model_of(**(form.values | {key: changed})) for changed in (value, 1.2 * value))
+        base, moved = ([lobe.ratio for lobe in model.lobes(WAVELENGTH_NM, 1.0, GLASS, True)] for model in models)
+        for one, other in zip(base, moved, strict=True):
+            if one is not None:
+                assert one.fixed
+                np.testing.assert_array_equal(one.values, other.values)

@@ -1,0 +1,263 @@
+"""Cells of directions, and which cell the kernel books a ray in, against float64."""
+
+from __future__ import annotations
+
+import json
+from typing import Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+import pytest
+from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
+
+from mistray import MistrayError
+from mistray.recorders.directions import DirectionGrid
+from mistray.recorders.recorder import Departure
+from mistray.recorders.sky import Sky
+from mistray.sampling.sources import beams
+
+
+def random_rotation(seed: int) -> np.ndarray:
+    """A right-handed frame."""
+    q, _ = np.linalg.qr(np.random.default_rng(seed).normal(size=(3, 3)))
+    return q * np.sign(np.linalg.det(q))
+
+
+# -- cells ---------------------------------------------------------------------------------------------------------
+
+
+class TestCells:
+    def test_default_width_is_two_degrees_clipped_at_the_ends(self) -> None:
+        grid = DirectionGrid.of([0.0, 20.0, 90.0])
+        np.testing.assert_allclose(grid.edges_deg, [[0, 1], [19, 21], [89, 90]], rtol=1e-15)
+        np.testing.assert_array_equal(grid.azimuths_deg, [0.0])
+        assert (grid.shape, grid.azimuth_cell_deg) == ((3, 1), 360.0)
+        np.testing.assert_array_equal(grid.rotation, np.eye(3))
+
+    def test_default_width_is_the_least_distance_of_close_angles(self) -> None:
+        grid = DirectionGrid.of([10.0, 10.5, 12.0])
+        np.testing.assert_allclose(np.diff(grid.edges_deg), 0.5, rtol=1e-12)
+        assert np.all(grid.edges_deg[1:, 0] >= grid.edges_deg[:-1, 1] - 1e-12)
+
+    def test_width_given(self) -> None:
+        grid = DirectionGrid.of([10.0, 20.0], cell_deg=4.0)
+        np.testing.assert_allclose(grid.edges_deg, [[8, 12], [18, 22]])
+        touching = DirectionGrid.of(np.arange(0.1, 1.0, 0.1), cell_deg=0.1)  # distances are 0.1 but for rounding
+        np.testing.assert_allclose(touching.edges_deg[1:, 0], touching.edges_deg[:-1, 1], atol=1e-12)
+
+    def test_a_single_number_is_one_angle(self) -> None:
+        assert DirectionGrid.of(30.0).shape == (1, 1)  # type: ignore[arg-type]
+
+    @pytest.mark.parametrize(
+        ("azimuths", "given", "span"),
+        [
+            ([0.0], None, 10.0),
+            ([0.0, 90.0, 180.0], None, 90.0),
+            ([10.0, 355.0], None, 15.0),  # across 0
+            ([-5.0, 2.0], None, 7.0),
+            ([0.0, 90.0], 3.0, 3.0),
+            ([40.0], 360.0, 360.0),
+        ],
+    )
+    def test_azimuth_cells(self, azimuths: list[float], given: float | None, span: float) -> None:
+        grid = DirectionGrid.of([5.0], azimuths, azimuth_cell_deg=given)
+        assert grid.azimuth_cell_deg == pytest.approx(span, rel=1e-12)
+        assert grid.shape == (1, len(azimuths))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "words"),
+    [
+        ({"field_deg": []}, "field_deg is empty; give at least one"),
+        ({"field_deg": [1.0, float("nan")]}, "field_deg is nan; it must lie between 0 and 90"),
+        ({"field_deg": np.array([[1.0, 2.0], [3.0, 4.0]])}, "field_deg is .*; it must lie"),
+        ({"field_deg": [-0.5, 3.0]}, "field_deg is -0.5; .* between 0 and 90"),
+        ({"field_deg": [3.0, 90.5]}, "field_deg is 90.5; .* between 0 and 90"),
+        ({"field_deg": [3.0, 2.0]}, "field_deg must ascend"),
+        ({"field_deg": [2.0, 2.0]}, "field_deg must ascend"),
+        ({"field_deg": [1.0, 2.0], "cell_deg": 1.5}, "cell_deg is 1.5; .* distance of two angles, 1 degrees"),
+        ({"field_deg": [1.0], "cell_deg": 0.0}, "cell_deg is 0; it must lie"),
+        ({"field_deg": [1.0], "cell_deg": float("nan")}, "cell_deg is nan; it must lie"),
+        ({"field_deg": [1.0], "cell_deg": 91.0}, "cell_deg is 91; .*90"),
+        ({"field_deg": [1.0], "azimuth_cell_deg": 5.0}, "azimuth_cell_deg is given without azimuths_deg"),
+        ({"field_deg": [1.0], "azimuths_deg": []}, "azimuths_deg is empty; give at least one"),
+        ({"field_deg": [1.0], "azimuths_deg": [float("inf")]}, r"azimuths_deg is inf; it must lie"),
+        ({"field_deg": [1.0], "azimuths_deg": [0.0, 360.0]}, "azimuths_deg holds an azimuth twice"),
+        (
+            {"field_deg": [1.0], "azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": 31.0},
+            "azimuth_cell_deg is 31; .* two azimuths, 30 degrees",
+        ),
+        (
+            {"field_deg": [1.0], "azimuths_deg": [0.0, 30.0], "azimuth_cell_deg": -1.0},
+            "azimuth_cell_deg is -1; it must lie",
+        ),
+    ],
+)
+def test_bad_cells_are_one_line(arguments: dict[str, Any], words: str) -> None:
+    with pytest.raises(MistrayError, match=words) as caught:
+        DirectionGrid.of(**arguments)
+    assert "\n" not in str(caught.value)
+
+
+class TestSolidAngle:
+    GRID = DirectionGrid.of([0.0, 0.3, 17.0, 60.0, 89.9], [0.0, 40.0], cell_deg=0.3, azimuth_cell_deg=25.0)
+
+    def quadrature(self, function: Any) -> np.ndarray:
+        """Integrals over the cells: midpoint rule in θ, 20 000 nodes, times the span in azimuth."""
+        found = []
+        for low, high in np.radians(self.GRID.edges_deg):
+            theta = low + (high - low) * (np.arange(20_000) + 0.5) / 20_000
+            found.append(np.radians(25.0) * (high - low) * np.mean(function(theta) * np.sin(theta)))
+        return np.array(found)
+
+    def test_against_quadrature(self) -> None:
+        np.testing.assert_allclose(self.GRID.solid_angle, self.quadrature(np.ones_like), rtol=1e-7)
+
+    def test_mean_cosine_against_quadrature(self) -> None:
+        expected = self.quadrature(np.cos) / self.quadrature(np.ones_like)
+        np.testing.assert_allclose(self.GRID.mean_cosine, expected, rtol=1e-7)
+
+    def test_cells_of_the_hemisphere_add_up(self) -> None:
+        whole = DirectionGrid.of(np.arange(0, 91, 2))
+        assert whole.solid_angle.sum() == pytest.approx(2 * np.pi, rel=1e-14)
+        parts = DirectionGrid.of(np.arange(0, 91, 2), np.arange(0, 360, 30))
+        assert 12 * parts.solid_angle.sum() == pytest.approx(2 * np.pi, rel=1e-14)
+        assert np.sum(whole.solid_angle * whole.mean_cosine) == pytest.approx(np.pi, rel=1e-14)
+
+
+class TestNearest:
+    GRID = DirectionGrid.of([0.0, 10.0, 20.0], [0.0, 120.0, -100.0], cell_deg=4.0, azimuth_cell_deg=20.0)
+
+    @pytest.mark.parametrize(
+        ("direction", "cell"),
+        [
+            ((0.0,), (0, 0)),
+            ((2.0, 10.0), (0, 0)),  # on the edges
+            ((8.0, -10.0), (1, 0)),
+            ((21.9, 125.0), (2, 1)),
+            ((19.0, 255.0), (2, 2)),  # -105
+            ((10.0, -590.0), (1, 1)),  # 130
+        ],
+    )
+    def test_holds(self, direction: tuple[float, ...], cell: tuple[int, int]) -> None:
+        assert self.GRID.nearest(*direction) == cell
+
+    @pytest.mark.parametrize(
+        ("direction", "words"),
+        [
+            ((2.1,), "angle 2.1° is in no cell; the nearest is that of 0°, 0 … 2°"),
+            ((22.5, 120.0), "angle 22.5° is in no cell; the nearest is that of 20°, 18 … 22°"),
+            ((10.0, 60.1), "azimuth 60.1° is in no cell; the nearest is 120°"),
+            ((10.0, 10.1), "azimuth 10.1° is in no cell; the nearest is 0°"),
+        ],
+    )
+    def test_holds_not(self, direction: tuple[float, ...], words: str) -> None:
+        with pytest.raises(MistrayError) as caught:
+            self.GRID.nearest(*direction)
+        assert str(caught.value) == words
+
+
+def test_facts_come_back() -> None:
+    """Through JSON, bit by bit."""
+    grid = DirectionGrid.of([0.1, 7.7], [1 / 3, 100.0], 0.7, 3.3, random_rotation(5))
+    again = DirectionGrid.from_facts(json.loads(json.dumps(grid.facts())))
+    for key in ("field_deg", "edges_deg", "azimuths_deg", "rotation"):
+        np.testing.assert_array_equal(getattr(again, key), getattr(grid, key))
+    assert again.azimuth_cell_deg == grid.azimuth_cell_deg
+    assert again.facts() == grid.facts()
+
+
+# -- the cell on the device ----------------------------------------------------------------------------------------
+
+
+def device_cells(grid: DirectionGrid, d: np.ndarray) -> np.ndarray:
+    """Cells of rays along d by the kernel; -1: none."""
+    sky = Sky(grid)
+    cell, inside = sky.cell(mi.Vector3f(*np.ascontiguousarray(d.T, dtype=np.float32)))
+    return np.where(np.array(inside), np.array(cell).astype(np.int64), -1)
+
+
+def host_cells(grid: DirectionGrid, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The same in float64, by angles in degrees, and how far (degrees) each direction is from an edge of a cell."""
+    x, y, z = (-d.astype(np.float64) @ grid.rotation).T
+    sine = np.hypot(x, y)
+    theta, phi = np.degrees(np.arctan2(sine, z)), np.degrees(np.arctan2(-x, y))
+    cells, least = np.full(len(d), -1), np.abs(theta - 90)
+    for i, (low, high) in enumerate(grid.edges_deg):
+        for edge in (low, high):
+            if 0 < edge < 90:
+                least = np.minimum(least, np.abs(theta - edge))
+        for j, azimuth in enumerate(grid.azimuths_deg):
+            apart = np.abs((phi - azimuth + 180) % 360 - 180)
+            inside = (theta >= low) & (theta <= high)
+            if grid.azimuth_cell_deg < 360:
+                inside &= apart <= grid.azimuth_cell_deg / 2
+                least = np.minimum(least, np.abs(apart - grid.azimuth_cell_deg / 2) * np.maximum(sine, 1e-9))
+            cells[inside] = i * len(grid.azimuths_deg) + j
+    return cells, least
+
+
+@pytest.mark.parametrize("rotation", [None, random_rotation(1), random_rotation(2)], ids=["axes", "first", "second"])
+@pytest.mark.parametrize(
+    ("angles", "cell_deg", "azimuths", "azimuth_cell_deg"),
+    [
+        (np.arange(0, 91, 2), None, None, None),  # all of the hemisphere
+        ([0.0, 5.0, 33.0, 70.0], 3.0, None, None),  # gaps
+        ([45.0], 90.0, [0.0, 90.0, 180.0, 270.0], None),  # all of it in quarters
+        ([0.0, 20.0, 80.0], 10.0, [-170.0, -20.0, 33.0, 175.0], 12.0),
+        ([60.0], 20.0, [100.0], 40.0),
+    ],
+)
+def test_cells_of_random_directions(angles, cell_deg, azimuths, azimuth_cell_deg, rotation) -> None:
+    """1e5 directions; only those within 0.002° of an edge, under 2 %, may fall to either side."""
+    grid = DirectionGrid.of(angles, azimuths, cell_deg, azimuth_cell_deg, rotation)
+    d = np.random.default_rng(7).normal(size=(100_000, 3))
+    d = (d / np.linalg.norm(d, axis=1, keepdims=True)).astype(np.float32)
+    found = device_cells(grid, d)
+    expected, least = host_cells(grid, d)
+    clear = least > 2e-3
+    assert np.mean(clear) > 0.98
+    np.testing.assert_array_equal(found[clear], expected[clear])
+    assert set(found) - {-1} == set(range(int(np.prod(grid.shape))))
+    share = np.mean(found >= 0)
+    solid = grid.solid_angle.sum() * grid.shape[1] / (4 * np.pi)
+    assert abs(share - solid) < 4 * np.sqrt(solid / len(d))  # false alarm 6e-5
+
+
+def test_edges_at_0_and_90_degrees_belong_to_their_cells() -> None:
+    """Light along the axis, light that grazes, and light that comes from just behind."""
+    grid = DirectionGrid.of([0.0, 30.0, 90.0])
+    light = np.array([[0, 0, 1], [1, 0, 0], [0, -1, 0], [0.6, 0.8, 0], [1, 0, -1e-6], [0, 0, -1]], dtype=np.float64)
+    np.testing.assert_array_equal(device_cells(grid, -light), [0, 2, 2, 2, -1, -1])
+    narrow = DirectionGrid.of([10.0, 80.0])
+    np.testing.assert_array_equal(device_cells(narrow, -light), [-1] * len(light))
+
+
+def test_azimuth_is_that_of_a_source(load_scene) -> None:
+    """The beam of a turned source at field angle 20°, azimuth 130° goes into that cell, in the source's frame."""
+    beam = beam_xml(1.0, along=(1.0, 2.0, 3.0), field_deg=20.0, azimuth_deg=130.0)
+    scene = load_scene(scatter_scene(beam, placed_xml("asphere", "detector", at=(0, 0, 9), pixels=4, semi_diameter=1)))
+    (one,) = beams(scene)
+    rotation = np.asarray(one.emitter.matrix[:3, :3], dtype=np.float64)
+    grid = DirectionGrid.of([0.0, 20.0, 40.0], np.arange(0, 360, 10), rotation=rotation, cell_deg=1.0)
+    (cell,) = device_cells(grid, -one.direction[None])
+    assert divmod(int(cell), 36) == grid.nearest(20.0, 130.0) == (1, 13)
+
+
+def test_sums_are_booked_once() -> None:
+    """Each ray is counted either in its cell or elsewhere, in its batch."""
+    grid = DirectionGrid.of([20.0], cell_deg=20.0)
+    sky = Sky(grid)
+    theta = np.radians([15.0, 25.0, 50.0])
+    d = mi.Vector3f(*(-np.stack([np.sin(theta), 0 * theta, np.cos(theta)])).astype(np.float32))
+    zero, yes = dr.zeros(mi.UInt32, 3), dr.full(mi.Bool, True, 3)
+    start: Any = type("Start", (), {"batch": mi.UInt32([0, 5, 6])})()
+    no, key, weight = dr.full(mi.Bool, False, 3), dr.zeros(mi.UInt64, 3), mi.Float([1.0, 2.0, 4.0])
+    scatters = mi.UInt32([0, 1, 1])
+    sky.depart(Departure(start, d, weight, zero, scatters, no, key, zero, lambda k, _: k, yes), {})
+    found = sky.read()
+    assert found["cells"].sum() == 3.0
+    assert found["elsewhere"][6] == found["elsewhere"].sum() == 4.0
+    assert found["cells"][:, 0, 0, [0, 5]].max(axis=0).tolist() == [1.0, 2.0]
+    assert found["largest"].tolist() == [[2.0]]  # of the scattered ones

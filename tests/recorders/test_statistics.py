@@ -1,0 +1,225 @@
+"""The modes agree with each other, and standard errors say how far results scatter."""
+
+from __future__ import annotations
+
+import functools
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles import closed_forms
+from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml
+from oracles.statistics import assert_z, z_limit
+
+import mistray
+from mistray.execute.tracer import prepare
+from mistray.settings import Settings
+
+SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
+MODES = {
+    "one in, one out": {"splitting": "one", "rays": 400_000},
+    "roulette": {"splitting": "split", "below_threshold": "roulette", "flux_threshold": 3e-3, "rays": 60_000},
+    "one, roulette": {
+        "splitting": "one", "below_threshold": "roulette", "flux_threshold": 0.5, "rays": 400_000,
+    },
+}  # fmt: skip
+
+
+def lens_text(**coating: float) -> str:
+    """A singlet that vignettes the beam, in front of a detector that cuts the image: every number is a random one."""
+    return scene_text(
+        shape_xml("asphere", "front", 0.0, interface_xml("air", "1.7", **coating), radius=30.0, semi_diameter=5.0),
+        shape_xml("asphere", "rear", 3.0, interface_xml("1.7", "air", **coating), radius=-30.0, semi_diameter=5.0),
+        shape_xml("asphere", "detector", 15.0, sensor=True, half_width=3.0, half_height=2.0),
+        radius=6.0,
+    )
+
+
+@functools.cache
+def split_trace(name: str, field_deg: float) -> mistray.Trace:
+    """All children of every hit, which all modes are compared with."""
+    scene = mistray.load(name)
+    return mistray.trace(scene, rays=100_000, seed=11, flux_threshold=1e-8, max_reflections=2, field_deg=field_deg)
+
+
+@pytest.mark.parametrize("mode", MODES)
+@pytest.mark.parametrize("name", ["plate", "cooke_triplet", pytest.param("phone_camera", marks=pytest.mark.slow)])
+def test_modes_agree_with_splitting(name: str, mode: str) -> None:
+    """Totals within 3 standard errors (four totals a case: 1 % false alarm each), strong paths at a joint 1e-3."""
+    scene = mistray.load(name)
+    limits = {"max_reflections": 2, "field_deg": 5.0 if name != "plate" else 0.0}
+    split = split_trace(name, limits["field_deg"])
+    other = mistray.trace(scene, seed=23, **MODES[mode], **limits)
+    totals = []
+    for t in (split, other):
+        e = t.energy
+        absorbed = [
+            sum(watt for watt, _ in e.absorbed.values()),
+            np.hypot.reduce([se for _, se in e.absorbed.values()]),
+        ]
+        totals.append([[e.detected_W, e.detected_se_W], [e.escaped_W, e.escaped_se_W], absorbed])
+    (a, b) = np.array(totals).transpose(0, 2, 1)
+    # what is cut by max_reflections and by the threshold moves between the books: 1e-6 of the launched flux
+    floor = 2e-6 * split.energy.launched_W
+    assert_z(f"{name}, totals", b[0], a[0], np.hypot(a[1], b[1]), k=3.0, floor=floor, names=["det", "esc", "abs"])
+    mine = {row.events: row for row in other.paths}
+    strong = [row for row in split.paths if row.events in mine and mine[row.events].rays >= 50][:12]
+    assert len(strong) >= 2
+    both = [(mine[row.events], row) for row in strong]
+    names = [row.events for row in strong]
+    for what, se in (("power_W", "power_se_W"), ("x_mm", "x_se_mm"), ("y_mm", "y_se_mm"),
+                     ("rms_radius_mm", "rms_radius_se_mm")):  # fmt: skip
+        measured, expected = np.array([[getattr(row, what) for row in pair] for pair in both]).T
+        errors = np.array([[getattr(row, se) for row in pair] for pair in both])
+        floor = 1e-6 * float(np.max(np.abs(expected)))
+        assert_z(f"{name}, {what}", measured, expected, np.hypot(*errors.T), names=names, floor=floor)
+
+
+@pytest.mark.parametrize("mode", [{"splitting": "split"}, {"splitting": "one", "rays": 300_000}])
+def test_plate_either_way(mode: dict[str, Any]) -> None:
+    """0.923077 (A5), within 3 standard errors: false alarm 0.3 %."""
+    t = mistray.trace(mistray.load("plate"), **{"rays": 1000, "max_reflections": 20, "flux_threshold": 0.0, **mode})
+    expected = closed_forms.plate(0.04)[0]
+    share, se = t.energy.detected_W / t.energy.launched_W, t.energy.detected_se_W / t.energy.launched_W
+    assert expected == pytest.approx(0.923077, abs=5e-7)
+    assert_z("T of the plate", share, expected, se, k=3.0, floor=1e-6)
+
+
+class TestStandardErrors:
+    """The spread over seeds against the standard errors of the single runs."""
+
+    SEEDS = 250
+
+    @pytest.fixture(scope="class")
+    @staticmethod
+    def runs(load_text) -> dict[str, np.ndarray]:
+        """name → (seeds, 2): value and standard error."""
+        scene, _ = load_text(lens_text(R=0.3, T=0.65))
+        found: dict[str, list[tuple[float, float]]] = {}
+        for seed in range(TestStandardErrors.SEEDS):
+            t = mistray.trace(scene, rays=2500, seed=seed, max_reflections=2)
+            e = t.energy
+            values = {
+                "detected": (e.detected_W, e.detected_se_W),
+                "escaped": (e.escaped_W, e.escaped_se_W),
+                "absorbed by front": e.absorbed["front"],
+                "incident on rear": (t.surfaces[1].incident_W, t.surfaces[1].incident_se_W),
+            }
+            for row in t.paths[:2]:
+                for key in ("power_W", "incident_W", "x_mm", "y_mm", "rms_radius_mm", "rms_irradiance_W_mm2"):
+                    stem, unit = key.split("_", 1) if not key.startswith("rms") else (key[: key.index("_", 4)], "")
+                    error = f"{stem}_se_{unit}" if unit else key.replace(stem, f"{stem}_se", 1)
+                    values[f"{row.path} {key}"] = (getattr(row, key), getattr(row, error))
+            for name, pair in values.items():
+                found.setdefault(name, []).append(pair)
+        return {name: np.array(pairs) for name, pairs in found.items()}
+
+    def test_chi_square(self, runs: dict[str, np.ndarray]) -> None:
+        """Sum of ((value - mean)/SE)² over the seeds. An error from 32 batches makes the ratio Student's t with 31
+        degrees of freedom, whose square has mean 1.069 and variance 2.54. Joint false alarm 1e-3.
+        """
+        n = self.SEEDS
+        limit = z_limit(len(runs), 1e-3)
+        for name, pairs in runs.items():
+            value, se = pairs.T
+            assert len(value) == n
+            chi2 = float(np.sum(np.square((value - value.mean()) / se))) / n
+            assert abs(chi2 - 31 / 29) < limit * np.sqrt(2.54 / n), f"{name}: chi²/n = {chi2:.3f}"
+
+    def test_errors_shrink_with_the_square_root(self, load_text) -> None:
+        """From 32 batches an error is known to 12.6 %: 5 of these."""
+        scene, _ = load_text(lens_text())
+        few, many = (mistray.trace(scene, rays=rays, seed=3) for rays in (2_000, 200_000))
+        ratio = few.energy.detected_se_W / many.energy.detected_se_W
+        assert ratio == pytest.approx(10.0, rel=5 * 0.126 * np.sqrt(2))
+        assert few.paths[0].power_se_W / many.paths[0].power_se_W == pytest.approx(10.0, rel=0.1)
+
+    def test_binomial(self, load_text) -> None:
+        """One in, one out: σ = sqrt(p (1 - p)/N) (A13). The power of a path has it exactly."""
+        scene, _ = load_text(plates_text(1, R=0.2, T=0.6))
+        t = mistray.trace(scene, rays=50_000, splitting="one", max_reflections=40)
+        row, launched = t.paths[0], t.energy.launched_W
+        unit = launched / 50_000 * row.power_W / (row.rays * launched / 50_000)  # weight of one ray: absorption stays
+        share = row.rays / 50_000
+        assert row.power_se_W == pytest.approx(unit * np.sqrt(share * (1 - share) * 50_000), rel=1e-6)
+
+    @pytest.mark.parametrize("rays", [1, 10, 31, 1000, 4097])
+    def test_no_error_where_nothing_is_random(self, rays: int) -> None:
+        """Every ray of the plate does the same, also if the batches are not of equal size."""
+        t = mistray.trace(mistray.load("plate"), rays=rays)
+        assert t.energy.detected_se_W <= 1e-7 * t.energy.detected_W
+        assert all(row.power_se_W <= 1e-6 * row.power_W for row in t.paths)
+        assert all(row.incident_se_W <= 1e-7 * row.incident_W for row in t.surfaces if row.incident_W)
+
+    def test_map(self, load_text) -> None:
+        """Variance over 60 seeds against the squared error, in all pixels together; false alarm 1e-3."""
+        scene, _ = load_text(lens_text().replace('value="64"', 'value="12"'))
+        seeds = 60
+        maps = [mistray.trace(scene, rays=4000, seed=seed, max_reflections=0, ledger=False) for seed in range(seeds)]
+        values, errors = (np.array([getattr(t, key) for t in maps]) for key in ("irradiance", "irradiance_se"))
+        lit = (values > 0).all(axis=0)
+        assert lit.sum() > 60
+        ratio = values[:, lit].var(axis=0, ddof=1) / np.square(errors[:, lit]).mean(axis=0)
+        # each variance has 59 degrees of freedom
+        assert abs(ratio.mean() - 1) < z_limit(1, 1e-3) * np.sqrt(2 / 59 / lit.sum())
+
+    def test_a_grid_has_honest_errors_too(self, load_text) -> None:
+        """Those of random positions, hence too large rather than too small, and not those of rows of the grid."""
+        text = lens_text().replace("</emitter>", '<string name="pattern" value="grid"/></emitter>')
+        random, grid = (mistray.trace(load_text(which)[0], rays=10_000) for which in (lens_text(), text))
+        assert grid.settings["rays"] == 10_000
+        for what in ("x_se_mm", "y_se_mm", "rms_radius_se_mm", "power_se_W"):
+            a, b = (getattr(t.paths[0], what) for t in (random, grid))
+            assert b == pytest.approx(a, rel=5 * 0.126 * np.sqrt(2)), what
+        truth = [(t.paths[0].x_mm, t.paths[0].y_mm) for t in (random, grid)]
+        assert np.abs(truth[1]).max() < 3 * grid.paths[0].x_se_mm
+
+
+class TestStartRays:
+    """The rays of a beam are independent and uniform. A generator whose streams were correlated once passed all tests
+    of means and failed these.
+    """
+
+    @pytest.mark.parametrize("rays", [1_000, 40_000])
+    def test_uniform_and_independent(self, load_text, rays: int) -> None:
+        """Variance of the mean position and chi² of 8 × 8 cells over 200 seeds; joint false alarm 1e-3."""
+        text = scene_text(shape_xml("asphere", "detector", 1.0, sensor=True, half_width=2.0, half_height=2.0))
+        square = text.replace(
+            'name="radius" value="1.0"', 'name="half_width" value="1"/><float name="half_height" value="1"'
+        )
+        scene, _ = load_text(square)
+        z, chi2, seeds = [], [], 200
+        for seed in range(seeds):
+            (run,) = prepare(scene, Settings(rays=rays, seed=seed))
+            origin, _ = run.start_rays(np.arange(rays))
+            z.append(origin[:, :2].mean(axis=0) * np.sqrt(3 * rays))
+            cells, _, _ = np.histogram2d(origin[:, 0], origin[:, 1], bins=8, range=[[-1, 1]] * 2)
+            chi2.append(np.sum(np.square(cells - rays / 64)) / (rays / 64))
+        limit = z_limit(5, 1e-3)
+        variance = np.square(z).mean(axis=0)
+        assert np.all(np.abs(variance - 1) < limit * np.sqrt(2 / seeds)), f"variance of the means {variance}"
+        assert np.all(np.abs(np.mean(z, axis=0)) < limit / np.sqrt(seeds))
+        assert abs(np.mean(chi2) - 63) < limit * np.sqrt(2 * 63 / seeds), f"chi² {np.mean(chi2):.1f} of 63 cells"
+
+    def test_batches_are_independent(self, load_text) -> None:
+        """Means of the 32 batches scatter as independent samples do; false alarm 1e-3."""
+        scene, _ = load_text(scene_text(shape_xml("asphere", "d", 1.0, sensor=True, half_width=2.0, half_height=2.0)))
+        values = []
+        for seed in range(60):
+            (run,) = prepare(scene, Settings(rays=3200, seed=seed))
+            start = run.start_pass(0)
+            x, number = np.array(start.o.x, dtype=float), np.array(start.batch)
+            values.append(np.bincount(number, x, 32) / np.bincount(number) * np.sqrt(4 * 100))  # radius 1: variance ¼
+        values = np.array(values)
+        assert abs(np.var(values) - 1) < z_limit(2, 1e-3) * np.sqrt(2 / values.size)
+        between = np.corrcoef(values.T)[np.triu_indices(32, 1)]
+        assert abs(between.mean()) < z_limit(2, 1e-3) / np.sqrt(60 * between.size)
+
+    def test_seeds_differ(self, load_text) -> None:
+        scene, _ = load_text(lens_text())
+        runs = [prepare(scene, Settings(rays=1000, seed=seed))[0] for seed in (0, 1, 7)]
+        origins = [run.start_rays(np.arange(1000))[0] for run in runs]
+        for i in range(3):
+            for j in range(i):
+                assert np.intersect1d(origins[i][:, 0], origins[j][:, 0]).size < 10

@@ -1,0 +1,482 @@
+"""Automatic targets: paraxial images, how much of the light to the detector they hold, what structure sees."""
+
+from __future__ import annotations
+
+import csv
+import importlib
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles import nonsequential
+from oracles.scatter_scenes import (
+    beam_xml,
+    bsdf_xml,
+    lenses_text,
+    placed_xml,
+    scatter_scene,
+    scattering_xml,
+    tube_text,
+    wall_xml,
+)
+from oracles.scene_xml import read_scene
+
+import mistray
+from mistray import MistrayError
+from mistray.kernel.targets import AimSet
+from mistray.sampling.aiming import aims, automatic_targets
+from mistray.sampling.design_path import DesignPath, find_design_path
+from mistray.sampling.detector_images import FAR, DetectorImages
+from mistray.settings import Settings
+from mistray.surfaces.host_points import surface_points
+from mistray.surfaces.surfaces import SurfaceTable
+
+ROOT = Path(__file__).parents[2]
+D_LINE_NM = 587.5618
+DIFFUSE = bsdf_xml("paint", reflectance=0.05)
+
+
+def images_of(scene: Any, wavelength_nm: float = 550.0) -> DetectorImages:
+    path = find_design_path(SurfaceTable(scene, wavelength_nm), scene)
+    assert path is not None
+    return DetectorImages(path)
+
+
+def space_of(path: DesignPath, name: str) -> int:
+    """Number of the step behind the surface of this name."""
+    return 1 + [path.table.ids[step.surface] for step in path.steps].index(name)
+
+
+def named(table: SurfaceTable, found: dict[tuple[int, bool], Any]) -> dict[tuple[str, str], Any]:
+    """By name of the surface and side."""
+    return {(table.ids[surface], "back" if to_back else "front"): value for (surface, to_back), value in found.items()}
+
+
+def aims_of(scene: Any, **settings: Any) -> dict[tuple[str, str], AimSet]:
+    table = SurfaceTable(scene, 550.0)
+    return named(table, aims(table, scene, Settings(**settings)))
+
+
+# -- paraxial images -----------------------------------------------------------------------------------------------
+
+
+def test_paraxial_images_are_those_of_the_audited_table():
+    """With the detector in the paraxial focus and as large as the image: ISL and ISH of the table, to 1e-3."""
+    with (ROOT / "tests" / "data" / "table15_audit.csv").open() as file:
+        rows = list(csv.DictReader(line for line in file if not line.startswith("#")))
+    prescription = importlib.import_module("mistray.scenes.phone_camera.prescription").build()
+    system = prescription.paraxial(D_LINE_NM)
+    last = rows[-1]
+    size = float(last["ISH_correct"])
+    focus = prescription.surfaces[-1].z + system.bfl
+    assert system.bfl == pytest.approx(float(last["ISL_correct=-y_k/u'_k"]), rel=1e-3)
+    detector = replace(prescription.detector, z=focus, half_width=size, half_height=size)
+    images = images_of(replace(prescription, detector=detector).to_scene(), D_LINE_NM)
+    # Rows 5 … 16 are the lenses and the filter; row 3 is the window's rear, behind which the detector's image is far
+    (window,) = (row for row in rows if row["surface"] == "3")
+    far = images.paraxial[space_of(images.path, "window_rear")]
+    assert np.linalg.norm(far.centre) == pytest.approx(FAR * images.size, rel=1e-3)
+    assert np.linalg.norm(far.u) / np.linalg.norm(far.centre) == pytest.approx(float(window["ubar_after"]), rel=1e-3)
+    first = space_of(images.path, "L1_front")
+    assert len(images.path.steps) - first == len(rows[2:])
+    for number, row in enumerate(rows[2:], start=first):
+        target, vertex = images.paraxial[number], images.path.steps[number - 1].point
+        assert target.centre[2] - vertex[2] == pytest.approx(float(row["ISL_correct=-y_k/u'_k"]), rel=1e-3)
+        for half in (target.u, target.v):
+            assert np.linalg.norm(half) == pytest.approx(float(row["ISH_correct"]), rel=1e-3)
+        assert not target.reverse
+
+
+def test_images_of_a_coaxial_system_are_conjugates():
+    """The Cooke triplet surface by surface: refraction equation backwards from the detector, float64, 1e-7."""
+    prescription = importlib.import_module("mistray.scenes.cooke_triplet.prescription").build()
+    images = images_of(prescription.to_scene())
+    system = prescription.paraxial(550.0)
+    at, size, n = prescription.detector.z, prescription.detector.half_width, 1.0
+    for number in reversed(range(1, len(images.path.steps))):
+        target = images.paraxial[number]
+        assert target.centre[2] == pytest.approx(at, rel=1e-7)
+        assert np.linalg.norm(target.u) == pytest.approx(abs(size), rel=1e-7)
+        assert target.reverse == (at < images.path.steps[number - 1].point[2])
+        k = number - 1
+        before, power = system.index[k], system.curvature[k] * (n - system.index[k])
+        vergence = n / (at - system.z[k]) - power  # n'/s' = n/s + φ, light runs to s'
+        distance = before / vergence
+        size *= distance / before * n / (at - system.z[k])
+        at, n = system.z[k] + distance, before
+
+
+def test_images_in_folded_systems():
+    """A Newtonian: from the primary, the image unfolded, at the focus on its axis; the diagonal sees the real one."""
+    images = images_of(mistray.load("newtonian"))
+    primary, diagonal = images.paraxial[1], images.paraxial[2]
+    np.testing.assert_allclose(primary.centre, [0, 0, -1270], atol=1e-6)
+    np.testing.assert_allclose(np.abs(primary.normal), [0, 0, 1], atol=1e-9)
+    np.testing.assert_allclose(diagonal.centre, [0, -127, -1143], atol=1e-6)
+    np.testing.assert_allclose(np.abs(diagonal.normal), [0, 1, 0], atol=1e-9)
+    for target in (primary, diagonal):
+        assert target.shape == "ellipse"
+        assert (np.linalg.norm(target.u), np.linalg.norm(target.v)) == pytest.approx((12.7, 12.7), rel=1e-7)
+    # The space before the paraboloid: the detector lies in its focus, so its image at infinity has the field's angle
+    distance = np.linalg.norm(images.paraxial[0].centre)
+    assert np.linalg.norm(images.paraxial[0].u) / distance == pytest.approx(12.7 / 1270, rel=1e-3)
+
+
+def test_detector_off_the_axis_and_turned(load_scene):
+    """Behind a plane sheet the target is the detector itself, wherever it lies and however it is turned."""
+    scene = load_scene(
+        scatter_scene(
+            beam_xml(1.0),
+            placed_xml("asphere", "sheet", scattering_xml([DIFFUSE], R=0.0, T=0.9), semi_diameter=5.0),
+            placed_xml("asphere", "detector", at=(0.5, -0.25, 20.0), pixels=8, half_width=3.0, half_height=2.0),
+        )
+    )
+    target = images_of(scene).paraxial[1]
+    np.testing.assert_allclose(target.centre, [0.5, -0.25, 20.0], atol=1e-8)
+    sizes = sorted([np.linalg.norm(target.u), np.linalg.norm(target.v)])
+    np.testing.assert_allclose(sizes, [2.0, 3.0], rtol=1e-8)
+
+
+# -- real rays -----------------------------------------------------------------------------------------------------
+
+# From these no target of one shape for all points catches 10 % of its rays: the window is wider than the entrance
+WIDE = {"window_front": 0.05}
+LENS_SCENES = ["cooke_triplet", "double_gauss", "singlet_window_detector", "newtonian", "lens_and_reflector", "plate"]
+
+
+def oracle_lands(images: DetectorImages, name: str, number: int, origins: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Which rays that leave the surface before step `number` reach the detector by the path, by the float64 oracle."""
+    steps, ids = images.path.steps, images.path.table.ids
+    model = read_scene(ROOT / "scenes" / name / "scene.xml")
+    left = steps[number - 1]
+    interface = model.by_id[ids[left.surface]].interface
+    medium = "air" if interface.opaque or interface.mirror else interface.back if left.to_back else interface.front
+    ledger = nonsequential.trace(
+        model, origins + 1e-7 * d, d, np.ones(len(d)), 550.0, max_reflections=0, start_material=medium, flux_threshold=0
+    )
+    landed = np.zeros(len(d), dtype=bool)
+    for path in ledger.paths:
+        if [surface for surface, _ in path.events] == [ids[step.surface] for step in steps[number:]]:
+            landed[path.start_rays] = True
+    return landed
+
+
+@pytest.mark.parametrize("name", [*LENS_SCENES, "phone_camera"])
+def test_targets_hold_the_light_that_reaches_the_detector(name):
+    """
+    From every surface of the design path at least 98 % of the light that would land by it lies within the target, 5 %
+    less where all diffuse light lands (in between in proportion); and at least 10 % of the rays aimed there land.
+    """
+    scene = mistray.load(name)
+    images = images_of(scene)
+    table = images.path.table
+    rng = np.random.default_rng(5)
+    found = automatic_targets(table, images.path, [step.surface for step in images.path.steps[:-1]])
+    for number, step in enumerate(images.path.steps[:-1], start=1):
+        surface = table.ids[step.surface]
+        points, normals = surface_points(table, step.surface, 3000, rng)
+        outward = normals if step.to_back else -normals
+        (target,) = found[step.surface, step.to_back]
+        wide = replace(target, u=1.4 * target.u, v=1.4 * target.v)
+        ends = wide.points(rng.random((len(points), 2)))
+        d = (ends - points) * (-1 if target.reverse else 1)
+        length = np.linalg.norm(d, axis=1)
+        d /= length[:, None]
+        cosine = np.einsum("ij,ij->i", d, outward)
+        go = np.flatnonzero(cosine > 0)
+        landed = np.zeros(len(d), dtype=bool)
+        landed[go] = oracle_lands(images, name, number, points[go], d[go])
+        projected = wide.area * np.where(landed, cosine * np.abs(d @ wide.normal) / length**2, 0.0)
+        held, diffuse = target.holds(ends), np.mean(projected) / np.pi
+        assert projected[held].sum() > (0.98 - 0.05 * diffuse) * projected.sum(), surface
+        assert np.mean(landed[held]) > WIDE.get(surface, 0.1), surface
+
+
+# -- what structure sees -------------------------------------------------------------------------------------------
+
+
+def test_a_tube_sees_the_detector_and_the_entrance_too(load_scene):
+    """Wall: the detector at its end. Entrance: the detector. Both real, of its size."""
+    found = aims_of(load_scene(tube_text(4.0, 0.5)))
+    assert set(found) == {("entrance", "back"), ("wall", "front")}
+    for aim in found.values():
+        assert aim.rays == 1
+        (target,) = aim.targets
+        np.testing.assert_allclose(target.centre, [0, 0, 4], atol=1e-6)
+        assert np.linalg.norm(target.u) == pytest.approx(1.0, rel=1e-6)
+
+
+def test_a_wall_before_a_lens_aims_at_what_the_lens_shows(load_scene):
+    """A tube before a singlet: rays through the lens reach the detector from it, so it aims at the detector's image."""
+    lens = [
+        placed_xml("asphere", "front", scattering_xml([], "air", "1.5"), at=(0, 0, 0), radius=50.0, semi_diameter=8.0),
+        placed_xml("asphere", "rear", scattering_xml([], "1.5", "air"), at=(0, 0, 4), radius=-50.0, semi_diameter=8.0),
+    ]
+    tube = placed_xml("frustum", "tube", wall_xml(0.1), r0=8.5, z0=-60.0, r1=8.5, z1=-1.0)
+    vane = placed_xml("frustum", "vane", wall_xml(0.1), r0=7.0, z0=-40.0, r1=8.5, z1=-40.0)
+
+    def scene(half: float) -> Any:
+        meter = placed_xml("asphere", "detector", at=(0, 0, 54.0), pixels=8, half_width=half, half_height=half)
+        return load_scene(scatter_scene(beam_xml(6.0), *lens, tube, vane, meter))
+
+    seen = aims_of(scene(5.5))
+    assert set(seen) == {("tube", "front"), ("vane", "back")}  # the side of the vane to the sky sees nothing
+    for aim in seen.values():
+        assert all(target.shape == "parallelogram" for target in aim.targets)  # images of the square detector
+    unseen = aims_of(scene(0.01))  # of no light from the wall: the lens itself
+    for aim in unseen.values():
+        (target,) = aim.targets
+        assert target.shape == "ellipse"
+        assert np.linalg.norm(target.u) == pytest.approx(8.0)
+        assert target.centre[2] == pytest.approx(50 - np.sqrt(50**2 - 8**2), rel=1e-6)
+
+
+def test_what_is_hidden_is_no_target(load_scene):
+    """A shield between a wall and the detector: no target. Without it the detector."""
+    plate = placed_xml("asphere", "plate", wall_xml(0.1), semi_diameter=3.0)
+    meter = placed_xml("asphere", "detector", at=(0, 0, 30), facing=(0, 0, 1), pixels=8, semi_diameter=2.0)
+    shield = placed_xml("asphere", "shield", at=(0, 0, 15), semi_diameter=40.0)
+    beam = beam_xml(1.0, at=(0, 0, -5), along=(0, 0, 1))
+    assert aims_of(load_scene(scatter_scene(beam, plate, meter, shield))) == {}
+    found = aims_of(load_scene(scatter_scene(beam, plate, meter)))
+    assert set(found) == {("plate", "back")}
+    np.testing.assert_allclose(found["plate", "back"].targets[0].centre, [0, 0, 30], atol=1e-6)
+
+
+def test_stock_shapes(load_scene):
+    """A rectangle as detector, disks that see it with one side only; the answer is the same twice."""
+    scene = load_scene(
+        scatter_scene(
+            beam_xml(1.0),
+            placed_xml("asphere", "sheet", scattering_xml([DIFFUSE], R=0.0, T=0.9), semi_diameter=5.0),
+            placed_xml("disk", "slanted", wall_xml(0.1), at=(9.0, 0.0, 3.0), facing=(-1.0, 0.0, 1.0), scale=(2, 2, 1)),
+            placed_xml("disk", "upright", wall_xml(0.1), at=(-9.0, 0.0, 3.0), facing=(1.0, 0.0, 0.0), scale=(2, 2, 1)),
+            placed_xml("rectangle", "detector", at=(0.0, 0.0, 20.0), pixels=8, scale=(3.0, 2.0, 1.0)),
+        )
+    )
+    found = aims_of(scene)
+    assert set(found) == {("sheet", "back"), ("slanted", "back"), ("upright", "back")}
+    for aim in found.values():
+        (target,) = aim.targets
+        np.testing.assert_allclose(target.centre, [0, 0, 20], atol=1e-5)
+        assert target.area == pytest.approx(24.0, rel=1e-5)
+    again = aims_of(scene)
+    for side, aim in found.items():
+        np.testing.assert_array_equal(again[side].targets[0].u, aim.targets[0].u)
+
+
+def test_newtonian_tube_sees_the_detector_past_the_diagonal():
+    scene = mistray.load("newtonian")
+    table = SurfaceTable(scene, 546.1)
+    walls = [table.ids.index(name) for name in ("tube_front", "eyepiece_tube", "vane_3")]
+    found = named(table, automatic_targets(table, find_design_path(table, scene), walls))
+    for wall in ("tube_front", "eyepiece_tube"):
+        assert any(np.allclose(target.centre, [0, -127, -1143]) for target in found[wall, "front"])
+    assert ("vane_3", "back") in found  # to the primary
+
+
+# -- which targets a trace uses ------------------------------------------------------------------------------------
+
+
+def test_settings_of_aiming(load_scene):
+    scene = load_scene(lenses_text(bsdf_xml("abg", A=1e-3, B=1e-4, g=2.0)))
+    found = aims_of(scene, aimed_rays=3)
+    assert {name for name, _ in found} == {"a_front", "a_rear", "b_front", "b_rear"}
+    assert {side for _, side in found} == {"back"}
+    assert {aim.rays for aim in found.values()} == {3}
+    for nothing in ({"aim": "none"}, {"aim": "targets"}, {"aimed_rays": 0}):
+        assert aims_of(scene, **nothing) == {}
+
+
+def test_a_scene_that_scatters_nothing_has_no_targets():
+    assert aims_of(mistray.load("plate")) == {}
+
+
+def given(name: str, kind: str = "disk", place: dict[str, Any] | None = None, **properties: Any) -> str:
+    """A shape with a `target`."""
+    return placed_xml(kind, name, bsdf_xml("target", **properties), **(place or {"at": (0.0, 0.0, 20.0)}))
+
+
+class TestTargetsOfTheScene:
+    MODEL = bsdf_xml("abg", A=1e-3, B=1e-4, g=2.0)
+
+    def load(self, load_scene: Any, *targets: str) -> Any:
+        return load_scene(lenses_text(self.MODEL).replace("</scene>", "".join(targets) + "</scene>"))
+
+    def test_they_replace_the_automatic_ones(self, load_scene):
+        scene = self.load(load_scene, given("t", surfaces="a_*", rays=7, scale=2.0, hole=0.25))
+        found = aims_of(scene, aimed_rays=2)
+        for name in ("a_front", "a_rear"):
+            aim = found[name, "back"]
+            (target,) = aim.targets
+            assert (aim.rays, target.shape, target.hole, target.reverse) == (7, "ellipse", 0.25, False)
+            np.testing.assert_allclose(target.centre, [0, 0, 20], atol=1e-6)
+            assert np.linalg.norm(target.u) == pytest.approx(2.0, rel=1e-6)
+        for name in ("b_front", "b_rear"):
+            assert found[name, "back"].rays == 2
+        only = aims_of(scene, aim="targets", aimed_rays=0)
+        assert {name for name, _ in only} == {"a_front", "a_rear"}
+
+    def test_several_share_the_rays(self, load_scene):
+        found = aims_of(
+            self.load(load_scene, given("t", surfaces="a_front", rays=3), given("u", surfaces="*_front", rays=1)),
+            aim="targets",
+        )
+        assert found["a_front", "back"].rays == 4
+        assert [target.share for target in found["a_front", "back"].targets] == [0.75, 0.25]
+        assert found["b_front", "back"].rays == 1
+
+    def test_sides(self, load_scene):
+        """A target behind is for light that leaves to the front; a virtual one there is for the other side."""
+        behind = {"at": (0.0, 0.0, -30.0)}
+        real = aims_of(self.load(load_scene, given("t", place=behind, surfaces="a_front")), aim="targets")
+        virtual = aims_of(
+            self.load(load_scene, given("t", place=behind, surfaces="a_front", reverse=True)), aim="targets"
+        )
+        assert set(real) == {("a_front", "front")}
+        assert set(virtual) == {("a_front", "back")}
+        assert virtual["a_front", "back"].targets[0].reverse
+
+    def test_shapes(self, load_scene, tmp_path):
+        mesh = tmp_path / "square.obj"
+        mesh.write_text("v -1 -1 20\nv 1 -1 20\nv 1 1 20\nv -1 3 20\nf 1 2 3\nf 1 3 4\n")
+        curve = f'<shape type="obj" id="t"><string name="filename" value="{mesh}"/>'
+        curve += bsdf_xml("target", surfaces="a_front", rays=5, scale=0.5) + "</shape>"
+        (area,) = (sum(t.area for t in self.aim(load_scene, curve).targets),)
+        assert area == pytest.approx(0.25 * (2 + 4), rel=1e-6)
+        assert [t.share for t in self.aim(load_scene, curve).targets] == pytest.approx([1 / 3, 2 / 3])
+        assert self.aim(load_scene, curve).rays == 5
+        ring = placed_xml(
+            "frustum", "t", bsdf_xml("target", surfaces="a_front"), r0=1.0, z0=20.0, r1=4.0, z1=20.0
+        )  # fmt: skip
+        (target,) = self.aim(load_scene, ring).targets
+        assert (target.hole, np.linalg.norm(target.u)) == (0.25, 4.0)
+        square = given("t", "rectangle", surfaces="a_front", place={"at": (0.0, 0.0, 20.0), "scale": (2.0, 3.0, 1.0)})
+        (target,) = self.aim(load_scene, square).targets
+        assert (target.shape, target.area) == ("parallelogram", pytest.approx(24.0, rel=1e-6))
+
+    def aim(self, load_scene: Any, target: str) -> AimSet:
+        return aims_of(self.load(load_scene, target), aim="targets")["a_front", "back"]
+
+    @pytest.mark.parametrize(
+        ("target", "words"),
+        [
+            (given("t", surfaces="c_*"), r"target 't': no surface of the scene is called 'c_\*'"),
+            (given("t", "cylinder", surfaces="*"), "target 't' is Cylinder; use a disk"),
+            (given("t", "sphere", surfaces="*", hole=0.5), "target 't': hole is 0.5"),
+            (
+                given("t", "disk", surfaces="*", half_axes="1, 2, 3"),
+                "target 't' is Disk; half_axes are those of a sphere",
+            ),
+            (given("t", "disk", surfaces="*", entity="c"), "target 't': no surface of the scene is called 'c'"),
+            (given("t", "disk", surfaces="*", entity="*_front"), "target 't': entity '.*' fits 2 surfaces; name one"),
+            (given("t", "sphere", surfaces="*", about="direction", cone_deg=3.0), "target 't' is Sphere, which has no"),
+            (given("t", "rectangle", surfaces="a_front", hole=0.5), "target 't': hole is 0.5"),
+            (given("t", surfaces="a_front", rays=200) + given("u", surfaces="a_front", rays=200), "400 aimed rays"),
+        ],
+    )
+    def test_impossible_ones(self, load_scene, target, words):
+        with pytest.raises(MistrayError, match=words):
+            aims_of(self.load(load_scene, target))
+
+    def test_meshes_of_many_triangles_are_refused(self, load_scene, tmp_path):
+        mesh = tmp_path / "fan.obj"
+        rim = [f"v {np.cos(x):.6f} {np.sin(x):.6f} 20" for x in np.linspace(0, 6, 67)]
+        mesh.write_text("\n".join(["v 0 0 20", *rim, *(f"f 1 {k} {k + 1}" for k in range(2, 68))]))
+        curve = f'<shape type="obj" id="t"><string name="filename" value="{mesh}"/>'
+        with pytest.raises(MistrayError, match="66 triangles"):
+            self.aim(load_scene, curve + bsdf_xml("target", surfaces="a_front") + "</shape>")
+
+
+KINDS = {
+    "sphere": {"kind": "sphere", "scale": 3.0},
+    "ellipsoid": {"kind": "sphere", "half_axes": "1, 4, 2.5"},
+    "around the sheet": {"kind": "sphere", "half_axes": "30, 40, 25"},
+    "point": {"about": "point", "cone_deg": 9.0},
+    "direction": {"about": "direction", "cone_deg": 11.0},
+    "specular": {"about": "specular", "cone_deg": 11.0},
+    "anywhere": {"about": "point", "cone_deg": 180.0},
+    "entity": {"entity": "detector"},
+    "large entity": {"entity": "detector", "scale": 1.5},
+    "disk": {"scale": 2.0},
+    "virtual sphere": {"kind": "sphere", "scale": 3.0, "reverse": True, "at": (0.0, 0.0, -10.0)},
+    "virtual point": {"about": "point", "cone_deg": 9.0, "reverse": True, "at": (0.0, 0.0, -10.0)},
+}
+
+
+def of_kind(name: str, number: int = 0, rays: int = 2) -> str:
+    """A target for the sheet at the place of the detector; but for `KINDS` that lie elsewhere."""
+    values = dict(KINDS[name])
+    place = {"at": values.pop("at", (0.0, 0.0, 10.0))}
+    return given(f"t{number}", values.pop("kind", "disk"), place=place, surfaces="sheet", rays=rays, **values)
+
+
+# -- rays of the kernel --------------------------------------------------------------------------------------------
+
+
+def sheet(*targets: str) -> str:
+    """A sheet that scatters as a Lambertian, and a disc of radius 2, the detector."""
+    diffuser = bsdf_xml("paint", reflectance=0.5, event="transmission", relative_to="specular")
+    return scatter_scene(
+        beam_xml(1.0),
+        placed_xml("asphere", "sheet", scattering_xml([diffuser], R=0.0, T=1.0), semi_diameter=2.0),
+        placed_xml("asphere", "detector", at=(0.0, 0.0, 10.0), pixels=8, semi_diameter=2.0),
+        *targets,
+    )
+
+
+def to_detector() -> float:
+    """Half of the light times the form factor of two coaxial discs of radii 1 and 2 at a distance of 10."""
+    x = 1 + (1 + 0.2**2) / 0.1**2
+    return 0.5 * 0.5 * (x - np.sqrt(x * x - 4 * 2.0**2))
+
+
+def scattered_share(trace: mistray.Trace) -> tuple[float, float]:
+    """Scattered light on the detector and its standard error, in units of the beam's."""
+    power, se = trace.paths.power([row.path_id for row in trace.paths if row.scatters])
+    return power / trace.energy.launched_W, se / trace.energy.launched_W
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_every_kind_of_target_gives_the_same_light(load_scene, kind):
+    """That of two discs within 3.9 standard errors; false alarm 1e-4 each."""
+    measured, se = scattered_share(mistray.trace(load_scene(sheet(of_kind(kind))), rays=20_000, aim="targets"))
+    assert abs(measured - to_detector()) < 3.9 * se
+    assert se < 0.05 * to_detector()
+
+
+def test_targets_of_all_kinds_that_overlap_count_once(load_scene):
+    """As above, with all of them on one surface, of different numbers of rays."""
+    targets = [of_kind(kind, number, 1 + number % 3) for number, kind in enumerate(KINDS)]
+    measured, se = scattered_share(mistray.trace(load_scene(sheet(*targets)), rays=20_000))
+    assert abs(measured - to_detector()) < 3.9 * se
+    assert se < 0.01 * to_detector()
+
+
+@pytest.mark.parametrize("reverse", [False, True], ids=["real", "virtual"])
+def test_share_of_aimed_rays_that_land(load_scene, reverse):
+    """A target of twice the area of the detector, in its plane: half of the rays land; 5 standard errors (6e-7)."""
+    scale = (np.sqrt(2) * 2,) * 2 + (1.0,)
+    place = {"at": (0.0, 0.0, -10.0 if reverse else 10.0), "scale": scale}
+    beam = beam_xml(1e-4 if reverse else 1.0)  # from one point the virtual target is the same cone
+    text = sheet(given("t", place=place, surfaces="sheet", reverse=reverse)).replace(beam_xml(1.0), beam)
+    t = mistray.trace(load_scene(text), rays=20_000, aim="targets")
+    (row,) = t.aiming
+    assert row.id == "sheet"
+    assert row.aimed == pytest.approx(20_000, rel=1e-3)
+    assert abs(row.landed / row.aimed - 0.5) < 5 * 0.5 / np.sqrt(row.aimed)
+
+
+def test_automatic_targets_catch_all_and_change_nothing(load_scene):
+    """All aimed rays of the sheet land; the detected light is that of an unaimed trace within 4 errors (6e-5)."""
+    scene = load_scene(sheet())
+    aimed, blind = (mistray.trace(scene, rays=40_000, aim=aim, scatter_threshold=0.0) for aim in ("auto", "none"))
+    (row,) = aimed.aiming
+    assert row.landed == row.aimed > 0
+    assert blind.aiming == []
+    a, b = (t.energy.detected_W for t in (aimed, blind))
+    errors = [t.energy.detected_se_W for t in (aimed, blind)]
+    assert abs(a - b) < 4 * np.hypot(*errors)
+    assert errors[0] < errors[1]

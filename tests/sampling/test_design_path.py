@@ -1,0 +1,115 @@
+"""The design path of scenes, and rays in float64 against the oracles' intersections."""
+
+from __future__ import annotations
+
+import importlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from oracles.nonsequential import nearest_hits
+from oracles.scene_xml import read_scene
+from oracles.small_scenes import interface_xml, scene_text, shape_xml
+
+import mistray
+from mistray.sampling.design_path import find_design_path
+from mistray.sampling.outlines import outline
+from mistray.surfaces.host_points import surface_points
+from mistray.surfaces.host_rays import first_hit
+from mistray.surfaces.surfaces import SurfaceTable
+
+SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
+IDS = [path.parent.name for path in SCENES]
+
+
+def table_of(scene: Any, wavelength_nm: float = 550.0) -> SurfaceTable:
+    return SurfaceTable(scene, wavelength_nm)
+
+
+@pytest.mark.parametrize("path", SCENES, ids=IDS)
+def test_design_paths_of_the_scenes(path):
+    """The order in which the prescription has the surfaces; its mirrors reflect."""
+    prescription = importlib.import_module(f"mistray.scenes.{path.parent.name}.prescription").build()
+    scene = mistray.load(path)
+    table = table_of(scene)
+    found = find_design_path(table, scene)
+    surfaces = [*prescription.surfaces, prescription.detector]
+    assert [table.ids[step.surface] for step in found.steps] == [surface.name for surface in surfaces]
+    assert [step.reflects for step in found.steps] == [surface.mirror for surface in surfaces]
+    for step, surface in zip(found.steps, surfaces, strict=True):
+        np.testing.assert_allclose(step.point, [surface.x, surface.y, surface.z], atol=1e-9 * (1 + abs(surface.z)))
+        assert abs(np.linalg.norm(step.before) - 1) < 1e-12
+
+
+@pytest.mark.parametrize("path", SCENES, ids=IDS)
+def test_first_hits_are_those_of_the_oracle(path):
+    """Rays from anywhere to anywhere; one in 100 may graze a rim, or meet an asphere where Newton finds another hit."""
+    scene = mistray.load(path)
+    table, model = table_of(scene), read_scene(path)
+    rng = np.random.default_rng(1)
+    low, high = np.array(scene.bbox().min), np.array(scene.bbox().max)
+    o, ends = low + (high - low) * rng.random((2, 400, 3))
+    d = (ends - o) / np.linalg.norm(ends - o, axis=1, keepdims=True)
+    surface, p, normal = first_hit(table, o, d, np.full(len(o), -1))
+    t, number = nearest_hits(model, o, d, np.full(len(o), -1))
+    names = np.array([*table.ids, "-"])[surface]
+    expected = np.array([*(shape.shape_id for shape in model.shapes), "-"])[number]
+    hit = surface >= 0
+    far = np.zeros(len(o))
+    far[hit] = np.linalg.norm(p[hit] - (o + t[:, None] * d)[hit], axis=1)
+    same = (names == expected) & ~(far > 1e-8 * np.max(high - low))
+    assert np.mean(same) > 0.99
+    for shape in model.shapes:
+        here = same & hit & (expected == shape.shape_id)
+        if here.any():
+            np.testing.assert_allclose(normal[here], shape.normal(p[here]), atol=1e-6)
+
+
+def test_total_reflection_is_part_of_the_path(load_scene):
+    """A beam enters a block, is totally reflected at 45 degrees and leaves to the side."""
+    glass = interface_xml("air", "1.5")
+    tilted = shape_xml("asphere", "slope", 5.0, interface_xml("1.5", "air"), half_width=9.0, half_height=9.0).replace(
+        "<translate", '<rotate x="1" angle="-45"/><translate'
+    )
+    side = shape_xml("asphere", "side", 5.0, glass, half_width=4.0, half_height=4.0).replace(
+        '<translate z="5.0"/>', '<rotate x="1" angle="-90"/><translate y="-5" z="5"/>'
+    )
+    meter = shape_xml("asphere", "detector", 5.0, sensor=True, half_width=9.0, half_height=9.0).replace(
+        '<translate z="5.0"/>', '<rotate x="1" angle="90"/><translate y="-20" z="5"/>'
+    )
+    front = shape_xml("asphere", "front", 0.0, glass, half_width=4.0, half_height=4.0)
+    scene = load_scene(scene_text(front, tilted, side, meter))
+    table = table_of(scene)
+    path = find_design_path(table, scene)
+    assert [(table.ids[step.surface], step.reflects) for step in path.steps] == [
+        ("front", False), ("slope", True), ("side", False), ("detector", False)
+    ]  # fmt: skip
+
+
+def test_no_path_where_the_light_does_not_arrive(load_scene):
+    shapes = [
+        shape_xml("asphere", "plate", 0.0, interface_xml("air", "air", R=0.0), semi_diameter=5.0),
+        shape_xml("asphere", "detector", 10.0, sensor=True, half_width=2.0, half_height=2.0),
+    ]
+    scene = load_scene(scene_text(*shapes))
+    assert find_design_path(table_of(scene), scene) is None
+
+
+@pytest.mark.parametrize("path", SCENES, ids=IDS)
+def test_points_lie_on_their_surfaces(path):
+    """On the surface, within the outline's radius, and spread over it."""
+    scene = mistray.load(path)
+    table, model = table_of(scene), read_scene(path)
+    shapes = {shape.shape_id: shape for shape in model.shapes}
+    for number, name in enumerate(table.ids):
+        points, normals = surface_points(table, number, 200, np.random.default_rng(2))
+        o = points - 0.01 * normals
+        t = shapes[name].first_hit(o, normals, np.zeros(len(o), dtype=bool))
+        assert np.mean(np.abs(t - 0.01) < 1e-6) > 0.98, name  # a rim may be missed by the rounding
+        np.testing.assert_allclose(normals, shapes[name].normal(points), atol=1e-6)
+        target = outline(table.shapes[number])
+        across = points - target.centre
+        limit = max(np.linalg.norm(target.u + target.v), np.linalg.norm(target.u))
+        height = np.abs(across @ target.normal)
+        assert np.all(np.linalg.norm(across, axis=1) <= np.hypot(limit, np.max(height)) * (1 + 1e-9)), name

@@ -1,0 +1,171 @@
+"""Bodies that absorb: light is followed through them where it gets through, whatever the k."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+import pytest
+
+import mistray
+from mistray.report import main_table, warnings
+from mistray.surfaces.optics import DARK, is_dark
+
+T = mi.ScalarTransform4d
+FILM = {"type": "hdrfilm", "width": 4, "height": 4, "rfilter": {"type": "box"}}
+
+
+def plate(medium: str, thickness_mm: float, wavelength_nm: float, **rear: Any) -> mi.Scene:
+    """A plate with its edge in a beam; everything that the faces and the edge do is Fresnel's."""
+
+    def between(front: str, back: str, **coating: Any) -> dict[str, Any]:
+        return {"type": "interface", "front": front, "back": back, **coating}
+
+    return mistray.load(
+        {
+            "type": "scene",
+            "beam": {"type": "collimated", "radius": 1.0, "wavelength_nm": wavelength_nm},
+            "face": {"type": "asphere", "semi_diameter": 5.0, "bsdf": between("air", medium)},
+            "rear": {
+                "type": "asphere", "semi_diameter": 5.0, "to_world": T().translate([0, 0, thickness_mm]),
+                "bsdf": between(medium, "air", **rear),
+            },
+            "edge": {
+                "type": "frustum", "r0": 5.0, "z0": 0.0, "r1": 5.0, "z1": thickness_mm,
+                "bsdf": {"type": "interface", "front": medium, "R": 0.0},
+            },
+            "detector": {
+                "type": "asphere", "semi_diameter": 20.0, "to_world": T().translate([0, 0, thickness_mm + 5]),
+                "bsdf": {"type": "interface", "R": 0.0}, "sensor": {"type": "irradiancemeter", "film": FILM},
+            },
+        }
+    )  # fmt: skip
+
+
+@pytest.mark.parametrize(("wavelength_nm", "thickness_mm"), [(10_000.0, 0.1), (13.5, 2e-4), (4000.0, 0.02)])
+def test_transmittance_of_a_plate(wavelength_nm, thickness_mm) -> None:
+    """Beer and Lambert times Fresnel for every k, without a jump at any of them."""
+    for k in (0.0009, 0.001, 0.0011, 0.005, 0.03):
+        t = mistray.trace(plate(f"1.5+{k}i", thickness_mm, wavelength_nm), rays=100, max_reflections=0)
+        once = 1 - (0.5**2 + k**2) / (2.5**2 + k**2)
+        through = once**2 * np.exp(-4e6 * np.pi * k * thickness_mm / wavelength_nm)
+        assert t.energy.detected_W / t.energy.launched_W == pytest.approx(through, rel=5e-5), k
+        assert abs(t.energy.closure) < 1e-6
+        assert t.notes == []
+
+
+def test_oblique(tmp_path) -> None:
+    """At 40° the path is longer by 1/cos θ'."""
+    k, d, wavelength = 0.004, 0.1, 10_000.0
+    t = mistray.trace(plate(f"1.5+{k}i", d, wavelength), rays=100, max_reflections=0, field_deg=40.0)
+    ratio = mistray.trace(plate("1.5", d, wavelength), rays=100, max_reflections=0, field_deg=40.0)
+    inside = np.cos(np.arcsin(np.sin(np.radians(40.0)) / 1.5))
+    expected = np.exp(-4e6 * np.pi * k * d / wavelength / inside)
+    assert t.energy.detected_W / ratio.energy.detected_W == pytest.approx(expected, rel=5e-5)
+
+
+def test_a_dark_body_is_opaque_and_says_so() -> None:
+    """0.5 mm of a black glass leave e^-57 of the light; the note says so in the report, too."""
+    scene = plate("1.5+0.005i", 0.5, 550.0)
+    t = mistray.trace(scene, rays=100, max_reflections=0)
+    assert t.energy.detected_W == 0
+    assert t.energy.absorbed["face"][0] == pytest.approx(0.96 * t.energy.launched_W, rel=1e-3)
+    note, lost = t.notes
+    assert lost == "no light reaches the detector: 'face' takes 96 % of it"
+    assert repr(t).endswith("'face' takes 96 %)")
+    assert "1.5+0.005i" in note
+    assert "0.5 mm" in note
+    report = mistray.ghosts(scene, rays=100)
+    assert note in warnings(report)
+    assert note in main_table(report)
+    assert note in mistray.pst(plate("1.5+0.005i", 0.5, 550.0), field_deg=[0, 10], rays=100).facts["notes"]
+
+
+def test_all_surfaces_of_a_body_agree() -> None:
+    """Between its faces the plate passes light, along its diameter of 10 mm none; its edge is open all the same."""
+    scene = plate("1.5+0.005i", 0.05, 550.0)
+    table = mistray.trace(scene, rays=10)._runs[0].table
+    thickness = {name: table.bodies.thickness(number) for number, name in enumerate(table.ids)}
+    assert thickness["face"][1] == pytest.approx(0.05) == thickness["rear"][0]
+    assert thickness["edge"][0] == pytest.approx(10.0)
+    assert np.isinf(thickness["edge"][1])
+    assert table.optics.notes == []
+
+
+def test_metals() -> None:
+    """A mirror of aluminium absorbs what it does not reflect, at the surface; a leaf of gold is told of."""
+    detector = {
+        "type": "asphere", "semi_diameter": 20.0, "to_world": T().translate([0, 0, -5]),
+        "bsdf": {"type": "interface", "R": 0.0},
+        "sensor": {"type": "irradiancemeter", "film": FILM},
+    }  # fmt: skip
+    mirror = {"type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "Al", "mirror": True}}
+    beam = {"type": "collimated", "radius": 1.0, "distance": 2.0}
+    t = mistray.trace(mistray.load({"type": "scene", "beam": beam, "mirror": mirror, "detector": detector}), rays=100)
+    n = mistray.materials.complex_index("Al", 550.0)
+    R = abs((n - 1) / (n + 1)) ** 2
+    assert t.energy.detected_W / t.energy.launched_W == pytest.approx(R, rel=1e-5)
+    assert t.energy.absorbed["mirror"][0] / t.energy.launched_W == pytest.approx(1 - R, rel=1e-4)
+    assert t.notes == []
+    leaf = mistray.trace(plate("Au", 1e-4, 550.0), rays=100, max_reflections=0)
+    assert leaf.energy.detected_W == 0
+    note, lost = leaf.notes
+    assert lost.startswith("no light reaches the detector: max_reflections cuts")
+    assert "Au" in note
+    assert "0.0001 mm" in note
+
+
+def test_what_nothing_closes() -> None:
+    """The silicon of a detector is as thick as may be: dark at 550 nm, where its k is below that of a metal."""
+
+    scene = mistray.load(
+        {
+            "type": "scene",
+            "beam": {"type": "collimated", "radius": 1.0},
+            "detector": {
+                "type": "asphere", "semi_diameter": 5.0, "bsdf": {"type": "interface", "back": "Si"},
+                "sensor": {"type": "irradiancemeter", "film": FILM},
+            },
+        }
+    )  # fmt: skip
+    t = mistray.trace(scene, rays=100)
+    n = mistray.materials.complex_index("Si", 550.0)
+    assert 1e-3 < n.imag < 0.05
+    assert t.energy.detected_W / t.energy.launched_W == pytest.approx(1 - abs((n - 1) / (n + 1)) ** 2, rel=1e-5)
+    assert len(t.notes) == 1
+    assert "Si" in t.notes[0]
+
+
+def test_a_cube_of_triangles() -> None:
+    """The bodies of meshes are measured, too: a stock cube of 2 mm, 1.5 + 0.0005i at 550 nm, that is dark."""
+
+    def scene(k: float) -> mi.Scene:
+        return mistray.load(
+            {
+                "type": "scene",
+                "beam": {"type": "collimated", "radius": 0.3},
+                "cube": {"type": "cube", "bsdf": {"type": "interface", "back": "air", "front": f"1.5+{k}i"}},
+                "detector": {
+                    "type": "asphere", "semi_diameter": 9.0, "to_world": T().translate([0, 0, 5]),
+                    "bsdf": {"type": "interface", "R": 0.0}, "sensor": {"type": "irradiancemeter", "film": FILM},
+                },
+            }
+        )  # fmt: skip
+
+    t = mistray.trace(scene(1e-5), rays=100, max_reflections=0)
+    assert t.energy.detected_W / t.energy.launched_W == pytest.approx(0.96**2 * np.exp(-0.08 * np.pi / 0.55), rel=1e-4)
+    dark = mistray.trace(scene(1e-3), rays=100, max_reflections=0)
+    table = dark._runs[0].table
+    assert table.bodies.thickness(table.ids.index("cube"))[0] == pytest.approx(2.0, rel=1e-4)
+    assert dark.energy.detected_W == 0
+    note, lost = dark.notes
+    assert "cube" in note
+    assert lost.startswith("no light reaches the detector: 'cube' takes")
+
+
+def test_is_dark() -> None:
+    edge = -np.log(DARK) * 550e-6 / (4 * np.pi * 0.01)  # mm
+    np.testing.assert_array_equal(is_dark(1.5 + 0.01j, 550.0, np.array([0.999, 1.001, np.inf]) * edge), [0, 1, 1])
+    assert not is_dark(1.5 + 0j, 550.0, np.inf)
+    assert is_dark(1.0 + 0.1j, 550.0, 0.0)  # within a wavelength light falls to 1/e
