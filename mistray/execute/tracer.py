@@ -226,12 +226,19 @@ class Run:
 
         yield from launches.run(start, trace, order)
 
-    def execute(self, ledger: bool, progress: Progress | None, stop: Callable[[], bool] | None = None) -> None:
+    def execute(
+        self,
+        ledger: bool,
+        progress: Progress | None,
+        stop: Callable[[], bool] | None = None,
+        recorders: Sequence[Recorder] = (),
+    ) -> None:
         """
         Trace everything and read the sums back; a ledger that fills up is made larger and the trace starts again.
 
         What is traced when `stop`, which is asked after each launch, says so, or the time is up, is all then: it stands
-        in `parts`. At an interrupt a table of more than `MOST_PATHS_KEPT` paths is not read.
+        in `parts`. Other recorders come after the ledger. At an interrupt a table of more than `MOST_PATHS_KEPT` paths
+        is not read.
         """
         started = time.perf_counter()
         film = self.make_film()
@@ -246,7 +253,9 @@ class Run:
                 self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
                 return self.ledger_full() or time_is_up() or (stop is not None and stop())
 
-            found = self.launch(tallies, self.ledger, images, progress=progress, stop=pause)
+            others = Recorders(recorders)
+            others.attach(self.scene)
+            found = self.launch(tallies, self.ledger, others, images, progress=progress, stop=pause)
             if requested() or not self.ledger_full():
                 break
             if capacity >= LAST_CAPACITY:
@@ -266,6 +275,7 @@ class Run:
         self.paths = self.ledger.decode() if self.ledger is not None and few else None
         if found is not None:
             self.stand_for(found)
+        others.collect(self.unit)
 
     def stand_for(self, parts: Sequence[Part]) -> None:
         """Let what was found in some parts stand for all light of the source."""

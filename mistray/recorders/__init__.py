@@ -4,3 +4,7 @@ from mistray._variant import active_variant, ensure_variant
 
 if active_variant() is None:  # types of the variant are used while modules are imported
     ensure_variant()
+
+from mistray.recorders.recorder import Branch, Departure, Recorder, Return, Visit
+
+__all__ = ["Branch", "Departure", "Recorder", "Return", "Visit"]

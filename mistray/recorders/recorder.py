@@ -19,6 +19,7 @@ from mistray.recorders.start_rays import StartRays
 
 if TYPE_CHECKING:
     from mistray.kernel.interaction import Interaction
+    from mistray.kernel.kernel_scene import KernelScene
     from mistray.kernel.scatter_shares import Given
 
 Memory = dict[str, Any]
@@ -223,6 +224,12 @@ class Recorder:
         """What tells the kernels of the same scene apart that write to it."""
         return type(self).__name__
 
+    def attach(self, scene: KernelScene) -> None:
+        """A trace of one source and wavelength begins, or begins again: what it has brought so far does not count."""
+
+    def collect(self, unit: float) -> None:
+        """It has ended; the flux of a start ray is so many W."""
+
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """Put what is remembered of a lane into the memory, before the first segment."""
 
@@ -264,6 +271,16 @@ class Recorders(Recorder):
     def code(self) -> Hashable:
         """See `Recorder.code`."""
         return tuple(recorder.code for recorder in self._all)
+
+    def attach(self, scene: KernelScene) -> None:
+        """See `Recorder.attach`."""
+        for recorder in self._all:
+            recorder.attach(scene)
+
+    def collect(self, unit: float) -> None:
+        """See `Recorder.collect`."""
+        for recorder in self._all:
+            recorder.collect(unit)
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """See `Recorder.begin`."""

@@ -17,6 +17,7 @@ from mistray.execute.forecast import Forecast
 from mistray.execute.tracer import MOST_PATHS_KEPT, PASS_LANES, Run, prepare
 from mistray.execute.workers import current_workers
 from mistray.interrupts import later, requested
+from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS
 from mistray.sampling.sources import Beam
 from mistray.settings import Settings
@@ -61,6 +62,7 @@ def trace(
     ledger: bool = True,
     progress: Callable[[int, int], None] | None = None,
     seconds: float | None = None,
+    recorders: Sequence[Recorder] = (),
 ) -> Trace:
     """
     Trace the ray tree of a scene from its sources to its detector.
@@ -98,6 +100,8 @@ def trace(
     seconds : float
         Time after which the trace ends with the rays that it has, which are a sample of all; `Trace.rays_traced` says
         how many. The kernel's compilation counts, and the last launch may take a second longer.
+    recorders : sequence of Recorder
+        Told of all that happens to the rays, see docs/extending.md; not where workers trace.
 
     Returns
     -------
@@ -150,10 +154,12 @@ def trace(
         _check_budget(runs)
         if workers is None:
             with later():
-                _execute(runs, ledger, progress)
+                _execute(runs, ledger, progress, recorders)
                 if requested():
                     _keep(runs, lambda: _result(runs, settings, field_deg, azimuth_deg, ledger, None))
         else:
+            if recorders:
+                raise MistrayError("recorders are given and workers trace, who know none; leave out one of the two")
             task = TraceTask(scene, settings, beam, ledger, tables_of(runs))
             try:
                 execute_by_parts(workers, task, runs, progress)
@@ -165,7 +171,12 @@ def trace(
     return _result(runs, settings, field_deg, azimuth_deg, ledger, task)
 
 
-def _execute(runs: Sequence[Run], ledger: bool, progress: Callable[[int, int], None] | None) -> None:
+def _execute(
+    runs: Sequence[Run],
+    ledger: bool,
+    progress: Callable[[int, int], None] | None,
+    recorders: Sequence[Recorder],
+) -> None:
     """
     Trace runs here, one after the other, until one of them meets nothing, or an interrupt.
 
@@ -182,7 +193,7 @@ def _execute(runs: Sequence[Run], ledger: bool, progress: Callable[[int, int], N
                 progress(before + traced, planned)
 
         with share(run.rays / (planned - before)):
-            run.execute(ledger, report, requested)
+            run.execute(ledger, report, requested, recorders)
         before += run.rays
         _require_hits(run)
         if requested():
