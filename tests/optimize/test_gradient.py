@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import drjit as dr
@@ -170,12 +171,13 @@ class TestRender:
     def test_a_wrong_adjoint_is_seen(self, load_scene, monkeypatch: pytest.MonkeyPatch) -> None:
         """The comparisons above can fail: they do when only the last event of a finished branch is closed."""
         scene = load_scene(coated_plate())
-        leave = adjoint.Adjoint.leave
+        back = adjoint.Adjoint.back
 
-        def wrong(self: Any, memory: Any, batch: Any, depth: Any, last: Any, total: Any, active: Any) -> None:
-            leave(self, memory, batch, depth, dr.maximum(last, depth - 1), total, active & (depth > 0))
+        def wrong(self: Any, one: Any, memory: Any) -> None:
+            last = dr.maximum(one.last, one.depth - 1)
+            back(self, replace(one, last=last, active=one.active & (one.depth > 0)), memory)
 
-        monkeypatch.setattr(adjoint.Adjoint, "leave", wrong)
+        monkeypatch.setattr(adjoint.Adjoint, "back", wrong)
         g = gradient(path_power(scene, "ghost", rays=256), mi.traverse(scene), [FRONT_T])
         assert abs(g.gradient[FRONT_T][0] / 0.008 - 1) > 0.01
 

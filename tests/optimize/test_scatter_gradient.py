@@ -8,6 +8,8 @@ comparison have noise of their own and agree within it.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
@@ -76,12 +78,12 @@ def test_against_central_differences(load_scene, case: str) -> None:
 
 def test_a_wrong_slope_is_found(load_scene, monkeypatch: pytest.MonkeyPatch) -> None:
     """An adjoint that takes scattered children for children in proportion to T² must fail the comparison."""
-    enter = adjoint.Adjoint.enter
+    branch = adjoint.Adjoint.branch
 
-    def wrong(self, memory, depth, it, reflect, slope, total, active):
-        enter(self, memory, depth, it, reflect, 2 * slope, total, active)
+    def wrong(self, one, memory):
+        branch(self, replace(one, slope=2 * one.slope), memory)
 
-    monkeypatch.setattr(adjoint.Adjoint, "enter", wrong)
+    monkeypatch.setattr(adjoint.Adjoint, "branch", wrong)
     scene = load_scene(scene_of(THROUGH))
     found = gradient(scattered_power(scene), mi.traverse(scene), ["rear.bsdf.T"])
     expected = central_difference(scene, "rear.bsdf.T")
