@@ -165,7 +165,9 @@ class Searches:
     @property
     def each(self) -> float:
         """Mean time of an evaluation, s; the first ones compile kernels: rather too long than too short."""
-        return (time.perf_counter() - self._started) / max(self._made, 1)
+        if self._made:
+            return (time.perf_counter() - self._started) / self._made
+        return self.state.seconds / max(sum(map(len, self.state.evaluations)), 1)
 
     def _note(self, start: int, step: int, at: Evaluation, new: bool) -> None:
         """Add a step, and show it if it was not made before an interruption."""
