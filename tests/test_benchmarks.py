@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+import re
 import subprocess
 import sys
 from pathlib import Path
@@ -34,8 +35,8 @@ def row(ratio, **more):
     return Row(**{"key": "a", "what": "this", "ours": "1 s", "other": "2 s", "ratio": ratio, **more})
 
 
-def run(*arguments, code=0):
-    command = [sys.executable, str(FOLDER / "bench.py"), *map(str, arguments)]
+def run(*arguments, program="bench.py", code=0):
+    command = [sys.executable, str(FOLDER / program), *map(str, arguments)]
     done = subprocess.run(command, capture_output=True, text=True, cwd=ROOT, timeout=300)
     assert done.returncode == code, done.stdout + done.stderr
     return done.stdout, done.stderr
@@ -279,3 +280,42 @@ def test_every_part_runs_in_small(part):
     table, _ = run("--quick", "--only", part)
     assert "FAILED" not in table
     assert "not the same work" not in table
+
+
+def test_numbers_that_changed_are_named(tmp_path):
+    """The same program gives the same numbers; another number, a path more or other kernels are told apart."""
+    from same_numbers import differences
+
+    first, second = tmp_path / "first.json", tmp_path / "second.json"
+    scene = ("--scenes", "plate_and_wall")
+    run(first, *scene, program="same_numbers.py")
+    run(second, *scene, "--against", first, program="same_numbers.py")
+    before = json.loads(first.read_text())
+    trace = before["trace plate_and_wall"]
+    assert trace["kernels"]
+    trace["numbers"]["detected"][0] *= 1.001
+    first.write_text(json.dumps(before))
+    told, _ = run(second, *scene, "--against", first, program="same_numbers.py", code=1)
+    assert "detected" in told.splitlines()[0]
+    path, (power, se) = next(iter(trace["paths"].items()))
+
+    def changed(**values):
+        return list(differences(before, {**before, "trace plate_and_wall": {**trace, **values}}))
+
+    other = {**trace["paths"], path: (power * (1 + 1e-9), se)}
+    assert len(changed(paths=other)) == 1
+    assert not changed(paths=other, kernels=["another"])
+    assert len(changed(paths={**other, path: (power + max(4.3 * se, 2e-5 * power), se)}, kernels=["another"])) == 1
+    assert len(changed(paths={**trace["paths"], "strong": (1e-5 * trace["launched_W"], 0.0)}, kernels=["x"])) == 1
+    assert not changed(paths={**trace["paths"], "faint": (1e-7 * trace["launched_W"], 0.0)}, kernels=["x"])
+
+
+def test_same_numbers_uses_every_kind_of_plugin():
+    from same_numbers import TRACES
+
+    def kinds(names):
+        files = [ROOT / "scenes" / name / "scene.xml" for name in names]
+        return {kind for file in files for kind in re.findall('type="([a-z_]+)"', file.read_text())}
+
+    assert kinds(TRACES) == kinds(folder.parent.name for folder in (ROOT / "scenes").glob("*/scene.xml"))
+    assert len(TRACES) == 10
