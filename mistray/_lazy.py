@@ -43,10 +43,12 @@ def lazy_package(package: str, names: Mapping[str, Iterable[str]]) -> None:
     package : str
         ``__name__`` of the package.
     names : mapping of str to iterable of str
-        Module within the package → the public names that it defines. A name may be that of its own module, as the
-        function `mistray.report.view.view`: it is then the function in the package.
+        Module within the package, or the full name of one elsewhere → the public names that it defines. A name may be
+        that of its own module, as the function `mistray.report.view.view`: it is then the function in the package.
     """
     module = sys.modules[package]
     module.__class__ = _LazyPackage
-    homes = {name: f"{package}.{home}" for home, own in names.items() for name in own}
+    top = package.partition(".")[0]
+    full = {home: home if home.startswith(f"{top}.") else f"{package}.{home}" for home in names}
+    homes = {name: full[home] for home, own in names.items() for name in own}
     vars(module)["_homes"] = homes

@@ -20,6 +20,7 @@ from mistray.cache import Cache, file_fingerprint
 from mistray.cli.program import main
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
+from mistray.files.irradiance_files import read_irradiance
 from mistray.materials import refractive_index
 from mistray.materials.agf import glass_names
 from mistray.mechanics import read_mechanics
@@ -30,7 +31,6 @@ from mistray.prescription import from_batoid, from_json
 from mistray.prescription.read_codev import read_codev
 from mistray.prescription.read_zemax import read_zemax
 from mistray.read_file import read_text
-from mistray.report.irradiance_files import read_irradiance
 from mistray.report.ray_files import read_rays
 from mistray.scatter.bsdf_csv import read_bsdf_csv
 from mistray.scatter.psd_table import PsdTable
@@ -259,9 +259,9 @@ ELSEWHERE = {
     "mistray/cli/program.py: os.open": "the null device, to write to",
     "mistray/replace_file.py: open": "what is open already, to write to",
     "mistray/report/page.py: read_text": "a part of mistray",
-    "mistray/report/irradiance_files.py: fits.open": "bytes of read_file",
-    "mistray/report/irradiance_files.py: openexr.File": "a file to write; after require_file",
-    "mistray/report/irradiance_files.py: draft.read_bytes": "a file that was written just now",
+    "mistray/files/irradiance_files.py: fits.open": "bytes of read_file",
+    "mistray/files/irradiance_files.py: openexr.File": "a file to write; after require_file",
+    "mistray/files/irradiance_files.py: draft.read_bytes": "a file that was written just now",
     "mistray/analysis/pst/state.py: zipfile.ZipFile": "bytes of open_input",
     "mistray/mechanics/read_mesh.py: trimesh.load_scene": "bytes of read_file",
     "mistray/scene/load.py: mi.parser.parse_file": "after check_depth",

@@ -23,8 +23,8 @@ from mistray.analysis.pst.state import FORM, load_state, save_state
 from mistray.cache import Cache
 from mistray.cli.program import main
 from mistray.errors import MistrayError
+from mistray.files.irradiance_files import read_irradiance
 from mistray.prescription import from_batoid
-from mistray.report.irradiance_files import read_irradiance
 from mistray.scene.allowed_plugins import KINDS, STOCK, SUFFIX
 
 LIBRARY = """

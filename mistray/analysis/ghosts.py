@@ -21,7 +21,7 @@ import pandas as pd
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress
 from mistray.analysis.filtered import Filtered, filtered
-from mistray.analysis.irradiance import Map, MapStatistics, brightest, mirror_asymmetry, pixel_size, statistics
+from mistray.analysis.irradiance import MapStatistics, brightest, mirror_asymmetry, pixel_size, statistics
 from mistray.analysis.path_analysis import path_analysis
 from mistray.analysis.path_maps import FieldMaps, ImagesOfField, PathMap, without
 from mistray.analysis.peaks import BYTES_PER_PIXEL, MAP_BYTES, with_peaks
@@ -30,6 +30,7 @@ from mistray.analysis.ranking import DirectImage, direct_image, rank_column, ran
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
+from mistray.files.irradiance_files import Map
 from mistray.ranges import FIELD_DEG
 from mistray.recorders.film import groups_of
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS

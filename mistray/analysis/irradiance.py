@@ -11,10 +11,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.errors import MistrayError
+from mistray.files.irradiance_files import Extent, Map
 from mistray.recorders.sampled import Sampled
-
-Map = npt.NDArray[np.float64]
-Extent = tuple[float, float, float, float]
 
 
 @dataclass(frozen=True)

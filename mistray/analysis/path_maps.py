@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 import numpy.typing as npt
 
-from mistray.analysis.irradiance import Map
+from mistray.files.irradiance_files import Map
 from mistray.recorders.sampled import Sampled
 
 

@@ -141,7 +141,7 @@ def _record(
     unaimed: Chance | None,
 ) -> dict[str, Any]:
     """What --json prints: notes, the way to A, B and g from a roughness, totals of all events, curves of one."""
-    from mistray.report.json_values import plain
+    from mistray.files.json_values import plain
 
     sheet = bsdf_models.roughness_sheet(options)
     roughness = None

@@ -13,7 +13,7 @@ SHARES = ("R", "T", "A")
 def as_json(coating: Coating, values: Spectrum, design_nm: float) -> dict[str, Any]:
     """A coating: its layers, R, T and A over the band, and all of the spectrum, as values that JSON knows."""
     from mistray.coatings import Stack
-    from mistray.report.json_values import plain
+    from mistray.files.json_values import plain
 
     layers = []
     if isinstance(coating, Stack):

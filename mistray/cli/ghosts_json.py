@@ -25,8 +25,8 @@ def as_json(
 ) -> dict[str, Any]:
     """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
     from mistray.analysis.stray_levels import LEVELS
+    from mistray.files.json_values import plain
     from mistray.report.csv_tables import summary_frame
-    from mistray.report.json_values import plain
     from mistray.report.tables import warnings
 
     fields = []

@@ -122,7 +122,7 @@ def run(options: argparse.Namespace) -> int:
     record = {"name": prescription.name, "surfaces": shapes, **record, "arriving_share": light.share}
     if options.json:
         from mistray.cli.tracing_arguments import print_json
-        from mistray.report.json_values import plain
+        from mistray.files.json_values import plain
 
         print_json(plain(record), [output])
     else:

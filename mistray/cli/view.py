@@ -205,7 +205,7 @@ def _record(traced: Trace | None, paths: int, options: argparse.Namespace) -> di
     """What --json prints: the rows that are drawn."""
     if traced is None:
         return {"paths": []}
-    from mistray.report.json_values import plain
+    from mistray.files.json_values import plain
     from mistray.report.path_rays import chosen_rows
 
     rows = chosen_rows(traced, paths, options.path_ids)

@@ -5,18 +5,18 @@ from typing import TYPE_CHECKING
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
+    from mistray.files.irradiance_files import IrradianceMap, read_irradiance, write_irradiance
+    from mistray.files.parquet import write_parquet
     from mistray.report.baffle_plots import baffle_figure, cassegrain_figure
     from mistray.report.colour import ColourPictures, Look
     from mistray.report.csv_tables import write_csv
     from mistray.report.formats import write_formats
     from mistray.report.html import html_text, write_html
-    from mistray.report.irradiance_files import IrradianceMap, read_irradiance, write_irradiance
     from mistray.report.layout import layout, layout_figure, write_layout
     from mistray.report.objects_output import write_objects
     from mistray.report.objects_plots import objects_layout
     from mistray.report.objects_tables import objects_text
     from mistray.report.output import writable_directory, write_all, write_png
-    from mistray.report.parquet import write_parquet
     from mistray.report.path_rays import RayLine, rays_of_paths
     from mistray.report.path_sort import SortedPath, parse_path_sort, path_sort_text
     from mistray.report.plots import ghost_image, levels_against_field, montage
@@ -83,13 +83,13 @@ lazy_package(
         "csv_tables": ("write_csv",),
         "formats": ("write_formats",),
         "html": ("html_text", "write_html"),
-        "irradiance_files": ("IrradianceMap", "read_irradiance", "write_irradiance"),
+        "mistray.files.irradiance_files": ("IrradianceMap", "read_irradiance", "write_irradiance"),
         "layout": ("layout", "layout_figure", "write_layout"),
         "objects_output": ("write_objects",),
         "objects_plots": ("objects_layout",),
         "objects_tables": ("objects_text",),
         "output": ("writable_directory", "write_all", "write_png"),
-        "parquet": ("write_parquet",),
+        "mistray.files.parquet": ("write_parquet",),
         "path_rays": ("RayLine", "rays_of_paths"),
         "path_sort": ("SortedPath", "parse_path_sort", "path_sort_text"),
         "plots": ("ghost_image", "levels_against_field", "montage"),

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Any
 
 from mistray.analysis.estimate import Estimate
-from mistray.report.json_values import plain
+from mistray.files.json_values import plain
 from mistray.report.output import csv_text, write_files
 from mistray.report.text import number, text_table, with_error
 from mistray.sweeps import EditRanking

@@ -8,8 +8,8 @@ from typing import Any
 
 import pandas as pd
 
-from mistray.report.irradiance_files import FORMATS, IrradianceMap, require_format, write_irradiance
-from mistray.report.parquet import require_parquet, write_parquet
+from mistray.files.irradiance_files import FORMATS, IrradianceMap, require_format, write_irradiance
+from mistray.files.parquet import require_parquet, write_parquet
 
 
 def require_formats(formats: Sequence[str]) -> None:

@@ -10,7 +10,7 @@ import pandas as pd
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.objects.rows import LISTS, CommonObject, SceneObject, describe
 from mistray.analysis.objects.search import Objects
-from mistray.report.json_values import plain
+from mistray.files.json_values import plain
 from mistray.report.text import ABSENT, number, text_table, with_error
 
 ROWS_SHOWN = 25

@@ -7,10 +7,10 @@ from typing import Any
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
+from mistray.files.json_values import plain
 from mistray.optimize import Comparison, Optimization, Term
 from mistray.optimize.goals import holds, limit_of
 from mistray.optimize.verify import Row
-from mistray.report.json_values import plain
 from mistray.report.text import number, text_table, with_error
 
 AT_BOUND = 1e-6  # of the way from bound to bound

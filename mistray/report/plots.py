@@ -17,8 +17,9 @@ from matplotlib.axes import Axes
 from matplotlib.colors import Colormap
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.irradiance import Extent, Map, log10_image, log_range
+from mistray.analysis.irradiance import log10_image, log_range
 from mistray.errors import MistrayError
+from mistray.files.irradiance_files import Extent, Map
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.report.figure import Figure

@@ -12,8 +12,8 @@ import pandas as pd
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.pst.causes import Break, breaks, field_edge, stray_paths
 from mistray.analysis.pst.result import Pst
+from mistray.files.json_values import plain
 from mistray.recorders.sky import CLASSES
-from mistray.report.json_values import plain
 from mistray.report.text import ABSENT, number, text_table, with_error
 
 RARE = ("straight_shot", "edge_diffraction")  # classes that are shown where there are any

@@ -15,29 +15,16 @@ import pandas as pd
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.study.run import Study
 from mistray.analysis.study.step import Fact, StudyStep
+from mistray.files.json_values import plain
+from mistray.files.units import unit_of
 from mistray.report import pst_tables, tables
-from mistray.report.json_values import plain
 from mistray.report.markup import cell, data_table, number_cell, thousands
 from mistray.report.text import ABSENT, number, with_error
 
-UNITS = (
-    ("W_mm2", "W/mm²"), ("1_sr", "1/sr"), ("percent_of_first_level", "% of first-level scatter"),
-    ("percent_of_stray", "% of stray light"), ("percent_of_all", "% of all light"), ("per_deg", "decades/°"),
-    ("percent", "%"), ("mm2", "mm²"), ("mm", "mm"), ("deg", "°"), ("nm", "nm"), ("W", "W"),
-)  # fmt: skip
-"""Ends of the names of columns and the units that they stand for; the first that fits is taken."""
 ABBREVIATIONS = {"pst": "PST", "rms": "RMS", "bsdf": "BSDF", "gcf": "GCF", "tis": "TIS", "id": "surface"}
 LONG_TEXT = 60  # characters from which on a cell may break its lines
 DIGITS = 5
 ABSENT_BELOW_0 = ("space",)  # columns whose negative numbers say that there is none
-
-
-def unit_of(column: str) -> tuple[str, str]:
-    """Name without its unit, and the unit, of a column."""
-    for end, unit in UNITS:
-        if column == end or column.endswith(f"_{end}"):
-            return column[: -len(end)].rstrip("_"), unit
-    return column, ""
 
 
 def heading_of(column: str) -> tuple[str, str]:

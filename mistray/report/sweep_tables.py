@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from mistray.report.json_values import plain
+from mistray.files.json_values import plain
 from mistray.report.text import ABSENT, number, text_table, with_error
 from mistray.sweeps import Sweep
 from mistray.sweeps.result import estimate_of

@@ -15,8 +15,8 @@ from matplotlib.ticker import LogLocator
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.thermal.emission import Emitter, ThermalReport
+from mistray.files.json_values import plain
 from mistray.report.figure import Figure
-from mistray.report.json_values import plain
 from mistray.report.markup import cell, data_table, figure, number_cell, section, setting_text, thousands
 from mistray.report.output import csv_text, write_files
 from mistray.report.page import page

@@ -6,8 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mistray.analysis.irradiance import Extent, log_range
+from mistray.analysis.irradiance import log_range
 from mistray.analysis.path_maps import PathMap
+from mistray.files.irradiance_files import Extent
 from mistray.report.embedded import COLOURS, colour_table, palette_png
 
 SIDE = 64  # pixels

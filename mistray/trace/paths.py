@@ -460,7 +460,7 @@ class PathTable(Sequence[PathRow]):
 
     def to_parquet(self, path: str | Path) -> None:
         """Write the table as Parquet (extra ``tables``), units in the metadata; see `mistray.report.write_parquet`."""
-        from mistray.report.parquet import write_parquet
+        from mistray.files.parquet import write_parquet
 
         write_parquet(self.to_pandas(), path)
 

@@ -148,9 +148,9 @@ class Trace:
         """
         Write `irradiance` and `irradiance_se` as .fits, .exr (both extra ``images``) or .npy, as the name ends.
 
-        See `mistray.report.irradiance_files` for what is in the files.
+        See `mistray.files.irradiance_files` for what is in the files.
         """
-        from mistray.report.irradiance_files import IrradianceMap, write_irradiance
+        from mistray.files.irradiance_files import IrradianceMap, write_irradiance
 
         write_irradiance(IrradianceMap.of(self), path)
 

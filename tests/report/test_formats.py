@@ -12,9 +12,9 @@ import pytest
 from report.fake_trace import EXTENT, SHAPE, scatter_trace_at, trace_at
 
 from mistray.errors import MistrayError
+from mistray.files.parquet import unit
 from mistray.report import IrradianceMap, read_irradiance, write_formats, write_irradiance, write_parquet
 from mistray.report.formats import require_formats
-from mistray.report.parquet import unit
 from mistray.trace import Trace
 
 UNITS = {

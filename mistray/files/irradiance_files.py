@@ -29,13 +29,15 @@ from types import MappingProxyType
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from mistray.analysis.irradiance import Extent, Map
 from mistray.errors import MistrayError
+from mistray.files.json_values import plain
 from mistray.read_file import read_file, require_file
 from mistray.replace_file import replace_file
-from mistray.report.json_values import plain
 
+Map = npt.NDArray[np.float64]
+Extent = tuple[float, float, float, float]
 UNIT_FITS, UNIT_EXR = "W mm-2", "W/mm^2"
 ERROR_HDU, ERROR_CHANNEL = "STDERR", "standard_error.Y"
 AXES = ("x", "y")

@@ -15,9 +15,9 @@ from typing import Any
 import pandas as pd
 
 from mistray.errors import MistrayError
+from mistray.files.json_values import plain
+from mistray.files.units import unit_of
 from mistray.replace_file import replace_file
-from mistray.report.json_values import plain
-from mistray.report.study_tables import unit_of
 
 FACTS = b"mistray"
 

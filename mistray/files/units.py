@@ -1,0 +1,18 @@
+"""Units of columns, which the ends of their names say."""
+
+from __future__ import annotations
+
+UNITS = (
+    ("W_mm2", "W/mm²"), ("1_sr", "1/sr"), ("percent_of_first_level", "% of first-level scatter"),
+    ("percent_of_stray", "% of stray light"), ("percent_of_all", "% of all light"), ("per_deg", "decades/°"),
+    ("percent", "%"), ("mm2", "mm²"), ("mm", "mm"), ("deg", "°"), ("nm", "nm"), ("W", "W"),
+)  # fmt: skip
+"""Ends of the names of columns and the units that they stand for; the first that fits is taken."""
+
+
+def unit_of(column: str) -> tuple[str, str]:
+    """Name without its unit, and the unit, of a column."""
+    for end, unit in UNITS:
+        if column == end or column.endswith(f"_{end}"):
+            return column[: -len(end)].rstrip("_"), unit
+    return column, ""
