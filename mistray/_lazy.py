@@ -44,7 +44,7 @@ def lazy_package(package: str, names: Mapping[str, Iterable[str]]) -> None:
         ``__name__`` of the package.
     names : mapping of str to iterable of str
         Module within the package, or the full name of one elsewhere → the public names that it defines. A name may be
-        that of its own module, as the function `mistray.report.view.view`: it is then the function in the package.
+        that of its own module, as a function `view` of a module `view`: it is then the function in the package.
     """
     module = sys.modules[package]
     module.__class__ = _LazyPackage

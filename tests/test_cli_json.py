@@ -19,7 +19,7 @@ from mistray.cli import program
 from mistray.cli.ghosts_json import as_json
 from mistray.cli.tracing_arguments import print_json
 from mistray.coatings import preset, spectrum
-from mistray.report.pst_tables import pst_record
+from mistray.report.tables.pst import pst_record
 
 TESTS = Path(__file__).parent
 # Commands without --json: what they print is for a shell to read

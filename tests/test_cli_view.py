@@ -13,7 +13,7 @@ from report.view_scene import SCENE, RayTrace
 
 import mistray
 from mistray import cli
-from mistray.report.ray_files import read_rays
+from mistray.report.rays.ray_files import read_rays
 from mistray.trace import Settings
 
 
@@ -99,7 +99,7 @@ def test_every_setting_of_the_tracer_is_passed_on(capsys, scene_file, traced, tm
 
 
 def test_a_layout_has_the_paths_and_rays_asked_for(capsys, scene_file, traced, tmp_path, monkeypatch):
-    calls, layout = [], importlib.import_module("mistray.report.layout")
+    calls, layout = [], importlib.import_module("mistray.report.figures.layout")
     drawn = layout.layout_figure(mistray.load(scene_file))
     monkeypatch.setattr(layout, "layout_figure", lambda scene, trace, *given: calls.append(given) or drawn)
     for options in ((), ("--paths", 1, "--rays-per-path", 2, "--rays", 100)):
@@ -150,7 +150,7 @@ def test_without_plotly(capsys, scene_file, traced, tmp_path, monkeypatch):
 
 def test_a_path_is_drawn_once_for_all_wavelengths():
     """Three wavelengths give three rows of each path; four paths take four ways, and each row is the strongest."""
-    from mistray.report.path_rays import chosen_rows
+    from mistray.report.rays.path_rays import chosen_rows
 
     traced = mistray.trace(mistray.load("cooke_triplet"), wavelength_nm=(450, 550, 650), rays=500, max_scatters=0)
     ways = {row.events for row in traced.paths}

@@ -31,7 +31,7 @@ from mistray.prescription import from_batoid, from_json
 from mistray.prescription.read_codev import read_codev
 from mistray.prescription.read_zemax import read_zemax
 from mistray.read_file import read_text
-from mistray.report.ray_files import read_rays
+from mistray.report.rays.ray_files import read_rays
 from mistray.scatter.bsdf_csv import read_bsdf_csv
 from mistray.scatter.psd_table import PsdTable
 from mistray.scatter.zemax_abg import abg_from_catalogue
@@ -258,7 +258,7 @@ ELSEWHERE = {
     "mistray/cache/store.py: draft.open": "a file that is written",
     "mistray/cli/program.py: os.open": "the null device, to write to",
     "mistray/replace_file.py: open": "what is open already, to write to",
-    "mistray/report/page.py: read_text": "a part of mistray",
+    "mistray/report/html/page.py: read_text": "a part of mistray",
     "mistray/files/irradiance_files.py: fits.open": "bytes of read_file",
     "mistray/files/irradiance_files.py: openexr.File": "a file to write; after require_file",
     "mistray/files/irradiance_files.py: draft.read_bytes": "a file that was written just now",

@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
 
 if TYPE_CHECKING:
-    from mistray.report.figure import Figure
+    from mistray.report.figures.figure import Figure
     from mistray.scatter import Scatter
     from mistray.scatter.chance import Chance
     from mistray.scatter.scan import Light, Scan
@@ -107,12 +107,12 @@ def run(options: argparse.Namespace) -> int:
     unaimed = _chance(options, model, event, lights[0])
     title = _title(options, model)
     if options.plot is not None:
-        from mistray.report.bsdf_plots import bsdf_figure
-        from mistray.report.plots import write_figure
+        from mistray.report.figures.bsdf import bsdf_figure
+        from mistray.report.figures.plots import write_figure
 
         write_figure(bsdf_figure(curves, title, _knee(model, event, light)), options.plot)
     if options.plot_particles is not None:
-        from mistray.report.plots import write_figure
+        from mistray.report.figures.plots import write_figure
 
         write_figure(_particles(model), options.plot_particles)
     if options.csv is not None:
@@ -288,7 +288,7 @@ def _sheet(options: argparse.Namespace) -> list[str]:
 
 def _totals(found: list[dict[str, Any]]) -> str:
     """Table of what is scattered, and what the specular beams lose."""
-    from mistray.report.text import ABSENT, text_table
+    from mistray.report.tables.text import ABSENT, text_table
 
     places = dict.fromkeys((row.get("rotation_deg"), row["incidence_deg"]) for row in found)
     heads, columns = [("incidence", "deg")], [[f"{angle:g}" for _, angle in places]]
@@ -308,7 +308,7 @@ def _totals(found: list[dict[str, Any]]) -> str:
 
 
 def _particles(model: Any) -> Figure:
-    from mistray.report.bsdf_plots import particles_figure
+    from mistray.report.figures.bsdf import particles_figure
 
     return particles_figure(model.cleanliness, model.slope)
 

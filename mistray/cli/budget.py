@@ -48,7 +48,7 @@ def run(options: argparse.Namespace) -> int:
     start_mitsuba(options)
     from mistray.optimize.budget import budget
     from mistray.optimize.read_budget import read_budget
-    from mistray.report.budget_tables import budget_record, budget_text
+    from mistray.report.tables.budget import budget_record, budget_text
 
     claim_folder(options)
     study = read_budget(options.budget)

@@ -75,8 +75,8 @@ def run(options: argparse.Namespace) -> int:
     front, back, from_front = options.front or "air", options.back or "N-BK7", not options.from_back
     values = spectrum(coating, lam, options.angles_deg, front, back, from_front)
     if options.plot is not None:
-        from mistray.report.coating_plots import coating_figure
-        from mistray.report.plots import write_figure
+        from mistray.report.figures.coating import coating_figure
+        from mistray.report.figures.plots import write_figure
 
         write_figure(coating_figure(coating, lam, options.angles_deg, front, back, from_front), options.plot)
     if options.csv is not None:
@@ -151,9 +151,9 @@ def _scene(options: argparse.Namespace, lam: list[float]) -> int:
     from mistray.coatings import spectrum
     from mistray.coatings.stack import outside_first
     from mistray.materials import complex_index
-    from mistray.report.coating_plots import coated_surfaces, surfaces_figure
-    from mistray.report.plots import write_figure
-    from mistray.report.text import text_table
+    from mistray.report.figures.coating import coated_surfaces, surfaces_figure
+    from mistray.report.figures.plots import write_figure
+    from mistray.report.tables.text import text_table
     from mistray.scene import load
 
     with working(f"loading {options.coating}"):
@@ -187,7 +187,7 @@ def _scene(options: argparse.Namespace, lam: list[float]) -> int:
 def _layers(coating: Coating, design_nm: float) -> list[str]:
     """Table of the layers of a stack; nothing for others."""
     from mistray.coatings import Stack
-    from mistray.report.text import text_table
+    from mistray.report.tables.text import text_table
 
     if not isinstance(coating, Stack) or not coating.layers:
         return []
@@ -204,7 +204,7 @@ def _layers(coating: Coating, design_nm: float) -> list[str]:
 
 def _over_band(values: Spectrum) -> str:
     """Table of the mean and the extremes of R over the wavelengths."""
-    from mistray.report.text import text_table
+    from mistray.report.tables.text import text_table
 
     lam, mean = values.wavelength_nm, values.mean()
     rows = []
@@ -224,7 +224,7 @@ def _sample(values: Spectrum) -> str:
     """Table of R at some of the wavelengths: unpolarised, and s and p off normal incidence."""
     import numpy as np
 
-    from mistray.report.text import text_table
+    from mistray.report.tables.text import text_table
 
     lam = values.wavelength_nm
     shown = np.unique(np.linspace(0, len(lam) - 1, min(ROWS_SHOWN, len(lam))).round().astype(int))

@@ -236,7 +236,7 @@ class _Extra:
     """Tables that are asked for beside the main ones; made at once, so that a wrong name shows before the drawing."""
 
     def __init__(self, report: GhostReport, options: argparse.Namespace) -> None:
-        from mistray.report.csv_tables import alias_frame, analysis_frame, filter_frame, filter_rays
+        from mistray.report.tables.ghosts_csv import alias_frame, analysis_frame, filter_frame, filter_rays
 
         self._report, self._options = report, options
         self._aliases = _aliases(options.alias)
@@ -252,7 +252,7 @@ class _Extra:
 
     def texts(self) -> list[str]:
         """What is printed."""
-        from mistray.report.level_tables import alias_text, analysis_text, filter_text, level_text
+        from mistray.report.tables.levels import alias_text, analysis_text, filter_text, level_text
 
         options = self._options
         parts = [level_text(self._report)] if options.levels else []
@@ -312,7 +312,7 @@ def _write_tables(report: Any, options: argparse.Namespace) -> list[Path]:
     """Write the tables of what is finished, as many as there is room for; maps would take as long as the trace has."""
     from mistray.analysis import GhostReport
     from mistray.replace_file import replace_file
-    from mistray.report.csv_tables import csv_tables
+    from mistray.report.tables.ghosts_csv import csv_tables
 
     files: list[Path] = []
     if isinstance(report, GhostReport):
@@ -326,7 +326,7 @@ def _write_tables(report: Any, options: argparse.Namespace) -> list[Path]:
 def _write_formats(report: GhostReport, options: argparse.Namespace) -> list[Path]:
     """The tables as Parquet, and irradiance_<field>deg in the other formats."""
     from mistray.report import IrradianceMap, write_formats
-    from mistray.report.csv_tables import csv_tables
+    from mistray.report.tables.ghosts_csv import csv_tables
 
     tables = csv_tables(report, options.per_wavelength)
     maps = {f"irradiance_{field:g}deg": IrradianceMap.of(t) for field, t in report.items()}

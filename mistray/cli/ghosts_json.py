@@ -26,8 +26,8 @@ def as_json(
     """What `mistray ghosts --json` prints; per wavelength, each field holds the same numbers at each wavelength."""
     from mistray.analysis.stray_levels import LEVELS
     from mistray.files.json_values import plain
-    from mistray.report.csv_tables import summary_frame
-    from mistray.report.tables import warnings
+    from mistray.report.tables.ghosts import warnings
+    from mistray.report.tables.ghosts_csv import summary_frame
 
     fields = []
     for row in summary_frame(report).to_dict("records"):
@@ -62,7 +62,7 @@ def _filtered(found: Filtered) -> dict[str, Any]:
 
 def _lines(report: GhostReport, field_deg: float) -> list[dict[str, Any]]:
     """A field at each wavelength; the worst paths are those of all light."""
-    from mistray.report.csv_tables import summary_frame
+    from mistray.report.tables.ghosts_csv import summary_frame
 
     lines = []
     worst = [report.spectrum(field_deg, path_id) for path_id in report.listed(field_deg, WORST_SHOWN).path_id]

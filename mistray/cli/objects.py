@@ -88,7 +88,7 @@ def run(options: argparse.Namespace) -> int:
     start_mitsuba(options)
     from mistray.analysis.objects.search import objects
     from mistray.analysis.objects.sources import DiskSource
-    from mistray.report.objects_tables import csv_tables, objects_record, objects_text
+    from mistray.report.tables.objects import csv_tables, objects_record, objects_text
     from mistray.scene import load
 
     claim_folder(options)

@@ -111,7 +111,7 @@ def run(options: argparse.Namespace) -> int:
     start_mitsuba(options)
     from mistray.analysis.pst.run import pst
     from mistray.recorders.directions import DirectionGrid
-    from mistray.report.pst_tables import pst_record, pst_text
+    from mistray.report.tables.pst import pst_record, pst_text
     from mistray.scene import load
 
     claim_folder(options)

@@ -110,7 +110,7 @@ def run(options: argparse.Namespace) -> int:
     from mistray.optimize.factories import FACTORIES
     from mistray.optimize.parameters import match, parameters
     from mistray.optimize.sensitivity import sensitivity
-    from mistray.report.sensitivity_tables import sensitivity_record, sensitivity_text
+    from mistray.report.tables.sensitivity import sensitivity_record, sensitivity_text
     from mistray.scene import load
 
     claim_folder(options)

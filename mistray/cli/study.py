@@ -90,7 +90,7 @@ def run(options: argparse.Namespace) -> int:
         raise MistrayError("--resume needs the folder of the saved run; give --out")
     start_mitsuba(options)
     from mistray.analysis.study.run import study
-    from mistray.report.study_tables import study_record, study_text
+    from mistray.report.tables.study import study_record, study_text
     from mistray.scene import load
 
     state, folder = None, claim_folder(options)

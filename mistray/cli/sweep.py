@@ -87,7 +87,7 @@ def run(options: argparse.Namespace) -> int:
         raise MistrayError("--rank and --step are about the PST; give its field angles with --pst-field-deg")
     check_formats(options)
     start_mitsuba(options)
-    from mistray.report.sweep_tables import sweep_record, sweep_text
+    from mistray.report.tables.sweep import sweep_record, sweep_text
     from mistray.sweeps import Sweep, read_configurations, sweep
 
     claim_folder(options)
@@ -147,14 +147,14 @@ def _run_pst(options: argparse.Namespace) -> int:
     texts: list[str] = []
     files: list[Path] = []
     if options.study is not None:
-        from mistray.report.pst_sweep_tables import pst_sweep_record, pst_sweep_text, write_pst_sweep
+        from mistray.report.tables.pst_sweep import pst_sweep_record, pst_sweep_text, write_pst_sweep
 
         found = _swept_pst(options)
         records.append(pst_sweep_record(found))
         texts.append(pst_sweep_text(found))
         files += [] if folder is None else write_pst_sweep(found, folder, options.command_line)
     if options.rank:
-        from mistray.report.edit_ranking_tables import edit_ranking_record, edit_ranking_text, write_edit_ranking
+        from mistray.report.tables.edit_ranking import edit_ranking_record, edit_ranking_text, write_edit_ranking
 
         ranking = _ranked(options)
         records.append(edit_ranking_record(ranking))

@@ -93,11 +93,11 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     start_mitsuba(options)
-    from mistray.report.layout import PATHS_DRAWN, RAYS_DRAWN, layout_figure, layout_format, write_layout
+    from mistray.report.figures.layout import PATHS_DRAWN, RAYS_DRAWN, layout_figure, layout_format, write_layout
     from mistray.report.output import writable_directory
-    from mistray.report.path_rays import chosen_rows, rays_of_paths
-    from mistray.report.ray_files import format_of, write_rays
-    from mistray.report.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
+    from mistray.report.rays.path_rays import chosen_rows, rays_of_paths
+    from mistray.report.rays.ray_files import format_of, write_rays
+    from mistray.report.view3d.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
     from mistray.scene import load
     from mistray.trace import trace
     from mistray.trace.path_filter import PathFilter
@@ -163,8 +163,8 @@ def run(options: argparse.Namespace) -> int:
 
 def _passing(traced: Trace, options: argparse.Namespace) -> list[int]:
     """The strongest rows that pass the filter."""
-    from mistray.report.path_rays import one_of_each
-    from mistray.report.view import MOST_PATHS
+    from mistray.report.rays.path_rays import one_of_each
+    from mistray.report.view3d.view import MOST_PATHS
 
     most = MOST_PATHS if options.paths is None else options.paths
     found = [row.path_id for row in one_of_each(traced.paths.select(options.filter), most)]
@@ -192,7 +192,7 @@ def _refuse(options: argparse.Namespace, names: Sequence[str], why: str) -> None
 
 
 def _view(scene: Any, traced: Trace | None, paths: int, rays: int, options: argparse.Namespace) -> View:
-    from mistray.report.view import view
+    from mistray.report.view3d.view import view
 
     given = {name: getattr(options, name) for name in PICTURE if getattr(options, name) is not None}
     if given.get("cut_deg") == WHOLE:
@@ -206,7 +206,7 @@ def _record(traced: Trace | None, paths: int, options: argparse.Namespace) -> di
     if traced is None:
         return {"paths": []}
     from mistray.files.json_values import plain
-    from mistray.report.path_rays import chosen_rows
+    from mistray.report.rays.path_rays import chosen_rows
 
     rows = chosen_rows(traced, paths, options.path_ids)
     names = ("path_id", "label", "kind", "events", "wavelength_nm", "power_W", "power_se_W", "percent")

@@ -9,26 +9,26 @@ if TYPE_CHECKING:
     from mistray.files.parquet import write_parquet
     from mistray.report.baffle_plots import baffle_figure, cassegrain_figure
     from mistray.report.colour import ColourPictures, Look
-    from mistray.report.csv_tables import write_csv
+    from mistray.report.figures.layout import layout, layout_figure, write_layout
+    from mistray.report.figures.objects import objects_layout
+    from mistray.report.figures.plots import ghost_image, levels_against_field, montage
     from mistray.report.formats import write_formats
-    from mistray.report.html import html_text, write_html
-    from mistray.report.layout import layout, layout_figure, write_layout
+    from mistray.report.html.ghosts import html_text, write_html
     from mistray.report.objects_output import write_objects
-    from mistray.report.objects_plots import objects_layout
-    from mistray.report.objects_tables import objects_text
     from mistray.report.output import writable_directory, write_all, write_png
-    from mistray.report.path_rays import RayLine, rays_of_paths
-    from mistray.report.path_sort import SortedPath, parse_path_sort, path_sort_text
-    from mistray.report.plots import ghost_image, levels_against_field, montage
     from mistray.report.pst_output import write_pst
-    from mistray.report.pst_tables import pst_text
-    from mistray.report.ray_files import read_rays, write_rays
+    from mistray.report.rays.path_rays import RayLine, rays_of_paths
+    from mistray.report.rays.path_sort import SortedPath, parse_path_sort, path_sort_text
+    from mistray.report.rays.ray_files import read_rays, write_rays
     from mistray.report.study_output import write_study
-    from mistray.report.study_tables import study_text
-    from mistray.report.tables import main_table, warnings
-    from mistray.report.text import with_error
+    from mistray.report.tables.ghosts import main_table, warnings
+    from mistray.report.tables.ghosts_csv import write_csv
+    from mistray.report.tables.objects import objects_text
+    from mistray.report.tables.pst import pst_text
+    from mistray.report.tables.study import study_text
+    from mistray.report.tables.text import with_error
     from mistray.report.thermal import thermal_text, write_thermal
-    from mistray.report.view import View, view
+    from mistray.report.view3d.view import View, view
 
 __all__ = [
     "ColourPictures",
@@ -80,27 +80,27 @@ lazy_package(
     {
         "baffle_plots": ("baffle_figure", "cassegrain_figure"),
         "colour": ("ColourPictures", "Look"),
-        "csv_tables": ("write_csv",),
+        "tables.ghosts_csv": ("write_csv",),
         "formats": ("write_formats",),
-        "html": ("html_text", "write_html"),
+        "html.ghosts": ("html_text", "write_html"),
         "mistray.files.irradiance_files": ("IrradianceMap", "read_irradiance", "write_irradiance"),
-        "layout": ("layout", "layout_figure", "write_layout"),
+        "figures.layout": ("layout", "layout_figure", "write_layout"),
         "objects_output": ("write_objects",),
-        "objects_plots": ("objects_layout",),
-        "objects_tables": ("objects_text",),
+        "figures.objects": ("objects_layout",),
+        "tables.objects": ("objects_text",),
         "output": ("writable_directory", "write_all", "write_png"),
         "mistray.files.parquet": ("write_parquet",),
-        "path_rays": ("RayLine", "rays_of_paths"),
-        "path_sort": ("SortedPath", "parse_path_sort", "path_sort_text"),
-        "plots": ("ghost_image", "levels_against_field", "montage"),
+        "rays.path_rays": ("RayLine", "rays_of_paths"),
+        "rays.path_sort": ("SortedPath", "parse_path_sort", "path_sort_text"),
+        "figures.plots": ("ghost_image", "levels_against_field", "montage"),
         "pst_output": ("write_pst",),
-        "pst_tables": ("pst_text",),
-        "ray_files": ("read_rays", "write_rays"),
+        "tables.pst": ("pst_text",),
+        "rays.ray_files": ("read_rays", "write_rays"),
         "study_output": ("write_study",),
-        "study_tables": ("study_text",),
-        "tables": ("main_table", "warnings"),
-        "text": ("with_error",),
+        "tables.study": ("study_text",),
+        "tables.ghosts": ("main_table", "warnings"),
+        "tables.text": ("with_error",),
         "thermal": ("thermal_text", "write_thermal"),
-        "view": ("View", "view"),
+        "view3d.view": ("View", "view"),
     },
 )

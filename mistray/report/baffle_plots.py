@@ -17,8 +17,8 @@ from mistray.prescription.baffle_cassegrain import CassegrainBaffles
 from mistray.prescription.baffle_two_stage import TwoStageBaffle
 from mistray.prescription.baffle_zones import first_order_zones, lit_zones, seen_zones
 from mistray.prescription.baffles import BaffleTube
-from mistray.report.figure import Figure
-from mistray.report.plots import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
+from mistray.report.figures.figure import Figure
+from mistray.report.figures.plots import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 
 WIDTH, HIGHEST = 10.4, 9.0  # inches
 MARGINS = 0.8  # inches, for axis labels and the legend

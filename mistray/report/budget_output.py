@@ -12,7 +12,12 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from mistray.optimize.budget import Budget
-from mistray.report.budget_tables import (
+from mistray.report.figures.figure import Figure
+from mistray.report.figures.plots import BLUE, GREY, VERMILION, as_png
+from mistray.report.html.markup import cell, data_table, figure, image, number_cell, section, setting_text
+from mistray.report.html.page import page
+from mistray.report.output import csv_text, write_files
+from mistray.report.tables.budget import (
     at_bound,
     budget_frame,
     budget_record,
@@ -20,12 +25,7 @@ from mistray.report.budget_tables import (
     surfaces_text,
     verdict,
 )
-from mistray.report.figure import Figure
-from mistray.report.markup import cell, data_table, figure, image, number_cell, section, setting_text
-from mistray.report.output import csv_text, write_files
-from mistray.report.page import page
-from mistray.report.plots import BLUE, GREY, VERMILION, as_png
-from mistray.report.text import number, with_error
+from mistray.report.tables.text import number, with_error
 
 CAPTION = "The numbers before and after, and what part of the metric each stands for."
 

@@ -37,7 +37,7 @@ import numpy.typing as npt
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.spectral import spectral_maps
 from mistray.errors import MistrayError
-from mistray.report.figure import Figure
+from mistray.report.figures.figure import Figure
 
 Array = npt.NDArray[np.float64]
 OBSERVER = "CIE 1931 2 Degree Standard Observer"

@@ -8,11 +8,11 @@ from pathlib import Path
 import pandas as pd
 
 from mistray.analysis.objects.search import Objects
-from mistray.report.html_objects import html_text
-from mistray.report.objects_plots import objects_layout
-from mistray.report.objects_tables import csv_tables, objects_record
+from mistray.report.figures.objects import objects_layout
+from mistray.report.figures.plots import as_png
+from mistray.report.html.objects import html_text
 from mistray.report.output import csv_text, write_files
-from mistray.report.plots import as_png
+from mistray.report.tables.objects import csv_tables, objects_record
 
 
 def write_objects(

@@ -8,11 +8,11 @@ from pathlib import Path
 import pandas as pd
 
 from mistray.optimize import Optimization
-from mistray.report.html_optimization import optimization_html
-from mistray.report.optimization_plots import reflectance_figure, search_figure, variables_figure
+from mistray.report.figures.optimization import reflectance_figure, search_figure, variables_figure
+from mistray.report.figures.plots import as_png
+from mistray.report.html.optimization import optimization_html
 from mistray.report.optimization_tables import history_frame, variables_frame
 from mistray.report.output import csv_text, writable_directory, write_files
-from mistray.report.plots import as_png
 from mistray.scene.recoat import recoated, write_recoated
 from mistray.scene.rewrite import rewritten
 

@@ -11,7 +11,7 @@ from mistray.files.json_values import plain
 from mistray.optimize import Comparison, Optimization, Term
 from mistray.optimize.goals import holds, limit_of
 from mistray.optimize.verify import Row
-from mistray.report.text import number, text_table, with_error
+from mistray.report.tables.text import number, text_table, with_error
 
 AT_BOUND = 1e-6  # of the way from bound to bound
 

@@ -13,12 +13,12 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
 from mistray.replace_file import FREE, NO_ROOM, claim_files, draft_folder, replace_files, written
 from mistray.report.colour import ColourPictures, Look
-from mistray.report.csv_tables import write_csv
-from mistray.report.html import html_text
-from mistray.report.html_fields import mapped_paths
-from mistray.report.layout import layout
-from mistray.report.path_sort import path_sort_text
-from mistray.report.plots import as_png, common_range, ghost_image, levels_against_field, montage
+from mistray.report.figures.layout import layout
+from mistray.report.figures.plots import as_png, common_range, ghost_image, levels_against_field, montage
+from mistray.report.html.fields import mapped_paths
+from mistray.report.html.ghosts import html_text
+from mistray.report.rays.path_sort import path_sort_text
+from mistray.report.tables.ghosts_csv import write_csv
 
 PATHS_SORTED = 1000  # paths in a path-sort file
 PROBE = 1 << 16  # bytes for which there must be room

@@ -9,11 +9,11 @@ from pathlib import Path
 import pandas as pd
 
 from mistray.analysis.pst.result import Pst
-from mistray.report.html_pst import html_text
+from mistray.report.figures.plots import as_png
+from mistray.report.figures.pst import pst_causes, pst_curve, pst_irradiance, pst_map
+from mistray.report.html.pst import html_text
 from mistray.report.output import csv_text, write_files
-from mistray.report.plots import as_png
-from mistray.report.pst_plots import pst_causes, pst_curve, pst_irradiance, pst_map
-from mistray.report.pst_tables import cell_frame, curve_frame, path_frame, pst_record
+from mistray.report.tables.pst import cell_frame, curve_frame, path_frame, pst_record
 
 
 def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ()) -> dict[str, bytes]:

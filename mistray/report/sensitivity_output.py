@@ -8,11 +8,11 @@ from pathlib import Path
 import pandas as pd
 
 from mistray.optimize.sensitivity import Sensitivity
-from mistray.report.html_sensitivity import sensitivity_html
+from mistray.report.figures.plots import as_png
+from mistray.report.figures.sensitivity import draws_figure, ranking_figure
+from mistray.report.html.sensitivity import sensitivity_html
 from mistray.report.output import csv_text, write_files
-from mistray.report.plots import as_png
-from mistray.report.sensitivity_plots import draws_figure, ranking_figure
-from mistray.report.sensitivity_tables import sensitivity_record
+from mistray.report.tables.sensitivity import sensitivity_record
 
 
 def write_sensitivity(

@@ -8,15 +8,15 @@ from pathlib import Path
 import pandas as pd
 
 from mistray.analysis.study.run import Study
-from mistray.report.html_study import study_html
-from mistray.report.layout import layout
-from mistray.report.objects_plots import objects_layout
+from mistray.report.figures.layout import layout
+from mistray.report.figures.objects import objects_layout
+from mistray.report.figures.plots import as_png, levels_against_field, montage
+from mistray.report.html.study import study_html
 from mistray.report.output import csv_text, write_files
-from mistray.report.plots import as_png, levels_against_field, montage
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
-    """The pictures of a study as PNG by file name; see `mistray.report.html_study.CAPTIONS`."""
+    """The pictures of a study as PNG by file name; see `mistray.report.html.study.CAPTIONS`."""
     report = study.ghosts
     on_axis = min(report, key=abs)
     pictures = {

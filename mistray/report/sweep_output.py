@@ -7,11 +7,11 @@ from pathlib import Path
 
 import pandas as pd
 
-from mistray.report.html_sweep import sweep_html
+from mistray.report.figures.plots import as_png
+from mistray.report.figures.sweep import sweep_figure
+from mistray.report.html.sweep import sweep_html
 from mistray.report.output import csv_text, write_files
-from mistray.report.plots import as_png
-from mistray.report.sweep_plots import sweep_figure
-from mistray.report.sweep_tables import sweep_record
+from mistray.report.tables.sweep import sweep_record
 from mistray.sweeps import Sweep
 
 

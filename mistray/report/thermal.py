@@ -16,12 +16,12 @@ from matplotlib.ticker import LogLocator
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.thermal.emission import Emitter, ThermalReport
 from mistray.files.json_values import plain
-from mistray.report.figure import Figure
-from mistray.report.markup import cell, data_table, figure, number_cell, section, setting_text, thousands
+from mistray.report.figures.figure import Figure
+from mistray.report.figures.plots import BLUE, GREEN, ORANGE, VERMILION, as_png, as_svg
+from mistray.report.html.markup import cell, data_table, figure, number_cell, section, setting_text, thousands
+from mistray.report.html.page import page
 from mistray.report.output import csv_text, write_files
-from mistray.report.page import page
-from mistray.report.plots import BLUE, GREEN, ORANGE, VERMILION, as_png, as_svg
-from mistray.report.text import ABSENT, number, text_table, with_error
+from mistray.report.tables.text import ABSENT, number, text_table, with_error
 
 SHOWN, RETURNS_SHOWN = 12, 6  # rows of the printed tables, and bars of the picture
 KIND_COLOURS = {"surface": BLUE, "medium": GREEN}

@@ -16,8 +16,8 @@ import mistray
 from mistray.analysis.ghosts import GhostReport
 from mistray.cli.program import main
 from mistray.report import main_table
-from mistray.report.csv_tables import csv_tables
-from mistray.report.level_tables import level_rows, level_text
+from mistray.report.tables.ghosts_csv import csv_tables
+from mistray.report.tables.levels import level_rows, level_text
 
 FIELD = 4.0
 

@@ -14,7 +14,7 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 
 import mistray
 from mistray.errors import Interrupted
-from mistray.report.tables import warnings
+from mistray.report.tables.ghosts import warnings
 from mistray.settings import BATCHES
 
 launches = importlib.import_module("mistray.kernel.launches")

@@ -16,10 +16,10 @@ from report.fake_scene import lens_scene
 from report.fake_trace import trace_at
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.report import html_pst
-from mistray.report.embedded import palette_png
-from mistray.report.html import html_text
-from mistray.report.layout import worst_paths
+from mistray.report.figures.layout import worst_paths
+from mistray.report.html import pst as html_pst
+from mistray.report.html.embedded import palette_png
+from mistray.report.html.ghosts import html_text
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 FLAGS = (

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.report.bsdf_plots import bsdf_figure, particles_figure
+from mistray.report.figures.bsdf import bsdf_figure, particles_figure
 from mistray.scatter.abg import ABg
 from mistray.scatter.paint import Paint
 from mistray.scatter.scan import scan

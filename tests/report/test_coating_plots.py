@@ -9,7 +9,7 @@ import pytest
 import mistray
 from mistray.coatings import Bare, Ideal, preset, spectrum
 from mistray.errors import MistrayError
-from mistray.report.coating_plots import coated_surfaces, coating_figure, surfaces_figure
+from mistray.report.figures.coating import coated_surfaces, coating_figure, surfaces_figure
 
 WAVELENGTHS = np.arange(450.0, 651.0, 50.0)
 

@@ -15,7 +15,7 @@ from mistray.coatings import preset
 from mistray.errors import MistrayError
 from mistray.recorders.sampled import Sampled
 from mistray.report.colour import ColourPictures, Look, check_wavelengths, develop, observer, xyz
-from mistray.report.plots import as_png
+from mistray.report.figures.plots import as_png
 from mistray.settings import BATCHES
 
 VISIBLE = np.arange(400.0, 701.0, 10.0)

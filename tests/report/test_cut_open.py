@@ -8,7 +8,7 @@ from report.view_scene import EXACT, FORMULAS, mm, tilted
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.report.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
+from mistray.report.figures.cut_open import CutPlane, clip, open_surfaces, triangulate, turned
 
 ZERO = 1e-12
 

@@ -12,8 +12,8 @@ import numpy as np
 import pytest
 
 from mistray.analysis.path_maps import PathMap
-from mistray.report.embedded import MapStore, colour_table, json_script, palette_png, power_codes
-from mistray.report.thumbnails import SIDE, thumbnail
+from mistray.report.html.embedded import MapStore, colour_table, json_script, palette_png, power_codes
+from mistray.report.html.thumbnails import SIDE, thumbnail
 
 EXTENT = (-2.0, 2.0, -1.5, 1.5)
 

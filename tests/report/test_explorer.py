@@ -16,8 +16,8 @@ from report.fake_trace import EXTENT, SHAPE, trace_at
 from report.test_embedded import stored
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.report.html import html_text
-from mistray.report.html_fields import explored_paths
+from mistray.report.html.fields import explored_paths
+from mistray.report.html.ghosts import html_text
 from mistray.settings import BATCHES
 
 NODE = shutil.which("node")

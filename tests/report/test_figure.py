@@ -10,7 +10,7 @@ import pytest
 from matplotlib.text import Text
 
 from mistray import report
-from mistray.report.figure import Figure, legend_label
+from mistray.report.figures.figure import Figure, legend_label
 
 NAMES = (r"$\frac{", r"a$b_{$", r"$x^2_1$", r"\$", "_^\\", '<i>"q"&</script>')
 
@@ -46,7 +46,7 @@ def test_a_legend_has_names_that_begin_with_an_underscore() -> None:
 
 
 def test_no_report_has_another_figure() -> None:
-    """Each module makes its figures by `mistray.report.figure`."""
+    """Each module makes its figures by `mistray.report.figures.figure`."""
     for file in Path(report.__file__).parent.glob("*.py"):
         if file.name == "figure.py":
             continue

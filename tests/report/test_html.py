@@ -9,8 +9,9 @@ from report.fake_trace import SHARES, FakeTrace, trace_at, trace_in_colours
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
-from mistray.report import Look, html, output
-from mistray.report.html import html_text, write_html
+from mistray.report import Look, output
+from mistray.report.html import ghosts as html
+from mistray.report.html.ghosts import html_text, write_html
 from mistray.report.output import writable_directory, write_all
 
 VOID = {"meta", "img", "input", "br", "path", "use", "rect"}

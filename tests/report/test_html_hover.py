@@ -10,8 +10,8 @@ import pytest
 from matplotlib.figure import Figure
 from report.fake_pst import fake_pst
 
-from mistray.report import html_pst
-from mistray.report.html_hover import hover_figure
+from mistray.report.html import pst as html_pst
+from mistray.report.html.hover import hover_figure
 
 
 def data_of(html: str) -> dict:

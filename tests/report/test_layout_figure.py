@@ -11,7 +11,7 @@ from report.view_scene import A4, CONIC, RADIUS, RayTrace
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.report.layout import CANDIDATES, layout_figure, meridional, section, write_layout
+from mistray.report.figures.layout import CANDIDATES, layout_figure, meridional, section, write_layout
 
 
 @pytest.fixture(scope="module")

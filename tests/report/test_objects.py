@@ -13,9 +13,9 @@ import pytest
 import mistray
 from mistray.analysis.objects.search import objects
 from mistray.errors import MistrayError
+from mistray.report.figures.objects import STYLES, groups, objects_layout
 from mistray.report.objects_output import write_objects
-from mistray.report.objects_plots import STYLES, groups, objects_layout
-from mistray.report.objects_tables import (
+from mistray.report.tables.objects import (
     common_text,
     csv_tables,
     estimate_text,

@@ -15,8 +15,8 @@ from oracles.small_scenes import plates_text, write
 import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import Optimization, Term, measure, optimize
+from mistray.report.figures.optimization import reflectance_figure, search_figure, variables_figure
 from mistray.report.optimization import scene_text, write_optimization
-from mistray.report.optimization_plots import reflectance_figure, search_figure, variables_figure
 from mistray.report.optimization_tables import (
     comparison_table,
     goal_text,

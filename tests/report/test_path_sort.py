@@ -4,7 +4,7 @@ import pytest
 from report.fake_trace import trace_at
 
 from mistray.errors import MistrayError
-from mistray.report.path_sort import parse_path_sort, path_sort_text, sorted_paths
+from mistray.report.rays.path_sort import parse_path_sort, path_sort_text, sorted_paths
 
 
 @pytest.fixture(scope="module")

@@ -8,8 +8,8 @@ from report.fake_trace import trace_at
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
-from mistray.report.layout import chain, glass_bodies, layout, meridional, section, slice_mesh
-from mistray.report.plots import (
+from mistray.report.figures.layout import chain, glass_bodies, layout, meridional, section, slice_mesh
+from mistray.report.figures.plots import (
     as_png,
     common_range,
     draw_map,

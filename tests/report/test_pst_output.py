@@ -13,7 +13,7 @@ from report.fake_pst import fake_pst
 
 from mistray.errors import MistrayError
 from mistray.report import pst_output
-from mistray.report.html_pst import html_text
+from mistray.report.html.pst import html_text
 from mistray.report.pst_output import write_pst
 
 VOID = {"meta", "img", "input", "br", "path", "use", "rect"}

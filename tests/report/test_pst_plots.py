@@ -10,8 +10,8 @@ from report.fake_pst import fake_pst
 from mistray.analysis.pst.causes import cause_frame
 from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
-from mistray.report.plots import as_png
-from mistray.report.pst_plots import pst_causes, pst_curve, pst_irradiance, pst_map
+from mistray.report.figures.plots import as_png
+from mistray.report.figures.pst import pst_causes, pst_curve, pst_irradiance, pst_map
 
 
 @pytest.fixture(scope="module")

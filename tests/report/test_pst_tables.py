@@ -10,7 +10,7 @@ from report.fake_pst import FACTS, fake_pst
 
 from mistray.analysis.pst.causes import field_edge, stray_paths
 from mistray.analysis.pst.result import CLASSES, Pst
-from mistray.report.pst_tables import (
+from mistray.report.tables.pst import (
     cell_frame,
     curve_frame,
     curve_text,

@@ -9,11 +9,11 @@ from report.ranked_paths import ORDERS, WIDE, ranked_report
 from mistray.analysis.ranking import RANKS
 from mistray.cli import ghosts as command
 from mistray.cli.ghosts_json import as_json
-from mistray.report.csv_tables import path_table
-from mistray.report.html import html_text
-from mistray.report.html_fields import shown_paths
-from mistray.report.layout import layout, worst_paths
-from mistray.report.tables import STRONGEST, beyond, main_table
+from mistray.report.figures.layout import layout, worst_paths
+from mistray.report.html.fields import shown_paths
+from mistray.report.html.ghosts import html_text
+from mistray.report.tables.ghosts import STRONGEST, beyond, main_table
+from mistray.report.tables.ghosts_csv import path_table
 
 by_rank = pytest.mark.parametrize("rank", ORDERS)
 

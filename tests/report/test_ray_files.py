@@ -9,8 +9,8 @@ import pytest
 from report.fake_trace import scatter_trace_at
 
 from mistray.errors import MistrayError
-from mistray.report.path_rays import RayLine, rays_of_paths, row_name
-from mistray.report.ray_files import read_rays, write_rays
+from mistray.report.rays.path_rays import RayLine, rays_of_paths, row_name
+from mistray.report.rays.ray_files import read_rays, write_rays
 
 ENDINGS = ("ply", "obj", "json")
 

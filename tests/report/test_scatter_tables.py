@@ -12,12 +12,12 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.cli.ghosts_json import as_json
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.recorders.path_events import short_label as label
-from mistray.report.csv_tables import csv_tables, write_csv
-from mistray.report.html import html_text
-from mistray.report.path_sort import parse_path_sort, path_sort_text
-from mistray.report.plots import KIND_COLOURS, KIND_MARKERS
-from mistray.report.scatter_tables import scatter_text
-from mistray.report.tables import main_table, warnings
+from mistray.report.figures.plots import KIND_COLOURS, KIND_MARKERS
+from mistray.report.html.ghosts import html_text
+from mistray.report.rays.path_sort import parse_path_sort, path_sort_text
+from mistray.report.tables.ghosts import main_table, warnings
+from mistray.report.tables.ghosts_csv import csv_tables, write_csv
+from mistray.report.tables.scatter import scatter_text
 
 WINDOW, STOP, GHOST, TWICE = 8e-5, 2e-5, 4e-6, 1e-6
 STRAY = 2e-4 + 1e-4 + 3e-6 + 1e-9 + WINDOW + STOP + GHOST + TWICE
@@ -200,7 +200,7 @@ def test_a_medium_that_scatters_is_its_own_part():
 
 
 def test_long_lists_are_cut_and_say_so(report, monkeypatch):
-    monkeypatch.setattr("mistray.report.scatter_tables.SURFACES_SHOWN", 1)
+    monkeypatch.setattr("mistray.report.tables.scatter.SURFACES_SHOWN", 1)
     text = scatter_text(report)
     rest = report.scatter_surfaces(0.0).iloc[1:]
     (line,) = re.findall(r"^ +0  … and 2 more .*$", text, re.MULTILINE)

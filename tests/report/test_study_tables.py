@@ -10,7 +10,7 @@ import pytest
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.study.step import STEPS, Fact, StudyStep, count_of
-from mistray.report.study_tables import error_of, fact_text, heading_of, table_html, value_text
+from mistray.report.tables.study import error_of, fact_text, heading_of, table_html, value_text
 
 
 @pytest.mark.parametrize(

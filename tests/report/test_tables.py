@@ -11,9 +11,9 @@ from report.fake_trace import SHARES, trace_at, trace_in_colours
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.report.csv_tables import csv_tables, write_csv
-from mistray.report.tables import main_table, warnings
-from mistray.report.text import text_table, with_error
+from mistray.report.tables.ghosts import main_table, warnings
+from mistray.report.tables.ghosts_csv import csv_tables, write_csv
+from mistray.report.tables.text import text_table, with_error
 
 
 @pytest.fixture(scope="module")

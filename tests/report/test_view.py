@@ -13,8 +13,8 @@ from report.view_scene import EXACT, FORMULAS, RayTrace
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.report.cut_open import CutPlane, open_surfaces
-from mistray.report.view_controls import NO_LIGHT, FluxScale
+from mistray.report.figures.cut_open import CutPlane, open_surfaces
+from mistray.report.view3d.controls import NO_LIGHT, FluxScale
 
 view = mistray.view
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.report.path_rays import rays_of_paths
+from mistray.report.rays.path_rays import rays_of_paths
 
 
 @pytest.fixture(scope="module")

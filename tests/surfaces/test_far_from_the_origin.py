@@ -10,7 +10,7 @@ import pytest
 
 import mistray
 from mistray.optimize import metrics
-from mistray.report.tables import warnings
+from mistray.report.tables.ghosts import warnings
 
 FILM = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}
 PLACES = [(0.0, 0.0, 1e4), (0.0, 0.0, 1e5), (-3e4, 5e4, -1e5)]

@@ -9,7 +9,7 @@ import mistray
 from mistray.execute import tracer
 from mistray.recorders.ledger import EVENT_BITS
 from mistray.recorders.path_events import EVENT_MASK, LETTERS
-from mistray.report.embedded import power_codes
+from mistray.report.html.embedded import power_codes
 
 RAYS = 4000
 

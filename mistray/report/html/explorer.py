@@ -1,0 +1,137 @@
+"""The part of a report that answers: the map of one path, its rays, its events, and what lights a box of the detector.
+
+The page holds a map of every path of a table in the cells of `mistray.analysis.path_maps`; explorer.js draws them and
+adds up the light in a box.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from mistray.analysis.ghosts import GhostReport
+from mistray.analysis.path_maps import FieldMaps
+from mistray.recorders.path_events import INTERCEPTS, LETTERS
+from mistray.report.figures.layout import RAYS_DRAWN, glass_bodies, meridional, section, worst_paths
+from mistray.report.html.embedded import MapStore, colour_text, json_script, rounded
+from mistray.report.html.markup import cell
+
+DIGITS = 4  # of the size of the system, that coordinates are rounded to
+EVENT_WORDS = {
+    "Absorbed": "absorbed",
+    "SpecTran": "transmitted",
+    "SpecRefl": "reflected",
+    "TIR": "totally reflected",
+    "RandTran": "scattered in transmission",
+    "RandRefl": "scattered in reflection",
+    "ImpTran": "scattered in transmission, aimed",
+    "ImpRefl": "scattered in reflection, aimed",
+}
+BOX_CELL = '<td class="inbox"></td>'
+BOX_HEADER = ("in the box", "W", "inbox")
+PANEL = """
+<div class="explorer" data-table="{table}" data-source="{source}" hidden>
+<div class="pane">
+<p class="bar"><label>Map <select class="which"><option value="light">all light</option>
+<option value="stray">without the direct image</option><option value="path" disabled>path</option></select></label>
+<label><input type="checkbox" class="whole" checked> whole detector</label></p>
+<canvas class="map" tabindex="0" role="img" aria-label="Irradiance map of field {field}°"></canvas>
+<p class="readout note" aria-live="polite"></p>
+<form class="box bar" aria-label="Box on the detector">
+<label>x <input name="x0" inputmode="decimal" size="7" aria-label="x from, mm"></label>
+<label>… <input name="x1" inputmode="decimal" size="7" aria-label="x to, mm"></label>
+<label>y <input name="y0" inputmode="decimal" size="7" aria-label="y from, mm"></label>
+<label>… <input name="y1" inputmode="decimal" size="7" aria-label="y to, mm"></label> mm
+<button type="submit">Paths in the box</button> <button type="reset" disabled>No box</button></form>
+<p class="found" role="status"></p>
+</div>
+<div class="pane">
+<p class="chosen">No path chosen: click a picture in the table below, or press Enter on it.</p>
+<p class="bar"><button type="button" class="back" hidden>Back to its row</button></p>
+<svg class="rays" role="img" aria-label="Section of the system with rays of the chosen path"></svg>
+<ol class="events"></ol>
+</div>
+</div>
+"""
+
+
+def page_data(scene: Any) -> str:
+    """What the panels of all fields share: the section of the system, colours and words."""
+    lines = section(scene)
+    points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
+    low, high = points.min(axis=0), points.max(axis=0)
+    digits = _digits(low, high)
+    return json_script(
+        "data-page",
+        {
+            "colours": colour_text(),
+            "events": {letter: EVENT_WORDS[INTERCEPTS[code]] for code, letter in LETTERS.items()},
+            "bounds": np.round([*low, *high], digits).tolist(),
+            "glass": rounded(glass_bodies(scene), digits),
+            "surfaces": [
+                {"name": surface.name, "kind": surface.kind, "lines": rounded(surface.lines, digits)}
+                for surface in lines
+            ],
+        },
+    )
+
+
+def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str) -> str:
+    """
+    The panel of one field and its data.
+
+    Parameters
+    ----------
+    report : GhostReport
+    field_deg : float
+        Field angle, degrees.
+    maps : FieldMaps
+    table : str
+        Id of the table of paths that belongs to it; its rows name their paths in ``data-path``.
+    """
+    t = report[field_deg]
+    store = MapStore()
+    rays = report.rays_of_paths(field_deg, list(maps.paths))
+    drawn = {path_id: [ray[:, [2, 1]] for ray in meridional(found, RAYS_DRAWN)] for path_id, found in rays.items()}
+    digits = _digits(*_bounds([line for lines in drawn.values() for line in lines]))
+    data = {
+        "field": field_deg,
+        "extent": list(t.extent),
+        "shape": list(t.irradiance.shape),
+        "grid": maps.grid,
+        "light": store.add(maps.light),
+        "stray": store.add(maps.stray),
+        "rest": store.add(maps.rest),
+        "paths": {str(path_id): store.add(found) for path_id, found in maps.paths.items()},
+        "rays": {str(path_id): rounded(lines, digits) for path_id, lines in drawn.items()},
+        "colours": {str(path_id): colour for path_id, colour, _ in worst_paths(report, field_deg)},
+    }
+    source = f"data-{table}"
+    return PANEL.format(table=table, source=source, field=f"{field_deg:g}") + json_script(
+        source, data | {"codes": store.text()}
+    )
+
+
+def picture_cell(path_id: int, content: str, below: Sequence[str]) -> str:
+    """Cell with the button that chooses a path; lines of text stand below its picture."""
+    if not content:
+        return cell("")
+    text = "<br>".join(below)
+    return (
+        f'<td><button type="button" class="pick" data-path="{path_id}" aria-pressed="false" '
+        f'title="show map, rays and events of path {path_id}">{content}</button><small>{text}</small></td>'
+    )
+
+
+def _bounds(lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:
+    points = np.concatenate([np.zeros((1, 2)), *lines])
+    return points.min(axis=0), points.max(axis=0)
+
+
+def _digits(low: np.ndarray, high: np.ndarray) -> int:
+    """Decimals of coordinates between two corners."""
+    size = max(float(np.max(high - low)), 1e-9)
+    return max(DIGITS - 1 - math.floor(math.log10(size)), 0)

@@ -1,0 +1,237 @@
+"""One field angle in the HTML report: its pictures, its map and its paths."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from html import escape
+from typing import Any
+
+import pandas as pd
+
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.path_maps import FieldMaps
+from mistray.analysis.ranking import FEWEST_RAYS, RANKS, rank_column
+from mistray.analysis.stray_levels import LEVELS
+from mistray.report.figures.layout import layout
+from mistray.report.figures.plots import as_png, as_svg, common_range, ghost_image
+from mistray.report.html.explorer import BOX_CELL, BOX_HEADER, explorer, picture_cell
+from mistray.report.html.markup import cell, data_table, figure, filter_box, image, number_cell, thousands
+from mistray.report.html.thumbnails import DECADES, thumbnail
+from mistray.report.tables.levels import TITLES, level_rows
+from mistray.report.tables.text import ABSENT, number
+
+ROWS_SHOWN = 60  # the worst paths
+STRONGEST_SHOWN = 10  # and the first by power and by RMS irradiance
+AT_WAVELENGTHS = (
+    "Normalised to the on-axis image at the same wavelength. Of all light: at all wavelengths; of stray light: at this "
+    "one."
+)
+PICTURES = (
+    '<p class="note">Pictures: log<sub>10</sub> of the irradiance about the centroid of each path, '
+    '<i class="scale"></i> from the floor to the top that stand below it in W/mm², '
+    f"at most {DECADES:g} decades; black: less, or no ray.</p>"
+)
+RANK_HEADERS = {"rms": "RMS irr.", "power": "power", "peak": "peak"}
+PEAK = ("peak", "W/mm²", "peak_W_mm2", "peak_se_W_mm2")
+PATH_NUMBERS = (
+    ("power", "W", "power_W", "power_se_W"),
+    ("of all light", "%", "percent", "percent_se"),
+    ("of stray light", "%", "percent_of_stray", "percent_of_stray_se"),
+    ("x", "mm", "x_mm", "x_se_mm"),
+    ("y", "mm", "y_mm", "y_se_mm"),
+    ("RMS radius", "mm", "rms_radius_mm", "rms_radius_se_mm"),
+    ("RMS irradiance", "W/mm²", "rms_irradiance_W_mm2", "rms_irradiance_se_W_mm2"),
+    ("normalised", "", "normalised_rms_irradiance", "normalised_rms_irradiance_se"),
+)
+
+
+def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes], per_wavelength: bool) -> str:
+    """
+    Pictures, statistics block and path table of one field.
+
+    Parameters
+    ----------
+    report : GhostReport
+    s : FieldSummary
+        Of all light of this field.
+    pictures : mapping of str to bytes
+        PNG files by name, as from `mistray.report.output.draw`; what is missing is drawn, but for colour pictures.
+    per_wavelength : bool
+        Add the paths at each wavelength.
+    """
+    t = report[s.field_deg]
+    m, stray = s.map, report.stray_statistics(s.field_deg)
+    header = [
+        ("map", "", "t"), ("min", "W/mm²"), ("max", "W/mm²"), ("average", "W/mm²"), ("RMS", "W/mm²"),
+        ("total flux", "W"), ("incident rays", ""),
+    ]  # fmt: skip
+    block = [
+        [
+            cell(name, "t"),
+            cell(number(v.minimum)),
+            number_cell(Estimate(v.maximum, v.maximum_se)),
+            cell(number(v.mean)),
+            cell(number(v.rms)),
+            cell(number(v.flux_W)),
+            cell(f"{v.incident_rays}"),
+        ]
+        for name, v in (("all light", m), ("without the direct image", stray))
+    ]
+    kinds = ", ".join(f"{count} {kind}" for kind, count in s.paths_of_kind.items() if count)
+    asymmetry = ""
+    if math.isfinite(s.asymmetry) and float(t.settings.get("azimuth_deg") or 0.0) % 180 == 0:
+        asymmetry = (
+            f" Left-right asymmetry of the map {s.asymmetry:.2g}; noise alone gives {s.asymmetry_expected:.2g} "
+            "in a system that is symmetric about the y-z plane."
+        )
+    text = (
+        f"{s.paths} paths ({kinds}). Pixels {m.pixel_mm[0] * 1e3:.4g} × {m.pixel_mm[1] * 1e3:.4g} µm. "
+        f"{thousands(t.segments)} segments traced in {t.seconds:.2f} s.{asymmetry}"
+    )
+    ghost_map = pictures.get(f"ghosts_{s.field_deg:g}deg.png") or as_png(
+        ghost_image(report, s.field_deg, common_range(report))
+    )
+    colour = pictures.get(f"colour_{s.field_deg:g}deg.png")
+    anchor = f"field-{s.field_deg:g}".replace(".", "_")
+    return (
+        f'<div class="field"><h3 id="{anchor}">Field {s.field_deg:g}°</h3><p>{text}</p>'
+        + figure(image(ghost_map, f"irradiance on the detector, field {s.field_deg:g}°"))
+        + (figure(image(colour, f"the detector in colour, field {s.field_deg:g}°")) if colour else "")
+        + data_table(f"t-map-{anchor}", header, block, sortable=False)
+        + "".join(_levels(report, s.field_deg, by, f"t-{by}-levels-{anchor}") for by in LEVELS)
+        + figure(as_svg(layout(report, s.field_deg)))
+        + explored_paths(report, s.field_deg, f"t-{anchor}")
+        + (_paths_at_wavelengths(report, s.field_deg, f"t-waves-{anchor}") if per_wavelength else "")
+        + "</div>"
+    )
+
+
+def _levels(report: GhostReport, field_deg: float, by: str, name: str) -> str:
+    """Stray light of a field by level and critical surface."""
+    levels, rows = level_rows(report, field_deg, by)
+    if not levels:
+        return ""
+    header = [("critical surface", "", "t"), *((f"{by} {level}", "W") for level in levels), ("all", "W")]
+    cells = [[cell(words[0], "t"), *map(cell, words[1:])] for words in rows]
+    return f"<p>{TITLES[by]}.</p>" + data_table(name, header, cells, sortable=False)
+
+
+def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
+    """Maps of the paths that the table of a field shows; made once, from one more run of its rays."""
+    return report.path_maps(field_deg, list(shown_paths(report, field_deg).path_id))
+
+
+def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
+    """
+    The table of the paths of one field with a picture of each, and the panel that shows what is chosen in it.
+
+    Parameters
+    ----------
+    report : GhostReport
+    field_deg : float
+        Field angle, degrees.
+    name : str
+        Id of the table.
+    """
+    table, shown, maps = report.table(field_deg), shown_paths(report, field_deg), mapped_paths(report, field_deg)
+    ranks = {column: RANK_HEADERS[rank] for rank, column in RANKS.items() if column in table}
+    headers = [("rank", text) for text in ranks.values()]
+    header = [("image", ""), BOX_HEADER, *_header(shown, False), *headers, ("path", "T R I t r A", "t")]
+    rows = [
+        [
+            _picture(report, field_deg, row, maps),
+            BOX_CELL,
+            *_cells(row, shown, False),
+            *(cell(str(rank) if rank else ABSENT) for rank in (getattr(row, column) for column in ranks)),
+            f'<td class="path m"><details><summary>{escape(row.path)}</summary>{escape(row.events)}</details></td>',
+        ]
+        for row in shown.itertuples(index=False)
+    ]
+    left_out = table[~table.path_id.isin(shown.path_id)]
+    notes = []
+    if len(left_out):
+        share = f"{left_out.percent_of_stray.sum():.3g} % of the stray light"
+        notes.append(f"{len(left_out)} more paths are in paths.csv; together they hold {share}.")
+    unmapped = int((~shown.path_id.isin(list(maps.paths))).sum())
+    if unmapped:
+        notes.append(
+            f"{unmapped} of these paths have no map, because the detector has too many pixels for maps of all of them; "
+            "in a box they count among the rest."
+        )
+    if not shown.well_sampled.all():
+        notes.append(f"* fewer than {FEWEST_RAYS} rays: RMS radius and irradiance are unreliable, ranked last.")
+    return (
+        explorer(report, field_deg, maps, name)
+        + filter_box(name, "filter rows, for example: detector window", f"filter the paths of field {field_deg:g}°")
+        + PICTURES
+        + data_table(name, header, rows)
+        + (f'<p class="note">{" ".join(notes)}</p>' if notes else "")
+    )
+
+
+def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> str:
+    """The paths that `_paths` shows, at each of their wavelengths."""
+    shown = shown_paths(report, field_deg)
+    rows = []
+    for path_id in shown.path_id:
+        spectrum = report.spectrum(field_deg, path_id)
+        rows += [[cell(str(path_id)), *_cells(row, shown, True)[1:]] for row in spectrum.itertuples(index=False)]
+    return (
+        f"<details><summary>The same paths at each wavelength ({len(rows)} rows)</summary>"
+        + filter_box(name, "filter rows, for example: detector window", f"filter the paths of field {field_deg:g}°")
+        + data_table(name, _header(shown, True), rows)
+        + f'<p class="note">{AT_WAVELENGTHS}</p></details>'
+    )
+
+
+def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
+    """The rows of a table of paths that a report shows, the worst by its rank first."""
+    column = rank_column(report.rank)
+    table = report.table(field_deg).sort_values(column)
+    first = (table[["rank_power", "rank_rms_irradiance"]] <= STRONGEST_SHOWN).any(axis=1)
+    return table[first | (table[column] <= ROWS_SHOWN)]
+
+
+def _numbers(table: pd.DataFrame, wave: bool) -> list[tuple[str, str, str, str]]:
+    """The numbers that a table of paths shows: text, unit, column and column of the error."""
+    polarised = table.polarization.notna().any()
+    return [
+        *PATH_NUMBERS,
+        *([PEAK] if "rank_peak" in table and not wave else []),
+        *([("polarisation", "degree", "polarization", "polarization_se")] if polarised else []),
+    ]
+
+
+def _header(table: pd.DataFrame, wavelength: bool) -> list[tuple[str, ...]]:
+    return [
+        ("path", "no."), ("1st → 2nd ghost surface, scatter", "", "t"), ("kind", "", "t"),
+        *([("λ", "nm")] if wavelength else []), ("rays", ""),
+        *((text, unit) for text, unit, _, _ in _numbers(table, wavelength)),
+    ]  # fmt: skip
+
+
+def _cells(row: Any, table: pd.DataFrame, wavelength: bool) -> list[str]:
+    return [
+        cell(str(row.path_id)),
+        cell(str(row.label) + ("" if row.well_sampled else " *"), "t"),
+        cell(str(row.kind), "t"),
+        *([cell(f"{row.wavelength_nm:g}")] if wavelength else []),
+        cell(str(row.rays)),
+        *(
+            number_cell(Estimate(getattr(row, value), getattr(row, se)))
+            for _, _, value, se in _numbers(table, wavelength)
+        ),
+    ]
+
+
+def _picture(report: GhostReport, field_deg: float, row: Any, maps: FieldMaps) -> str:
+    if row.path_id not in maps.paths:
+        return picture_cell(row.path_id, "", ())
+    t = report[field_deg]
+    height, width = t.irradiance.shape
+    found = thumbnail(maps.paths[row.path_id], t.extent, (height, width), (row.x_mm, row.y_mm), row.rms_radius_mm)
+    scale = "1e{:.0f} … 1e{:.0f}".format(*(limit + 0.0 for limit in found.limits)) if found.limits else "dark"
+    content = image(found.png, f"irradiance of path {row.path_id}")
+    return picture_cell(row.path_id, content, (scale, f"{found.width_mm:.2g} mm wide"))

@@ -1,0 +1,1 @@
+"""Rays of chosen paths, and the files that hold them."""

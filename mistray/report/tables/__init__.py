@@ -1,0 +1,1 @@
+"""Tables of results as rows for text, CSV and JSON."""

@@ -1,0 +1,231 @@
+"""The printed tables of a ghost analysis, and what a reader must know before trusting them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import pandas as pd
+
+from mistray.analysis.aiming_check import sampling_warnings
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.ghosts import FieldSummary, GhostReport
+from mistray.analysis.ranking import FEWEST_RAYS
+from mistray.ranges import EVENTS
+from mistray.recorders.path_events import DIRECT
+from mistray.report.tables.scatter import scatter_text
+from mistray.report.tables.text import ABSENT, number, text_table, with_error
+from mistray.settings import BRANCHES
+
+LIMIT_WARNING = 1e-6  # of the launched flux
+COATING_WARNING = 1e-4  # of R and T, by interpolation over the angle
+CLOSURE_WARNING = 1e-5
+CUT_TEXTS = {
+    "flux_threshold": "cut by flux_threshold = {flux_threshold:g} (after scatter: scatter_threshold = "
+    "{scatter_threshold:g}); lower it, or use below_threshold = roulette",
+    "max_reflections": "not followed beyond max_reflections = {max_reflections}; raise it to see where it goes",
+    "max_scatters": "not scattered: max_scatters = {max_scatters} or another limit of scatter; raise it to see where "
+    "it goes",
+    "max_generations": "not followed beyond max_generations = {max_generations}; raise it to see where it goes",
+    "max_events": "cut by max_events = {max_events}; ",
+    "max_consecutive": "cut by max_consecutive = {max_consecutive}; raise it to see where it goes",
+    "ray_control": "refused by ray_control = {ray_control}",
+    "max_segments": "left of trees of more than max_segments = {max_segments} ray segments; lower max_reflections or "
+    "max_scatters, or raise it",
+    **{
+        f"{branch}_below": f"cut by what cut_below says of {branch.replace('_', ' ')}; lower it"
+        for branch in BRANCHES.values()
+    },
+    "medium": "lost where a ray met a surface from the wrong material; the geometry has a gap or an overlap",
+}
+RANKED_BY = {"rms": "RMS irradiance P/(π r_rms²)", "power": "power", "peak": "irradiance of the brightest pixel"}
+STRONGEST = "†"  # beside the number of the strongest stray path by power
+ZERO_ON_AVERAGE = ("roulette", "scatter_sampling")
+ALL = "all"
+
+
+def summary_table(summaries: Sequence[FieldSummary]) -> str:
+    """Main table: one row for each field, and for each wavelength where there are summaries of one."""
+    waves = any(s.wavelength_nm is not None for s in summaries)
+    columns = [
+        ("field", "deg"),
+        *([("λ", "nm")] if waves else []),
+        ("paths", ""),
+        ("direct image", "W"),
+        ("stray light", "W"),
+        ("stray/direct", ""),
+        ("stray/nominal", ""),
+        ("worst ghost", "norm. RMS irradiance"),
+    ]
+    rows = [
+        [
+            f"{s.field_deg:g}",
+            *([ALL if s.wavelength_nm is None else f"{s.wavelength_nm:g}"] if waves else []),
+            str(s.paths),
+            with_error(s.direct.power_W) if s.direct.power_W.value > 0 else ABSENT,
+            with_error(s.stray_W),
+            with_error(s.ghost_to_signal),
+            with_error(s.stray_to_nominal),
+            with_error(s.brightest_normalised),
+        ]
+        for s in summaries
+    ]
+    return text_table(columns, rows)
+
+
+def ghost_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
+    """The worst stray paths of every field and the strongest; per wavelength, each with its spectrum below it."""
+    peaks = report.rank == "peak"
+    columns = [
+        ("field", "deg"),
+        ("path", ""),
+        ("ghost and scatter surfaces", "1st → 2nd"),
+        ("kind", ""),
+        *([("λ", "nm")] if per_wavelength else []),
+        ("power", "W"),
+        ("RMS radius", "mm"),
+        ("RMS irradiance", "W/mm²"),
+        ("normalised", "to on-axis image"),
+        *([("peak", "W/mm²")] if peaks else []),
+    ]
+    rows = []
+    for field in report:
+        for row in report.listed(field, count).itertuples(index=False):
+            marks = f"{STRONGEST if row.rank_power == 1 else ' '}{' ' if row.well_sampled else '*'}"
+            name = [f"{field:g}", f"{row.path_id}{marks}", str(row.label), str(row.kind)]
+            peak = [with_error(Estimate(row.peak_W_mm2, row.peak_se_W_mm2))] if peaks else []
+            rows.append([*name, *([ALL] if per_wavelength else []), *_path_numbers(row), *peak])
+            if per_wavelength:
+                for line in report.spectrum(field, row.path_id).itertuples(index=False):
+                    mark = "" if line.well_sampled else "* "
+                    cells = ["", mark, "", "", f"{line.wavelength_nm:g}", *_path_numbers(line)]
+                    rows.append([*cells, *([""] if peaks else [])])
+        rest = beyond(report, field, count)
+        if len(rest):
+            share = f"{rest.percent_of_stray.sum():.3g} % of the stray light"
+            cells = [f"{field:g}", "", f"… and {len(rest)} more paths: {share}", "", *([ALL] if per_wavelength else [])]
+            rows.append([*cells, with_error(report.power_of(field, rest)), "", "", "", *([""] if peaks else [])])
+    return text_table(columns, rows, left=(2, 3)) if rows else "no stray path reaches the detector"
+
+
+def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
+    """The rows of the stray paths of a field that are not listed with its worst `count`."""
+    table = report.table(field_deg)
+    return table[(table.kind != DIRECT) & ~table.path_id.isin(report.listed(field_deg, count).path_id)]
+
+
+def _path_numbers(row: Any) -> list[str]:
+    columns = ("power{}_W", "rms_radius{}_mm", "rms_irradiance{}_W_mm2", "normalised_rms_irradiance{}")
+    return [with_error(Estimate(*(getattr(row, name.format(kind)) for kind in ("", "_se")))) for name in columns]
+
+
+def ledger_table(report: GhostReport) -> str:
+    """Energy ledger of every field at every wavelength, and of all light."""
+    columns = [("field", "deg"), ("λ", "nm"), ("launched", "W"), ("detected", "W"), ("absorbed by surfaces", "W"),
+               ("absorbed in media", "W"), ("escaped", "W"), ("cut", "W"), ("closure", "relative")]  # fmt: skip
+    rows = []
+    for field, t in report.items():
+        ledgers = {ALL: t.energy} | {f"{line:g}": t.energy_at(line) for line in report.wavelengths_nm}
+        for name, energy in ledgers.items():
+            absorbed = [sum(power for power, _ in part.values()) for part in (energy.absorbed, energy.absorbed_in)]
+            rows.append(
+                [
+                    f"{field:g}",
+                    name,
+                    number(energy.launched_W, 6),
+                    with_error(Estimate(energy.detected_W, energy.detected_se_W)),
+                    *(number(power, 6) for power in absorbed),
+                    with_error(Estimate(energy.escaped_W, energy.escaped_se_W)),
+                    number(sum(energy.cut.values()), 3),
+                    f"{energy.closure:.1e}",
+                ]
+            )
+    return text_table(columns, rows)
+
+
+def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
+    """
+    What `mistray ghosts` prints: the main table, the worst ghosts of each field and the energy closure.
+
+    Parameters
+    ----------
+    report : GhostReport
+    count : int
+        Worst paths of each field.
+    per_wavelength : bool
+        Add rows for each wavelength, and the energy ledger at each of them.
+    """
+    nominal = report.nominal.rms_irradiance_W_mm2
+    closure = max((report[field].energy.closure for field in report), key=abs)
+    lines: list[float | None] = [None, *(report.wavelengths_nm if per_wavelength else [])]
+    parts = [
+        summary_table([report.summary(field, wavelength) for field in report for wavelength in lines]),
+        "",
+        f"Worst {count} stray paths of each field by {RANKED_BY[report.rank]}",
+        ghost_table(report, count, per_wavelength),
+        "",
+    ]
+    if report.scatters:
+        parts += [scatter_text(report), ""]
+    if per_wavelength:
+        parts += ["Energy ledger", ledger_table(report), ""]
+    parts += [
+        f"normalised: over the RMS irradiance of the direct image on axis, {with_error(nominal)} W/mm²",
+        "stray/nominal: over the power of the direct image on axis.  ±: one standard error",
+    ]
+    if per_wavelength:
+        parts.append("rows of one wavelength: normalised to the direct image on axis at that wavelength")
+    if any(len(report.top(field, 1)) for field in report):
+        parts.append(f"{STRONGEST}: the strongest stray path of the field by power")
+    if any(not report.listed(field, count).well_sampled.all() for field in report):
+        parts.append(f"*: fewer than {FEWEST_RAYS} rays, RMS radius and irradiance are unreliable")
+    parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
+    parts += [f"warning: {text}" for text in warnings(report)]
+    return "\n".join(parts)
+
+
+def warnings(report: GhostReport) -> list[str]:
+    """What a reader must know before trusting the numbers; empty if all is well."""
+    found = []
+    if report.nominal.power_W.value == 0:
+        found.append("no direct light reaches the detector on axis: nothing can be normalised to it")
+    settings = next(iter(report.values())).settings
+    for reason in dict.fromkeys(reason for t in report.values() for reason in t.energy.cut):
+        shares = {field: abs(t.energy.cut.get(reason, 0.0)) / t.energy.launched_W for field, t in report.items()}
+        if reason in ZERO_ON_AVERAGE:
+            continue
+        large = [field for field, share in shares.items() if share > LIMIT_WARNING]
+        if large:
+            share = max(shares.values())
+            found.append(f"{_fields(large)}: up to {share:.1e} of the launched flux was {_cut_text(reason, settings)}")
+    open_ends = [field for field, t in report.items() if abs(t.energy.closure) > CLOSURE_WARNING]
+    if open_ends:
+        worst = max(abs(report[field].energy.closure) for field in open_ends)
+        found.append(f"{_fields(open_ends)}: the energy closes to {worst:.1e} only, not to {CLOSURE_WARNING:g}")
+    coarse = [field for field, t in report.items() if t.coating_error > COATING_WARNING]
+    if coarse:
+        worst = max(report[field].coating_error for field in coarse)
+        found.append(
+            f"{_fields(coarse)}: R of a coating in total reflection varies too fast with the angle for its table; the "
+            f"error is up to {worst:.1e}"
+        )
+    found += dict.fromkeys(text for t in report.values() for text in t.notes)
+    fields = list(report)
+    found += [f"{_fields([fields[k] for k in at])}: {text}" for at, text in sampling_warnings(list(report.values()))]
+    few = [field for field in report if not report.top(field, 4).well_sampled.all()]
+    if few:
+        found.append(f"{_fields(few)}: some of the worst four paths hold fewer than {FEWEST_RAYS} rays; raise rays")
+    return found
+
+
+def _fields(field_deg: Sequence[float]) -> str:
+    return f"field {', '.join(f'{field:g}' for field in field_deg)} deg"
+
+
+def _cut_text(reason: str, settings: dict[str, Any]) -> str:
+    """How a reason of the energy ledger reads in a warning."""
+    text = CUT_TEXTS.get(reason, f"lost to '{reason}'").format(**settings)
+    if reason == "max_events":
+        longest = settings["max_events"] >= EVENTS.high
+        text += "light is trapped there, and no path can be longer" if longest else f"raise it, up to {EVENTS.high}"
+    return text

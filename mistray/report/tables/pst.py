@@ -1,0 +1,238 @@
+"""The tables of a point source transmittance, what a reader must know before trusting them, and all of it for JSON."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import asdict
+from typing import Any
+
+import numpy as np
+import pandas as pd
+
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.pst.causes import Break, breaks, field_edge, stray_paths
+from mistray.analysis.pst.result import Pst
+from mistray.files.json_values import plain
+from mistray.recorders.sky import CLASSES
+from mistray.report.tables.text import ABSENT, number, text_table, with_error
+
+RARE = ("straight_shot", "edge_diffraction")  # classes that are shown where there are any
+ALL_CLASSES = ("total", "stray", *CLASSES)
+LARGE_ERROR = 0.1  # relative
+DEFINITIONS = {
+    "normal": "PST = E_det/E_⊥: irradiance on the detector over that on a plane across the beam (normal)",
+    "projected": "PST = E_det/(E_⊥ cos θ): irradiance on the detector over that on the aperture's plane (projected)",
+}
+METHODS = {
+    "adjoint": "adjoint: rays from the detector, all angles at once",
+    "forward": "forward: one beam of light for each angle",
+}
+DENOMINATOR = "%: share of the stray light at that angle, which is all light but the direct image"
+
+
+def shown_classes(pst: Pst) -> tuple[str, ...]:
+    """The classes of a printed table: all, but the rare ones only where there are any."""
+    return tuple(group for group in CLASSES if group not in RARE or np.any(pst.curve(group)[0]))
+
+
+def name_of(group: str) -> str:
+    """A class of the light in words."""
+    return group.replace("_", " ")
+
+
+def curve_frame(pst: Pst) -> pd.DataFrame:
+    """
+    The curve with full precision, one row for each field angle.
+
+    Columns angle_deg, angle_from_deg, angle_to_deg, convention, method; of all light, of the stray light and of each
+    class the mean over azimuths and its standard error; largest_share, that of the strongest single ray in the
+    scattered light (the largest of the azimuths).
+    """
+    columns: dict[str, Any] = {
+        "angle_deg": pst.field_deg,
+        "angle_from_deg": pst.grid.edges_deg[:, 0],
+        "angle_to_deg": pst.grid.edges_deg[:, 1],
+        "convention": pst.convention,
+        "method": pst.method,
+    }
+    for group in ALL_CLASSES:
+        columns[f"pst_{group}"], columns[f"pst_{group}_se"] = pst.curve(group)
+    return pd.DataFrame(columns | {"largest_share": largest_share(pst)})
+
+
+def cell_frame(pst: Pst) -> pd.DataFrame:
+    """`Pst.to_pandas` and the largest share of a ray in each cell."""
+    share = pst.largest_share
+    return pst.to_pandas().assign(largest_share=np.nan if share is None else share.ravel())
+
+
+def largest_share(pst: Pst) -> np.ndarray:
+    """(n,) share of the scattered light in its strongest ray, the largest of the azimuths; NaN if it is not known."""
+    if pst.largest_share is None:
+        return np.full(len(pst.field_deg), np.nan)
+    return np.asarray(pst.largest_share.max(axis=1))
+
+
+def path_frame(pst: Pst) -> pd.DataFrame:
+    """All paths of all cells: angle_deg, azimuth_deg, rank (1: most light in its cell), then as in `Pst.paths`."""
+    parts = []
+    for angle in pst.field_deg:
+        for azimuth in pst.grid.azimuths_deg:
+            rows = pst.paths(angle, azimuth)
+            rows.insert(0, "rank", np.arange(1, len(rows) + 1))
+            rows.insert(0, "azimuth_deg", azimuth)
+            rows.insert(0, "angle_deg", angle)
+            parts.append(rows)
+    return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
+
+
+def curve_text(pst: Pst) -> str:
+    """The curve as a table: all light and stray light with errors, the classes without."""
+    columns = [("angle", "deg"), ("PST", "all light"), ("PST", "stray light")]
+    shown = shown_classes(pst)
+    columns += [(name_of(group), "") for group in shown]
+    columns += [("largest ray", "% of scatter")]
+    curves = {group: pst.curve(group) for group in ALL_CLASSES}
+    rows = []
+    for i, angle in enumerate(pst.field_deg):
+        pairs = [Estimate(*(float(part[i]) for part in curves[group])) for group in ("total", "stray")]
+        estimates = [with_error(pair) if pair.value else ABSENT for pair in pairs]
+        values = [float(curves[group][0][i]) for group in shown]
+        share = 100 * float(largest_share(pst)[i])
+        classes = [number(value, 3) if value else ABSENT for value in values]
+        rows.append([f"{angle:g}", *estimates, *classes, number(share, 3) if share else ABSENT])
+    return text_table(columns, rows)
+
+
+def top_paths_text(pst: Pst, count: int) -> str:
+    """The strongest stray paths of each angle beside each other, with their shares."""
+    tops = {angle: stray_paths(pst, angle, count) for angle in pst.field_deg}
+    shown = max((len(top) for top in tops.values()), default=0)
+    if not shown:
+        return "no stray light was seen"
+    columns = [("angle", "deg")]
+    for k in range(shown):
+        columns += [(f"{k + 1}.", ""), ("", "%")]
+    rows = []
+    for angle, top in tops.items():
+        cells = [f"{angle:g}"]
+        for row in top.itertuples(index=False):
+            cells += [str(row.label), number(float(row.percent_of_stray), 3)]
+        rows.append(cells + [""] * (len(columns) - len(cells)))
+    return text_table(columns, rows, left=range(1, 2 * shown, 2))
+
+
+def breaks_text(found: Sequence[Break]) -> str:
+    """Where the curve bends abruptly, with the strongest causes on either side."""
+    columns = [("angle", "deg"), ("slope before", "decades/deg"), ("slope after", "decades/deg"),
+               ("stray light before", "% of it"), ("stray light after", "% of it")]  # fmt: skip
+    rows = [
+        [
+            f"{item.field_deg:g}",
+            f"{item.slope_before:+.3f}",
+            f"{item.slope_after:+.3f}",
+            *(causes_text(causes) for causes in (item.before, item.after)),
+        ]
+        for item in found
+    ]
+    return text_table(columns, rows, left=(3, 4))
+
+
+def causes_text(causes: Sequence[tuple[str, float]]) -> str:
+    """Causes of stray light and their shares, such as "barrel_1 83 %, ghosts 12 %"."""
+    return ", ".join(f"{name} {number(share, 2)} %" for name, share in causes) or ABSENT
+
+
+def pst_text(pst: Pst, paths_shown: int = 4) -> str:
+    """
+    What `mistray pst` prints: the curve, the strongest stray paths of each angle, its breaks, and warnings.
+
+    Parameters
+    ----------
+    pst : Pst
+    paths_shown : int
+        Paths of each angle; 0: none.
+    """
+    parts = [heading(pst), curve_text(pst), ""]
+    if pst.path_rows is not None and paths_shown:
+        parts += [f"Strongest stray paths of each angle; {DENOMINATOR}", top_paths_text(pst, paths_shown), ""]
+    found = breaks(pst)
+    if found:
+        parts += ["Breaks of the curve of stray light", breaks_text(found), ""]
+    parts.append("±: one standard error")
+    edge = field_edge(pst)
+    if edge is not None:
+        first = pst.field_deg[0]
+        parts.append(f"edge of the field, half of the direct light at {first:g}°, interpolated: {edge:.1f}°")
+    parts += [f"warning: {text}" for text in warnings(pst)]
+    return "\n".join(parts)
+
+
+def heading(pst: Pst) -> str:
+    """What the numbers are, in two lines: the convention; method, rays, wavelengths, cells."""
+    facts = pst.facts
+    lines = facts.get("wavelength_nm")
+    parts = [METHODS[pst.method]]
+    if facts.get("rays") is not None:
+        parts.append(f"{float(facts['rays']):.3g} start rays")
+    if lines is not None:
+        parts.append(f"{', '.join(f'{line:g}' for line in np.atleast_1d(lines))} nm")
+    widths = np.unique(np.round(np.diff(pst.grid.edges_deg, axis=1), 9))
+    around = "all azimuths" if pst.grid.azimuth_cell_deg >= 360 else f"{pst.grid.azimuth_cell_deg:g}° of azimuth"
+    parts.append(f"means over cells of {widths[-1]:g}° and {around}")
+    return f"{DEFINITIONS[pst.convention]}\n{'; '.join(parts)}"
+
+
+def warnings(pst: Pst) -> list[str]:
+    """What a reader must know before trusting the numbers: the notes of the run, and where errors are large."""
+    found = [str(text) for text in pst.facts.get("notes", ())]
+    value, se = pst.curve()
+    doubtful = (value > 0) & (se > LARGE_ERROR * value)
+    if doubtful.any():
+        worst = 100 * float((se[doubtful] / value[doubtful]).max())
+        found.append(f"standard error up to {worst:.2g} % at {_angles(pst.field_deg[doubtful])}; give more rays")
+    return found
+
+
+def pst_record(pst: Pst, paths_shown: int = 4) -> dict[str, Any]:
+    """
+    All of a result as values that JSON knows.
+
+    Parameters
+    ----------
+    pst : Pst
+    paths_shown : int
+        Strongest stray paths of each angle.
+
+    Returns
+    -------
+    dict
+        convention, definition, method, facts, grid, field_edge_deg, curve (rows of `curve_frame`, each with its
+        ``paths``), cells (rows of `cell_frame`, where there are azimuths), breaks and warnings.
+    """
+    curve = curve_frame(pst).drop(columns=["convention", "method"]).to_dict("records")
+    if pst.path_rows is not None:
+        for row in curve:
+            row["paths"] = stray_paths(pst, row["angle_deg"], paths_shown).to_dict("records")
+    record = {
+        "convention": pst.convention,
+        "definition": DEFINITIONS[pst.convention],
+        "method": pst.method,
+        "facts": pst.facts,
+        "grid": pst.grid.facts(),
+        "field_edge_deg": field_edge(pst),
+        "percent_of_stray": DENOMINATOR.removeprefix("%: "),
+        "curve": curve,
+        "breaks": [asdict(item) for item in breaks(pst)],
+        "warnings": warnings(pst),
+    }
+    if pst.grid.shape[1] > 1:
+        record["cells"] = cell_frame(pst).drop(columns=["convention", "method"]).to_dict("records")
+    return dict(plain(record))
+
+
+def _angles(field_deg: np.ndarray) -> str:
+    """Angles as text, many of them by the first and the last."""
+    if len(field_deg) <= 4:
+        return f"{', '.join(f'{angle:g}' for angle in field_deg)}°"
+    return f"{len(field_deg)} angles from {field_deg[0]:g} to {field_deg[-1]:g}°"

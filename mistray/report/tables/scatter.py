@@ -1,0 +1,88 @@
+"""What scatters light to the detector and how well that was sampled, as printed tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from mistray.analysis.aiming_check import LEAST_LANDED, AimedRow, SamplingCheck, sampling_check
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.ghosts import GhostReport
+from mistray.report.tables.text import ABSENT, number, text_table, with_error
+
+SURFACES_SHOWN = 10
+SAMPLING = (
+    ("hits", "per start ray"), ("effective hits", "(Σ flux)²/Σ flux²"), ("largest hit", "% of scattered light"),
+)  # fmt: skip
+
+
+def scatter_text(report: GhostReport) -> str:
+    """Scattered light by surface, and how well it was sampled."""
+    checks = {field: sampling_check(t) for field, t in report.items()}
+    parts = [
+        "Scattered light by the first surface that scatters it",
+        surface_text(report),
+        "",
+        "Sampling of the scattered light; hits: of the detector, by rays that were scattered",
+        sampling_text(checks),
+    ]
+    if any(check.rows for check in checks.values()):
+        parts += ["", "Share of the aimed rays of each surface that reach the detector", aiming_text(checks)]
+        if any(row.low for check in checks.values() for row in check.rows):
+            parts.append(f"!: below {LEAST_LANDED:g}")
+    return "\n".join(parts)
+
+
+def surface_text(report: GhostReport) -> str:
+    """Scattered light by the first surface that scatters it, the strongest surfaces of each field one by one."""
+    columns = [
+        ("field", "deg"), ("first scatter at", ""), ("part", ""), ("paths", ""), ("rays", ""), ("power", "W"),
+        ("share", "% of stray light"),
+    ]  # fmt: skip
+    rows = []
+    for field in report:
+        table = report.scatter_surfaces(field)
+        for row in table.head(SURFACES_SHOWN).itertuples(index=False):
+            power = with_error(Estimate(row.power_W, row.power_se_W))
+            share = number(row.percent_of_stray, 4)
+            rows.append([f"{field:g}", row.surface, row.part, str(row.paths), str(row.rays), power, share])
+        rest = table.iloc[SURFACES_SHOWN:]
+        if len(rest):
+            numbers = [str(rest.paths.sum()), str(rest.rays.sum()), number(rest.power_W.sum(), 3)]
+            rows.append([f"{field:g}", f"… and {len(rest)} more", "", *numbers, number(rest.percent_of_stray.sum(), 4)])
+    return text_table(columns, rows, left=(1, 2))
+
+
+def sampling_text(checks: Mapping[float, SamplingCheck]) -> str:
+    """How many scattered rays make up the scattered light of each field."""
+    rows = [[f"{field:g}", *sampling_numbers(check)] for field, check in checks.items()]
+    return text_table([("field", "deg"), *SAMPLING], rows)
+
+
+def sampling_numbers(check: SamplingCheck) -> list[str]:
+    """The cells under `SAMPLING`."""
+    return [
+        number(check.hits_per_start, 3),
+        number(check.effective_hits, 4),
+        number(100 * check.largest_share, 3),
+    ]
+
+
+def aiming_text(checks: Mapping[float, SamplingCheck]) -> str:
+    """Share of the aimed rays of the surfaces that aim most of them that reach the detector, one column a field."""
+    landed = {field: {row.surface: row for row in check.rows} for field, check in checks.items()}
+    aimed: dict[str, int] = {}
+    for row in (row for check in checks.values() for row in check.rows):
+        aimed[row.surface] = aimed.get(row.surface, 0) + row.aimed
+    names = sorted(aimed, key=lambda name: -aimed[name])
+    columns = [("surface", ""), *((f"{field:g}", "deg") for field in landed)]
+    lines = []
+    for name in names[:SURFACES_SHOWN]:
+        cells = [rows.get(name) for rows in landed.values()]
+        lines.append([name, *(_share(row) if row else ABSENT for row in cells)])
+    if len(names) > SURFACES_SHOWN:
+        lines.append([f"… and {len(names) - SURFACES_SHOWN} more", *("" for _ in landed)])
+    return text_table(columns, lines, left=(0,))
+
+
+def _share(row: AimedRow) -> str:
+    return f"{number(row.share_landed, 3)}{'!' if row.low else ' '}"

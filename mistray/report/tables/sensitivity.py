@@ -1,0 +1,216 @@
+"""A sensitivity analysis as text and as values for JSON."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from typing import Any
+
+from mistray.analysis.estimate import Estimate
+from mistray.files.json_values import plain
+from mistray.optimize.sensitivity import Sensitivity
+from mistray.optimize.sensitivity_rows import Row
+from mistray.optimize.tolerance_draws import PERCENTILES, Draws
+from mistray.report.tables.text import ABSENT, number, text_table, with_error
+
+KEYS_NAMED = 8  # of those without a derivative, in text
+NARROW_EDGE = 2.0  # standard errors by which the width of the zone at rims may matter
+COUNTS = 0.01  # of the largest change: what is smaller is not worth a warning
+
+
+def sensitivity_text(result: Sensitivity, count: int = 20) -> str:
+    """
+    What `mistray sensitivity` prints: the ranked table, the best three changes, the propagation, and what is left out.
+
+    Parameters
+    ----------
+    result : Sensitivity
+    count : int
+        Rows of the table.
+    """
+    shown = result.rows[:count]
+    rest = len(result.rows) - len(shown)
+    parts = [
+        f"{result.name}: {with_error(result.value)} {result.unit}".rstrip(),
+        "",
+        ranking_text(result, shown),
+        *([f"… and {rest} with less"] if rest else []),
+        "",
+        *together_lines(result),
+        "",
+        *spread_lines(result),
+        *(["", *draws_lines(result.draws)] if result.draws is not None else []),
+        "",
+        *notes(result),
+    ]
+    return "\n".join(parts)
+
+
+def ranking_text(result: Sensitivity, rows: Sequence[Row]) -> str:
+    """The ranked table."""
+    shares = {item.members[0]: item.share for item in result.spread.contributions if len(item.members) == 1}
+    edges = any(math.isfinite(row.edge_check) for row in rows)
+    columns = [("parameter", ""), ("kind", ""), ("value", ""), ("unit", ""), ("derivative", "of the metric, per unit"),
+               ("tolerance", "unit"), ("change", "% per tolerance"), ("share", "% of variance")]  # fmt: skip
+    columns += [("half edge width", "% per tolerance")] if edges else []
+    columns += [(f"for {result.factor:g} × less", "value, or bound: factor")]
+    cells = []
+    for row in rows:
+        share = shares.get(row.label)
+        line = [
+            row.label,
+            row.kind,
+            number(row.value),
+            row.unit,
+            with_error(row.derivative),
+            number(row.tolerance),
+            with_error(_percent(row.change)),
+            with_error(_percent(share)) if share is not None else "in a group",
+        ]
+        line += [f"{100 * row.edge_check:+.2g}" if math.isfinite(row.edge_check) else ABSENT] if edges else []
+        cells.append([*line, change_text(row)])
+    return text_table(columns, cells, left=(0, 1, 3, len(columns) - 1))
+
+
+def change_text(row: Row) -> str:
+    """The value that lowers the metric by the factor asked for, or what the bound gives."""
+    if not row.free:
+        return "held"
+    if row.alone.reached:
+        return number(row.alone.value)
+    if row.alone.factor <= 1:
+        return ABSENT
+    return f"{number(row.alone.value)}: {row.alone.factor:.3g} ×"
+
+
+def together_lines(result: Sensitivity) -> list[str]:
+    """The best few changes."""
+    found = result.together
+    if not found.changes:
+        return ["no derivative is known well enough to propose a change; trace more rays"]
+    title = f"{len(found.changes)} changes that lower it {number(found.factor, 3)} times by the linear model"
+    if not found.reached:
+        title += f", not {result.factor:g} times: all are at their bounds"
+    columns = [("parameter", ""), ("from", ""), ("to", ""), ("unit", ""), ("its part", "×")]
+    rows = [
+        [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
+        for row, change in found.changes
+    ]
+    lines = [title, text_table(columns, rows, left=(0, 3))]
+    if found.traced is not None:
+        lines.append(f"traced on other seeds: {_times(found.traced)} lower")
+    if found.image is not None:
+        lines.append(f"direct image then: {number(100 * found.image.value, 4)} % of what it was")
+    return lines
+
+
+def spread_lines(result: Sensitivity) -> list[str]:
+    """The linear propagation."""
+    spread = result.spread
+    deviation = with_error(_percent(spread.deviation))
+    lines = [
+        f"all tolerances together: standard deviation of ln(metric) {deviation} % to first order, from "
+        f"{len(spread.contributions)} independent parameters"
+    ]
+    groups = [item for item in spread.contributions if len(item.members) > 1]
+    lines += [
+        f"together '{item.name}' ({len(item.members)} parameters): {with_error(_percent(item.change))} % per "
+        f"tolerance, {with_error(_percent(item.share))} % of the variance"
+        for item in groups
+    ]
+    if spread.noise > max(spread.variance.value, 0.0):
+        lines.append("most of that is noise of the derivatives, which was taken off; trace more rays")
+    return lines
+
+
+def draws_lines(draws: Draws) -> list[str]:
+    """The Monte Carlo."""
+    percentiles = ", ".join(f"{p:g} %: {with_error(draws.percentile(p))}" for p in PERCENTILES)
+    return [
+        f"{len(draws.ratios)} perturbed systems: standard deviation of ln(metric) "
+        f"{with_error(_percent(draws.deviation))} %, by the linear model for the same systems "
+        f"{number(100 * draws.predicted_deviation, 3)} %",
+        f"metric over the nominal one: mean {with_error(draws.mean)}; percentiles {percentiles}",
+        f"not explained by the linear model: {number(100 * draws.unexplained, 2)} % of the variance",
+        *([f"{draws.rejected} more were drawn again, because surfaces crossed"] if draws.rejected else []),
+    ]
+
+
+def notes(result: Sensitivity) -> list[str]:
+    """What a reader must know before trusting the numbers."""
+    found = [f"not in the derivatives: {text}" for text in result.left_out]
+    if result.without_derivative:
+        names = ", ".join(result.without_derivative[:KEYS_NAMED])
+        more = len(result.without_derivative) - KEYS_NAMED
+        found.append(f"no derivative: {names}{f' and {more} more' if more > 0 else ''}")
+    least = COUNTS * max(abs(row.change.value) for row in result.rows)
+    doubtful = [
+        row.label
+        for row in result.rows
+        if abs(row.edge_check) > max(NARROW_EDGE * row.change.se, 0.1 * abs(row.change.value), least)
+    ]
+    if doubtful:
+        found.append(f"the width of the zone at rims matters for {', '.join(doubtful[:KEYS_NAMED])}; lower edge_width")
+    return found
+
+
+def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
+    """All of a result as values that JSON knows."""
+    spread, together, draws = result.spread, result.together, result.draws
+    record: dict[str, Any] = {
+        "metric": {"name": result.name, "unit": result.unit} | _estimate(result.value),
+        "parameters": result.to_pandas().to_dict("records"),
+        "factor": result.factor,
+        "together": {
+            "changes": [
+                {"label": row.label, "from": row.value, "to": change.value, "unit": row.unit, "factor": change.factor}
+                for row, change in together.changes
+            ],
+            "factor": together.factor,
+            "reached": together.reached,
+            "traced": None if together.traced is None else _estimate(together.traced),
+            "image": None if together.image is None else _estimate(together.image),
+        },
+        "propagation": {
+            "deviation": _estimate(spread.deviation),
+            "variance": _estimate(spread.variance),
+            "noise": spread.noise,
+            "contributions": [
+                {
+                    "name": item.name,
+                    "members": item.members,
+                    "change": _estimate(item.change),
+                    "share": _estimate(item.share),
+                }
+                for item in spread.contributions
+            ],
+        },
+        "monte_carlo": None
+        if draws is None
+        else {
+            "systems": len(draws.ratios),
+            "deviation": _estimate(draws.deviation),
+            "predicted_deviation": draws.predicted_deviation,
+            "mean": _estimate(draws.mean),
+            "percentiles": {f"{p:g}": _estimate(draws.percentile(p)) for p in PERCENTILES},
+            "unexplained": draws.unexplained,
+            "rejected": draws.rejected,
+        },
+        "left_out": result.left_out,
+        "without_derivative": result.without_derivative,
+        "seconds": result.seconds,
+        "settings": result.facts,
+    }
+    return dict(plain(record))
+
+
+def _estimate(value: Estimate) -> dict[str, float]:
+    return {"value": value.value, "se": value.se}
+
+
+def _percent(value: Estimate) -> Estimate:
+    return Estimate(100 * value.value, 100 * value.se)
+
+
+def _times(value: Estimate) -> str:
+    return f"{with_error(value)} ×" if math.isfinite(value.value) else "nothing is left of it, infinitely"

@@ -1,0 +1,1 @@
+"""The scene and its rays in three dimensions, as a web page."""

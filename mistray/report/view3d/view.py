@@ -1,0 +1,223 @@
+"""The scene in three dimensions, cut open, with the rays of the strongest paths: for Jupyter and as an HTML file.
+
+Everything is drawn by plotly, an optional dependency (``pip install 'mistray[view]'``). The HTML holds plotly.js itself
+and needs no network.
+"""
+
+from __future__ import annotations
+
+import importlib
+import math
+from collections.abc import Sequence
+from html import escape
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mistray.errors import MistrayError
+from mistray.replace_file import replace_file
+from mistray.report.figures.cut_open import CutPlane, OpenSurface, open_surfaces
+from mistray.report.html.markup import thousands
+from mistray.report.rays.path_rays import RayLine, check_count, chosen_rows, rays_of_paths
+from mistray.report.view3d.controls import (
+    COLOURINGS,
+    add_buttons,
+    arrange,
+    flux_scales,
+    scale_marks,
+    shown_box,
+)
+from mistray.report.view3d.drawing import ROLES, glass_faces, outlines, path_lines, surface_mesh
+
+if TYPE_CHECKING:
+    from mistray.trace import Trace
+    from mistray.trace.energy import SurfaceFlux
+    from mistray.trace.paths import PathRow
+
+MOST_PATHS, RAYS_PER_PATH = 8, 10
+
+
+class View:
+    """
+    A scene drawn in three dimensions.
+
+    Attributes
+    ----------
+    figure : plotly.graph_objects.Figure
+        What is drawn; every surface is a ``mesh3d``, every path one ``scatter3d`` whose rays are parted by NaN.
+    surfaces : list of OpenSurface
+        What is left of the surfaces.
+    rays : list of RayLine
+        The rays that are drawn, for `mistray.report.write_rays`.
+    title, note : str
+        Head of the page, and what it shows.
+    """
+
+    def __init__(self, figure: Any, surfaces: list[OpenSurface], rays: list[RayLine], title: str, note: str) -> None:
+        self.figure, self.surfaces, self.rays = figure, surfaces, rays
+        self.title, self.note = title, note
+
+    def html(self, command: str = "") -> str:
+        """One HTML page with everything in it; `command` is quoted at its foot."""
+        body = self.figure.to_html(
+            full_html=False,
+            include_plotlyjs=True,
+            div_id="view",
+            default_height="100%",
+            config={"displaylogo": False, "scrollZoom": True, "responsive": True},
+        )
+        foot = f"<footer>{escape(command)}</footer>" if command else ""
+        return (
+            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
+            '<meta name="viewport" content="width=device-width, initial-scale=1">'
+            f"<title>{escape(self.title)}</title><style>\n"
+            "html, body { margin: 0; height: 100%; overflow: hidden; } body { display: flex; flex-direction: column; "
+            'font: 14px/1.4 system-ui, "Liberation Sans", sans-serif; color: #222; }\n'
+            "h1 { font-size: 16px; margin: 8px 12px 0; } p, footer { margin: 0 12px; color: #555; font-size: 12px; }\n"
+            "main { flex: 1; min-height: 0; } main > div { height: 100%; } footer { font-family: monospace; "
+            "padding-bottom: 4px; }\n</style></head>\n"
+            f"<body><h1>{escape(self.title)}</h1><p>{escape(self.note)}</p>\n<main>{body}</main>{foot}</body></html>\n"
+        )
+
+    def write(self, path: str | Path, command: str = "") -> Path:
+        """Write the page of `html` to a file, complete or not at all; raises `MistrayError` if that fails."""
+        return replace_file(path, self.html(command), "view")
+
+    def _repr_html_(self) -> str:
+        """The page in a frame of its own, so that no other script of a notebook gets into its way."""
+        return (
+            f'<iframe srcdoc="{escape(self.html())}" title="{escape(self.title)}" '
+            'style="width: 100%; height: 640px; border: 0"></iframe>'
+        )
+
+    def __repr__(self) -> str:
+        return f"View({self.title!r}, {len(self.surfaces)} surfaces, {len(self.rays)} rays)"
+
+
+def view(
+    scene: Any,
+    trace: Trace | None = None,
+    *,
+    paths: int = MOST_PATHS,
+    path_ids: Sequence[int] | None = None,
+    rays: int = RAYS_PER_PATH,
+    colour: str | None = None,
+    cut_deg: float | None = 180.0,
+    cut_mm: float = 0.0,
+    title: str = "scene",
+) -> View:
+    """
+    Show a scene in three dimensions, cut open, with the rays of its strongest paths.
+
+    Parameters
+    ----------
+    scene : mi.Scene
+        From `mistray.load`.
+    trace : Trace, optional
+        Of this scene; without it there are no rays and no fluxes.
+    paths : int
+        Number of rows of the path table to draw, the strongest first.
+    path_ids : sequence of int, optional
+        Draw these rows instead.
+    rays : int
+        Most rays of each path.
+    colour : {"flux", "absorbed", "role"}, optional
+        Colour surfaces by the flux that reaches them, by what they absorb of it (both log10, `DECADES` decades at
+        most), or by what they are. Default: "flux" if there is a trace, else "role".
+    cut_deg : float or None
+        Direction of the half that is taken away, degrees about z from x: 180 takes x < 0, 90 takes y > 0. None: the
+        whole scene.
+    cut_mm : float
+        Distance of the cut from the z axis along that direction.
+    title : str
+        Name of the system.
+
+    Returns
+    -------
+    View
+        Shows itself in Jupyter; ``write("view.html")`` makes a file.
+
+    Raises
+    ------
+    MistrayError
+        If plotly is missing, an argument is out of range or needs a trace, or the trace is of another scene.
+    """
+    go = graph_objects()
+    _check(trace, path_ids, colour, cut_deg, cut_mm)
+    check_count(rays)
+    rows: list[PathRow] = [] if trace is None else chosen_rows(trace, paths, path_ids)
+    cut = None if cut_deg is None else CutPlane(cut_deg, cut_mm)
+    surfaces = open_surfaces(scene, cut)
+    shown = [surface for surface in surfaces if len(surface.faces)]
+    if not shown:
+        raise MistrayError(f"cut_deg={cut_deg}, cut_mm={cut_mm:g} leaves no surface; move the cut")
+    flux = _flux_of(surfaces, trace)
+    lines = [] if trace is None else rays_of_paths(trace, [row.path_id for row in rows], rays)
+    by = colour or ("role" if trace is None else "flux")
+    box = shown_box(shown, lines, cut)
+    figure = go.Figure()
+    meshes = [surface_mesh(go, surface, flux.get(surface.name)) for surface in shown]
+    edges = outlines(go, shown)
+    for role in ROLES:  # one entry of the legend, which switches all of its surfaces
+        first = next((drawn for drawn in (*edges, *meshes) if drawn.legendgroup == role), None)
+        if first is not None:
+            first.showlegend = True
+    figure.add_traces(meshes)
+    figure.add_traces(edges)
+    figure.add_traces(glass_faces(go, scene, surfaces, cut))
+    scales = flux_scales(shown, flux)
+    figure.add_traces(scale_marks(go, scales, box))
+    figure.add_traces(path_lines(go, rows, lines))
+    arrange(figure, box, cut)
+    add_buttons(figure, scales, by, shown, cut)
+    return View(figure, surfaces, lines, title, _note(trace, rows, cut))
+
+
+def graph_objects() -> Any:
+    """The module of plotly that draws; raises `MistrayError` if plotly is missing."""
+    try:
+        return importlib.import_module("plotly.graph_objects")
+    except ImportError:
+        raise MistrayError("the 3-D view needs plotly, which is not installed; pip install 'mistray[view]'") from None
+
+
+def _check(
+    trace: Trace | None, path_ids: Sequence[int] | None, colour: str | None, cut_deg: float | None, cut_mm: float
+) -> None:
+    if colour not in (None, "role", *COLOURINGS):
+        raise MistrayError(f"colour is '{colour}'; choose {', '.join(COLOURINGS)} or role")
+    if trace is None and colour in COLOURINGS:
+        raise MistrayError(f"colour is '{colour}' but nothing was traced; give the trace, or colour='role'")
+    if trace is None and path_ids is not None:
+        raise MistrayError("path_ids without a trace; give the trace that has these paths")
+    if not math.isfinite(cut_mm) or not math.isfinite(cut_deg or 0.0):
+        raise MistrayError(f"cut_deg is {cut_deg}, cut_mm is {cut_mm}; both must be finite")
+
+
+def _flux_of(surfaces: Sequence[OpenSurface], trace: Trace | None) -> dict[str, SurfaceFlux]:
+    """The rows of the trace's surface table by id, after a look whether they are those of the scene."""
+    if trace is None:
+        return {}
+    flux = {row.id: row for row in trace.surfaces}
+    strange = sorted({surface.name for surface in surfaces} ^ set(flux))
+    if strange:
+        raise MistrayError(f"surface '{strange[0]}' is not both in scene and trace; give the scene that was traced")
+    return flux
+
+
+def _note(trace: Trace | None, rows: Sequence[PathRow], cut: CutPlane | None) -> str:
+    parts = ["mm, equal axes"]
+    if cut is None:
+        parts.append("whole")
+    else:
+        parts.append(f"cut open: the half towards azimuth {cut.azimuth_deg:g}° is taken away")
+        if cut.offset_mm:
+            parts.append(f"beyond {cut.offset_mm:g} mm")
+    if trace is not None:
+        wavelengths = ", ".join(f"{value:g}" for value in trace.wavelengths_nm)
+        share = sum(row.percent for row in rows)
+        azimuth = trace.settings["azimuth_deg"]
+        at = f" at azimuth {azimuth:g}°" if azimuth else ""
+        rays = thousands(trace.settings["rays"])
+        parts.append(f"field {trace.settings['field_deg']:g}°{at}, {wavelengths} nm, {rays} start rays")
+        parts.append(f"{len(rows)} of {len(trace.paths)} paths drawn, {share:.4g} % of the light on the detector")
+    return "; ".join(parts)
