@@ -101,7 +101,7 @@ def test_progress_on_a_terminal(capsys: Any, files: tuple[str, str, str], monkey
 class TestInterruption:
     def interrupt(self, monkeypatch: pytest.MonkeyPatch, after: int) -> None:
         """Ctrl-C while a step is computed."""
-        from mistray.optimize.merit import Merit
+        from mistray.optimize.study.merit import Merit
 
         evaluate, calls = Merit.evaluate, []
 

@@ -135,7 +135,7 @@ class TestSensitivity:
     def test_nothing_is_traced_when_the_output_cannot_be_written(
         self, capsys: Any, plate: str, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(importlib.import_module("mistray.optimize.sensitivity"), "sensitivity", None)
+        monkeypatch.setattr(importlib.import_module("mistray.optimize.tolerances.sensitivity"), "sensitivity", None)
         code, _, errors = run(capsys, "sensitivity", plate, "--out", plate)
         assert code == 2
         assert "is a file; name a directory" in errors

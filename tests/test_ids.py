@@ -15,7 +15,7 @@ import mistray
 from mistray import cli
 from mistray.errors import MistrayError
 from mistray.ids import check_id, event_words, fits
-from mistray.optimize.read_study import read_study
+from mistray.optimize.toml.read_study import read_study
 from mistray.recorders.path_events import LETTERS
 from mistray.sweeps.configurations import as_configurations
 

@@ -24,9 +24,9 @@ from mistray.files.irradiance_files import read_irradiance
 from mistray.materials import refractive_index
 from mistray.materials.agf import glass_names
 from mistray.mechanics import read_mechanics
-from mistray.optimize.checkpoint import Checkpoint
-from mistray.optimize.read_budget import read_budget
-from mistray.optimize.read_study import read_study
+from mistray.optimize.study.checkpoint import Checkpoint
+from mistray.optimize.toml.read_budget import read_budget
+from mistray.optimize.toml.read_study import read_study
 from mistray.prescription import from_batoid, from_json
 from mistray.prescription.read_codev import read_codev
 from mistray.prescription.read_zemax import read_zemax

@@ -14,9 +14,9 @@ import mistray
 from mistray.analysis.metrics.extended_source import Disc, sun
 from mistray.cli.program import main
 from mistray.errors import MistrayError, MistrayWarning
-from mistray.optimize.metrics import path_power
-from mistray.optimize.pst_metrics import PstMetric, pst_bin, pst_mask
-from mistray.optimize.read_study import read_study
+from mistray.optimize.metrics.metric import path_power
+from mistray.optimize.metrics.pst_metrics import PstMetric, pst_bin, pst_mask
+from mistray.optimize.toml.read_study import read_study
 from mistray.ranges import FIELD_DEG
 from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import by_new_names, old_names, renamed

@@ -46,8 +46,8 @@ def add(commands: Any) -> None:
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
     start_mitsuba(options)
-    from mistray.optimize.budget import budget
-    from mistray.optimize.read_budget import read_budget
+    from mistray.optimize.tolerances.budget import budget
+    from mistray.optimize.toml.read_budget import read_budget
     from mistray.report.tables.budget import budget_record, budget_text
 
     claim_folder(options)

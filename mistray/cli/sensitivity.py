@@ -107,9 +107,9 @@ def run(options: argparse.Namespace) -> int:
     check_weights(options)
     keywords = _metric_keywords(options)
     start_mitsuba(options)
-    from mistray.optimize.factories import FACTORIES
+    from mistray.optimize.metrics.by_name import FACTORIES
     from mistray.optimize.parameters import match, parameters
-    from mistray.optimize.sensitivity import sensitivity
+    from mistray.optimize.tolerances.sensitivity import sensitivity
     from mistray.report.tables.sensitivity import sensitivity_record, sensitivity_text
     from mistray.scene import load
 

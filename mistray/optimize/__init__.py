@@ -5,10 +5,9 @@ from typing import TYPE_CHECKING
 from mistray._lazy import lazy_package
 
 if TYPE_CHECKING:
-    from mistray.optimize.budget import Budget, budget
     from mistray.optimize.fit import Fit, fit
     from mistray.optimize.gradient import Gradient, gradient
-    from mistray.optimize.metrics import (
+    from mistray.optimize.metrics.metric import (
         Metric,
         combine,
         ghost_focus,
@@ -22,17 +21,18 @@ if TYPE_CHECKING:
         rms_spot,
         transmission,
     )
-    from mistray.optimize.observation import Observation, smooth_maximum, smooth_minimum
+    from mistray.optimize.metrics.observation import Observation, smooth_maximum, smooth_minimum
+    from mistray.optimize.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+    from mistray.optimize.metrics.pst_observation import PstObservation
     from mistray.optimize.parameters import Parameter, groups, match, parameters
-    from mistray.optimize.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
-    from mistray.optimize.pst_model import Modelled, PstBands
-    from mistray.optimize.pst_observation import PstObservation
-    from mistray.optimize.read_study import read_study
-    from mistray.optimize.run import Optimization, optimize
-    from mistray.optimize.sensitivity import Sensitivity, sensitivity
-    from mistray.optimize.state import Start, Step
-    from mistray.optimize.study import CoatingGroup, Moved, Optimizer, Study, Term, VariableGroup
-    from mistray.optimize.verify import Comparison, Levels, compare, measure
+    from mistray.optimize.pst_bands import Modelled, PstBands
+    from mistray.optimize.study.comparison import Comparison, Levels, compare, measure
+    from mistray.optimize.study.model import CoatingGroup, Moved, Optimizer, Study, Term, VariableGroup
+    from mistray.optimize.study.optimization import Optimization, optimize
+    from mistray.optimize.study.state import Start, Step
+    from mistray.optimize.tolerances.budget import Budget, budget
+    from mistray.optimize.tolerances.sensitivity import Sensitivity, sensitivity
+    from mistray.optimize.toml.read_study import read_study
 
 __all__ = [
     "Budget",
@@ -89,10 +89,10 @@ __all__ = [
 lazy_package(
     __name__,
     {
-        "budget": ("Budget", "budget"),
+        "tolerances.budget": ("Budget", "budget"),
         "fit": ("Fit", "fit"),
         "gradient": ("Gradient", "gradient"),
-        "metrics": (
+        "metrics.metric": (
             "Metric",
             "combine",
             "ghost_focus",
@@ -106,16 +106,16 @@ lazy_package(
             "rms_spot",
             "transmission",
         ),
-        "observation": ("Observation", "smooth_maximum", "smooth_minimum"),
+        "metrics.observation": ("Observation", "smooth_maximum", "smooth_minimum"),
         "parameters": ("Parameter", "groups", "match", "parameters"),
-        "pst_metrics": ("pst_band", "pst_bin", "pst_mask", "veiling_glare"),
-        "pst_model": ("Modelled", "PstBands"),
-        "pst_observation": ("PstObservation",),
-        "read_study": ("read_study",),
-        "run": ("Optimization", "optimize"),
-        "sensitivity": ("Sensitivity", "sensitivity"),
-        "state": ("Start", "Step"),
-        "study": ("CoatingGroup", "Moved", "Optimizer", "Study", "Term", "VariableGroup"),
-        "verify": ("Comparison", "Levels", "compare", "measure"),
+        "metrics.pst_metrics": ("pst_band", "pst_bin", "pst_mask", "veiling_glare"),
+        "pst_bands": ("Modelled", "PstBands"),
+        "metrics.pst_observation": ("PstObservation",),
+        "toml.read_study": ("read_study",),
+        "study.optimization": ("Optimization", "optimize"),
+        "tolerances.sensitivity": ("Sensitivity", "sensitivity"),
+        "study.state": ("Start", "Step"),
+        "study.model": ("CoatingGroup", "Moved", "Optimizer", "Study", "Term", "VariableGroup"),
+        "study.comparison": ("Comparison", "Levels", "compare", "measure"),
     },
 )

@@ -10,7 +10,7 @@ from scipy.linalg import cho_factor, cho_solve
 from scipy.stats import chi2
 
 from mistray.errors import MistrayError
-from mistray.optimize.pst_model import Modelled
+from mistray.optimize.pst_bands import Modelled
 
 Model = Callable[[np.ndarray], Modelled]
 STEPS = 30

@@ -13,7 +13,7 @@ from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
 from mistray.gradients.raw_gradient import EDGE_WIDTH, RawGradient, Wanted
-from mistray.optimize.metrics import Metric
+from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.recorders.sampled import Sampled, batch_error
@@ -130,7 +130,7 @@ def gradient(
     Parameters
     ----------
     metric : Metric
-        From `mistray.optimize.metrics`.
+        From `mistray.optimize.metrics.metric`.
     params : mi.SceneParameters
         ``mi.traverse(metric.scene)``, perhaps reduced by its `keep`.
     keys : iterable of str, optional

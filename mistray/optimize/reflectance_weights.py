@@ -19,7 +19,7 @@ from mistray.coatings import Stack
 from mistray.errors import MistrayError
 from mistray.gradients.raw_gradient import Wanted
 from mistray.materials import complex_index
-from mistray.optimize.metrics import Metric
+from mistray.optimize.metrics.metric import Metric
 from mistray.physics.thinfilm import reflectance_transmittance
 from mistray.surfaces.optics import REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION
 

@@ -11,7 +11,7 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
-from mistray.optimize.budget import Budget
+from mistray.optimize.tolerances.budget import Budget
 from mistray.report.figures.figure import Figure
 from mistray.report.figures.plots import BLUE, GREY, VERMILION, as_png
 from mistray.report.html.markup import cell, data_table, figure, image, number_cell, section, setting_text

@@ -9,8 +9,8 @@ import pandas as pd
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.optimize import Comparison, Optimization, Term
-from mistray.optimize.goals import holds, limit_of
-from mistray.optimize.verify import Row
+from mistray.optimize.study.comparison import Row
+from mistray.optimize.study.goals import holds, limit_of
 from mistray.report.tables.text import number, text_table, with_error
 
 AT_BOUND = 1e-6  # of the way from bound to bound

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pandas as pd
 
-from mistray.optimize.sensitivity import Sensitivity
+from mistray.optimize.tolerances.sensitivity import Sensitivity
 from mistray.report.figures.plots import as_png
 from mistray.report.figures.sensitivity import draws_figure, ranking_figure
 from mistray.report.html.sensitivity import sensitivity_html

@@ -15,11 +15,11 @@ from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.gradients.raw_gradient import EDGE_WIDTH
 from mistray.optimize.gradient import gradient_seen, wanted_of
+from mistray.optimize.metrics.pst_metrics import pst_bin
+from mistray.optimize.metrics.pst_observation import Light
 from mistray.optimize.parameters import Parameter, groups, match, parameters
-from mistray.optimize.proposals import structure
-from mistray.optimize.pst_metrics import pst_bin
-from mistray.optimize.pst_observation import Light
-from mistray.optimize.sensitivity_rows import Line, Table, lines_of
+from mistray.optimize.tolerances.proposals import structure
+from mistray.optimize.tolerances.rows import Line, Table, lines_of
 from mistray.ranges import POLAR_DEG
 from mistray.renamed import renamed
 from mistray.scene import find, load

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from mistray.optimize.section import Section
+from mistray.optimize.toml.section import Section
 from mistray.prescription import Structure
 from mistray.sweeps.configurations import Configuration
 

@@ -15,7 +15,7 @@ from mistray import UnfinishedError
 from mistray.execute import by_parts
 from mistray.execute.sparse import pack
 from mistray.execute.workers import working_with
-from mistray.optimize import metrics
+from mistray.optimize.metrics import metric as metrics
 
 SCENE = "lens_and_window"
 ROUNDING = 1e-12  # of sums of some 1e5 numbers of float64

@@ -16,7 +16,7 @@ from oracles import brushed
 from oracles.statistics import assert_z
 
 import mistray
-from mistray.optimize import metrics
+from mistray.optimize.metrics import metric as metrics
 
 T = mi.ScalarTransform4f
 FLAT, TWO_FOLD = 0.1, 0.06  # of the two-fold table, a + b cos 2(φ - ρ)

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.optimize.allocation import (
+from mistray.optimize.tolerances.allocation import (
     Choice,
     Model,
     PowerCost,

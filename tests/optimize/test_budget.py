@@ -14,10 +14,10 @@ from oracles.small_scenes import scene_text, shape_xml
 import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import path_power
-from mistray.optimize.allocation import PowerCost, StepCost
-from mistray.optimize.budget import budget
-from mistray.optimize.read_budget import read_budget
 from mistray.optimize.scene_values import assign
+from mistray.optimize.tolerances.allocation import PowerCost, StepCost
+from mistray.optimize.tolerances.budget import budget
+from mistray.optimize.toml.read_budget import read_budget
 
 TRACED = {"rays": 4096, "max_reflections": 0, "flux_threshold": 0.0, "scatter_threshold": 0.0}
 AS_GIVEN = 4.0

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from scipy.optimize import minimize
 
-from mistray.optimize.changes import Ranges, best_together, least_effort, single_changes
+from mistray.optimize.tolerances.changes import Ranges, best_together, least_effort, single_changes
 
 
 def ranges(slope, value=None, low=None, high=None, tolerance=None, se=None) -> Ranges:

@@ -16,11 +16,11 @@ from oracles.small_scenes import plates_text, write
 
 from mistray.errors import MistrayError
 from mistray.optimize import Optimizer, Term, path_power, read_study
-from mistray.optimize.goals import by_value, check, contribution, holds, least_merit, limit_of, pieces
-from mistray.optimize.merit import Merit, seed_of
-from mistray.optimize.study_scene import open_scene, place
-from mistray.optimize.terms import layer_minimum, material_count, total_thickness
-from mistray.optimize.variables import find_variables
+from mistray.optimize.study.goals import by_value, check, contribution, holds, least_merit, limit_of, pieces
+from mistray.optimize.study.merit import Merit, seed_of
+from mistray.optimize.study.study_scene import open_scene, place
+from mistray.optimize.study.terms import layer_minimum, material_count, total_thickness
+from mistray.optimize.study.variables import find_variables
 from mistray.scene import load
 
 

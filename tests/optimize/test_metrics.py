@@ -15,7 +15,7 @@ import mistray
 from mistray import MistrayError
 from mistray.analysis.pool import by_path
 from mistray.optimize import views
-from mistray.optimize.metrics import (
+from mistray.optimize.metrics.metric import (
     Metric,
     combine,
     ghost_focus,

@@ -13,8 +13,8 @@ import pytest
 from oracles.derivatives import central_differences
 
 from mistray.errors import MistrayError
-from mistray.optimize.metrics import Metric
-from mistray.optimize.observation import Observation, smooth_maximum, smooth_minimum
+from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.metrics.observation import Observation, smooth_maximum, smooth_minimum
 from mistray.recorders.sampled import Sampled
 from mistray.trace.paths import PathRow
 

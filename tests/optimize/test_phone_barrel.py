@@ -10,7 +10,7 @@ import pytest
 
 import mistray
 from mistray.optimize import parameters, read_study
-from mistray.optimize.variables import Variables, find_variables
+from mistray.optimize.study.variables import Variables, find_variables
 
 STUDY = Path(__file__).parents[2] / "examples" / "phone_barrel.toml"
 # Ends of walls that meet at the start: the cone behind the stop, the wall of the stop and what stands around it

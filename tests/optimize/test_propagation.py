@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mistray.optimize.propagation import propagate
+from mistray.optimize.tolerances.propagation import propagate
 
 BATCHES = 32
 

@@ -21,10 +21,10 @@ from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.run import pst_of_each
 from mistray.analysis.pst.sums import weighted_sum
 from mistray.optimize import views
-from mistray.optimize.metrics import Metric, combine, log
-from mistray.optimize.observation import smooth_maximum
-from mistray.optimize.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
-from mistray.optimize.pst_observation import PstObservation
+from mistray.optimize.metrics.metric import Metric, combine, log
+from mistray.optimize.metrics.observation import smooth_maximum
+from mistray.optimize.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+from mistray.optimize.metrics.pst_observation import PstObservation
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.sky import CLASSES
 

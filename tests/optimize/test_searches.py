@@ -14,11 +14,11 @@ import pytest
 
 from mistray.errors import MistrayError
 from mistray.optimize import Optimizer, Start, Step
-from mistray.optimize.checkpoint import Checkpoint
 from mistray.optimize.search import stop_reason
 from mistray.optimize.search.point import Pieces
-from mistray.optimize.searches import Searches
-from mistray.optimize.state import Evaluation, State
+from mistray.optimize.study.checkpoint import Checkpoint
+from mistray.optimize.study.searches import Searches
+from mistray.optimize.study.state import Evaluation, State
 
 METHODS = [
     Optimizer(method="sqp", steps=200, tolerance=0),

@@ -15,9 +15,9 @@ import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import path_power, tolerance_draws
 from mistray.optimize.parameters import parameters
-from mistray.optimize.proposals import free_keys
 from mistray.optimize.scene_values import changed
-from mistray.optimize.sensitivity import sensitivity
+from mistray.optimize.tolerances.proposals import free_keys
+from mistray.optimize.tolerances.sensitivity import sensitivity
 
 R, T = 0.1, 0.8
 RS, TS = [[f"p0_{face}.bsdf.{name}" for face in ("front", "rear")] for name in "RT"]

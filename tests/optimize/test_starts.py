@@ -9,9 +9,9 @@ import pytest
 
 import mistray
 from mistray.optimize import read_study
-from mistray.optimize.starts import Proxy, minima, starts
-from mistray.optimize.study_scene import Placed, place
-from mistray.optimize.variables import Place, Variable, Variables
+from mistray.optimize.study.starts import Proxy, minima, starts
+from mistray.optimize.study.study_scene import Placed, place
+from mistray.optimize.study.variables import Place, Variable, Variables
 
 
 class TestProxy:

@@ -13,11 +13,11 @@ import pytest
 import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import Metric, Moved, Optimizer, path_power, read_study
-from mistray.optimize.read_coating import COATING_KEYS
-from mistray.optimize.read_term import TERM_KEYS
-from mistray.optimize.read_variable import VARIABLE_KEYS
-from mistray.optimize.study_scene import band, place
-from mistray.optimize.terms import KINDS
+from mistray.optimize.study.study_scene import band, place
+from mistray.optimize.study.terms import KINDS
+from mistray.optimize.toml.read_coating import COATING_KEYS
+from mistray.optimize.toml.read_term import TERM_KEYS
+from mistray.optimize.toml.read_variable import VARIABLE_KEYS
 
 ROOT = Path(__file__).parents[2]
 GOOD: dict[str, Any] = {

@@ -12,7 +12,7 @@ import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import read_study
 from mistray.optimize.parameters import Parameter, parameters
-from mistray.optimize.variables import Variables, find_variables
+from mistray.optimize.study.variables import Variables, find_variables
 
 VALUES = {
     "vane_1.r0": [11.0],

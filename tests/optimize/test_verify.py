@@ -12,7 +12,7 @@ from oracles.small_scenes import plates_text, write
 import mistray
 from mistray.errors import MistrayError
 from mistray.optimize import Comparison, Study, compare, measure, read_study
-from mistray.optimize.verify import Cell, Levels
+from mistray.optimize.study.comparison import Cell, Levels
 from mistray.scene.load import find
 
 TRIPLET = find("cooke_triplet")

@@ -88,7 +88,7 @@ def test_a_point_without_a_merit_ends_the_search_and_keeps_its_steps(beam: Path)
 
 def beyond_the_disc(scene: Any, selection: str, **traced: Any) -> Any:
     """1/r_rms², which falls as the disc grows."""
-    from mistray.optimize.metrics import Metric
+    from mistray.optimize.metrics.metric import Metric
 
     seen = {key: value for key, value in traced.items() if key not in ("field_deg", "wavelength_nm", "weights")}
     return Metric(scene, lambda observations: 1 / observations[0].moments(selection).variance, settings=seen)

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.optimize import metrics
+from mistray.optimize.metrics import metric as metrics
 from mistray.report.tables.ghosts import warnings
 
 FILM = {"type": "irradiancemeter", "film": {"type": "hdrfilm", "width": 8, "height": 8, "rfilter": {"type": "box"}}}

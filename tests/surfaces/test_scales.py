@@ -17,7 +17,7 @@ import pytest
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import metrics
+from mistray.optimize.metrics import metric as metrics
 from mistray.scene.rewrite import write_rewritten
 
 SMALL, LARGE = 2.0**-13, 2.0**13

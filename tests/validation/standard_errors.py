@@ -18,7 +18,7 @@ import pandas as pd
 import mistray
 from mistray.analysis.metrics import glare, ratios
 from mistray.analysis.metrics.extended_source import Disc, Sky, source_irradiance
-from mistray.optimize import metrics
+from mistray.optimize.metrics import metric as metrics
 from mistray.recorders.sky import CLASSES
 
 SEEDS = 100

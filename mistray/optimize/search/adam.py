@@ -9,7 +9,7 @@ import numpy as np
 
 if TYPE_CHECKING:
     from mistray.optimize.search.point import Point
-    from mistray.optimize.study import Optimizer
+    from mistray.optimize.study.model import Optimizer
 
 # The authors' values
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8

@@ -10,7 +10,7 @@ from scipy.optimize import minimize
 
 if TYPE_CHECKING:
     from mistray.optimize.search.point import Point
-    from mistray.optimize.study import Optimizer
+    from mistray.optimize.study.model import Optimizer
 
 UNLIMITED = 10**9  # what ends a search is decided after each step
 

@@ -12,7 +12,7 @@ from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
     from mistray.optimize.search.point import Point
-    from mistray.optimize.study import Optimizer
+    from mistray.optimize.study.model import Optimizer
 
 ALGORITHMS = ("LD_MMA", "LD_CCSAQ", "LD_SLSQP", "LD_LBFGS", "LD_VAR2", "LD_TNEWTON_PRECOND_RESTART")
 

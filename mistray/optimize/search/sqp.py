@@ -20,7 +20,7 @@ from scipy.optimize import lsq_linear
 from mistray.optimize.search.point import Pieces, Point
 
 if TYPE_CHECKING:
-    from mistray.optimize.study import Optimizer
+    from mistray.optimize.study.model import Optimizer
 
 GOOD, BAD = 0.75, 0.25  # lowered by so much of what the model says: the box grows, shrinks
 LARGEST, SMALLEST = 0.5, 1e-8  # half side of the box; the least is where single precision ends

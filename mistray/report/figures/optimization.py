@@ -14,7 +14,7 @@ from mistray.coatings.stack import outside_first
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.optimize import Optimization, Step
-from mistray.optimize.study_scene import Placed
+from mistray.optimize.study.study_scene import Placed
 from mistray.report.figures.figure import Figure, legend_label
 from mistray.report.figures.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 

@@ -8,10 +8,10 @@ import numpy as np
 from matplotlib.lines import Line2D
 from matplotlib.patches import Patch
 
-from mistray.optimize.propagation import Contribution
-from mistray.optimize.sensitivity import Sensitivity
-from mistray.optimize.sensitivity_rows import Row
-from mistray.optimize.tolerance_draws import PERCENTILES
+from mistray.optimize.tolerances.draws import PERCENTILES
+from mistray.optimize.tolerances.propagation import Contribution
+from mistray.optimize.tolerances.rows import Row
+from mistray.optimize.tolerances.sensitivity import Sensitivity
 from mistray.report.figures.figure import Figure
 from mistray.report.figures.plots import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 

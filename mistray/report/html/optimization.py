@@ -8,7 +8,7 @@ from html import escape
 
 from mistray.analysis.estimate import Estimate
 from mistray.optimize import Optimization
-from mistray.optimize.goals import holds
+from mistray.optimize.study.goals import holds
 from mistray.report.html.markup import cell, data_table, figure, image, number_cell, section, setting_text
 from mistray.report.html.page import page
 from mistray.report.optimization_tables import goal_text

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from html import escape
 
-from mistray.optimize.sensitivity import Sensitivity
+from mistray.optimize.tolerances.sensitivity import Sensitivity
 from mistray.report.html.markup import cell, data_table, figure, filter_box, image, number_cell, section, setting_text
 from mistray.report.html.page import page
 from mistray.report.tables.sensitivity import change_text, draws_lines, notes, spread_lines, together_lines

@@ -7,7 +7,7 @@ from typing import Any
 import pandas as pd
 
 from mistray.files.json_values import plain
-from mistray.optimize.budget import Budget, Chosen, Met
+from mistray.optimize.tolerances.budget import Budget, Chosen, Met
 from mistray.report.tables.text import number, text_table, with_error
 
 MOST_DISTANCE = 99.0  # standard errors, in text

@@ -8,9 +8,9 @@ from typing import Any
 
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
-from mistray.optimize.sensitivity import Sensitivity
-from mistray.optimize.sensitivity_rows import Row
-from mistray.optimize.tolerance_draws import PERCENTILES, Draws
+from mistray.optimize.tolerances.draws import PERCENTILES, Draws
+from mistray.optimize.tolerances.rows import Row
+from mistray.optimize.tolerances.sensitivity import Sensitivity
 from mistray.report.tables.text import ABSENT, number, text_table, with_error
 
 KEYS_NAMED = 8  # of those without a derivative, in text

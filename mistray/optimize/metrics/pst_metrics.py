@@ -12,10 +12,16 @@ import numpy as np
 
 from mistray.analysis.pst.run import pst
 from mistray.errors import MistrayError
-from mistray.optimize.metrics import Metric, require_known
-from mistray.optimize.observation import NORM, smooth_maximum
-from mistray.optimize.pst_observation import Light, PstObservation, named_classes, require_convention, require_quantity
-from mistray.optimize.views import PstView, View
+from mistray.optimize.metrics.metric import Metric, require_known
+from mistray.optimize.metrics.observation import NORM, smooth_maximum
+from mistray.optimize.metrics.pst_observation import (
+    Light,
+    PstObservation,
+    named_classes,
+    require_convention,
+    require_quantity,
+)
+from mistray.optimize.metrics.views import PstView, View
 from mistray.ranges import POLAR_DEG, POSITIVE
 from mistray.recorders.directions import CELL_DEG
 from mistray.renamed import renamed

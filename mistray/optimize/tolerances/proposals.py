@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
-from mistray.optimize.metrics import Metric, transmission
+from mistray.optimize.metrics.metric import Metric, transmission
 from mistray.optimize.parameters import Parameter
 from mistray.optimize.scene_values import changed
 

@@ -11,10 +11,10 @@ import numpy as np
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import DISPLACEMENT, SHIFTS
-from mistray.optimize.changes import Change, Ranges, single_changes
 from mistray.optimize.gradient import EQUAL, Gradient
 from mistray.optimize.parameters import Parameter
-from mistray.optimize.proposals import structure
+from mistray.optimize.tolerances.changes import Change, Ranges, single_changes
+from mistray.optimize.tolerances.proposals import structure
 from mistray.recorders.sampled import Sampled, batch_error
 
 INDEX = "index"
@@ -66,7 +66,7 @@ class Row:
     edge_check : float
         By how much `change` would differ with half the width of the zone at rims; NaN where rims do not count.
     alone : Change
-        The value that would lower the metric by the factor asked for, see `mistray.optimize.changes`.
+        The value that would lower the metric by the factor asked for, see `mistray.optimize.tolerances.changes`.
     free : bool
         Whether it may be changed for that; where not, `alone` is the value that it has.
     """

@@ -12,14 +12,14 @@ import mitsuba as mi
 from mistray._mitsuba_compat import holds_numbers, peek
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
-from mistray.optimize.changes import Change, best_together
 from mistray.optimize.gradient import Gradient, gradient
-from mistray.optimize.metrics import Metric
+from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
-from mistray.optimize.propagation import Spread, propagate
-from mistray.optimize.proposals import SEEDS, free_keys, traced_change
-from mistray.optimize.sensitivity_rows import Line, Row, Table, lines_of, shifted_values, whole_values
-from mistray.optimize.tolerance_draws import Draws, draw_systems
+from mistray.optimize.tolerances.changes import Change, best_together
+from mistray.optimize.tolerances.draws import Draws, draw_systems
+from mistray.optimize.tolerances.propagation import Spread, propagate
+from mistray.optimize.tolerances.proposals import SEEDS, free_keys, traced_change
+from mistray.optimize.tolerances.rows import Line, Row, Table, lines_of, shifted_values, whole_values
 from mistray.ranges import FACTOR, POSITIVE
 
 if TYPE_CHECKING:
@@ -190,7 +190,7 @@ def sensitivity(
         What the changes that are looked for shall lower the metric by, greater than 1.
     change : iterable of str, optional
         Keys or patterns of the parameters that may be changed for that; by default those of
-        `mistray.optimize.proposals.free_keys`: not the optics themselves.
+        `mistray.optimize.tolerances.proposals.free_keys`: not the optics themselves.
     reach : float
         Largest change that is proposed, in tolerances: farther away the linear model means little. R and T alone, in
         which powers of paths are polynomials, may go to the ends of their range.

@@ -14,9 +14,9 @@ from mistray.errors import MistrayError
 from mistray.gradients.parameter_gradient import parameter_gradient
 from mistray.gradients.raw_gradient import EDGE_WIDTH
 from mistray.optimize.gradient import chosen_parameters, wanted_of
-from mistray.optimize.pst_observation import Light, PstObservation, named_classes
+from mistray.optimize.metrics.pst_observation import Light, PstObservation, named_classes
+from mistray.optimize.metrics.views import PstView
 from mistray.optimize.scene_values import assign
-from mistray.optimize.views import PstView
 from mistray.recorders.sampled import batch_error
 from mistray.recorders.sky import CLASSES
 from mistray.settings import BATCHES

@@ -14,9 +14,9 @@ from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from mistray.materials import complex_index
-from mistray.optimize.state import Start
-from mistray.optimize.study_scene import Placed
-from mistray.optimize.variables import Variables
+from mistray.optimize.study.state import Start
+from mistray.optimize.study.study_scene import Placed
+from mistray.optimize.study.variables import Variables
 from mistray.physics.thinfilm import reflectance_transmittance
 
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0)  # in the rarer material

@@ -7,8 +7,8 @@ from pathlib import Path
 from mistray.coatings import Stack, parse_layers, preset
 from mistray.errors import MistrayError
 from mistray.ids import check_written_id
-from mistray.optimize.section import Section
-from mistray.optimize.study import CoatingGroup
+from mistray.optimize.study.model import CoatingGroup
+from mistray.optimize.toml.section import Section
 
 ALL = "all"
 COATING_KEYS = ("name", "surfaces", "layers", "preset", "design_nm", "first", "thickness_nm")

@@ -13,17 +13,17 @@ import numpy as np
 
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
-from mistray.optimize.checkpoint import Checkpoint
-from mistray.optimize.merit import Merit
-from mistray.optimize.read_study import read_study
-from mistray.optimize.searches import Progress, Searches
-from mistray.optimize.starts import starts
-from mistray.optimize.state import Start, State, Step
-from mistray.optimize.study import Study
-from mistray.optimize.study_scene import Placed, StudyScene, band, open_scene, place
-from mistray.optimize.terms import UNITS_OF_LAYERS, layer_value, of_layers
-from mistray.optimize.variables import Variables, find_variables
-from mistray.optimize.verify import SEEDS, Comparison, Levels, compare, measure
+from mistray.optimize.study.checkpoint import Checkpoint
+from mistray.optimize.study.comparison import SEEDS, Comparison, Levels, compare, measure
+from mistray.optimize.study.merit import Merit
+from mistray.optimize.study.model import Study
+from mistray.optimize.study.searches import Progress, Searches
+from mistray.optimize.study.starts import starts
+from mistray.optimize.study.state import Start, State, Step
+from mistray.optimize.study.study_scene import Placed, StudyScene, band, open_scene, place
+from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers
+from mistray.optimize.study.variables import Variables, find_variables
+from mistray.optimize.toml.read_study import read_study
 from mistray.ranges import SECONDS
 from mistray.scene import load
 from mistray.scene.load import find

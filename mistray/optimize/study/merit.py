@@ -1,4 +1,4 @@
-"""The merit of a scene as a function of the variables of a study, with its gradient; see `mistray.optimize.goals`."""
+"""The merit of a scene as a function of the variables of a study, with its gradient; see `goals`."""
 
 from __future__ import annotations
 
@@ -12,14 +12,14 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.goals import by_value, check, contribution, holds, least_merit, pieces
 from mistray.optimize.gradient import Gradient, gradient
-from mistray.optimize.metrics import CombinedMetric, Metric, combine
+from mistray.optimize.metrics.metric import CombinedMetric, Metric, combine
 from mistray.optimize.search.point import Pieces
-from mistray.optimize.state import Evaluation
-from mistray.optimize.study import Optimizer, Study
-from mistray.optimize.terms import layer_value, of_layers, traced_metric
-from mistray.optimize.variables import Variables
+from mistray.optimize.study.goals import by_value, check, contribution, holds, least_merit, pieces
+from mistray.optimize.study.model import Optimizer, Study
+from mistray.optimize.study.state import Evaluation
+from mistray.optimize.study.terms import layer_value, of_layers, traced_metric
+from mistray.optimize.study.variables import Variables
 
 
 def seed_of(optimizer: Optimizer, number: int) -> int:

@@ -12,9 +12,9 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.metrics import Metric
-from mistray.optimize.study import Study, Term
-from mistray.optimize.terms import RAYS, of_layers, of_pst, traced_metric
+from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.study.model import Study, Term
+from mistray.optimize.study.terms import RAYS, of_layers, of_pst, traced_metric
 
 SEEDS = 8
 

@@ -9,10 +9,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-from mistray.optimize.allocation import SCATTER, PowerCost, StepCost
-from mistray.optimize.factories import FACTORIES
-from mistray.optimize.metrics import Metric
-from mistray.optimize.section import Section
+from mistray.optimize.metrics.by_name import FACTORIES
+from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.tolerances.allocation import SCATTER, PowerCost, StepCost
+from mistray.optimize.toml.section import Section
 from mistray.renamed import old_names
 
 
@@ -24,7 +24,7 @@ class Requirement:
     Attributes
     ----------
     metric : str
-        A name in `mistray.optimize.factories.FACTORIES`.
+        A name in `mistray.optimize.metrics.by_name.FACTORIES`.
     limit : float
         In the unit of the metric, greater than 0.
     arguments : mapping
@@ -50,7 +50,7 @@ class Grades:
     surfaces : tuple of str
         Ids of shapes or patterns such as ``L*_front``.
     parameter : str
-        One of `mistray.optimize.allocation.SCATTER`.
+        One of `mistray.optimize.tolerances.allocation.SCATTER`.
     best, worst : float
         Range; the best is the smallest.
     cost : PowerCost or StepCost

@@ -14,8 +14,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum
-from mistray.optimize.views import View
+from mistray.optimize.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum
+from mistray.optimize.metrics.views import View
 from mistray.ranges import FIELD_DEG
 from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed

@@ -9,11 +9,11 @@ from typing import Any, Protocol
 import numpy as np
 
 from mistray.errors import MistrayError, UnfinishedError
-from mistray.optimize.checkpoint import Checkpoint
 from mistray.optimize.search import METHODS, stop_reason
 from mistray.optimize.search.point import Pieces, Point
-from mistray.optimize.state import Evaluation, Start, State, Step
-from mistray.optimize.study import Optimizer
+from mistray.optimize.study.checkpoint import Checkpoint
+from mistray.optimize.study.model import Optimizer
+from mistray.optimize.study.state import Evaluation, Start, State, Step
 
 STEPS_USED = "all steps used"
 TIME_USED = "the time was up"
@@ -25,7 +25,7 @@ Progress = Callable[[Step, Start], None]
 
 
 class Problem(Protocol):
-    """What is searched: see `mistray.optimize.merit.Merit`."""
+    """What is searched: see `mistray.optimize.study.merit.Merit`."""
 
     start: dict[str, float] | None
 

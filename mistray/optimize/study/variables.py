@@ -12,7 +12,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.optimize.parameters import Parameter, groups, match
 from mistray.optimize.scene_values import assign
-from mistray.optimize.study import Moved, Study, VariableGroup
+from mistray.optimize.study.model import Moved, Study, VariableGroup
 
 ROUNDING = 1e-6  # of the range, by which a start may lie outside of the bounds: parameters have single precision
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from mistray.cache.fingerprint import file_fingerprint
 from mistray.errors import MistrayError
-from mistray.optimize.state import Evaluation, Start, State
+from mistray.optimize.study.state import Evaluation, Start, State
 from mistray.read_file import read_file
 from mistray.replace_file import replace_file
 

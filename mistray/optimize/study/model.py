@@ -24,8 +24,8 @@ class Term:
     ----------
     name : str
     kind : str or callable
-        A key of `mistray.optimize.terms.KINDS`; or, from Python, a function that takes a scene and the settings of
-        `traced` with a `seed`, and returns a `Metric`.
+        A key of `mistray.optimize.study.terms.KINDS`; or, from Python, a function that takes a scene and the settings
+        of `traced` with a `seed`, and returns a `Metric`.
     goal : {"minimise", "at_least", "at_most", "keep"}
     weight : float
         Greater than 0.

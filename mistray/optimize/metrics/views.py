@@ -10,8 +10,8 @@ import numpy as np
 
 from mistray.analysis.pst.run import RAYS, pst_of_each
 from mistray.errors import MistrayError
-from mistray.optimize.observation import Observation
-from mistray.optimize.pst_observation import PstObservation
+from mistray.optimize.metrics.observation import Observation
+from mistray.optimize.metrics.pst_observation import PstObservation
 from mistray.trace import Settings, trace
 
 

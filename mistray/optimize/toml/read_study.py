@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.optimize.read_coating import read_coating
-from mistray.optimize.read_term import TRACE_KEYS, check_coatings, read_term, read_traced
-from mistray.optimize.read_variable import read_variable
 from mistray.optimize.search import METHODS
 from mistray.optimize.search.nlopt import ALGORITHMS, installed
-from mistray.optimize.section import Section
-from mistray.optimize.study import SEEDS, Optimizer, Study
-from mistray.optimize.terms import of_layers, old_arguments
+from mistray.optimize.study.model import SEEDS, Optimizer, Study
+from mistray.optimize.study.terms import of_layers, old_arguments
+from mistray.optimize.toml.read_coating import read_coating
+from mistray.optimize.toml.read_term import TRACE_KEYS, check_coatings, read_term, read_traced
+from mistray.optimize.toml.read_variable import read_variable
+from mistray.optimize.toml.section import Section
 
 PATIENCE = {"sqp": 3, "lbfgsb": 2, "adam": 10, "nlopt": 10}  # steps
 STARTS = 4  # with coatings

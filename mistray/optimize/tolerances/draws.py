@@ -13,9 +13,9 @@ import numpy as np
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.execute.workers import Workers, current_workers, do_parts
-from mistray.optimize.metrics import Metric
+from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.scene_values import assign
-from mistray.optimize.sensitivity_rows import Row, shifted_values, whole_values
+from mistray.optimize.tolerances.rows import Row, shifted_values, whole_values
 from mistray.scene.check import check_overlaps
 
 PERCENTILES = (5.0, 50.0, 95.0)

@@ -11,9 +11,9 @@ import numpy as np
 
 from mistray.analysis.pst.run import pst
 from mistray.errors import MistrayError
-from mistray.optimize.factories import FACTORIES, OF_PST
-from mistray.optimize.metrics import Metric
-from mistray.optimize.study import CoatingGroup, Term
+from mistray.optimize.metrics.by_name import FACTORIES, OF_PST
+from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.study.model import CoatingGroup, Term
 from mistray.renamed import old_names
 from mistray.trace import Settings, trace
 

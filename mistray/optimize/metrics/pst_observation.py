@@ -14,7 +14,7 @@ from mistray.analysis.metrics.glare import glare_cells
 from mistray.analysis.pst.result import CONVENTIONS, STRAY, Pst
 from mistray.errors import MistrayError
 from mistray.gradients.raw_gradient import RawGradient, Wanted
-from mistray.optimize.observation import leaf
+from mistray.optimize.metrics.observation import leaf
 from mistray.recorders.sampled import Sampled
 from mistray.recorders.sky import CLASSES
 from mistray.renamed import renamed

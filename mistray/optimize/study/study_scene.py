@@ -16,8 +16,8 @@ import numpy as np
 from mistray.coatings import METAL_K, Stack
 from mistray.errors import MistrayError
 from mistray.optimize.parameters import Parameter, parameters
-from mistray.optimize.study import CoatingGroup, Study
-from mistray.optimize.terms import of_layers
+from mistray.optimize.study.model import CoatingGroup, Study
+from mistray.optimize.study.terms import of_layers
 from mistray.sampling.sources import beams
 from mistray.scene import load
 from mistray.scene.recoat import SharedCoating, write_recoated

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from mistray.optimize.metrics import (
+from mistray.optimize.metrics.metric import (
     Metric,
     ghost_focus,
     ghost_rms_irradiance,
@@ -15,7 +15,7 @@ from mistray.optimize.metrics import (
     rms_spot,
     transmission,
 )
-from mistray.optimize.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
+from mistray.optimize.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
 
 TRACED: dict[str, Callable[..., Metric]] = {
     factory.__name__: factory

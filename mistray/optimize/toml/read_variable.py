@@ -5,8 +5,8 @@ from __future__ import annotations
 import re
 from typing import Any
 
-from mistray.optimize.section import Section
-from mistray.optimize.study import SCALES, Moved, VariableGroup
+from mistray.optimize.study.model import SCALES, Moved, VariableGroup
+from mistray.optimize.toml.section import Section
 
 VARIABLE_KEYS = ("name", "parameters", "low", "high", "scale", "each")
 ENTRY = re.compile(r"(?P<key>.*)\[(?P<entry>\d+)\]")

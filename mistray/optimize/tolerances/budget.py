@@ -15,13 +15,13 @@ import numpy as np
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.ids import fits
-from mistray.optimize.allocation import Choice, Model, allocate, excess
 from mistray.optimize.gradient import gradient
-from mistray.optimize.metrics import Metric
+from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.parameters import Parameter, parameters
-from mistray.optimize.proposals import APART
-from mistray.optimize.read_budget import BudgetStudy, Grades, read_budget
 from mistray.optimize.scene_values import assign
+from mistray.optimize.tolerances.allocation import Choice, Model, allocate, excess
+from mistray.optimize.tolerances.proposals import APART
+from mistray.optimize.toml.read_budget import BudgetStudy, Grades, read_budget
 from mistray.physics.contamination import CLEANED_SLOPE
 from mistray.scene import load
 from mistray.scene.load import find
@@ -149,8 +149,8 @@ def budget(
     Allocate cleanliness and roughness to the surfaces of a scene so that metrics stay below limits at the least cost.
 
     To first order in scatter a metric is a sum of what single surfaces scatter. The gradient gives each part, the
-    convex problem of `mistray.optimize.allocation` the numbers, and fresh gradients there correct what is not of first
-    order. The result is measured on other seeds.
+    convex problem of `mistray.optimize.tolerances.allocation` the numbers, and fresh gradients there correct what is
+    not of first order. The result is measured on other seeds.
 
     Parameters
     ----------

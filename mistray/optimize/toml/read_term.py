@@ -6,9 +6,8 @@ from collections.abc import Mapping
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.optimize.section import Section, nearest
-from mistray.optimize.study import GOALS, Term
-from mistray.optimize.terms import (
+from mistray.optimize.study.model import GOALS, Term
+from mistray.optimize.study.terms import (
     KINDS,
     LIGHT,
     OF_LAYERS,
@@ -18,6 +17,7 @@ from mistray.optimize.terms import (
     own_arguments,
     traced_arguments,
 )
+from mistray.optimize.toml.section import Section, nearest
 
 TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance", "floor_of_start")
 TRACE_KEYS = traced_arguments("path_power")

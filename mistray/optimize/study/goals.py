@@ -23,7 +23,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.optimize.search.point import Pieces
-from mistray.optimize.study import Term
+from mistray.optimize.study.model import Term
 
 
 def limit_of(term: Term, start: float) -> float | None:

@@ -1,0 +1,1 @@
+"""Studies and budgets from TOML, every key and value checked."""
