@@ -26,11 +26,11 @@ import numpy as np
 import peers
 
 from mistray.errors import MistrayError
+from mistray.io.codev.read import read_codev
+from mistray.io.zemax.read import read_zemax
 from mistray.materials.agf import decode
-from mistray.prescription.first_order import first_order
-from mistray.prescription.read_codev import read_codev
-from mistray.prescription.read_zemax import read_zemax
-from mistray.prescription.sequential import Sequential
+from mistray.prescription.sequential.first_order import first_order
+from mistray.prescription.sequential.table import Sequential
 
 DATA = Path(__file__).parent / "data"
 FIRST_ORDER, RAYS, OWN = DATA / "lens_files.csv", DATA / "lens_file_rays.csv", DATA / "lenses"
@@ -186,7 +186,7 @@ def starts(lens: Sequential) -> tuple[np.ndarray, np.ndarray]:
     Returns
     -------
     positions, directions : (n_fields, 3, 3) float64
-        In the world of `mistray.prescription.sequential_rays`, mm.
+        In the world of `mistray.prescription.sequential.rays`, mm.
     """
     data = first_order(lens)
     pupil_z = data.entrance_pupil_z if math.isfinite(data.entrance_pupil_z) else 0.0

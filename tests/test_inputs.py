@@ -21,6 +21,8 @@ from mistray.cli.program import main
 from mistray.coatings.files import read_coating
 from mistray.errors import MistrayError
 from mistray.files.irradiance_files import read_irradiance
+from mistray.io.codev.read import read_codev
+from mistray.io.zemax.read import read_zemax
 from mistray.materials import refractive_index
 from mistray.materials.agf import glass_names
 from mistray.mechanics import read_mechanics
@@ -28,8 +30,6 @@ from mistray.optimize.study.checkpoint import Checkpoint
 from mistray.optimize.toml.read_budget import read_budget
 from mistray.optimize.toml.read_study import read_study
 from mistray.prescription import from_batoid, from_json
-from mistray.prescription.read_codev import read_codev
-from mistray.prescription.read_zemax import read_zemax
 from mistray.read_file import read_text
 from mistray.report.rays.ray_files import read_rays
 from mistray.scatter.bsdf_csv import read_bsdf_csv
@@ -263,7 +263,7 @@ ELSEWHERE = {
     "mistray/files/irradiance_files.py: openexr.File": "a file to write; after require_file",
     "mistray/files/irradiance_files.py: draft.read_bytes": "a file that was written just now",
     "mistray/analysis/pst/state.py: zipfile.ZipFile": "bytes of open_input",
-    "mistray/mechanics/read_mesh.py: trimesh.load_scene": "bytes of read_file",
+    "mistray/io/cad/mesh.py: trimesh.load_scene": "bytes of read_file",
     "mistray/scene/load.py: mi.parser.parse_file": "after check_depth",
 }
 

@@ -262,7 +262,7 @@ def test_a_batoid_file_that_repeats_itself_without_end_is_refused(tmp_path: Path
 
 def test_checked_batoid_files_read_as_batoid_reads_them() -> None:
     batoid = pytest.importorskip("batoid")
-    from mistray.prescription.batoid_file import read_optic
+    from mistray.io.batoid.file import read_optic
 
     for name in ("LSST/LSST_r.yaml", "DECam/DECam.yaml", "HSC/HSC.yaml"):
         file = Path(batoid.datadir) / name

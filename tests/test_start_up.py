@@ -89,7 +89,7 @@ def test_every_module_can_be_the_first_that_the_command_imports(tmp_path: Path) 
     run(sys.executable, str(script), "mistray.scene", "mistray.mechanics", "mistray.kernel.lobes")
 
 
-@pytest.mark.parametrize("package", ["analysis", "optimize", "report"])
+@pytest.mark.parametrize("package", ["analysis", "io", "optimize", "report"])
 def test_names_of_a_lazy_package(package: str) -> None:
     """All of `__all__` are there, also where a module of the package has the same name as its function."""
     module = importlib.import_module(f"mistray.{package}")

@@ -48,8 +48,8 @@ def add(commands: Any) -> None:
 
 def run(options: argparse.Namespace) -> int:
     """Run the command."""
-    from mistray.prescription.to_sequential import to_sequential
-    from mistray.prescription.write_zemax import write_zemax
+    from mistray.io.to_sequential import to_sequential
+    from mistray.io.zemax.write import write_zemax
     from mistray.scene.read_optics import read_optics
 
     output = options.output or Path(f"{Path(options.scene).stem}.zmx")

@@ -19,7 +19,7 @@ from mistray.read_file import require_file
 
 if TYPE_CHECKING:
     from mistray.prescription import Prescription, Sequential
-    from mistray.prescription.build import Built
+    from mistray.prescription.build.system import Built
 
 # Options that only some formats know: each with the words for it and the formats
 _SEQUENTIAL = ("zmx", "seq")
@@ -113,7 +113,7 @@ def run(options: argparse.Namespace) -> int:
     else:
         prescription = _from_json(lens, options) if kind == "json" else _from_batoid(lens, options)
         record = {"notes": prescription.provenance.splitlines()[1:], "unread": []}
-    from mistray.prescription.from_files import beside
+    from mistray.prescription.scene_file import beside
 
     beside(prescription, output.parent).to_xml(output)
     shapes = sum(1 for _ in prescription.shapes())
@@ -144,9 +144,9 @@ def _check(options: argparse.Namespace, kind: str) -> None:
 
 
 def _from_sequential(lens: Path, kind: str, options: argparse.Namespace) -> Built:
-    from mistray.prescription.build import build
-    from mistray.prescription.read_codev import read_codev
-    from mistray.prescription.read_zemax import read_zemax
+    from mistray.io.codev.read import read_codev
+    from mistray.io.zemax.read import read_zemax
+    from mistray.prescription.build.system import build
 
     glasses = dict(_glass(text) for text in options.glass or [])
     shared: dict[str, Any] = {"glass_catalogues": options.glass_catalogue or (), "glasses": glasses or None}

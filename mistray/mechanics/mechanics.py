@@ -13,16 +13,16 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ids import fits
+from mistray.io.cad.mesh import read_mesh
+from mistray.io.cad.part import UNITS_MM, Part, unique_names
+from mistray.io.cad.step import read_step
 from mistray.mechanics.finish import ABSORBER, Finish, finish
-from mistray.mechanics.part import UNITS_MM, Part, unique_names
 from mistray.mechanics.ply import ply_bytes
-from mistray.mechanics.read_mesh import read_mesh
-from mistray.mechanics.read_step import read_step
 from mistray.mechanics.recognise import Band, bands
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Placed, Structure
 from mistray.prescription.scene_file import comment_text, structure_text
-from mistray.prescription.sequential import Unread
+from mistray.prescription.sequential.table import Unread
 from mistray.read_file import require_file
 from mistray.replace_file import replace_files
 

@@ -16,7 +16,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from mistray.mechanics.part import Part, RoundSurface
+from mistray.io.cad.part import Part, RoundSurface
 
 LENGTH_DIGITS = 5  # mm: 10 nm, the single precision of a transform in metres
 LARGEST_STEP_RAD = 0.11  # between corners of a circle; a polygon of fewer than 58 sides is no circle

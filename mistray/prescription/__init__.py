@@ -1,25 +1,34 @@
-"""What an optical system is: dataclasses, geometry generators and readers."""
+"""What an optical system is: its dataclasses, the generators of its mechanical faces, its scene file."""
 
-from mistray.prescription.baffle_cassegrain import CassegrainBaffles, cassegrain_baffles
-from mistray.prescription.baffle_two_stage import TwoStageBaffle, two_stage_baffle
-from mistray.prescription.baffle_vanes import Vane, VaneEdge
-from mistray.prescription.baffle_zones import first_order_zones, lit_zones, seen_zones
-from mistray.prescription.baffles import BaffleTube, hood_length, vane_tube
-from mistray.prescription.build import Built, to_prescription
+from typing import TYPE_CHECKING, Any
+
+from mistray.prescription.baffles.cassegrain import CassegrainBaffles, cassegrain_baffles
+from mistray.prescription.baffles.tube import BaffleTube, hood_length, vane_tube
+from mistray.prescription.baffles.two_stage import TwoStageBaffle, two_stage_baffle
+from mistray.prescription.baffles.vanes import Vane, VaneEdge
+from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
+from mistray.prescription.build.system import Built, to_prescription
 from mistray.prescription.coating import Coating
-from mistray.prescription.first_order import FirstOrder
-from mistray.prescription.from_files import from_codev, from_optiland, from_rayoptics, from_zemax
 from mistray.prescription.geometry import barrel, detector_frame, lens_edge, wall
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Prescription, Source, Stop, Structure, Surface
-from mistray.prescription.read_batoid import from_batoid
-from mistray.prescription.read_codev import read_codev
-from mistray.prescription.read_json import from_json
-from mistray.prescription.read_zemax import read_zemax
 from mistray.prescription.scatter import Scatter
-from mistray.prescription.sequential import ClearAperture, Decentre, Row, Sequential, Unread
-from mistray.prescription.to_sequential import to_sequential
-from mistray.prescription.write_zemax import write_zemax
+from mistray.prescription.sequential.first_order import FirstOrder
+from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential, Unread
+
+if TYPE_CHECKING:
+    from mistray.io import (
+        from_batoid,
+        from_codev,
+        from_json,
+        from_optiland,
+        from_rayoptics,
+        from_zemax,
+        read_codev,
+        read_zemax,
+        to_sequential,
+        write_zemax,
+    )
 
 __all__ = [
     "BaffleTube",
@@ -66,3 +75,16 @@ __all__ = [
     "wall",
     "write_zemax",
 ]
+
+
+def __getattr__(name: str) -> Any:
+    """The readers and writers of lens files, which live in `mistray.io`."""
+    if name in __all__:
+        from mistray import io
+
+        return getattr(io, name)
+    raise AttributeError(f"module '{__name__}' has no attribute '{name}'")
+
+
+def __dir__() -> list[str]:
+    return sorted({*globals(), *__all__})

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+import os
 from collections.abc import Container, Iterable, Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 from xml.sax.saxutils import escape, quoteattr
 
 from mistray._variant import ensure_variant
 from mistray.errors import MistrayError
+from mistray.materials import resolved
 from mistray.prescription.coating import Coating
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Detector, Placed, Source, Structure, Surface
@@ -287,3 +289,37 @@ def _number(value: float) -> str:
 def comment_text(text: str) -> str:
     """A text that may stand within an XML comment."""
     return escape(text).replace("--", "- -")
+
+
+def beside(prescription: Prescription, folder: str | Path) -> Prescription:
+    """
+    The same system with the paths of coating and glass files as seen from a folder, for a scene file there.
+
+    Parameters
+    ----------
+    prescription : Prescription
+        Its relative paths begin in the current folder.
+    folder : str or Path
+        Where the scene file goes.
+    """
+
+    def seen(path: str) -> str:
+        return path if os.path.isabs(path) else Path(os.path.relpath(path, folder)).as_posix()
+
+    def moved(shape: Any) -> Any:
+        changes: dict[str, Any] = {}
+        for side in ("front", "back"):
+            if hasattr(shape, side) and (material := resolved(getattr(shape, side), seen)) != getattr(shape, side):
+                changes[side] = material
+        coating = getattr(shape, "coating", None)
+        if coating is not None and coating.table is not None:
+            changes["coating"] = replace(coating, table=seen(coating.table))
+        return replace(shape, **changes) if changes else shape
+
+    return replace(
+        prescription,
+        surfaces=tuple(moved(shape) for shape in prescription.surfaces),
+        structures=tuple(moved(shape) for shape in prescription.structures),
+        stop=prescription.stop and moved(prescription.stop),
+        detector=prescription.detector and moved(prescription.detector),
+    )

@@ -13,10 +13,10 @@ from matplotlib.axes import Axes
 from matplotlib.lines import Line2D
 
 from mistray.prescription import Prescription, Structure, Surface
-from mistray.prescription.baffle_cassegrain import CassegrainBaffles
-from mistray.prescription.baffle_two_stage import TwoStageBaffle
-from mistray.prescription.baffle_zones import first_order_zones, lit_zones, seen_zones
-from mistray.prescription.baffles import BaffleTube
+from mistray.prescription.baffles.cassegrain import CassegrainBaffles
+from mistray.prescription.baffles.tube import BaffleTube
+from mistray.prescription.baffles.two_stage import TwoStageBaffle
+from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 from mistray.report.figures.figure import Figure
 from mistray.report.figures.plots import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Stop, Structure, Surface, lens_edge
-from mistray.prescription.baffles import vane_tube
+from mistray.prescription.baffles.tube import vane_tube
 
 TUBE_RADIUS = 30.0
 LENS_Z, LENS_RADIUS, LENS_THICKNESS, CURVATURE_RADIUS = 100.0, 18.0, 6.0, 80.0
@@ -60,5 +60,5 @@ def build() -> Prescription:
         stop=Stop(STOP_RADIUS, STOP_Z, STOP_Z, TUBE_RADIUS, TUBE_RADIUS, **black),
         detector=Detector(z=DETECTOR_Z, semi_diameter=DETECTOR_RADIUS, pixels=(120, 120)),
         source=Source(radius=tube.vanes[0].radius, wavelength_nm=(550.0,)),
-        provenance="Vanes by mistray.prescription.baffles.vane_tube; see SOURCE.md.",
+        provenance="Vanes by mistray.prescription.baffles.tube.vane_tube; see SOURCE.md.",
     )

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface
-from mistray.prescription.baffle_cassegrain import cassegrain_baffles
-from mistray.prescription.baffles import vane_tube
+from mistray.prescription.baffles.cassegrain import cassegrain_baffles
+from mistray.prescription.baffles.tube import vane_tube
 
 PRIMARY_FOCAL_LENGTH, PRIMARY_RADIUS, HOLE_RADIUS = 500.0, 100.0, 26.0
 SECONDARY_DISTANCE, SECONDARY_RADIUS, SECONDARY_THICKNESS = 370.0, 24.0, 5.0
@@ -78,5 +78,5 @@ def build() -> Prescription:
         ),
         detector=detector,
         source=Source(radius=PRIMARY_RADIUS, z=-TUBE_LENGTH, plane="axis", wavelength_nm=(550.0,)),
-        provenance="Baffles by mistray.prescription.baffle_cassegrain and baffles; see SOURCE.md.",
+        provenance="Baffles by mistray.prescription.baffles.cassegrain and baffles; see SOURCE.md.",
     )

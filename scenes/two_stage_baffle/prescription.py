@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source, Structure, Surface, lens_edge
-from mistray.prescription.baffle_two_stage import two_stage_baffle
+from mistray.prescription.baffles.two_stage import two_stage_baffle
 
 LENS_RADIUS, LENS_THICKNESS, CURVATURE_RADIUS, CONIC = 10.0, 5.0, 20.672, -0.582
 DETECTOR_Z, DETECTOR_RADIUS = 41.704, 3.5
@@ -52,5 +52,5 @@ def build() -> Prescription:
         ),
         detector=Detector(z=DETECTOR_Z, semi_diameter=DETECTOR_RADIUS, pixels=(70, 70)),
         source=Source(radius=LENS_RADIUS, wavelength_nm=(550.0,)),
-        provenance="Baffle by mistray.prescription.baffle_two_stage; see SOURCE.md.",
+        provenance="Baffle by mistray.prescription.baffles.two_stage; see SOURCE.md.",
     )

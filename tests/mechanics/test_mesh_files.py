@@ -11,9 +11,9 @@ import pytest
 
 from mistray import MistrayError
 from mistray._mitsuba_compat import mesh_arrays
+from mistray.io.cad.mesh import read_mesh
 from mistray.mechanics import read_mechanics
 from mistray.mechanics.ply import ply_bytes
-from mistray.mechanics.read_mesh import read_mesh
 
 DATA = Path(__file__).parents[1] / "data"
 CORNERS = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 4.0)]

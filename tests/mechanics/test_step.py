@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from mistray import MistrayError
-from mistray.mechanics import Mechanics, read_mechanics, read_step
-from mistray.mechanics.part import Part, RoundSurface
+from mistray.io.cad import step
+from mistray.io.cad.part import Part, RoundSurface
+from mistray.mechanics import Mechanics, read_mechanics
 from mistray.mechanics.recognise import bands
 from mistray.prescription import MeshStructure, Structure
 from mistray.prescription.model import Placed
@@ -326,7 +327,7 @@ class TestDamage:
         """A reader that hangs is ended."""
         slow = tmp_path / "slow.py"
         slow.write_text("import time\ntime.sleep(60)\n", encoding="ascii")
-        monkeypatch.setattr(read_step, "PROGRAM", slow)
+        monkeypatch.setattr(step, "PROGRAM", slow)
         start = time.monotonic()
         assert "not read within 0.1 s" in self.line(DATA / "vane_tube.step", time_limit_s=0.1)
         assert time.monotonic() - start < 10
@@ -334,27 +335,27 @@ class TestDamage:
     def test_limit_of_processor_time(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         """The process ends itself: it runs with the limits of the true one."""
         busy = tmp_path / "busy.py"
-        limits = Path(read_step.__file__).with_name("step_process.py")
+        limits = Path(step.__file__).with_name("step_process.py")
         busy.write_text(
             f"import runpy, sys\nsys.modules['cascadio'] = type(sys)('cascadio')\n"
             f"def forever(*a, **k):\n    while True:\n        pass\n"
             f"sys.modules['cascadio'].step_to_glb = forever\nrunpy.run_path({str(limits)!r}, run_name='__main__')\n",
             encoding="ascii",
         )
-        monkeypatch.setattr(read_step, "PROGRAM", busy)
-        monkeypatch.setattr(read_step, "PATIENCE", 1000.0)
+        monkeypatch.setattr(step, "PROGRAM", busy)
+        monkeypatch.setattr(step, "PATIENCE", 1000.0)
         assert "not read within 0.5 s" in self.line(DATA / "vane_tube.step", time_limit_s=0.5)
 
     def test_a_crash_is_one_line(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         crash = tmp_path / "crash.py"
         crash.write_text("import os, signal\nos.kill(os.getpid(), signal.SIGSEGV)\n", encoding="ascii")
-        monkeypatch.setattr(read_step, "PROGRAM", crash)
+        monkeypatch.setattr(step, "PROGRAM", crash)
         assert "OpenCASCADE gives up on it" in self.line(DATA / "vane_tube.step")
 
     def test_without_cascadio(self, monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
         absent = tmp_path / "absent.py"
         absent.write_text("import sys\nsys.exit(3)\n", encoding="ascii")
-        monkeypatch.setattr(read_step, "PROGRAM", absent)
+        monkeypatch.setattr(step, "PROGRAM", absent)
         assert "pip install 'mistray[cad]'" in self.line(DATA / "vane_tube.step")
 
     def test_wrong_unit(self) -> None:

@@ -11,14 +11,15 @@ import peers
 import pytest
 
 from mistray import MistrayError
+from mistray.io.conventions import figure, object_na, turns_deg
+from mistray.io.optiland import from_optiland
+from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
 from mistray.physics.sag import sag
-from mistray.prescription.adapted import figure, object_na, same_material, turns_deg
-from mistray.prescription.first_order import first_order
-from mistray.prescription.from_optiland import from_optiland
-from mistray.prescription.from_rayoptics import from_rayoptics
-from mistray.prescription.sequential import ClearAperture, Decentre, Row, Sequential
-from mistray.prescription.sequential_rays import motion, trace
+from mistray.prescription.sequential.first_order import first_order
+from mistray.prescription.sequential.materials import same_material
+from mistray.prescription.sequential.rays import motion, trace
+from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential
 
 
 def by_name(name: str):

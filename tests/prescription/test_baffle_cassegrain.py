@@ -13,7 +13,7 @@ import pytest
 
 from mistray.errors import MistrayError
 from mistray.prescription import Coating, Detector, Surface
-from mistray.prescription.baffle_cassegrain import cassegrain_baffles
+from mistray.prescription.baffles.cassegrain import cassegrain_baffles
 
 FIELD_DEG = 0.286
 GIVEN = {"field_deg": FIELD_DEG, "wall_depth": 4.0, "wall_rear": 26.0}

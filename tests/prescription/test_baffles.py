@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.prescription.baffle_two_stage import two_stage_baffle
-from mistray.prescription.baffle_vanes import Vane, VaneEdge, vane_faces
-from mistray.prescription.baffle_zones import first_order_zones, lit_zones, seen_zones
-from mistray.prescription.baffles import BaffleTube, hood_length, vane_tube
+from mistray.prescription.baffles.tube import BaffleTube, hood_length, vane_tube
+from mistray.prescription.baffles.two_stage import two_stage_baffle
+from mistray.prescription.baffles.vanes import Vane, VaneEdge, vane_faces
+from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 
 SKIN = 1e-6  # distance of tested points from the faces, mm
 

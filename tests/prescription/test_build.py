@@ -11,9 +11,9 @@ from sequential_lenses import by_name, lens, newtonian, triplet
 
 from mistray import MistrayError
 from mistray.prescription import ClearAperture, Coating, Decentre, Row, Structure, Surface, Unread
-from mistray.prescription.build import build, to_prescription
-from mistray.prescription.from_files import beside
-from mistray.prescription.sequential_rays import to_world, trace
+from mistray.prescription.build.system import build, to_prescription
+from mistray.prescription.scene_file import beside
+from mistray.prescription.sequential.rays import to_world, trace
 
 
 def ends(piece: Structure) -> list[tuple[float, float]]:

@@ -11,7 +11,7 @@ from sequential_lenses import BORED, newtonian, triplet
 
 import mistray
 from mistray.prescription import Coating, Sequential, to_prescription
-from mistray.prescription.sequential_rays import trace
+from mistray.prescription.sequential.rays import trace
 
 RAYS = 40_000
 CLEAR = Coating(R=0.0, T=1.0)

@@ -9,9 +9,9 @@ import pytest
 
 from mistray import MistrayError
 from mistray.prescription import ClearAperture, Decentre, Row, Sequential
-from mistray.prescription.design_rays import edge_rays, launch
-from mistray.prescription.first_order import first_order
-from mistray.prescription.sequential_rays import trace
+from mistray.prescription.sequential.edge_rays import edge_rays, launch
+from mistray.prescription.sequential.first_order import first_order
+from mistray.prescription.sequential.rays import trace
 
 N, R1, R2, T = 1.5168, 60.0, -80.0, 9.0
 

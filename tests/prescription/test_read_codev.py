@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 from mistray import MistrayError
+from mistray.io.codev.commands import commands
+from mistray.io.codev.glasses import table_material
+from mistray.io.codev.read import read_codev
 from mistray.materials import refractive_index
-from mistray.prescription.codev_glass import table_material
-from mistray.prescription.codev_lines import commands
-from mistray.prescription.first_order import first_order, paraxial_system
-from mistray.prescription.read_codev import read_codev
-from mistray.prescription.sequential import ClearAperture, Sequential
-from mistray.prescription.sequential_rays import to_world, trace
+from mistray.prescription.sequential.first_order import first_order, paraxial_system
+from mistray.prescription.sequential.rays import to_world, trace
+from mistray.prescription.sequential.table import ClearAperture, Sequential
 
 DOUBLET = """
 RDM;LEN "VERSION: 11.2; not a command"

@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
+from mistray.io.zemax.read import read_zemax
 from mistray.materials import refractive_index
-from mistray.prescription.first_order import first_order
-from mistray.prescription.read_zemax import read_zemax
-from mistray.prescription.sequential import ClearAperture, Decentre, Sequential
-from mistray.prescription.sequential_rays import frames, to_world, trace
+from mistray.prescription.sequential.first_order import first_order
+from mistray.prescription.sequential.rays import frames, to_world, trace
+from mistray.prescription.sequential.table import ClearAperture, Decentre, Sequential
 
 COATINGS = Path(__file__).parents[1] / "data" / "coating_sample.dat"
 SYSTEM = """MODE SEQ

@@ -10,7 +10,7 @@ import pytest
 from mistray import MistrayError
 from mistray.physics.sag import sag
 from mistray.prescription import ClearAperture, Decentre, Row, Sequential
-from mistray.prescription.sequential_rays import frames, passes, to_world, trace
+from mistray.prescription.sequential.rays import frames, passes, to_world, trace
 
 ALONG = (0.0, 0.0, 1.0)
 

@@ -12,12 +12,12 @@ import pytest
 
 from mistray.cli.program import main
 from mistray.errors import MistrayError
+from mistray.io.to_sequential import to_sequential
+from mistray.io.zemax.read import read_zemax
+from mistray.io.zemax.write import write_zemax
 from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
-from mistray.prescription.read_zemax import read_zemax
-from mistray.prescription.sequential import ClearAperture, Decentre, Row, Sequential
-from mistray.prescription.sequential_rays import frames, to_world, trace
-from mistray.prescription.to_sequential import to_sequential
-from mistray.prescription.write_zemax import write_zemax
+from mistray.prescription.sequential.rays import frames, to_world, trace
+from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential
 from mistray.scenes.newtonian.prescription import build as newtonian
 
 IMAGE = Row(9, kind="image")

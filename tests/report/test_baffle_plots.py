@@ -7,10 +7,10 @@ from io import BytesIO
 import pytest
 from matplotlib.collections import PolyCollection
 
-from mistray.prescription.baffle_cassegrain import cassegrain_baffles
-from mistray.prescription.baffle_two_stage import two_stage_baffle
-from mistray.prescription.baffle_zones import first_order_zones, lit_zones, seen_zones
-from mistray.prescription.baffles import vane_tube
+from mistray.prescription.baffles.cassegrain import cassegrain_baffles
+from mistray.prescription.baffles.tube import vane_tube
+from mistray.prescription.baffles.two_stage import two_stage_baffle
+from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 from mistray.report.baffle_plots import baffle_figure, cassegrain_figure
 from mistray.report.figures.plots import BLUE, ORANGE, VERMILION
 

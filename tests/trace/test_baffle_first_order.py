@@ -16,9 +16,9 @@ import pytest
 import mistray
 from mistray.analysis.pst.run import pst
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source
-from mistray.prescription.baffle_two_stage import two_stage_baffle
-from mistray.prescription.baffle_vanes import VaneEdge
-from mistray.prescription.baffles import vane_tube
+from mistray.prescription.baffles.tube import vane_tube
+from mistray.prescription.baffles.two_stage import two_stage_baffle
+from mistray.prescription.baffles.vanes import VaneEdge
 
 BLACK = Coating(R=0.0)
 PAINT = (Scatter("paint", {"reflectance": 0.3}, name="grey"),)

@@ -13,7 +13,7 @@ import pytest
 
 from mistray.analysis.pst.run import pst
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source
-from mistray.prescription.baffle_two_stage import two_stage_baffle
+from mistray.prescription.baffles.two_stage import two_stage_baffle
 
 ALBEDO = 0.02
 LOW_DEG, HIGH_DEG = 45.0, 75.0

@@ -1,0 +1,40 @@
+"""Lens files and CAD files of other programs, read and written."""
+
+from typing import TYPE_CHECKING
+
+from mistray._lazy import lazy_package
+
+if TYPE_CHECKING:
+    from mistray.io.batoid.read import from_batoid
+    from mistray.io.camera_json import from_json
+    from mistray.io.codev.read import read_codev
+    from mistray.io.prescriptions import from_codev, from_optiland, from_rayoptics, from_zemax
+    from mistray.io.to_sequential import to_sequential
+    from mistray.io.zemax.read import read_zemax
+    from mistray.io.zemax.write import write_zemax
+
+__all__ = [
+    "from_batoid",
+    "from_codev",
+    "from_json",
+    "from_optiland",
+    "from_rayoptics",
+    "from_zemax",
+    "read_codev",
+    "read_zemax",
+    "to_sequential",
+    "write_zemax",
+]
+
+lazy_package(
+    __name__,
+    {
+        "batoid.read": ["from_batoid"],
+        "camera_json": ["from_json"],
+        "codev.read": ["read_codev"],
+        "prescriptions": ["from_codev", "from_optiland", "from_rayoptics", "from_zemax"],
+        "to_sequential": ["to_sequential"],
+        "zemax.read": ["read_zemax"],
+        "zemax.write": ["write_zemax"],
+    },
+)

@@ -1,0 +1,1 @@
+"""Parts from CAD and mesh files: STEP, STL, OBJ, PLY."""

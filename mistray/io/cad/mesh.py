@@ -1,0 +1,137 @@
+"""Triangle meshes: STL and PLY through trimesh, OBJ with its objects and groups."""
+
+from __future__ import annotations
+
+import io
+import logging
+import warnings
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.io.cad.part import Part, checked, unique_names
+from mistray.materials.mate import shown
+from mistray.prescription.sequential.table import Unread
+from mistray.read_file import read_file
+
+Found = tuple[dict[str, Any], list[Unread]]  # vertices and triangles by title, and what else is in the file
+LOOKS = ("vt", "vn", "s", "mtllib", "usemtl")  # lines of an OBJ file that say nothing about shape
+
+
+def read_mesh(path: Path, *, unit_mm: float) -> tuple[list[Part], list[Unread]]:
+    """
+    Parts of an STL, PLY or OBJ file.
+
+    An STL or PLY file is one part, named after the file; an ASCII STL file may hold several solids with names. A part
+    of an OBJ file is what one ``o`` and ``g`` line name together. Polygons are cut into triangles from their first
+    corner. Each part is one face, because these files have no surfaces.
+
+    Parameters
+    ----------
+    path : Path
+    unit_mm : float
+        mm for each unit of the file, which states none.
+
+    Returns
+    -------
+    parts : list of Part
+    unread : list of Unread
+        Lines and elements that hold no polygons, triangles of no area.
+
+    Raises
+    ------
+    MistrayError
+        If the file is damaged or empty, or trimesh is missing.
+    """
+    what = path.suffix.lower()[1:].upper()
+    read = _obj if what == "OBJ" else _trimesh
+    try:
+        found, unread = read(path)
+    except MistrayError:
+        raise
+    except Exception as error:  # trimesh raises all kinds
+        reason = shown(str(error).split()) or type(error).__name__
+        raise MistrayError(f"{what} file '{path}': it cannot be read ({reason}); export it again") from None
+    found = {title: mesh for title, mesh in found.items() if len(mesh[1])}
+    if not found:
+        raise MistrayError(f"{what} file '{path}': it holds no triangles; export it as a mesh")
+    parts = []
+    for name, (title, (vertices, triangles)) in zip(unique_names(found), found.items(), strict=True):
+        vertices = unit_mm * np.asarray(vertices, dtype=np.float64).reshape(-1, 3)
+        triangles = np.asarray(triangles, dtype=np.int64).reshape(-1, 3)
+        part = Part(name, title, title, title, vertices, triangles, np.zeros(len(triangles), dtype=np.int64))
+        part, empty = checked(part)
+        if empty:
+            unread.append(
+                Unread(0, f"part '{shown([title])}', {empty} triangles", "they have no area; they are left out")
+            )
+        parts.append(part)
+    return parts, unread
+
+
+def _trimesh(path: Path) -> Found:
+    try:
+        import trimesh
+    except ImportError:
+        raise MistrayError("trimesh is not installed; run: pip install 'mistray[cad]'") from None
+    log = logging.getLogger("trimesh")
+    if not log.handlers:  # or its warnings, with tracebacks, would go to stderr
+        log.addHandler(logging.NullHandler())
+    with io.BytesIO(read_file(path, "mechanics")) as file, warnings.catch_warnings():
+        # NumPy warns of text that is no number, and goes on without it
+        warnings.filterwarnings("error", "string or file could not be read")
+        scene = trimesh.load_scene(file, file_type=path.suffix[1:].lower(), process=False)
+    named = len(scene.geometry) > 1
+    meshes = {name: mesh for name, mesh in scene.geometry.items() if hasattr(mesh, "faces")}
+    unread = [Unread(0, f"'{shown([name])}'", "it has no faces") for name in scene.geometry if name not in meshes]
+    return {name if named else path.stem: (mesh.vertices, mesh.faces) for name, mesh in meshes.items()}, unread
+
+
+def _obj(path: Path) -> Found:
+    """Wavefront OBJ: its ``v``, ``f``, ``o`` and ``g`` lines; vertices count from 1, with a minus sign from the end."""
+    others: dict[str, list[tuple[int, str]]] = {}
+    vertices: list[list[float]] = []
+    triangles: dict[str, list[tuple[int, int, int]]] = {}
+    names = {"o": "", "g": ""}
+    for number, line in enumerate(read_file(path, "mechanics").decode("utf-8", "replace").splitlines(), start=1):
+        words = line.split()
+        if not words:
+            continue
+        try:
+            if words[0] == "v":
+                vertices.append([float(word) for word in words[1:4]])
+                if len(words) < 4:
+                    raise ValueError("it has fewer than three coordinates")
+            elif words[0] in names:
+                names[words[0]] = " ".join(words[1:])
+                if words[0] == "o":
+                    names["g"] = ""
+            elif words[0] == "f":
+                corners = [_corner(word, len(vertices)) for word in words[1:]]
+                if len(corners) < 3:
+                    raise ValueError("a face has fewer than three corners")
+                title = "/".join(filter(None, names.values())) or path.stem
+                mine = triangles.setdefault(title, [])
+                mine += [(corners[0], b, c) for b, c in pairwise(corners[1:])]
+            elif words[0] not in LOOKS and not words[0].startswith("#"):
+                others.setdefault(words[0], []).append((number, shown(words)))
+        except ValueError as error:
+            reason = shown(str(error).split())
+            raise MistrayError(
+                f"OBJ file '{path}', line {number}: '{shown(words)}': {reason}; export it again"
+            ) from None
+    unread = [
+        Unread(*lines[0], f"{len(lines)} '{word}' lines; they hold no polygons") for word, lines in others.items()
+    ]
+    return {title: (vertices, faces) for title, faces in triangles.items()}, unread
+
+
+def _corner(word: str, count: int) -> int:
+    number = int(word.split("/")[0])
+    index = number - 1 if number > 0 else count + number
+    if number == 0 or not 0 <= index < count:
+        raise ValueError(f"there is no vertex {number}")
+    return index

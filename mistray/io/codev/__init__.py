@@ -1,0 +1,1 @@
+"""CODE V command files (.seq)."""

@@ -1,0 +1,140 @@
+"""Glasses as CODE V files name them.
+
+- ``NBK7_SCHOTT``: name without its hyphens, and the maker; a name alone is looked up with every maker. Names that no
+  maker has may be those of `zemax_glass.SYNONYMS`: ``BK7`` is taken for N-BK7, and a note says so.
+- ``517642``: glass code, nd - 1 in thousandths and 10 Vd; ``517.642`` and ``516800.641700`` are the same with as many
+  digits of each as there are. CODE V has dispersion formulas of its own for them; here it is `cauchy_index` through nd
+  and Vd.
+- ``1.5168:64.17``: nd and Vd.
+- ``'E48'``: of the private catalogue (PRV … END), a table of n over wavelength.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.io.glasses import FileGlasses, remedy
+from mistray.io.zemax.glasses import SYNONYMS
+from mistray.materials.agf import glass_names
+from mistray.materials.catalogue import MAKERS, PINNED, glasses
+from mistray.materials.mate import shown
+
+_CODE = re.compile(r"(\d{1,12})\.(\d{2,12})|(\d{3})(\d{3})")
+_PAIR = re.compile(r"(\d+\.?\d*):(\d+\.?\d*)")
+_NEIGHBOURS = 4
+_DIGITS = 7
+
+
+class CodevGlasses(FileGlasses):
+    """
+    Finds the material of a glass.
+
+    Parameters
+    ----------
+    private : mapping of str to str
+        Material strings of the private catalogue by name in capitals.
+    agf : sequence of Path
+        AGF files, which go before the makers' catalogues.
+    replaced, wavelengths_nm
+        As in `FileGlasses`.
+    """
+
+    def __init__(
+        self,
+        private: Mapping[str, str],
+        agf: Sequence[str | Path],
+        replaced: Mapping[str, str],
+        wavelengths_nm: Sequence[float],
+    ) -> None:
+        super().__init__(replaced, wavelengths_nm)
+        self._private = private
+        self._agf = [(file, {_plain(name): name for name in glass_names(Path(file))}) for file in agf]
+
+    def material(self, word: str) -> str:
+        """
+        Material string of a glass as the file names it, without quotes; its k is known, 0 if nothing else is.
+
+        Raises
+        ------
+        MistrayError
+            If no catalogue has it, or it has no index at one of the wavelengths.
+        """
+        return self._checked(self._named(word), word)
+
+    def _named(self, word: str) -> str:
+        name = word.upper()
+        if (asked := self._asked_for(word)) is not None:
+            return asked
+        if name in self._private:
+            return self._private[name]
+        if match := _PAIR.fullmatch(word):
+            return self._fictitious(word, float(match[1]), float(match[2]))
+        if match := _CODE.fullmatch(word):
+            n, v = (match[1], match[2]) if match[1] else (match[3], match[4])
+            return self._fictitious(word, 1 + int(n) / 10 ** len(n), int(v) / 10 ** (len(v) - 2))
+        glass, _, maker = name.rpartition("_")
+        if maker.lower() not in MAKERS:
+            glass, maker = name, ""
+        wanted = _plain(glass)
+        for file, names in self._agf:
+            if wanted in names:
+                return f"{file}:{names[wanted]}"
+        makers = [maker.lower()] if maker else list(MAKERS)
+        known = {_plain(key): entry.name for each in reversed(makers) for key, entry in glasses()[each].items()}
+        if wanted in known:
+            return known[wanted]
+        other = SYNONYMS | {_plain(key): key for key in PINNED}
+        if not maker and wanted in other:
+            if other[wanted] != "air":
+                self._note(f"glass {word}: taken to be {other[wanted]}")
+            return other[wanted]
+        raise self._unknown(word, wanted, known, maker)
+
+    def _fictitious(self, word: str, nd: float, vd: float) -> str:
+        self._note(
+            f"glass {word}: nd = {nd:.9g}, Vd = {vd:.9g}; its index is exact at 587.56 nm, elsewhere it follows a "
+            "two-term Cauchy formula"
+        )
+        return f"nd={nd:.9g} Vd={vd:.9g}"
+
+    def _unknown(self, word: str, wanted: str, known: Mapping[str, str], maker: str) -> MistrayError:
+        close = [f"N{wanted}"] if f"N{wanted}" in known else []
+        close += [key for key in difflib.get_close_matches(wanted, known, n=3) if key not in close]
+        like = f" (like it: {', '.join(known[key] for key in close[:3])})" if close else ""
+        return MistrayError(
+            f"glass '{shown([word])}' is not in the catalogue{'' if maker else 's'} of "
+            f"{maker.lower() or ', '.join(MAKERS)}{like}; {remedy(word)}"
+        )
+
+
+def table_material(wavelengths_nm: Sequence[float], indices: Sequence[float], used_nm: Sequence[float]) -> str:
+    """
+    Material string of a table, with more points at the wavelengths of the lens: cubic in 1/λ² through the nearest four.
+
+    Materials of tables are interpolated linearly, which between points 50 nm apart is wrong by 2e-4.
+    """
+    order = np.argsort(wavelengths_nm)
+    x, n = np.asarray(wavelengths_nm, dtype=float)[order], np.asarray(indices, dtype=float)[order]
+    points = dict(zip(x.tolist(), n.tolist(), strict=True))
+    for wavelength in used_nm:
+        if x[0] < wavelength < x[-1]:
+            first = int(np.clip(np.searchsorted(x, wavelength) - _NEIGHBOURS // 2, 0, max(len(x) - _NEIGHBOURS, 0)))
+            near = slice(first, first + _NEIGHBOURS)
+            points.setdefault(wavelength, round(_lagrange(x[near] ** -2, n[near], wavelength**-2), _DIGITS))
+    return " ".join(f"n({wavelength!r})={index!r}" for wavelength, index in sorted(points.items()))
+
+
+def _lagrange(x: np.ndarray, y: np.ndarray, at: float) -> float:
+    others = [np.delete(x, k) for k in range(len(x))]
+    return float(sum(y[k] * np.prod((at - rest) / (x[k] - rest)) for k, rest in enumerate(others)))
+
+
+def _plain(name: str) -> str:
+    """A name as CODE V writes it: capitals, digits and nothing else."""
+    return re.sub(r"[^A-Z0-9]", "", name.upper())

@@ -1,0 +1,86 @@
+"""Conventions of lens design programs that several readers turn into ours: figures, turns, pupils, apertures."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.prescription.sequential.first_order import paraxial_system
+from mistray.prescription.sequential.table import Sequential
+
+_ROUND_OFF = 1e-12
+
+
+def figure(
+    what: str, radius: float, conic: float, even_terms: Sequence[float]
+) -> tuple[float, float, tuple[float, ...]]:
+    """
+    Radius, conic and (a4, a6, …) of a surface whose polynomial begins at r².
+
+    A plane with an r² term is the paraboloid of radius 1/(2 a2); with a radius there is no such identity.
+
+    Parameters
+    ----------
+    what : str
+        The surface, for the message.
+    radius, conic : float
+        mm; ``inf`` is a plane.
+    even_terms : sequence of float
+        Coefficients of r², r⁴, …
+
+    Raises
+    ------
+    MistrayError
+        If there is an r² term beside a radius.
+    """
+    terms = [float(term) for term in even_terms]
+    if terms and terms[0]:
+        if math.isfinite(radius):
+            raise MistrayError(f"{what}: its r² term {terms[0]:g} beside a radius has no counterpart; make it 0")
+        radius, conic = 1 / (2 * terms[0]), -1.0
+    higher = terms[1:]
+    while higher and higher[-1] == 0:
+        higher.pop()
+    return radius, conic, tuple(higher)
+
+
+def turns_deg(rotation: np.ndarray) -> tuple[float, float, float]:
+    """Angles of R = Rx Ry Rz, (3, 3): about x, then y, then z, each as turned so far; round-off is cleaned to 0."""
+    angles = (
+        math.atan2(-rotation[1, 2], rotation[2, 2]),
+        math.asin(max(-1.0, min(1.0, rotation[0, 2]))),
+        math.atan2(-rotation[0, 1], rotation[0, 0]),
+    )
+    x, y, z = (math.degrees(angle) if abs(angle) > _ROUND_OFF else 0.0 for angle in angles)
+    return x, y, z
+
+
+def squeezed(upper_x: float, lower_x: float, upper_y: float, lower_y: float) -> tuple[float, float, float, float]:
+    """(VDX, VDY, VCX, VCY), shift and shrinking of the pupil, of the shares that CODE V takes off its four sides."""
+    return (lower_x - upper_x) / 2, (lower_y - upper_y) / 2, (lower_x + upper_x) / 2, (lower_y + upper_y) / 2
+
+
+def object_na(lens: Sequential, image_slope: float) -> float:
+    """
+    Sine-based numerical aperture in object space of the paraxial cone that ends with a slope at the image.
+
+    Parameters
+    ----------
+    lens : Sequential
+        With its object at a finite distance.
+    image_slope : float
+        |dy/dz| of the marginal ray at the image: 1/(2F), or NA/n.
+
+    Raises
+    ------
+    MistrayError
+        If the image lies at infinity.
+    """
+    system, _ = paraxial_system(lens)
+    magnified = abs(system.trace(lens.object_distance, 1.0)[-1, 1])
+    if not magnified > 0:
+        raise MistrayError(f"lens '{lens.name}': an aperture at the image, which lies at infinity; give a diameter")
+    return float(abs(system.index[0]) * math.sin(math.atan(image_slope / magnified)))

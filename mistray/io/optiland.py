@@ -1,0 +1,184 @@
+"""Lenses of optiland (https://github.com/HarrisonKramer/optiland, checked with 0.6), objects in memory.
+
+optiland keeps the place of every surface in the world, in its lens unit, which is taken for mm; what it computes with
+is read, not how it was entered. Here each surface is decentred alone, from a frame that runs along the world's z.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.io.conventions import figure, turns_deg
+from mistray.prescription.sequential.materials import same_material
+from mistray.prescription.sequential.table import (
+    ApertureKind,
+    ClearAperture,
+    Decentre,
+    FieldKind,
+    Row,
+    Sequential,
+    Unread,
+)
+
+# imageFNO is EFL / EPD, at any distance of the object
+_APERTURES: dict[str, ApertureKind] = {
+    "EPD": "entrance_pupil_diameter",
+    "imageFNO": "f_number",
+    "objectNA": "object_na",
+    "float_by_stop_size": "stop_diameter",
+}
+_FIELDS: dict[str, FieldKind] = {
+    "AngleField": "angle_deg",
+    "ObjectHeightField": "object_height",
+    "ParaxialImageHeightField": "image_height",
+    "RealImageHeightField": "image_height",
+}
+
+
+def from_optiland(optic: Any) -> Sequential:
+    """
+    Read an optiland lens.
+
+    Parameters
+    ----------
+    optic : optiland.optic.Optic
+        Of planes, conics and even aspheres that refract or reflect.
+
+    Returns
+    -------
+    Sequential
+        Its `unread` lists coatings, scatter and apertures without a counterpart.
+
+    Raises
+    ------
+    MistrayError
+        If a surface, the aperture or the fields are of a kind that has no counterpart.
+    """
+    if not (hasattr(optic, "surfaces") and hasattr(optic, "wavelengths")):
+        raise MistrayError(f"from_optiland was given {type(optic).__name__}; give an Optic of optiland 0.6 or later")
+    name = str(optic.name or "optiland lens")
+    surfaces = list(optic.surfaces)
+    wavelengths = tuple(1e3 * _float(w.value) * _um(w.unit) for w in optic.wavelengths.wavelengths)
+    primary = next((k for k, w in enumerate(optic.wavelengths.wavelengths) if w.is_primary), 0)
+    weights = tuple(float(w.weight) for w in optic.wavelengths.wavelengths)
+    if len(surfaces) < 3 or not wavelengths or optic.aperture is None:
+        raise MistrayError(f"optiland lens '{name}': it needs a surface, a wavelength and an aperture; add them")
+    if optic.aperture.ap_type not in _APERTURES:
+        raise MistrayError(f"optiland lens '{name}': aperture {optic.aperture.ap_type} has no counterpart; use EPD")
+    unread: list[Unread] = []
+    notes: list[str] = []
+    frames = [surface.geometry.cs.get_effective_transform() for surface in surfaces[1:]]
+    places = [np.array([_float(value) for value in shift]) for shift, _ in frames]
+    turns = [np.array(turn, dtype=np.float64).reshape(3, 3) for _, turn in frames]
+    rows: list[Row] = []
+    before = _material(surfaces[0].material_post, wavelengths)
+    for number, surface in enumerate(surfaces[1:], 1):
+        last = number == len(surfaces) - 1
+        place, turn = places[number - 1], turns_deg(turns[number - 1])
+        decentre = None
+        if place[0] or place[1] or any(turn):
+            decentre = Decentre(x=float(place[0]), y=float(place[1]), tilt_deg=turn, returns=True)
+        mirror = not last and bool(surface.interaction_model.is_reflective)
+        material = before if mirror or last else _material(surface.material_post, wavelengths)
+        row = Row(
+            number,
+            kind="image" if last else "surface",
+            label=str(surface.comment or ""),
+            **_figure(name, number, surface),
+            thickness=0.0 if last else float(places[number][2] - place[2]),
+            material=material,
+            mirror=mirror,
+            stop=bool(surface.is_stop) and not last,
+            decentre=decentre,
+            **_aperture(number, surface, unread),
+        )
+        rows.append(row)
+        before = material
+        for what, attribute in (("coating", "coating"), ("scatter", "bsdf")):
+            if (thing := getattr(surface.interaction_model, attribute, None)) is not None:
+                unread.append(Unread(0, f"surface {number}: {what} {type(thing).__name__}", "optiland's own: not read"))
+    if any(row.decentre for row in rows):
+        notes.append(
+            "each surface has a decentre of its own from the world's z axis; first-order data leave decentres out, so "
+            "that they are those of the lens only where light keeps along this axis"
+        )
+    definition = type(optic.fields.field_definition).__name__
+    fields = tuple((_float(field.x), _float(field.y)) for field in optic.fields.fields) or ((0.0, 0.0),)
+    if definition not in _FIELDS and any(x or y for x, y in fields):
+        raise MistrayError(f"optiland lens '{name}': fields of kind {definition} have no counterpart; use angles")
+    if definition == "RealImageHeightField":
+        notes.append("real image heights are taken as paraxial ones")
+    shrinking = tuple((0.0, 0.0, _float(field.vx), _float(field.vy)) for field in optic.fields.fields)
+    distance = math.inf if surfaces[0].is_infinite else float(places[0][2] - _float(surfaces[0].geometry.cs.z))
+    return Sequential(
+        name,
+        tuple(rows),
+        source=f"optiland lens '{name}'",
+        object_distance=distance,
+        object_material=_material(surfaces[0].material_post, wavelengths),
+        aperture_kind=_APERTURES[optic.aperture.ap_type],
+        aperture=_float(optic.aperture.value),
+        telecentric=bool(optic.obj_space_telecentric) and math.isfinite(distance),
+        field_kind=_FIELDS.get(definition, "angle_deg"),
+        fields=fields,
+        vignetting=shrinking if any(any(field) for field in shrinking) else (),
+        wavelengths_nm=wavelengths,
+        weights=weights,
+        primary=primary,
+        unread=tuple(unread),
+        notes=tuple(notes),
+    )
+
+
+def _figure(name: str, number: int, surface: Any) -> dict[str, Any]:
+    """Radius, conic and coefficients of a row."""
+    geometry = surface.geometry
+    what, kind = f"optiland lens '{name}', surface {number}", type(geometry).__name__
+    if kind not in ("Plane", "StandardGeometry", "EvenAsphere"):
+        raise MistrayError(f"{what}: {kind} has no counterpart; use a plane, a conic or an even asphere")
+    interaction = getattr(surface.interaction_model, "interaction_type", "")
+    if interaction != "refractive_reflective":
+        raise MistrayError(f"{what}: its interaction '{interaction}' has no counterpart; let it refract or reflect")
+    radius = _float(geometry.radius)
+    terms = [_float(term) for term in geometry.coefficients] if kind == "EvenAsphere" else []
+    radius, conic, coefficients = figure(what, radius, _float(getattr(geometry, "k", 0.0)), terms)
+    return {"radius": radius, "conic": conic, "coefficients": coefficients}
+
+
+def _aperture(number: int, surface: Any, unread: list[Unread]) -> dict[str, Any]:
+    aperture = surface.aperture
+    kind = type(aperture).__name__
+    if aperture is None:
+        return {}
+    if kind in ("RadialAperture", "OffsetRadialAperture"):
+        inner, outer = _float(aperture.r_min), _float(aperture.r_max)
+        x, y = _float(getattr(aperture, "offset_x", 0.0)), _float(getattr(aperture, "offset_y", 0.0))
+        if inner or x or y:
+            return {"aperture": ClearAperture(inner=inner, outer=outer, x=x, y=y)}
+        return {"semi_diameter": outer, "semi_diameter_fixed": True}
+    if kind == "RectangularAperture":
+        x0, x1, y0, y1 = (_float(getattr(aperture, key)) for key in ("x_min", "x_max", "y_min", "y_max"))
+        half: dict[str, Any] = {"half_width": (x1 - x0) / 2, "half_height": (y1 - y0) / 2}
+        return {"aperture": ClearAperture(kind="rectangle", **half, x=(x0 + x1) / 2, y=(y0 + y1) / 2)}
+    unread.append(Unread(0, f"surface {number}: aperture {kind}", "it has no counterpart: nothing is clipped there"))
+    return {}
+
+
+def _material(medium: Any, wavelengths_nm: tuple[float, ...]) -> str:
+    name, maker = str(getattr(medium, "name", "")), str(getattr(medium, "reference", None) or "")
+    catalogue = str(getattr(medium, "_catalog", None) or "")
+    names = [f"{key}/{name}" for key in (maker, catalogue) if key] + [name] if name else []
+    return same_material(names, lambda wavelength: _float(medium.n(wavelength / 1e3)), wavelengths_nm)
+
+
+def _float(value: Any) -> float:
+    """A number of optiland, which may be an array of one."""
+    return float(np.asarray(value, dtype=np.float64).reshape(-1)[0])
+
+
+def _um(unit: str) -> float:
+    return {"nm": 1e-3, "um": 1.0, "mm": 1e3, "cm": 1e4, "m": 1e6}[unit]

@@ -1,0 +1,135 @@
+"""Lens files and lenses of other programs, read and closed in one step."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+from mistray.io.codev.read import read_codev
+
+# Loaded here, because loading a module later would put it in the place of the public function of its name
+from mistray.io.optiland import from_optiland as optiland_table
+from mistray.io.rayoptics import from_rayoptics as rayoptics_table
+from mistray.io.zemax.read import read_zemax
+from mistray.prescription.build.system import to_prescription
+from mistray.prescription.coating import Coating
+from mistray.prescription.model import Prescription
+
+
+def from_zemax(
+    path: str | Path,
+    *,
+    coatings: str | Path | Mapping[str, Coating] | None = None,
+    glass_catalogues: Sequence[str | Path] = (),
+    glasses: Mapping[str, str] | None = None,
+    **options: Any,
+) -> Prescription:
+    """
+    Read a sequential Zemax file.
+
+    Parameters
+    ----------
+    path : str or Path
+        .zmx file.
+    coatings : path, mapping of str to Coating, or None
+        COATING.DAT that holds the coatings of the file, or coatings by their names in it.
+    glass_catalogues, glasses
+        As in `mistray.io.zemax.read.read_zemax`.
+    **options
+        Of `to_prescription`.
+
+    Returns
+    -------
+    Prescription
+        Its `provenance` lists every line of the file that had no effect.
+
+    Raises
+    ------
+    MistrayError
+        If the file cannot be read or holds what has no counterpart.
+    """
+    by_name = coatings if isinstance(coatings, Mapping) else None
+    file = None if coatings is None or isinstance(coatings, Mapping) else coatings
+    lens = read_zemax(path, coatings=file, glass_catalogues=glass_catalogues, glasses=glasses)
+    return to_prescription(lens, coatings=by_name, **options)
+
+
+def from_codev(
+    path: str | Path,
+    *,
+    radius_mode: bool | None = None,
+    glass_catalogues: Sequence[str | Path] = (),
+    glasses: Mapping[str, str] | None = None,
+    **options: Any,
+) -> Prescription:
+    """
+    Read a CODE V sequence file.
+
+    Parameters
+    ----------
+    path : str or Path
+        .seq file.
+    radius_mode : bool or None
+        Whether surfaces are given by radius rather than by curvature; ``None``: as the file states.
+    glass_catalogues, glasses
+        As in `mistray.io.codev.read.read_codev`.
+    **options
+        Of `to_prescription`.
+
+    Returns
+    -------
+    Prescription
+        Its `provenance` lists every line of the file that had no effect.
+
+    Raises
+    ------
+    MistrayError
+        If the file cannot be read or holds what has no counterpart.
+    """
+    lens = read_codev(path, radius_mode=radius_mode, glass_catalogues=glass_catalogues, glasses=glasses)
+    return to_prescription(lens, **options)
+
+
+def from_optiland(optic: Any, **options: Any) -> Prescription:
+    """
+    Take over a lens of optiland.
+
+    Parameters
+    ----------
+    optic : optiland.optic.Optic
+    **options
+        Of `to_prescription`.
+
+    Returns
+    -------
+    Prescription
+
+    Raises
+    ------
+    MistrayError
+        If the lens holds what has no counterpart.
+    """
+    return to_prescription(optiland_table(optic), **options)
+
+
+def from_rayoptics(model: Any, **options: Any) -> Prescription:
+    """
+    Take over a lens of ray-optics.
+
+    Parameters
+    ----------
+    model : rayoptics.optical.opticalmodel.OpticalModel
+    **options
+        Of `to_prescription`.
+
+    Returns
+    -------
+    Prescription
+
+    Raises
+    ------
+    MistrayError
+        If the lens holds what has no counterpart.
+    """
+    return to_prescription(rayoptics_table(model), **options)

@@ -1,0 +1,183 @@
+"""Lenses of ray-optics (https://github.com/mjhoptics/ray-optics, checked with 0.9), objects in memory.
+
+Its sequential model is a list of interfaces with gaps between them, in the system unit; decentres follow CODE V, see
+`read_codev`. The focus shift is a defocus: it adds to the thickness before the image.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.io.codev.rows import CodevSurface, rows_of
+from mistray.io.conventions import figure, object_na, squeezed
+from mistray.prescription.sequential.materials import same_material
+from mistray.prescription.sequential.table import ApertureKind, ClearAperture, FieldKind, Row, Sequential, Unread
+
+_UNITS_MM = {"mm": 1.0, "cm": 10.0, "m": 1e3, "in": 25.4, "inches": 25.4, "ft": 304.8}
+_MODES = {"decenter": "", "dec and return": "DAR", "reverse": "REV", "bend": "BEN"}
+_FIELDS: dict[tuple[str, str], FieldKind] = {
+    ("object", "angle"): "angle_deg",
+    ("object", "height"): "object_height",
+    ("image", "height"): "image_height",
+    ("image", "real height"): "image_height",
+}
+_INFINITE = 1e9
+_MODES_OF_LIGHT = ("transmit", "reflect", "dummy", "phantom")  # phantom: a coordinate break of a Zemax file
+
+
+def from_rayoptics(model: Any) -> Sequential:
+    """
+    Read a ray-optics model.
+
+    Parameters
+    ----------
+    model : rayoptics.optical.opticalmodel.OpticalModel
+        Of spheres, conics and even polynomials that refract or reflect.
+
+    Returns
+    -------
+    Sequential
+
+    Raises
+    ------
+    MistrayError
+        If an interface, the pupil or the fields are of a kind that has no counterpart.
+    """
+    try:
+        sequence, specs, system = (model[key] for key in ("seq_model", "optical_spec", "system_spec"))
+    except (KeyError, TypeError):
+        kind = type(model).__name__
+        raise MistrayError(f"from_rayoptics was given {kind}; give an OpticalModel of ray-optics") from None
+    name = str(system.title or "ray-optics model")
+    what = f"ray-optics model '{name}'"
+    if system.dimensions not in _UNITS_MM:
+        raise MistrayError(f"{what}: unit '{system.dimensions}' is unknown; it is one of {', '.join(_UNITS_MM)}")
+    unit = _UNITS_MM[system.dimensions]
+    spectrum, view = specs["wvls"], specs["fov"]
+    wavelengths = tuple(float(value) for value in spectrum.wavelengths)
+    materials = [_material(gap.medium, wavelengths) for gap in sequence.gaps]
+    unread: list[Unread] = []
+    notes: list[str] = []
+    rows: list[Row] = []
+    before, last = materials[0], len(sequence.ifcs) - 1
+    shift = float(getattr(specs["focus"], "focus_shift", 0.0))
+    for number, interface in enumerate(sequence.ifcs[1:], 1):
+        surface = _surface(f"{what}, interface {number}", interface)
+        if number < last:
+            surface.thickness = float(sequence.gaps[number].thi) + (shift if number == last - 1 else 0.0)
+            surface.material = materials[number]
+        else:
+            surface.mode, surface.mirror, surface.material = "", False, before
+        more = _apertures(number, interface, unit, unread) if number < last else {"kind": "image"}
+        if interface.interact_mode == "phantom" and number < last:
+            more = {"kind": "coordinate_break"}
+        stop = number == sequence.stop_surface and number < last
+        new = rows_of(surface, number, unit_mm=unit, before=before, unread=unread, stop=stop, **more)
+        rows += new[:1] if number == last else new
+        before = new[-1].material
+        if surface.mode == "BEN" and surface.moves["A"] and surface.moves["B"]:
+            notes.append(f"interface {number}: ray-optics bends the axis by the turn twice, here it is reflected")
+    if shift:
+        notes.append(f"the focus shift of {shift * unit:g} mm is added to the last thickness")
+    key = view.key
+    if key not in _FIELDS:
+        raise MistrayError(f"{what}: fields of kind {key} have no counterpart; use object angles")
+    factor = 1.0 if _FIELDS[key] == "angle_deg" else unit
+    if key[1] == "real height":
+        notes.append("real image heights are taken as paraxial ones")
+    vignetting = tuple(squeezed(f.vux, f.vlx, f.vuy, f.vly) for f in view.fields)
+    distance = float(sequence.gaps[0].thi)
+    lens = Sequential(
+        name,
+        tuple(rows),
+        source=what,
+        object_distance=math.inf if abs(distance) >= _INFINITE else distance * unit,
+        object_material=materials[0],
+        field_kind=_FIELDS[key],
+        fields=tuple((float(f.xv) * factor, float(f.yv) * factor) for f in view.fields),
+        vignetting=vignetting if any(any(field) for field in vignetting) else (),
+        wavelengths_nm=wavelengths,
+        weights=tuple(map(float, [*spectrum.spectral_wts, *[1.0] * len(wavelengths)]))[: len(wavelengths)],
+        primary=int(spectrum.reference_wvl),
+        unread=tuple(unread),
+    )
+    kind, value = _pupil(what, lens, specs["pupil"], unit)
+    return replace(lens, aperture_kind=kind, aperture=value, notes=tuple(notes))
+
+
+def _pupil(what: str, lens: Sequential, pupil: Any, unit: float) -> tuple[ApertureKind, float]:
+    key, value = tuple(pupil.key), float(pupil.value)
+    distant = math.isinf(lens.object_distance)
+    if key == ("object", "epd"):
+        return "entrance_pupil_diameter", value * unit
+    if key == ("object", "NA"):
+        return "object_na", value
+    if key in (("image", "f/#"), ("image", "NA")):
+        slope = 1 / (2 * value) if key[1] == "f/#" else value
+        return ("f_number", 1 / (2 * slope)) if distant else ("object_na", object_na(lens, slope))
+    raise MistrayError(f"{what}: pupil of kind {key} has no counterpart; use ('object', 'epd')")
+
+
+def _surface(what: str, interface: Any) -> CodevSurface:
+    """Figure, mode and moves of an interface, in units of the model."""
+    profile: Any = getattr(interface, "profile", interface)  # a thin lens has none
+    kind = type(profile).__name__
+    if kind not in ("Spherical", "Conic", "EvenPolynomial"):
+        raise MistrayError(f"{what}: {kind} has no counterpart; use a sphere, a conic or an even polynomial")
+    if getattr(interface, "phase_element", None) is not None:
+        raise MistrayError(f"{what}: diffracting surfaces are not traced; remove its phase element")
+    if interface.interact_mode not in _MODES_OF_LIGHT:
+        raise MistrayError(f"{what}: its mode '{interface.interact_mode}' has no counterpart; it transmits or reflects")
+    terms = list(profile.coefs) if kind == "EvenPolynomial" else []
+    curvature = float(profile.cv)
+    radius = 1 / curvature if curvature else math.inf
+    radius, conic, coefficients = figure(what, radius, float(getattr(profile, "cc", 0.0)), terms)
+    surface = CodevSurface(
+        0,
+        curvature=0.0 if math.isinf(radius) else 1 / radius,
+        conic=conic,
+        coefficients=dict(enumerate(coefficients)),
+        mirror=interface.interact_mode == "reflect",
+        label=str(interface.label or ""),
+    )
+    if interface.decenter:
+        move = interface.decenter
+        surface.mode = _MODES[move.dtype]
+        surface.moves = dict(zip("XYZABC", (float(value) for value in (*move.dec, *move.euler)), strict=True))
+    return surface
+
+
+def _apertures(number: int, interface: Any, unit: float, unread: list[Unread]) -> dict[str, Any]:
+    """The first clear aperture, or without one the round edge of the body; the radius for drawing is not used."""
+    result: dict[str, Any] = {}
+    edges = getattr(interface, "edge_apertures", ())
+    clear = getattr(interface, "clear_apertures", ())
+    for aperture in edges:
+        centred = not (aperture.x_offset or aperture.y_offset)
+        if not clear and not result and centred and type(aperture).__name__ == "Circular":
+            result = {"semi_diameter": float(aperture.radius) * unit}
+        else:
+            reason = "the edge of the body; edges are generated from clear apertures"
+            unread.append(Unread(0, f"interface {number}: edge {type(aperture).__name__}", reason))
+    for aperture in clear:
+        kind = type(aperture).__name__
+        x, y = float(aperture.x_offset) * unit, float(aperture.y_offset) * unit
+        if result or kind not in ("Circular", "Rectangular") or aperture.rotation:
+            reason = "it has no counterpart, or another one is there before it: nothing is clipped by it"
+            unread.append(Unread(0, f"interface {number}: aperture {kind}", reason))
+        elif kind == "Circular" and not (x or y):
+            result = {"semi_diameter": float(aperture.radius) * unit, "semi_diameter_fixed": True}
+        elif kind == "Circular":
+            result = {"aperture": ClearAperture(outer=float(aperture.radius) * unit, x=x, y=y)}
+        else:
+            half = {"half_width": aperture.x_half_width * unit, "half_height": aperture.y_half_width * unit}
+            result = {"aperture": ClearAperture(kind="rectangle", **half, x=x, y=y)}
+    return result
+
+
+def _material(medium: Any, wavelengths_nm: tuple[float, ...]) -> str:
+    name, maker = str(medium.name()), str(medium.catalog_name() or "")
+    return same_material([f"{maker}/{name}", name], lambda wavelength: float(medium.rindex(wavelength)), wavelengths_nm)

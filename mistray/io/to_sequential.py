@@ -1,0 +1,320 @@
+"""A prescription as a table of surfaces in the order of light, where it is one.
+
+Light starts along +z and meets the surfaces in their order; mirrors turn it. Each surface gets a frame whose z axis
+points along the light before it, or against it after an odd number of mirrors. Surfaces that are displaced sideways but
+not turned against one another get a decentre, others a coordinate break whose z axis runs from vertex to vertex.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.pose import moved
+from mistray.prescription.coating import Coating
+from mistray.prescription.model import Detector, Prescription, Surface
+from mistray.prescription.sequential.rays import Array, passes, trace
+from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential
+
+_TINY = 1e-9  # mm and radians below which a displacement or a turn is rounding
+_DECIMALS = 12  # of thicknesses in mm and tilts in degrees, beyond which they are rounding
+_RAYS, _REFINEMENTS = 201, 5  # that look for the stop
+_DEFAULT_NM = 587.56
+
+
+def to_sequential(prescription: Prescription) -> Sequential:
+    """
+    Table of the surfaces of a prescription.
+
+    Parameters
+    ----------
+    prescription : Prescription
+        With surfaces in the order of light, and a detector.
+
+    Returns
+    -------
+    Sequential
+        The stop is that of the prescription, else the surface that limits a beam along the axis; `notes` say so, and
+        what is left out: structure, scatter and coatings that have no name.
+
+    Raises
+    ------
+    MistrayError
+        If there is no detector or no surface, a surface does not stand in the material that light comes from, or light
+        would have to go backwards to reach it.
+    """
+    if prescription.detector is None or not prescription.surfaces:
+        missing = "detector" if prescription.surfaces else "optical surface"
+        raise MistrayError(f"prescription '{prescription.name}': it has no {missing}, so it is no sequential lens")
+    return _Walk(prescription).sequential()
+
+
+@dataclass
+class _Walk:
+    """Follows the light: its frame, direction, material, and how many mirrors it has met."""
+
+    prescription: Prescription
+
+    def __post_init__(self) -> None:
+        self.rows: list[Row] = []
+        self.notes: list[str] = []
+        self.bare: list[str] = []
+        self.frame: Array = np.eye(4)
+        self.light: Array = np.array([0.0, 0.0, 1.0])
+        self.sense = 1.0  # of light along the frame's z axis
+        self.material = ""
+        self.last, self.vertex = "", np.zeros(3)
+
+    def sequential(self) -> Sequential:
+        p = self.prescription
+        assert p.detector is not None
+        first = p.surfaces[0]
+        self.material = self._sides(first, self._against(first.to_world()))[0]
+        start = self.material
+        stop = self._stop_place()
+        for place, surface in enumerate(p.surfaces):
+            if place == stop:
+                self._add_stop()
+            self._add(surface)
+        if stop == len(p.surfaces):
+            self._add_stop()
+        self._add(p.detector)
+        self.rows = [replace(row, number=number) for number, row in enumerate(self.rows, 1)]
+        return self._with_aperture(self._lens(start))
+
+    def _lens(self, start: str) -> Sequential:
+        p, source = self.prescription, self.prescription.source
+        if self.bare:
+            self.notes.append(f"coatings without a name are left out: those of {', '.join(self.bare)}")
+        if p.structures:
+            self.notes.append(f"structure is left out ({len(p.structures)} shapes)")
+        if any(surface.scatter for surface in p.surfaces):
+            self.notes.append("scatter is left out")
+        fields = [(0.0, 0.0)]
+        if source is not None and source.field_deg:
+            theta, azimuth = math.radians(source.field_deg), math.radians(source.azimuth_deg)
+            x, y = -math.tan(theta) * math.sin(azimuth), math.tan(theta) * math.cos(azimuth)
+            fields.append((math.degrees(math.atan(x)), math.degrees(math.atan(y))))
+        wavelengths = source.wavelength_nm if source is not None else (_DEFAULT_NM,)
+        weights = (source.weights if source is not None else None) or (1.0,) * len(wavelengths)
+        return Sequential(
+            name=p.name,
+            rows=tuple(self.rows),
+            source=f"mistray prescription '{p.name}'",
+            object_material=start,
+            fields=tuple(fields),
+            wavelengths_nm=wavelengths,
+            weights=weights,
+            primary=len(wavelengths) // 2,
+        )
+
+    def _add(self, surface: Surface) -> None:
+        pose = self._follow(surface.to_world(), surface.name)
+        against = self._against(pose)
+        if against:
+            pose = pose @ np.diag([-1.0, 1.0, -1.0, 1.0])  # half a turn about y: z points the other way
+        image = isinstance(surface, Detector)
+        before, behind = self._sides(surface, against != (self.sense < 0))
+        if before != self.material:
+            raise MistrayError(
+                f"prescription '{self.prescription.name}': light comes to surface '{surface.name}' in "
+                f"'{self.material}', but the surface stands in '{before}'; the surfaces are not in the order of light"
+            )
+        if not (image or surface.mirror) and surface.coating is not None and surface.coating.opaque:
+            raise MistrayError(
+                f"prescription '{self.prescription.name}': surface '{surface.name}' is opaque and no mirror, so light "
+                "goes no further; make it a structure"
+            )
+        flip = -1.0 if against else 1.0
+        semi_diameter, fixed, aperture = _clip(surface)
+        self._place(
+            pose,
+            Row(
+                0,
+                kind="image" if image else "surface",
+                label=surface.name,
+                radius=flip * surface.radius if surface.curvature else math.inf,
+                conic=surface.conic,
+                coefficients=tuple(flip * a for a in surface.coefficients),
+                material="air" if image else self.material if surface.mirror else behind,
+                mirror=surface.mirror,
+                semi_diameter=semi_diameter,
+                semi_diameter_fixed=fixed,
+                aperture=aperture,
+                coating="" if image else self._coating(surface),
+            ),
+        )
+        if surface.mirror:
+            normal = pose[:3, 2]
+            self.light = self.light - 2 * (self.light @ normal) * normal
+            self.sense = -self.sense
+        else:
+            self.material = behind
+        self.last, self.vertex = surface.name, pose[:3, 3]
+
+    def _place(self, pose: Array, row: Row) -> None:
+        """Append a row at a pose: thickness before it, a decentre or a coordinate break where it needs one."""
+        step = np.linalg.inv(self.frame) @ pose
+        turned = not np.allclose(step[:3, :3], np.eye(3), atol=_TINY)
+        aside = math.hypot(step[0, 3], step[1, 3]) > _TINY
+        if aside and turned and self.rows:
+            step = self._towards(step)
+            turned = not np.allclose(step[:3, :3], np.eye(3), atol=_TINY)
+            aside = False
+        x, y, z = (round(float(value), _DECIMALS) + 0.0 for value in step[:3, 3])
+        if self.rows:  # the table begins at the first vertex
+            self.rows[-1] = replace(self.rows[-1], thickness=z)
+        if aside or turned:
+            tilt = _tilts(step[:3, :3])
+            row = replace(row, decentre=Decentre(x=x if aside else 0.0, y=y if aside else 0.0, tilt_deg=tilt))
+        self.rows.append(row)
+        self.frame = pose
+
+    def _towards(self, step: Array) -> Array:
+        """Break the frame so that its axis runs to the next vertex; the rest of the step."""
+        way = step[:3, 3] * self.sense
+        x, y, z = way / np.linalg.norm(way)
+        about_x, about_y = math.atan2(-y, z), math.asin(min(max(float(x), -1.0), 1.0))
+        turn = moved(np.eye(4), 0.0, 0.0, 0.0, math.degrees(about_x), math.degrees(about_y), 0.0)
+        decentre = Decentre(tilt_deg=_tilts(turn[:3, :3]))
+        self.rows.append(Row(0, kind="coordinate_break", material=self.material, decentre=decentre))
+        return np.asarray(np.linalg.inv(turn) @ step)
+
+    def _follow(self, pose: Array, name: str) -> Array:
+        """Check that light gets from the last vertex to that of a pose."""
+        if self.last:
+            way = pose[:3, 3] - self.vertex
+            length = float(np.linalg.norm(way))
+            if length > _TINY and float(way @ self.light) < -_TINY * length:
+                raise MistrayError(
+                    f"prescription '{self.prescription.name}': light behind surface '{self.last}' runs away from "
+                    f"surface '{name}'; the surfaces are not in the order of light"
+                )
+        return pose
+
+    def _against(self, pose: Array) -> bool:
+        """Whether the z axis of a surface has to be turned round."""
+        return float(pose[:3, 2] @ self.light) * self.sense < 0
+
+    def _sides(self, surface: Surface, reversed_: bool) -> tuple[str, str]:
+        """Materials in front of a surface and behind it, in the order of light."""
+        return (surface.back, surface.front) if reversed_ else (surface.front, surface.back)
+
+    def _stop_place(self) -> int | None:
+        """Place among the surfaces before which the stop stands, by what a ray at its rim meets first."""
+        p = self.prescription
+        if p.stop is None:
+            return None
+        for place, surface in enumerate(p.surfaces):
+            r = min(p.stop.radius, surface.outer_radius)
+            if surface.mirror or not surface.coaxial or float(surface.z_at(r)) >= p.stop.z_front - _TINY:
+                return place
+        return len(p.surfaces)
+
+    def _add_stop(self) -> None:
+        stop = self.prescription.stop
+        assert stop is not None
+        if stop.z_rear > stop.z_front:
+            self.notes.append(f"the stop is {stop.z_rear - stop.z_front:g} mm thick; its front face is taken")
+        pose = np.eye(4)
+        pose[2, 3] = stop.z_front
+        self._place(
+            pose,
+            Row(
+                0,
+                label=stop.part,
+                material=self.material,
+                stop=True,
+                semi_diameter=stop.radius,
+                semi_diameter_fixed=True,
+            ),
+        )
+
+    def _coating(self, surface: Surface) -> str:
+        coating = surface.coating
+        if coating is None:
+            return ""
+        name = _coating_name(coating)
+        if not name:
+            self.bare.append(surface.name)
+        return name
+
+    def _with_aperture(self, lens: Sequential) -> Sequential:
+        """The lens with its stop and the diameter of the beam along the axis that gets through it."""
+        source = self.prescription.source
+        beam = math.inf
+        if source is not None:
+            beam = source.radius or min(source.half_width or math.inf, source.half_height or math.inf)
+        diameter, limit = _widest_beam(lens)
+        rows = list(lens.rows)
+        if not any(row.stop for row in rows):
+            rows[limit] = replace(rows[limit], stop=True)
+            self.notes.append(f"the stop is '{rows[limit].label}', which limits a beam along the axis")
+        return replace(lens, rows=tuple(rows), aperture=min(diameter, 2 * beam), notes=tuple(dict.fromkeys(self.notes)))
+
+
+def _widest_beam(lens: Sequential) -> tuple[float, int]:
+    """Diameter of the widest round beam along the axis whose rim gets through, and the place of what limits it."""
+    low, high, limit = 0.0, max(_reach(row) for row in lens.rows), 0
+    for _ in range(_REFINEMENTS):
+        heights = np.linspace(low, high, _RAYS)
+        start = np.zeros((_RAYS, 3))
+        start[:, 0] = heights  # most tilts are about x, and foreshorten nothing there
+        points, _directions = trace(lens, start, np.tile([0.0, 0.0, 1.0], (_RAYS, 1)))
+        through = _RAYS
+        for place, row in enumerate(lens.rows):
+            if row.kind != "surface":
+                continue
+            shape = row
+            if row.aperture is not None and row.aperture.inner:  # the hole of a mirror is no limit of its beam
+                shape = replace(row, aperture=replace(row.aperture, inner=0.0))
+            stopped = np.flatnonzero(~passes(shape, points[place]))
+            if stopped.size and stopped[0] < through:
+                through, limit = int(stopped[0]), place
+        if through == _RAYS:
+            return 2 * high, limit
+        if through == 0:
+            break
+        low, high = float(heights[through - 1]), float(heights[through])
+    if low:
+        return 2 * low, limit
+    raise MistrayError(
+        f"lens '{lens.name}': surface '{lens.rows[limit].label}' lets no beam along the axis through, so that it has "
+        "no stop; check its surfaces"
+    )
+
+
+def _reach(row: Row) -> float:
+    aperture = row.aperture
+    if aperture is not None and aperture.kind == "rectangle":
+        return min(aperture.half_width, aperture.half_height)
+    return row.semi_diameter or 0.0
+
+
+def _clip(surface: Surface) -> tuple[float, bool, ClearAperture | None]:
+    """Semi-diameter, whether it stops light, and the aperture of a row."""
+    if surface.semi_diameter is None:
+        assert surface.half_width is not None
+        assert surface.half_height is not None
+        width, height = surface.half_width, surface.half_height
+        return surface.outer_radius, False, ClearAperture(kind="rectangle", half_width=width, half_height=height)
+    outer, inner = surface.semi_diameter, surface.inner_semi_diameter
+    return outer, not inner, ClearAperture(inner=inner, outer=outer) if inner else None
+
+
+def _coating_name(coating: Coating) -> str:
+    table = coating.table or ""
+    return table if ":" in table else coating.name or coating.preset or ""
+
+
+def _tilts(m: Array) -> tuple[float, float, float]:
+    """Tilts about x, the new y and the newest z of a rotation (3, 3), degrees, without what is rounding."""
+    b = math.asin(min(max(float(m[0, 2]), -1.0), 1.0))
+    a, c = math.atan2(-m[1, 2], m[2, 2]), math.atan2(-m[0, 1], m[0, 0])
+    if abs(math.cos(b)) < _TINY:
+        a, c = math.atan2(m[2, 1], m[1, 1]), 0.0
+    degrees = [round(math.degrees(angle), _DECIMALS - 2) + 0.0 for angle in (a, b, c)]
+    return degrees[0], degrees[1], degrees[2]

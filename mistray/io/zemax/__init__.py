@@ -1,0 +1,1 @@
+"""Zemax OpticStudio lens files (.zmx), read and written."""

@@ -1,0 +1,176 @@
+"""Glasses as Zemax files name them: ``GLAS name flag pickup nd Vd dPgF …``.
+
+flag 0 is a glass of the catalogues that the file lists (``GCAT``), and the numbers behind it are left from earlier; 1
+is a model glass of nd and Vd (Vd 0: no dispersion); 2 is a pickup from another surface; 3 a glass that optimisation may
+replace; 4 one that is offset. Source: OpticStudio help, "Glass solves", in the order in which that lists them; checked
+against files that OpticStudio wrote.
+"""
+
+from __future__ import annotations
+
+import difflib
+import re
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+from mistray.errors import MistrayError
+from mistray.io.glasses import FileGlasses, remedy
+from mistray.io.zemax.lines import Line
+from mistray.materials.agf import glass_names
+from mistray.materials.catalogue import MAKERS, PINNED, glasses
+from mistray.prescription.sequential.table import Unread
+
+MODEL_NAMES = ("___BLANK", "MODEL")
+NO_DISPERSION_VD = 1e6  # and above: what writers put where a model glass without dispersion may not have Vd = 0
+
+SYNONYMS = {
+    "AIR": "air",
+    "VACUUM": "air",
+    "BK7": "schott/N-BK7",
+    "SILICA": "fused silica",
+    "F_SILICA": "fused silica",
+    "C79-80": "fused silica",
+    "SAPPHIRE": "sapphire",
+    "CAF2": "CaF2",
+    "BAF2": "BaF2",
+    "LIF": "LiF",
+    "GERMANIUM": "Ge",
+    "SILICON": "Si",
+    "ZNSE": "ZnSe",
+    "WATER": "water",
+    "PMMA": "PMMA",
+    "ACRYLIC": "PMMA",
+    "POLYCARB": "PC",
+    "POLYSTYR": "PS",
+    "E48R": "Zeonex E48R",
+}
+"""Names of Zemax's catalogues MISC, INFRARED, CORNING and of the obsolete Schott glasses, and what they are here."""
+
+
+class Glasses(FileGlasses):
+    """
+    Finds the material of a glass.
+
+    Parameters
+    ----------
+    catalogues : sequence of str
+        Names of the file's catalogues, in its order.
+    agf : sequence of Path
+        AGF files, which go first.
+    replaced, wavelengths_nm
+        As in `FileGlasses`.
+
+    Attributes
+    ----------
+    unread : list of Unread
+    """
+
+    def __init__(
+        self,
+        catalogues: Sequence[str],
+        agf: Sequence[Path],
+        replaced: Mapping[str, str],
+        wavelengths_nm: Sequence[float],
+    ) -> None:
+        super().__init__(replaced, wavelengths_nm)
+        self.unread: list[Unread] = []
+        self._agf = [(file, {name.upper() for name in glass_names(file)}) for file in agf]
+        self._catalogues = tuple(catalogues)
+        self._listed = [maker for word in catalogues for maker in MAKERS if word.lower().startswith(maker)]
+        self._found: dict[tuple[str, ...], str] = {}
+
+    def material(self, line: Line, picked_up: Mapping[int, str]) -> str:
+        """
+        Material string of a GLAS line that is not MIRROR.
+
+        Parameters
+        ----------
+        line : Line
+        picked_up : mapping of int to str
+            Materials of the surfaces before, by number.
+
+        Raises
+        ------
+        MistrayError
+            If the glass is unknown or has no index at one of the wavelengths; the message names file and line.
+        """
+        if not line.words:
+            raise line.error("GLAS without a name; write the glass")
+        name, flag = line.words[0], line.whole(1, "0, 1, 2, 3 or 4", default=0)
+        if flag == 2 and name.upper() in MODEL_NAMES:
+            other = line.whole(2, "the surface of the pickup")
+            if other not in picked_up:
+                raise line.error(f"'{line.shown}' picks up the glass of surface {other}, which has none; correct it")
+            return picked_up[other]
+        if flag == 1:
+            return self._model(line)
+        if name.upper() in MODEL_NAMES:
+            raise line.error(
+                f"'{line.shown}' names no glass, and its flag {flag} says it is no model glass; use flag 1"
+            )
+        if flag == 4:
+            self.unread.append(line.unread("the glass is read, its offset of nd and Vd is not"))
+        key = (name.upper(),)
+        if key not in self._found:
+            self._found[key] = self._checked_at(line, self._named(line, name), name)
+        return self._found[key]
+
+    def _model(self, line: Line) -> str:
+        nd, vd = line.value(3, "nd of the model glass"), line.value(4, "Vd of the model glass")
+        offset = line.value(5, "dPgF") if len(line.words) > 5 else 0.0
+        key = (repr(nd), repr(vd))
+        if key not in self._found:
+            constant = vd == 0 or vd >= NO_DISPERSION_VD
+            text = f"{nd:.12g}" if constant else f"nd={nd:.12g} Vd={vd:.12g} k=0"
+            self._found[key] = self._checked_at(line, text, text)
+            if not constant:
+                partial = f" and dPgF = {offset:g} is not used" if offset else ""
+                self._note(
+                    f"model glass nd = {nd:g}, Vd = {vd:g}: its index is exact at 587.56 nm; elsewhere it follows "
+                    f"a two-term Cauchy formula{partial}"
+                )
+        return self._found[key]
+
+    def _named(self, line: Line, name: str) -> str:
+        if (asked := self._asked_for(name)) is not None:
+            return asked
+        for file, names in self._agf:
+            if name.upper() in names:
+                return f"{file}:{name}"
+        for maker in self._listed:
+            if (found := _of_maker(maker, name)) is not None:
+                return found
+        if name.upper() in SYNONYMS:
+            material = SYNONYMS[name.upper()]
+            if material != "air":
+                self._note(f"glass {name}: taken to be {material}")
+            return material
+        for maker in MAKERS:
+            if (found := _of_maker(maker, name)) is not None:
+                of = f"the file's catalogues {' '.join(self._catalogues)}" if self._catalogues else "the file"
+                self._note(f"glass {name}: {of} do not decide whose it is; taken to be {found}")
+                return found
+        raise line.error(f"glass '{line.word(0)}' is unknown; {self._remedy(name)}")
+
+    def _remedy(self, name: str) -> str:
+        known: dict[str, str] = {key: key for _, names in self._agf for key in names}
+        for maker in dict.fromkeys((*self._listed, *MAKERS)):
+            for key, entry in glasses()[maker].items():
+                known.setdefault(key.upper(), entry.name)
+        known |= {key.upper(): key for key in PINNED if key.upper() not in known}
+        # N-BAK1 for BAK1 comes before what merely looks alike
+        close = [key for key in known if re.sub(r"^[A-Z]{1,2}-", "", key) == re.sub(r"^[A-Z]{1,2}-", "", name.upper())]
+        close += [key for key in difflib.get_close_matches(name.upper(), known, n=3) if key not in close]
+        nearest = f"like it: {', '.join(known[key] for key in close[:3])}; " if close else ""
+        return nearest + remedy(name)
+
+    def _checked_at(self, line: Line, material: str, name: str) -> str:
+        try:
+            return self._checked(material, name)
+        except MistrayError as error:
+            raise line.error(str(error)) from None
+
+
+def _of_maker(maker: str, name: str) -> str | None:
+    wanted = name.replace("*", "star").lower()
+    return next((entry.name for key, entry in glasses()[maker].items() if key.lower() == wanted), None)

@@ -1,0 +1,263 @@
+"""The lines of a Zemax .zmx file: a keyword and what belongs to it, first for the system, then surface by surface.
+
+Lines of a surface are indented below their ``SURF n``; what follows the last surface without indentation is the merit
+function, tolerances and configurations. Every line is taken by the reader, known to have no effect on rays, or left
+over; `Section.left` lists the last kind, so that none gets lost.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from mistray.errors import MistrayError
+from mistray.materials.agf import decode
+from mistray.materials.mate import shown
+from mistray.prescription.sequential.table import Unread
+from mistray.read_file import read_file
+
+# Keywords whose lines say nothing about where rays go. Meanings: OpticStudio's dialogs, whose entries these lines hold
+# in their order; checked against files of OpticStudio, Thorlabs and Edmund Optics.
+NO_EFFECT = {
+    "VERS": "version of the program",
+    "AUTH": "author",
+    "NOTE": "remarks",
+    "DBDT": "entry of a vendor's database",
+    "PFIL": "pupil filter of diffraction analyses",
+    "LANG": "language",
+    "RAIM": "ray aiming: how the program searches its rays",
+    "PUSH": "pupil shifts of ray aiming",
+    "SDMA": "margin that was added to drawn semi-diameters",
+    "OMMA": "margin that was added to drawn semi-diameters",
+    "ROPD": "reference of the optical path difference",
+    "HYPR": "hyper-hemispheric display",
+    "PICB": "display",
+    "POLS": "polarisation of analyses",
+    "GLRS": "surface whose frame reports call global",
+    "GSTD": "Gaussian quadrature of analyses",
+    "NSCD": "limits of non-sequential tracing",
+    "COFN": "names of the coating, scatter and profile files",
+    "FWGN": "weights of the fields",
+    "FWGT": "weights of the fields",
+    "TOL": "tolerances",
+    "MOFF": "multi-configuration editor",
+    "BLNK": "blank line of the merit function",
+}
+NO_EFFECT_ON_SURFACE = {
+    "HIDE": "drawing",
+    "MIRR": "drawn substrate of a mirror",
+    "SLAB": "internal label",
+    "POPS": "physical optics propagation",
+    "FIMP": "name of a film of impurities",
+    "MEMA": "mechanical semi-diameter of the drawing",
+    "OEMA": "mechanical semi-diameter of the drawing, as it was",
+    "VDSZ": "thickness is a variable of the optimisation",
+    "VPAR": "parameter is a variable of the optimisation",
+    "VCON": "conic constant is a variable of the optimisation",
+    "PPAR": "pickup of a parameter, whose value stands in PARM",
+    "PZUP": "pickup of the thickness, whose value stands in DISZ",
+    "PKUP": "pickup, whose value stands in the line of its quantity",
+    "MAZH": "solve for the thickness, whose value stands in DISZ",
+    "CHZH": "solve for the thickness, whose value stands in DISZ",
+    "EDGE": "solve for the thickness, whose value stands in DISZ",
+}
+# What may stand below SURF; decides what an unknown keyword belongs to where a file has no indentation
+_OF_SURFACE = {
+    *("TYPE", "STOP", "COMM", "CURV", "CONI", "DISZ", "GLAS", "COAT", "DIAM", "PARM", "XDAT", "SCBD", "OBDC"),
+    *("CLAP", "FLAP", "OBSC", "SQAP", "SQOB", "ELAP", "ELOB", "SPID", "UDAD", "UDOB", "USAP", "UDAP"),
+    *NO_EFFECT_ON_SURFACE,
+}
+_OF_SYSTEM = {
+    *("MODE", "NAME", "UNIT", "ENPD", "FNUM", "OBNA", "FLOA", "ENVD", "FTYP", "GCAT", "PWAV", "WAVM", "WAVL", "WAVN"),
+    *("WWGT", "WWGN", "XFLN", "YFLN", "XFLD", "YFLD", "VDXN", "VDYN", "VCXN", "VCYN", "VANN", "GFAC"),
+}
+# The table of surfaces is over where one of these stands without indentation
+_AFTER = {"TOL", "MNUM", "MOFF", "BLNK"}
+
+
+@dataclass(frozen=True)
+class Line:
+    """
+    One line.
+
+    Attributes
+    ----------
+    path : Path
+    number : int
+        From 1.
+    text : str
+        Without blanks around it.
+    key : str
+        First word, in capitals.
+    words : tuple of str
+        The others.
+    """
+
+    path: Path
+    number: int
+    text: str
+    key: str
+    words: tuple[str, ...]
+
+    @property
+    def shown(self) -> str:
+        """The line for a message: its beginning, what cannot be printed as codes."""
+        return shown([self.key, *self.words])
+
+    def word(self, place: int) -> str:
+        """A word for a message; "" where the line is too short."""
+        return shown([*self.words[place : place + 1]])
+
+    def error(self, message: str) -> MistrayError:
+        """An error that names the file and the line."""
+        return MistrayError(f"lens '{self.path}', line {self.number}: {message}")
+
+    def value(self, place: int = 0, what: str = "a number") -> float:
+        """
+        A finite number; a decimal comma, as some files have it, is understood.
+
+        Raises
+        ------
+        MistrayError
+            If the word is missing or no finite number.
+        """
+        if place >= len(self.words):
+            raise self.error(f"'{self.shown}' ends before {what}; complete it")
+        try:
+            number = float(self.words[place].replace(",", "."))
+        except ValueError:
+            number = math.nan
+        if not math.isfinite(number):
+            raise self.error(f"'{self.word(place)}' in '{self.shown}' is not {what}; correct it")
+        return number
+
+    def whole(self, place: int = 0, what: str = "a whole number", default: int | None = None) -> int:
+        """A whole number; `default`, if there is one, where the line is too short."""
+        if default is not None and place >= len(self.words):
+            return default
+        value = self.value(place, what)
+        if value != int(value):
+            raise self.error(f"'{self.word(place)}' in '{self.shown}' is not {what}; correct it")
+        return int(value)
+
+    def values(self, what: str = "numbers") -> tuple[float, ...]:
+        """All words as numbers."""
+        return tuple(self.value(place, what) for place in range(len(self.words)))
+
+    def unread(self, reason: str) -> Unread:
+        """The line as one without effect."""
+        return Unread(self.number, self.text, reason)
+
+
+class Section:
+    """Lines that belong together; each is taken once."""
+
+    def __init__(self, name: str, head: Line | None = None) -> None:
+        self.name, self.head = name, head
+        self._lines: list[Line] = []
+
+    def add(self, line: Line) -> None:
+        """Append a line."""
+        self._lines.append(line)
+
+    def take(self, key: str) -> Line | None:
+        """
+        The line of a keyword; None without one.
+
+        Raises
+        ------
+        MistrayError
+            If there are two.
+        """
+        found = self.take_all(key)
+        if len(found) > 1:
+            raise found[1].error(f"{key} of {self.name} is there already, on line {found[0].number}; remove one")
+        return found[0] if found else None
+
+    def take_all(self, *keys: str) -> list[Line]:
+        """The lines of some keywords, in the order of the file."""
+        found = [line for line in self._lines if line.key in keys]
+        self._lines = [line for line in self._lines if line.key not in keys]
+        return found
+
+    def take_rest(self) -> list[Line]:
+        """All lines that are left."""
+        found, self._lines = self._lines, []
+        return found
+
+    def left(self) -> Iterator[Line]:
+        """Lines that nobody took and that are not known to have no effect."""
+        known = NO_EFFECT if self.head is None else NO_EFFECT_ON_SURFACE
+        return (line for line in self._lines if line.key not in known)
+
+
+@dataclass(frozen=True)
+class Sections:
+    """
+    The file.
+
+    Attributes
+    ----------
+    system : Section
+    surfaces : list of Section
+        In their order, the object first.
+    after : Section
+        Merit function, tolerances and configurations.
+    indented : bool
+        Lines of surfaces are, so that those of `after` are known to be what they are.
+    """
+
+    system: Section
+    surfaces: list[Section]
+    after: Section
+    indented: bool
+
+
+def read_sections(path: Path) -> Sections:
+    """
+    Read a file: UTF-16 or UTF-8 with or without byte order mark, else Latin-1.
+
+    Raises
+    ------
+    MistrayError
+        If it cannot be read, has no surfaces, or they are not numbered from 0 on.
+    """
+    text = decode(read_file(path, "lens"))
+    system, after, surfaces = Section("the system"), Section("the end of the file"), list[Section]()
+    place, over, indented = system, False, False
+    for number, raw in enumerate(text.splitlines(), 1):
+        words = raw.split()
+        if not words:
+            continue
+        line = Line(path, number, raw.strip(), words[0].upper(), tuple(words[1:]))
+        flush = not raw[0].isspace()
+        if line.key == "SURF":
+            if line.whole(0, "the number of the surface") != len(surfaces):
+                raise line.error(
+                    f"'{line.shown}' where surface {len(surfaces)} should stand; they are numbered from 0 on"
+                )
+            _move(after, place)
+            place, over = Section(f"surface {len(surfaces)}", line), False
+            surfaces.append(place)
+        elif not surfaces:
+            system.add(line)
+        elif over or (flush and line.key in _AFTER):
+            over = True
+            after.add(line)
+        elif flush and line.key not in _OF_SURFACE:
+            (system if line.key in NO_EFFECT or line.key in _OF_SYSTEM else after).add(line)
+        else:
+            indented = indented or not flush
+            _move(after, place)
+            place.add(line)
+    if not surfaces:
+        raise MistrayError(f"lens '{path}': it has no line 'SURF 0'; give a Zemax .zmx file in text form")
+    return Sections(system, surfaces, after, indented)
+
+
+def _move(after: Section, place: Section) -> None:
+    """Put lines that seemed to follow the surfaces where they stand: another line of the table came behind them."""
+    for line in after.take_rest():
+        place.add(line)

@@ -1,0 +1,1 @@
+"""Baffles by construction: vane tubes, telescope baffles, and which of their walls light reaches."""

@@ -1,0 +1,286 @@
+r"""Baffles of a Cassegrain telescope: no straight line from the sky past the secondary to the detector.
+
+Light that comes in beside the secondary could reach the detector through the hole of the primary. Two rims stop it: A,
+the rim of a cone around the secondary, and B, the mouth of a tube that stands in the hole. They are found as in A. T.
+Young ("Design of Cassegrain light shields", Appl. Opt. 6, 1063, 1967) and D. D. Prescott ("Cassegrainian baffle
+design", Appl. Opt. 7, 479, 1968), here with traced rays instead of paraxial ones. With the half field w, in a plane
+through the axis:
+
+- A lies on the outermost ray from the primary to the secondary, so that it does not cut the beam. It is the ray through
+  the rims of both mirrors; where this one is outside of the field, that of the field +w through the rim of the primary
+  or that of the field -w through the rim of the secondary, whichever limits the beam;
+- B lies on the outermost ray from the secondary to the detector, that of the field +w at the upper edge of the beam;
+- the tube around B may not shadow more than A does: its outer wall at the mouth lies on the innermost ray from the
+  primary to the secondary, which is the ray of the field -w that grazes A on its way in;
+- the ray from the edge of the detector past the far side of B just meets A,
+
+      r_A = τ r_B + (τ - 1) h,   τ = (z_D - z_A)/(z_D - z_B),
+
+  h the radius of the detector. This holds for skew rays too: from all points of the detector through all points of B,
+  the plane of A is met within this radius.
+
+Each place of A on the first ray gives a B; the last condition selects the A nearest to the secondary, of the smallest
+obscuration. Inside, the tube has vanes that end on the line from B to the edge of the detector, by
+`mistray.prescription.baffles.tube.vane_tube` with the detector as the optic.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.sag import sag, sag_derivative
+from mistray.prescription.baffles.tube import BaffleTube, check_positive, vane_tube
+from mistray.prescription.baffles.vanes import VaneEdge
+from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.model import Detector, Structure, Surface
+from mistray.prescription.scatter import Scatter
+
+_SCANNED = 400
+_BISECTIONS = 60
+_NEWTON_STEPS = 30
+
+
+@dataclass(frozen=True)
+class MeridionalRay:
+    """A line in the plane of the axis: point (y, z) and direction (dy, dz), mm."""
+
+    y: float
+    z: float
+    dy: float
+    dz: float
+
+    def height(self, z: float) -> float:
+        """Its y at z, mm."""
+        return self.y + (z - self.z) * self.dy / self.dz
+
+    def reflected(self, mirror: Surface) -> MeridionalRay:
+        """
+        The ray behind a coaxial mirror.
+
+        Raises
+        ------
+        MistrayError
+            If it does not meet the mirror's curve.
+        """
+        t = (mirror.z - self.z) / self.dz
+        for _ in range(_NEWTON_STEPS):
+            y = self.y + t * self.dy
+            slope = 2 * y * sag_derivative(y * y, mirror.curvature, mirror.conic, mirror.coefficients)
+            gap = self.z + t * self.dz - mirror.z - sag(y * y, mirror.curvature, mirror.conic, mirror.coefficients)
+            t -= gap / (self.dz - slope * self.dy)
+        y = self.y + t * self.dy
+        if not math.isfinite(y):
+            raise MistrayError(f"surface '{mirror.name}': a ray of the field misses it; make the field smaller")
+        slope = 2 * y * sag_derivative(y * y, mirror.curvature, mirror.conic, mirror.coefficients)
+        # Normal (-slope, 1), not of unit length
+        along = 2 * (self.dz - slope * self.dy) / (1 + slope * slope)
+        return MeridionalRay(y, self.z + t * self.dz, self.dy + along * slope, self.dz - along)
+
+
+@dataclass(frozen=True, kw_only=True)
+class CassegrainBaffles:
+    """
+    The two rims and what stands on them.
+
+    Attributes
+    ----------
+    outer_rim : (float, float)
+        (r, z) of A, the rim of the cone around the secondary, mm.
+    secondary_rim : (float, float)
+        Where this cone begins, mm.
+    tube : BaffleTube
+        From B to the detector.
+    obscuration : float
+        Share of the area of the primary that A covers on the axis.
+    """
+
+    outer_rim: tuple[float, float]
+    secondary_rim: tuple[float, float]
+    tube: BaffleTube
+    obscuration: float
+
+    @property
+    def inner_rim(self) -> tuple[float, float]:
+        """(r, z) of B, the mouth of the tube, mm."""
+        return self.tube.vanes[0].radius, self.tube.z_front
+
+    def structures(
+        self,
+        *,
+        coating: Coating | None = BLACK,
+        scatter: tuple[Scatter, ...] = (),
+        space: int = -1,
+    ) -> tuple[Structure, ...]:
+        """The cone ``secondary_baffle`` and the tube with its vanes; parameters as in `Structure`."""
+        cone = Structure(
+            "secondary_baffle", *self.secondary_rim, *self.outer_rim, coating=coating, scatter=scatter, space=space
+        )
+        return (cone, *self.tube.structures(coating=coating, scatter=scatter, space=space))
+
+
+def cassegrain_baffles(
+    primary: Surface,
+    secondary: Surface,
+    detector: Detector,
+    *,
+    field_deg: float,
+    wall_depth: float,
+    wall_rear: float,
+    clearance: float = 0.0,
+    edge: VaneEdge | None = None,
+    name: str = "inner_baffle",
+) -> CassegrainBaffles:
+    """
+    The baffles of the smallest obscuration that leave no straight line from the sky to the detector.
+
+    Parameters
+    ----------
+    primary, secondary : Surface
+        Coaxial mirrors, the light travelling +z first; the smaller of them limits the beam.
+    detector : Detector
+        Behind the primary.
+    field_deg : float
+        Half field that is not vignetted.
+    wall_depth : float
+        Between the mouth B and the outer wall of its tube, mm.
+    wall_rear : float
+        Radius of the wall of this tube at the detector, mm.
+    clearance : float
+        Between A and the beam, mm.
+    edge : VaneEdge or None
+        Of the vanes within the tube, as in `vane_tube`.
+    name : str
+        Of the tube.
+
+    Returns
+    -------
+    CassegrainBaffles
+
+    Raises
+    ------
+    MistrayError
+        If a surface is off the axis, or no pair of baffles does it.
+    """
+    for surface in (primary, secondary, detector):
+        if not surface.coaxial:
+            raise MistrayError(f"surface '{surface.name}': it is off the axis; Cassegrain baffles need coaxial mirrors")
+    check_positive(f"baffle '{name}'", wall_depth=wall_depth, wall_rear=wall_rear)
+    if not 0 <= field_deg < 90:
+        raise MistrayError(f"baffle '{name}': field_deg = {field_deg:g}; it must lie between 0 and 90")
+    w = math.radians(field_deg)
+    towards = _outermost(primary, secondary, w)
+    onwards = _upper_edge(primary, secondary, w).reflected(secondary)
+    rim = secondary.rim
+
+    def mouth(z_a: float) -> tuple[float, float, float]:
+        """Surplus of r_A over what the straight line needs, and r and z of B, of A at z_a."""
+        r_a = towards.height(z_a) + clearance
+        inmost = MeridionalRay(r_a, z_a, -math.sin(w), math.cos(w)).reflected(primary)
+        # Where the innermost ray stands wall_depth above the outermost ray behind the secondary
+        rise = inmost.dy / inmost.dz - onwards.dy / onwards.dz
+        z_b = (wall_depth - inmost.height(0.0) + onwards.height(0.0)) / rise
+        r_b = onwards.height(z_b)
+        tau = (detector.z - z_a) / (detector.z - z_b)
+        if not z_a < z_b < min(primary.z, detector.z):
+            return math.nan, r_b, z_b
+        return r_a - tau * r_b - (tau - 1) * detector.outer_radius, r_b, z_b
+
+    z_a = _first_root(lambda z: mouth(z)[0], rim[1], primary.z)
+    if z_a is None:
+        raise MistrayError(
+            f"baffle '{name}': no baffles keep the sky from detector '{detector.name}' of radius "
+            f"{detector.outer_radius:g} mm at a half field of {field_deg:g}°; make field, detector or wall_depth "
+            "smaller"
+        )
+    _, r_b, z_b = mouth(z_a)
+    if r_b < detector.outer_radius:
+        raise MistrayError(
+            f"baffle '{name}': its mouth, {r_b:.6g} mm, is narrower than detector '{detector.name}', "
+            f"{detector.outer_radius:g} mm; make the detector smaller or the field larger"
+        )
+    length = detector.z - z_b
+    tube = vane_tube(
+        name,
+        optic_radius=detector.outer_radius,
+        z_rear=detector.z,
+        length=length,
+        wall_radius=(r_b + wall_depth, wall_rear),
+        field_deg=math.degrees(math.atan((r_b - detector.outer_radius) / length)),
+        edge=edge,
+    )
+    r_a = towards.height(z_a) + clearance
+    at_primary = tube.wall_radius(primary.z)
+    if at_primary > r_a or at_primary > primary.inner_semi_diameter:
+        raise MistrayError(
+            f"baffle '{name}': its wall is {at_primary:g} mm wide at the primary, whose hole has "
+            f"{primary.inner_semi_diameter:g} mm and the shadow {r_a:g} mm; make wall_rear smaller or the hole larger"
+        )
+    return CassegrainBaffles(
+        outer_rim=(r_a, z_a),
+        secondary_rim=rim,
+        tube=tube,
+        obscuration=(r_a / _upper_edge(primary, secondary, 0.0).y) ** 2,
+    )
+
+
+def _upper_edge(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
+    """Behind the primary, the upper edge of the beam of a field (rad): through the rim of the mirror that limits it."""
+    ray = _from_primary(primary, primary.outer_radius, field)
+    if ray.reflected(secondary).y <= secondary.outer_radius:
+        return ray
+    height = _bisected(
+        lambda y: _from_primary(primary, y, field).reflected(secondary).y - secondary.outer_radius,
+        0.0,
+        primary.outer_radius,
+    )
+    return _from_primary(primary, height, field)
+
+
+def _outermost(primary: Surface, secondary: Surface, field: float) -> MeridionalRay:
+    """
+    The outermost ray between the mirrors, of all fields up to one (rad).
+
+    Upper edges that the primary limits turn outwards about its rim as the field grows, those that the secondary limits
+    turn inwards about its own: the outermost one passes both rims, or is that of the last field.
+    """
+
+    def beyond(angle: float) -> float:
+        edge = _from_primary(primary, primary.outer_radius, angle)
+        return edge.reflected(secondary).y - secondary.outer_radius
+
+    if beyond(field) <= 0:
+        return _upper_edge(primary, secondary, field)
+    if beyond(-field) >= 0:
+        return _upper_edge(primary, secondary, -field)
+    return _upper_edge(primary, secondary, _bisected(beyond, -field, field))
+
+
+def _from_primary(primary: Surface, height: float, field: float) -> MeridionalRay:
+    start = MeridionalRay(height, primary.z_at(height), math.sin(field), math.cos(field))
+    return start.reflected(primary)
+
+
+def _bisected(growing: Callable[[float], float], low: float, high: float) -> float:
+    """Largest argument found at which a growing function is not yet positive."""
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if growing(middle) > 0 else (middle, high)
+    return low
+
+
+def _first_root(surplus: Callable[[float], float], start: float, end: float) -> float | None:
+    """First z from `start` where a function that is NaN or negative before becomes positive; None if it never does."""
+    grid = np.linspace(start, end, _SCANNED, endpoint=False)
+    good = next((k for k, z in enumerate(grid) if surplus(float(z)) >= 0), None)
+    if not good:
+        return None if good is None else float(grid[0])
+    low, high = float(grid[good - 1]), float(grid[good])
+    for _ in range(_BISECTIONS):
+        middle = 0.5 * (low + high)
+        low, high = (low, middle) if surplus(middle) >= 0 else (middle, high)
+    return high

@@ -1,0 +1,159 @@
+r"""Two baffle tubes behind one another, so that light must be scattered four times before it meets the optic.
+
+The inner stage stands before the optic, its opening B of radius b is the optic's only view. The outer stage ends at B.
+
+- The optic sees nothing of the outer stage: the vanes there stand outside of the cone from the optic's rim past the far
+  edge of B, of slope s = (r_o + b)/L_2.
+- Light beyond the exclusion angle ε does not reach B directly: tan ε = (a + b)/L_1, a the radius of the opening.
+- Within each stage, what light from its front meets is not seen from its end (`mistray.prescription.baffles.tube`). For
+  the inner stage "light from its front" is all that comes through B, from any direction.
+
+So light from beyond ε meets a surface of the outer stage, then one that B sees, then one of the inner stage, then one
+that the optic sees: four scatters. This is the scheme of star trackers and coronagraphs (C. Leinert and D. Klüppelberg,
+"Stray light suppression in optical space experiments", Appl. Opt. 13, 556, 1974; J.-J. Arnoux, "Star sensor baffle
+optimization", Proc. SPIE 2864, 1996).
+
+The shortest one follows from the two conditions. With b = r_o + c + L_2 tan w, a = b + c + L_1 s, k = tan ε - tan w and
+m = 2 r_o + c,
+
+    L_1 = (2 b + c)/(tan ε - s) = (2 b + c) L_2/(k L_2 - m),
+
+and L_1 + L_2 is least at L_2 = m/k + sqrt(m²/k² + 2 c m/(k (k + 2 tan w))). Without clearance, c = 0, this is
+L_2 = 4 r_o/k, twice the length of a simple hood, L_1 = L_2 b/r_o and a = b (2 + b/r_o).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+from mistray.errors import MistrayError
+from mistray.prescription.baffles.tube import BaffleTube, check_positive, slope_margin, vane_tube
+from mistray.prescription.baffles.vanes import VaneEdge
+from mistray.prescription.coating import BLACK, Coating
+from mistray.prescription.model import Structure
+from mistray.prescription.scatter import Scatter
+
+
+@dataclass(frozen=True, kw_only=True)
+class TwoStageBaffle:
+    """
+    Two tubes, the inner one nearer to the optic.
+
+    Attributes
+    ----------
+    name : str
+        The stages are ``<name>_outer`` and ``<name>_inner``.
+    outer, inner : BaffleTube
+    """
+
+    name: str
+    outer: BaffleTube
+    inner: BaffleTube
+
+    @property
+    def length(self) -> float:
+        """Of both stages, mm."""
+        return self.inner.z_rear - self.outer.z_front
+
+    def structures(
+        self,
+        *,
+        coating: Coating | None = BLACK,
+        scatter: tuple[Scatter, ...] = (),
+        wall_scatter: tuple[Scatter, ...] | None = None,
+        space: int = -1,
+    ) -> tuple[Structure, ...]:
+        """Both stages and the ring between them, ``<name>_bulkhead``; parameters as in `BaffleTube.structures`."""
+        kind: dict[str, Any] = {"coating": coating, "scatter": scatter, "space": space}
+        z = self.inner.z_front
+        bulkhead = Structure(
+            f"{self.name}_bulkhead", self.outer.wall_radius(z), z, self.inner.wall_radius(z), z, **kind
+        )
+        stages = (stage.structures(wall_scatter=wall_scatter, **kind) for stage in (self.outer, self.inner))
+        outer, inner = stages
+        return (*outer, bulkhead, *inner)
+
+
+def two_stage_baffle(
+    name: str,
+    *,
+    optic_radius: float,
+    z_rear: float,
+    field_deg: float,
+    exclusion_deg: float,
+    depth: float,
+    clearance: float = 0.0,
+    inner_length: float | None = None,
+    edge: VaneEdge | None = None,
+) -> TwoStageBaffle:
+    """
+    The shortest two-stage baffle of an exclusion angle.
+
+    Parameters
+    ----------
+    name : str
+    optic_radius : float
+        Semi-diameter of the optic, mm.
+    z_rear : float
+        Its position, the end of the inner stage, mm.
+    field_deg : float
+        Half field that is left free.
+    exclusion_deg : float
+        Field angle beyond which light must be scattered four times.
+    depth : float
+        Of the walls beyond the opening of each stage, mm: the vanes are at least as deep.
+    clearance : float
+        Of the tips, to the beam and to the optic's view, mm.
+    inner_length : float or None
+        Of the inner stage, mm; ``None``: that of the shortest baffle.
+    edge : VaneEdge or None
+        As in `vane_tube`.
+
+    Raises
+    ------
+    MistrayError
+        If a number is impossible, or the inner stage so short that no outer stage keeps light beyond the exclusion
+        angle from its opening.
+    """
+    what = f"baffle '{name}'"
+    check_positive(what, optic_radius=optic_radius, depth=depth)
+    if clearance < 0:
+        raise MistrayError(f"{what}: clearance = {clearance:g} mm; it must not be negative")
+    k = slope_margin(what, field_deg, exclusion_deg)
+    slope = math.tan(math.radians(field_deg))
+    m = 2 * optic_radius + clearance
+    least = m / k
+    best = least + math.sqrt(least**2 + 2 * clearance * m / (k * (k + 2 * slope)))
+    length = best if inner_length is None else inner_length
+    if length <= least:
+        raise MistrayError(
+            f"{what}: inner_length = {length:g} mm; it must be greater than {least:.6g} mm, {best:.6g} mm gives the "
+            "shortest baffle"
+        )
+    opening = optic_radius + clearance + length * slope
+    outer_length = (2 * opening + clearance) * length / (k * length - m)
+    view = (optic_radius + opening) / length
+    inner = vane_tube(
+        f"{name}_inner",
+        optic_radius=optic_radius,
+        z_rear=z_rear,
+        length=length,
+        wall_radius=opening + depth,
+        field_deg=field_deg,
+        clearance=clearance,
+        edge=edge,
+    )
+    outer = vane_tube(
+        f"{name}_outer",
+        optic_radius=opening,
+        z_rear=z_rear - length,
+        length=outer_length,
+        wall_radius=opening + clearance + outer_length * view + depth,
+        field_deg=math.degrees(math.atan(view)),
+        exclusion_deg=exclusion_deg,
+        clearance=clearance,
+        edge=edge,
+    )
+    return TwoStageBaffle(name=name, outer=outer, inner=inner)

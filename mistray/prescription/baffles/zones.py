@@ -1,0 +1,109 @@
+"""Zones of the wall of a tube that are lit from outside, and zones that the optic sees, of any set of vanes.
+
+A wall point (R(z), z) between two vanes is lit if a slope s = -dr/dz of a ray towards the front passes all openings
+before it, (R - a_j)/(z - z_j) ≤ s ≤ (R + a_j)/(z - z_j), and s is that of light beyond the exclusion angle. It is seen
+if a ray to the optic passes all openings behind it and meets the optic within its radius: the same, with the optic as
+the last opening. There is such a slope if each lower bound is below each upper bound. With a wall of R linear in z the
+quadratic terms of each such condition cancel, so that it is linear in z and the zone between two vanes is one interval.
+That the plane of the axis is enough is shown in `mistray.prescription.baffles.tube`. The thickness of vanes is not
+considered.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from itertools import pairwise
+
+from mistray.prescription.baffles.tube import BaffleTube
+
+Zone = tuple[float, float]
+"""First and last z, mm."""
+Opening = tuple[float, float]
+"""z and radius, mm."""
+
+
+def lit_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
+    """
+    Zones of the wall that light from outside meets directly.
+
+    Parameters
+    ----------
+    tube : BaffleTube
+    exclusion_deg : float
+        Only light at larger field angles counts.
+
+    Returns
+    -------
+    tuple of (float, float)
+        At most one behind each vane.
+    """
+    steepness = math.tan(math.radians(exclusion_deg))
+    zones = []
+    for k, (start, end) in enumerate(_gaps(tube)):
+        before = [(vane.z, vane.radius) for vane in tube.vanes[: k + 1]]
+        conditions = [*_crossing(tube, before, 1.0)]
+        p, q = _wall(tube)
+        # R + a_j ≥ tan ε (z - z_j)
+        conditions += [(p + a + steepness * z, q - steepness) for z, a in before]
+        zones.append(_interval(conditions, start, end))
+    return tuple(zone for zone in zones if zone is not None)
+
+
+def seen_zones(tube: BaffleTube) -> tuple[Zone, ...]:
+    """Zones of the wall that the optic sees: at most one behind each vane."""
+    zones = []
+    for k, (start, end) in enumerate(_gaps(tube)):
+        behind = [(vane.z, vane.radius) for vane in tube.vanes[k + 1 :]]
+        conditions = [*_crossing(tube, [*behind, (tube.z_rear, tube.optic_radius)], -1.0)]
+        zones.append(_interval(conditions, start, end))
+    return tuple(zone for zone in zones if zone is not None)
+
+
+def first_order_zones(tube: BaffleTube, exclusion_deg: float = 0.0) -> tuple[Zone, ...]:
+    """
+    Zones of the wall that are lit and seen: from them light reaches the optic after one scatter.
+
+    Parameters as in `lit_zones`; a tube of `vane_tube` has none beyond its own exclusion angle.
+    """
+    both = [(max(a[0], b[0]), min(a[1], b[1])) for a in lit_zones(tube, exclusion_deg) for b in seen_zones(tube)]
+    return tuple(zone for zone in both if zone[0] < zone[1])
+
+
+def _gaps(tube: BaffleTube) -> Iterator[Zone]:
+    """Between a vane and the next, and behind the last one."""
+    places = [*(vane.z for vane in tube.vanes), tube.z_rear]
+    yield from pairwise(places)
+
+
+def _wall(tube: BaffleTube) -> tuple[float, float]:
+    """P and q of R = p + q z."""
+    q = (tube.wall_rear - tube.wall_front) / (tube.z_rear - tube.z_front)
+    return tube.wall_front - q * tube.z_front, q
+
+
+def _crossing(tube: BaffleTube, openings: list[Opening], sign: float) -> Iterator[tuple[float, float]]:
+    """
+    (c_0, c_1) of the conditions c_0 + c_1 z ≥ 0 under which the bounds of two openings leave a slope.
+
+    `sign` is 1 for openings before the point and -1 for those behind it.
+    """
+    p, q = _wall(tube)
+    for z_low, a_low in openings:
+        for z_high, a_high in openings:
+            # (R + a_high)(z - z_low) ≥ (R - a_low)(z - z_high), where both differences have the sign of `sign`
+            constant = -(p + a_high) * z_low + (p - a_low) * z_high
+            linear = a_high + a_low + q * (z_high - z_low)
+            yield sign * constant, sign * linear
+
+
+def _interval(conditions: list[tuple[float, float]], start: float, end: float) -> Zone | None:
+    """Where all c_0 + c_1 z ≥ 0 hold between two places; None if nowhere."""
+    for constant, linear in conditions:
+        if linear > 0:
+            start = max(start, -constant / linear)
+        elif linear < 0:
+            end = min(end, -constant / linear)
+        elif constant < 0:
+            return None
+    return (start, end) if start < end else None

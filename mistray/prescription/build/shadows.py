@@ -1,0 +1,104 @@
+"""Walls that would stand in the beam of a folded system: a barrel there is none in the real one."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.prescription.model import Structure, Surface
+from mistray.prescription.sequential.table import Row
+from mistray.prescription.sequential.rays import distance
+
+_END = 1e-9  # of a way or of a wall: what touches does not cross
+_TOUCHING_MM = 1e-6  # rays that begin or end on a surface do not pass through it
+
+Array = npt.NDArray[np.float64]
+
+
+def shadowing_spaces(
+    pieces: Iterable[Structure | Surface], segments: Iterable[tuple[Array, Array]], part: str = "barrel"
+) -> set[int]:
+    """
+    Numbers of the spaces whose walls rays cross.
+
+    Parameters
+    ----------
+    pieces : iterable of Structure or Surface
+        Those of other parts are passed over.
+    segments : iterable of two (n, 3) float64
+        Where rays leave an optical surface and where they meet the next, in the world, mm; NaN for rays to pass over.
+    part : str
+        Of the walls.
+
+    Returns
+    -------
+    set of int
+    """
+    legs = list(segments)
+    walls = [piece for piece in pieces if isinstance(piece, Structure) and piece.part == part]
+    return {wall.space for wall in walls if any(_crossed(wall, *leg) for leg in legs)}
+
+
+def met_at(row: Row, surface: Surface, start: Array, end: Array) -> Array:
+    """
+    Where rays pass through the clear part of a surface.
+
+    Parameters
+    ----------
+    row : Row
+        With its figure.
+    surface : Surface
+        With its place and clear radii.
+    start, end : (n, 3) float64
+        In the world, mm.
+
+    Returns
+    -------
+    (n,) float64
+        Distance from its axis, mm; NaN for rays that do not.
+    """
+    frame = surface.to_world()
+    a, b = ((point - frame[:3, 3]) @ frame[:3, :3] for point in (start, end))
+    length = np.linalg.norm(b - a, axis=1)
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        heading = (b - a) / length[:, None]
+        s = distance(row, a, heading)
+        x, y = (a + s[:, None] * heading)[:, :2].T
+        r = np.hypot(x, y)
+        if surface.half_width is not None and surface.half_height is not None:
+            within = (np.abs(x) < surface.half_width) & (np.abs(y) < surface.half_height)
+        else:
+            within = (r < surface.outer_radius) & (r >= surface.inner_semi_diameter)
+        result: Array = np.where((s > _TOUCHING_MM) & (s < length - _TOUCHING_MM) & within, r, np.nan)
+    return result
+
+
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
+def _crossed(wall: Structure, start: Array, end: Array) -> bool:
+    """Whether rays pass through a frustum between its ends; those that begin or end there do not."""
+    frame = wall.to_world()
+    a, b = ((point - frame[:3, 3]) @ frame[:3, :3] for point in (start, end))
+    step = b - a
+    if wall.z0 == wall.z1:
+        t = (wall.z0 - a[:, 2]) / step[:, 2]
+        share = (np.hypot(*(a + t[:, None] * step)[:, :2].T) - wall.r0) / (wall.r1 - wall.r0)
+        return bool(np.any(_between(t) & _between(share)))
+    slope = (wall.r1 - wall.r0) / (wall.z1 - wall.z0)
+    # x² + y² = r(z)² with r linear along the ray: (d² - ρ²) t² + 2 (a·d - r ρ) t + a² - r² = 0
+    radius, growth = wall.r0 + slope * (a[:, 2] - wall.z0), slope * step[:, 2]
+    square = (step[:, :2] ** 2).sum(axis=1) - growth**2
+    half = (a[:, :2] * step[:, :2]).sum(axis=1) - radius * growth
+    rest = (a[:, :2] ** 2).sum(axis=1) - radius**2
+    larger = -(half + np.copysign(np.sqrt(half * half - square * rest), half))
+    for t in (larger / square, rest / larger):
+        share = (a[:, 2] + t * step[:, 2] - wall.z0) / (wall.z1 - wall.z0)
+        if np.any(_between(t) & _between(share) & (radius + t * growth > 0)):
+            return True
+    return False
+
+
+def _between(share: Array) -> npt.NDArray[np.bool_]:
+    """Whether numbers lie between 0 and 1, and not at the ends."""
+    return (share > _END) & (share < 1 - _END)

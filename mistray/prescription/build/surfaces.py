@@ -1,0 +1,300 @@
+"""The optical surfaces of a sequential lens in the world: clips, materials, coatings."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Mapping
+from dataclasses import replace
+from itertools import pairwise
+from typing import Any
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.crossing import SAMPLES, meeting
+from mistray.physics.sag import conic_end
+from mistray.prescription.sequential.materials import usable
+from mistray.prescription.build.apertures import own_clip
+from mistray.prescription.build.mirrors import off_axis_piece
+from mistray.prescription.build.closing import meets_plane, on_axis, placed
+from mistray.prescription.coating import Coating
+from mistray.prescription.sequential.edge_rays import EdgeRays, edge_rays
+from mistray.prescription.sequential.first_order import stop_place
+from mistray.prescription.geometry import is_gas
+from mistray.prescription.model import Surface
+from mistray.prescription.sequential.table import Row, Sequential
+from mistray.prescription.sequential.rays import curvature, frames, materials_before, passes
+
+COVER_MM = 1e-3
+"""Between faces that lie on one another in the file."""
+
+_MIRROR = Coating(R=1.0)
+_SMALLEST = 1e-3  # of the pupil: radius of a surface that no ray reaches off its vertex
+_BEYOND = 1e-3  # relative: rays that pass a drawn radius by less are round-off of the file
+_INSIDE_CONIC = 0.999
+_ROUND_OFF_MM = 1e-9
+
+
+class OpticalSurfaces:
+    """
+    Makes them, and collects what one should know.
+
+    Parameters
+    ----------
+    lens : Sequential
+    coatings : mapping of str to Coating or None
+        By the names in the lens file.
+    margin : float
+        Part by which clear radii exceed the rays where the file gives none.
+
+    Attributes
+    ----------
+    surfaces : dict of int to Surface
+        By the place of the row; a surface that light meets twice stands at both.
+    rays : EdgeRays
+    beam : (n_rows + 1, n, 3) float64
+        Rays all over the beams of all fields, see `EdgeRays.within`, NaN from where a stated aperture stops them.
+    beam_and_rim : (n_rows + 1, m, 3) float64
+        These, and the rays of `EdgeRays.world`: where the beam ends.
+    blocked : (n,) bool
+        Those of them that a mirror out of turn blocks, as `cut_holes` finds.
+    frames : (n_rows, 4, 4) float64
+    before, behind : list of str
+        Materials in front of and behind each row, with a k.
+    aheads : list of bool
+        Whether light comes to each row along +z of its frame.
+    names : dict of int to str
+        For all rows.
+    patches : set of str
+        Names of mirrors that are spots on a lens, without a body of their own.
+    notes : list of str
+    """
+
+    def __init__(self, lens: Sequential, coatings: Mapping[str, Coating] | None, margin: float) -> None:
+        self.lens = lens
+        self.coatings = {key.lower(): coating for key, coating in (coatings or {}).items()}
+        self.margin = margin
+        self.rays: EdgeRays = edge_rays(lens)
+        self.frames = frames(lens)
+        self.beam = self._stopped(self.rays.within)
+        self.beam_and_rim = np.concatenate([self.beam, self.rays.world], axis=1)
+        self.blocked = np.zeros(self.beam.shape[1], dtype=bool)
+        self.notes: list[str] = [*lens.notes, *self.rays.notes]
+        before = materials_before(lens)
+        self.before = [self._material(material, row) for material, row in zip(before, lens.rows, strict=True)]
+        self.behind = [*self.before[1:], self.before[-1]]
+        self.names = _names(lens)
+        self.surfaces: dict[int, Surface] = {}
+        self.enlarged: dict[int, float] = {}  # number of a surface → part by which rays exceed its drawn radius
+        self.patches: set[str] = set()
+        self.aheads = [self._ahead(k) for k in range(len(lens.rows))]
+        self._place_surfaces()
+        self._cut_where_they_cross()
+        self._cut_at_the_stop()
+
+    def _place_surfaces(self) -> None:
+        part, count = "", 0
+        for k, row in enumerate(self.lens.rows[:-1]):
+            if not self._has_effect(k):
+                continue
+            if not is_gas(self.behind[k]) and not row.mirror:
+                # The glass behind begins a new body; its first surface bears the name
+                count += 1
+                part = f"L{count}"
+            own_part = part if not (is_gas(self.before[k]) and is_gas(self.behind[k])) else self.names[k]
+            front, back = (self.before[k], self.behind[k]) if self.aheads[k] else (self.behind[k], self.before[k])
+            if row.mirror:
+                front = back = self.before[k]
+            piece = off_axis_piece(row)
+            surface = Surface(
+                self.names[k],
+                radius=row.radius,
+                conic=row.conic,
+                coefficients=_trimmed(row.coefficients),
+                front=front,
+                back=back,
+                coating=self._coating(row),
+                mirror=row.mirror,
+                part=own_part,
+                **(piece[1] if piece else self._clear(k)),
+            )
+            surface = placed(surface, self.frames[k] @ piece[0] if piece else self._off_its_lens(k, surface))
+            again = next((j for j, other in self.surfaces.items() if _same(other, surface)), None)
+            if again is None:
+                self.surfaces[k] = surface
+                continue
+            first = self.surfaces[again]
+            larger = max(first.outer_radius, surface.outer_radius)
+            if first.semi_diameter is not None:
+                first = replace(first, semi_diameter=larger)
+            for j in [j for j, other in self.surfaces.items() if other.name == first.name]:
+                self.surfaces[j] = first
+            self.surfaces[k] = first
+            self.notes.append(f"surface {row.number} is '{first.name}' on the way back")
+        if self.enlarged:
+            numbers = ", ".join(map(str, self.enlarged))
+            self.notes.append(
+                f"drawn clear radii that are no apertures, made larger because rays reach up to "
+                f"{100 * max(self.enlarged.values()):.3g} % beyond: surfaces {numbers}"
+            )
+
+    def _has_effect(self, k: int) -> bool:
+        """Whether a row bends or reflects light."""
+        row = self.lens.rows[k]
+        return row.kind == "surface" and (row.mirror or self.before[k] != self.behind[k])
+
+    def is_stop_plane(self, k: int) -> bool:
+        """Whether a row is the stop, without glass or mirror."""
+        return k == stop_place(self.lens) and self.lens.rows[k].stop and not self._has_effect(k)
+
+    def _ahead(self, k: int) -> bool:
+        """Whether light comes to a row along +z of its frame, as the chief ray of the first field does."""
+        inward = np.array([0.0, 0.0, 1.0])
+        for j in range(k - 1, -1, -1):
+            if np.all(np.isfinite(self.rays.chief[j])):
+                inward = self.frames[j][:3, :3] @ self.rays.chief[j]
+                break
+        return bool(inward @ self.frames[k][:3, 2] > 0)
+
+    def _material(self, material: str, row: Row) -> str:
+        """The material with a k, which a scene needs; without data the lens is taken for lossless."""
+        try:
+            known = usable(material, self.lens.wavelengths_nm)
+        except MistrayError as error:
+            raise MistrayError(f"lens '{self.lens.name}', surface {row.number}: {error}") from None
+        if known != material:
+            self.notes.append(f"material '{material}': its absorption is unknown and taken for 0")
+        return known
+
+    def _off_its_lens(self, k: int, surface: Surface) -> np.ndarray:
+        """The frame of a row; that of a mirror that is a spot on a lens stands 1 µm before it."""
+        frame = self.frames[k]
+        there = placed(surface, frame)
+        on = [other for other in self.surfaces.values() if _same_figure(other, there) and not other.mirror]
+        if not (surface.mirror and on):
+            return frame
+        self.notes.append(f"mirror '{surface.name}' is a spot on '{on[0].name}': it stands 1 µm before it")
+        self.patches.add(surface.name)
+        frame = frame.copy()
+        frame[:3, 3] -= frame[:3, 2] * (COVER_MM if self.aheads[k] else -COVER_MM)
+        return frame
+
+    def _clear(self, k: int) -> dict[str, Any]:
+        """The clip of a surface."""
+        row, reach = self.lens.rows[k], float(self.rays.reach[k])
+        clip, note = own_clip(row)
+        if note:
+            self.notes.append(note)
+        if "half_width" in clip:
+            return clip
+        if "semi_diameter" in clip:
+            radius = clip["semi_diameter"]
+        elif k == stop_place(self.lens) and row.stop and not self.lens.telecentric:
+            radius = self.rays.stop_radius
+        elif row.semi_diameter is not None and row.semi_diameter >= reach * (1 - _BEYOND):
+            radius = row.semi_diameter
+        else:
+            if row.semi_diameter:
+                self.enlarged[row.number] = reach / row.semi_diameter - 1
+            radius = max(reach, _SMALLEST * self.rays.data.epd) * (1 + self.margin)
+        end = conic_end(curvature(row), row.conic)
+        if radius >= end:
+            self.notes.append(f"surface {row.number}: clear radius {radius:.6g} mm; its conic ends at {end:.6g} mm")
+            radius = end * _INSIDE_CONIC
+        return {**clip, "semi_diameter": radius}
+
+    def _coating(self, row: Row) -> Coating | None:
+        bare = _MIRROR if row.mirror else None
+        what = "reflects all light" if row.mirror else "is bare"
+        if not row.coating:
+            if row.mirror:
+                self.notes.append("mirrors without a coating reflect all light")
+            return bare
+        name = row.coating.rpartition(":")[2].lower()
+        if name in self.coatings:
+            return self.coatings[name]
+        if ":" in row.coating:
+            return Coating(table=row.coating)
+        self.notes.append(f"coating '{row.coating}' of surface {row.number} is not given (coatings=): it {what}")
+        return bare
+
+    def _cut_where_they_cross(self) -> None:
+        """Neighbours that would cross within their clear radii end where they meet."""
+        order = list(self.surfaces)
+        for j, k in pairwise(order):
+            a, b = self.surfaces[j], self.surfaces[k]
+            if a.semi_diameter is None or b.semi_diameter is None or not on_axis(a.to_world(), b.to_world()):
+                continue
+            gap = float((np.linalg.inv(a.to_world()) @ b.to_world())[2, 3])
+            flat: dict[str, Any] = {"x": 0.0, "y": 0.0, "tilt_deg": (0.0, 0.0, 0.0)}
+            here, there = replace(a, z=0.0, **flat), replace(b, z=gap, **flat)
+            met = meeting(here.z_at, there.z_at, 0.0, min(a.semi_diameter, b.semi_diameter))
+            if met is None or met.coincide or met.r == 0:
+                continue
+            reach = max(self.rays.reach[j], self.rays.reach[k])
+            # The radius found is up to one sample of the profile too large
+            radius = met.r - 2 * min(a.semi_diameter, b.semi_diameter) / SAMPLES
+            self.notes.append(
+                f"surfaces '{a.name}' and '{b.name}' cross at {met.r:.6g} mm: their clear radii end there"
+                + (f", rays reach {reach:.6g} mm" if reach > radius else "")
+            )
+            for place, own in ((j, a), (k, b)):
+                if own.outer_radius > radius:
+                    self.surfaces[place] = replace(own, semi_diameter=radius)
+
+    def _cut_at_the_stop(self) -> None:
+        """A stop that lies in the bulge of a neighbour limits that neighbour instead."""
+        k = stop_place(self.lens)
+        if not self.is_stop_plane(k):
+            return
+        before, after = [j for j in self.surfaces if j < k][-1:], [j for j in self.surfaces if j > k][:1]
+        for j, above in [(j, not self.aheads[k]) for j in before] + [(j, self.aheads[k]) for j in after]:
+            surface = self.surfaces[j]
+            if surface.semi_diameter is None or not on_axis(surface.to_world(), self.frames[k]):
+                continue
+            if meets_plane(surface, self.frames[k], above) <= self.rays.stop_radius and self.rays.reach[j] > 0:
+                self.surfaces[j] = replace(surface, semi_diameter=float(self.rays.reach[j]))
+
+    def segments(self) -> list[tuple[int, int]]:
+        """Legs of the beam: places in `beam` where it leaves a surface and where it meets the next."""
+        met = [*self.surfaces, len(self.lens.rows) - 1]
+        return list(pairwise([0, *(k + 1 for k in met)]))
+
+    def _stopped(self, beam: np.ndarray) -> np.ndarray:
+        """The beam with NaN from where a stated aperture stops it; as it is where none of it would be left."""
+        result = beam.copy()
+        for k, (row, frame) in enumerate(zip(self.lens.rows, self.frames, strict=True)):
+            if row.kind != "coordinate_break":
+                local = (beam[k + 1] - frame[:3, 3]) @ frame[:3, :3]
+                result[k + 1 :, ~passes(row, local)] = np.nan
+        return result if np.any(np.isfinite(result[-1])) else beam
+
+
+def _names(lens: Sequential) -> dict[int, str]:
+    """A name for each row: its label where that is unique and no name of a generated part, else S and its number."""
+    names: dict[int, str] = {}
+    slugs = [re.sub(r"[^\w+-]+", "_", row.label).lstrip("_+-").rstrip("_") for row in lens.rows]
+    reserved = re.compile(r"(stop|barrel|board|detector|ground_edge|[LS]\d+)(_|$)", re.IGNORECASE)
+    taken: set[str] = set()
+    for k, (row, slug) in enumerate(zip(lens.rows, slugs, strict=True)):
+        name = slug if slug and slugs.count(slug) == 1 and not reserved.match(slug) else f"S{row.number}"
+        while name in taken:
+            name += "b"
+        taken.add(name)
+        names[k] = name
+    return names
+
+
+def _trimmed(coefficients: tuple[float, ...]) -> tuple[float, ...]:
+    end = max((k + 1 for k, a in enumerate(coefficients) if a), default=0)
+    return coefficients[:end]
+
+
+def _same(a: Surface, b: Surface) -> bool:
+    """Whether two rows are one surface that light meets twice."""
+    return a.mirror == b.mirror and {a.front, a.back} == {b.front, b.back} and _same_figure(a, b)
+
+
+def _same_figure(a: Surface, b: Surface) -> bool:
+    equal = all(getattr(a, key) == getattr(b, key) for key in ("radius", "conic", "coefficients"))
+    return equal and bool(np.allclose(a.to_world()[:3, 2:], b.to_world()[:3, 2:], rtol=0, atol=_ROUND_OFF_MM))

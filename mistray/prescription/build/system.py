@@ -1,0 +1,330 @@
+"""From a sequential lens to a closed non-sequential system in the world.
+
+What is added to the table of surfaces, because light does not keep to an order: edges of the lens bodies, walls between
+lenses, a stop that is a plate with a hole, the rear and the rim of mirrors, holes in mirrors and lenses where the beam
+of the table passes through them, and a frame around the detector. What that assumes is told in the notes.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.materials.mate import shown
+from mistray.physics.crossing import meeting
+from mistray.prescription.build.apertures import aperture_pieces
+from mistray.prescription.build.bores import add_bores
+from mistray.prescription.build.mirrors import cut_holes
+from mistray.prescription.build.shadows import met_at, shadowing_spaces
+from mistray.prescription.build.surfaces import COVER_MM, OpticalSurfaces
+from mistray.prescription.build.closing import EDGES, Closing, Edges, Item, StopPlane, mirror_back, on_axis, placed
+from mistray.prescription.coating import Coating
+from mistray.prescription.sequential.first_order import FirstOrder, field_tangents
+from mistray.prescription.geometry import is_gas
+from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
+from mistray.prescription.sequential.table import Sequential
+from mistray.prescription.sequential.rays import curvature
+from mistray.ranges import MARGIN as MARGIN_RANGE
+
+Beam = Literal["pupil", "front"]
+MARGIN = 0.02
+
+_PIXELS = (512, 512)
+_MIRROR_THICKNESS = 0.05  # of the clear radius
+_POINT = 1e-3  # of the focal length: all fields fall on one point
+_SMALLEST_DETECTOR = 0.01  # of the focal length: half size of the detector then
+_ASIDE = 0.02  # of the pupil's radius: a beam that comes in so far from the axis moves the source
+_SOURCE_DIGITS = 9  # of its place in mm and direction in degrees
+
+
+@dataclass(frozen=True)
+class Built:
+    """
+    A prescription and what one should know of it.
+
+    Attributes
+    ----------
+    prescription : Prescription
+    lens : Sequential
+        What it was made of; ``lens.unread`` lists what had no effect.
+    first_order : FirstOrder
+    notes : tuple of str
+        Assumptions of the file's reader and of this step.
+    """
+
+    prescription: Prescription
+    lens: Sequential
+    first_order: FirstOrder
+    notes: tuple[str, ...]
+
+
+def to_prescription(
+    sequential: Sequential,
+    *,
+    edges: Edges = "blackened",
+    coatings: Mapping[str, Coating] | None = None,
+    margin: float = MARGIN,
+    ground_reflectance: float = 0.5,
+    beam: Beam = "pupil",
+    detector_half_mm: tuple[float, float] | None = None,
+) -> Prescription:
+    """
+    Make a closed optical system of a sequential lens.
+
+    Parameters
+    ----------
+    sequential : Sequential
+        As from `read_zemax`, `read_codev` and the adapters.
+    edges : {"blackened", "ground", "open"}
+        Lens edges that absorb; that return a part of the light diffusely; or that are polished, without any barrel
+        around them. With the first two, walls that absorb join the rims of neighbours in air.
+    coatings : mapping of str to Coating or None
+        Coatings by the names in the lens file, before those that the reader found. Surfaces with other names or none
+        are bare glass, mirrors reflect all light, and a note tells so.
+    margin : float
+        Where the lens file gives no clear radius: part by which it exceeds the rays of all fields, ≥ 0.
+    ground_reflectance : float
+        Of ground edges, 0 … 1.
+    beam : {"pupil", "front"}
+        The source fills the entrance pupil, or the first surface whole, as a distant source of stray light does.
+    detector_half_mm : tuple of two float or None
+        Half width and half height of the detector, mm; ``None``: those of the image of all fields.
+
+    Returns
+    -------
+    Prescription
+        In the frame of the first surface: its vertex is the origin, light travels along +z. `provenance` holds the
+        notes and every line of the file that had no effect.
+
+    Raises
+    ------
+    MistrayError
+        If a material is unknown, no ray gets through, or surfaces cross.
+    """
+    built = build(
+        sequential,
+        edges=edges,
+        coatings=coatings,
+        margin=margin,
+        ground_reflectance=ground_reflectance,
+        beam=beam,
+        detector_half_mm=detector_half_mm,
+    )
+    return built.prescription
+
+
+def build(
+    sequential: Sequential,
+    *,
+    edges: Edges = "blackened",
+    coatings: Mapping[str, Coating] | None = None,
+    margin: float = MARGIN,
+    ground_reflectance: float = 0.5,
+    beam: Beam = "pupil",
+    detector_half_mm: tuple[float, float] | None = None,
+) -> Built:
+    """The same as `to_prescription`, with first-order data and notes."""
+    if edges not in EDGES:
+        raise MistrayError(f"edges = '{edges}'; they are {', '.join(EDGES[:-1])} or {EDGES[-1]}")
+    if beam not in ("pupil", "front"):
+        raise MistrayError(f"beam = '{beam}'; it is 'pupil' or 'front'")
+    MARGIN_RANGE.check("margin", margin)
+    table = OpticalSurfaces(sequential, coatings, margin)
+    cut_holes(table)
+    return _structured(table, Closing(edges, ground_reflectance), beam, detector_half_mm)
+
+
+def _structured(
+    table: OpticalSurfaces, closing: Closing, beam: Beam, detector_half: tuple[float, float] | None
+) -> Built:
+    """The system around the optical surfaces."""
+    lens, surfaces = table.lens, table.surfaces
+    detector = _detector(table, detector_half)
+    items: list[Item] = []
+    ahead: list[bool] = []
+    plates: list[Structure | Surface] = []
+    for k in range(len(lens.rows) - 1):
+        stop = table.is_stop_plane(k)
+        if k in surfaces or stop:
+            items.append(surfaces[k] if k in surfaces else _stop(table, k))
+            ahead.append(table.aheads[k])
+        plates += _plates(table, k)
+    closing.close([*items, detector], [*ahead, table.aheads[-1]])
+    closing.structures = _without_shadows(table, closing.structures, detector)
+    add_bores(table, closing)
+    plates += _mirror_backs(table, detector)
+    source = _source(table, beam)
+    notes = tuple(dict.fromkeys([*table.notes, *closing.notes]))
+    prescription = Prescription(
+        name=shown([lens.name]),
+        surfaces=tuple({surface.name: surface for surface in surfaces.values()}.values()),
+        structures=(*closing.structures, *plates),
+        stop=closing.stop,
+        detector=detector,
+        source=source,
+        provenance=_provenance(lens, notes),
+    )
+    return Built(prescription, lens, table.rays.data, notes)
+
+
+def _without_shadows(
+    table: OpticalSurfaces, structures: list[Structure | Surface], detector: Detector
+) -> list[Structure | Surface]:
+    """The structures without those walls that a folded beam passes through."""
+    if not any(row.mirror for row in table.lens.rows):
+        return structures
+    segments = []
+    for begin, end in table.segments():
+        start, stop = table.beam[begin], table.beam[end].copy()
+        ends = [table.surfaces.get(k - 1) for k in (begin, end)]
+        for k, surface in table.surfaces.items():
+            if surface not in ends:
+                # A lens that stands in the beam shades its own mount
+                stop[np.isfinite(met_at(table.lens.rows[k], surface, start, stop))] = np.nan
+        segments.append((start, stop))
+        row = table.lens.rows[end - 1]
+        if row.kind != "image" and np.any(
+            np.isfinite(met_at(replace(table.lens.rows[-1], radius=math.inf, coefficients=()), detector, start, stop))
+        ):
+            table.notes.append(f"the detector stands in the beam on its way to surface {row.number}")
+    spaces = shadowing_spaces(structures, segments)
+    table.notes += [f"there is no wall in space {space}: it would stand in the beam" for space in sorted(spaces)]
+    return [piece for piece in structures if piece.part not in ("barrel", "board") or piece.space not in spaces]
+
+
+def _stop(table: OpticalSurfaces, k: int) -> StopPlane:
+    row = table.lens.rows[k]
+    if curvature(row):
+        table.notes.append(f"surface {row.number}: the stop is curved in the file and flat here")
+    return StopPlane(table.rays.stop_radius, table.frames[k], table.before[k])
+
+
+def _plates(table: OpticalSurfaces, k: int) -> list[Surface | Structure]:
+    """Opaque faces of the apertures that a row states, beyond the clip of its surface."""
+    row = table.lens.rows[k]
+    if row.kind == "coordinate_break":
+        return []
+    if table.is_stop_plane(k):  # its round opening is that of the stop
+        own = row.aperture
+        if own is not None and own.centred_circle:
+            own = replace(own, outer=math.inf)
+        row = replace(row, semi_diameter_fixed=False, aperture=own)
+    widest = max((surface.outer_radius for surface in table.surfaces.values()), default=0.0)
+    pieces, notes = aperture_pieces(row, table.names[k], k in table.surfaces, table.aheads[k], widest, table.before[k])
+    table.notes += notes
+    return [placed(piece, table.frames[k]) for piece in pieces]
+
+
+def _mirror_backs(table: OpticalSurfaces, detector: Detector) -> list[Surface | Structure]:
+    result: list[Surface | Structure] = []
+    others = [*table.surfaces.values(), detector]
+    for k, mirror in table.surfaces.items():
+        known = any(piece.part == mirror.part for piece in result)
+        if mirror.mirror and is_gas(mirror.front) and not known and mirror.name not in table.patches:
+            body = mirror_back(mirror, table.aheads[k], _MIRROR_THICKNESS * mirror.outer_radius)
+            cut = next((other for other in (*others, *result) if _cross(body[0], other)), None)
+            if cut is None:
+                result += body
+            else:
+                table.notes.append(f"mirror '{mirror.name}' has no rear: it would cut '{cut.name}'")
+    return result
+
+
+def _cross(a: Surface | Structure, b: Surface | Structure) -> bool:
+    """Whether two surfaces about one axis cross within their clear radii."""
+    if not (isinstance(a, Surface) and isinstance(b, Surface) and on_axis(a.to_world(), b.to_world())):
+        return False
+    gap = float((np.linalg.inv(a.to_world()) @ b.to_world())[2, 3])
+    here, there = (replace(s, x=0.0, y=0.0, z=z, tilt_deg=(0.0, 0.0, 0.0)) for s, z in ((a, 0.0), (b, gap)))
+    inner = max(a.inner_semi_diameter, b.inner_semi_diameter)
+    return meeting(here.z_at, there.z_at, inner, min(a.outer_radius, b.outer_radius)) is not None
+
+
+def _detector(table: OpticalSurfaces, half: tuple[float, float] | None) -> Detector:
+    row, frame, data = table.lens.rows[-1], table.frames[-1], table.rays.data
+    if half is None:
+        scale = data.epd / _SMALLEST_DETECTOR if math.isinf(data.efl) else abs(data.efl)
+        size = max(float(table.rays.reach[-1]), row.semi_diameter or 0.0) * (1 + table.margin)
+        if size < _POINT * scale:
+            size = _SMALLEST_DETECTOR * scale
+            table.notes.append(f"the image is a point: the detector is made {2 * size:.4g} mm wide")
+        half = (size, size)
+    if curvature(row) or row.coefficients:
+        table.notes.append(f"the image surface is curved (radius {row.radius:g} mm) in the file, the detector is flat")
+    last = max(table.surfaces, default=-1)
+    if last >= 0 and np.allclose(table.frames[last][:3, 3], frame[:3, 3], rtol=0, atol=COVER_MM / 10):
+        frame = frame.copy()
+        frame[:3, 3] += frame[:3, 2] * (COVER_MM if table.aheads[-1] else -COVER_MM)
+        table.notes.append(f"the image lies on surface {table.lens.rows[last].number}: the detector is put 1 µm behind")
+    material = table.before[-1]
+    return placed(
+        Detector(half_width=half[0], half_height=half[1], front=material, back=material, pixels=_PIXELS), frame
+    )
+
+
+def _source(table: OpticalSurfaces, beam: Beam) -> Source:
+    lens, data = table.lens, table.rays.data
+    near = not math.isinf(lens.object_distance)
+    if near:
+        table.notes.append(
+            f"the object lies {lens.object_distance:.6g} mm before the lens, but the source is collimated, as light "
+            "from far away comes: it does not come to a focus on the detector"
+        )
+    weights = np.array(lens.weights) / (sum(lens.weights) or 1.0)
+    lit = [k for k, weight in enumerate(weights) if weight > 0] or [lens.primary]
+    x, y, z, radius = 0.0, 0.0, data.entrance_pupil_z, data.epd / 2
+    if table.surfaces and (beam == "front" or math.isinf(z)):
+        first = table.surfaces[min(table.surfaces)]
+        x, y, z, radius = first.x, first.y, first.z, first.outer_radius
+    elif not near:
+        x, y, radius = _entrance(table, z, radius)
+    field_deg, azimuth_deg = (0.0, 0.0) if near else _direction(table)
+    return Source(
+        x=x,
+        y=y,
+        z=z,
+        radius=radius,
+        field_deg=field_deg,
+        azimuth_deg=azimuth_deg,
+        plane="axis",
+        wavelength_nm=tuple(lens.wavelengths_nm[k] for k in lit),
+        weights=None if len(lit) == 1 else tuple(float(weights[k]) for k in lit),
+    )
+
+
+def _entrance(table: OpticalSurfaces, z: float, radius: float) -> tuple[float, float, float]:
+    """Middle and radius of the first field's beam in the plane of the entrance pupil, where tilts have moved it."""
+    start, heading = table.rays.entering
+    x, y = (start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading)[:, :2].T
+    if math.hypot(x[0], y[0]) <= _ASIDE * radius:
+        return 0.0, 0.0, radius
+    centre = round(float(x[0]), _SOURCE_DIGITS) + 0.0, round(float(y[0]), _SOURCE_DIGITS) + 0.0
+    radius = max(radius, float(np.hypot(x - x[0], y - y[0]).max()))
+    table.notes.append(
+        f"the source is centred at ({centre[0]:.6g}, {centre[1]:.6g}) mm, where the beam of the first field comes in"
+    )
+    return *centre, radius
+
+
+def _direction(table: OpticalSurfaces) -> tuple[float, float]:
+    """Field and azimuth of the first field, degrees; the field has a sign where it lies in the yz plane."""
+    x, y = (float(slope) for slope in field_tangents(table.lens, table.rays.data)[0])
+    slope, azimuth = (math.hypot(x, y), math.degrees(math.atan2(-x, y))) if x else (y, 0.0)
+    field = round(math.degrees(math.atan(slope)), _SOURCE_DIGITS)
+    if field:
+        table.notes.append(f"the source shines at the first field, {field:g} degrees off the axis")
+    return field, round(azimuth, _SOURCE_DIGITS) + 0.0
+
+
+def _provenance(lens: Sequential, notes: tuple[str, ...]) -> str:
+    lines = [f"From {lens.source or 'a sequential lens'}."]
+    lines += [f"Note: {note}." for note in notes]
+    for item in lens.unread:
+        place = f", line {item.line}" if item.line else ""
+        lines.append(f"Without effect{place}: {shown([item.text.strip()])} ({item.reason})")
+    return "\n".join(lines)

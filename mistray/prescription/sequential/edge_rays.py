@@ -1,0 +1,331 @@
+"""The rays that the aperture and the fields of a sequential lens mean, and the sizes that they give its surfaces.
+
+Pupil coordinates (px, py) are 1 at the rim. A ray is aimed at the paraxial entrance pupil, or, as light really comes
+through, so that it meets the stop at (px, py) times its radius; that is what `edge_rays` does. Where object space is
+telecentric by order of the file, rays fill the cone about the parallel chief rays and the stop aims none.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
+from mistray.prescription.sequential.first_order import FirstOrder, field_tangents, first_order, stop_place
+from mistray.prescription.sequential.rays import passes, to_world, trace
+from mistray.prescription.sequential.table import Sequential
+
+Array = npt.NDArray[np.float64]
+
+_RIM = 16
+_WITHIN = (0.2, 0.4, 0.6, 0.8, 0.98)
+_MOST_FIELDS = 24
+_INNER_FIELDS = 9  # of these, for the middle of the beams
+_FIELD_STEPS = (0.25, 0.5, 0.75, 1.0)
+_AIMING = 12
+_AIMED = 1e-9  # of the stop's radius
+_PROBE = 1e-4  # of the pupil's radius, for differences
+
+
+@dataclass(frozen=True)
+class EdgeRays:
+    """
+    Chief and rim rays of all fields and wavelengths.
+
+    Attributes
+    ----------
+    data : FirstOrder
+    stop_radius : float
+        Of the stop as the marginal ray on the axis really meets it, mm; as far as rays reach there if the lens is
+        `telecentric`.
+    positions, directions : (n_rows, n, 3) float64
+        As from `sequential_rays.trace`; NaN from where a ray is lost, by the surfaces or by a stated aperture.
+    world : (n_rows + 1, n, 3) float64
+        Where each ray starts, upstream of all it meets, and where it meets each row.
+    entering : (2, 17, 3) float64
+        A point and the direction, in the world before the first row, of the chief ray and the rim of the first field.
+    reach : (n_rows,) float64
+        Greatest distance of a ray from the axis of each row, mm; 0 where no ray comes.
+    chief : (n_rows, 3) float64
+        Direction behind each row, in its frame, of the ray through the centre of the stop in the first field, which no
+        aperture stops.
+    within : (n_rows + 1, m, 3) float64
+        As `world`, rays at the reference wavelength between the chief ray and the rim of up to nine fields, which no
+        aperture stops.
+    weights : (m,) float64
+        Area of the beam that each of them stands for, in units of their own.
+    notes : tuple of str
+        Fields whose rays do not all arrive, and where they are lost.
+    """
+
+    data: FirstOrder
+    stop_radius: float
+    positions: Array
+    directions: Array
+    world: Array
+    entering: Array
+    reach: Array
+    chief: Array
+    within: Array
+    weights: Array
+    notes: tuple[str, ...]
+
+
+def launch(
+    lens: Sequential, data: FirstOrder, field: tuple[float, float] | int, pupil: npt.ArrayLike
+) -> tuple[Array, Array]:
+    """
+    Rays of a field aimed at the paraxial entrance pupil.
+
+    Parameters
+    ----------
+    lens : Sequential
+    data : FirstOrder
+    field : int or tuple of two float
+        Place of a field of the lens, whose vignetting factors then apply, or (x, y) of the lens' field kind.
+    pupil : (n, 2) array_like
+        Coordinates, 1 at the rim.
+
+    Returns
+    -------
+    positions, directions : (n, 3) float64
+        In the world, mm; unit directions.
+
+    Raises
+    ------
+    MistrayError
+        If the fields do not fit the object, see `field_tangents`, or the object lies in the entrance pupil.
+    """
+    points = np.atleast_2d(np.asarray(pupil, dtype=np.float64))
+    if isinstance(field, int):
+        points, field = _vignetted(lens, field, points), lens.fields[field]
+    return _aimed_at(lens, data, field, points * data.epd / 2)
+
+
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
+def edge_rays(lens: Sequential) -> EdgeRays:
+    """
+    Trace the centre and the rim of the stop at all fields, at the shortest, the longest and the reference wavelength.
+
+    Parameters
+    ----------
+    lens : Sequential
+        Vignetting factors shrink and shift the rim in the stop.
+
+    Returns
+    -------
+    EdgeRays
+
+    Raises
+    ------
+    MistrayError
+        If no ray of any field reaches the image; the message says which surface stops them.
+    """
+    data = first_order(lens)
+    radius = _stop_radius(lens, data)
+    angle = np.arange(_RIM) * 2 * math.pi / _RIM
+    pupil = np.concatenate([[[0.0, 0.0]], np.stack([np.sin(angle), np.cos(angle)], axis=1)])
+    wavelengths = sorted({min(lens.wavelengths_nm), lens.wavelength_nm, max(lens.wavelengths_nm)})
+    parts: list[tuple[Array, Array, Array, Array]] = []
+    free: list[tuple[Array, Array, Array, Array]] = []  # the same without apertures
+    notes: list[str] = []
+    chief: Array | None = None
+    numbers = _outer_fields(lens)
+    if len(numbers) < len(set(lens.fields)):
+        notes.append(f"of {len(lens.fields)} fields the {len(numbers)} outermost give sizes and vignetting")
+    for number in numbers:
+        field = lens.fields[number]
+        if lens.telecentric:
+            start, heading = launch(lens, data, number, pupil)
+        else:
+            start, heading = _through_stop(lens, data, radius, field, _vignetted(lens, number, pupil))
+        for wavelength in wavelengths:
+            hits, onward = trace(lens, start, heading, wavelength)
+            if chief is None and wavelength == lens.wavelength_nm:
+                chief = onward[:, 0].copy()
+            free.append((hits.copy(), onward.copy(), start, heading))
+            lost = _clip(lens, hits, onward)
+            parts.append((hits, onward, start, heading))
+            if wavelength == lens.wavelength_nm and lost:
+                notes.append(f"field ({field[0]:g}, {field[1]:g}): " + lost)
+    if not any(np.any(np.isfinite(part[0][-1, 1:])) for part in parts):
+        parts = free
+        notes.append("of these no ray of the rim gets through: sizes are those of rays that no aperture stops")
+    positions, directions = (np.concatenate([part[k] for part in parts], axis=1) for k in (0, 1))
+    start, heading = (np.concatenate([part[k] for part in parts]) for k in (2, 3))
+    if chief is None or not np.any(np.isfinite(positions[-1])):
+        raise MistrayError(f"lens '{lens.name}': no ray reaches the image; {notes[0] if notes else 'check its fields'}")
+    places = to_world(lens, positions)
+    upstream = min(0.0, float(np.nanmin(places[..., 2]))) - data.epd
+    some = parts[:: len(wavelengths)]
+    some = [some[k] for k in sorted({round(k) for k in np.linspace(0, len(some) - 1, _INNER_FIELDS)})]
+    inner = [_inner_rays(part[2], part[3]) for part in some]
+    inner_start, inner_heading = (np.concatenate([rays[k] for rays in inner]) for k in (0, 1))
+    inner_places = to_world(lens, trace(lens, inner_start, inner_heading)[0])
+    r = np.hypot(positions[..., 0], positions[..., 1])
+    reach = np.where(np.isfinite(r), r, 0.0).max(axis=1)
+    if lens.telecentric:
+        radius = float(reach[stop_place(lens)])
+        notes.append("object space is telecentric: the stop is as wide as the beams of all fields and limits none")
+    return EdgeRays(
+        data=data,
+        stop_radius=radius,
+        positions=positions,
+        directions=directions,
+        world=np.concatenate([_upstream(start, heading, upstream)[None], places]),
+        entering=np.array([parts[0][2], parts[0][3]]),
+        reach=reach,
+        chief=chief,
+        within=np.concatenate([_upstream(inner_start, inner_heading, upstream)[None], inner_places]),
+        weights=np.tile(np.repeat(_WITHIN, _RIM), len(some)),
+        notes=tuple(notes),
+    )
+
+
+def _inner_rays(start: Array, heading: Array) -> tuple[Array, Array]:
+    """Rays of a field between the first, the chief ray, and the others, its rim."""
+    points = np.concatenate([start[0] + share * (start[1:] - start[0]) for share in _WITHIN])
+    along = np.concatenate([heading[0] + share * (heading[1:] - heading[0]) for share in _WITHIN])
+    return points, along / np.linalg.norm(along, axis=1, keepdims=True)
+
+
+def _upstream(start: Array, heading: Array, z: float) -> Array:
+    """Where rays cross a plane across the axis."""
+    return start + ((z - start[:, 2]) / heading[:, 2])[:, None] * heading
+
+
+def _outer_fields(lens: Sequential) -> list[int]:
+    """Places of the fields, equal ones once, the farthest from the axis where there are very many."""
+    places = list({field: k for k, field in reversed(list(enumerate(lens.fields)))}.values())
+    farthest = sorted(places, key=lambda k: -math.hypot(*lens.fields[k]))[:_MOST_FIELDS]
+    return sorted(farthest)
+
+
+def _vignetted(lens: Sequential, field: int, pupil: Array) -> Array:
+    """Pupil coordinates with the vignetting factors of a field."""
+    if not lens.vignetting:
+        return pupil
+    shift_x, shift_y, squeeze_x, squeeze_y = lens.vignetting[field]
+    return pupil * (1 - np.array([squeeze_x, squeeze_y])) + np.array([shift_x, shift_y])
+
+
+def _aimed_at(lens: Sequential, data: FirstOrder, field: tuple[float, float], point: Array) -> tuple[Array, Array]:
+    """Rays of a field to points (n, 2) of the plane of the paraxial entrance pupil, in mm from its centre."""
+    z = data.entrance_pupil_z  # at infinity, points lie in the plane of the first row, from the chief ray
+    if math.isinf(lens.object_distance):
+        if math.isinf(z):
+            raise MistrayError(
+                f"lens '{lens.name}': object and entrance pupil both lie at infinity, so there is no beam; give the "
+                "object a distance or move the stop"
+            )
+        slope_x, slope_y = field_tangents(replace(lens, fields=(field,)), data)[0]
+        start = np.column_stack([point, np.full(len(point), z)])
+        heading = np.broadcast_to([slope_x, slope_y, 1.0], start.shape)
+    else:
+        origin = np.array([*_object_point(lens, data, field), -lens.object_distance])
+        start = np.broadcast_to(origin, (len(point), 3)).copy()
+        if math.isinf(z):
+            heading = np.column_stack([point / lens.object_distance, np.ones(len(point))])
+        elif abs(z + lens.object_distance) < _AIMED * data.epd:
+            raise MistrayError(f"lens '{lens.name}': its object lies in the entrance pupil; move one of them")
+        else:
+            heading = np.column_stack([point, np.full(len(point), z)]) - origin
+            heading *= math.copysign(1.0, z + lens.object_distance)
+    return start, heading / np.linalg.norm(heading, axis=1, keepdims=True)
+
+
+def _object_point(lens: Sequential, data: FirstOrder, field: tuple[float, float]) -> Array:
+    """(x, y) of a field on an object at a finite distance, mm."""
+    if lens.field_kind == "object_height":
+        return np.array(field)
+    if lens.field_kind == "image_height":
+        if data.magnification == 0:
+            raise MistrayError(f"lens '{lens.name}': its magnification is 0; give its fields as object heights")
+        return np.array(field) / data.magnification
+    if math.isinf(data.entrance_pupil_z):
+        raise MistrayError(f"lens '{lens.name}': it is telecentric; give its fields as object heights")
+    slopes = field_tangents(replace(lens, fields=(field,)), data)[0]
+    return -slopes * (lens.object_distance + data.entrance_pupil_z)
+
+
+def _stop_radius(lens: Sequential, data: FirstOrder) -> float:
+    """Where the marginal ray on the axis really meets the stop; its paraxial radius where that ray is lost."""
+    stop = stop_place(lens)
+    row = lens.rows[stop]
+    stated = row.aperture.outer if row.stop and row.aperture and row.aperture.centred_circle else math.inf
+    if row.stop and row.semi_diameter_fixed and row.semi_diameter is not None:
+        return min(stated, row.semi_diameter)
+    if lens.aperture_kind == "stop_diameter":
+        return min(stated, lens.aperture / 2)
+    hits, _ = trace(lens, *_aimed_at(lens, data, (0.0, 0.0), np.array([[0.0, 0.0], [0.0, data.epd / 2]])))
+    centre, rim = hits[stop, :, :2]
+    found = float(np.hypot(*(rim - centre)))
+    return min(stated, found if np.isfinite(found) and found > 0 else data.stop_radius)
+
+
+def _through_stop(
+    lens: Sequential, data: FirstOrder, radius: float, field: tuple[float, float], pupil: Array
+) -> tuple[Array, Array]:
+    """
+    Rays of a field that meet the stop at the pupil coordinates times its radius.
+
+    Newton's method on the point in the entrance pupil, the field growing in steps, because the pupil of a wide lens
+    wanders. Rays for which it does not converge start as aimed at last, or paraxially where even that misses.
+    """
+    target = pupil * radius
+    point, met = _aimed_at_stop(lens, data, field, target, pupil * data.epd / 2)
+    if not met:
+        point = pupil * data.epd / 2
+        for step in _FIELD_STEPS:
+            point, _ = _aimed_at_stop(lens, data, (step * field[0], step * field[1]), target, point)
+            lost = ~np.isfinite(point[:, 0])
+            point[lost] = pupil[lost] * data.epd / 2
+    return _aimed_at(lens, data, field, point)
+
+
+def _aimed_at_stop(
+    lens: Sequential, data: FirstOrder, field: tuple[float, float], target: Array, start: Array
+) -> tuple[Array, bool]:
+    """Newton's method: points of the entrance pupil from which rays meet the stop at a target, NaN where none does."""
+    stop, unit = stop_place(lens), data.epd / 2
+    point, probe = start.copy(), unit * _PROBE
+    right_by, up_by = np.array([probe, 0.0]), np.array([0.0, probe])
+    size = float(np.abs(target).max())
+    for _ in range(_AIMING):
+        hits, _ = trace(lens, *_aimed_at(lens, data, field, np.concatenate([point, point + right_by, point + up_by])))
+        here, right, up = hits[stop, :, :2].reshape(3, -1, 2)
+        miss = here - target
+        if np.all(np.abs(miss) <= _AIMED * size):
+            return point, True
+        slope = np.stack([(right - here) / probe, (up - here) / probe], axis=2)
+        good = np.isfinite(slope).all(axis=(1, 2)) & (np.abs(np.linalg.det(np.nan_to_num(slope))) > _AIMED)
+        if not np.any(good):
+            break
+        change = np.linalg.solve(slope[good], miss[good][..., None])[..., 0]
+        # No further than a pupil at once: far from it the map is not linear
+        length = np.linalg.norm(change, axis=1, keepdims=True)
+        point[good] -= change * np.minimum(1.0, unit / np.maximum(length, _AIMED))
+    point[~np.isfinite(hits[stop, : len(point), 0])] = np.nan
+    return point, False
+
+
+def _clip(lens: Sequential, hits: Array, onward: Array) -> str:
+    """Set rays to NaN from where an aperture stops them; what was lost where, "" if nothing."""
+    alive = np.ones(hits.shape[1], dtype=bool)
+    losses = []
+    for k, row in enumerate(lens.rows):
+        if row.kind == "coordinate_break":
+            continue
+        through = passes(row, hits[k])
+        lost = int(np.sum(alive & ~through))
+        if lost:
+            losses.append(f"{lost} at surface {row.number}")
+        alive &= through
+        hits[k:, ~alive] = np.nan
+        onward[k:, ~alive] = np.nan
+    if not losses:
+        return ""
+    return f"of {hits.shape[1]} rays through the centre and the rim of the stop {', '.join(losses)} are lost"

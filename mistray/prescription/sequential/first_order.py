@@ -1,0 +1,226 @@
+"""First-order data of a sequential lens: focal lengths, pupils, and the rays that its aperture and fields mean.
+
+Tilts and decentres are left out, as in the first-order data of lens design programs: surfaces stand on one axis at the
+thicknesses of the table, and a reflection is a refraction into the negative index (`mistray.physics.paraxial`).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics.paraxial import ParaxialSystem
+from mistray.prescription.sequential.rays import curvature, indices
+from mistray.prescription.sequential.table import Sequential
+
+_NONE = 1e-12  # slope per mm of height below which light is taken for collimated, 1/mm
+
+
+@dataclass(frozen=True)
+class FirstOrder:
+    """
+    First-order data at one wavelength.
+
+    Attributes
+    ----------
+    efl : float
+        Effective focal length -y/(n'u'), n' positive, mm: positive where a collimated beam is focused; ``inf`` if
+        afocal.
+    bfl : float
+        From the last surface to the rear focus, along the direction of light there, mm; ``inf`` if afocal.
+    f_number : float
+        efl / epd, image-space F-number at infinite conjugates; ``inf`` if afocal or telecentric in object space.
+    epd : float
+        Diameter of the entrance pupil, mm; where that lies at infinity, of the axial beam in the plane of the first
+        row.
+    entrance_pupil_z : float
+        Its position from the first surface along +z, mm; ``inf`` if object space is telecentric.
+    stop_radius : float
+        Paraxial radius of the stop, mm.
+    stop_number : int
+        Number of the row that is the stop.
+    magnification : float
+        Image height per object height; 0 for an object at infinity.
+    wavelength_nm : float
+    """
+
+    efl: float
+    bfl: float
+    f_number: float
+    epd: float
+    entrance_pupil_z: float
+    stop_radius: float
+    stop_number: int
+    magnification: float
+    wavelength_nm: float
+
+
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")
+def first_order(lens: Sequential, wavelength_nm: float | None = None) -> FirstOrder:
+    """
+    First-order data.
+
+    Parameters
+    ----------
+    lens : Sequential
+    wavelength_nm : float or None
+        ``None``: that of reference.
+
+    Returns
+    -------
+    FirstOrder
+
+    Raises
+    ------
+    MistrayError
+        If a material is unknown, the aperture has no meaning here, such as an F-number of an afocal lens, or numbers
+        overflow.
+    """
+    wavelength = lens.wavelength_nm if wavelength_nm is None else wavelength_nm
+    system, sign = paraxial_system(lens, wavelength)
+    up, down = system.trace(1.0, 0.0), system.trace(0.0, 1.0)
+    last = _last_surface(lens)
+    y, u = up[last]
+    n = abs(system.index[last + 1])
+    afocal = abs(u) < _NONE
+    power = -sign[last + 1] * n * u
+    efl = math.inf if afocal else 1 / power
+    bfl = math.inf if afocal else -y / u * sign[last + 1]
+    stop = stop_place(lens)
+    from_height, from_slope = up[stop, 0], down[stop, 0]
+    pupil_z = math.inf if lens.telecentric or abs(from_height) < _NONE else from_slope / from_height
+    if any(math.isnan(value) for value in (efl, bfl, pupil_z)):
+        raise MistrayError(f"lens '{lens.name}': its first-order data are no numbers; look for huge values in it")
+    epd, stop_radius = _beam(lens, efl, (from_height, from_slope), pupil_z)
+    return FirstOrder(
+        efl=float(efl),
+        bfl=float(bfl),
+        f_number=math.inf if math.isinf(pupil_z) else float(abs(efl) / epd),
+        epd=float(epd),
+        entrance_pupil_z=float(pupil_z),
+        stop_radius=float(stop_radius),
+        stop_number=lens.rows[stop].number,
+        magnification=_magnification(lens, up, down),
+        wavelength_nm=wavelength,
+    )
+
+
+def paraxial_system(lens: Sequential, wavelength_nm: float | None = None) -> tuple[ParaxialSystem, np.ndarray]:
+    """
+    The rows on one axis, the image a plane without power.
+
+    Returns
+    -------
+    system : ParaxialSystem
+        Indices are negative where light travels along -z.
+    sign : (n_rows + 1,) float64
+        +1 or -1: direction of light in front of each row and behind the last.
+    """
+    sign = [1.0]
+    for row in lens.rows:
+        sign.append(-sign[-1] if row.mirror else sign[-1])
+    z = np.concatenate([[0.0], np.cumsum([row.thickness for row in lens.rows[:-1]])])
+    # The polynomial terms begin at r⁴: they have no power
+    bends = [curvature(row) if row.kind == "surface" else 0.0 for row in lens.rows]
+    return ParaxialSystem(bends, list(z), list(indices(lens, wavelength_nm) * np.array(sign))), np.array(sign)
+
+
+def stop_place(lens: Sequential) -> int:
+    """Place of the stop in the rows; the first surface where none is marked."""
+    for k, row in enumerate(lens.rows):
+        if row.stop:
+            return k
+    return next(k for k, row in enumerate(lens.rows) if row.kind != "coordinate_break")
+
+
+def field_tangents(lens: Sequential, data: FirstOrder) -> np.ndarray:
+    """
+    Slopes of the chief rays of all fields before the first surface, for an object at infinity.
+
+    Parameters
+    ----------
+    lens : Sequential
+    data : FirstOrder
+        Image heights are those of first order.
+
+    Returns
+    -------
+    (n_fields, 2) float64
+        dx/dz and dy/dz.
+
+    Raises
+    ------
+    MistrayError
+        If fields are object heights, or image heights of an afocal lens.
+    """
+    fields = np.array(lens.fields, dtype=np.float64).reshape(-1, 2)
+    if lens.field_kind == "angle_deg":
+        if np.any(np.abs(fields) >= 90):
+            raise MistrayError(f"lens '{lens.name}': a field of {np.abs(fields).max():g}°; it must be less than 90°")
+        return np.asarray(np.tan(np.radians(fields)))
+    if lens.field_kind == "image_height":
+        if math.isinf(data.efl):
+            raise MistrayError(f"lens '{lens.name}': it is afocal; give its fields as angles, not image heights")
+        return fields / data.efl
+    raise MistrayError(
+        f"lens '{lens.name}': its fields are object heights and its object lies at infinity; give angles"
+    )
+
+
+def _last_surface(lens: Sequential) -> int:
+    return max((k for k, row in enumerate(lens.rows) if row.kind == "surface"), default=0)
+
+
+def _beam(lens: Sequential, efl: float, to_stop: tuple[float, float], pupil_z: float) -> tuple[float, float]:
+    """
+    Diameter of the entrance pupil, as in `FirstOrder`, and paraxial radius of the stop, mm.
+
+    Parameters
+    ----------
+    lens : Sequential
+    efl, pupil_z : float
+    to_stop : tuple of two float
+        Height in the stop of a ray that comes to the first row at height 1 and slope 0, and at height 0 and slope 1.
+    """
+    kind, value, distance = lens.aperture_kind, lens.aperture, lens.object_distance
+    if not 0 < value < math.inf:
+        raise MistrayError(
+            f"lens '{lens.name}': its aperture ({kind.replace('_', ' ')}) is {value:g}; it must be greater than 0"
+        )
+    if kind == "object_na" and (math.isinf(distance) or value >= 1):
+        raise MistrayError(
+            f"lens '{lens.name}': object NA {value:g} needs an object at a finite distance and a value below 1; give a "
+            "diameter"
+        )
+    # Radius in the stop for each mm of radius in the entrance pupil, or in the first row where that lies at infinity
+    telecentric = math.isinf(pupil_z)
+    scale = abs(to_stop[0] + to_stop[1] / distance) if telecentric else abs(to_stop[0])
+    if kind == "object_na":
+        epd = abs(2 * (distance + (0.0 if telecentric else pupil_z)) * math.tan(math.asin(value)))
+    elif kind == "stop_diameter":
+        if scale < _NONE:
+            raise MistrayError(f"lens '{lens.name}': the stop lies in a focus; give the entrance pupil instead")
+        epd = value / scale
+    elif telecentric and math.isfinite(distance):
+        raise MistrayError(
+            f"lens '{lens.name}': its entrance pupil lies at infinity, so its aperture ({kind.replace('_', ' ')} "
+            f"{value:g}) limits no beam; give the NA of the object"
+        )
+    elif kind == "entrance_pupil_diameter":
+        epd = value
+    else:
+        if math.isinf(efl):
+            raise MistrayError(f"lens '{lens.name}': it is afocal, so F/{value:g} is no aperture; give a diameter")
+        epd = abs(efl) / value
+    return epd, scale * epd / 2
+
+
+def _magnification(lens: Sequential, up: np.ndarray, down: np.ndarray) -> float:
+    """Height in the image plane of the ray that leaves the object at height 1 and meets its centre's image."""
+    if math.isinf(lens.object_distance):
+        return 0.0
+    # y(image) = A (h + u d) + B u = A h + (A d + B) u: at a focused image the second term vanishes
+    return float(up[-1, 0])

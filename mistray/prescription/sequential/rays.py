@@ -1,0 +1,265 @@
+"""Real rays through a sequential lens in float64, surface by surface in the order of the table.
+
+The world is the frame of the first row before its `Decentre`: its origin is the first vertex, light travels along +z.
+Rows are met in their order whatever lies between, at positive or negative distance, as lens design programs do. Of the
+two points where a line meets a conic the one on the sheet of the vertex counts. No aperture stops a ray; `passes` tells
+which rays one would stop.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+import numpy.typing as npt
+
+from mistray.errors import MistrayError
+from mistray.materials import refractive_index
+from mistray.physics.pose import moved, rotation
+from mistray.physics.sag import sag, sag_derivative
+from mistray.prescription.sequential.table import Decentre, Row, Sequential
+
+Array = npt.NDArray[np.float64]
+
+_ITERATIONS = 60
+_TOLERANCE = 1e-13  # of the size of the numbers, where a Newton step ends
+_ON_SURFACE_MM = 1e-7
+_ON_RIM_MM = 1e-6  # rays that touch a rim pass
+
+
+def frames(lens: Sequential) -> Array:
+    """
+    Frames of all rows.
+
+    Parameters
+    ----------
+    lens : Sequential
+
+    Returns
+    -------
+    (n_rows, 4, 4) float64
+        Rigid transforms from the frame of each row, after its `Decentre`, to the world; mm.
+    """
+    here, result = np.eye(4), []
+    for row in lens.rows:
+        own = here if row.decentre is None else here @ motion(row.decentre)
+        result.append(own)
+        here = here if row.decentre is not None and row.decentre.returns else own
+        here = here @ _shift(0.0, 0.0, row.thickness)
+    return np.array(result)
+
+
+def motion(decentre: Decentre) -> Array:
+    """Rigid transform (4, 4) from the moved frame to the one before; see `Decentre`."""
+    shift = (decentre.x, decentre.y, decentre.z)
+    if not decentre.tilt_first:
+        return moved(np.eye(4), *shift, *decentre.tilt_deg)
+    turn = np.eye(4)
+    for axis, angle in enumerate(decentre.tilt_deg):
+        turn[:3, :3] = rotation(axis, angle) @ turn[:3, :3]
+    return turn @ _shift(*shift)
+
+
+def materials_before(lens: Sequential) -> tuple[str, ...]:
+    """The material in front of each row."""
+    return (lens.object_material, *(row.material for row in lens.rows[:-1]))
+
+
+def indices(lens: Sequential, wavelength_nm: float | None = None) -> Array:
+    """
+    Refractive index in front of each row and behind the last.
+
+    Parameters
+    ----------
+    lens : Sequential
+    wavelength_nm : float or None
+        ``None``: that of reference.
+
+    Returns
+    -------
+    (n_rows + 1,) float64
+
+    Raises
+    ------
+    MistrayError
+        If a material is unknown at this wavelength; the message begins with the row's number.
+    """
+    wavelength = lens.wavelength_nm if wavelength_nm is None else wavelength_nm
+    result = [refractive_index(lens.object_material, wavelength)]
+    for row in lens.rows:
+        if row.mirror or row.kind != "surface":
+            result.append(result[-1])
+            continue
+        try:
+            result.append(refractive_index(row.material, wavelength))
+        except MistrayError as error:
+            raise MistrayError(f"lens '{lens.name}', surface {row.number}: {error}") from None
+    return np.array(result)
+
+
+@np.errstate(over="ignore", divide="ignore", invalid="ignore")  # what is not finite is lost
+def trace(
+    lens: Sequential, positions: npt.ArrayLike, directions: npt.ArrayLike, wavelength_nm: float | None = None
+) -> tuple[Array, Array]:
+    """
+    Trace real rays through all rows.
+
+    Parameters
+    ----------
+    lens : Sequential
+    positions : (n, 3) array_like
+        Any point of each ray before the first row, in the world, mm.
+    directions : (n, 3) array_like
+        Need not be of unit length.
+    wavelength_nm : float or None
+        ``None``: that of reference.
+
+    Returns
+    -------
+    positions, directions : (n_rows, n, 3) float64
+        At each row in its own frame (after its `Decentre`), and the unit direction behind it. NaN from where a ray
+        misses a surface or is totally reflected on, and in rows of kind "coordinate_break", which no ray meets.
+
+    Raises
+    ------
+    MistrayError
+        If a material is unknown at this wavelength.
+    """
+    index = indices(lens, wavelength_nm)
+    point = np.atleast_2d(np.array(positions, dtype=np.float64))
+    along = np.atleast_2d(np.array(directions, dtype=np.float64))
+    along /= np.linalg.norm(along, axis=1, keepdims=True)
+    hits, onward = np.full((2, len(lens.rows), *point.shape), np.nan)
+    for k, (row, frame) in enumerate(zip(lens.rows, frames(lens), strict=True)):
+        if row.kind == "coordinate_break":
+            continue
+        turn, origin = frame[:3, :3], frame[:3, 3]
+        local, heading = (point - origin) @ turn, along @ turn
+        local = local + distance(row, local, heading)[:, None] * heading
+        if row.kind == "surface":
+            heading = _bent(row, local, heading, float(index[k]), float(index[k + 1]))
+        heading = np.where(np.isnan(local), np.nan, heading)
+        hits[k], onward[k] = local, heading
+        point, along = local @ turn.T + origin, heading @ turn.T
+    return hits, onward
+
+
+def to_world(lens: Sequential, positions: Array) -> Array:
+    """Positions at each row, (n_rows, n, 3) in the frames of the rows as from `trace`, in the world, mm."""
+    places = frames(lens)
+    return np.einsum("kij,knj->kni", places[:, :3, :3], positions) + places[:, None, :3, 3]
+
+
+def distance(row: Row, position: Array, direction: Array) -> Array:
+    """
+    Signed distance along rays to the surface of a row.
+
+    Parameters
+    ----------
+    row : Row
+    position, direction : (n, 3) float64
+        In the frame of the row, mm; unit directions.
+
+    Returns
+    -------
+    (n,) float64
+        mm; NaN where a ray misses the sheet of the vertex, or runs along a plane.
+    """
+    c, conic = curvature(row), row.conic
+    x, y, z = position.T
+    u, v, w = direction.T
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        plane = -z / w
+        x, y = x + plane * u, y + plane * v
+        # From the tangent plane on, so that flat surfaces lose no digits: a s² - 2 b s + c (x² + y²) = 0
+        a = c * (1 + conic * w * w)
+        b = w - c * (x * u + y * v)
+        root = np.sqrt(b * b - a * c * (x * x + y * y))
+        step = c * (x * x + y * y) / (b + np.copysign(root, w))
+        if row.coefficients:
+            step = _newton(row, (x, y), direction, np.where(np.isfinite(step), step, 0.0))
+        else:
+            r2 = (x + step * u) ** 2 + (y + step * v) ** 2
+            height = sag(r2, c, conic)
+            step = np.where(np.abs(step * w - height) < _ON_SURFACE_MM * (1 + np.abs(height)), step, np.nan)
+    result: Array = np.where(np.isfinite(plane + step), plane + step, np.nan)
+    return result
+
+
+def curvature(row: Row) -> float:
+    """1/radius of a row, 1/mm; 0 for a plane."""
+    return 0.0 if row.radius == 0 else 1.0 / row.radius
+
+
+def passes(row: Row, position: Array) -> npt.NDArray[np.bool_]:
+    """
+    Whether the apertures that a row states explicitly let rays pass.
+
+    Parameters
+    ----------
+    row : Row
+        Its ``semi_diameter`` counts where it is fixed.
+    position : (n, 3) float64
+        In the frame of the row, mm.
+
+    Returns
+    -------
+    (n,) bool
+        False also for NaN.
+    """
+    x, y = position[:, 0], position[:, 1]
+    result = np.isfinite(x)
+    if row.semi_diameter_fixed and row.semi_diameter is not None:
+        result &= np.hypot(x, y) <= row.semi_diameter + _ON_RIM_MM
+    aperture = row.aperture
+    if aperture is not None:
+        x, y = x - aperture.x, y - aperture.y
+        slack = -_ON_RIM_MM if aperture.obscures else _ON_RIM_MM
+        if aperture.kind == "circle":
+            r = np.hypot(x, y)
+            inside = ((r >= aperture.inner - slack) | (aperture.inner == 0)) & (r <= aperture.outer + slack)
+        else:
+            inside = (np.abs(x) <= aperture.half_width + slack) & (np.abs(y) <= aperture.half_height + slack)
+        result &= inside != aperture.obscures
+    return result
+
+
+def _newton(row: Row, start: tuple[Array, Array], direction: Array, step: Array) -> Array:
+    """Distance from points of the tangent plane to an asphere; NaN where there is no convergence."""
+    c, (x0, y0), (u, v, w) = curvature(row), start, direction.T
+    error = np.full_like(step, np.inf)
+    for _ in range(_ITERATIONS):
+        x, y = x0 + step * u, y0 + step * v
+        r2 = x * x + y * y
+        gap = step * w - sag(r2, c, row.conic, row.coefficients)
+        slope = w - 2 * (x * u + y * v) * sag_derivative(r2, c, row.conic, row.coefficients)
+        change = gap / slope
+        step = step - change
+        error = np.abs(change) / (1 + np.abs(step))
+        if not np.any(error > _TOLERANCE):
+            break
+    result: Array = np.where(error < _ON_SURFACE_MM, step, np.nan)
+    return result
+
+
+def _bent(row: Row, position: Array, direction: Array, before: float, behind: float) -> Array:
+    """Directions after reflection or refraction, n sin θ kept; NaN at total reflection."""
+    x, y = position[:, 0], position[:, 1]
+    with np.errstate(over="ignore", divide="ignore", invalid="ignore"):
+        d = sag_derivative(x * x + y * y, curvature(row), row.conic, row.coefficients)
+        normal = np.stack([-2 * x * d, -2 * y * d, np.ones_like(x)], axis=1)
+        normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+        cosine = np.sum(normal * direction, axis=1)
+        if row.mirror:
+            bent = direction - 2 * cosine[:, None] * normal
+        else:
+            ratio = before / behind
+            root = np.sqrt(1 - ratio * ratio * (1 - cosine * cosine))
+            bent = ratio * direction + (np.copysign(root, cosine) - ratio * cosine)[:, None] * normal
+        length = np.linalg.norm(bent, axis=1, keepdims=True)
+        result: Array = bent / length
+    return result
+
+
+def _shift(x: float, y: float, z: float) -> Array:
+    matrix = np.eye(4)
+    matrix[:3, 3] = x, y, z
+    return matrix
