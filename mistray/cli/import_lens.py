@@ -19,7 +19,7 @@ from mistray.read_file import require_file
 
 if TYPE_CHECKING:
     from mistray.prescription import Prescription, Sequential
-    from mistray.prescription.build.system import Built
+    from mistray.prescription.closing.system import Built
 
 # Options that only some formats know: each with the words for it and the formats
 _SEQUENTIAL = ("zmx", "seq")
@@ -146,7 +146,7 @@ def _check(options: argparse.Namespace, kind: str) -> None:
 def _from_sequential(lens: Path, kind: str, options: argparse.Namespace) -> Built:
     from mistray.io.codev.read import read_codev
     from mistray.io.zemax.read import read_zemax
-    from mistray.prescription.build.system import build
+    from mistray.prescription.closing.system import build
 
     glasses = dict(_glass(text) for text in options.glass or [])
     shared: dict[str, Any] = {"glass_catalogues": options.glass_catalogue or (), "glasses": glasses or None}

@@ -12,7 +12,7 @@ from mistray.io.codev.read import read_codev
 from mistray.io.optiland import from_optiland as optiland_table
 from mistray.io.rayoptics import from_rayoptics as rayoptics_table
 from mistray.io.zemax.read import read_zemax
-from mistray.prescription.build.system import to_prescription
+from mistray.prescription.closing.system import to_prescription
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Prescription
 

@@ -7,7 +7,7 @@ from mistray.prescription.baffles.tube import BaffleTube, hood_length, vane_tube
 from mistray.prescription.baffles.two_stage import TwoStageBaffle, two_stage_baffle
 from mistray.prescription.baffles.vanes import Vane, VaneEdge
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
-from mistray.prescription.build.system import Built, to_prescription
+from mistray.prescription.closing.system import Built, to_prescription
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel, detector_frame, lens_edge, wall
 from mistray.prescription.mesh_structure import MeshStructure

@@ -11,7 +11,7 @@ from sequential_lenses import by_name, lens, newtonian, triplet
 
 from mistray import MistrayError
 from mistray.prescription import ClearAperture, Coating, Decentre, Row, Structure, Surface, Unread
-from mistray.prescription.build.system import build, to_prescription
+from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
 from mistray.prescription.sequential.rays import to_world, trace
 

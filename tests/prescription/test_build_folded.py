@@ -10,7 +10,7 @@ from sequential_lenses import BORED, by_name, lens, newtonian
 
 from mistray.physics.sag import sag
 from mistray.prescription import ClearAperture, Coating, Decentre, Row, Sequential
-from mistray.prescription.build.system import build, to_prescription
+from mistray.prescription.closing.system import build, to_prescription
 
 
 def test_a_newtonian_with_coordinate_breaks():

@@ -1,7 +1,7 @@
 """A lens as lens design programs write it: a table of surfaces in the order of light.
 
 All lengths are in mm, angles in degrees where a name ends in ``_deg``, wavelengths in nm, whatever the units of the
-file. Readers give a `Sequential`; `mistray.prescription.build.system` makes a `Prescription` of it, and writers take
+file. Readers give a `Sequential`; `mistray.prescription.closing.system` makes a `Prescription` of it, and writers take
 one.
 
 Frames. The first surface's vertex is at the origin, light travels along +z. After each row the frame moves by its

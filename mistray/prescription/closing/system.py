@@ -17,18 +17,18 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
 from mistray.physics.crossing import meeting
-from mistray.prescription.build.apertures import aperture_pieces
-from mistray.prescription.build.bores import add_bores
-from mistray.prescription.build.mirrors import cut_holes
-from mistray.prescription.build.shadows import met_at, shadowing_spaces
-from mistray.prescription.build.surfaces import COVER_MM, OpticalSurfaces
-from mistray.prescription.build.closing import EDGES, Closing, Edges, Item, StopPlane, mirror_back, on_axis, placed
+from mistray.prescription.closing.apertures import aperture_pieces
+from mistray.prescription.closing.bores import add_bores
+from mistray.prescription.closing.edges import EDGES, Closing, Edges, Item, StopPlane, mirror_back, on_axis, placed
+from mistray.prescription.closing.mirrors import cut_holes
+from mistray.prescription.closing.shadows import met_at, shadowing_spaces
+from mistray.prescription.closing.surfaces import COVER_MM, OpticalSurfaces
 from mistray.prescription.coating import Coating
-from mistray.prescription.sequential.first_order import FirstOrder, field_tangents
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface
-from mistray.prescription.sequential.table import Sequential
+from mistray.prescription.sequential.first_order import FirstOrder, field_tangents
 from mistray.prescription.sequential.rays import curvature
+from mistray.prescription.sequential.table import Sequential
 from mistray.ranges import MARGIN as MARGIN_RANGE
 
 Beam = Literal["pupil", "front"]

@@ -13,17 +13,17 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.physics.crossing import SAMPLES, meeting
 from mistray.physics.sag import conic_end
-from mistray.prescription.sequential.materials import usable
-from mistray.prescription.build.apertures import own_clip
-from mistray.prescription.build.mirrors import off_axis_piece
-from mistray.prescription.build.closing import meets_plane, on_axis, placed
+from mistray.prescription.closing.apertures import own_clip
+from mistray.prescription.closing.edges import meets_plane, on_axis, placed
+from mistray.prescription.closing.mirrors import off_axis_piece
 from mistray.prescription.coating import Coating
-from mistray.prescription.sequential.edge_rays import EdgeRays, edge_rays
-from mistray.prescription.sequential.first_order import stop_place
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.model import Surface
-from mistray.prescription.sequential.table import Row, Sequential
+from mistray.prescription.sequential.edge_rays import EdgeRays, edge_rays
+from mistray.prescription.sequential.first_order import stop_place
+from mistray.prescription.sequential.materials import usable
 from mistray.prescription.sequential.rays import curvature, frames, materials_before, passes
+from mistray.prescription.sequential.table import Row, Sequential
 
 COVER_MM = 1e-3
 """Between faces that lie on one another in the file."""

@@ -9,10 +9,10 @@ from itertools import pairwise
 import numpy as np
 
 from mistray.physics.sag import sag
-from mistray.prescription.build.mirrors import beam_shares, percent
-from mistray.prescription.build.shadows import met_at
-from mistray.prescription.build.surfaces import COVER_MM, OpticalSurfaces
-from mistray.prescription.build.closing import Closing, on_axis, placed
+from mistray.prescription.closing.edges import Closing, on_axis, placed
+from mistray.prescription.closing.mirrors import beam_shares, percent
+from mistray.prescription.closing.shadows import met_at
+from mistray.prescription.closing.surfaces import COVER_MM, OpticalSurfaces
 from mistray.prescription.coating import BLACK
 from mistray.prescription.geometry import is_gas
 from mistray.prescription.model import Structure, Surface

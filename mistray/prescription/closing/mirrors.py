@@ -14,12 +14,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from mistray.physics.sag import sag
-from mistray.prescription.build.shadows import met_at
-from mistray.prescription.sequential.table import ClearAperture, Row
+from mistray.prescription.closing.shadows import met_at
 from mistray.prescription.sequential.rays import curvature
+from mistray.prescription.sequential.table import ClearAperture, Row
 
 if TYPE_CHECKING:
-    from mistray.prescription.build.surfaces import OpticalSurfaces
+    from mistray.prescription.closing.surfaces import OpticalSurfaces
     from mistray.prescription.model import Surface
 
 _FULL_HOLE = 0.9  # of a mirror's radius: a greater hole would leave no mirror

@@ -10,8 +10,8 @@ from mistray.physics.sag import sag
 from mistray.prescription.coating import BLACK
 from mistray.prescription.geometry import detector_frame
 from mistray.prescription.model import Detector, Structure, Surface
-from mistray.prescription.sequential.table import Row
 from mistray.prescription.sequential.rays import curvature
+from mistray.prescription.sequential.table import Row
 
 Shape = Surface | Structure
 

@@ -8,8 +8,8 @@ import numpy as np
 import numpy.typing as npt
 
 from mistray.prescription.model import Structure, Surface
-from mistray.prescription.sequential.table import Row
 from mistray.prescription.sequential.rays import distance
+from mistray.prescription.sequential.table import Row
 
 _END = 1e-9  # of a way or of a wall: what touches does not cross
 _TOUCHING_MM = 1e-6  # rays that begin or end on a surface do not pass through it
