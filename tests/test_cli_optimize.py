@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 import sys
+import time
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +14,9 @@ from oracles.small_scenes import plates_text, write
 
 import mistray.optimize
 from mistray import cli
+from mistray.optimize.study.searches import TIME_USED
+
+SECONDS, DRAWING_SECONDS = 4.0, 10.0  # the pictures come on top of the time that is given
 
 STUDY = """
 [[term]]
@@ -73,6 +77,27 @@ def test_report_and_files(capsys: Any, files: tuple[str, str, str]) -> None:
     code, printed, _ = run(capsys, scene, study, "--out", out, "--resume", "--steps", "5", "--quiet")
     assert (code, printed) == (0, "")
     assert len((Path(out) / "history.csv").read_text().splitlines()) > 5
+
+
+def test_a_time_budget(capsys: Any, files: tuple[str, str, str]) -> None:
+    """A search without an end of its own ends in time, says why, and leaves all files; later it goes on from there."""
+    scene, study, out = files
+    endless = STUDY.replace("steps = 3", 'steps = 10000\ntolerance = 0\nmethod = "adam"\ndecay = 1.0\nstep_size = 1e-4')
+    Path(study).write_text(endless)
+    began = time.perf_counter()
+    code, printed, errors = run(capsys, scene, study, "--out", out, "--seconds", str(SECONDS))
+    spent = time.perf_counter() - began
+    assert (code, errors) == (0, "")
+    assert f"search from start 1: {TIME_USED}" in printed
+    assert spent < SECONDS + DRAWING_SECONDS
+    assert {"scene.xml", "terms.csv", "history.csv", "report.html", "checkpoint.json"} <= {
+        path.name for path in Path(out).iterdir()
+    }
+    steps = len((Path(out) / "history.csv").read_text().splitlines()) - 2  # its heading and the start
+    assert 1 <= steps < 10000
+    code, _, errors = run(capsys, scene, study, "--out", out, "--resume", "--steps", str(steps + 1))
+    assert (code, errors) == (0, "")
+    assert len((Path(out) / "history.csv").read_text().splitlines()) - 2 == steps + 1
 
 
 def test_help(capsys: Any) -> None:
