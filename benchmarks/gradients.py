@@ -17,9 +17,9 @@ from modes import coated
 from rows import REPEATS, Row, agree, alternate
 
 import mistray
-from mistray.gradients.raw_gradient import Wanted
+from mistray.gradients.raw_gradient import GradientRequest
 from mistray.optimize import gradient, parameters, path_power
-from mistray.optimize.gradient import chosen_parameters, wanted_of
+from mistray.optimize.gradient import chosen_parameters, gradient_request
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
 
 SHAPES = ("curvature", "conic", "asphere", "position", "tilt", "index")
@@ -59,14 +59,14 @@ def gradient_costs(name: str, rays: int, repeats: int, **settings: Any) -> list[
         chosen = [p for p in known.values() if p.kind in kinds]
         if not chosen:
             continue
-        wanted = _wanted(what, chosen)
+        request = _request(what, chosen)
         best = [np.inf, np.inf]
         for repeat in range(repeats + 1):
             started = time.perf_counter()
             (observation,) = metric.observe()
             traced = time.perf_counter()
             dr.backward(metric.evaluate([observation]), flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
-            for _ in observation.raw_gradients(wanted):
+            for _ in observation.raw_gradients(request):
                 pass
             done = time.perf_counter()
             if repeat:  # the first one compiles
@@ -85,11 +85,11 @@ def gradient_costs(name: str, rays: int, repeats: int, **settings: Any) -> list[
     return result
 
 
-def _wanted(what: str, chosen: list[Any]) -> Wanted:
+def _request(what: str, chosen: list[Any]) -> GradientRequest:
     """Geometry with visibility as it is, or what rims do alone."""
     if what == "rims":
-        return Wanted(rows=False, geometry=frozenset(RIM_COLUMNS), edges=True)
-    return wanted_of(chosen, edges=False, edge_width=0.02)
+        return GradientRequest(rows=False, geometry=frozenset(RIM_COLUMNS), edges=True)
+    return gradient_request(chosen, edges=False, edge_width=0.02)
 
 
 def memory(name: str, rays: int) -> list[Row]:

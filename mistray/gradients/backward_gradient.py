@@ -13,7 +13,7 @@ from mistray.errors import MistrayError
 from mistray.execute.backward import BackwardTrace, Band
 from mistray.gradients.edges import Edges
 from mistray.gradients.gatherer import Gatherer
-from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.gradients.replay import Exit
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.start_rays import StartRays
@@ -26,7 +26,7 @@ EXITS_PER_RAY = 8.0  # a first guess; portions that are too large are halved
 
 
 def backward_gradient(
-    trace: BackwardTrace, derivative: np.ndarray, wanted: Wanted, groups: np.ndarray | None = None
+    trace: BackwardTrace, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
 ) -> Iterator[RawGradient]:
     """
     Derivatives of a metric of a trace against the light, from the same rays traced again and replayed.
@@ -36,10 +36,10 @@ def backward_gradient(
     trace : BackwardTrace
     derivative : (CLASS_COUNT, n, m) float64
         Of the metric by the sums of the weights of each class in each cell.
-    wanted : Wanted
+    request : GradientRequest
     groups : (n, m) int, optional
         For each cell a number below BATCHES: the derivatives are those of the parts that the cells of each number have,
-        instead of those that the batches have. Rims know no cells: without `wanted.edges` only.
+        instead of those that the batches have. Rims know no cells: without `request.edges` only.
 
     Yields
     ------
@@ -53,12 +53,12 @@ def backward_gradient(
     """
     if trace.pass_rays is None:
         raise MistrayError("this PST goes on from a saved run, whose rays are gone; compute it without 'resume'")
-    if groups is not None and wanted.edges:
+    if groups is not None and request.edges:
         raise MistrayError("derivatives by groups of cells do not know what rims take and give; use edges=False")
     for number, band in enumerate(trace.bands):
         started = time.perf_counter()
         gatherer = Gatherer(
-            band.table, band.scattering, trace.settings, wanted, trace.settings.max_events, band.table.detector
+            band.table, band.scattering, trace.settings, request, trace.settings.max_events, band.table.detector
         )
 
         def trace_again(start: StartRays, band: Band = band, recorder: BranchRecorder = gatherer.recorder) -> None:
@@ -74,10 +74,10 @@ def backward_gradient(
         with dr.suspend_grad():
             edges = None
             if gatherer.edges:
-                edges = Edges(trace.scene(band), trace.settings, wanted.edge_width)
+                edges = Edges(trace.scene(band), trace.settings, request.edge_width)
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
-                if not wanted.only_rims:
+                if not request.only_rims:
                     for start in gatherer.portions(whole, EXITS_PER_RAY, trace_again):
                         gatherer.replay(start, lambda keys: np.ones(len(keys), dtype=bool), end, group)
                 if edges is not None:
@@ -85,7 +85,7 @@ def backward_gradient(
                         gatherer.replay_edges(start, events)
         raw = gatherer.result()
         raw.left_out.append(CELL_BORDERS)
-        if wanted.geometry & set(RIM_COLUMNS):
+        if request.geometry & set(RIM_COLUMNS):
             raw.left_out.append(DETECTOR_RIMS)
         raw.seconds = time.perf_counter() - started
         yield raw

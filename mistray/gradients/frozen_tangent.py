@@ -17,7 +17,7 @@ from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
 from mistray.gradients.gatherer import Gatherer, branches
 from mistray.gradients.number_direction import number_direction
-from mistray.gradients.raw_gradient import Wanted
+from mistray.gradients.raw_gradient import GradientRequest
 from mistray.gradients.replay import Branches, Followed, follow
 from mistray.gradients.replay_surfaces import Numbers, ReplaySurfaces
 from mistray.gradients.run_gradient import HITS_PER_RAY
@@ -178,7 +178,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
         Change of the flux in each pixel, in units of a start ray.
     """
     table, film = run.table, run.make_film()
-    nothing = Wanted(rows=False, edges=False)
+    nothing = GradientRequest(rows=False, edges=False)
     gatherer = Gatherer(table, run.scattering, run.settings, nothing, run.settings.max_events)
     direction = number_direction(table, tangents)
     step = step_of(direction, np.array([piece.outer or float(np.hypot(*piece.half_size)) for piece in table.pieces]))

@@ -13,7 +13,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.gradients.edges import EdgeEvents
 from mistray.gradients.grazing import SILHOUETTE, jump_distance
-from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.gradients.replay import Branches, End, Exit, follow, replay_rays
 from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
 from mistray.gradients.scatter_replay import ScatterReplay
@@ -39,7 +39,7 @@ class Gatherer:
     table : SurfaceTable
     scattering : Scattering
     settings : Settings
-    wanted : Wanted
+    request : GradientRequest
     longest : int
         Longest path.
     start_surface : int, optional
@@ -56,19 +56,19 @@ class Gatherer:
         table: SurfaceTable,
         scattering: Scattering,
         settings: Settings,
-        wanted: Wanted,
+        request: GradientRequest,
         longest: int,
         start_surface: int | None = None,
     ) -> None:
         _check(table, settings)
-        self.table, self.scattering, self.wanted = table, scattering, wanted
-        self.surfaces = ReplaySurfaces(table, wanted)
+        self.table, self.scattering, self.request = table, scattering, request
+        self.surfaces = ReplaySurfaces(table, request)
         self.scatter = ScatterReplay(table, scattering) if scattering.any else None
         self.recorder = BranchRecorder(as_many(CAPACITY, longest), longest, points_only=True)
         self.start_surface = start_surface
         # Rays at rims have only a place that changes; what it costs is in their coefficients
-        places = replace(wanted, rows=False, scatter=False)
-        self.edges = [ReplaySurfaces(table, places) for _ in range(2)] if wanted.edges and wanted.moves else []
+        places = replace(request, rows=False, scatter=False)
+        self.edges = [ReplaySurfaces(table, places) for _ in range(2)] if request.edges and request.moves else []
         self.strayed = self.rays = 0
 
     def portions(self, start: StartRays, hits_per_ray: float, walk: Callable[[StartRays], None]) -> Iterator[StartRays]:
@@ -152,19 +152,19 @@ class Gatherer:
 
     def result(self) -> RawGradient:
         """What has been gathered."""
-        wanted = self.wanted
+        request = self.request
         raw = RawGradient(self.table, self.scattering, backward=self.start_surface is not None)
-        if wanted.geometry:
+        if request.geometry:
             raw.geometry = self.surfaces.geometry()
-        if wanted.indices:
+        if request.indices:
             raw.indices = self.surfaces.index_gradient()
         if self.edges:
             raw.edges = np.stack([surfaces.geometry() for surfaces in self.edges])
-            if wanted.indices:
+            if request.indices:
                 raw.edge_indices = np.stack([surfaces.index_gradient() for surfaces in self.edges])
-        if wanted.rows:
+        if request.rows:
             raw.rows = self.surfaces.row_gradient(CHANNELS)
-        if wanted.scatter and self.scatter is not None:
+        if request.scatter and self.scatter is not None:
             raw.scatter = self.scatter.derivatives()
         if self.strayed:
             raw.left_out.append(f"{self.strayed} of {self.rays} rays, which could not be followed again in float64")

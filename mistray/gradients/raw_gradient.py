@@ -17,7 +17,7 @@ EDGE_WIDTH = 0.05  # usual width of the zones at rims, in units of their radii
 
 
 @dataclass(frozen=True)
-class Wanted:
+class GradientRequest:
     """
     Which derivatives are asked for.
 

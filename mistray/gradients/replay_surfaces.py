@@ -16,7 +16,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.gradients.raw_gradient import Wanted
+from mistray.gradients.raw_gradient import GradientRequest
 from mistray.physics.fresnel import reflectance
 from mistray.recorders.ledger import TOTAL
 from mistray.settings import BATCHES
@@ -72,31 +72,31 @@ class ReplaySurfaces:
     Parameters
     ----------
     table : SurfaceTable
-    wanted : Wanted
+    request : GradientRequest
     moved : Numbers, optional
         Added to all numbers.
     """
 
-    def __init__(self, table: SurfaceTable, wanted: Wanted, moved: Numbers | None = None) -> None:
-        self.table, self.wanted = table, wanted
+    def __init__(self, table: SurfaceTable, request: GradientRequest, moved: Numbers | None = None) -> None:
+        self.table, self.request = table, request
         self.count = table.count
         self._surfaces = dr.opaque(mi.UInt32, self.count)
         base = numbers_of(table)
         numbers = base if moved is None else base.plus(moved)
         self._still = NumberRows(numbers.geometry, SHAPE_COLUMNS)
-        self._shape = NumberRows(numbers.geometry, SHAPE_COLUMNS, wanted.geometry)
-        self._rims = NumberRows(numbers.geometry, RIM_COLUMNS, wanted.geometry)
+        self._shape = NumberRows(numbers.geometry, SHAPE_COLUMNS, request.geometry)
+        self._rims = NumberRows(numbers.geometry, RIM_COLUMNS, request.geometry)
         optics = table.optics
         indices, rows, ideal = numbers.indices, numbers.rows, numbers.ideal
-        self._indices = tracked_array(np.tile(indices.ravel(), BATCHES)) if wanted.indices else None
+        self._indices = tracked_array(np.tile(indices.ravel(), BATCHES)) if request.indices else None
         self._plain_indices = upload(mi.Float64, indices)
         self.rows = len(rows)
-        if wanted.rows:
+        if request.rows:
             self._rows, self._ideal = (tracked_array(np.tile(v.ravel(), BATCHES)) for v in (rows, ideal))
         else:
             self._rows, self._ideal = upload(mi.Float64, rows), upload(mi.Float64, ideal)
-        self._row_stride = dr.opaque(mi.UInt32, rows.size if wanted.rows else 0)
-        self._ideal_stride = dr.opaque(mi.UInt32, ideal.size if wanted.rows else 0)
+        self._row_stride = dr.opaque(mi.UInt32, rows.size if request.rows else 0)
+        self._ideal_stride = dr.opaque(mi.UInt32, ideal.size if request.rows else 0)
         self._rotations = upload(mi.Float64, table.rotations)
         # Vertices, and whether F grows along the normal: it does for cones only, see `_surface`
         places = np.column_stack([table.vertices - table.centre, np.full(self.count, -1.0)])

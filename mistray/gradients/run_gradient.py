@@ -9,7 +9,7 @@ import numpy as np
 from mistray.execute.tracer import Run
 from mistray.gradients.edges import Edges
 from mistray.gradients.gatherer import Gatherer, each
-from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.gradients.replay import scatter_event
 from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
 from mistray.gradients.scatter_replay import ScatterReplay
@@ -106,7 +106,9 @@ class DetectorEnd:
         return own + (smooth - dr.detach(smooth))
 
 
-def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | None, wanted: Wanted) -> RawGradient:
+def run_gradient(
+    run: Run, paths: PathDerivative | None, pixel: np.ndarray | None, request: GradientRequest
+) -> RawGradient:
     """
     Derivatives of a metric at one source and wavelength, by tracing the same rays again.
 
@@ -117,14 +119,14 @@ def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | Non
         None: all hits count, in map 0.
     pixel : (maps, height, width) or None
         In units of a start ray.
-    wanted : Wanted
+    request : GradientRequest
         Coatings alone take a walk in reverse (see `mistray.recorders.adjoint`); for anything else rays are recorded and
         replayed (see `mistray.gradients.replay`).
     """
-    if not wanted.replays:
+    if not request.replays:
         return RawGradient(run.table, run.scattering, rows=run.derivatives(pixel, paths))
     longest = run.settings.max_events if run.paths is None else int(run.paths.lengths.max(initial=1))
-    gatherer = Gatherer(run.table, run.scattering, run.settings, wanted, longest)
+    gatherer = Gatherer(run.table, run.scattering, run.settings, request, longest)
     film = run.make_film()
     image = None if pixel is None else upload(mi.Float64, np.asarray(pixel, dtype=np.float64))
     traced = run.surfaces.size > 0
@@ -149,11 +151,11 @@ def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | Non
     with dr.suspend_grad():  # single events are differentiated, nothing around them
         edges = None
         if gatherer.edges:
-            edges = Edges(run.scene, run.settings, wanted.edge_width)
+            edges = Edges(run.scene, run.settings, request.edge_width)
             adjoint = run.adjoint(pixel, paths, rows=0)
         for number in range(run.passes):
             whole = run.start_pass(number)
-            if not wanted.only_rims:
+            if not request.only_rims:
                 for start in gatherer.portions(whole, hits, walk):
                     gatherer.replay(start, counts, end)
             if edges is not None:
@@ -166,6 +168,6 @@ def run_gradient(run: Run, paths: PathDerivative | None, pixel: np.ndarray | Non
             raw.left_out.append(
                 f"light past rims on paths that the trace has not met: {strange:.1e} of what is detected"
             )
-    if image is not None and wanted.geometry and not film.tent:
+    if image is not None and request.geometry and not film.tent:
         raw.left_out.append(BOX_FILM)
     return raw

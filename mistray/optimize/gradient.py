@@ -12,7 +12,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
-from mistray.gradients.raw_gradient import EDGE_WIDTH, RawGradient, Wanted
+from mistray.gradients.raw_gradient import EDGE_WIDTH, GradientRequest, RawGradient
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.ranges import EDGE_WIDTH as ZONE
@@ -151,15 +151,15 @@ def gradient(
         If a key is unknown or has no derivative, or the scene or the settings have none.
     """
     chosen = chosen_parameters(metric.scene, params, keys)
-    wanted = wanted_of(chosen.values(), edges, edge_width)
-    return gradient_seen(metric, metric.observe(), chosen, wanted)
+    request = gradient_request(chosen.values(), edges, edge_width)
+    return gradient_seen(metric, metric.observe(), chosen, request)
 
 
 def gradient_seen(
     metric: Metric,
     observations: list[Any],
     chosen: Mapping[str, Parameter],
-    wanted: Wanted,
+    request: GradientRequest,
 ) -> Gradient:
     """
     `gradient` from observations that are made already: several metrics of the same views share them.
@@ -171,8 +171,8 @@ def gradient_seen(
         From `Metric.observe`.
     chosen : mapping of str to Parameter
         From `chosen_parameters`.
-    wanted : Wanted
-        From `wanted_of`.
+    request : GradientRequest
+        From `gradient_request`.
     """
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
@@ -180,7 +180,7 @@ def gradient_seen(
     noise = Sampled.of(np.zeros(BATCHES), EQUAL)
     raws: dict[tuple[Any, ...], RawGradient] = {}
     for observation in observations:
-        for raw in observation.raw_gradients(wanted):
+        for raw in observation.raw_gradients(request):
             seconds += raw.seconds
             left_out += [text for text in raw.left_out if text not in left_out]
             # Fields share their tables: all of them go through the chain rule at once
@@ -199,11 +199,11 @@ def gradient_seen(
         sums.add(sums.inner, parameter_gradient(raw, is_chosen))
         for half_width, into in enumerate(sums.edges):
             sums.add(into, edge_gradient(raw, is_chosen, bool(half_width)))
-    if wanted.moves and not wanted.edges:
+    if request.moves and not request.edges:
         left_out.append(NO_EDGES)
-    if wanted.moves and any(_jumps(raw) for raw in raws.values()):
+    if request.moves and any(_jumps(raw) for raw in raws.values()):
         left_out.append(ONSET)
-    if wanted.indices and any(raw.scattering.any for raw in raws.values()):
+    if request.indices and any(raw.scattering.any for raw in raws.values()):
         left_out.append(INDEX_OF_SCATTER)
     result: dict[str, np.ndarray] = {}
     errors, checks, parts = dict(result), dict(result), dict(result)
@@ -255,13 +255,13 @@ def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str]
     return {key: known[key] for key in chosen}
 
 
-def wanted_of(chosen: Iterable[Parameter], edges: bool, edge_width: float) -> Wanted:
+def gradient_request(chosen: Iterable[Parameter], edges: bool, edge_width: float) -> GradientRequest:
     """What the tracer must gather for some parameters."""
     ZONE.check("edge_width", edge_width)
     chosen = list(chosen)
     kinds = {p.kind for p in chosen}
     shapes = [p for p in chosen if p.kind not in (*COATING_KINDS, *OTHER_KINDS)]
-    return Wanted(
+    return GradientRequest(
         rows=bool(kinds & {*COATING_KINDS, "index"}),
         geometry=geometry_columns(p.name for p in shapes),
         indices="index" in kinds,

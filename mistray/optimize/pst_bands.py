@@ -13,7 +13,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.gradients.parameter_gradient import parameter_gradient
 from mistray.gradients.raw_gradient import EDGE_WIDTH
-from mistray.optimize.gradient import chosen_parameters, wanted_of
+from mistray.optimize.gradient import chosen_parameters, gradient_request
 from mistray.optimize.metrics.pst_observation import Light, PstObservation, named_classes
 from mistray.optimize.metrics.views import PstView
 from mistray.optimize.scene_values import assign
@@ -108,7 +108,7 @@ class PstBands:
         self.start = np.array([float(p.value.ravel()[0]) for p in chosen.values()])
         self.low, self.high = (np.array([getattr(p, end) for p in chosen.values()]) for end in ("low", "high"))
         self._places = [(id(p.owner), p.name) for p in chosen.values()]
-        self._wanted = wanted_of(chosen.values(), edges=False, edge_width=EDGE_WIDTH)
+        self._request = gradient_request(chosen.values(), edges=False, edge_width=EDGE_WIDTH)
         self._light = named_classes(light)
         middles = edges[0] + cell_deg * (np.arange(round(float(counts.sum()))) + 0.5)
         self._band_of_cell = np.repeat(np.arange(len(counts)), np.round(counts).astype(int))
@@ -158,7 +158,7 @@ class PstBands:
             derivative = np.zeros((len(CLASSES), *observation.pst.grid.shape))
             derivative[[CLASSES.index(name) for name in self._light]] = here.sum(axis=0)
             groups = np.argmax(here > 0, axis=0)  # cells of no band have no weight
-            for raw in observation.pst.raw_gradients(derivative, self._wanted, groups):
+            for raw in observation.pst.raw_gradients(derivative, self._request, groups):
                 for owner, name, parts in parameter_gradient(raw, lambda o, n: (id(o), n) in self._places):
                     jacobian[first : first + BATCHES, self._places.index((id(owner), name))] += parts[: len(here), 0]
         return Modelled(value, covariance, jacobian)

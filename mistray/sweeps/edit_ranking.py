@@ -14,7 +14,7 @@ import numpy as np
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
 from mistray.gradients.raw_gradient import EDGE_WIDTH
-from mistray.optimize.gradient import gradient_seen, wanted_of
+from mistray.optimize.gradient import gradient_request, gradient_seen
 from mistray.optimize.metrics.pst_metrics import pst_bin
 from mistray.optimize.metrics.pst_observation import Light
 from mistray.optimize.parameters import Parameter, groups, match, parameters
@@ -226,13 +226,13 @@ def rank_edits(
     step_of = _steps(known, lines, steps or {})
     metrics = [pst_bin(loaded, angle, light, pst_field_deg=angles, **arguments) for angle in angles]
     active = {key: known[key] for line in lines for key in line.keys}
-    wanted = wanted_of(active.values(), True, edge_width)
+    request = gradient_request(active.values(), True, edge_width)
     observations = metrics[0].observe()
     tables, values, left_out = [], [], dict[str, None]()
     for number, (angle, metric) in enumerate(zip(angles, metrics, strict=True)):
         if progress is not None:
             progress(number + 1, len(metrics) + 1)
-        found = gradient_seen(metric, observations, active, wanted)
+        found = gradient_seen(metric, observations, active, request)
         if not found.value > 0:
             raise MistrayError(
                 f"rank_edits: the PST at {angle:g}° is {found.value:g}, which has no relative change; give other "

@@ -14,7 +14,7 @@ from mistray.errors import MistrayError
 from mistray.execute.by_parts import TraceTask, images_by_parts
 from mistray.execute.tracer import Run, image
 from mistray.execute.workers import current_workers
-from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.gradients.run_gradient import run_gradient
 from mistray.recorders.film import image_word
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
@@ -355,7 +355,7 @@ class Trace:
         """
         return ray_table(self._runs, self.paths, PathFilter(selection), n, box, pixels, events)
 
-    def raw_gradients(self, derivative: HitDerivative, wanted: Wanted) -> Iterator[RawGradient]:
+    def raw_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[RawGradient]:
         """
         Derivatives of a metric by all that the trace knows, by tracing the same rays again.
 
@@ -363,7 +363,7 @@ class Trace:
         ----------
         derivative : HitDerivative
             Of the metric by the flux of the hits of the detector.
-        wanted : Wanted
+        request : GradientRequest
 
         Yields
         ------
@@ -393,7 +393,7 @@ class Trace:
             if pixel is None and (by_path is None or not by_path.coefficients.any()):
                 continue
             started = time.perf_counter()
-            raw = run_gradient(run, by_path, pixel, wanted)
+            raw = run_gradient(run, by_path, pixel, request)
             raw.seconds = time.perf_counter() - started
             yield raw
 

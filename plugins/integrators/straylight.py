@@ -17,7 +17,7 @@ from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
 from mistray.gradients.frozen_tangent import run_tangent
 from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
-from mistray.gradients.raw_gradient import EDGE_WIDTH, Wanted
+from mistray.gradients.raw_gradient import EDGE_WIDTH, GradientRequest
 from mistray.gradients.run_gradient import run_gradient
 from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.settings import Settings
@@ -167,7 +167,7 @@ class StrayLight(mi.CppADIntegrator):
             sensor = scene.sensors()[sensor]
         tracked = _tracked(scene)
         _check_differentiable(params, tracked)
-        wanted = Wanted(
+        request = GradientRequest(
             rows=any(kind in ("coating", "index") for kind, _ in tracked.values()),
             geometry=geometry_columns(name for (_, name), (kind, _) in tracked.items() if kind == "shape"),
             indices=any(kind == "index" for kind, _ in tracked.values()),
@@ -184,7 +184,7 @@ class StrayLight(mi.CppADIntegrator):
             first_order = mi.Float64(0)
             for run in prepare(scene, self._settings(sensor, seed, spp), detector=self._detector(sensor)):
                 by_flux = run.unit * by_irradiance[None] / run.pixel_area
-                raw = run_gradient(run, None, by_flux, wanted)
+                raw = run_gradient(run, None, by_flux, request)
                 for owner, name, batches in (*parameter_gradient(raw, is_tracked), *edge_gradient(raw, is_tracked)):
                     value = tracked[id(owner), name][1]
                     first_order += dr.sum(mi.Float64(value) * mi.Float64(batches.sum(axis=0)))

@@ -12,7 +12,7 @@ import numpy as np
 from mistray.analysis.pst.pilot import SELDOM
 from mistray.errors import MistrayError
 from mistray.gradients.backward_gradient import backward_gradient
-from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_events import DIRECT
 from mistray.recorders.sky import CLASSES
@@ -89,7 +89,7 @@ class Pst:
     hidden_variance: np.ndarray | None = None
 
     def raw_gradients(
-        self, derivative: np.ndarray, wanted: Wanted, groups: np.ndarray | None = None
+        self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
     ) -> Iterator[RawGradient]:
         """
         Derivatives of a metric by all that the trace knows, by tracing the same rays again.
@@ -98,7 +98,7 @@ class Pst:
         ----------
         derivative : (c, n, m) float64
             Of the metric by PST_normal of each class in each cell.
-        wanted : Wanted
+        request : GradientRequest
         groups : (n, m) int, optional
             Numbers of groups of cells, see `mistray.gradients.backward_gradient`.
 
@@ -115,7 +115,7 @@ class Pst:
         if self.source is None:
             raise MistrayError("this PST has no rays to differentiate; compute it with method='adjoint'")
         unit = np.pi / self.grid.solid_angle[None, :, None] / float(self.source.rays.sum())
-        yield from backward_gradient(self.source, unit * np.asarray(derivative), wanted, groups)
+        yield from backward_gradient(self.source, unit * np.asarray(derivative), request, groups)
 
     def __post_init__(self) -> None:
         if self.convention not in CONVENTIONS:

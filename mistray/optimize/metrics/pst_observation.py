@@ -13,7 +13,7 @@ from mistray.analysis.metrics.extended_source import ExtendedSource, Sky, cover
 from mistray.analysis.metrics.glare import glare_cells
 from mistray.analysis.pst.result import CONVENTIONS, STRAY, Pst
 from mistray.errors import MistrayError
-from mistray.gradients.raw_gradient import RawGradient, Wanted
+from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.optimize.metrics.observation import leaf
 from mistray.recorders.sampled import Sampled
 from mistray.recorders.sky import CLASSES
@@ -219,12 +219,12 @@ class PstObservation:
             total[[CLASSES.index(name) for name in classes]] += by_cell
         return total
 
-    def raw_gradients(self, wanted: Wanted) -> Iterator[RawGradient]:
+    def raw_gradients(self, request: GradientRequest) -> Iterator[RawGradient]:
         """What the tracer knows of the derivatives of the value, for each wavelength that matters."""
         derivative = self.derivative
         if not np.any(derivative):
             return iter(())
-        return self.pst.raw_gradients(derivative, wanted)
+        return self.pst.raw_gradients(derivative, request)
 
     def noise(self) -> Sampled:
         """The sum of what the value is made of, to first order, with the noise of the value by batch."""
