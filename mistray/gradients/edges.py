@@ -39,7 +39,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.gradients.grazing import SILHOUETTE, grazing_kernel
 from mistray.gradients.rim_joints import rim_circles
-from mistray.gradients.rims import HALF_HEIGHT, HALF_WIDTH, RimRecorder, rim_sizes, zone_widths
+from mistray.gradients.rims import RimRecorder
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
@@ -49,9 +49,9 @@ from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.recorders.ledger import EVENT_BITS
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
-from mistray.surfaces.gradient_columns import RIM_COLUMNS
+from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, RIM_COLUMNS
 from mistray.surfaces.optics import ASPHERIC
-from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.upload import upload
 
 CAPACITY = 1 << 17  # hits that are kept at a time
@@ -126,8 +126,8 @@ class Edges:
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
         for piece in table.pieces:
-            for rim, zone in zone_widths(piece, width).items():
-                sizes[piece.index, rim] = rim_sizes(piece)[rim], zone
+            for rim, zone in piece.zone_widths(width).items():
+                sizes[piece.index, rim] = piece.rim_sizes[rim], zone
         found = rim_circles(table)
         self._most = max((len(circle.joints) for circle in found.values()), default=0)
         room = max(self._most, 1)

@@ -181,7 +181,7 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     nothing = GradientRequest(rows=False, edges=False)
     gatherer = Gatherer(table, run.scattering, run.settings, nothing, run.settings.max_events)
     direction = number_direction(table, tangents)
-    step = step_of(direction, np.array([piece.outer or float(np.hypot(*piece.half_size)) for piece in table.pieces]))
+    step = step_of(direction, np.array([piece.size for piece in table.pieces]))
     still = ReplaySurfaces(table, nothing)
     back, forth = (ReplaySurfaces(table, nothing, direction.times(sign * step)) for sign in (-1, 1))
     image = dr.zeros(mi.Float64, film.width * film.height)

@@ -22,7 +22,7 @@ from mistray.recorders.adjoint import CHANNELS
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
-from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 

@@ -25,6 +25,7 @@ from mistray.kernel.interaction import Interaction
 from mistray.physics.sag import sag_derivative
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
 from mistray.surfaces.optics import ASPHERIC, IDEAL, OPAQUE
+from mistray.surfaces.surface import ENDS
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
@@ -88,12 +89,10 @@ class Grazing:
     def __init__(self, table: SurfaceTable, width: float) -> None:
         self._table = table
         self.zone = dr.opaque(mi.Float, ZONE * width)
-        # Least and greatest radius of each surface, or z of a cone, its size, and whether it is a cone
+        # Reach of each surface, its size, and whether the reach is in a coordinate of its own
         extents = np.zeros((table.count, 4))
         for piece in table.pieces:
-            cone = piece.kind == "cone"
-            size = piece.outer or float(np.hypot(*piece.half_size))
-            extents[piece.index] = *(piece.z_range if cone else (piece.inner, size)), size, cone
+            extents[piece.index] = *piece.reach, piece.size, piece.rim_coordinate == ENDS
         self._extents = upload(mi.Float, extents)
 
     def find(self, s: mi.UInt32, it: Interaction, d: mi.Vector3f, active: mi.Bool) -> Jump:

@@ -35,9 +35,7 @@ def number_direction(table: SurfaceTable, tangents: Mapping[tuple[int, str], np.
         for name in shape_parameters(shape):
             speed = tangents.get((id(shape), name))
             if speed is not None:
-                geometry[piece.index] += float(speed[0]) * column_derivatives(
-                    shape.kind, shape.values, shape.base, name
-                )
+                geometry[piece.index] += float(speed[0]) * column_derivatives(shape, name)
     indices, ideal = np.zeros((table.count, 2)), np.zeros((table.count, 2))
     rows = np.zeros((optics.rows, TABLE_CHANNELS))
     for i, bsdf in enumerate(optics.bsdfs):

@@ -16,13 +16,14 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
+from mistray.gradients.aspheric_terms import AsphericTerms
+from mistray.gradients.number_rows import NumberRows, tracked_array
 from mistray.gradients.raw_gradient import GradientRequest
 from mistray.physics.fresnel import reflectance
 from mistray.recorders.ledger import TOTAL
 from mistray.settings import BATCHES
-from mistray.surfaces.aspheric_terms import AsphericTerms
+from mistray.surfaces.cone import Cone
 from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, RIM_COLUMNS, SHAPE_COLUMNS
-from mistray.surfaces.number_rows import NumberRows, tracked_array
 from mistray.surfaces.optics import (
     BACK_MEDIUM_SHIFT,
     FRESNEL,
@@ -101,7 +102,7 @@ class ReplaySurfaces:
         # Vertices, and whether F grows along the normal: it does for cones only, see `_surface`
         places = np.column_stack([table.vertices - table.centre, np.full(self.count, -1.0)])
         for piece in table.pieces:
-            places[piece.index, 3] = 1.0 if piece.kind == "cone" else -1.0
+            places[piece.index, 3] = 1.0 if isinstance(piece, Cone) else -1.0
         self._places = upload(mi.Float64, places)
         self._extinction = upload(mi.Float64, np.array(optics.extinction))
         self._tilts = bool(self._shape.names & {"tilt_x", "tilt_y", "tilt_z"})

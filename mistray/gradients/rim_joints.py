@@ -18,9 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from mistray.gradients.rims import INNER, OUTER, Z_HIGH, Z_LOW, rim_sizes
-from mistray.physics.sag import sag, sag_derivative
-from mistray.surfaces.pieces import Piece
+from mistray.surfaces.gradient_columns import HIGH, INNER, LOW, OUTER
+from mistray.surfaces.surface import Surface
 from mistray.surfaces.surfaces import SurfaceTable
 
 TOUCH = 1e-4  # distance of surfaces that touch, in units of the rim's radius
@@ -80,16 +79,16 @@ def rim_circles(table: SurfaceTable) -> dict[tuple[int, int], RimCircle]:
     extents = np.array([piece.z_range for piece in table.pieces])
     for piece in table.pieces:
         beside, sign, place = _relative_axes(table, piece)
-        for rim in rim_sizes(piece):
-            if rim not in (OUTER, INNER, Z_LOW, Z_HIGH):
+        for rim in piece.rim_sizes:
+            if rim not in (OUTER, INNER, LOW, HIGH):
                 continue
-            point = _rim_point(piece, rim)
+            point = piece.rim_point(rim)
             tolerance = TOUCH * point[0]
             along = sign * (point[1] - place)  # in the frames of the other surfaces
             near = (beside <= tolerance) & (along >= extents[:, 0] - tolerance) & (along <= extents[:, 1] + tolerance)
             near[piece.index] = False
-            tangent, _ = _profile(piece, point)
-            outward = tangent if rim in (OUTER, Z_HIGH) else -tangent
+            tangent = piece.tangent(point)
+            outward = tangent if rim in (OUTER, HIGH) else -tangent
             joints = [
                 joint
                 for k in np.flatnonzero(near)
@@ -100,34 +99,7 @@ def rim_circles(table: SurfaceTable) -> dict[tuple[int, int], RimCircle]:
     return found
 
 
-def _rim_point(piece: Piece, rim: int) -> np.ndarray:
-    if rim in (OUTER, INNER):
-        radius = piece.outer if rim == OUTER else piece.inner
-        return np.array([radius, _sag(piece, radius)])
-    z = piece.z_range[0 if rim == Z_LOW else 1]
-    return np.array([_radius(piece, z), z])
-
-
-def _sag(piece: Piece, radius: float) -> float:
-    return float(sag(radius**2, *piece.conic, piece.coefficients))
-
-
-def _radius(piece: Piece, z: float) -> float:
-    return abs(piece.r0 + piece.slope * z)
-
-
-def _profile(piece: Piece, point: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Unit vectors along the profile at a point of it, outwards or towards +z, and along the gradient of F."""
-    if piece.kind == "cone":
-        slope = piece.slope
-        tangent, gradient = np.array([slope, 1.0]), np.array([1.0, -slope])
-    else:
-        slope = float(2 * point[0] * sag_derivative(point[0] ** 2, *piece.conic, piece.coefficients))
-        tangent, gradient = np.array([1.0, slope]), np.array([slope, -1.0])
-    return tangent / np.linalg.norm(tangent), gradient / np.linalg.norm(gradient)
-
-
-def _relative_axes(table: SurfaceTable, piece: Piece) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def _relative_axes(table: SurfaceTable, piece: Surface) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """
     The axes of all surfaces as one of them sees them.
 
@@ -148,19 +120,13 @@ def _relative_axes(table: SurfaceTable, piece: Piece) -> tuple[np.ndarray, np.nd
     return np.where(turned > PARALLEL, np.inf, beside), np.sign(axes @ axis), place
 
 
-def _joints(other: Piece, here: np.ndarray, sign: float) -> list[Joint]:
+def _joints(other: Surface, here: np.ndarray, sign: float) -> list[Joint]:
     """The halves of another surface on the same axis that begin at a circle, given in the frame of that surface."""
     tolerance = TOUCH * here[0]
-    if other.kind == "cone":
-        place, (low, high), off = here[1], other.z_range, here[0] - _radius(other, here[1])
-    else:
-        reach = other.outer or min(other.half_size)
-        if here[0] > reach + tolerance:
-            return []
-        place, (low, high), off = here[0], (other.inner, reach), here[1] - _sag(other, min(here[0], reach))
-    tangent, gradient = _profile(other, here)
+    place, low, high, off = other.on_profile(here)
     if not abs(off) <= tolerance or not low - tolerance <= place <= high + tolerance:
         return []
+    tangent, gradient = other.tangent(here), other.profile_gradient(here)
     at_low, at_high = place < low + tolerance, place > high - tolerance
     turn = np.array([1.0, sign])
     ways = [tangent] if at_low else [-tangent] if at_high else [tangent, -tangent]

@@ -16,16 +16,15 @@ from mistray.recorders.adjoint import GAIN
 from mistray.recorders.branch_recorder import POINT_FLOATS, BranchRecorder
 from mistray.recorders.recorder import Memory, Recorder, Return, Visit
 from mistray.recorders.start_rays import StartRays
-from mistray.surfaces.gradient_columns import RIM_COLUMNS
-from mistray.surfaces.pieces import Piece
+from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, HIGH, INNER, LOW, OUTER
+from mistray.surfaces.surface import ENDS, RECTANGLE, ROUND
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
-OUTER, INNER, HALF_WIDTH, HALF_HEIGHT, Z_LOW, Z_HIGH = range(len(RIM_COLUMNS))
-ROUND, RECTANGLE, CONE = range(3)  # kinds of bounds; their rims are 2 kind and 2 kind + 1
 NO_EVENT = 0xFFFFFFFF
 RIMS = "rims"  # of a lane, in the memory
 FAR = 1e30  # mm, where there is no rim
+SIDES = OUTER, INNER, HALF_WIDTH, HALF_HEIGHT, HIGH, LOW  # the first and the second rim of each coordinate
 # State of a ray before a hit, as `StartRays` has it
 STATE = {
     "batch": "UInt32",
@@ -39,35 +38,6 @@ STATE = {
     "aside": "Bool",
     "run": "UInt32",
 }
-
-
-def rim_sizes(piece: Piece) -> dict[int, float]:
-    """Rims of a surface, by their place in `RIM_COLUMNS`, and their radius or half side, mm."""
-    if piece.kind == "cone":
-        found = {rim: abs(piece.r0 + piece.slope * z) for rim, z in zip((Z_LOW, Z_HIGH), piece.z_range, strict=True)}
-    elif piece.outer:
-        found = {OUTER: piece.outer, INNER: piece.inner}
-    else:
-        found = {HALF_WIDTH: piece.half_size[0], HALF_HEIGHT: piece.half_size[1]}
-    return {rim: size for rim, size in found.items() if size > 0}
-
-
-def zone_widths(piece: Piece, width: float) -> dict[int, float]:
-    """
-    Widths of the zones along the rims of a surface, mm.
-
-    Parameters
-    ----------
-    piece : Piece
-    width : float
-        In units of the radius or half side; zones of a round surface or a cone end where they would overlap.
-    """
-    sizes = rim_sizes(piece)
-    extent = np.ptp(piece.z_range) if piece.kind == "cone" else piece.outer - piece.inner
-    return {
-        rim: min(width * size, size if rim in (HALF_WIDTH, HALF_HEIGHT) else 0.5 * float(extent))
-        for rim, size in sizes.items()
-    }
 
 
 class RimRecorder(Recorder):
@@ -110,19 +80,13 @@ class RimRecorder(Recorder):
         bounds = np.tile([FAR, -FAR, 0.0, 0.0], (table.count, 1))
         kinds = np.zeros(table.count, dtype=np.uint32)
         for piece in table.pieces:
-            i, zones = piece.index, zone_widths(piece, width)
-            if piece.kind == "cone":
-                kinds[i] = CONE
-                rims = {Z_HIGH: (0, piece.z_range[1]), Z_LOW: (1, piece.z_range[0])}
-            elif piece.outer:
-                kinds[i] = ROUND
-                rims = {OUTER: (0, piece.outer), INNER: (1, piece.inner)}
-            else:
-                kinds[i] = RECTANGLE
-                rims = {HALF_WIDTH: (0, piece.half_size[0]), HALF_HEIGHT: (1, -piece.half_size[1])}
-            for rim, zone in zones.items():
-                column, value = rims[rim]
-                bounds[i, column], bounds[i, 2 + column] = value, zone
+            i, kinds[piece.index] = piece.index, piece.rim_coordinate
+            low, high = piece.reach
+            if piece.rim_coordinate == RECTANGLE:
+                high, low = piece.rim_sizes[HALF_WIDTH], -piece.rim_sizes[HALF_HEIGHT]
+            for rim, zone in piece.zone_widths(width).items():
+                column = SIDES.index(rim) % 2
+                bounds[i, column], bounds[i, 2 + column] = (high, low)[column], zone
         self._bounds, self._kinds = upload(mi.Float, bounds), upload(mi.UInt32, kinds)
         self.paths = BranchRecorder(capacity, max_events, points_only=True)
         self.rim = dr.zeros(mi.UInt32, capacity)
@@ -174,7 +138,7 @@ class RimRecorder(Recorder):
         bounds = dr.gather(mi.Vector4f, self._bounds, s, active)
         kind = dr.gather(mi.UInt32, self._kinds, s, active)
         rho = dr.sqrt(dr.fma(q.x, q.x, q.y * q.y))
-        along = dr.select(kind == ROUND, rho, dr.select(kind == CONE, q.z, dr.abs(q.x)))
+        along = dr.select(kind == ROUND, rho, dr.select(kind == ENDS, q.z, dr.abs(q.x)))
         across = dr.select(kind == RECTANGLE, -dr.abs(q.y), along)
         to_first, to_second = dr.maximum(bounds.x - along, 0), dr.maximum(across - bounds.y, 0)
         near_first, near_second = active & (to_first < bounds.z), active & (to_second < bounds.w)
@@ -182,7 +146,7 @@ class RimRecorder(Recorder):
         # Which of the two it is, is decided by the last bit of a coordinate
         odd = (dr.reinterpret_array(mi.UInt32, q.x) & 1) != 0
         first = near_first & (~both | odd)
-        rim = 2 * kind + dr.select(first ^ (kind == CONE), mi.UInt32(0), 1)
+        rim = 2 * kind + dr.select(first ^ (kind == ENDS), mi.UInt32(0), 1)
         return rim, dr.select(first, to_first, to_second), near_first | near_second, both
 
     def back(self, back: Return, memory: Memory) -> None:

@@ -31,7 +31,7 @@ from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import ESCAPED, FIRST_MISS, MEDIUM, STARTED
 from mistray.settings import Settings
 from mistray.surfaces.optics import DETECTOR, NO_LOSS
-from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surface_rows import LaneRows
 
 State = dict[str, Any]

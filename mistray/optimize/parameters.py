@@ -44,11 +44,11 @@ from mistray._mitsuba_compat import peek
 from mistray.coatings import LAYER_PARAMETERS, Stack
 from mistray.errors import MistrayError
 from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
-from mistray.gradients.geometry_gradient import DISPLACEMENT, RIMS, ROTATION, SHIFTS, shape_parameters
+from mistray.gradients.geometry_gradient import SHIFTS, shape_parameters
 from mistray.gradients.scatter_gradient import fixed
 from mistray.ids import fits
 from mistray.physics.sag import sag
-from mistray.surfaces.gradient_columns import COEFFICIENTS
+from mistray.surfaces.gradient_columns import COEFFICIENTS, DISPLACEMENT, ROTATION
 from mistray.surfaces.surfaces import solid_shapes
 
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index")
@@ -79,6 +79,7 @@ BINDER = 0.02  # tolerance of the index of a paint's binder
 THICKNESS, LAYER_INDEX, LAYER_K = 0.01, 0.01, 1e-4
 SHARE, LEAST_SHARE = 0.2, 1e-3
 RADIUS, FRINGES_MM, FORM_MM = 1e-3, 3 * 633e-6 / 2, 5e-4
+CLEAR_APERTURE = ("semi_diameter", "inner_semi_diameter", "half_width", "half_height")
 RIM_MM, OPTICS_MM, MECHANICS_MM, IN_PROPORTION = 0.1, 0.02, 0.1, 0.01
 ARCMIN = 1 / 60
 PARALLEL = 1e-6  # by which the directions of axes may differ
@@ -294,7 +295,7 @@ def _about_shape(shape: Any, name: str, value: np.ndarray) -> _About:
         return min(usual, IN_PROPORTION * size)
 
     if name in DISPLACEMENT:
-        usual = OPTICS_MM if shape.kind == "asphere" else MECHANICS_MM
+        usual = MECHANICS_MM if shape.mechanics else OPTICS_MM
         return "position", "mm", length(usual), -math.inf, math.inf
     if name in ROTATION:
         return "tilt", "deg", ARCMIN, -180.0, 180.0
@@ -305,7 +306,7 @@ def _about_shape(shape: Any, name: str, value: np.ndarray) -> _About:
         low, high = (0.0, other) if v[name] < other else (other, math.inf)
         return "rim", "mm", length(RIM_MM), low, high
     c, k = v["curvature"], v["conic"]
-    if name in RIMS:
+    if name in CLEAR_APERTURE:
         low = v["inner_semi_diameter"] if name == "semi_diameter" else 0.0
         end = 1 / (abs(c) * math.sqrt(1 + k)) if c and k > -1 else math.inf
         return "rim", "mm", length(RIM_MM), low, v["semi_diameter"] if name == "inner_semi_diameter" else end

@@ -11,7 +11,7 @@ from mistray.recorders.recorder import Branch, Memory, Recorder, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES, BRANCHES
 from mistray.surfaces.extrema import larger
-from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surface import NO_SURFACE
 
 # Rows of the tally: what is not tied to a surface. Those of any trace have sums in each lane
 ESCAPED, THRESHOLD, ROULETTE, REFLECTIONS, EVENTS, MEDIUM, SEGMENTS, FIRST_MISS, STARTED = range(9)

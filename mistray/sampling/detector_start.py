@@ -16,6 +16,7 @@ from mistray.settings import BATCHES
 from mistray.surfaces.host_points import lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit
 from mistray.surfaces.optics import BACK_MEDIUM_SHIFT, FRONT_MEDIUM_SHIFT, MEDIUM_MASK, OPAQUE
+from mistray.surfaces.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
 
 FROM_BACK = 1 / 16  # share of the rays that start on the side away from the light of the design
@@ -76,15 +77,15 @@ class DetectorStart:
     def _analytic(self) -> None:
         table = self._table
         piece = table.pieces[table.detector]
+        assert isinstance(piece, SagSurface)  # see `SurfaceTable.film`
         self._origin = table.upload_point(table.vertices[table.detector])
         axes = table.rotations[table.detector].T
         self._axes = [mi.Vector3f(*(dr.opaque(mi.Float, float(v)) for v in axis)) for axis in axes]
         self._round = piece.outer > 0
         self._radii2 = [dr.opaque(mi.Float, r * r) for r in (piece.inner, piece.outer)]
-        conic = piece.conic if piece.kind != "plane" else (0.0, 0.0)
-        self._curved = piece.kind != "plane"
+        self._curved = not piece.flat
         coefficients, per_area = in_proportion(piece.coefficients, piece.size)
-        c, k, w, *rest = (dr.opaque(mi.Float, v) for v in (*conic, per_area, *coefficients))
+        c, k, w, *rest = (dr.opaque(mi.Float, v) for v in (piece.curvature, piece.conic, per_area, *coefficients))
         self._shape = c, k, rest, w
         x0, x1, y0, y1 = self.extent
         flat = np.pi * (piece.outer**2 - piece.inner**2) if self._round else (x1 - x0) * (y1 - y0)

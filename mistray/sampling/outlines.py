@@ -8,33 +8,25 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.targets import Target
-from mistray.physics.sag import sag_derivative
 from mistray.surfaces.host_points import across
-from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable, is_analytic
 
-AREA_NODES = 128  # of the quadrature over a curved detector
+AREA_PARTS = 8  # of a curved detector, each way
 
 
 def outline(shape: Any) -> Target:
     """
     The clear aperture of a shape as a flat target.
 
-    Of an `asphere` it lies in the plane of its rim, of a `frustum` in that of its larger rim. Of a stock shape that is
+    Of a stock shape that is
     neither a rectangle nor a disk it is the circle around its bounding box, at right angles to the shortest edge of the
     box.
     """
-    if hasattr(shape, "outer_radius"):
-        v, matrix = shape.values, shape.matrix
-        x, y, z = matrix[:3, :3].T
-        if shape.kind == "asphere" and shape.rectangular:
-            return Target("parallelogram", matrix[:3, 3], v["half_width"] * x, v["half_height"] * y)
-        outer = shape.outer_radius
-        if shape.kind == "asphere":
-            inner, height = v["inner_semi_diameter"], float(shape.sag(np.array(outer)))
-        else:
-            inner = min(v["r0"], v["r1"]) if shape.flat else 0.0
-            height = v["z0"] if v["r0"] >= v["r1"] else v["z1"]
-        return Target("ellipse", matrix[:3, 3] + height * z, outer * x, outer * y, hole=inner / outer)
+    if is_analytic(shape):
+        opening, frame = shape.surface(shape.values).opening, shape.vertex_frame(shape.values, shape.matrix)
+        x, y, z = frame[:3, :3].T
+        (a, b), place = opening.half_size, frame[:3, 3] + opening.height * z
+        return Target("parallelogram" if opening.rectangular else "ellipse", place, a * x, b * y, hole=opening.hole)
     for name, kind in (("Rectangle", "parallelogram"), ("Disk", "ellipse")):
         if str(shape).startswith(name):
             placed = np.array(mi.traverse(shape)["to_world"].matrix, dtype=np.float64).reshape(4, 4)
@@ -49,18 +41,4 @@ def detector_area(table: SurfaceTable) -> float:
     shape: Any = table.shapes[table.detector]
     if table.detector >= len(table.pieces):
         return outline(shape).area
-    piece = table.pieces[table.detector]
-    nodes, weights = np.polynomial.legendre.leggauss(AREA_NODES)
-
-    def stretch(r2: np.ndarray) -> np.ndarray:
-        """Area of the surface over that of its projection."""
-        slope = sag_derivative(r2, *piece.conic, piece.coefficients)
-        return np.sqrt(1 + 4 * r2 * np.square(slope))
-
-    if piece.outer:
-        half = 0.5 * (piece.outer - piece.inner)
-        r = piece.inner + half * (nodes + 1)
-        return float(half * np.sum(weights * 2 * np.pi * r * stretch(r * r)))
-    a, b = piece.half_size
-    x, y = a * nodes, b * nodes[:, None]
-    return float(a * b * np.sum(weights * weights[:, None] * stretch(x * x + y * y)))
+    return float(table.pieces[table.detector].areas(AREA_PARTS, AREA_PARTS).sum())

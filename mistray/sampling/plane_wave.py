@@ -250,14 +250,9 @@ def hull_points(*tables: SurfaceTable) -> np.ndarray:
 def _hull_parts(table: SurfaceTable) -> list[np.ndarray]:
     turn = 2 * np.pi * np.arange(RIM_POINTS) / RIM_POINTS
     polygon = np.stack([np.cos(turn), np.sin(turn)], axis=1) / np.cos(np.pi / RIM_POINTS)
-    corners = np.array([[x, y] for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
     points = []
     for number, piece in enumerate(table.pieces):
-        for z in piece.z_range:
-            radius = piece.r0 + piece.slope * z if piece.kind == "cone" else piece.outer
-            flat = corners * piece.half_size if not piece.outer else radius * polygon
-            local = np.concatenate([flat, np.full((len(flat), 1), z)], axis=1)
-            points.append(local @ table.rotations[number].T + table.vertices[number])
+        points.append(piece.hull(polygon) @ table.rotations[number].T + table.vertices[number])
     for shape in table.shapes[len(table.pieces) :]:
         points.append(box_corners([shape.bbox()]))
     return points

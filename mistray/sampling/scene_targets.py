@@ -16,7 +16,7 @@ from mistray.ranges import RAYS_PER_HIT
 from mistray.sampling.outlines import outline
 from mistray.sampling.scattering_bodies import scattering_bodies
 from mistray.surfaces.host_points import surface_points
-from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.surfaces import SurfaceTable, is_analytic
 
 MOST_TRIANGLES = 64
 PROBES = 256  # pairs of a point of the surface and one of the target that tell on which sides the target lies
@@ -129,14 +129,14 @@ def shape_targets(shape: Any, table: SurfaceTable) -> list[AnyTarget]:
 
 
 def _kind(shape: Any) -> tuple[str, str]:
-    """Kind of one of mistray's own shapes or "", and the class of the shape."""
-    return getattr(shape, "kind", ""), str(shape).partition("[")[0].strip()
+    """Name of the plugin of an analytic shape or "", and the class of the shape."""
+    kind = str(shape).partition("[")[0].strip()
+    return kind.lower() if is_analytic(shape) else "", kind
 
 
 def _is_flat(shape: Any) -> bool:
     """Whether the outline of a shape is all there is to aim at."""
-    own, kind = _kind(shape)
-    return (own == "frustum" and shape.flat) or own == "asphere" or kind in ("Rectangle", "Disk")
+    return shape.sheet if is_analytic(shape) else _kind(shape)[1] in ("Rectangle", "Disk")
 
 
 def _scaled(target: Target, scale: float) -> Target:

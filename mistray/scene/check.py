@@ -84,7 +84,7 @@ def check_overlaps(scene: mi.Scene) -> None:
     axes: list[_Axis] = []
     feet, directions = np.zeros((2, len(shapes), 3))
     for shape in shapes:
-        if getattr(shape, "kind", None) == "asphere":
+        if hasattr(shape, "sag"):
             known = np.flatnonzero(_signs(feet[: len(axes)], directions[: len(axes)], shape))
             if not len(known):
                 feet[len(axes)], directions[len(axes)] = foot, along = shape.matrix[:3, 3], shape.matrix[:3, 2]
@@ -133,11 +133,7 @@ def _crosses(shape: Any, axis: _Axis) -> bool:
     """Whether a shape that is no asphere of an axis may change the material on it; rings and tubes about it do not."""
     if shape.bsdf().opaque or any(item.shape.id() == shape.id() for item in axis.placed):
         return False
-    return not (
-        getattr(shape, "kind", None) == "frustum"
-        and axis.sign(shape)
-        and min(shape.values["r0"], shape.values["r1"]) > 0
-    )
+    return not (getattr(shape, "mechanics", False) and axis.sign(shape) and shape.profile()[:, 0].min() > 0)
 
 
 def _check_materials(axis: _Axis) -> None:

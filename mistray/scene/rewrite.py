@@ -124,7 +124,7 @@ def _plugin(file: SceneFile, params: Any, key: str) -> Any:
 
 
 def _is_shape(plugin: Any) -> bool:
-    return hasattr(plugin, "outer_radius")
+    return hasattr(plugin, "surface")
 
 
 def _element(file: SceneFile, key: str) -> Element:

@@ -8,44 +8,23 @@ next entry.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
 
 from mistray.physics.sag import sag, sag_derivative
-from mistray.surfaces.extrema import larger, smaller
-from mistray.surfaces.pieces import SELF_HIT, Piece
-from mistray.surfaces.surfaces import SurfaceTable
+from mistray.surfaces.crossings import stretch
+from mistray.surfaces.surface import SELF_HIT
 
-AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
+if TYPE_CHECKING:
+    from mistray.surfaces.sag_surface import SagSurface
+    from mistray.surfaces.surfaces import SurfaceTable
+
 INTERVALS = 12  # pieces in which a crossing is looked for, where the ray could meet the surface more than once
 ITERATIONS = 24
 # Newton steps end when one is this small, in units of the aperture; a last one then squares the error
 CONVERGED = 1e-3
-
-
-def stretch(
-    ox: mi.Float,
-    oy: mi.Float,
-    oz: mi.Float,
-    dz: mi.Float,
-    dd: mi.Float,
-    od: mi.Float,
-    oo: mi.Float,
-    inv_dz: mi.Float,
-    outer2: mi.Float,
-    z_low: mi.Float,
-    z_high: mi.Float,
-) -> tuple[mi.Float, mi.Float]:
-    """Part of a ray within a cylinder and a slab, empty if its end is not beyond its start."""
-    discriminant = dr.fma(od, od, -dd * (oo - outer2))
-    root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(dd)
-    axial = dd < AXIAL  # such a ray never leaves the cylinder
-    z0, z1 = (z_low - oz) * inv_dz, (z_high - oz) * inv_dz
-    start = larger(larger(dr.select(axial, 0, (-od - root) * inv), smaller(z0, z1)), 0)
-    end = smaller(dr.select(axial, dr.inf, (-od + root) * inv), larger(z0, z1))
-    inside = dr.select(axial, oo <= outer2, discriminant >= 0)
-    return start, dr.select(inside, end, -1)
 
 
 class AsphereSearch:
@@ -55,10 +34,10 @@ class AsphereSearch:
     Parameters
     ----------
     table : SurfaceTable
-    pieces : sequence of Piece
+    pieces : sequence of SagSurface
     """
 
-    def __init__(self, table: SurfaceTable, pieces: Sequence[Piece]) -> None:
+    def __init__(self, table: SurfaceTable, pieces: Sequence[SagSurface]) -> None:
         self.table, self.pieces = table, pieces
         self.rectangular = [piece for piece in self.pieces if not piece.outer]
         self.clipped = bool(self.rectangular) or any(piece.inner > 0 for piece in self.pieces)

@@ -3,32 +3,36 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, fields
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
+import numpy as np
 
 from mistray.physics.sag import in_proportion, sag, sag_derivative
-from mistray.surfaces.aspheres import stretch
 from mistray.surfaces.extrema import larger, smaller
-from mistray.surfaces.pieces import MILD_MARGIN, SELF_HIT, Piece
+
+if TYPE_CHECKING:
+    from mistray.surfaces.cone import Cone
+    from mistray.surfaces.sag_surface import SagSurface
+    from mistray.surfaces.surface import Surface
 
 ONE_STEP = 1e-6  # error after one Newton step that is small enough, in units of the aperture
+AXIAL = 1e-16  # sine squared to the axis below which a ray does not move sideways
 FAR = 1e30  # stands for infinity where it may be multiplied by zero
 
 
-# Numbers of a surface in a row, four of which are read at a time, and the fours that a kind of surface needs
+# Numbers of a surface in a row, four of which are read at a time
 ROW = (
     *("z", "self_hit", "curvature", "one_plus_conic"),
     *("r0", "slope", "z_low", "z_high"),
     *("outer2", "inner2", "half_width", "half_height"),
 )
-FOURS = {"plane": (0, 2), "conic": (0, 2), "cone": (0, 1)}
 
 
 @dataclass
 class Numbers:
-    """A `Piece` as Dr.Jit numbers."""
+    """A plane, conic, asphere or cone as Dr.Jit numbers."""
 
     z: mi.Float
     curvature: mi.Float
@@ -47,56 +51,55 @@ class Numbers:
     shape: tuple[Any, ...]
 
     @classmethod
-    def of(cls, p: Piece) -> Numbers:
-        """Opaque copies of the numbers of a piece."""
+    def of(cls, surface: Surface) -> Numbers:
+        """Opaque copies of the numbers of a surface."""
 
         def opaque(value: float) -> mi.Float:
             return dr.opaque(mi.Float, value)
 
-        a, b = p.quadric[:2]
-        coefficients, per_area = in_proportion(p.coefficients, p.size)
-        conic_constant = opaque(b / a - 1 if p.kind in ("conic", "asphere") and a else 0.0)
-        return cls(
-            **{name: opaque(value) for name, value in _values(p).items()},
-            shape=(opaque(a), conic_constant, [opaque(value) for value in coefficients], opaque(per_area)),
-        )
+        values = _values(surface)
+        coefficients, per_area = in_proportion(values.pop("coefficients"), surface.size)
+        numbers = values["curvature"], values.pop("conic"), per_area, *coefficients
+        curvature, conic, unit, *rest = (opaque(value) for value in numbers)
+        return cls(**{name: opaque(value) for name, value in values.items()}, shape=(curvature, conic, rest, unit))
 
     @staticmethod
-    def row(p: Piece, overlap: float) -> list[float]:
-        """The numbers that `read` reads, of a piece that is larger by the `overlap` (mm) on each side."""
-        values = _values(p)
+    def row(surface: Surface, overlap: float) -> list[float]:
+        """The numbers that `read` reads, of a surface that is larger by the `overlap` (mm) on each side."""
+        values = _values(surface)
         ends = {"z_low": -overlap, "z_high": overlap, "half_width": overlap, "half_height": overlap}
-        radii = {"outer2": (p.size + overlap) ** 2, "inner2": max(p.inner - overlap, 0.0) ** 2}
+        radii = {
+            "outer2": (surface.size + overlap) ** 2,
+            "inner2": max(np.sqrt(values["inner2"]) - overlap, 0.0) ** 2,
+        }
         values |= {name: values[name] + more for name, more in ends.items()} | radii
         return [values[name] for name in ROW]
 
     @classmethod
-    def read(cls, rows: mi.Float, kind: str, place: mi.UInt32) -> Numbers:
-        """What surfaces of a kind that is no asphere need, out of the rows of several."""
+    def read(cls, rows: mi.Float, fours: tuple[int, ...], place: mi.UInt32) -> Numbers:
+        """What surfaces that are no aspheres need, out of the rows of several; the `fours` of their family."""
         values = dict.fromkeys((field.name for field in fields(cls)), mi.Float(0))
-        for four in FOURS[kind]:
+        for four in fours:
             found = dr.gather(mi.Vector4f, rows, len(ROW) // 4 * place + four)
             values |= dict(zip(ROW[4 * four : 4 * four + 4], found, strict=True))
         return cls(**values)
 
 
-def _values(p: Piece) -> dict[str, float]:
-    a, b = p.quadric[:2]
+def _values(surface: Surface) -> dict[str, Any]:
+    """All numbers of a surface, 0 where its family has none."""
+    values: dict[str, Any] = dict.fromkeys((field.name for field in fields(Numbers)), 0.0)
+    del values["shape"]
     return {
-        "z": p.z,
-        "curvature": a,
-        "one_plus_conic": b / a if p.kind in ("conic", "asphere") and a else 1.0,
-        "r0": p.r0,
-        "slope": p.slope,
-        "outer2": p.size**2,
-        "inner2": p.inner**2,
-        "half_width": p.half_size[0],
-        "half_height": p.half_size[1],
-        "z_low": p.z_range[0],
-        "z_high": p.z_range[1],
-        "self_hit": SELF_HIT * p.size,
-        "wide2": (MILD_MARGIN * p.size) ** 2,
-        "departure": p.departure,
+        **values,
+        "one_plus_conic": 1.0,
+        "conic": 0.0,
+        "coefficients": (),
+        "z": surface.z,
+        "outer2": surface.size**2,
+        "z_low": surface.z_range[0],
+        "z_high": surface.z_range[1],
+        "self_hit": surface.self_hit,
+        **surface.kernel_values(),
     }
 
 
@@ -141,7 +144,7 @@ class AxisRay:
         return dr.fma(t, self.dx, self.ox), dr.fma(t, self.dy, self.oy)
 
 
-def _inside(ray: AxisRay, t: mi.Float, p: Piece, n: Numbers) -> mi.Bool:
+def _inside(ray: AxisRay, t: mi.Float, p: SagSurface, n: Numbers) -> mi.Bool:
     """Whether the point at t is within the aperture."""
     x, y = ray.lateral(t)
     if not p.outer:
@@ -151,7 +154,8 @@ def _inside(ray: AxisRay, t: mi.Float, p: Piece, n: Numbers) -> mi.Bool:
     return ok & (r2 >= n.inner2) if p.inner > 0 else ok
 
 
-def _plane(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
+def plane_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.Float:
+    """First crossing with a plane within its aperture."""
     t = (n.z - ray.oz) * ray.inv_dz
     ok = (t > 0) & ~own & _inside(ray, t, p, n)
     return dr.select(ok, t, dr.inf)
@@ -169,7 +173,8 @@ def _first(ta: mi.Float, tb: mi.Float, ok_a: mi.Bool, ok_b: mi.Bool) -> mi.Float
     return smaller(dr.select(ok_a, ta, dr.inf), dr.select(ok_b, tb, dr.inf))
 
 
-def _conic(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
+def conic_crossing(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> mi.Float:
+    """First crossing with a conic within its aperture."""
     oz, c, k1 = ray.oz - n.z, n.curvature, n.one_plus_conic
     a = c * dr.fma(k1 * ray.dz, ray.dz, ray.dd)
     b = dr.fma(c, dr.fma(k1 * oz, ray.dz, ray.od), -ray.dz)
@@ -185,7 +190,7 @@ def _conic(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
     return _first(ta, tb, ok(ta), ok(tb))
 
 
-def mild_asphere(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Bool]:
+def mild_asphere(ray: AxisRay, p: SagSurface, n: Numbers, own: mi.Bool) -> tuple[mi.Float, mi.Bool]:
     """
     Hit of an asphere that is close to its conic: one or two Newton steps from the conic's hit.
 
@@ -211,7 +216,7 @@ def mild_asphere(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> tuple[mi.F
     unsure = (near_a & near_b) | (own & found) | (touching & ~own)
     t = dr.select(near_a, ta, tb)
     # A step squares the error; the interaction at the hit adds one more
-    for _ in range(1 if p.departure**2 * abs(p.quadric[0]) < ONE_STEP * p.outer else 2):
+    for _ in range(1 if p.departure**2 * abs(p.curvature) < ONE_STEP * p.outer else 2):
         x, y = ray.lateral(t)
         r2 = smaller(dr.fma(x, x, y * y), n.wide2)
         height = dr.fma(t, ray.dz, oz) - sag(r2, *n.shape)
@@ -223,7 +228,8 @@ def mild_asphere(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> tuple[mi.F
     return dr.select(ok, t, dr.inf), unsure
 
 
-def _cone(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
+def cone_crossing(ray: AxisRay, p: Cone, n: Numbers, own: mi.Bool) -> mi.Float:
+    """First crossing with a cone between its ends."""
     oz = ray.oz - n.z
     r = dr.fma(n.slope, oz, n.r0)
     a = dr.fma(-n.slope * ray.dz, n.slope * ray.dz, ray.dd)
@@ -238,6 +244,30 @@ def _cone(ray: AxisRay, p: Piece, n: Numbers, own: mi.Bool) -> mi.Float:
     return _first(ta, tb, ok(ta), ok(tb))
 
 
+def stretch(
+    ox: mi.Float,
+    oy: mi.Float,
+    oz: mi.Float,
+    dz: mi.Float,
+    dd: mi.Float,
+    od: mi.Float,
+    oo: mi.Float,
+    inv_dz: mi.Float,
+    outer2: mi.Float,
+    z_low: mi.Float,
+    z_high: mi.Float,
+) -> tuple[mi.Float, mi.Float]:
+    """Part of a ray within a cylinder and a slab, empty if its end is not beyond its start."""
+    discriminant = dr.fma(od, od, -dd * (oo - outer2))
+    root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(dd)
+    axial = dd < AXIAL  # such a ray never leaves the cylinder
+    z0, z1 = (z_low - oz) * inv_dz, (z_high - oz) * inv_dz
+    start = larger(larger(dr.select(axial, 0, (-od - root) * inv), smaller(z0, z1)), 0)
+    end = smaller(dr.select(axial, dr.inf, (-od + root) * inv), larger(z0, z1))
+    inside = dr.select(axial, oo <= outer2, discriminant >= 0)
+    return start, dr.select(inside, end, -1)
+
+
 def asphere_entry(ray: AxisRay, n: Numbers, own: mi.Bool) -> mi.Float:
     """Distance at which a ray enters the cylinder and the slab that hold an asphere; infinite if it misses them."""
     oz = ray.oz - n.z
@@ -245,6 +275,3 @@ def asphere_entry(ray: AxisRay, n: Numbers, own: mi.Bool) -> mi.Float:
     # A ray steeper than the surface is anywhere cannot come back to it
     leaves = own & (dr.square(ray.dz) > dr.square(n.slope) * ray.dd)
     return dr.select((end > start) & ~leaves, start, dr.inf)
-
-
-CROSSINGS = {"plane": _plane, "conic": _conic, "cone": _cone}

@@ -9,7 +9,6 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.physics.sag import sag
 from mistray.surfaces.host_rays import normals
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -58,19 +57,5 @@ def surface_points(
         p, n = (np.broadcast_to(np.array(v, dtype=np.float64).T, (count, 3)).copy() for v in (found.p, found.n))
         return p, n
     piece = table.pieces[surface]
-    if piece.kind == "cone":
-        r0, slope = piece.r0, piece.slope
-        low, high = piece.z_range
-        rims = r0 + slope * low, r0 + slope * high
-        r = np.sqrt(rims[0] ** 2 + u * (rims[1] ** 2 - rims[0] ** 2))
-        z = (r - r0) / slope if slope else low + u * (high - low)
-    elif piece.outer:
-        r = np.sqrt(piece.inner**2 + u * (piece.outer**2 - piece.inner**2))
-        z = np.asarray(sag(r * r, *piece.conic, piece.coefficients)) + np.zeros(count)
-    if piece.kind == "cone" or piece.outer:
-        x, y = r * np.cos(2 * np.pi * v), r * np.sin(2 * np.pi * v)
-    else:
-        x, y = piece.half_size[0] * (2 * u - 1), piece.half_size[1] * (2 * v - 1)
-        z = np.asarray(sag(x * x + y * y, *piece.conic, piece.coefficients)) + np.zeros(count)
-    p = table.vertices[surface] + np.stack([x, y, z], axis=1) @ table.rotations[surface].T
+    p = table.vertices[surface] + piece.points(u, v) @ table.rotations[surface].T
     return p, normals(table, surface, p)

@@ -9,16 +9,12 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.physics.sag import sag, sag_derivative
 from mistray.surfaces.optics import IDEAL, MIRROR, OPAQUE
-from mistray.surfaces.pieces import NO_SURFACE, SELF_HIT, Piece
+from mistray.surfaces.surface import NO_SURFACE, Surface
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:
     from mistray.surfaces.surfaces import SurfaceTable
-
-NEWTON_STEPS = 8
-SETTLED = 1e-10  # last step of Newton's method, relative, below which it has found a hit
 
 
 def local(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -40,72 +36,27 @@ def crossings(table: SurfaceTable, surface: int, o: np.ndarray, d: np.ndarray) -
 
     Returns
     -------
-    (n, 2) float64
+    (n, k) float64
         Distances along the lines, of either sign; NaN where there is no crossing.
     """
-    piece = table.pieces[surface]
     o, d = local(table, surface, o, d)
-    a, b, e, g = piece.quadric
     with np.errstate(all="ignore"):
-        A = a * (d[:, 0] ** 2 + d[:, 1] ** 2) + b * d[:, 2] ** 2
-        B = a * (o[:, 0] * d[:, 0] + o[:, 1] * d[:, 1]) + (b * o[:, 2] + 0.5 * e) * d[:, 2]
-        C = a * (o[:, 0] ** 2 + o[:, 1] ** 2) + (b * o[:, 2] + e) * o[:, 2] + g
-        q = -(B + np.copysign(np.sqrt(B * B - A * C), B))
-        t = np.stack([C / q, q / A], axis=1)
-        if piece.coefficients:
-            flat = -o[:, 2] / d[:, 2]
-            t[:, 0] = np.where(np.isfinite(t[:, 0]), t[:, 0], flat)
-            t = _onto_polynomial(piece, o, d, t)
-        elif piece.kind == "conic":  # a quadric has a second sheet
-            t = np.where(1 - b * (o[:, 2:] + t * d[:, 2:]) > 0, t, np.nan)
+        t = table.pieces[surface].crossings(o, d)
     return np.where(np.isfinite(t), t, np.nan)
-
-
-def _onto_polynomial(piece: Piece, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
-    """Newton's method from crossings of the conic to crossings of the asphere; NaN where it does not settle."""
-    (c, k), coefficients = piece.conic, piece.coefficients
-    found = np.full(t.shape, np.nan)
-    going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
-    ray, t = going // t.shape[1], t.ravel()[going]
-    for _ in range(NEWTON_STEPS):
-        (x, y, z), (dx, dy, dz) = o[ray].T, d[ray].T
-        x, y = x + t * dx, y + t * dy
-        r2 = x * x + y * y
-        slope = 2 * sag_derivative(r2, c, k, coefficients)
-        step = (sag(r2, c, k, coefficients) - z - t * dz) / (slope * (x * dx + y * dy) - dz)
-        t = t - step
-        settled = np.abs(step) < SETTLED * (1 + np.abs(t))
-        found.flat[going[settled]] = t[settled]
-        on = ~settled & np.isfinite(step)
-        going, ray, t = going[on], ray[on], t[on]
-        if not len(going):
-            break
-    return found
 
 
 def inside(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
     """Whether points (n, 3) of the sheet of an analytic surface lie within its bounds; NaN does not."""
-    piece = table.pieces[surface]
     q, _ = local(table, surface, p, p)
     with np.errstate(invalid="ignore"):
-        if piece.kind == "cone":
-            return (q[:, 2] >= piece.z_range[0]) & (q[:, 2] <= piece.z_range[1])
-        if piece.outer:
-            r2 = q[:, 0] ** 2 + q[:, 1] ** 2
-            return (r2 <= piece.outer**2) & (r2 >= piece.inner**2)
-        return (np.abs(q[:, 0]) <= piece.half_size[0]) & (np.abs(q[:, 1]) <= piece.half_size[1])
+        return table.pieces[surface].inside(q)
 
 
 def normals(table: SurfaceTable, surface: int, p: np.ndarray) -> np.ndarray:
     """Unit normals, from front to back, at points (n, 3) of an analytic surface."""
     piece = table.pieces[surface]
     q, _ = local(table, surface, p, p)
-    a, b, e, _ = piece.quadric
-    gradient = np.stack([a * q[:, 0], a * q[:, 1], b * q[:, 2] + 0.5 * e], axis=1)
-    if piece.coefficients:
-        slope = sag_derivative(q[:, 0] ** 2 + q[:, 1] ** 2, *piece.conic, piece.coefficients)
-        gradient = np.stack([2 * slope * q[:, 0], 2 * slope * q[:, 1], -np.ones(len(q))], axis=1)
-    normal = piece.sign * gradient @ table.rotations[surface].T
+    normal = piece.sign * piece.gradient(q) @ table.rotations[surface].T
     return np.asarray(normal / np.linalg.norm(normal, axis=1, keepdims=True))
 
 
@@ -137,9 +88,8 @@ def first_hit(
     for piece, rays in _near(table, o, d):
         from_here, along = o[rays], d[rays]
         t = crossings(table, piece.index, from_here, along)
-        size = piece.outer or float(np.hypot(*piece.half_size))
-        nearest = np.where(last[rays] == piece.index, SELF_HIT * size, 0.0)
-        for k in range(2):
+        nearest = np.where(last[rays] == piece.index, piece.self_hit, 0.0)
+        for k in range(t.shape[1]):
             with np.errstate(invalid="ignore"):
                 nearer = (t[:, k] > nearest) & (t[:, k] < best[rays])
             some = np.flatnonzero(nearer)
@@ -158,7 +108,7 @@ def first_hit(
     return surface, p, normal
 
 
-def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[Piece, np.ndarray]]:
+def _near(table: SurfaceTable, o: np.ndarray, d: np.ndarray) -> Iterator[tuple[Surface, np.ndarray]]:
     """The analytic surfaces and the numbers of the rays that may meet each."""
     looped = set(table.tree.members) if table.tree else set()
     near = table.tree.candidates(o - table.centre, d, table.frames) if table.tree else {}

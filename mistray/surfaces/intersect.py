@@ -17,9 +17,10 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.surfaces.aspheres import AsphereSearch
-from mistray.surfaces.crossings import CROSSINGS, FAR, AxisRay, Numbers, asphere_entry, mild_asphere
+from mistray.surfaces.crossings import FAR, AxisRay, asphere_entry, mild_asphere
 from mistray.surfaces.extrema import smaller
-from mistray.surfaces.pieces import NO_SURFACE, Piece
+from mistray.surfaces.sag_surface import SagSurface
+from mistray.surfaces.surface import NO_SURFACE, RECTANGLE, Surface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.tree_search import TreeSearch
 
@@ -34,12 +35,13 @@ class Intersector:
         self.pieces = table.pieces
         looped = set(table.tree.members) if table.tree else set()
         unrolled = [k for k in range(len(self.pieces)) if k not in looped]
-        self.numbers = {k: Numbers.of(self.pieces[k]) for k in unrolled}
+        self.numbers = {k: self.pieces[k].numbers() for k in unrolled}
         walls = [k for k in unrolled if self.pieces[k].wall]
         if len(walls) <= GROUP:
             walls = []
-        aspheres = [k for k in unrolled if self.pieces[k].kind == "asphere"]
-        self.aspheres = AsphereSearch(table, [self.pieces[k] for k in aspheres])
+        searched = [p for k in unrolled if isinstance(p := self.pieces[k], SagSurface) and p.searched]
+        aspheres = [p.index for p in searched]
+        self.aspheres = AsphereSearch(table, searched)
         self.tree = TreeSearch(table) if table.tree else None
         self.singles = sorted(set(unrolled).difference(walls, aspheres))
         self.groups = _groups(self.pieces, walls)
@@ -47,7 +49,7 @@ class Intersector:
         self.main_axes = {self.pieces[k].axis for k in walls + aspheres}
         self.main_axes |= {group.axis for stack in self.stacks for group in stack.groups if len(group.members) == 1}
         self.bounds = {k: _Group.of(self.pieces, [k]) for k in aspheres}
-        self.along_axis = sorted(aspheres, key=lambda k: self.pieces[k].z)
+        self.along_axis = sorted(searched, key=lambda p: p.z)
         frames, axes = (sorted({getattr(self.pieces[k], name) for k in unrolled}) for name in ("frame", "axis"))
         self.frames = {k: [dr.opaque(mi.Float, float(x)) for x in table.frames[k].ravel()] for k in frames}
         self.axes = {k: tuple(dr.opaque(mi.Float, v) for v in table.axes[k][1:]) for k in axes}
@@ -88,7 +90,7 @@ class Intersector:
                 ray = rays.get(p.axis) or here.get(p.axis)
                 if ray is None:  # made where it is needed, see `_stacks`
                     ray = here[p.axis] = self._axis_ray(*frames[p.frame], p.axis)
-                t = CROSSINGS[p.kind](ray, p, self.numbers[k], last == p.index)
+                t = p.crossing(ray, self.numbers[k], last == p.index)
                 nearer = t < best
                 best, surface = dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
             return best, surface
@@ -134,24 +136,23 @@ class Intersector:
                     mode="symbolic",
                 )
         entries: dict[int, mi.Float] = {}
-        for k in self.along_axis:  # a ray along the axis passes by all aspheres behind the first that it meets
-            p = self.pieces[k]
+        for p in self.along_axis:  # a ray along the axis passes by all aspheres behind the first that it meets
             if not p.departure:
-                entries[k] = asphere_entry(rays[p.axis], self.numbers[k], last == p.index)
+                entries[p.index] = asphere_entry(rays[p.axis], self.numbers[p.index], last == p.index)
                 continue
 
             def search_asphere(
-                best: mi.Float, surface: mi.UInt32, entry: mi.Float, k: int = k
+                best: mi.Float, surface: mi.UInt32, entry: mi.Float, p: SagSurface = p
             ) -> tuple[mi.Float, mi.UInt32, mi.Float]:
-                p = self.pieces[k]
-                t, unsure = mild_asphere(rays[p.axis], p, self.numbers[k], last == p.index)
+                t, unsure = mild_asphere(rays[p.axis], p, self.numbers[p.index], last == p.index)
                 nearer = t < best
                 best, surface = dr.select(nearer, t, best), dr.select(nearer, mi.UInt32(p.index), surface)
                 return best, surface, dr.select(unsure, mi.Float(0), dr.inf)
 
-            best, surface, entries[k] = dr.if_stmt(
+            bounds = self.bounds[p.index]
+            best, surface, entries[p.index] = dr.if_stmt(
                 (best, surface, dr.full(mi.Float, dr.inf, dr.width(last))),
-                active & _reaches(rays[p.axis], best, self.bounds[k].z_low, self.bounds[k].z_high),
+                active & _reaches(rays[p.axis], best, bounds.z_low, bounds.z_high),
                 search_asphere,
                 lambda *state: state,
                 arg_labels=("best", "surface", "entry"),
@@ -203,7 +204,7 @@ class _Group:
     inner2: mi.Float
 
     @classmethod
-    def of(cls, pieces: list[Piece], members: list[int]) -> _Group:
+    def of(cls, pieces: list[Surface], members: list[int]) -> _Group:
         """Group of the pieces with these numbers."""
         low, high = min(pieces[k].extent[0] for k in members), max(pieces[k].extent[1] for k in members)
         slack = SLACK * (1 + abs(low) + abs(high))
@@ -220,7 +221,7 @@ class _Stack:
     groups: list[_Group]
 
 
-def _stacks(pieces: list[Piece], singles: list[int]) -> list[_Stack]:
+def _stacks(pieces: list[Surface], singles: list[int]) -> list[_Stack]:
     """
     Stacks of the pieces with these numbers.
 
@@ -231,14 +232,14 @@ def _stacks(pieces: list[Piece], singles: list[int]) -> list[_Stack]:
     stacks = []
     for frame in sorted({pieces[k].frame for k in singles}):
         here = sorted((k for k in singles if pieces[k].frame == frame), key=lambda k: pieces[k].z)
-        boards = [k for k in here if not pieces[k].outer and on_axis[pieces[k].axis] == 1]
+        boards = [k for k in here if pieces[k].rim_coordinate == RECTANGLE and on_axis[pieces[k].axis] == 1]
         groups = [[k] for k in here if k not in boards] + ([boards] if boards else [])
         groups.sort(key=lambda members: pieces[members[0]].z)
         stacks.append(_Stack(frame, [_Group.of(pieces, members) for members in groups]))
     return stacks
 
 
-def _groups(pieces: list[Piece], walls: list[int]) -> list[_Group]:
+def _groups(pieces: list[Surface], walls: list[int]) -> list[_Group]:
     """Cut the walls on each axis into groups of `GROUP`, from front to back."""
     groups = []
     for axis in sorted({pieces[k].axis for k in walls}):

@@ -14,7 +14,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from mistray.surfaces.pieces import Piece
+from mistray.surfaces.surface import Surface
 
 MOST_UNROLLED = 128  # surfaces of a sort that are tested one after the other; a tree holds them if they are more
 MOST_ASPHERES = 32  # the same of aspheres, one bit of a word each
@@ -55,7 +55,7 @@ class ShellTree:
 
     Parameters
     ----------
-    pieces : sequence of Piece
+    pieces : sequence of Surface
         All of the scene.
     members : sequence of int
         Those in the tree.
@@ -81,7 +81,7 @@ class ShellTree:
     """
 
     def __init__(
-        self, pieces: Sequence[Piece], members: Sequence[int], frames: Sequence[np.ndarray], axes: Sequence[Axis]
+        self, pieces: Sequence[Surface], members: Sequence[int], frames: Sequence[np.ndarray], axes: Sequence[Axis]
     ) -> None:
         self.members = list(members)
         self._shells = np.array([(*pieces[k].extent, pieces[k].least_radius, pieces[k].size) for k in self.members])
@@ -167,13 +167,13 @@ class ShellTree:
         return found
 
 
-def many(pieces: Sequence[Piece]) -> list[int]:
+def many(pieces: Sequence[Surface]) -> list[int]:
     """The surfaces that belong into a tree: walls, lens surfaces and aspheres, each if there are too many of them."""
     walls = [k for k, piece in enumerate(pieces) if piece.wall]
-    aspheres = [k for k, piece in enumerate(pieces) if piece.kind == "asphere"]
-    others = [k for k, piece in enumerate(pieces) if not piece.wall and piece.kind != "asphere"]
+    aspheres = [k for k, piece in enumerate(pieces) if piece.searched]
+    others = [k for k, piece in enumerate(pieces) if not piece.wall and not piece.searched]
     limits = (walls, MOST_UNROLLED), (others, MOST_UNROLLED), (aspheres, MOST_ASPHERES)
-    return sorted(k for found, limit in limits if len(found) > limit for k in found)
+    return sorted(k for found, limit in limits if len(found) > limit for k in found if pieces[k].fours)
 
 
 def _around(shells: np.ndarray) -> np.ndarray:

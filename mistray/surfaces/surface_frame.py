@@ -109,7 +109,7 @@ def _row(table: SurfaceTable, s: int) -> np.ndarray:
         raise MistrayError(f"surface '{name}': its scatter is anisotropic, but its plugin sets no sample_axis")
     row = axis_row(sample.axis, sample.rotation_deg)
     if s < len(table.pieces):
-        if sample.axis == "x" and table.pieces[s].kind == "cone":
+        if sample.axis == "x" and not table.pieces[s].one_side_up:
             raise MistrayError(
                 f"surface '{name}' scatters by the x axis of a sample, which a tube has not everywhere; set "
                 "sample_axis of its interface to 'meridian'"

@@ -1,10 +1,10 @@
 """The scene as the kernel wants it: analytic surfaces unrolled, their properties in packed tables.
 
-Surfaces that the plugins `asphere` and `frustum` describe are one family, a quadric of revolution
+Most analytic surfaces are quadrics of revolution
 
     F(x, y, z) = a (x² + y²) + b z² + e z + g = 0
 
-in the frame of their vertex, with bounds in radius (or a rectangle) or in z, plus an even polynomial for aspheres.
+in the frame of their vertex, plus an even polynomial for aspheres; see `mistray.surfaces.surface` for the families.
 Positions on the device are in float32, which has 7 digits: they are relative to `SurfaceTable.centre`. On the host all
 are in the world, in float64.
 
@@ -27,8 +27,9 @@ from mistray.physics.sag import in_proportion
 from mistray.ranges import FILM_PIXELS, FILM_SIDE
 from mistray.surfaces.bodies import Bodies
 from mistray.surfaces.optics import ASPHERIC, DETECTOR, STOCK, WALL, Optics
-from mistray.surfaces.pieces import Piece, piece_numbers, vertex_frame
+from mistray.surfaces.sag_surface import SagSurface
 from mistray.surfaces.shell_tree import ShellTree, many
+from mistray.surfaces.surface import Surface
 from mistray.surfaces.upload import upload
 
 SAME_FRAME = 1e-9  # by which the directions of axes may differ
@@ -102,8 +103,8 @@ class SurfaceTable:
         if len(named) < len(solid):
             raise MistrayError("two shapes of the scene have the same id; give every shape an id of its own")
         shapes = sorted(named.items())
-        analytic = [(name, shape) for name, shape in shapes if hasattr(shape, "outer_radius")]
-        stock = [(name, shape) for name, shape in shapes if not hasattr(shape, "outer_radius")]
+        analytic = [(name, shape) for name, shape in shapes if is_analytic(shape)]
+        stock = [(name, shape) for name, shape in shapes if not is_analytic(shape)]
         self.ids = [name for name, _ in analytic + stock]
         self.shapes = [shape for _, shape in analytic + stock]
         numbers = {name: i for i, name in enumerate(self.ids)}
@@ -191,15 +192,14 @@ class SurfaceTable:
 
     def _geometry(self, shapes: list[Any]) -> None:
         self.frames: list[np.ndarray] = [np.eye(3)]
-        self.pieces: list[Piece] = []
+        self.pieces: list[Surface] = [shape.surface(shape.values) for shape in shapes]
         vertices = np.zeros((self.count, 3))
         rotations = np.tile(np.eye(3), (self.count, 1, 1))
-        own = [piece_numbers(shape.kind, shape.values) for shape in shapes]
-        matrices = [vertex_frame(shape.kind, shape.values, shape.matrix) for shape in shapes]
+        matrices = [shape.vertex_frame(shape.values, shape.matrix) for shape in shapes]
         self.centre = _centre([matrix[:3, 3] for matrix in matrices], [shape.outer_radius for shape in shapes])
         known = np.tile(np.eye(3), (len(shapes) + 1, 1, 1))
         axes: dict[tuple[int, float, float], int] = {}
-        for i, (piece, matrix) in enumerate(zip(own, matrices, strict=True)):
+        for i, (piece, matrix) in enumerate(zip(self.pieces, matrices, strict=True)):
             rotation, position = matrix[:3, :3], matrix[:3, 3]
             same = np.all(np.abs(known[: len(self.frames)] - rotation) <= SAME_FRAME, axis=(1, 2))
             frame = int(np.argmax(same)) if same.any() else len(self.frames)
@@ -208,7 +208,7 @@ class SurfaceTable:
                 self.frames.append(rotation)
             local = self.frames[frame].T @ (position - self.centre)
             axis = axes.setdefault((frame, round(float(local[0]), 9), round(float(local[1]), 9)), len(axes))
-            self.pieces.append(Piece(index=i, frame=frame, axis=axis, z=float(local[2]), **piece))
+            piece.index, piece.frame, piece.axis, piece.z = i, frame, axis, float(local[2])
             vertices[i], rotations[i] = position, self.frames[frame]
         self.axes = list(axes)
         looped = many(self.pieces)
@@ -218,17 +218,16 @@ class SurfaceTable:
         quadric = np.zeros((self.count, 4))
         vertex = np.zeros((self.count, 4))
         vertex[:, :3], vertex[:, 3] = vertices - self.centre, 1.0
-        self.coefficient_count = max((len(p.coefficients) for p in self.pieces), default=0)
+        aspheres = [p for p in self.pieces if isinstance(p, SagSurface) and p.coefficients]
+        self.coefficient_count = max((len(p.coefficients) for p in aspheres), default=0)
         polynomial = np.zeros((self.count, 4 * POLYNOMIAL_VECTORS))
-        for p in self.pieces:
-            quadric[p.index], vertex[p.index, 3] = p.quadric, p.sign
-            if p.coefficients:
-                coefficients, per_area = in_proportion(p.coefficients, p.size)
-                polynomial[p.index, : 2 + len(coefficients)] = [*p.conic, *coefficients]
-                polynomial[p.index, 11:] = [per_area, *p.z_range, p.outer or -1.0, p.slope]
         clip = np.zeros((self.count, 2))
         for p in self.pieces:
-            clip[p.index] = (p.inner**2, 0.0) if p.outer else p.half_size
+            quadric[p.index], vertex[p.index, 3], clip[p.index] = p.quadric, p.sign, p.clip
+        for a in aspheres:
+            coefficients, per_area = in_proportion(a.coefficients, a.size)
+            polynomial[a.index, : 2 + len(coefficients)] = [a.curvature, a.conic, *coefficients]
+            polynomial[a.index, 11:] = [per_area, *a.z_range, a.outer or -1.0, a.slope]
         self.clip = upload(mi.Float, clip)  # half size of a rectangle; square of the inner radius of all else
         self.quadric = upload(mi.Float, quadric)
         self.vertex = upload(mi.Float, vertex)
@@ -271,7 +270,7 @@ class SurfaceTable:
                 (DETECTOR if i == self.detector else 0)
                 | (STOCK if piece is None else 0)
                 | (WALL if piece is not None and piece.wall else 0)
-                | (ASPHERIC if piece is not None and piece.coefficients else 0)
+                | (ASPHERIC if piece is not None and piece.searched else 0)
             )
         return flags
 
@@ -284,11 +283,10 @@ class SurfaceTable:
         FILM_SIDE.check("height of its film", height, owner)
         FILM_PIXELS.check("number of its pixels", width * height, owner)
         if self.detector < len(self.pieces):
-            piece = self.pieces[self.detector]
-            half = piece.half_size if not piece.outer else (piece.outer, piece.outer)
-            if piece.kind == "cone":
+            half = self.pieces[self.detector].detector_half
+            if half is None:
                 raise MistrayError(
-                    f"detector '{self.ids[self.detector]}' is a tube; use an 'asphere' or a flat 'frustum'"
+                    f"detector '{self.ids[self.detector]}' is no optical surface; use an 'asphere' or a flat 'frustum'"
                 )
             return width, height, (-half[0], half[0], -half[1], half[1])
         matrix = _rectangle_matrix(shape, self.ids[self.detector])
@@ -306,6 +304,11 @@ def _centre(vertices: Sequence[np.ndarray], radii: Sequence[float]) -> np.ndarra
     low, high = (places - reach).min(axis=0), (places + reach).max(axis=0)
     middle = 0.5 * (low + high)
     return middle if np.linalg.norm(middle) > np.linalg.norm(high - low) else np.zeros(3)
+
+
+def is_analytic(shape: Any) -> bool:
+    """Whether a shape says what the ray tree is to know of it; all others are hit through Mitsuba."""
+    return hasattr(shape, "surface")
 
 
 def solid_shapes(scene: mi.Scene) -> list[Any]:

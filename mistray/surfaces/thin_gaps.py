@@ -6,8 +6,8 @@ from itertools import pairwise
 
 import numpy as np
 
-from mistray.physics.sag import conic_end, sag
-from mistray.surfaces.pieces import Piece
+from mistray.physics.sag import conic_end
+from mistray.surfaces.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
 
 ROUNDINGS = 4  # of a position: a gap that is thicker passes its light
@@ -25,7 +25,7 @@ def thin_gaps(table: SurfaceTable) -> list[str]:
         Compared are its neighbours on one axis; walls are left alone.
     """
     found = []
-    optics = sorted((p for p in table.pieces if not p.wall), key=lambda p: (p.axis, p.z))
+    optics = sorted((p for p in table.pieces if isinstance(p, SagSurface) and not p.wall), key=lambda p: (p.axis, p.z))
     for a, b in pairwise(optics):
         low, high = max(a.inner, b.inner), min(a.size, b.size)
         if a.axis != b.axis or high <= low:
@@ -43,7 +43,6 @@ def thin_gaps(table: SurfaceTable) -> list[str]:
     return found
 
 
-def _height(piece: Piece, r2: np.ndarray) -> np.ndarray:
+def _height(piece: SagSurface, r2: np.ndarray) -> np.ndarray:
     """Positions along the axis at squared radii, mm."""
-    c, k = piece.conic
-    return np.asarray(piece.z + sag(np.minimum(r2, conic_end(c, k) ** 2 * (1 - 1e-12)), c, k, piece.coefficients))
+    return piece.z + piece.sag(np.minimum(r2, conic_end(piece.curvature, piece.conic) ** 2 * (1 - 1e-12)))

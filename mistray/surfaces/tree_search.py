@@ -7,9 +7,10 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.surfaces.aspheres import AsphereSearch
-from mistray.surfaces.crossings import CROSSINGS, FAR, AxisRay, Numbers
+from mistray.surfaces.crossings import FAR, AxisRay, Numbers
 from mistray.surfaces.extrema import larger, smaller
-from mistray.surfaces.pieces import NO_SURFACE, Piece
+from mistray.surfaces.sag_surface import SagSurface
+from mistray.surfaces.surface import NO_SURFACE, Surface
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
@@ -32,14 +33,16 @@ class TreeSearch:
         assert tree is not None
         pieces = [table.pieces[k] for k in tree.members]
         # One of each sort: what the kernel's code hangs on is the same for all of a sort
-        self._sorts: dict[tuple[str, bool, bool], Piece] = {}
+        self._sorts: dict[tuple[object, ...], Surface] = {}
         for piece in pieces:
-            self._sorts.setdefault(_sort(piece), piece)
+            self._sorts.setdefault(piece.sort, piece)
         sorts = list(self._sorts)
-        self._aspheres = AsphereSearch(table, [piece for piece in pieces if piece.kind == "asphere"])
+        self._aspheres = AsphereSearch(
+            table, [piece for piece in pieces if isinstance(piece, SagSurface) and piece.searched]
+        )
         # What a node tells of its surface; the last line is for nodes that have none
         facts = np.array(
-            [*((piece.index, sorts.index(_sort(piece))) for piece in pieces), (NO_SURFACE, len(sorts))], dtype=np.uint32
+            [*((piece.index, sorts.index(piece.sort)) for piece in pieces), (NO_SURFACE, len(sorts))], dtype=np.uint32
         )
         links = np.concatenate([tree.skip[..., None], tree.piece[..., None], facts[tree.piece]], axis=-1)
         self._bounds, self._links = upload(mi.Float, tree.bounds), upload(mi.UInt32, links)
@@ -78,12 +81,12 @@ class TreeSearch:
             skip, place, number, sort = dr.gather(mi.Vector4u, self._links, node, going)
             for number_of_sort, piece in enumerate(self._sorts.values()):
 
-                def test(best: mi.Float, surface: mi.UInt32, piece: Piece = piece) -> tuple[mi.Float, mi.UInt32]:
-                    if piece.kind == "asphere":
+                def test(best: mi.Float, surface: mi.UInt32, piece: Surface = piece) -> tuple[mi.Float, mi.UInt32]:
+                    if piece.searched:
                         t = self._aspheres.first(o, d, number, last == number, best, mi.Bool(True))
                     else:
-                        numbers = Numbers.read(self._rows, piece.kind, place)
-                        t = CROSSINGS[piece.kind](ray, piece, numbers, last == number)
+                        numbers = Numbers.read(self._rows, piece.fours, place)
+                        t = piece.crossing(ray, numbers, last == number)
                     nearer = t < best
                     return dr.select(nearer, t, best), dr.select(nearer, number, surface)
 
@@ -118,11 +121,6 @@ class TreeSearch:
             )
         x, y = dr.gather(mi.Vector2f, self._places, axis, active)
         return AxisRay.of(o.x - x, o.y - y, o.z, d)
-
-
-def _sort(piece: Piece) -> tuple[str, bool, bool]:
-    """What the code for a surface hangs on: its kind, whether it is round, whether it has a hole."""
-    return piece.kind, bool(piece.outer), piece.inner > 0
 
 
 def _meets(ray: AxisRay, bounds: mi.Vector4f, best: mi.Float) -> mi.Bool:

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from mistray.physics.sag import sag, sag_derivative
 from mistray.recorders.ledger import ABSORBED, AIMED_TRANSMITTED, EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.recorders.path_events import EVENT_MASK, FIRST_SCATTERED
 from mistray.surfaces.host_rays import specular
@@ -91,17 +90,9 @@ def _hit(
     o, dl = (origin - table.vertices[surface]) @ rotation, d @ rotation
     t = np.einsum("ij,ij->i", recorded - origin, d)
     for _ in range(8):
-        x, y, z = (o + t[:, None] * dl).T
-        r2 = x * x + y * y
-        if piece.coefficients:
-            value = 2 * (sag(r2, *piece.conic, piece.coefficients) - z)
-            slope = sag_derivative(r2, *piece.conic, piece.coefficients)
-            gradient = np.stack([2 * slope * x, 2 * slope * y, np.full(len(z), -1.0)], axis=1)
-        else:
-            a, b, e, g = piece.quadric
-            value = a * r2 + (b * z + e) * z + g
-            gradient = np.stack([a * x, a * y, b * z + 0.5 * e], axis=1)
-        step = value / (2 * np.einsum("ij,ij->i", gradient, dl))
+        q = o + t[:, None] * dl
+        gradient = piece.gradient(q)
+        step = piece.residual(q) / (2 * np.einsum("ij,ij->i", gradient, dl))
         t = t - step
         if np.all(np.abs(step) < 1e-14 * (1 + np.abs(t))):
             break

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.physics.sag import in_proportion, sag
-from mistray.plugins.shapes.revolution import Revolution, float_property, grid
+from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property, grid
 from mistray.ranges import FINITE, RADIUS_MM, SIZE_MM, Range
+from mistray.surfaces.gradient_columns import COEFFICIENTS
+from mistray.surfaces.sag_surface import SagSurface
 
-COEFFICIENTS = tuple(f"a{order}" for order in range(4, 21, 2))
 # Of the ray tree's numbers, 1/mm and mm: single precision with room for products
 MOST = FINITE.high
 COEFFICIENT = Range(-1e300, 1e300)
@@ -76,7 +79,12 @@ class Asphere(Revolution):
         {"type": "asphere", "radius": 50.0, "semi_diameter": 12.5, "bsdf": {"type": "interface", "back": "N-BK7"}}
     """
 
-    kind = "asphere"
+    mechanics = False
+    columns = {
+        **{name: (name,) for name in ("curvature", "conic", *COEFFICIENTS, "half_width", "half_height")},
+        "semi_diameter": ("outer",),
+        "inner_semi_diameter": ("inner",),
+    }
     in_double = COEFFICIENTS
     ranges = {
         **dict.fromkeys(("semi_diameter", "half_width", "half_height"), SIZE_MM),
@@ -117,6 +125,14 @@ class Asphere(Revolution):
         return "half_width" in self.values
 
     @property
+    def sheet(self) -> bool:
+        return True
+
+    @property
+    def figure(self) -> str:
+        return "rectangle" if self.rectangular else "asphere" if any(self.coefficients) else "sphere or plane"
+
+    @property
     def plane(self) -> bool:
         """Whether the surface is flat."""
         return self.values["curvature"] == 0 and not any(self.coefficients)
@@ -138,6 +154,25 @@ class Asphere(Revolution):
         # A hemisphere's rim may lie beyond the end of the sphere by a rounding
         r2 = np.square(r) if (1 + k) * c == 0 or k < -1 else np.minimum(np.square(r), (1 - 1e-15) / ((1 + k) * c * c))
         return np.asarray(sag(r2, c, k, self.coefficients))
+
+    @staticmethod
+    def surface(values: Mapping[str, float]) -> SagSurface:
+        shape = values["curvature"], values["conic"], tuple(values[key] for key in COEFFICIENTS)
+        if "half_width" in values:
+            return SagSurface.of(*shape, half_size=(values["half_width"], values["half_height"]))
+        return SagSurface.of(*shape, outer=values["semi_diameter"], inner=values["inner_semi_diameter"])
+
+    @property
+    def differentiable(self) -> tuple[str, ...]:
+        return tuple(name for name in self.values if name != "inner_semi_diameter" or self.values[name])
+
+    def step(self, name: str) -> float:
+        if name in POSE:
+            return super().step(name)
+        v = self.values
+        size = max(v["half_width"], v["half_height"]) if self.rectangular else v["semi_diameter"]
+        powers = {"curvature": -1, "conic": 0} | {column: -3 - 2 * k for k, column in enumerate(COEFFICIENTS)}
+        return float(RELATIVE * size ** powers.get(name, 1))
 
     def check(self) -> None:
         v = self.values

@@ -2,12 +2,20 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import TYPE_CHECKING
+
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.plugins.shapes.revolution import Revolution, float_property
+from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property
 from mistray.ranges import PLACE_MM, RADIUS_MM
+from mistray.surfaces.cone import Cone
+from mistray.surfaces.sag_surface import SagSurface
+
+if TYPE_CHECKING:
+    from mistray.surfaces.surface import Surface
 
 
 class Frustum(Revolution):
@@ -47,7 +55,12 @@ class Frustum(Revolution):
         {"type": "frustum", "r0": 5.0, "z0": 0.0, "r1": 5.0, "z1": 20.0, "bsdf": {"type": "interface", "R": 0.05}}
     """
 
-    kind = "frustum"
+    columns = {
+        "r0": ("r0", "slope", "outer", "inner"),
+        "r1": ("slope", "outer", "inner"),
+        "z0": ("z", "slope", "low", "high"),
+        "z1": ("slope", "low", "high"),
+    }
     ranges = {"r0": RADIUS_MM, "r1": RADIUS_MM, "z0": PLACE_MM, "z1": PLACE_MM}
 
     def __init__(self, props: mi.Properties) -> None:
@@ -67,12 +80,43 @@ class Frustum(Revolution):
         """Largest distance of the surface from its axis, mm."""
         return max(self.values["r0"], self.values["r1"])
 
+    @staticmethod
+    def surface(values: Mapping[str, float]) -> Surface:
+        r0, r1, length = values["r0"], values["r1"], values["z1"] - values["z0"]
+        return Cone.of(r0, r1, length) if length else SagSurface.annulus(max(r0, r1), min(r0, r1))
+
+    @staticmethod
+    def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
+        """The vertex lies at the first rim, on the axis."""
+        vertex = matrix.copy()
+        vertex[:3, 3] += matrix[:3, 2] * values["z0"]
+        return vertex
+
+    @property
+    def differentiable(self) -> tuple[str, ...]:
+        """A flat annulus would be a cone by ``z0`` or ``z1`` alone; ``z`` moves it. Nor has a hole of no radius."""
+        without = {name for name in ("r0", "r1") if self.values[name] == 0}
+        without |= {"z0", "z1"} if self.flat else set()
+        return tuple(name for name in self.values if name not in without)
+
+    def step(self, name: str) -> float:
+        v = self.values
+        return super().step(name) if name in POSE else RELATIVE * abs(v["z1"] - v["z0"] or v["r1"] - v["r0"])
+
     def check(self) -> None:
         v = self.values
         if self.flat and v["r0"] == v["r1"]:
             raise MistrayError(f"shape '{self.name}': r0 = r1 and z0 = z1; a frustum of no area, change one of them")
         if v["r0"] == v["r1"] == 0:
             raise MistrayError(f"shape '{self.name}': r0 = r1 = 0; a frustum of no area, change one of them")
+
+    @property
+    def sheet(self) -> bool:
+        return self.flat
+
+    @property
+    def figure(self) -> str:
+        return "ring" if self.flat else "cylinder" if self.values["r0"] == self.values["r1"] else "cone"
 
     @property
     def flipped(self) -> bool:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import drjit as dr
 import mitsuba as mi
@@ -13,19 +13,25 @@ from mistray._mitsuba_compat import write_mesh
 from mistray.errors import MistrayError
 from mistray.physics.pose import moved
 from mistray.ranges import AZIMUTH_DEG, PLACE_MM, SPACE, Range
+from mistray.surfaces.gradient_columns import POSE, declare_columns
 
-POSE = ("x", "y", "z", "tilt_x", "tilt_y", "tilt_z")
+if TYPE_CHECKING:
+    from mistray.surfaces.surface import Surface
+
 POSE_RANGES = {**dict.fromkeys(POSE[:3], PLACE_MM), **dict.fromkeys(POSE[3:], AZIMUTH_DEG)}
 FARTHEST_MM = PLACE_MM.high  # from the origin; single precision goes on to 1e38
 AZIMUTHS = 96  # facets around the axis of the mesh that stock integrators see
+# Steps of differences. Displacements are linear; of a tilt the relative error is its square in rad, 3e-10 / 6
+MM, DEGREES = 1.0, 1e-3
+RELATIVE = 1e-5  # of all other parameters, in units of the surface's size
 
 
 class Revolution(mi.Mesh):
     """
     Base class of surfaces of revolution about the local z axis.
 
-    A subclass sets `kind`, calls `_start` and `_finish` from its constructor and provides `check`,
-    `profile`, `outer_radius` and `flipped`. The named parameters in `values` (floats, on the host) are
+    A subclass calls `_start` and `_finish` from its constructor and provides `check`, `profile`, `outer_radius`,
+    `flipped`, and `surface`, what the ray tree knows of it. The named parameters in `values` (floats, on the host) are
     exposed to `mi.traverse` as differentiable ``mi.Float``, those named in `in_double` as ``mi.Float64``; an update
     reads them back, checks them and makes the mesh again.
 
@@ -39,10 +45,15 @@ class Revolution(mi.Mesh):
         Whether a sensor is nested. The mesh then has its normals towards the front, where the light comes from.
     """
 
-    kind = ""
+    columns: Mapping[str, tuple[str, ...]] = {}
+    """What each parameter moves, beside the pose; see `mistray.surfaces.gradient_columns`."""
     in_double: tuple[str, ...] = ()
     ranges: Mapping[str, Range]
     values: dict[str, float]
+
+    def __init_subclass__(cls) -> None:
+        super().__init_subclass__()
+        declare_columns(cls.columns)
 
     def _start(self, props: mi.Properties) -> None:
         self.name = str(props.id())
@@ -86,6 +97,40 @@ class Revolution(mi.Mesh):
     def outer_radius(self) -> float:
         """Largest distance of the surface from its axis, mm."""
         raise NotImplementedError
+
+    @staticmethod
+    def surface(values: Mapping[str, float]) -> Surface:
+        """What the ray tree knows of a surface with these parameters, in the frame of its vertex."""
+        raise NotImplementedError
+
+    @staticmethod
+    def vertex_frame(values: Mapping[str, float], matrix: np.ndarray) -> np.ndarray:
+        """Frame of the vertex, (4, 4) float64, of a surface with these parameters in the frame `matrix`."""
+        return matrix
+
+    @property
+    def differentiable(self) -> tuple[str, ...]:
+        """Names of the parameters that have a derivative."""
+        return tuple(self.values)
+
+    def step(self, name: str) -> float:
+        """Step of differences by a parameter, in its unit."""
+        if name in POSE:
+            return DEGREES if name.startswith("tilt") else MM
+        return RELATIVE * self.outer_radius
+
+    @property
+    def figure(self) -> str:
+        """What it is, in a word or two."""
+        return type(self).__name__.lower()
+
+    mechanics = True
+    """Whether it is made and mounted as mechanics are, with their tolerances; else as optics."""
+
+    @property
+    def sheet(self) -> bool:
+        """Whether it lies across its axis, so that its outline is all there is to aim at."""
+        return False
 
     @property
     def flipped(self) -> bool:

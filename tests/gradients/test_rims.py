@@ -18,7 +18,7 @@ from mistray.execute.backward import BackwardTrace
 from mistray.execute.tracer import Run, prepare
 from mistray.gradients import edges
 from mistray.gradients.rim_joints import rim_circles
-from mistray.gradients.rims import INNER, OUTER, Z_HIGH, Z_LOW, RimRecorder, zone_widths
+from mistray.gradients.rims import RimRecorder
 from mistray.kernel.ray_tree import trace_tree
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.directions import DirectionGrid
@@ -26,6 +26,7 @@ from mistray.recorders.ledger import EVENT_BITS
 from mistray.recorders.sky import CLASS_COUNT
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
+from mistray.surfaces.gradient_columns import HIGH, INNER, LOW, OUTER
 from mistray.surfaces.upload import upload
 
 ROUNDING = 1e-5  # of a sum of float32 weights
@@ -139,12 +140,12 @@ class TestBook:
             shape_xml("frustum", "tip", 7.0, r0=0.0, z0=0.0, r1=2.0, z1=9.0),
             shape_xml("asphere", "detector", 20.0, sensor=True, semi_diameter=3.0),
         )
-        pieces = {p.index: zone_widths(p, 0.1) for p in executed(load_scene(text), rays=32).table.pieces}
+        pieces = {p.index: p.zone_widths(0.1) for p in executed(load_scene(text), rays=32).table.pieces}
         detector, narrow, short, tip = (pieces[k] for k in range(4))
         assert detector == pytest.approx({OUTER: 0.3})
         assert narrow == pytest.approx({OUTER: 0.05, INNER: 0.05})
-        assert short == pytest.approx({Z_LOW: 0.05, Z_HIGH: 0.05})
-        assert tip == pytest.approx({Z_HIGH: 0.2})
+        assert short == pytest.approx({LOW: 0.05, HIGH: 0.05})
+        assert tip == pytest.approx({HIGH: 0.2})
 
     @pytest.mark.parametrize("name", ["cooke_triplet", "double_gauss"])
     def test_gain_of_a_hit_is_that_of_the_rays_that_go_on_from_it(self, name: str) -> None:
@@ -214,12 +215,12 @@ class TestJoints:
         both_ways = [("tube", (0.0, 1.0), False), ("tube", (-0.0, -1.0), False)]
         assert found["front", INNER] == [("land", (0.0, 1.0), True)]
         assert found["front", OUTER] == both_ways
-        assert found["land", Z_LOW] == [("front", (1.0, 0.0), True)]
-        assert found["land", Z_HIGH] == []
+        assert found["land", LOW] == [("front", (1.0, 0.0), True)]
+        assert found["land", HIGH] == []
         assert found["lens", OUTER] == both_ways
-        assert found["tube", Z_HIGH] == [("cone", (-0.707107, 0.707107), True)]
-        assert found["cone", Z_LOW] == [("tube", (-0.0, -1.0), True)]
-        assert found["tube", Z_LOW] == found["cone", Z_HIGH] == found["detector", OUTER] == []
+        assert found["tube", HIGH] == [("cone", (-0.707107, 0.707107), True)]
+        assert found["cone", LOW] == [("tube", (-0.0, -1.0), True)]
+        assert found["tube", LOW] == found["cone", HIGH] == found["detector", OUTER] == []
 
     def test_surfaces_off_the_axis_do_not_count(self, load_scene) -> None:
         moved = '<transform name="to_world"><translate x="0.1" z="5.0"/></transform>'

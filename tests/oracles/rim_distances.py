@@ -13,7 +13,7 @@ from .frozen_paths import SCATTERED, Bundle, follow
 from .frozen_scene import FrozenScene, _implicit
 from .geometry import Array, Asphere, Frustum
 
-RIMS = ("outer", "inner", "half_width", "half_height", "z_low", "z_high")
+RIMS = ("outer", "inner", "half_width", "half_height", "low", "high")
 APERTURES = {
     "semi_diameter": "outer",
     "inner_semi_diameter": "inner",
@@ -57,7 +57,7 @@ def rim_place(scene: FrozenScene, surface: str, rim: str) -> float:
     own = scene.surface(surface)
     if isinstance(own, Frustum):
         r, z = sorted((own.r0, own.r1)), sorted((own.z0, own.z1))
-        return {"outer": r[1], "inner": r[0], "z_low": z[0], "z_high": z[1]}[rim]
+        return {"outer": r[1], "inner": r[0], "low": z[0], "high": z[1]}[rim]
     assert isinstance(own, Asphere)
     return float(getattr(own, rim))
 
@@ -83,8 +83,8 @@ def distances(scene: FrozenScene, hits: RimHits, shift: float = 0.0) -> Array:
         "inner": rho - place,
         "half_width": place - np.abs(local[:, 0]),
         "half_height": place - np.abs(local[:, 1]),
-        "z_low": local[:, 2] - place,
-        "z_high": place - local[:, 2],
+        "low": local[:, 2] - place,
+        "high": place - local[:, 2],
     }[hits.rim]
 
 

@@ -24,7 +24,7 @@ import mistray
 from mistray.kernel.interaction import interact
 from mistray.surfaces import shell_tree
 from mistray.surfaces.intersect import Intersector
-from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
 
 ROOT = Path(__file__).parents[2]

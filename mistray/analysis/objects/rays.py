@@ -18,7 +18,7 @@ from mistray.kernel.next_hit import next_hit
 from mistray.kernel.scattering import Scattering
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import MIRROR, OPAQUE
-from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 

@@ -13,6 +13,7 @@ from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.sources import beams
 from mistray.surfaces.optics import OPAQUE, WALL
+from mistray.surfaces.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
 
 UNDERFILL = 0.99  # radius of the source over that of the pupil, below which the source is said not to fill it
@@ -114,9 +115,10 @@ def path_surfaces(path: DesignPath) -> pd.DataFrame:
     table = path.table
     rows = []
     for number, step in enumerate(path.steps, start=1):
-        shape, bsdf = table.shapes[step.surface], table.interfaces[step.surface]
+        bsdf = table.interfaces[step.surface]
         piece = table.pieces[step.surface] if step.surface < len(table.pieces) else None
-        curvature, conic = piece.conic if piece else (0.0, 0.0)
+        optic = piece if isinstance(piece, SagSurface) else None
+        curvature, conic = (optic.curvature, optic.conic) if optic else (0.0, 0.0)
         last = step is path.steps[-1]
         after = path.steps[number].point - step.point if not last else np.full(3, np.nan)
         behind = step.to_back
@@ -129,12 +131,12 @@ def path_surfaces(path: DesignPath) -> pd.DataFrame:
                 "z_mm": float(table.vertices[step.surface][2]) if piece else float(step.point[2]),
                 "radius_mm": 1 / curvature if curvature else math.inf,
                 "conic": conic,
-                "asphere": 2 + 2 * len(piece.coefficients) if piece and piece.coefficients else 0,
-                "semi_diameter_mm": piece.outer if piece and piece.outer else math.nan,
+                "asphere": 2 + 2 * len(optic.coefficients) if optic and optic.coefficients else 0,
+                "semi_diameter_mm": optic.outer if optic and optic.outer else math.nan,
                 "distance_mm": float(np.linalg.norm(after)),
                 "material": "-" if last else bsdf.back if behind else bsdf.front,
                 "index": math.nan if last else float(table.optics.host_indices[step.surface][1 if behind else 0]),
-                "aperture": "" if hasattr(shape, "outer_radius") else "mesh",
+                "aperture": "" if piece else "mesh",
             }
         )
     frame = pd.DataFrame(rows)
@@ -200,10 +202,6 @@ def _extent(shape: Any) -> tuple[tuple[float, float], tuple[float, float], str]:
     profile = shape.profile()
     z = float(shape.matrix[2, 3]) + profile[:, 1] * float(shape.matrix[2, 2])
     r = profile[:, 0]
-    if shape.kind == "frustum":
-        v = shape.values
-        kind = "ring" if shape.flat else "cylinder" if v["r0"] == v["r1"] else "cone"
-    else:
-        kind = "rectangle" if shape.rectangular else "asphere" if shape.coefficients else "sphere or plane"
+    kind = shape.figure
     tilted = abs(shape.matrix[2, 2]) < 1 - 1e-9
     return (float(z.min()), float(z.max())), (float(r.min()), float(r.max())), f"{kind}, tilted" if tilted else kind

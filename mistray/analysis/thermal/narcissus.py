@@ -20,7 +20,7 @@ from mistray.sampling.detector_start import DetectorStart
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import OPAQUE
-from mistray.surfaces.pieces import NO_SURFACE
+from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
 
 TOTAL = "(total reflection)"

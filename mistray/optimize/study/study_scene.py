@@ -127,7 +127,7 @@ def _is_clear(bsdf: Any, wavelength_nm: float) -> bool:
 def _meets_air(shape: Any, wavelength_nm: float) -> bool:
     """Whether this is an optical surface, no edge or bevel, with air on one side and something denser on the other."""
     low, high = sorted(shape.bsdf().indices(wavelength_nm))
-    return getattr(shape, "kind", None) != "frustum" and low < THIN < high
+    return not getattr(shape, "mechanics", False) and low < THIN < high
 
 
 @dataclass(frozen=True)

@@ -10,12 +10,13 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
-from mistray.gradients.geometry_gradient import DISPLACEMENT, SHIFTS
+from mistray.gradients.geometry_gradient import SHIFTS
 from mistray.optimize.gradient import EQUAL, Gradient
 from mistray.optimize.parameters import Parameter
 from mistray.optimize.tolerances.changes import Change, Ranges, single_changes
 from mistray.optimize.tolerances.proposals import structure
 from mistray.recorders.sampled import Sampled, batch_error
+from mistray.surfaces.gradient_columns import DISPLACEMENT
 
 INDEX = "index"
 
@@ -146,7 +147,7 @@ def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, tuple[str, 
     found: dict[tuple[Any, ...], list[str]] = {}
     for key, parameter in known.items():
         shape = shapes[parameter.shapes[0]]
-        if parameter.kind == "position" and (shape.id() in rigid or shape.kind == "frustum"):
+        if parameter.kind == "position" and (shape.id() in rigid or shape.mechanics):
             axis = shape.base[:3, DISPLACEMENT.index(parameter.name)]
             found.setdefault((shape.part, parameter.name, *np.round(axis, 9).tolist()), []).append(key)
     result: dict[str, tuple[str, tuple[str, ...]]] = {}

@@ -7,7 +7,7 @@ import mitsuba as mi
 import numpy as np
 import pytest
 
-from mistray.surfaces.aspheric_terms import AsphericTerms
+from mistray.gradients.aspheric_terms import AsphericTerms
 
 ORDERS = 9
 

@@ -1,0 +1,329 @@
+"""Optical surfaces: planes, conics and even aspheres, given by their sag within a round or a rectangular aperture."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from mistray.physics.sag import conic_end, sag, sag_derivative
+from mistray.surfaces.crossings import conic_crossing, plane_crossing
+from mistray.surfaces.gradient_columns import COEFFICIENTS, HALF_HEIGHT, HALF_WIDTH, INNER, OUTER
+from mistray.surfaces.surface import RECTANGLE, ROUND, Opening, Surface
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+    from mistray.surfaces.crossings import AxisRay, Numbers
+
+# An asphere is hit through its conic if it departs from it by less than this, in units of its aperture and as a slope
+MILD_DEPARTURE, MILD_SLOPE, MILD_MARGIN = 0.004, 0.03, 1.02
+NEWTON_STEPS = 8
+SETTLED = 1e-10  # last step of Newton's method, relative, below which it has found a hit
+# Gauss-Legendre quadrature over 0 … 1, of a part of a curved surface, each way
+_NODES, _WEIGHTS = np.polynomial.legendre.leggauss(16)
+NODES, WEIGHTS = 0.5 * (_NODES + 1), 0.5 * _WEIGHTS
+
+
+@dataclass(kw_only=True)
+class SagSurface(Surface):
+    """
+    A surface z = sag(r) within its aperture; F = c r² + c (1 + k) z² - 2 z, or 2 (sag - z) with aspheric terms.
+
+    Attributes
+    ----------
+    curvature, conic : float
+        1/mm, conic constant.
+    coefficients : tuple of float
+        a4, a6, … up to the last that is not zero, mm^-3 and so on.
+    outer, inner : float
+        Clear radii, mm; ``outer`` is 0 for a rectangle.
+    half_size : (2,) float
+        Rectangle, mm.
+    slope : float
+        No part is steeper than this, |dz/dr|.
+    departure : float
+        Largest distance in z of an asphere from its conic, mm, if it is so small that the conic's hit is a safe start
+        for Newton's method; 0 if not.
+    """
+
+    curvature: float = 0.0
+    conic: float = 0.0
+    coefficients: tuple[float, ...] = ()
+    outer: float = 0.0
+    inner: float = 0.0
+    half_size: tuple[float, float] = (0.0, 0.0)
+    slope: float = 0.0
+    departure: float = 0.0
+
+    fours: ClassVar[tuple[int, ...]] = (0, 2)
+
+    @classmethod
+    def of(
+        cls,
+        curvature: float,
+        conic: float,
+        coefficients: tuple[float, ...],
+        outer: float = 0.0,
+        inner: float = 0.0,
+        half_size: tuple[float, float] = (0.0, 0.0),
+    ) -> SagSurface:
+        """An optical surface by its shape and its aperture."""
+        while coefficients and coefficients[-1] == 0:
+            coefficients = coefficients[:-1]
+        size = outer or float(np.hypot(*half_size))
+        r = np.linspace(0.0, min(size, conic_end(curvature, conic)), 2001)
+        z = np.asarray(sag(r * r, curvature, conic, coefficients))
+        if np.isnan(z[-1]):  # the rounding of the point where the conic stands upright
+            z[-1] = 1 / (curvature * (1 + conic)) + sag(r[-1] ** 2, 0.0, 0.0, coefficients)
+        flat = not curvature and not coefficients
+        slope = np.zeros_like(r) if flat else np.gradient(z, r, edge_order=2)
+        span = max(float(np.ptp(z)), 1e-6 * size)
+        return cls(
+            sign=-1.0,
+            z_range=(float(z.min()) - 1e-3 * span, float(z.max()) + 1e-3 * span),
+            wall=False,
+            curvature=curvature,
+            conic=conic if curvature else 0.0,
+            coefficients=coefficients,
+            outer=outer,
+            inner=inner,
+            half_size=half_size,
+            slope=1.02 * float(np.max(np.abs(slope))),
+            departure=_mild_departure(curvature, conic, coefficients, size) if coefficients else 0.0,
+        )
+
+    @classmethod
+    def annulus(cls, outer: float, inner: float) -> SagSurface:
+        """A flat ring of the mechanics, whose normal points to +z."""
+        return cls(sign=-1.0, z_range=(0.0, 0.0), wall=True, outer=outer, inner=inner)
+
+    # ---- facts
+
+    @property
+    def flat(self) -> bool:
+        """Whether it is a plane."""
+        return self.curvature == 0 and not self.coefficients
+
+    @property
+    def sort(self) -> tuple[object, ...]:
+        kind = "asphere" if self.coefficients else "conic" if self.curvature else "plane"
+        return kind, bool(self.outer), self.inner > 0
+
+    @property
+    def searched(self) -> bool:
+        return bool(self.coefficients)
+
+    @property
+    def size(self) -> float:
+        return self.outer or float(np.hypot(*self.half_size))
+
+    @property
+    def least_radius(self) -> float:
+        return self.inner if self.outer else 0.0
+
+    @property
+    def columns(self) -> dict[str, float]:
+        numbers = self.curvature, self.conic, *self.coefficients
+        shape = dict(zip(("curvature", "conic", *COEFFICIENTS), numbers, strict=False))
+        if self.outer:
+            return {**shape, "outer": self.outer, "inner": self.inner}
+        return {**shape, "half_width": self.half_size[0], "half_height": self.half_size[1]}
+
+    @property
+    def quadric(self) -> tuple[float, float, float, float]:
+        return self.curvature, self.curvature * (1 + self.conic), -2.0, 0.0
+
+    @property
+    def clip(self) -> tuple[float, float]:
+        return (self.inner**2, 0.0) if self.outer else self.half_size
+
+    @property
+    def opening(self) -> Opening:
+        """In the plane of its rim; of a rectangle, in that of its vertex."""
+        if not self.outer:
+            return Opening(0.0, self.half_size, rectangular=True)
+        end = (1 - 1e-15) * conic_end(self.curvature, self.conic)  # a hemisphere's rim may lie beyond by a rounding
+        height = float(self.sag(min(self.outer, end) ** 2))
+        return Opening(height, (self.outer, self.outer), self.inner / self.outer)
+
+    @property
+    def detector_half(self) -> tuple[float, float]:
+        return (self.outer, self.outer) if self.outer else self.half_size
+
+    def sag(self, r2: Any) -> np.ndarray:
+        """Height over the vertex at squared distances from the axis, mm."""
+        return np.asarray(sag(r2, self.curvature, self.conic, self.coefficients)) + np.zeros(np.shape(r2))
+
+    def sag_derivative(self, r2: Any) -> np.ndarray:
+        """Derivative of the sag by r², 1/mm."""
+        return np.asarray(sag_derivative(r2, self.curvature, self.conic, self.coefficients))
+
+    # ---- rays on the host
+
+    def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        t = quadric_crossings(self.quadric, o, d)
+        if self.coefficients:
+            flat = -o[:, 2] / d[:, 2]
+            t[:, 0] = np.where(np.isfinite(t[:, 0]), t[:, 0], flat)
+            t = self._onto_polynomial(o, d, t)
+        elif self.curvature:  # a quadric has a second sheet
+            t = np.where(1 - self.quadric[1] * (o[:, 2:] + t * d[:, 2:]) > 0, t, np.nan)
+        return t
+
+    def _onto_polynomial(self, o: np.ndarray, d: np.ndarray, t: np.ndarray) -> np.ndarray:
+        """Newton's method from crossings of the conic to crossings of the asphere; NaN where it does not settle."""
+        found = np.full(t.shape, np.nan)
+        going = np.flatnonzero(np.isfinite(t))  # few need more than some steps: the others are left out of the rest
+        ray, t = going // t.shape[1], t.ravel()[going]
+        for _ in range(NEWTON_STEPS):
+            (x, y, z), (dx, dy, dz) = o[ray].T, d[ray].T
+            x, y = x + t * dx, y + t * dy
+            r2 = x * x + y * y
+            step = (self.sag(r2) - z - t * dz) / (2 * self.sag_derivative(r2) * (x * dx + y * dy) - dz)
+            t = t - step
+            settled = np.abs(step) < SETTLED * (1 + np.abs(t))
+            found.flat[going[settled]] = t[settled]
+            on = ~settled & np.isfinite(step)
+            going, ray, t = going[on], ray[on], t[on]
+            if not len(going):
+                break
+        return found
+
+    def inside(self, q: np.ndarray) -> np.ndarray:
+        if self.outer:
+            r2 = q[:, 0] ** 2 + q[:, 1] ** 2
+            return np.asarray((r2 <= self.outer**2) & (r2 >= self.inner**2))
+        return np.asarray((np.abs(q[:, 0]) <= self.half_size[0]) & (np.abs(q[:, 1]) <= self.half_size[1]))
+
+    def residual(self, q: np.ndarray) -> np.ndarray:
+        if self.coefficients:
+            return 2 * (self.sag(q[:, 0] ** 2 + q[:, 1] ** 2) - q[:, 2])
+        return super().residual(q)
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        if self.coefficients:
+            slope = 2 * self.sag_derivative(q[:, 0] ** 2 + q[:, 1] ** 2)
+            return np.stack([slope * q[:, 0], slope * q[:, 1], -np.ones(len(q))], axis=1)
+        a, b, e, _ = self.quadric
+        return np.stack([a * q[:, 0], a * q[:, 1], b * q[:, 2] + 0.5 * e], axis=1)
+
+    # ---- points and areas
+
+    def points(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        if self.outer:
+            r = np.sqrt(self.inner**2 + u * (self.outer**2 - self.inner**2))
+            x, y = r * np.cos(2 * np.pi * v), r * np.sin(2 * np.pi * v)
+            return np.stack([x, y, self.sag(r * r)], axis=1)
+        x, y = self.half_size[0] * (2 * u - 1), self.half_size[1] * (2 * v - 1)
+        return np.stack([x, y, self.sag(x * x + y * y)], axis=1)
+
+    def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        if not self.outer:
+            return 0.5 + 0.5 * q[:, 0] / self.half_size[0], 0.5 + 0.5 * q[:, 1] / self.half_size[1]
+        low, high = self.inner**2, self.outer**2
+        return (q[:, 0] ** 2 + q[:, 1] ** 2 - low) / (high - low), azimuth(q)
+
+    def areas(self, first: int, second: int) -> np.ndarray:
+        if self.outer:
+            low, high = self.inner**2, self.outer**2
+            rings = np.pi * (high - low) * self._stretch(low + (high - low) * _nodes(first)) @ WEIGHTS / first
+            return np.repeat(rings[:, None] / second, second, axis=1)
+        a, b = self.half_size
+        x, y = a * (2 * _nodes(first) - 1), b * (2 * _nodes(second) - 1)
+        r2 = x[:, None, :, None] ** 2 + y[None, :, None, :] ** 2
+        return np.asarray(4 * a * b / (first * second) * (self._stretch(r2) @ WEIGHTS) @ WEIGHTS)
+
+    def _stretch(self, r2: np.ndarray) -> np.ndarray:
+        """Area of the surface over that of its projection along its axis."""
+        return np.ones_like(r2) if self.flat else np.sqrt(1 + 4 * r2 * np.square(self.sag_derivative(r2)))
+
+    def hull(self, polygon: np.ndarray) -> np.ndarray:
+        corners = np.array([[x, y] for x in (-1.0, 1.0) for y in (-1.0, 1.0)])
+        flat = self.outer * polygon if self.outer else corners * self.half_size
+        return np.concatenate([np.column_stack([flat, np.full(len(flat), z)]) for z in self.z_range])
+
+    # ---- rims
+
+    @property
+    def rim_coordinate(self) -> int:
+        return ROUND if self.outer else RECTANGLE
+
+    @property
+    def rim_sizes(self) -> dict[int, float]:
+        if self.outer:
+            found = {OUTER: self.outer, INNER: self.inner}
+        else:
+            found = {HALF_WIDTH: self.half_size[0], HALF_HEIGHT: self.half_size[1]}
+        return {rim: size for rim, size in found.items() if size > 0}
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        return self.inner, self.size
+
+    def zone_widths(self, width: float) -> dict[int, float]:
+        if self.outer:
+            return super().zone_widths(width)
+        return {rim: min(width, 1.0) * size for rim, size in self.rim_sizes.items()}
+
+    def rim_point(self, rim: int) -> np.ndarray:
+        radius = self.outer if rim == OUTER else self.inner
+        return np.array([radius, float(self.sag(radius**2))])
+
+    def tangent(self, point: np.ndarray) -> np.ndarray:
+        tangent = np.array([1.0, float(2 * point[0] * self.sag_derivative(point[0] ** 2))])
+        return np.asarray(tangent / np.linalg.norm(tangent))
+
+    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
+        high = self.outer or min(self.half_size)
+        return point[0], self.inner, high, point[1] - float(self.sag(min(point[0], high) ** 2))
+
+    # ---- kernel
+
+    def kernel_values(self) -> dict[str, Any]:
+        return {
+            "curvature": self.curvature,
+            "one_plus_conic": 1 + self.conic,
+            "conic": self.conic,
+            "coefficients": self.coefficients,
+            "slope": self.slope,
+            "inner2": self.inner**2,
+            "half_width": self.half_size[0],
+            "half_height": self.half_size[1],
+            "wide2": (MILD_MARGIN * self.size) ** 2,
+            "departure": self.departure,
+        }
+
+    def crossing(self, ray: AxisRay, numbers: Numbers, own: mi.Bool) -> mi.Float:
+        return (conic_crossing if self.curvature else plane_crossing)(ray, self, numbers, own)
+
+
+def quadric_crossings(quadric: tuple[float, ...], o: np.ndarray, d: np.ndarray) -> np.ndarray:
+    """Distances (n, 2) at which lines cross a quadric, without cancellation; not finite where they do not."""
+    a, b, e, g = quadric
+    A = a * (d[:, 0] ** 2 + d[:, 1] ** 2) + b * d[:, 2] ** 2
+    B = a * (o[:, 0] * d[:, 0] + o[:, 1] * d[:, 1]) + (b * o[:, 2] + 0.5 * e) * d[:, 2]
+    C = a * (o[:, 0] ** 2 + o[:, 1] ** 2) + (b * o[:, 2] + e) * o[:, 2] + g
+    q = -(B + np.copysign(np.sqrt(B * B - A * C), B))
+    return np.stack([C / q, q / A], axis=1)
+
+
+def azimuth(q: np.ndarray) -> np.ndarray:
+    """Azimuth of points (n, 3) about the axis, 0 … 1."""
+    return np.asarray(0.5 + np.arctan2(q[:, 1], q[:, 0]) / (2 * np.pi))
+
+
+def _nodes(parts: int) -> np.ndarray:
+    """(parts, nodes) of the quadrature over equal parts of 0 … 1."""
+    return (np.arange(parts)[:, None] + NODES) / parts
+
+
+def _mild_departure(c: float, k: float, coefficients: tuple[float, ...], outer: float) -> float:
+    """`SagSurface.departure` of an asphere."""
+    r = np.linspace(0.0, MILD_MARGIN * outer, 513)
+    if c == 0 or (1 + k) * (c * r[-1]) ** 2 >= 1:
+        return 0.0
+    polynomial = np.asarray(sag(r * r, 0.0, 0.0, coefficients))
+    departure, slope = np.max(np.abs(polynomial)), np.max(np.abs(np.gradient(polynomial, r)))
+    return float(departure) if departure < MILD_DEPARTURE * outer and slope < MILD_SLOPE else 0.0

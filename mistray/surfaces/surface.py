@@ -1,0 +1,242 @@
+"""What a trace asks of an analytic surface. Each family of surfaces answers in a file of its own.
+
+`mistray.surfaces.sag_surface` has planes, conics and aspheres, `mistray.surfaces.cone` cones and tubes, and
+`mistray.surfaces.implicit_surface` what users define by a formula.
+"""
+
+from __future__ import annotations
+
+from abc import ABC, abstractmethod
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any, ClassVar
+
+import numpy as np
+
+from mistray.surfaces.crossings import Numbers
+
+if TYPE_CHECKING:
+    import mitsuba as mi
+
+    from mistray.surfaces.crossings import AxisRay
+
+NO_SURFACE = 0xFFFFFFFF
+# A second hit of the surface just left must be this far away, in units of its size: nearer ones are rounding
+SELF_HIT = 1e-5
+# Coordinates in which rims lie: the distance from the axis, x and y, or one of the family (z of a cone)
+ROUND, RECTANGLE, ENDS = range(3)
+
+
+@dataclass(frozen=True)
+class Opening:
+    """
+    A flat ellipse or rectangle across the axis.
+
+    Attributes
+    ----------
+    height : float
+        Its place along the axis from the vertex, mm.
+    half_size : (2,) float
+        Half axes or half sides, mm.
+    hole : float
+        Radius of a hole in the middle, in units of the half axes; 0 for a rectangle.
+    rectangular : bool
+    """
+
+    height: float
+    half_size: tuple[float, float]
+    hole: float = 0.0
+    rectangular: bool = False
+
+
+@dataclass(kw_only=True)
+class Surface(ABC):
+    """
+    One analytic surface: static facts that shape the kernel's code, and its numbers in float64.
+
+    Points, directions and distances of methods are in the frame of its vertex, mm, float64 on the host.
+
+    Attributes
+    ----------
+    sign : float
+        +1 or -1: the gradient of F times this points along the surface's normal.
+    z_range : (2,) float
+        Extent along the axis from the vertex, mm.
+    wall : bool
+        Mechanics, of which a ray meets little; all else is optics.
+    index : int
+        Number of the surface in the scene.
+    frame : int
+        Number of the orientation it shares with other surfaces; 0 is unrotated.
+    axis : int
+        Number of the axis (orientation and lateral position) it shares with other surfaces.
+    z : float
+        Position of the vertex along the axis, mm.
+    """
+
+    sign: float
+    z_range: tuple[float, float]
+    wall: bool
+    index: int = 0
+    frame: int = 0
+    axis: int = 0
+    z: float = 0.0
+
+    one_side_up: ClassVar[bool] = True
+    """Whether the x axis of its frame has a projection onto it everywhere; a tube has parts where it has none."""
+    fours: ClassVar[tuple[int, ...]] = ()
+    """Fours of `mistray.surfaces.crossings.ROW` that `crossing` reads in a tree of many; none: it is in no tree."""
+
+    # ---- facts
+
+    @property
+    def extent(self) -> tuple[float, float]:
+        """Extent along the axis, mm."""
+        return self.z + self.z_range[0], self.z + self.z_range[1]
+
+    @property
+    @abstractmethod
+    def size(self) -> float:
+        """Largest distance from the axis, mm."""
+
+    @property
+    def self_hit(self) -> float:
+        """A ray that leaves it meets it again no nearer than this, mm: what is nearer is rounding."""
+        return SELF_HIT * self.size
+
+    @property
+    @abstractmethod
+    def least_radius(self) -> float:
+        """Distance from the axis that no point of the surface is nearer than, mm."""
+
+    @property
+    @abstractmethod
+    def columns(self) -> dict[str, float]:
+        """The numbers that its columns stand for, see `mistray.surfaces.gradient_columns`; the others are 0."""
+
+    @property
+    def sort(self) -> tuple[object, ...]:
+        """What the kernel's code for it hangs on."""
+        return (type(self),)
+
+    @property
+    def searched(self) -> bool:
+        """Whether the kernel looks for it by `mistray.surfaces.aspheres`, and not by `crossing`."""
+        return False
+
+    @property
+    def quadric(self) -> tuple[float, float, float, float]:
+        """a, b, e, g of F = a (x² + y²) + b z² + e z + g; zeros where F is no quadric."""
+        return 0.0, 0.0, 0.0, 0.0
+
+    @property
+    def clip(self) -> tuple[float, float]:
+        """Half size of a rectangle, mm; else the square of the inner radius, and 0."""
+        return 0.0, 0.0
+
+    @property
+    @abstractmethod
+    def opening(self) -> Opening:
+        """Its clear aperture as a flat figure."""
+
+    @property
+    def detector_half(self) -> tuple[float, float] | None:
+        """Half size of the map of a detector on it, mm; None: it cannot be one."""
+        return None
+
+    # ---- rays on the host
+
+    @abstractmethod
+    def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        """Distances at which lines (n, 3) cross its unbounded sheet, (n, k), of either sign; NaN: no crossing."""
+
+    @abstractmethod
+    def inside(self, q: np.ndarray) -> np.ndarray:
+        """Whether points (n, 3) of its sheet lie within its bounds; NaN does not."""
+
+    def residual(self, q: np.ndarray) -> np.ndarray:
+        """F at points (n, 3)."""
+        a, b, e, g = self.quadric
+        return np.asarray(a * (q[:, 0] ** 2 + q[:, 1] ** 2) + (b * q[:, 2] + e) * q[:, 2] + g)
+
+    @abstractmethod
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        """Half gradient of F at points (n, 3)."""
+
+    # ---- points and areas
+
+    @abstractmethod
+    def points(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        """Points (n, 3) for uniform numbers (n,) of 0 … 1, about uniform over the area."""
+
+    @abstractmethod
+    def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Coordinates (n,) of points (n, 3), each 0 … 1 over the surface."""
+
+    @abstractmethod
+    def areas(self, first: int, second: int) -> np.ndarray:
+        """(first, second) areas of equal steps of the coordinates of `unit_square`, mm²."""
+
+    def hull(self, polygon: np.ndarray) -> np.ndarray:
+        """Points (n, 3) whose convex hull holds it; `polygon`, (m, 2), is one around the unit circle."""
+        return np.concatenate([np.column_stack([self.size * polygon, np.full(len(polygon), z)]) for z in self.z_range])
+
+    # ---- rims
+
+    @property
+    @abstractmethod
+    def rim_coordinate(self) -> int:
+        """`ROUND`, `RECTANGLE` or `ENDS`."""
+
+    @property
+    @abstractmethod
+    def rim_sizes(self) -> dict[int, float]:
+        """Rims, by their place in `RIM_COLUMNS`, and their radius or half side, mm; those of no size are left out."""
+
+    @property
+    @abstractmethod
+    def reach(self) -> tuple[float, float]:
+        """Least and greatest value of the coordinate in which the rims lie, mm; of a rectangle of the radius."""
+
+    def zone_widths(self, width: float) -> dict[int, float]:
+        """
+        Widths of zones along the rims, mm.
+
+        Parameters
+        ----------
+        width : float
+            In units of the radius or half side; zones end where they would overlap.
+        """
+        half = 0.5 * (self.reach[1] - self.reach[0])
+        return {rim: min(width * size, half) for rim, size in self.rim_sizes.items()}
+
+    @abstractmethod
+    def rim_point(self, rim: int) -> np.ndarray:
+        """(2,) float64: radius of a circular rim, and its place along the axis, mm."""
+
+    @abstractmethod
+    def tangent(self, point: np.ndarray) -> np.ndarray:
+        """Unit vector along the profile at a point (radius, z) of it, the way that the coordinate of the rims grows."""
+
+    def profile_gradient(self, point: np.ndarray) -> np.ndarray:
+        """Unit vector along the gradient of F at a point (radius, z) of the profile: away from the axis, along it."""
+        x, _, z = self.gradient(np.array([[point[0], 0.0, point[1]]]))[0]
+        return np.array([x, z]) / np.hypot(x, z)
+
+    @abstractmethod
+    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
+        """Coordinate of a point (radius, z), its least and greatest value, the distance from the profile; mm."""
+
+    # ---- kernel
+
+    def numbers(self) -> Any:
+        """What `crossing` takes, on the device."""
+        return Numbers.of(self)
+
+    @abstractmethod
+    def kernel_values(self) -> Mapping[str, Any]:
+        """Numbers for `crossing`, beside those that all surfaces have."""
+
+    @abstractmethod
+    def crossing(self, ray: AxisRay, numbers: Any, own: mi.Bool) -> mi.Float:
+        """First crossing of rays within the bounds, mm; infinite if there is none. `own`: the ray starts here."""
