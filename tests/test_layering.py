@@ -155,7 +155,7 @@ HEIGHT = {layer: height for height, layers in enumerate(LAYERS) for layer in lay
 
 # A room that has more files than a reader takes in at a glance; each number shrinks, and none is added.
 MOST_FILES = 20
-LARGE_ROOMS = { "cli": 28, "scatter": 27, "physics": 23}
+LARGE_ROOMS = {"cli": 28, "scatter": 27, "physics": 23}
 
 
 def test_a_room_has_few_files():
