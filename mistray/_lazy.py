@@ -34,7 +34,7 @@ class _LazyPackage(ModuleType):
         return sorted({*super().__dir__(), *self._homes})
 
 
-def lazy_package(package: str, names: Mapping[str, Iterable[str]]) -> None:
+def lazy_package(package: str, names: Mapping[str, Iterable[str]]) -> list[str]:
     """
     Make the names of a package importable without importing their modules now.
 
@@ -45,6 +45,11 @@ def lazy_package(package: str, names: Mapping[str, Iterable[str]]) -> None:
     names : mapping of str to iterable of str
         Module within the package, or the full name of one elsewhere → the public names that it defines. A name may be
         that of its own module, as a function `view` of a module `view`: it is then the function in the package.
+
+    Returns
+    -------
+    list of str
+        All names, for ``__all__``.
     """
     module = sys.modules[package]
     module.__class__ = _LazyPackage
@@ -52,3 +57,4 @@ def lazy_package(package: str, names: Mapping[str, Iterable[str]]) -> None:
     full = {home: home if home.startswith(f"{top}.") else f"{package}.{home}" for home in names}
     homes = {name: full[home] for home, own in names.items() for name in own}
     vars(module)["_homes"] = homes
+    return sorted(homes)

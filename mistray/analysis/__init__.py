@@ -19,32 +19,7 @@ if TYPE_CHECKING:
     from mistray.analysis.study.run import Study, study
     from mistray.analysis.thermal.emission import ThermalReport, thermal
 
-__all__ = [
-    "DirectImage",
-    "DiskSource",
-    "Estimate",
-    "FieldSummary",
-    "FirstLevel",
-    "GhostReport",
-    "MapStatistics",
-    "Objects",
-    "Pst",
-    "Study",
-    "ThermalReport",
-    "critical_rays",
-    "first_level",
-    "ghosts",
-    "log10_image",
-    "mirror_asymmetry",
-    "objects",
-    "path_analysis",
-    "pst",
-    "statistics",
-    "study",
-    "thermal",
-]
-
-lazy_package(
+__all__ = lazy_package(
     __name__,
     {
         "critical_rays": ("critical_rays",),

@@ -13,20 +13,7 @@ if TYPE_CHECKING:
     from mistray.io.zemax.read import read_zemax
     from mistray.io.zemax.write import write_zemax
 
-__all__ = [
-    "from_batoid",
-    "from_codev",
-    "from_json",
-    "from_optiland",
-    "from_rayoptics",
-    "from_zemax",
-    "read_codev",
-    "read_zemax",
-    "to_sequential",
-    "write_zemax",
-]
-
-lazy_package(
+__all__ = lazy_package(
     __name__,
     {
         "batoid.read": ["from_batoid"],

@@ -30,52 +30,7 @@ if TYPE_CHECKING:
     from mistray.report.thermal import thermal_text, write_thermal
     from mistray.report.view3d.view import View, view
 
-__all__ = [
-    "ColourPictures",
-    "IrradianceMap",
-    "Look",
-    "RayLine",
-    "SortedPath",
-    "View",
-    "baffle_figure",
-    "cassegrain_figure",
-    "ghost_image",
-    "html_text",
-    "layout",
-    "layout_figure",
-    "levels_against_field",
-    "main_table",
-    "montage",
-    "objects_layout",
-    "objects_text",
-    "parse_path_sort",
-    "path_sort_text",
-    "pst_text",
-    "rays_of_paths",
-    "read_irradiance",
-    "read_rays",
-    "study_text",
-    "thermal_text",
-    "view",
-    "warnings",
-    "with_error",
-    "writable_directory",
-    "write_all",
-    "write_csv",
-    "write_formats",
-    "write_html",
-    "write_irradiance",
-    "write_layout",
-    "write_objects",
-    "write_parquet",
-    "write_png",
-    "write_pst",
-    "write_rays",
-    "write_study",
-    "write_thermal",
-]
-
-lazy_package(
+__all__ = lazy_package(
     __name__,
     {
         "baffle_plots": ("baffle_figure", "cassegrain_figure"),
