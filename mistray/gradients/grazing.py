@@ -32,6 +32,7 @@ from mistray.surfaces.upload import upload
 SILHOUETTE, CRITICAL = len(RIM_COLUMNS), len(RIM_COLUMNS) + 1  # numbers that follow those of rims
 ZONE = 1.0  # of the square of the cosine, in units of the width of the zones at rims
 NEARBY = 0.01  # of an asphere's radius: step of differences along the ray
+CLOSE_BY = 1e-3  # the same of an implicit surface
 FLAT = 1e-6  # curvature along the ray in units of that of the aperture, below which there is no silhouette
 
 
@@ -117,6 +118,9 @@ class Grazing:
         turning = -along / bend
         there = it.local + turning * local
         place = dr.select(extent.w > 0, there.z, dr.sqrt(dr.fma(there.x, there.x, there.y * there.y)))
+        for here, family in self._table.implicit.members(s, steep):
+            numbers = self._table.implicit.numbers(family, s, here)
+            place = dr.select(here, family.coordinate(*there, numbers), place)
         inside = (place > extent.x) & (place < extent.y)
         grazes = steep & inside & (turning > 0) & (dr.abs(bend) * extent.z > FLAT * length)
         margin = 1 - dr.square(it.eta) * (1 - dr.square(it.cos_i))
@@ -154,4 +158,10 @@ class Grazing:
             bend = dr.select(aspheric, dr.select(usable, (after - before) / (2 * h), 0), bend)
             size = dr.sqrt(dr.fma(dr.square(steepness), q.x * q.x + q.y * q.y, 1))
             length = dr.select(aspheric, size, length)
+        for here, family in table.implicit.members(s, active):
+            numbers, h = table.implicit.numbers(family, s, here), CLOSE_BY * outer
+            before, at, after = (mi.Vector3f(*family.gradient(*(q + t * d), numbers)) for t in (-h, mi.Float(0), h))
+            along = dr.select(here, 0.5 * dr.dot(at, d), along)
+            bend = dr.select(here, 0.25 * dr.dot(after - before, d) / h, bend)
+            length = dr.select(here, 0.5 * dr.norm(at), length)
         return along, bend, length

@@ -22,8 +22,7 @@ from mistray.gradients.raw_gradient import GradientRequest
 from mistray.physics.fresnel import reflectance
 from mistray.recorders.ledger import TOTAL
 from mistray.settings import BATCHES
-from mistray.surfaces.cone import Cone
-from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, RIM_COLUMNS, SHAPE_COLUMNS
+from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, OWN, RIM_COLUMNS, SHAPE_COLUMNS
 from mistray.surfaces.optics import (
     BACK_MEDIUM_SHIFT,
     FRESNEL,
@@ -99,10 +98,10 @@ class ReplaySurfaces:
         self._row_stride = dr.opaque(mi.UInt32, rows.size if request.rows else 0)
         self._ideal_stride = dr.opaque(mi.UInt32, ideal.size if request.rows else 0)
         self._rotations = upload(mi.Float64, table.rotations)
-        # Vertices, and whether F grows along the normal: it does for cones only, see `_surface`
+        # Vertices, and whether F grows along the normal or against it
         places = np.column_stack([table.vertices - table.centre, np.full(self.count, -1.0)])
         for piece in table.pieces:
-            places[piece.index, 3] = 1.0 if isinstance(piece, Cone) else -1.0
+            places[piece.index, 3] = piece.sign
         self._places = upload(mi.Float64, places)
         self._extinction = upload(mi.Float64, np.array(optics.extinction))
         self._tilts = bool(self._shape.names & {"tilt_x", "tilt_y", "tilt_z"})
@@ -191,6 +190,10 @@ class ReplaySurfaces:
         rows = self._still if still else self._shape
         numbers = rows.read(s, batch, active)
         numbers["cone"] = self._place(s, active).w > 0
+        numbers["families"] = [
+            (here, family, dict(zip(family.numbers, (numbers[name] for name in OWN), strict=False)))
+            for here, family in self.table.implicit.members(s, active)
+        ]
         for key, some in (("coefficients", rows), ("still", self._still)):
             known = [order for order, name in enumerate(COEFFICIENTS, 1) if name in some.names]
             numbers[key] = [numbers[name] for name in COEFFICIENTS[: max(known, default=0)]]
@@ -218,6 +221,9 @@ class ReplaySurfaces:
             dr.select(cone, q.y, across * q.y),
             dr.select(cone, -n["slope"] * radius, along),
         )
+        for here, family, own in n["families"]:
+            value = dr.select(here, family.residual(*q, own), value)
+            gradient = dr.select(here, 0.5 * mi.Vector3d(*family.gradient(*q, own)), gradient)
         return value, gradient
 
     def world_point(self, met: Met, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
@@ -233,6 +239,8 @@ class ReplaySurfaces:
         """Distance of a hit from a rim of its surface, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
         rho = dr.sqrt(dr.maximum(met.q.x * met.q.x + met.q.y * met.q.y, 1e-24))
         x, y, z = dr.abs(met.q.x), dr.abs(met.q.y), met.q.z
+        for here, family, own in self._numbers(s, batch, active)["families"]:
+            z = dr.select(here, family.coordinate(*met.q, own), z)
         # Place of the hit along the coordinate, and whether the surface lies below the rim in it
         places = ((rho, 1), (rho, -1), (x, 1), (y, 1), (z, -1), (z, 1))
         distance, values = mi.Float64(0), self._rims.read(s, batch, active)

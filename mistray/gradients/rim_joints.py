@@ -94,8 +94,7 @@ def rim_circles(table: SurfaceTable) -> dict[tuple[int, int], RimCircle]:
                 for k in np.flatnonzero(near)
                 for joint in _joints(table.pieces[k], np.array([point[0], along[k]]), float(sign[k]))
             ]
-            stretch = float(abs(outward[0 if rim in (OUTER, INNER) else 1]))
-            found[piece.index, rim] = RimCircle(point, outward, stretch, joints)
+            found[piece.index, rim] = RimCircle(point, outward, piece.rim_stretch(point), joints)
     return found
 
 

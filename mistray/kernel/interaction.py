@@ -166,6 +166,11 @@ def interact(
         # F = 2 (sag - z), to be of the same sign and scale as the quadric
         value = dr.select(aspheric, 2 * (sag(r2, *shape) - q.z), value)
         across, along_z = dr.select(aspheric, 2 * slope, across), dr.select(aspheric, -1, along_z)
+    families = [
+        (here, family, table.implicit.numbers(family, s, here)) for here, family in table.implicit.members(s, active)
+    ]
+    for here, family, numbers in families:
+        value = dr.select(here, family.residual(*q, numbers), value)
     if table.stock_scene is not None:
         assert stock_normal is not None
         stock = s >= len(table.pieces)
@@ -173,6 +178,8 @@ def interact(
 
     # One Newton step along the ray removes the rounding of a distant origin
     along = 2 * (across * dr.fma(q.x, dl.x, q.y * dl.y) + along_z * dl.z)
+    for here, family, numbers in families:
+        along = dr.select(here, dr.dot(mi.Vector3f(*family.gradient(*q, numbers)), dl), along)
     step = -value / along
     step = dr.select(step * step < 1e-6 * (1 + r2), step, 0)
     p, q = dr.fma(step, d, p), dr.fma(step, dl, q)
@@ -180,6 +187,8 @@ def interact(
     # There, not where the step began: after 10 m of way that may be 1e-6 rad
     along_z = dr.fma(dr.select(aspheric, 0, b) if table.coefficient_count else b, step * dl.z, along_z)
     gradient = mi.Vector3f(across * q.x, across * q.y, along_z)
+    for here, family, numbers in families:
+        gradient = dr.select(here, mi.Vector3f(*family.gradient(*q, numbers)), gradient)
     if table.stock_scene is not None:
         gradient = dr.select(stock, stock_normal, gradient)
     normal = gradient * dr.mulsign(dr.rsqrt(dr.squared_norm(gradient)), vertex.w)

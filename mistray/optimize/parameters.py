@@ -305,6 +305,8 @@ def _about_shape(shape: Any, name: str, value: np.ndarray) -> _About:
         other = v["r1" if name == "r0" else "r0"] if shape.flat else 0.0  # an annulus keeps its width
         low, high = (0.0, other) if v[name] < other else (other, math.inf)
         return "rim", "mm", length(RIM_MM), low, high
+    if name not in (*CLEAR_APERTURE, "curvature", "conic", *COEFFICIENTS):  # of a family of one's own
+        return "rim", "mm", length(RIM_MM), shape.ranges[name].low, shape.ranges[name].high
     c, k = v["curvature"], v["conic"]
     if name in CLEAR_APERTURE:
         low = v["inner_semi_diameter"] if name == "semi_diameter" else 0.0

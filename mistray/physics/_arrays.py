@@ -33,6 +33,15 @@ def sqrt(x: Any) -> Any:
     return dr.sqrt(x)
 
 
+def arctan2(y: Any, x: Any) -> Any:
+    """Angle of the point (x, y) from the x axis, rad, -π … π, in the array library of the arguments."""
+    if all(isinstance(v, int | float | np.ndarray | np.generic) for v in (x, y)):
+        return np.arctan2(y, x)
+    import drjit as dr
+
+    return dr.atan2(y, x)
+
+
 @dataclass(frozen=True)
 class Arithmetic:
     """

@@ -218,6 +218,10 @@ class Surface(ABC):
     def tangent(self, point: np.ndarray) -> np.ndarray:
         """Unit vector along the profile at a point (radius, z) of it, the way that the coordinate of the rims grows."""
 
+    def rim_stretch(self, point: np.ndarray) -> float:
+        """How far the coordinate of the rims changes for a step along the profile at a point (radius, z) of it."""
+        return float(abs(self.tangent(point)[1 if self.rim_coordinate == ENDS else 0]))
+
     def profile_gradient(self, point: np.ndarray) -> np.ndarray:
         """Unit vector along the gradient of F at a point (radius, z) of the profile: away from the axis, along it."""
         x, _, z = self.gradient(np.array([[point[0], 0.0, point[1]]]))[0]

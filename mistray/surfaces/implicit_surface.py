@@ -1,0 +1,236 @@
+"""Surfaces of revolution of a user's own, given by a formula F(x, y, z) = 0 and a coordinate along their profile."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from typing import TYPE_CHECKING, Any
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.surfaces.gradient_columns import HIGH, LOW, OWN
+from mistray.surfaces.implicit_crossing import ImplicitNumbers, first_crossing
+from mistray.surfaces.sag_surface import azimuth
+from mistray.surfaces.surface import ENDS, Opening, Surface
+from mistray.surfaces.upload import upload
+
+if TYPE_CHECKING:
+    from collections.abc import Sequence
+
+    from mistray.surfaces.crossings import AxisRay
+
+PROFILE = 2001  # points of the profile that bounds and areas come from
+SAMPLES = 512  # of a line, between which crossings are looked for on the host
+MOST_CROSSINGS = 8
+HALVINGS = 52  # of the stretch between two samples: all digits of float64
+MARGIN = 1e-3  # by which bounds are wider than the profile, in units of its size
+
+
+@dataclass(kw_only=True)
+class ImplicitSurface(Surface):
+    """
+    A surface of a family that a plugin defines, see `mistray.plugins.shapes.implicit.Implicit`.
+
+    Attributes
+    ----------
+    family : type
+        Has `residual`, `gradient`, `coordinate` and `generatrix`.
+    values : dict of str to float
+        The numbers of the family, by name.
+    ends : (2,) float
+        Least and greatest coordinate, mm.
+    radii : (2,) float
+        Least and greatest distance from the axis, mm.
+    """
+
+    family: Any
+    values: dict[str, float]
+    ends: tuple[float, float]
+    radii: tuple[float, float]
+
+    @classmethod
+    def of(cls, family: Any, values: Mapping[str, float], ends: tuple[float, float], wall: bool) -> ImplicitSurface:
+        """A surface of a family by its numbers."""
+        own = {name: values[name] for name in family.numbers}
+        r, z = family.generatrix(np.linspace(*ends, PROFILE), own)
+        margin = MARGIN * float(max(np.ptp(r), np.ptp(z)))
+        return cls(
+            sign=1.0,
+            z_range=(float(np.min(z)) - margin, float(np.max(z)) + margin),
+            wall=wall,
+            family=family,
+            values=own,
+            ends=ends,
+            radii=(max(float(np.min(r)) - margin, 0.0), float(np.max(r)) + margin),
+        )
+
+    @property
+    def size(self) -> float:
+        return self.radii[1]
+
+    @property
+    def least_radius(self) -> float:
+        return self.radii[0]
+
+    @property
+    def columns(self) -> dict[str, float]:
+        numbers = dict(zip(OWN, self.values.values(), strict=False))
+        return {**numbers, "low": self.ends[0], "high": self.ends[1]}
+
+    @property
+    def opening(self) -> Opening:
+        """Half way along the axis, as wide as it is anywhere."""
+        return Opening(0.5 * sum(self.z_range), (self.size, self.size))
+
+    # ---- rays on the host
+
+    def residual(self, q: np.ndarray) -> np.ndarray:
+        return np.asarray(self.family.residual(*q.T, self.values))
+
+    def gradient(self, q: np.ndarray) -> np.ndarray:
+        return 0.5 * np.stack([np.broadcast_to(g, len(q)) for g in self.family.gradient(*q.T, self.values)], axis=1)
+
+    def coordinate(self, q: np.ndarray) -> np.ndarray:
+        """Coordinate along the profile at points (n, 3), mm."""
+        return np.asarray(self.family.coordinate(*q.T, self.values))
+
+    def crossings(self, o: np.ndarray, d: np.ndarray) -> np.ndarray:
+        found = np.full((len(o), MOST_CROSSINGS), np.nan)
+        reach = np.hypot(self.size, np.abs(self.z_range).max())  # of a ball around it
+        middle = -np.einsum("ij,ij->i", o, d)
+        off2 = np.einsum("ij,ij->i", o, o) - middle**2
+        rays = np.flatnonzero(off2 < reach**2)
+        half = np.sqrt(reach**2 - off2[rays])
+        t = middle[rays, None] + half[:, None] * np.linspace(-1, 1, SAMPLES)
+
+        def value(t: np.ndarray, rays: np.ndarray) -> np.ndarray:
+            q = o[rays][:, None] + t[..., None] * d[rays][:, None]
+            return self.residual(q.reshape(-1, 3)).reshape(t.shape)
+
+        f = value(t, rays)
+        row, place = np.nonzero(np.sign(f[:, :-1]) * np.sign(f[:, 1:]) < 0)
+        low, high, before = t[row, place], t[row, place + 1], f[row, place]
+        for _ in range(HALVINGS):
+            half_way = 0.5 * (low + high)
+            first = np.sign(value(half_way[:, None], rays[row])[:, 0]) == np.sign(before)
+            low, high = np.where(first, half_way, low), np.where(first, high, half_way)
+        number = np.arange(len(row)) - np.searchsorted(row, row)
+        kept = number < MOST_CROSSINGS
+        found[rays[row[kept]], number[kept]] = 0.5 * (low + high)[kept]
+        return found
+
+    def inside(self, q: np.ndarray) -> np.ndarray:
+        u = self.coordinate(q)
+        return np.asarray((u >= self.ends[0]) & (u <= self.ends[1]))
+
+    # ---- points and areas
+
+    def _profile(self, u: Any) -> np.ndarray:
+        """(2, ...) radius and place along the axis at coordinates, mm."""
+        return np.array(self.family.generatrix(u, self.values), dtype=np.float64)
+
+    def _speed(self, u: Any) -> np.ndarray:
+        """(2, ...) derivatives of the profile by the coordinate."""
+        step = 1e-4 * (self.ends[1] - self.ends[0])
+        return np.asarray((self._profile(u + step) - self._profile(u - step)) / (2 * step))
+
+    def points(self, u: np.ndarray, v: np.ndarray) -> np.ndarray:
+        along = np.linspace(*self.ends, PROFILE)
+        density = self._profile(along)[0] * np.hypot(*self._speed(along))
+        area = np.concatenate([[0.0], np.cumsum(density[1:] + density[:-1])])
+        r, z = self._profile(np.interp(u, area / area[-1], along))
+        return np.stack([r * np.cos(2 * np.pi * v), r * np.sin(2 * np.pi * v), z], axis=1)
+
+    def unit_square(self, q: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        return (self.coordinate(q) - self.ends[0]) / (self.ends[1] - self.ends[0]), azimuth(q)
+
+    def areas(self, first: int, second: int) -> np.ndarray:
+        parts = max(1, -(-PROFILE // first))
+        step = (self.ends[1] - self.ends[0]) / (first * parts)
+        along = self.ends[0] + step * (np.arange(first * parts) + 0.5)
+        rings = 2 * np.pi * step * self._profile(along)[0] * np.hypot(*self._speed(along))
+        return np.repeat(rings.reshape(first, parts).sum(axis=1)[:, None] / second, second, axis=1)
+
+    # ---- rims
+
+    @property
+    def rim_coordinate(self) -> int:
+        return ENDS
+
+    @property
+    def rim_sizes(self) -> dict[int, float]:
+        sizes = {rim: float(self._profile(u)[0]) for rim, u in zip((LOW, HIGH), self.ends, strict=True)}
+        return {rim: size for rim, size in sizes.items() if size > 0}
+
+    @property
+    def reach(self) -> tuple[float, float]:
+        return self.ends
+
+    def rim_point(self, rim: int) -> np.ndarray:
+        return self._profile(self.ends[0 if rim == LOW else 1])
+
+    def _place(self, point: np.ndarray) -> float:
+        """Coordinate of a point (radius, z)."""
+        return float(self.coordinate(np.array([[point[0], 0.0, point[1]]]))[0])
+
+    def tangent(self, point: np.ndarray) -> np.ndarray:
+        speed = self._speed(self._place(point))
+        return np.asarray(speed / np.linalg.norm(speed))
+
+    def rim_stretch(self, point: np.ndarray) -> float:
+        return 1 / float(np.linalg.norm(self._speed(self._place(point))))
+
+    def on_profile(self, point: np.ndarray) -> tuple[float, float, float, float]:
+        u = self._place(point)
+        return u, *self.ends, float(np.linalg.norm(point - self._profile(np.clip(u, *self.ends))))
+
+    # ---- kernel
+
+    def numbers(self) -> ImplicitNumbers:
+        return ImplicitNumbers.of(self)
+
+    def kernel_values(self) -> dict[str, Any]:
+        return dict(self.values)
+
+    def crossing(self, ray: AxisRay, numbers: ImplicitNumbers, own: mi.Bool) -> mi.Float:
+        return first_crossing(ray, self.family, numbers, own)
+
+
+class ImplicitTable:
+    """
+    Implicit surfaces in tables of the device; without any, it is false and adds nothing to a kernel.
+
+    Parameters
+    ----------
+    pieces : sequence of Surface
+        All analytic surfaces.
+    count : int
+        Number of all surfaces.
+    """
+
+    def __init__(self, pieces: Sequence[Surface], count: int) -> None:
+        own = [piece for piece in pieces if isinstance(piece, ImplicitSurface)]
+        self.families = list(dict.fromkeys(piece.family for piece in own))
+        numbers, rows = np.zeros(count, dtype=np.uint32), np.zeros((count, len(OWN)))
+        for piece in own:
+            numbers[piece.index] = 1 + self.families.index(piece.family)
+            rows[piece.index, : len(piece.values)] = list(piece.values.values())
+        if own:
+            self._numbers, self._rows = upload(mi.UInt32, numbers), upload(mi.Float, rows)
+
+    def __bool__(self) -> bool:
+        return bool(self.families)
+
+    def members(self, s: mi.UInt32, active: mi.Bool) -> Iterator[tuple[mi.Bool, Any]]:
+        """For each family, which of the surfaces s belong to it."""
+        number = dr.gather(mi.UInt32, self._numbers, s, active) if self.families else None
+        for k, family in enumerate(self.families, start=1):
+            yield active & (number == k), family
+
+    def numbers(self, family: Any, s: mi.UInt32, here: mi.Bool) -> dict[str, mi.Float]:
+        """The numbers of the surfaces s of a family, by name."""
+        vectors = [dr.gather(mi.Vector4f, self._rows, len(OWN) // 4 * s + k, here) for k in range(len(OWN) // 4)]
+        values = (vector[k] for vector in vectors for k in range(4))
+        return dict(zip(family.numbers, values, strict=False))

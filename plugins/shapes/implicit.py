@@ -1,0 +1,106 @@
+"""Base class for shapes of one's own: surfaces of revolution F(x, y, z) = 0 that a formula describes."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any, ClassVar
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.physics._arrays import arctan2, sqrt
+from mistray.plugins.shapes.revolution import Revolution, float_property
+from mistray.surfaces.gradient_columns import OWN
+from mistray.surfaces.implicit_surface import PROFILE, ImplicitSurface
+
+__all__ = ["Implicit", "arctan2", "sqrt"]
+
+
+class Implicit(Revolution):
+    """
+    A surface of revolution about the local z axis, given by a formula.
+
+    A subclass is a plugin as soon as it is registered, ``mi.register_shape("name", Name)``. It is traced, recorded,
+    differentiated by all of its parameters, edges included, drawn, and has a mesh for Mitsuba's own integrators. It
+    states what follows; x, y, z are coordinates in its own frame (mm), arrays of NumPy or Dr.Jit, and n maps names in
+    `numbers` to numbers. `mistray.plugins.shapes.implicit` has `sqrt` and `arctan2` for arrays of either kind.
+
+    The normal, along which F grows, points from the ``front`` of the nested ``interface`` to its ``back``.
+
+    Attributes
+    ----------
+    numbers : tuple of str
+        Parameters that the formula needs, 8 at most.
+    ranges : mapping of str to Range
+        All parameters with the values they may have; those without an entry in `defaults` are required.
+    defaults : mapping of str to float
+    mechanics : bool
+        Whether it counts as mechanics (a lip, a housing) or as optics.
+    """
+
+    numbers: ClassVar[tuple[str, ...]] = ()
+    defaults: ClassVar[Mapping[str, float]] = {}
+
+    @staticmethod
+    def residual(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
+        """F; best close to the distance from the surface in mm, for the sake of float32."""
+        raise NotImplementedError
+
+    @staticmethod
+    def gradient(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> tuple[Any, Any, Any]:
+        """The derivatives of F by x, y and z."""
+        raise NotImplementedError
+
+    @staticmethod
+    def coordinate(x: Any, y: Any, z: Any, n: Mapping[str, Any]) -> Any:
+        """Coordinate of points of the surface along its profile, mm."""
+        raise NotImplementedError
+
+    @staticmethod
+    def generatrix(u: Any, n: Mapping[str, Any]) -> tuple[Any, Any]:
+        """Distance from the axis and z of the profile at the coordinate u, mm; NumPy only."""
+        raise NotImplementedError
+
+    @staticmethod
+    def ends(values: Mapping[str, float]) -> tuple[float, float]:
+        """Least and greatest coordinate of a surface with these parameters, mm."""
+        raise NotImplementedError
+
+    def __init_subclass__(cls) -> None:
+        moved = (*OWN[: len(cls.numbers)], "low", "high")
+        cls.columns = dict.fromkeys(getattr(cls, "ranges", {}), moved)
+        super().__init_subclass__()
+
+    def __init__(self, props: mi.Properties) -> None:
+        self._start(props)
+        missing = [key for key in self.ranges if key not in props and key not in self.defaults]
+        if missing:
+            raise MistrayError(f"shape '{self.name}': a {self.figure} needs {', '.join(missing)}; add them")
+        self._finish(props, {key: float_property(props, key, self.defaults.get(key)) for key in self.ranges})
+
+    def check(self) -> None:
+        low, high = self.ends(self.values)
+        if not low < high:
+            raise MistrayError(
+                f"shape '{self.name}': it begins at {low:g} and ends at {high:g} mm; a part of no length"
+            )
+        if not float(np.min(self.profile(PROFILE)[:, 0])) >= 0:
+            raise MistrayError(f"shape '{self.name}': its profile crosses the axis; change its numbers or its ends")
+
+    @classmethod
+    def surface(cls, values: Mapping[str, float]) -> ImplicitSurface:  # type: ignore[override]
+        return ImplicitSurface.of(cls, values, cls.ends(values), cls.mechanics)
+
+    def profile(self, count: int = 65) -> np.ndarray:
+        return np.column_stack(self.generatrix(np.linspace(*self.ends(self.values), count), self.values))
+
+    @property
+    def outer_radius(self) -> float:
+        return float(self.profile(PROFILE)[:, 0].max())
+
+    @property
+    def flipped(self) -> bool:
+        (r0, z0), (r, z), (r1, z1) = self.profile(3)
+        x, _, along = (float(g) for g in self.gradient(r, 0.0, z, self.values))
+        return bool(x * (z1 - z0) - along * (r1 - r0) > 0)
