@@ -13,10 +13,10 @@ import cloudpickle
 import mitsuba as mi
 import numpy as np
 
+from mistray.cluster.scene_numbers import put_numbers, read_numbers
 from mistray.errors import MistrayError
 from mistray.scene import load
 from mistray.scene.source import PackedScene, source_of
-from mistray.surfaces.scene_numbers import put_numbers, read_numbers
 from mistray.trace.forward import versions
 
 SCENE, FRAME = "scene", "frame"

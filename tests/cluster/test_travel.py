@@ -17,10 +17,10 @@ import mistray
 from mistray import MistrayError, UnfinishedError
 from mistray.cli import main
 from mistray.cluster import worker
+from mistray.cluster.scene_numbers import put_numbers, read_numbers
 from mistray.cluster.travel import Parcel, Unpacked
 from mistray.execute.workers import current_workers, working_with
 from mistray.scene.source import PackedScene, source_of
-from mistray.surfaces.scene_numbers import put_numbers, read_numbers
 
 TABLE = "wavelength_nm,angle_deg,R,T\n500,0,0.25,0.7\n500,90,0.25,0.7\n600,0,0.5,0.4\n600,90,0.5,0.4\n"
 FRONT = interface_xml("air", "1.5", table="{table}")
