@@ -19,13 +19,13 @@ import numpy as np
 from mistray.kernel.bulk_scattering import BulkScattering
 from mistray.kernel.device_targets import DeviceTargets
 from mistray.kernel.lobes import RadialSampler, multilinear
+from mistray.kernel.sample_axes import SurfaceFrames
 from mistray.kernel.targets import AimSet, Place
 from mistray.scatter.lobe import Lobe, RatioTable, Scatter
 from mistray.scatter.particulate import particle_indices
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import Totals, check_budget, model_lobes, specular_cosine, totals
 from mistray.surfaces.optics import OPAQUE, Optics
-from mistray.surfaces.surface_frame import SurfaceFrames
 from mistray.surfaces.upload import upload
 
 if TYPE_CHECKING:

@@ -12,8 +12,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.kernel.sample_axes import AXES, ROW, axis_row, tangent_axis
 from mistray.ranges import AZIMUTH_DEG
-from mistray.surfaces.surface_frame import AXES, ROW, axis_row, tangent_axis
 from mistray.surfaces.upload import upload
 
 KEYS = ("sample_axis", "rotation_deg")
@@ -45,7 +45,7 @@ class SampleFrame:
 
 class SampleAxis:
     """
-    Where the x axis of a sample points, see `mistray.surfaces.surface_frame`.
+    Where the x axis of a sample points, see `mistray.kernel.sample_axes`.
 
     Parameters
     ----------
