@@ -38,8 +38,8 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
     monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
 
     # Pictures take seconds, and are not asked for here
-    monkeypatch.setattr(importlib.import_module("mistray.report.output"), "html_text", lambda *_: "")
-    for module in ("output", "pst_output"):
+    monkeypatch.setattr(importlib.import_module("mistray.report.ghosts_output"), "html_text", lambda *_: "")
+    for module in ("ghosts_output", "pst_output"):
         monkeypatch.setattr(importlib.import_module(f"mistray.report.{module}"), "draw", lambda *_: {})
     return traced
 

@@ -258,7 +258,7 @@ ELSEWHERE = {
     "mistray/cache/store.py: draft.open": "a file that is written",
     "mistray/cli/program.py: os.open": "the null device, to write to",
     "mistray/replace_file.py: open": "what is open already, to write to",
-    "mistray/report/html/page.py: read_text": "a part of mistray",
+    "mistray/report/html/render.py: read_text": "a part of mistray",
     "mistray/files/irradiance_files.py: fits.open": "bytes of read_file",
     "mistray/files/irradiance_files.py: openexr.File": "a file to write; after require_file",
     "mistray/files/irradiance_files.py: draft.read_bytes": "a file that was written just now",

@@ -143,7 +143,7 @@ def test_a_run_that_was_saved_is_named(
         raise stop
 
     with monkeypatch.context() as patch:
-        patch.setattr(f"mistray.report.{module}.write_files", stopped)
+        patch.setattr(f"mistray.report.{module}.write_report", stopped)
         code = main([*words, "--out", "out"])
     said = capsys.readouterr().err
     assert code == (2 if isinstance(stop, MistrayError) else 130)

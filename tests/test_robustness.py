@@ -28,7 +28,7 @@ from mistray.cli import program
 from mistray.cli.program import main
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
-from mistray.report import output, write_all
+from mistray.report import ghosts_output, output, write_all
 from mistray.report.output import writable_directory, write_files
 
 MISTRAY = [sys.executable, "-m", "mistray"]
@@ -54,8 +54,8 @@ def everything(folder: Path) -> dict[str, bytes]:
 @pytest.fixture
 def small_report(monkeypatch: pytest.MonkeyPatch) -> GhostReport:
     """A report whose pictures, which take seconds, are not drawn."""
-    monkeypatch.setattr(output, "draw", lambda *_: {"overview.png": CONTENTS[0]})
-    monkeypatch.setattr(output, "html_text", lambda *_: CONTENTS[1].decode())
+    monkeypatch.setattr(ghosts_output, "draw", lambda *_: {"overview.png": CONTENTS[0]})
+    monkeypatch.setattr(ghosts_output, "html_text", lambda *_: CONTENTS[1].decode())
     return GhostReport(lens_scene(), {0.0: trace_at(0.0)}, trace_at(0.0), {})
 
 

@@ -13,9 +13,10 @@ if TYPE_CHECKING:
     from mistray.report.figures.objects import objects_layout
     from mistray.report.figures.plots import ghost_image, levels_against_field, montage
     from mistray.report.formats import write_formats
-    from mistray.report.html.ghosts import html_text, write_html
+    from mistray.report.ghosts.report import html_text, write_html
+    from mistray.report.ghosts_output import write_all, write_png
     from mistray.report.objects_output import write_objects
-    from mistray.report.output import writable_directory, write_all, write_png
+    from mistray.report.output import writable_directory
     from mistray.report.pst_output import write_pst
     from mistray.report.rays.path_rays import RayLine, rays_of_paths
     from mistray.report.rays.path_sort import SortedPath, parse_path_sort, path_sort_text
@@ -37,13 +38,14 @@ __all__ = lazy_package(
         "colour": ("ColourPictures", "Look"),
         "tables.ghosts_csv": ("write_csv",),
         "formats": ("write_formats",),
-        "html.ghosts": ("html_text", "write_html"),
+        "ghosts.report": ("html_text", "write_html"),
         "mistray.files.irradiance_files": ("IrradianceMap", "read_irradiance", "write_irradiance"),
         "figures.layout": ("layout", "layout_figure", "write_layout"),
         "objects_output": ("write_objects",),
         "figures.objects": ("objects_layout",),
         "tables.objects": ("objects_text",),
-        "output": ("writable_directory", "write_all", "write_png"),
+        "ghosts_output": ("write_all", "write_png"),
+        "output": ("writable_directory",),
         "mistray.files.parquet": ("write_parquet",),
         "rays.path_rays": ("RayLine", "rays_of_paths"),
         "rays.path_sort": ("SortedPath", "parse_path_sort", "path_sort_text"),

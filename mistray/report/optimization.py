@@ -3,18 +3,38 @@
 from __future__ import annotations
 
 import secrets
+from collections.abc import Mapping
+from dataclasses import asdict
 from pathlib import Path
 
 import pandas as pd
+from markupsafe import Markup
 
 from mistray.optimize import Optimization
+from mistray.optimize.study.goals import holds
 from mistray.report.figures.optimization import reflectance_figure, search_figure, variables_figure
 from mistray.report.figures.plots import as_png
-from mistray.report.html.optimization import optimization_html
-from mistray.report.optimization_tables import history_frame, variables_frame
-from mistray.report.output import csv_text, writable_directory, write_files
+from mistray.report.model import Figure, Items, Note, Part, Report, Section
+from mistray.report.optimization_tables import (
+    all_terms_table,
+    before_after,
+    goal_text,
+    history_frame,
+    layers_table,
+    moved_table,
+    variables_frame,
+)
+from mistray.report.output import writable_directory, write_report
+from mistray.report.parts import settings_section
+from mistray.report.tables.text import with_error
 from mistray.scene.recoat import recoated, write_recoated
 from mistray.scene.rewrite import rewritten
+
+CAPTIONS = {
+    "reflectance.png": "R(λ) before and after.",
+    "search.png": "Merit, terms and gradient during the search.",
+    "variables.png": "Variables during the best search.",
+}
 
 
 def scene_text(result: Optimization, directory: Path) -> str:
@@ -53,17 +73,71 @@ def write_optimization(result: Optimization, directory: str | Path, command: str
     """
     target = writable_directory(directory)
     target.mkdir(parents=True, exist_ok=True)
+    return write_report(optimization_report(result, command), target, scene_text(result, target))
+
+
+def optimization_report(result: Optimization, command: str = "") -> Report:
+    """The report, but for the scene; `command` is the command line that made it."""
     pictures = {"search.png": as_png(search_figure(result)), "variables.png": as_png(variables_figure(result))}
+    sections = [
+        Section("terms", "Terms before and after", [all_terms_table(result)]),
+        Section("variables", "Variables", [moved_table(result), _picture(pictures, "variables.png")]),
+    ]
     if result.placed:
         pictures["reflectance.png"] = as_png(reflectance_figure(result))
+        first = [f"{item.group.name}: the first layer lies {item.group.start.first}." for item in result.placed]
+        parts = [*map(Note, first), layers_table(result), _picture(pictures, "reflectance.png")]
+        sections.append(Section("coatings", "Coatings", parts))
+    sections.append(Section("search", "Search", [*_search(result), _picture(pictures, "search.png")]))
+    study = result.study
+    facts: dict[str, object] = {"scene": str(result.source), "study": study.name}
+    for term in study.terms:
+        values = {**vars(term), **term.own, **term.traced}
+        facts |= {f"{term.name}.{key}": v for key, v in values.items() if key not in ("name", "own", "traced")}
+    facts |= {f"optimizer.{key}": value for key, value in asdict(study.optimizer).items()}
+    facts["seeds of the comparison"] = result.comparison.seeds
+    seeds = f"Measured with {len(result.comparison.seeds)} seeds that the search has not used."
     source = result.source.resolve()
-    title = source.parent.name if source.name == "scene.xml" else source.stem
-    files: dict[str, str | bytes] = {
-        "scene.xml": scene_text(result, target),
-        "terms.csv": csv_text(pd.DataFrame([vars(row) for row in result.comparison.rows])),
-        "variables.csv": csv_text(variables_frame(result)),
-        "history.csv": csv_text(history_frame(result)),
-        **pictures,
-        "report.html": optimization_html(result, pictures, title, command),
-    }
-    return write_files(files, target)
+    return Report(
+        "Optimised",
+        source.parent.name if source.name == "scene.xml" else source.stem,
+        [*sections, settings_section(facts, command)],
+        lead=[Items(_findings(result)), Note(seeds)],
+        csv={
+            "terms.csv": pd.DataFrame([vars(row) for row in result.comparison.rows]),
+            "variables.csv": variables_frame(result),
+            "history.csv": history_frame(result),
+        },
+        files=pictures,
+    )
+
+
+def _findings(result: Optimization) -> list[str]:
+    """What became of the terms, in a sentence for each."""
+    texts: list[str] = []
+    for term in result.study.terms:
+        row = result.comparison.of(term.name)
+        before, after, ratio = map(with_error, before_after(row))
+        text = Markup("{}: from {} to {} {}").format(term.name, before, after, row.unit)
+        if term.goal == "minimise":
+            text += Markup(", <b>{} times smaller</b>").format(ratio)
+        else:
+            kept = Markup("holds") if holds(term, row.after, row.before) else Markup("does <b>not</b> hold")
+            text += Markup("; its limit ({}) {}").format(goal_text(term, row.before), kept)
+        texts.append(text)
+    return texts
+
+
+def _search(result: Optimization) -> list[Part]:
+    best = result.best
+    text = (
+        f"Result: start {best.start + 1} of {len(result.starts)} ({result.starts[best.start].name}), step "
+        f"{best.step}, merit {best.merit:.5g}. {result.steps[-1].evaluations} evaluations in "
+        f"{result.search_seconds:.0f} s. It is a local minimum at best."
+    )
+    ends = Items([f"start {k + 1}: {reason}" for k, reason in sorted(result.ended.items())])
+    return [Note(text), ends, *(Note(f"Not in the gradient: {what}.") for what in result.left_out)]
+
+
+def _picture(pictures: Mapping[str, bytes], name: str) -> Figure:
+    return Figure(pictures[name], CAPTIONS[name], name)

@@ -11,7 +11,8 @@ from mistray.files.json_values import plain
 from mistray.optimize import Comparison, Optimization, Term
 from mistray.optimize.study.comparison import Row
 from mistray.optimize.study.goals import holds, limit_of
-from mistray.report.tables.text import number, text_table, with_error
+from mistray.report.model import Table, Value, columns
+from mistray.report.tables.text import number, table_text
 
 AT_BOUND = 1e-6  # of the way from bound to bound
 
@@ -33,33 +34,66 @@ def kept_text(term: Term, row: Row) -> str:
     return "yes" if holds(term, row.after, row.before) else "no"
 
 
+def before_after(row: Row) -> tuple[Estimate, Estimate, Estimate]:
+    """The value before and after, and how many times it was larger before."""
+    return Estimate(row.before, row.before_se), Estimate(row.after, row.after_se), Estimate(row.ratio, row.ratio_se)
+
+
 def terms_table(result: Optimization) -> str:
     """The terms before and after, and whether their limits hold."""
-    rows = []
+    rows: list[list[Value]] = []
     for term in result.study.terms:
         row = result.comparison.of(term.name)
-        numbers = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
-        texts = (with_error(Estimate(*pair)) for pair in numbers)
-        rows.append([term.name, row.unit, *texts, goal_text(term, row.before), kept_text(term, row)])
-    heads = ["term", "unit", "before", "after", "before / after", "goal", "holds"]
-    return text_table([(head, "") for head in heads], rows, left=(0, 1, 5))
+        rows.append([term.name, row.unit, *before_after(row), goal_text(term, row.before), kept_text(term, row)])
+    heads = columns("<term", "<unit", "before", "after", "before / after", "<goal", "holds")
+    return table_text(Table(heads, rows))
 
 
 def comparison_table(comparison: Comparison) -> str:
     """Before and after: every term, each field and each wavelength of it."""
-    rows = []
+    rows: list[list[Value]] = []
     for row in comparison.marginals():
         where = "all"
         if row.field_deg is not None:
             where = f"field {row.field_deg:g}°"
         elif row.wavelength_nm is not None:
             where = f"{row.wavelength_nm:g} nm"
-        numbers = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
-        rows.append(
-            [row.term if row.whole else "", where, row.unit, *(with_error(Estimate(*pair)) for pair in numbers)]
-        )
-    heads = ["term", "", "unit", "before", "after", "before / after"]
-    return text_table([(head, "") for head in heads], rows, left=(0, 1, 2))
+        rows.append([row.term if row.whole else "", where, row.unit, *before_after(row)])
+    return table_text(Table(columns("<term", "<", "<unit", "before", "after", "before / after"), rows))
+
+
+def all_terms_table(result: Optimization) -> Table:
+    """Every term, at each field and wavelength."""
+    goals = {term.name: term for term in result.study.terms}
+    rows: list[list[Value]] = []
+    for row in result.comparison.rows:
+        place = ("all" if value is None else f"{value:g}" for value in (row.field_deg, row.wavelength_nm))
+        goal = goal_text(goals[row.term], row.before) if row.whole else ""
+        rows.append([row.term, *place, row.unit, *before_after(row), goal])
+    heads = columns("term", "field [deg]", "wavelength [nm]", "unit", "before", "after", "before / after", "goal")
+    return Table(heads, rows, "t-terms")
+
+
+def moved_table(result: Optimization) -> Table:
+    """The variables before and after, and what they move."""
+    rows = []
+    for v, x in zip(result.variables.variables, result.best.x, strict=True):
+        moved = [f"{p.label} × {p.factor:g}" if p.factor != 1 else p.label for p in v.places]
+        rows.append([v.name, v.unit, *map(number, (v.start, x, v.low, v.high)), ", ".join(moved)])
+    return Table(columns("variable", "unit", "before", "after", "low", "high", "parameters"), rows, "t-variables")
+
+
+def layers_table(result: Optimization) -> Table:
+    """The coatings, layer by layer."""
+    rows: list[list[Value]] = []
+    for item in result.placed:
+        name = item.group.name
+        before, after = result.thickness_nm(name, result.steps[0]), result.thickness_nm(name)
+        for k, layer in enumerate(item.group.start.layers):
+            thickness = [f"{d[k]:.2f}" for d in (before, after)]
+            rows.append([name, ", ".join(item.surfaces), k + 1, layer.material, *thickness])
+    heads = columns("coating", "surfaces", "layer", "material", "before [nm]", "after [nm]")
+    return Table(heads, rows, "t-coatings", sortable=False)
 
 
 def variables_table(result: Optimization) -> str:
@@ -70,8 +104,7 @@ def variables_table(result: Optimization) -> str:
         moved = variable.places[0].label if len(variable.places) == 1 else f"{len(variable.places)} parameters"
         bounds = f"{number(variable.low)} … {number(variable.high)}"
         rows.append([variable.name, variable.unit, number(variable.start), f"{number(x)}{held}", bounds, moved])
-    heads = ["variable", "unit", "before", "after", "bounds", "moves"]
-    table = text_table([(head, "") for head in heads], rows, left=(0, 1, 5))
+    table = table_text(Table(columns("<variable", "<unit", "before", "after", "bounds", "<moves"), rows))
     return f"{table}\n* at its bound" if any("*" in row[3] for row in rows) else table
 
 

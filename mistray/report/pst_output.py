@@ -2,18 +2,61 @@
 
 from __future__ import annotations
 
-import json
+import functools
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
+from markupsafe import Markup
 
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.pst.causes import breaks, cause_frame, field_edge
 from mistray.analysis.pst.result import Pst
 from mistray.report.figures.plots import as_png
 from mistray.report.figures.pst import pst_causes, pst_curve, pst_irradiance, pst_map
-from mistray.report.html.pst import html_text
-from mistray.report.output import csv_text, write_files
-from mistray.report.tables.pst import cell_frame, curve_frame, path_frame, pst_record
+from mistray.report.model import Figure, Hover, Note, Report, Section
+from mistray.report.output import write_report
+from mistray.report.parts import settings_section, thousands, version_settings
+from mistray.report.tables.pst import (
+    DEFINITIONS,
+    DENOMINATOR,
+    breaks_table,
+    cell_frame,
+    curve_frame,
+    curve_table,
+    heading,
+    name_of,
+    path_frame,
+    paths_table,
+    pst_record,
+    shown_classes,
+    warnings,
+)
+from mistray.report.tables.text import ABSENT, number, with_error
+
+CURVE = "PST of all light, of the stray light and of each class; below, relative standard errors."
+CAUSES = "Where the stray light comes from: first surface that scatters it; ghosts are light only reflected."
+MAP = "PST over field angle and azimuth; the point of a map is the direction in which the light travels."
+DETECTOR = "Irradiance on the detector from a distant source of 1 W/mm² across its beam, each on its own scale."
+MEANINGS = (
+    ("E_det", "flux that meets the detector, on both sides and at every hit, over its area; what it absorbs of it does "
+     "not matter"),
+    ("E_⊥", "irradiance of the distant source on a plane across its beam"),
+    ("θ", "angle between the beam and the axis; the PST of an angle is the mean over its cell of directions"),
+    ("direct image", "light through the optics without scatter and without any reflection but those of mirrors"),
+    ("straight shots", "light without scatter and reflection too, but past the optics, through an edge or a bevel, or "
+     "with total reflection"),
+    ("ghosts", "light that is reflected by optics or structure, and not scattered"),
+    ("single, multiple scatter", "light that is scattered once, or several times, with or without reflections"),
+    ("stray light", "all light but the direct image"),
+    ("of stray light", "share of the stray light at this angle; the same denominator for all paths of an angle"),
+    ("largest ray", "share of the scattered light of a cell in its strongest single ray; where it is large the tails "
+     "of the distribution are not sampled, and both the value and its error are likely too small"),
+    ("edge of the field", "angle at which the direct image has half of its PST at the smallest angle, interpolated"),
+    ("break", "angle at which the slope of log10 PST of the stray light changes abruptly: another cause takes over"),
+    ("± ", "one standard error, from the spread of independent batches of start rays"),
+)  # fmt: skip
 
 
 def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ()) -> dict[str, bytes]:
@@ -94,10 +137,102 @@ def write_pst(
     list of Path
         The files written.
     """
+    return write_report(pst_report(pst, title, command, paths_shown, maps_at), directory)
+
+
+def pst_report(
+    pst: Pst,
+    title: str = "scene",
+    command: str = "",
+    paths_shown: int = 4,
+    maps_at: Sequence[tuple[float, float]] = (),
+) -> Report:
+    """The report; see `write_pst`."""
     pictures = draw(pst, title, maps_at)
-    record = {"title": title, "command": command} | pst_record(pst, paths_shown)
-    files: dict[str, str | bytes] = {name: csv_text(table) for name, table in csv_tables(pst).items()}
-    files |= pictures
-    files["pst.json"] = json.dumps(record, indent=1, allow_nan=False)
-    files["report.html"] = html_text(pst, title, command, pictures, paths_shown)
-    return write_files(files, directory)
+    detector = [Figure(png, "", name[:-4]) for name, png in pictures.items() if name.startswith("irradiance_")]
+    has_paths = pst.path_rows is not None and paths_shown > 0
+    sections = [Section("curve", "Curve", [curve_figure(pst, title)], "Curve")]
+    if has_paths:
+        found, parts = breaks(pst), [causes_figure(pst, title)]
+        bends = [Note("Breaks of the curve of stray light", "h3"), breaks_table(found)] if found else []
+        sections.append(Section("causes", "Causes", [*parts, *bends], "Causes"))
+    if "pst_map.png" in pictures:
+        drawn = Figure(pictures["pst_map.png"], MAP, "PST over field angle and azimuth")
+        sections.append(Section("map", "Map", [drawn], "Map"))
+    if detector:
+        sections.append(Section("detector", "Detector", [Note(DETECTOR), *detector], "Detector"))
+    sections.append(Section("table", "Table", [Note(f"{DEFINITIONS[pst.convention]}."), curve_table(pst)], "Table"))
+    if has_paths:
+        text = f"The {paths_shown} strongest stray paths of each angle; {DENOMINATOR}. "
+        text += "All that were kept are in pst_paths.csv."
+        sections.append(Section("paths", "Paths", [Note(text), paths_table(pst, paths_shown)], "Paths"))
+    definition, run = heading(pst).splitlines()
+    return Report(
+        "Point source transmittance",
+        title,
+        [*sections, settings_section(_facts(pst), command, MEANINGS, link="Definitions and settings")],
+        lead=[Note(Markup("{}.<br>{}.").format(definition, run), "sub"), Note(_finding(pst))],
+        warnings=warnings(pst),
+        tab="PST",
+        scripts=("report", "hover"),
+        csv=csv_tables(pst),
+        json={"pst.json": {"title": title, "command": command} | pst_record(pst, paths_shown)},
+        files=pictures,
+    )
+
+
+def _facts(pst: Pst) -> dict[str, Any]:
+    shown: dict[str, Any] = {"convention": pst.convention, "method": pst.method}
+    for key, value in pst.facts.items():
+        if isinstance(value, dict):
+            shown |= {f"{key}: {name}": item for name, item in value.items()}
+        elif key != "notes":
+            shown[key] = thousands(value) if key in ("rays", "segments") else value
+    return shown | version_settings()
+
+
+def _finding(pst: Pst) -> str:
+    """The result in two sentences."""
+    if pst.is_dark:
+        return "No light was seen at any angle."
+    angles, (total, total_se), (stray, stray_se) = pst.field_deg, pst.curve(), pst.curve("stray")
+    first = Markup("PST({:g}°) = <b>{}</b>").format(
+        angles[0], with_error(Estimate(float(total[0]), float(total_se[0])))
+    )
+    edge = field_edge(pst)
+    if edge is not None:
+        first += f", edge of the field at {edge:.1f}°"
+    outside = angles > (edge if edge is not None else -1.0)
+    lit = stray > 0
+    if not (outside & lit).any():
+        return first + "."
+    shown = (outside & lit).nonzero()[0][[0, -1]]
+    values = [f"{with_error(Estimate(float(stray[i]), float(stray_se[i])))} at {angles[i]:g}°" for i in shown]
+    where = "beyond it" if edge is not None else "over all angles"
+    return first + f". Stray light {where}: {' to '.join(dict.fromkeys(values))}."
+
+
+def curve_figure(pst: Pst, title: str = "") -> Figure:
+    """The curve of a PST, with its values for the pointer."""
+    curves = {"all light": pst.curve(), "stray light": pst.curve("stray")}
+    curves |= {name_of(group): pst.curve(group) for group in shown_classes(pst)}
+    values = [
+        [
+            (name, with_error(Estimate(float(value[i]), float(se[i]))) if value[i] else ABSENT)
+            for name, (value, se) in curves.items()
+        ]
+        for i in range(len(pst.field_deg))
+    ]
+    hover = Hover("data-curve", list(pst.field_deg), [f"PST at {angle:g}°" for angle in pst.field_deg], values)
+    return Figure(functools.partial(pst_curve, pst, title), CURVE, hover=hover)
+
+
+def causes_figure(pst: Pst, title: str = "") -> Figure:
+    """The shares of the causes of stray light, with their values for the pointer."""
+    values = [
+        [(str(name), f"{number(float(share), 3)} %") for name, share in row.items() if share > 0]
+        for _, row in cause_frame(pst).iterrows()
+    ]
+    titles = [f"stray light at {angle:g}°" for angle in pst.field_deg]
+    hover = Hover("data-causes", list(pst.field_deg), titles, values)
+    return Figure(functools.partial(pst_causes, pst, title), CAUSES, hover=hover)

@@ -3,20 +3,94 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import pandas as pd
+from markupsafe import Markup
 
+from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.study.run import Study
+from mistray.analysis.study.step import StudyStep
 from mistray.report.figures.layout import layout
 from mistray.report.figures.objects import objects_layout
 from mistray.report.figures.plots import as_png, levels_against_field, montage
-from mistray.report.html.study import study_html
-from mistray.report.output import csv_text, write_files
+from mistray.report.ghosts.fields import explored_paths
+from mistray.report.ghosts.ledgers import energy_ledger
+from mistray.report.ghosts.report import ASSUMPTIONS, DEFINITIONS, POLARIZATION, SCATTERED
+from mistray.report.html.explorer import page_data
+from mistray.report.model import Figure, Folded, Items, Note, Part, Report, Section, Terms
+from mistray.report.output import write_report
+from mistray.report.parts import settings_section, thousands
+from mistray.report.pst_output import causes_figure, curve_figure
+from mistray.report.tables.frames import frame_table
+from mistray.report.tables.study import fact_text, step_warnings, study_warnings
+
+ROWS_OPEN = 30  # tables with more rows are folded
+ROWS_FILTERED = 15  # tables with more rows have a filter
+CAPTIONS = {
+    "layout.png": "Section of the system with rays of the direct image on axis.",
+    "objects.png": "What the detector sees, what light from outside reaches, and what is both.",
+    "ghost_images.png": "Irradiance on the detector at the fields of the ghost analysis, one log10 scale.",
+    "ghost_levels.png": "Power by kind of light, and the ten worst stray paths at every field.",
+    "worst_ghosts.png": "Rays of the worst ghosts, at the field where they are brightest.",
+}
+"""Pictures of a study by file name."""
+FIGURES = {
+    "optical_model": ("layout.png",),
+    "common_objects": ("objects.png",),
+    "analysis": ("ghost_images.png", "ghost_levels.png", "worst_ghosts.png"),
+}
+TABLES = {
+    "optical_surfaces": "Surfaces in the order of the light",
+    "structure": "Surfaces that are not optics of the design path",
+    "critical": "Critical objects, the strongest first",
+    "straight_shots": "Views of the outside past the optics",
+    "illuminated": "Illuminated objects, the strongest first",
+    "common": "Common objects, in the order of the light",
+    "optics": "Optics: common by design",
+    "apart": "Objects that are lit in one place and seen in another, and so are not common",
+    "product_estimate": "Estimate of the first-order scatter of every object at every source angle",
+    "treatments": "What surfaces do to light, surfaces alike together",
+    "surface_budget": "R + T + TIS + A of every surface",
+    "scatter_models": "TIS of every scatter model alone",
+    "targets": "Targets of every surface that scatters",
+    "paraxial_targets": "Paraxial images of the detector behind the surfaces of the path, beside the targets traced",
+    "aimed_rays": "Aimed rays in the check, and their share that reaches the detector without a further reflection",
+    "pst": "PST by class of the light, and the main cause of the stray light",
+    "pst_top_paths": "The strongest stray paths of every angle",
+    "pst_breaks": "Breaks of the curve of stray light, in decades of PST per degree",
+    "first_level_scatter": "First-level scatter (scattered once, not reflected) by angle and surface",
+    "zero_order_paths": "Zero-order paths: neither scattered nor reflected, and no image",
+    "ghosts": "Ghosts: summary of the fields",
+    "worst_ghosts": "The worst ghosts of every field by RMS irradiance, and the strongest by power",
+}
+"""Titles of the tables by name; one that is not here has its name as title."""
+
+
+SOURCES = (
+    "Ghosts: one collimated beam for each field angle, of the size and irradiance that the scene states. PST: a plane "
+    "wave over the whole scene from all azimuths, averaged over a cell of angles."
+)
+_GHOST_TERMS = ("RMS radius", "RMS irradiance", "normalised", "stray light", "stray/nominal", "± ")
+_PST_TERMS = (
+    ("PST, normal", "irradiance on the detector, averaged over its area, over that of the beam on a plane across it"),
+    ("PST, projected", "the same over the irradiance on the plane of the aperture: PST normal / cos θ"),
+    ("critical object", "what the detector sees through the optics"),
+    ("illuminated object", "what light from outside reaches"),
+    ("common object", "both critical and illuminated: one scatter event there sends light to the detector"),
+    ("TIS", "total integrated scatter: what a surface scatters into one hemisphere, share of the incident light"),
+    ("first-level scatter", "light that is scattered once and never reflected, mirrors apart"),
+    ("zero-order path", "a way to the detector without scatter and without reflection, mirrors apart, that is not the "
+     "image"),
+    ("break", "angle at which the slope of log10 PST of the stray light changes abruptly"),
+    ("main cause", "first surface that scatters the light, structure that reflects it, ghosts, or straight shots"),
+)  # fmt: skip
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
-    """The pictures of a study as PNG by file name; see `mistray.report.html.study.CAPTIONS`."""
+    """The pictures of a study as PNG by file name; see `CAPTIONS`."""
     report = study.ghosts
     on_axis = min(report, key=abs)
     pictures = {
@@ -56,6 +130,87 @@ def write_study(study: Study, directory: str | Path, command: str = "") -> list[
     list of Path
         The files written; report.html is the last.
     """
-    files: dict[str, str | bytes] = {name: csv_text(frame) for name, frame in csv_tables(study).items()}
-    files["report.html"] = study_html(study, draw_study(study), command)
-    return write_files(files, directory)
+    return write_report(study_report(study, command), directory)
+
+
+def study_report(study: Study, command: str = "") -> Report:
+    """The report; `command` is the command line that made it."""
+    settings = study.settings
+    angles, fields = settings["pst_field_deg"], settings["field_deg"]
+    lines = ", ".join(f"{line:g}" for line in settings["wavelength_nm"])
+    text = (
+        f"PST at {len(angles)} angles from {angles[0]:g} to {angles[-1]:g}° ({settings['convention']}), ghosts at "
+        f"{', '.join(f'{field:g}' for field in fields)}°, {lines} nm, {thousands(settings['rays'])} start rays."
+    )
+    pictures = draw_study(study)
+    findings: list[Part] = []
+    for step in study.steps:
+        if step.findings:
+            heading = Markup('<a href="#{}">{} {}</a>').format(step.key, step.number, step.title)
+            findings += [Note(heading, "h3"), Items(step.findings)]
+    return Report(
+        "Stray-light study",
+        study.name,
+        [
+            Section("findings", "Findings", findings, "Findings"),
+            *(_step(study, step, pictures) for step in study.steps),
+            _settings(study, command),
+        ],
+        lead=[Note(text, "sub")],
+        warnings=study_warnings(study),
+        contents=True,
+        scripts=("report", "hover", "explorer"),
+        csv=csv_tables(study),
+    )
+
+
+def _step(study: Study, step: StudyStep, pictures: Mapping[str, bytes]) -> Section:
+    warnings = step_warnings(study, step)
+    parts: list[Part] = [Note(step.text)]
+    parts += [Items(warnings, "warnings")] if warnings else []
+    parts += [Terms([(fact.name, fact_text(fact)) for fact in step.facts])] if step.facts else []
+    if step.key == "analysis":
+        parts.append(curve_figure(study.pst, study.name))
+        parts += [] if study.pst.is_dark else [causes_figure(study.pst, study.name)]
+    parts += [Figure(pictures[name], CAPTIONS[name]) for name in FIGURES.get(step.key, ()) if name in pictures]
+    for name, frame in step.tables.items():
+        parts += _table(name, frame)
+    if step.key == "analysis":
+        parts += _ghosts(study.ghosts)
+    title = f"{step.number} {step.title}"
+    return Section(step.key, title, [*parts, Note(f"{step.seconds:.1f} s", "note")], title)
+
+
+def _ghosts(report: GhostReport) -> list[Part]:
+    """The paths of every field to explore, and the energy ledger of the fields."""
+    parts: list[Part] = [page_data(report.scene)]
+    for number, field in enumerate(report):
+        parts.append(Note(f"Paths of the ghosts, field {field:g}°", "h3"))
+        parts += explored_paths(report, field, f"t-field-{number}")
+    return [*parts, Note("Energy ledger of the ghosts", "h3"), *energy_ledger(report, False)]
+
+
+def _table(name: str, frame: pd.DataFrame) -> list[Part]:
+    title = Note(TABLES.get(name, name), "h3")
+    if frame.empty:
+        return [title, Note("none", "note")]
+    table = frame_table(f"t-{name}", frame)
+    if len(frame) > ROWS_FILTERED:
+        table = replace(table, filter=("filter rows", f"filter {name}"))
+    if len(frame) > ROWS_OPEN:
+        return [title, Folded(f"{len(frame)} rows", [table])]
+    return [title, table]
+
+
+def _settings(study: Study, command: str) -> Section:
+    traced = study.pst.facts.get("settings", {})
+    ghosts = next(iter(study.ghosts.values())).settings
+    words = {
+        "polarization": POLARIZATION[ghosts["polarization"]],
+        "scatter": SCATTERED.format(max_scatters=traced.get("max_scatters", ghosts["max_scatters"])),
+    }
+    assumptions = [*(text.format(**words) for text in ASSUMPTIONS[:-1]), SOURCES]
+    definitions = [*_PST_TERMS, *(pair for pair in DEFINITIONS if pair[0] in _GHOST_TERMS)]
+    shown = study.settings | {f"PST {key}": study.pst.facts[key] for key in ("rays", "seconds")}
+    shown |= {f"version of {name}": version for name, version in dict(ghosts.get("versions") or {}).items()}
+    return settings_section(shown, command, definitions, assumptions, link="Settings")

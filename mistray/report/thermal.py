@@ -2,30 +2,23 @@
 
 from __future__ import annotations
 
-import json
+import functools
 import math
-from collections.abc import Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
-from matplotlib.ticker import LogLocator
+from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.thermal.emission import Emitter, ThermalReport
+from mistray.analysis.thermal.emission import ThermalReport
 from mistray.files.json_values import plain
-from mistray.report.figures.figure import Figure
-from mistray.report.figures.plots import BLUE, GREEN, ORANGE, VERMILION, as_png, as_svg
-from mistray.report.html.markup import cell, data_table, figure, number_cell, section, setting_text, thousands
-from mistray.report.html.page import page
-from mistray.report.output import csv_text, write_files
-from mistray.report.tables.text import ABSENT, number, text_table, with_error
+from mistray.report.model import Figure, Note, Report, Section, Table, Value, columns
+from mistray.report.output import write_report
+from mistray.report.parts import settings_section, thousands
+from mistray.report.tables.text import ABSENT, number, table_text, with_error
 
-SHOWN, RETURNS_SHOWN = 12, 6  # rows of the printed tables, and bars of the picture
-KIND_COLOURS = {"surface": BLUE, "medium": GREEN}
-COLD_COLOUR = ORANGE
+SHOWN, RETURNS_SHOWN = 12, 6  # rows of the printed tables
 MEANINGS = (
     ("irradiance", "W/mm² in the band, that meets the detector; 1 W/mm² = 10⁶ W/m²"),
     ("share", "n² times the share of the detector's view, of Lambertian rays, that meets a surface"),
@@ -63,46 +56,69 @@ def heading(report: ThermalReport) -> str:
     )
 
 
+def emitter_table(report: ThermalReport) -> Table:
+    """The surfaces and media that emit, the strongest first."""
+    heads = columns(
+        "<emitter", "<part", "<kind", "temperature [K]", "rays", "share [n²]", "emission [n²]", "irradiance [W/mm²]",
+        "of total [%]",
+    )  # fmt: skip
+    rows: list[list[Value]] = [
+        [e.name, e.part, e.kind, f"{e.temperature_K:g}", e.hits, e.share, e.emission, e.irradiance_W_mm2,
+         _percent(report, e.irradiance_W_mm2.value)]
+        for e in report.emitters
+    ]  # fmt: skip
+    return Table(heads, rows, "t-surfaces")
+
+
+def return_table(report: ThermalReport) -> Table:
+    """Surfaces by which the detector sees itself."""
+    rows: list[list[Value]] = [[r.surface, r.part, r.emission, r.nitd_K] for r in report.returned]
+    return Table(columns("<surface", "<part", "emission [n²]", "NITD [K]"), rows, "t-returns")
+
+
+def part_table(report: ThermalReport) -> Table:
+    """Irradiance by part of the system."""
+    rows: list[list[Value]] = [[part, value, _percent(report, value.value)] for part, value in report.by_part().items()]
+    return Table(columns("<part", "irradiance [W/mm²]", "of total [%]"), rows, "t-parts")
+
+
 def thermal_text(report: ThermalReport, shown: int = SHOWN) -> str:
     """What `mistray thermal` prints: the strongest emitters, the sums, and what to mind."""
-    columns = [("emitter", ""), ("part", ""), ("T", "K"), ("emission", "1"), ("irradiance", "W/mm²"), ("of total", "%")]
-    total = report.total_W_mm2.value
-    rows = [
-        [
-            e.name,
-            e.part or "(medium)",
-            f"{e.temperature_K:g}",
-            with_error(e.emission),
-            with_error(e.irradiance_W_mm2),
-            _percent(e, total),
-        ]
-        for e in report.emitters[:shown]
-    ]
-    rest = report.emitters[shown:]
-    if rest:
-        power = sum(e.irradiance_W_mm2.value for e in rest)
-        share = f"{100 * power / total:.3g}" if total > 0 else ABSENT
-        rows.append([f"… and {len(rest)} more", "", "", "", number(power, 4), share])
-    sums = [[text, unit, _shown(value)] for text, unit, value in summary_rows(report)]
-    parts = [heading(report), text_table(columns, rows, left=(0, 1)) if rows else "nothing emits", ""]
-    parts.append(text_table([("", ""), ("unit", ""), ("value", "")], sums, left=(0, 1)))
+    rows: list[list[Value]] = [
+        [e.name, e.part or "(medium)", f"{e.temperature_K:g}", e.emission, e.irradiance_W_mm2,
+         _percent(report, e.irradiance_W_mm2.value)]
+        for e in report.emitters
+    ]  # fmt: skip
+    left = report.emitters[shown:]
+    power = sum(e.irradiance_W_mm2.value for e in left)
+    rest = [f"… and {len(left)} more", "", "", "", number(power, 4), _percent(report, power)]
+    heads = columns("<emitter", "<part", "T [K]", "emission [1]", "irradiance [W/mm²]", "of total [%]")
+    emitters = Table(heads, rows, most=shown, rest=rest, empty="nothing emits")
+    sums = Table(columns("<", "<unit", "value"), _sums(report, 3))
+    parts = [heading(report), table_text(emitters), "", table_text(sums)]
     if report.returned:
-        columns = [("the detector sees itself by", ""), ("part", ""), ("emission", "1"), ("NITD", "K")]
-        rows = [
-            [r.surface, r.part, with_error(r.emission), with_error(r.nitd_K)] for r in report.returned[:RETURNS_SHOWN]
-        ]
-        parts += ["", text_table(columns, rows, left=(0, 1))]
-    parts += [f"warning: {note}" for note in report.notes]
-    return "\n".join(parts)
+        returns = columns("<the detector sees itself by", "<part", "emission [1]", "NITD [K]")
+        parts += ["", table_text(Table(returns, return_table(report).rows), RETURNS_SHOWN)]
+    return "\n".join([*parts, *(f"warning: {note}" for note in report.notes)])
 
 
-def _shown(value: Estimate) -> str:
-    """A number, with its error if that is known."""
-    return with_error(value) if math.isfinite(value.se) else number(value.value, 3)
+def _sums(report: ThermalReport, digits: int) -> list[list[Value]]:
+    """What is known of the whole: text, unit and number, with its error if that is known."""
+    rows = [
+        ("self-emission", "W/mm²", report.total_W_mm2),
+        (f"image of a blackbody scene at {report.scene_K:g} K", "W/mm²", report.image_W_mm2),
+        ("scene by all paths", "W/mm²", report.scene_W_mm2),
+        ("self-emission / image", "1", report.to_image),
+        ("detector in its own view (emission)", "1", report.self_view),
+        ("NITD", "K", report.nitd_K),
+        ("not followed to its source", "W/mm²", Estimate(report.lost_W_mm2, math.nan)),
+    ]
+    return [[text, unit, v if math.isfinite(v.se) else number(v.value, digits)] for text, unit, v in rows]
 
 
-def _percent(emitter: Emitter, total: float) -> str:
-    return f"{100 * emitter.irradiance_W_mm2.value / total:.3g}" if total > 0 else ABSENT
+def _percent(report: ThermalReport, power: float) -> str:
+    total = report.total_W_mm2.value
+    return f"{100 * power / total:.3g}" if total > 0 else ABSENT
 
 
 def return_frame(report: ThermalReport) -> pd.DataFrame:
@@ -125,123 +141,37 @@ def thermal_record(report: ThermalReport) -> dict[str, Any]:
     return found
 
 
-def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
-    """Irradiance by surface and medium as bars, the strongest first, and lines for all of it and for the scene."""
-    lit = [e for e in report.emitters if e.irradiance_W_mm2.value > 0][:SHOWN]
-    made = Figure(figsize=(8.6, 1.4 + 0.32 * max(len(lit), 3)), dpi=120, layout="constrained")
-    axes = made.subplots()
-    values = np.array([e.irradiance_W_mm2.value for e in lit])
-    colours = [COLD_COLOUR if e.temperature_K < report.temperature_K else KIND_COLOURS[e.kind] for e in lit]
-    axes.barh(range(len(lit)), values, color=colours, height=0.7)
-    errors = np.array([e.irradiance_W_mm2.se for e in lit])
-    axes.errorbar(values, range(len(lit)), xerr=np.minimum(errors, 0.9 * values), fmt="none", ecolor="#333333", lw=0.9)
-    axes.set_yticks(range(len(lit)), [e.name for e in lit], fontsize=8)
-    axes.invert_yaxis()
-    for value, colour, text in (
-        (report.total_W_mm2.value, VERMILION, "all self-emission"),
-        (report.image_W_mm2.value, "#555555", f"image of a blackbody at {report.scene_K:g} K"),
-    ):
-        if value > 0:
-            axes.axvline(value, color=colour, lw=1.2, ls="--", label=f"{text}: {value:.3g} W/mm²")
-    if len(lit):
-        axes.set_xscale("log")
-        axes.set_xlim(max(values.min() / 3, values.max() * 1e-8))
-        axes.xaxis.set_major_locator(LogLocator(10, numticks=12))
-    axes.set_xlabel(f"irradiance on the detector, {report.band_um[0]:g} to {report.band_um[1]:g} µm [W/mm²]")
-    axes.grid(True, axis="x", color="#dddddd", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
-    if axes.get_legend_handles_labels()[0]:
-        made.legend(loc="outside upper right", fontsize=8, frameon=False, ncols=2)
-    made.suptitle(title, fontsize=10, x=0.01, ha="left")
-    note = "bars of one standard error; blue: surfaces, green: media, orange: what is colder than the rest"
-    made.supxlabel(note, fontsize=7.5, color="#555555")
-    return made
+def thermal_report(report: ThermalReport, title: str = "scene", command: str = "") -> Report:
+    """The report; `title` is the name of the optical system, `command` the command line that made it."""
+    from mistray.report.figures.plots import as_png
+    from mistray.report.figures.thermal import thermal_figure
 
-
-def html_text(report: ThermalReport, title: str = "scene", command: str = "") -> str:
-    """The report as HTML text; `title` is the name of the system, `command` the command line that made it."""
-    parts = [
-        ("picture", "Emitters", figure(as_svg(thermal_figure(report)), "Irradiance by surface and medium.")),
-        ("sums", "Sums", _sums(report)),
-        ("parts", "By part", _parts(report)),
-        ("surfaces", "By surface", _surfaces(report.emitters, report.total_W_mm2.value)),
-        *([("narcissus", "Narcissus", _returns(report))] if report.returned else []),
-        ("settings", "Definitions and settings", _settings(report, command)),
-    ]
-    links = "".join(f'<a href="#{anchor}">{text}</a>' for anchor, text, _ in parts)
-    box = ""
-    if report.notes:
-        items = "".join(f"<li>{escape(note)}</li>" for note in report.notes)
-        box = f'<div class="warnings"><b>Mind</b><ul>{items}</ul></div>'
-    finding = f"Self-emission on the detector: <b>{with_error(report.total_W_mm2)} W/mm²</b>"
+    finding = Markup("Self-emission on the detector: <b>{} W/mm²</b>").format(with_error(report.total_W_mm2))
     if math.isfinite(report.to_image.value):
         finding += f", {with_error(report.to_image)} of the image of a blackbody scene at {report.scene_K:g} K"
-    head = (
-        f'<header><h1>Thermal self-emission: {escape(title)}</h1><p class="sub">{escape(heading(report))}.</p>'
-        f"<p>{finding}.</p>{box}<nav>{links}</nav></header>"
-    )
-    return page(f"Thermal self-emission: {title}", [head, *(section(*part) for part in parts)])
-
-
-def _sums(report: ThermalReport) -> str:
-    rows = [[cell(text, "t"), cell(unit), _number(value)] for text, unit, value in summary_rows(report)]
-    return data_table("t-sums", [("", "", "t"), ("unit", ""), ("value", "")], rows, sortable=False)
-
-
-def _number(value: Estimate) -> str:
-    return number_cell(value) if math.isfinite(value.se) else cell(number(value.value, 4))
-
-
-def _parts(report: ThermalReport) -> str:
-    total = report.total_W_mm2.value
-    rows = [
-        [cell(part, "t"), number_cell(value), cell(f"{100 * value.value / total:.3g}" if total > 0 else ABSENT)]
-        for part, value in report.by_part().items()
-    ]
-    return data_table("t-parts", [("part", "", "t"), ("irradiance", "W/mm²"), ("of total", "%")], rows)
-
-
-def _surfaces(emitters: Sequence[Emitter], total: float) -> str:
-    header = [
-        ("emitter", "", "t"), ("part", "", "t"), ("kind", "", "t"), ("temperature", "K"), ("rays", ""), ("share", "n²"),
-        ("emission", "n²"), ("irradiance", "W/mm²"), ("of total", "%"),
-    ]  # fmt: skip
-    rows = [
-        [
-            *(cell(text, "t") for text in (e.name, e.part, e.kind)),
-            cell(f"{e.temperature_K:g}"),
-            cell(str(e.hits)),
-            *(number_cell(value) for value in (e.share, e.emission, e.irradiance_W_mm2)),
-            cell(_percent(e, total)),
-        ]
-        for e in emitters
-    ]
-    return data_table("t-surfaces", header, rows)
-
-
-def _returns(report: ThermalReport) -> str:
-    text = "Where light of the detector turns back to it: one reflection, transmitted everywhere else."
-    header = [("surface", "", "t"), ("part", "", "t"), ("emission", "n²"), ("NITD", "K")]
-    rows = [
-        [cell(r.surface, "t"), cell(r.part, "t"), number_cell(r.emission), number_cell(r.nitd_K)]
-        for r in report.returned
-    ]
-    return f"<p>{text}</p>" + data_table("t-returns", header, rows)
-
-
-def _settings(report: ThermalReport, command: str) -> str:
-    definitions = "".join(f"<dt>{escape(term)}</dt><dd>{escape(text)}</dd>" for term, text in MEANINGS)
-    shown: dict[str, Any] = {"band_um": report.band_um, "wavelengths_um": report.wavelengths_um}
+    drawn = Figure(functools.partial(thermal_figure, report), "Irradiance by surface and medium.")
+    sums = Table(columns("<", "unit", "value"), _sums(report, 4), "t-sums", sortable=False)
+    returns = "Where light of the detector turns back to it: one reflection, transmitted everywhere else."
+    facts: dict[str, Any] = {"band_um": report.band_um, "wavelengths_um": report.wavelengths_um}
     for key, value in report.facts.items():
-        shown |= value if isinstance(value, dict) else {key: thousands(value) if key == "rays" else value}
-    items = "".join(
-        f"<dt>{escape(str(key))}</dt><dd>{escape(setting_text(value))}</dd>" for key, value in shown.items()
-    )
-    ran = f"<h3>Command</h3><pre>{escape(command)}</pre>" if command else ""
-    return (
-        f'<h3>Definitions</h3><dl class="settings">{definitions}</dl>'
-        f'<h3>Settings</h3><dl class="settings">{items}</dl>{ran}'
+        facts |= value if isinstance(value, dict) else {key: thousands(value) if key == "rays" else value}
+    sections = [
+        Section("picture", "Emitters", [drawn], "Emitters"),
+        Section("sums", "Sums", [sums], "Sums"),
+        Section("parts", "By part", [part_table(report)], "By part"),
+        Section("surfaces", "By surface", [emitter_table(report)], "By surface"),
+    ]
+    if report.returned:
+        sections.append(Section("narcissus", "Narcissus", [Note(returns), return_table(report)], "Narcissus"))
+    return Report(
+        "Thermal self-emission",
+        title,
+        [*sections, settings_section(facts, command, MEANINGS, link="Definitions and settings")],
+        lead=[Note(f"{heading(report)}.", "sub"), Note(finding + ".")],
+        warnings=report.notes,
+        csv=csv_tables(report),
+        json={"thermal.json": {"title": title, "command": command} | thermal_record(report)},
+        files={"thermal.png": as_png(thermal_figure(report, title))},
     )
 
 
@@ -269,11 +199,4 @@ def write_thermal(report: ThermalReport, directory: str | Path, title: str = "sc
     list of Path
         The files written.
     """
-    record = {"title": title, "command": command} | thermal_record(report)
-    files: dict[str, str | bytes] = {
-        **{name: csv_text(table) for name, table in csv_tables(report).items()},
-        "thermal.json": json.dumps(record, indent=1, allow_nan=False),
-        "thermal.png": as_png(thermal_figure(report, title)),
-        "report.html": html_text(report, title, command),
-    }
-    return write_files(files, directory)
+    return write_report(thermal_report(report, title, command), directory)

@@ -17,9 +17,10 @@ from report.fake_trace import trace_at
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.report.figures.layout import worst_paths
-from mistray.report.html import pst as html_pst
+from mistray.report.ghosts.report import html_text
 from mistray.report.html.embedded import palette_png
-from mistray.report.html.ghosts import html_text
+from mistray.report.html.render import html_page
+from mistray.report.pst_output import pst_report
 
 CHROMIUM = next(filter(None, map(shutil.which, ("chromium", "chromium-browser", "google-chrome", "chrome"))), None)
 FLAGS = (
@@ -221,7 +222,7 @@ def found(report, tmp_path_factory):
     pst = "<script>async function drive() { found.hover = values(); }</script>"
     pages = {
         "ghosts.html": (html_text(report, "lens", pictures={name: dot for name in DRAWN}), GHOSTS),
-        "pst.html": (html_pst.html_text(fake_pst(), "camera"), pst),
+        "pst.html": (html_page(pst_report(fake_pst(), "camera")), pst),
     }
     return opened(pages, tmp_path_factory.mktemp("pages"))
 

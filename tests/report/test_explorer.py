@@ -16,8 +16,9 @@ from report.fake_trace import EXTENT, SHAPE, trace_at
 from report.test_embedded import stored
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.report.html.fields import explored_paths
-from mistray.report.html.ghosts import html_text
+from mistray.report.ghosts.fields import explored_paths
+from mistray.report.ghosts.report import html_text
+from mistray.report.html.render import html_parts
 from mistray.settings import BATCHES
 
 NODE = shutil.which("node")
@@ -33,7 +34,9 @@ const given = JSON.parse(require("fs").readFileSync(0, "utf-8"));
 
 def javascript(code: str, given: object, *scripts: str) -> object:
     """Run code with the scripts of a report; `given` is its data, what it returns is the answer."""
-    sources = "\n".join(files("mistray.report").joinpath(f"{name}.js").read_text(encoding="utf-8") for name in scripts)
+    sources = "\n".join(
+        files("mistray.report.html").joinpath("assets", f"{name}.js").read_text(encoding="utf-8") for name in scripts
+    )
     done = subprocess.run(
         [str(NODE), "-e", STUB % (sources, code)], input=json.dumps(given), capture_output=True, text=True, timeout=60
     )
@@ -109,7 +112,7 @@ def test_paths_beyond_the_memory_are_the_rest(monkeypatch):
     assert list(maps.paths) == [0, 1]
     assert maps.rest.power_W.sum() == pytest.approx(table.power_W[2:].sum(), rel=1e-12)
     assert report.path_maps(0.0, list(table.index)) is maps  # made once, also if it has not all of them
-    assert f"{len(table) - 2} of these paths have no map" in explored_paths(report, 0.0, "t")
+    assert f"{len(table) - 2} of these paths have no map" in html_parts(explored_paths(report, 0.0, "t"))
 
 
 @needs_node

@@ -9,10 +9,13 @@ from report.fake_trace import SHARES, FakeTrace, trace_at, trace_in_colours
 
 from mistray.analysis.ghosts import GhostReport
 from mistray.errors import MistrayError
-from mistray.report import Look, output
-from mistray.report.html import ghosts as html
-from mistray.report.html.ghosts import html_text, write_html
-from mistray.report.output import writable_directory, write_all
+from mistray.report import Look
+from mistray.report import ghosts_output as output
+from mistray.report.ghosts import report as html
+from mistray.report.ghosts.report import html_text, write_html
+from mistray.report.ghosts_output import write_all
+from mistray.report.html.render import html_parts
+from mistray.report.output import writable_directory
 
 VOID = {"meta", "img", "input", "br", "path", "use", "rect"}
 
@@ -219,7 +222,8 @@ def test_without_the_flags_there_are_no_colours(text):
     assert "At each wavelength" not in text
 
 
-def test_assumptions_name_the_polarisation(text, report):
+def test_assumptions_name_the_polarisation(text, report, monkeypatch):
     assert "Unpolarised light at every surface" in text
     assert "as a Stokes vector" not in text
-    assert "as a Stokes vector" in html._settings(report[0.0].settings | {"polarization": "stokes"}, report, "")
+    monkeypatch.setitem(report[0.0].settings, "polarization", "stokes")
+    assert "as a Stokes vector" in html_parts(html._settings(report, "").parts)

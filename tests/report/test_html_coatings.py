@@ -9,7 +9,7 @@ from report.fake_trace import trace_at
 
 import mistray
 from mistray.analysis.ghosts import GhostReport
-from mistray.report.html.ghosts import html_text
+from mistray.report.ghosts.report import html_text
 from mistray.surfaces.surfaces import SurfaceTable
 
 

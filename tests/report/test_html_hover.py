@@ -10,8 +10,9 @@ import pytest
 from matplotlib.figure import Figure
 from report.fake_pst import fake_pst
 
-from mistray.report.html import pst as html_pst
 from mistray.report.html.hover import hover_figure
+from mistray.report.html.render import html_parts
+from mistray.report.pst_output import causes_figure, curve_figure
 
 
 def data_of(html: str) -> dict:
@@ -42,7 +43,7 @@ def test_places_are_those_of_the_drawn_points(scale):
 
 def test_curve_has_the_values_of_the_table():
     pst = fake_pst(dark_from_deg=70.0)
-    data = data_of(html_pst.curve_figure(pst, "camera"))
+    data = data_of(html_parts([curve_figure(pst, "camera")]))
     assert data["titles"][14] == "PST at 28°"
     total, se = (values[14] for values in pst.curve())
     values = dict(data["values"][14])
@@ -54,6 +55,6 @@ def test_curve_has_the_values_of_the_table():
 
 
 def test_causes_add_up_to_all():
-    data = data_of(html_pst.causes_figure(fake_pst(), "camera"))
+    data = data_of(html_parts([causes_figure(fake_pst(), "camera")]))
     shares = [sum(float(text.split()[0]) for _, text in values) for values in data["values"]]
     np.testing.assert_allclose(shares, 100, rtol=0.02)

@@ -16,13 +16,14 @@ from mistray.errors import MistrayError
 from mistray.report.figures.objects import STYLES, groups, objects_layout
 from mistray.report.objects_output import write_objects
 from mistray.report.tables.objects import (
-    common_text,
+    common_table,
     csv_tables,
-    estimate_text,
-    object_text,
+    estimate_table,
+    object_table,
     objects_record,
     objects_text,
 )
+from mistray.report.tables.text import table_text
 
 
 @pytest.fixture(scope="module")
@@ -46,18 +47,18 @@ def test_text_holds_the_lists(found, estimates):
 
 
 def test_rows_left_out_are_added_up(found):
-    lines = object_text(found.critical, 3).splitlines()
+    lines = table_text(object_table(found.critical, 3)).splitlines()
     assert lines[-1].split()[0] == str(sum(row.rays for row in found.critical[3:]))
-    assert object_text([]) == common_text([]) == "none"
+    assert table_text(object_table([])) == table_text(common_table([])) == "none"
 
 
 def test_estimates_of_each_angle(found, estimates):
-    text = estimate_text(estimates, 2)
+    text = table_text(estimate_table(estimates, 2))
     assert text.count("… and") == 2
     assert "(optic)" in text
     shares = estimates.groupby("angle_deg").percent.sum()
     np.testing.assert_allclose(shares, 100, rtol=1e-12)
-    assert "no common object scatters" in estimate_text(estimates.assign(pst=0.0))
+    assert "no common object scatters" in table_text(estimate_table(estimates.assign(pst=0.0)))
 
 
 def test_csv(found, estimates):

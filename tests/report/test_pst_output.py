@@ -12,9 +12,8 @@ import pytest
 from report.fake_pst import fake_pst
 
 from mistray.errors import MistrayError
-from mistray.report import pst_output
-from mistray.report.html.pst import html_text
-from mistray.report.pst_output import write_pst
+from mistray.report.html.render import html_page
+from mistray.report.pst_output import pst_report, write_pst
 
 VOID = {"meta", "img", "input", "br", "path", "use", "rect"}
 
@@ -121,7 +120,7 @@ def test_report_says_what_matters(written) -> None:
 
 
 def test_report_of_a_dark_pst() -> None:
-    text = html_text(fake_pst(dark_from_deg=0, notes=["PST is 0: it sees no opening"]))
+    text = html_page(pst_report(fake_pst(dark_from_deg=0, notes=["PST is 0: it sees no opening"])))
     assert "No light was seen at any angle." in text
     assert "it sees no opening" in text
 
@@ -132,7 +131,7 @@ def test_a_failure_leaves_the_old_files(tmp_path: Path, monkeypatch: pytest.Monk
     def fail(*_):
         raise RuntimeError("out of paper")
 
-    monkeypatch.setattr(pst_output, "html_text", fail)
+    monkeypatch.setattr("mistray.report.html.render.html_page", fail)
     with pytest.raises(RuntimeError, match="out of paper"):
         write_pst(fake_pst(field_deg=(0, 20)), tmp_path)
     assert [(entry.name, entry.read_text()) for entry in tmp_path.iterdir()] == [("pst.csv", "old")]

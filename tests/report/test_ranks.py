@@ -10,8 +10,8 @@ from mistray.analysis.ranking import RANKS
 from mistray.cli import ghosts as command
 from mistray.cli.ghosts_json import as_json
 from mistray.report.figures.layout import layout, worst_paths
-from mistray.report.html.fields import shown_paths
-from mistray.report.html.ghosts import html_text
+from mistray.report.ghosts.fields import shown_paths
+from mistray.report.ghosts.report import html_text
 from mistray.report.tables.ghosts import STRONGEST, beyond, main_table
 from mistray.report.tables.ghosts_csv import path_table
 

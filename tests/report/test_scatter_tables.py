@@ -13,7 +13,7 @@ from mistray.cli.ghosts_json import as_json
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.recorders.path_events import short_label as label
 from mistray.report.figures.plots import KIND_COLOURS, KIND_MARKERS
-from mistray.report.html.ghosts import html_text
+from mistray.report.ghosts.report import html_text
 from mistray.report.rays.path_sort import parse_path_sort, path_sort_text
 from mistray.report.tables.ghosts import main_table, warnings
 from mistray.report.tables.ghosts_csv import csv_tables, write_csv

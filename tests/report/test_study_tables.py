@@ -10,7 +10,9 @@ import pytest
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.study.step import STEPS, Fact, StudyStep, count_of
-from mistray.report.tables.study import error_of, fact_text, heading_of, table_html, value_text
+from mistray.report.html.render import html_parts
+from mistray.report.tables.frames import error_of, frame_table, heading_of, value_text
+from mistray.report.tables.study import fact_text
 
 
 @pytest.mark.parametrize(
@@ -51,7 +53,7 @@ def test_a_table_hides_its_errors_below_the_values():
             "low": [True, False],
         }
     )
-    html = table_html("t", frame)
+    html = html_parts([frame_table("t", frame)])
     cells = re.findall(r"<td[^>]*>(.*?)</td>", html)
     assert len(cells) == 2 * 4
     assert cells[0] == "&lt;L1&gt;"

@@ -14,7 +14,9 @@ import pytest
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.thermal.emission import Emitter, ThermalReport
 from mistray.analysis.thermal.narcissus import Return
-from mistray.report.thermal import html_text, thermal_figure, thermal_record, thermal_text, write_thermal
+from mistray.report.figures.thermal import thermal_figure
+from mistray.report.html.render import html_page
+from mistray.report.thermal import thermal_record, thermal_report, thermal_text, write_thermal
 
 
 def emitter(name: str, part: str, watts: float, kelvin: float = 293.0, kind: str = "surface") -> Emitter:
@@ -110,7 +112,7 @@ class Page(HTMLParser):
 
 @pytest.mark.parametrize("report", [REPORT, NOTHING], ids=["full", "dark"])
 def test_html(report: ThermalReport) -> None:
-    text = html_text(report, "a & b", "mistray thermal a")
+    text = html_page(thermal_report(report, "a & b", "mistray thermal a"))
     page = Page()
     page.feed(text)
     assert page.open == []

@@ -17,7 +17,8 @@ from mistray.analysis.path_maps import FieldMaps
 from mistray.recorders.path_events import INTERCEPTS, LETTERS
 from mistray.report.figures.layout import RAYS_DRAWN, glass_bodies, meridional, section, worst_paths
 from mistray.report.html.embedded import MapStore, colour_text, json_script, rounded
-from mistray.report.html.markup import cell
+from mistray.report.html.render import template
+from mistray.report.model import Column, Finished, Html
 
 DIGITS = 4  # of the size of the system, that coordinates are rounded to
 EVENT_WORDS = {
@@ -30,41 +31,16 @@ EVENT_WORDS = {
     "ImpTran": "scattered in transmission, aimed",
     "ImpRefl": "scattered in reflection, aimed",
 }
-BOX_CELL = '<td class="inbox"></td>'
-BOX_HEADER = ("in the box", "W", "inbox")
-PANEL = """
-<div class="explorer" data-table="{table}" data-source="{source}" hidden>
-<div class="pane">
-<p class="bar"><label>Map <select class="which"><option value="light">all light</option>
-<option value="stray">without the direct image</option><option value="path" disabled>path</option></select></label>
-<label><input type="checkbox" class="whole" checked> whole detector</label></p>
-<canvas class="map" tabindex="0" role="img" aria-label="Irradiance map of field {field}°"></canvas>
-<p class="readout note" aria-live="polite"></p>
-<form class="box bar" aria-label="Box on the detector">
-<label>x <input name="x0" inputmode="decimal" size="7" aria-label="x from, mm"></label>
-<label>… <input name="x1" inputmode="decimal" size="7" aria-label="x to, mm"></label>
-<label>y <input name="y0" inputmode="decimal" size="7" aria-label="y from, mm"></label>
-<label>… <input name="y1" inputmode="decimal" size="7" aria-label="y to, mm"></label> mm
-<button type="submit">Paths in the box</button> <button type="reset" disabled>No box</button></form>
-<p class="found" role="status"></p>
-</div>
-<div class="pane">
-<p class="chosen">No path chosen: click a picture in the table below, or press Enter on it.</p>
-<p class="bar"><button type="button" class="back" hidden>Back to its row</button></p>
-<svg class="rays" role="img" aria-label="Section of the system with rays of the chosen path"></svg>
-<ol class="events"></ol>
-</div>
-</div>
-"""
+BOX_HEADER = Column("in the box", "W", "inbox")
 
 
-def page_data(scene: Any) -> str:
+def page_data(scene: Any) -> Html:
     """What the panels of all fields share: the section of the system, colours and words."""
     lines = section(scene)
     points = np.concatenate([line for surface in lines for line in surface.lines] or [np.zeros((1, 2))])
     low, high = points.min(axis=0), points.max(axis=0)
     digits = _digits(low, high)
-    return json_script(
+    data = json_script(
         "data-page",
         {
             "colours": colour_text(),
@@ -77,9 +53,10 @@ def page_data(scene: Any) -> str:
             ],
         },
     )
+    return Html(data)
 
 
-def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str) -> str:
+def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str) -> Html:
     """
     The panel of one field and its data.
 
@@ -110,20 +87,13 @@ def explorer(report: GhostReport, field_deg: float, maps: FieldMaps, table: str)
         "colours": {str(path_id): colour for path_id, colour, _ in worst_paths(report, field_deg)},
     }
     source = f"data-{table}"
-    return PANEL.format(table=table, source=source, field=f"{field_deg:g}") + json_script(
-        source, data | {"codes": store.text()}
-    )
+    panel = template("explorer.html", table=table, source=source, field=f"{field_deg:g}")
+    return Html(panel + json_script(source, data | {"codes": store.text()}))
 
 
-def picture_cell(path_id: int, content: str, below: Sequence[str]) -> str:
+def picture_cell(path_id: int, content: str, below: Sequence[str]) -> Finished:
     """Cell with the button that chooses a path; lines of text stand below its picture."""
-    if not content:
-        return cell("")
-    text = "<br>".join(below)
-    return (
-        f'<td><button type="button" class="pick" data-path="{path_id}" aria-pressed="false" '
-        f'title="show map, rays and events of path {path_id}">{content}</button><small>{text}</small></td>'
-    )
+    return Finished(template("picture_cell.html", path_id=path_id, content=content, below=below))
 
 
 def _bounds(lines: Sequence[np.ndarray]) -> tuple[np.ndarray, np.ndarray]:

@@ -8,21 +8,27 @@ import pandas as pd
 
 from mistray.files.json_values import plain
 from mistray.optimize.tolerances.budget import Budget, Chosen, Met
-from mistray.report.tables.text import number, text_table, with_error
+from mistray.report.model import Column, Table, Value, columns
+from mistray.report.tables.text import number, table_text, text_table
 
 MOST_DISTANCE = 99.0  # standard errors, in text
 
 
-def budget_text(result: Budget) -> str:
-    """What `mistray budget` prints: the requirements before and after, the numbers, the costs."""
-    heads = [("requirement", ""), ("limit", ""), ("before", ""), ("after", ""), ("unit", ""), ("", "")]
-    rows = [
-        [item.name, number(item.limit), with_error(item.before), with_error(item.after), item.unit, verdict(item)]
+def requirements_table(result: Budget) -> Table:
+    """The requirements before and after."""
+    rows: list[list[Value]] = [
+        [item.name, number(item.limit), item.before, item.after, item.unit, verdict(item)]
         for item in result.requirements
     ]
+    heads = columns("<requirement", "limit", "before", "after", "<unit", "<")
+    return Table(heads, rows, "t-requirements", sortable=False)
+
+
+def budget_text(result: Budget) -> str:
+    """What `mistray budget` prints: the requirements before and after, the numbers, the costs."""
     before, after = result.cost
     parts = [
-        text_table(heads, rows, left=(0, 4, 5)),
+        table_text(requirements_table(result)),
         f"measured on {result.study.seeds} seeds that the search has not used",
         "",
         numbers_text(result),
@@ -59,6 +65,26 @@ def numbers_text(result: Budget) -> str:
         rows.append(line)
     table = text_table(columns, rows, left=(0, 1, 2))
     return f"{table}\n* at the end of its range" if any(map(at_bound, result.chosen)) else table
+
+
+def numbers_table(result: Budget) -> Table:
+    """The same for a page, with the range of each number."""
+    rows = []
+    for chosen in result.chosen:
+        held = " at its bound" if at_bound(chosen) else ""
+        shares = zip(chosen.shares_before, chosen.shares_after, strict=True)
+        rows.append(
+            [
+                *(surfaces_text(chosen), chosen.parameter, chosen.unit),
+                *(number(chosen.before, 4), number(chosen.after, 4) + held),
+                f"{number(chosen.best, 4)} … {number(chosen.worst, 4)}",
+                *(number(chosen.cost_before, 3), number(chosen.cost_after, 3)),
+                *(f"{number(100 * b, 2)} → {number(100 * a, 2)}" for b, a in shares),
+            ]
+        )
+    heads = columns("<surface", "<number", "<unit", "before", "after", "range", "cost [before]", "cost [after]")
+    heads += [Column(f"share of {item.name}", "%, before → after") for item in result.requirements]
+    return Table(heads, rows, "t-numbers")
 
 
 def surfaces_text(chosen: Chosen) -> str:

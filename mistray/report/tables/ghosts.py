@@ -13,6 +13,7 @@ from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.ranges import EVENTS
 from mistray.recorders.path_events import DIRECT
+from mistray.report.own_sections import own_text
 from mistray.report.tables.scatter import scatter_text
 from mistray.report.tables.text import ABSENT, number, text_table, with_error
 from mistray.settings import BRANCHES
@@ -180,6 +181,8 @@ def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False
     if any(not report.listed(field, count).well_sampled.all() for field in report):
         parts.append(f"*: fewer than {FEWEST_RAYS} rays, RMS radius and irradiance are unreliable")
     parts.append(f"energy closure, worst field: {closure:.1e} of the launched flux")
+    for text in own_text(report):
+        parts += ["", text, ""]
     parts += [f"warning: {text}" for text in warnings(report)]
     return "\n".join(parts)
 

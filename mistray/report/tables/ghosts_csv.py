@@ -13,6 +13,7 @@ import pandas as pd
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.stray_levels import LEVELS
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
+from mistray.report.own_sections import own_tables
 from mistray.trace import Trace
 
 
@@ -128,7 +129,7 @@ def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, p
     tables["stray_levels.csv"] = level_frame(report)
     if any(t.aiming for t in report.values()):
         tables["aiming.csv"] = aiming_table(report)
-    return tables
+    return tables | own_tables(report)
 
 
 def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool = False) -> list[Path]:

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 
 import pandas as pd
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.stray_levels import LEVELS
-from mistray.report.tables.text import ABSENT, number, text_table, with_error
+from mistray.report.model import Column, Table, columns
+from mistray.report.tables.text import ABSENT, number, table_text, text_table, with_error
 
 SURFACES_SHOWN = 8
 MOST_LEVELS = 6  # that have a column each
@@ -49,15 +51,22 @@ def level_rows(report: GhostReport, field_deg: float, by: str) -> tuple[list[str
     return names, rows
 
 
+def level_table(report: GhostReport, field_deg: float, by: str, name: str = "") -> Table:
+    """The pivot as a table of a page."""
+    levels, rows = level_rows(report, field_deg, by)
+    heads = columns("<critical surface", *(f"{by} {level} [W]" for level in levels), "all [W]")
+    return Table(heads, rows, name, sortable=False)
+
+
 def level_text(report: GhostReport) -> str:
     """The pivots of all fields by both levels, W."""
     parts = []
     for by in LEVELS:
         parts.append(f"{TITLES[by]}, W; the surface is the last that scatters or reflects the light out of its way")
         for field in report:
-            levels, rows = level_rows(report, field, by)
-            columns = [(f"field {field:g}°", ""), *((f"{by} {level}", "") for level in levels), ("all", "")]
-            parts += [text_table(columns, rows, left=(0,)), ""]
+            table = level_table(report, field, by)
+            heads = [Column(f"field {field:g}°", style="t"), *(Column(one.head) for one in table.columns[1:])]
+            parts += [table_text(replace(table, columns=heads)), ""]
     return "\n".join(parts[:-1])
 
 

@@ -11,9 +11,11 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.objects.rows import LISTS, CommonObject, SceneObject, describe
 from mistray.analysis.objects.search import Objects
 from mistray.files.json_values import plain
-from mistray.report.tables.text import ABSENT, number, text_table, with_error
+from mistray.report.model import Fold, Table, Value, columns
+from mistray.report.tables.text import ABSENT, number, table_text
 
-ROWS_SHOWN = 25
+ROWS_SHOWN, ESTIMATES_SHOWN = 25, 10
+APART = "Lit in one place and seen in another, so not common: {}."
 
 POWER_UNIT = "W per W started"
 MEANINGS = (
@@ -36,63 +38,62 @@ MEANINGS = (
 )  # fmt: skip
 
 
-def object_text(rows: Sequence[SceneObject], count: int = ROWS_SHOWN) -> str:
+def object_table(rows: Sequence[SceneObject], most: int = ROWS_SHOWN, name: str = "") -> Table:
     """A list of critical or illuminated objects, the strongest first."""
-    if not rows:
-        return "none"
-    columns = [("rays", ""), ("power", POWER_UNIT), ("object", ""), ("side", ""), ("part", ""), ("space", ""),
-               ("stands between", ""), ("stop", "")]  # fmt: skip
-    cells = [
-        [f"{row.rays}", with_error(Estimate(row.power, row.power_se)), row.id, row.side, row.part, _space(row.space),
-         row.between, row.stop]
-        for row in rows[:count]
+    cells: list[list[Value]] = [
+        [row.rays, Estimate(row.power, row.power_se), row.id, row.side, row.part, _space(row.space), row.between,
+         row.stop]
+        for row in rows
     ]  # fmt: skip
-    if len(rows) > count:
-        left = rows[count:]
-        cells.append([f"{sum(row.rays for row in left)}", number(sum(row.power for row in left), 3),
-                      f"… and {len(left)} more", "", "", "", "", ""])  # fmt: skip
-    return text_table(columns, cells, left=(2, 3, 4, 6, 7))
+    left = rows[most:]
+    power = number(sum(row.power for row in left), 3)
+    rest: list[Value] = [sum(row.rays for row in left), power, f"… and {len(left)} more", "", "", "", "", ""]
+    heads = columns("rays", f"power [{POWER_UNIT}]", "<object", "<side", "<part", "space", "<stands between", "<stop")
+    words = ("filter rows, for example: barrel", "filter the objects")
+    return Table(heads, cells, name, filter=words, most=most, rest=rest, empty="none")
 
 
-def common_text(rows: Sequence[CommonObject], count: int = ROWS_SHOWN) -> str:
+def common_table(rows: Sequence[CommonObject], most: int = ROWS_SHOWN, name: str = "") -> Table:
     """A list of common objects or of optics, in the order of the light."""
-    if not rows:
-        return "none"
-    columns = [("object", ""), ("side", ""), ("part", ""), ("space", ""), ("stands between", ""), ("stop", ""),
-               ("critical", POWER_UNIT), ("illuminated", POWER_UNIT)]  # fmt: skip
-    cells = [
-        [row.id, row.side, row.part, _space(row.space), row.between, row.stop,
-         with_error(Estimate(row.critical_power, row.critical_power_se)),
-         with_error(Estimate(row.illuminated_power, row.illuminated_power_se))]
-        for row in rows[:count]
-    ]  # fmt: skip
-    if len(rows) > count:
-        cells.append([f"… and {len(rows) - count} more", *[""] * 7])
-    return text_table(columns, cells, left=(0, 1, 2, 4, 5))
+    cells: list[list[Value]] = [
+        [
+            *(row.id, row.side, row.part, _space(row.space), row.between, row.stop),
+            *(Estimate(row.critical_power, row.critical_power_se), row.critical_rays),
+            *(Estimate(row.illuminated_power, row.illuminated_power_se), row.illuminated_rays),
+        ]
+        for row in rows
+    ]
+    heads = columns(
+        "<object", "<side", "<part", "space", "<stands between", "<stop", f"critical [{POWER_UNIT}]", "rays",
+        f"illuminated [{POWER_UNIT}]", "rays",
+    )  # fmt: skip
+    rest = [f"… and {len(rows) - most} more", *[""] * 9]
+    return Table(heads, cells, name, most=most, rest=rest, empty="none")
 
 
-def estimate_text(estimates: pd.DataFrame, count: int = 10) -> str:
-    """The product estimate: the strongest objects at each source angle."""
+def estimate_table(estimates: pd.DataFrame, count: int | None = None) -> Table:
+    """The product estimate: all objects, or in text the `count` strongest at each source angle."""
     shown = estimates[estimates.pst > 0]
-    if shown.empty:
-        return "none: no common object scatters; give the surfaces scatter models"
-    angles = bool(estimates.angle_deg.notna().any())
-    columns = [*([("angle", "deg")] if angles else []), ("object", ""), ("side", ""), ("stop", ""),
-               ("Φ", "W for 1 W/mm²"), ("BSDF", "1/sr"), ("GCF", ""), ("PST", ""), ("share", "%")]  # fmt: skip
-    cells = []
-    for angle, rows in shown.groupby("angle_deg", dropna=False, sort=False):
-        first = [f"{angle:g}"] if angles else []
-        for row in rows.head(count).itertuples(index=False):
-            cells.append(
-                [*first, f"{row.id}{' (optic)' if row.optic else ''}", row.side, row.stop,
-                 with_error(Estimate(row.flux_W, row.flux_W_se)), number(row.bsdf_1_sr, 3), number(row.gcf, 3),
-                 with_error(Estimate(row.pst, row.pst_se)), number(row.percent, 3)]
+    rows: list[list[Value]] = []
+    for angle, own in shown.groupby("angle_deg", dropna=False, sort=False):
+        for row in own.head(count or len(own)).itertuples(index=False):
+            optic = " (optic)" if row.optic and count else ""
+            rows.append(
+                [f"{angle:g}", f"{row.id}{optic}", "yes" if row.optic else "", row.side, row.stop,
+                 Estimate(row.flux_W, row.flux_W_se), number(row.bsdf_1_sr, 3), number(row.gcf, 3),
+                 Estimate(row.pst, row.pst_se), number(row.percent, 3)]
             )  # fmt: skip
-        left = rows.iloc[count:]
+        left = own.iloc[count or len(own) :]
         if len(left):
-            cells.append([*first, f"… and {len(left)} more", "", "", "", "", "", number(left.pst.sum(), 3),
-                          number(left.percent.sum(), 3)])  # fmt: skip
-    return text_table(columns, cells, left=(1, 2, 3) if angles else (0, 1, 2))
+            sums = [number(left.pst.sum(), 3), number(left.percent.sum(), 3)]
+            rows.append([f"{angle:g}", f"… and {len(left)} more", *[""] * 6, *sums])
+    heads = columns("angle [deg]", "<object", "<optic", "<side", "<stop", "Φ [W for 1 W/mm²]", "BSDF [1/sr]", "GCF",
+                    "PST", "share [%]")  # fmt: skip
+    words = ("filter rows", "filter the estimates")
+    empty = "none: no common object scatters; give the surfaces scatter models"
+    table = Table(heads, rows, "t-estimates", filter=words, empty=empty)
+    left_out = [*([] if shown.angle_deg.notna().any() else ["angle"]), *(["optic"] if count else [])]
+    return table.without(*left_out)
 
 
 def heading(found: Objects) -> str:
@@ -126,22 +127,20 @@ def objects_text(found: Objects, estimates: pd.DataFrame, count: int = ROWS_SHOW
         heading(found),
         "",
         f"Critical objects: {len(found.critical)}, seen by the detector",
-        object_text(found.critical, count),
+        table_text(object_table(found.critical, count)),
         "",
         f"Illuminated objects: {len(found.illuminated)}, reached by light from outside",
-        object_text(found.illuminated, count),
+        table_text(object_table(found.illuminated, count)),
         "",
         f"Common objects: {len(found.common)}, critical and illuminated",
-        common_text(found.common, count),
+        table_text(common_table(found.common, count).without("rays")),
         "",
         f"The {len(found.optics)} surfaces of the design path are common by design and not listed here.",
     ]
     if found.apart:
-        parts.append(
-            f"Lit in one place and seen in another, so not common: {', '.join(row.id for row in found.apart)}."
-        )
-    parts += ["", "Light by one scatter event, estimated as Φ · BSDF · π GCF", estimate_text(estimates), "",
-              "±: one standard error"]  # fmt: skip
+        parts.append(APART.format(", ".join(row.id for row in found.apart)))
+    parts += ["", "Light by one scatter event, estimated as Φ · BSDF · π GCF",
+              table_text(estimate_table(estimates, ESTIMATES_SHOWN)), "", "±: one standard error"]  # fmt: skip
     parts += [f"warning: {text}" for text in found.warnings]
     return "\n".join(parts)
 
@@ -170,6 +169,17 @@ def shot_frame(found: Objects) -> pd.DataFrame:
     ]
     columns = ["way", "surfaces", "rays", "share", "share_se", "angle_from_deg", "angle_to_deg"]
     return pd.DataFrame(rows, columns=columns)
+
+
+def shot_table(found: Objects) -> Table:
+    """The same for a page."""
+    rows: list[list[Value]] = [
+        [Fold(row.way, row.surfaces), row.rays, Estimate(row.share, row.share_se),
+         f"{row.angle_from_deg:.3g} … {row.angle_to_deg:.3g}"]
+        for row in shot_frame(found).itertuples(index=False)
+    ]  # fmt: skip
+    heads = columns("<way", "rays", "share [of the view of the detector]", "field angles [deg]")
+    return Table(heads, rows, "t-shots")
 
 
 def objects_record(found: Objects, estimates: pd.DataFrame) -> dict[str, Any]:

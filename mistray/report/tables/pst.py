@@ -14,7 +14,8 @@ from mistray.analysis.pst.causes import Break, breaks, field_edge, stray_paths
 from mistray.analysis.pst.result import Pst
 from mistray.files.json_values import plain
 from mistray.recorders.sky import CLASSES
-from mistray.report.tables.text import ABSENT, number, text_table, with_error
+from mistray.report.model import Column, Fold, Table, Value, columns
+from mistray.report.tables.text import ABSENT, number, table_text, text_table
 
 RARE = ("straight_shot", "edge_diffraction")  # classes that are shown where there are any
 ALL_CLASSES = ("total", "stray", *CLASSES)
@@ -86,22 +87,28 @@ def path_frame(pst: Pst) -> pd.DataFrame:
     return pd.concat([part for part in parts if len(part)] or parts[:1], ignore_index=True)
 
 
+def curve_table(pst: Pst) -> Table:
+    """The curve of all light, of the stray light and of each class; errors are known of all of them."""
+    shown = ("total", "stray", *shown_classes(pst))
+    curves = [pst.curve(group) for group in shown]
+    shares = largest_share(pst)
+    rows: list[list[Value]] = []
+    for i, angle in enumerate(pst.field_deg):
+        pairs = (Estimate(float(value[i]), float(se[i])) for value, se in curves)
+        share = number(100 * float(shares[i]), 3) if shares[i] else ABSENT
+        rows.append([f"{angle:g}", *(pair if pair.value else ABSENT for pair in pairs), share])
+    named = ("all light", "stray light", *map(name_of, shown[2:]))
+    heads = columns("angle [deg]", *(f"{name} [PST]" for name in named), "largest ray [% of scatter]")
+    return Table(heads, rows, "t-curve")
+
+
 def curve_text(pst: Pst) -> str:
     """The curve as a table: all light and stray light with errors, the classes without."""
-    columns = [("angle", "deg"), ("PST", "all light"), ("PST", "stray light")]
-    shown = shown_classes(pst)
-    columns += [(name_of(group), "") for group in shown]
-    columns += [("largest ray", "% of scatter")]
-    curves = {group: pst.curve(group) for group in ALL_CLASSES}
-    rows = []
-    for i, angle in enumerate(pst.field_deg):
-        pairs = [Estimate(*(float(part[i]) for part in curves[group])) for group in ("total", "stray")]
-        estimates = [with_error(pair) if pair.value else ABSENT for pair in pairs]
-        values = [float(curves[group][0][i]) for group in shown]
-        share = 100 * float(largest_share(pst)[i])
-        classes = [number(value, 3) if value else ABSENT for value in values]
-        rows.append([f"{angle:g}", *estimates, *classes, number(share, 3) if share else ABSENT])
-    return text_table(columns, rows)
+    table = curve_table(pst)
+    heads = columns("angle [deg]", "PST [all light]", "PST [stray light]")
+    heads += [Column(name_of(group)) for group in shown_classes(pst)]
+    rows = [[*row[:3], *(number(v.value, 3) if isinstance(v, Estimate) else v for v in row[3:])] for row in table.rows]
+    return table_text(Table([*heads, table.columns[-1]], rows))
 
 
 def top_paths_text(pst: Pst, count: int) -> str:
@@ -122,20 +129,35 @@ def top_paths_text(pst: Pst, count: int) -> str:
     return text_table(columns, rows, left=range(1, 2 * shown, 2))
 
 
-def breaks_text(found: Sequence[Break]) -> str:
+def breaks_table(found: Sequence[Break]) -> Table:
     """Where the curve bends abruptly, with the strongest causes on either side."""
-    columns = [("angle", "deg"), ("slope before", "decades/deg"), ("slope after", "decades/deg"),
-               ("stray light before", "% of it"), ("stray light after", "% of it")]  # fmt: skip
+    heads = columns("angle [deg]", "slope before [decades/deg]", "slope after [decades/deg]",
+                    "<stray light before [% of it]", "<stray light after [% of it]")  # fmt: skip
     rows = [
-        [
-            f"{item.field_deg:g}",
-            f"{item.slope_before:+.3f}",
-            f"{item.slope_after:+.3f}",
-            *(causes_text(causes) for causes in (item.before, item.after)),
-        ]
+        [f"{item.field_deg:g}", f"{item.slope_before:+.3f}", f"{item.slope_after:+.3f}", causes_text(item.before),
+         causes_text(item.after)]
         for item in found
+    ]  # fmt: skip
+    return Table(heads, rows, "t-breaks")
+
+
+def paths_table(pst: Pst, count: int) -> Table:
+    """The strongest stray paths of each angle, one by one."""
+    heads = columns(
+        "angle [deg]", "rank", "<path", "<kind", "<first scatter surface", "rays", "PST", "of stray light [%]",
+        "of all light [%]", "<surfaces [T R I t r A]",
+    )  # fmt: skip
+    rows: list[list[Value]] = [
+        [
+            *(f"{angle:g}", rank, str(row.label), str(row.kind), str(row.scatter_1), int(row.rays)),
+            Estimate(float(row.pst), float(row.pst_se)),
+            *(number(float(share), 4) for share in (row.percent_of_stray, row.percent_of_all)),
+            Fold(str(row.path), str(row.events), "path m"),
+        ]
+        for angle in pst.field_deg
+        for rank, row in enumerate(stray_paths(pst, angle, count).itertuples(index=False), 1)
     ]
-    return text_table(columns, rows, left=(3, 4))
+    return Table(heads, rows, "t-paths", filter=("filter rows, for example: window", "filter the paths"))
 
 
 def causes_text(causes: Sequence[tuple[str, float]]) -> str:
@@ -158,7 +180,7 @@ def pst_text(pst: Pst, paths_shown: int = 4) -> str:
         parts += [f"Strongest stray paths of each angle; {DENOMINATOR}", top_paths_text(pst, paths_shown), ""]
     found = breaks(pst)
     if found:
-        parts += ["Breaks of the curve of stray light", breaks_text(found), ""]
+        parts += ["Breaks of the curve of stray light", table_text(breaks_table(found)), ""]
     parts.append("±: one standard error")
     edge = field_edge(pst)
     if edge is not None:

@@ -7,12 +7,10 @@ from collections.abc import Mapping
 from mistray.analysis.aiming_check import LEAST_LANDED, AimedRow, SamplingCheck, sampling_check
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.report.tables.text import ABSENT, number, text_table, with_error
+from mistray.report.model import Table, columns
+from mistray.report.tables.text import ABSENT, number, table_text, text_table, with_error
 
 SURFACES_SHOWN = 10
-SAMPLING = (
-    ("hits", "per start ray"), ("effective hits", "(Σ flux)²/Σ flux²"), ("largest hit", "% of scattered light"),
-)  # fmt: skip
 
 
 def scatter_text(report: GhostReport) -> str:
@@ -23,7 +21,7 @@ def scatter_text(report: GhostReport) -> str:
         surface_text(report),
         "",
         "Sampling of the scattered light; hits: of the detector, by rays that were scattered",
-        sampling_text(checks),
+        table_text(sampling_table(checks)),
     ]
     if any(check.rows for check in checks.values()):
         parts += ["", "Share of the aimed rays of each surface that reach the detector", aiming_text(checks)]
@@ -52,19 +50,16 @@ def surface_text(report: GhostReport) -> str:
     return text_table(columns, rows, left=(1, 2))
 
 
-def sampling_text(checks: Mapping[float, SamplingCheck]) -> str:
+def sampling_table(checks: Mapping[float, SamplingCheck]) -> Table:
     """How many scattered rays make up the scattered light of each field."""
-    rows = [[f"{field:g}", *sampling_numbers(check)] for field, check in checks.items()]
-    return text_table([("field", "deg"), *SAMPLING], rows)
-
-
-def sampling_numbers(check: SamplingCheck) -> list[str]:
-    """The cells under `SAMPLING`."""
-    return [
-        number(check.hits_per_start, 3),
-        number(check.effective_hits, 4),
-        number(100 * check.largest_share, 3),
-    ]
+    heads = columns("field [deg]", "hits [per start ray]", "effective hits [(Σ flux)²/Σ flux²]",
+                    "largest hit [% of scattered light]")  # fmt: skip
+    rows = [
+        [f"{field:g}", number(check.hits_per_start, 3), number(check.effective_hits, 4),
+         number(100 * check.largest_share, 3)]
+        for field, check in checks.items()
+    ]  # fmt: skip
+    return Table(heads, rows, "t-sampling", sortable=False)
 
 
 def aiming_text(checks: Mapping[float, SamplingCheck]) -> str:

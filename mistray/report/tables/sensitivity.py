@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
 from typing import Any
 
 from mistray.analysis.estimate import Estimate
@@ -11,8 +10,10 @@ from mistray.files.json_values import plain
 from mistray.optimize.tolerances.draws import PERCENTILES, Draws
 from mistray.optimize.tolerances.rows import Row
 from mistray.optimize.tolerances.sensitivity import Sensitivity
-from mistray.report.tables.text import ABSENT, number, text_table, with_error
+from mistray.report.model import Table, columns
+from mistray.report.tables.text import ABSENT, number, table_text, with_error
 
+EDGES = "half edge width"
 KEYS_NAMED = 8  # of those without a derivative, in text
 NARROW_EDGE = 2.0  # standard errors by which the width of the zone at rims may matter
 COUNTS = 0.01  # of the largest change: what is smaller is not worth a warning
@@ -28,15 +29,19 @@ def sensitivity_text(result: Sensitivity, count: int = 20) -> str:
     count : int
         Rows of the table.
     """
-    shown = result.rows[:count]
-    rest = len(result.rows) - len(shown)
+    rest = len(result.rows) - count
+    edges = any(math.isfinite(row.edge_check) for row in result.rows[:count])
+    ranking = ranking_table(result) if edges else ranking_table(result).without(EDGES)
+    lines = together_lines(result)
+    if result.together.changes:
+        lines.insert(1, table_text(changes_table(result)))
     parts = [
         f"{result.name}: {with_error(result.value)} {result.unit}".rstrip(),
         "",
-        ranking_text(result, shown),
-        *([f"… and {rest} with less"] if rest else []),
+        table_text(ranking, count),
+        *([f"… and {rest} with less"] if rest > 0 else []),
         "",
-        *together_lines(result),
+        *lines,
         "",
         *spread_lines(result),
         *(["", *draws_lines(result.draws)] if result.draws is not None else []),
@@ -46,30 +51,30 @@ def sensitivity_text(result: Sensitivity, count: int = 20) -> str:
     return "\n".join(parts)
 
 
-def ranking_text(result: Sensitivity, rows: Sequence[Row]) -> str:
-    """The ranked table."""
+def ranking_table(result: Sensitivity) -> Table:
+    """All parameters, ranked."""
     shares = {item.members[0]: item.share for item in result.spread.contributions if len(item.members) == 1}
-    edges = any(math.isfinite(row.edge_check) for row in rows)
-    columns = [("parameter", ""), ("kind", ""), ("value", ""), ("unit", ""), ("derivative", "of the metric, per unit"),
-               ("tolerance", "unit"), ("change", "% per tolerance"), ("share", "% of variance")]  # fmt: skip
-    columns += [("half edge width", "% per tolerance")] if edges else []
-    columns += [(f"for {result.factor:g} × less", "value, or bound: factor")]
-    cells = []
-    for row in rows:
-        share = shares.get(row.label)
-        line = [
+    heads = columns(
+        "<parameter", "<kind", "value", "<unit", "derivative [of the metric, per unit]", "tolerance [unit]",
+        "change [% per tolerance]", "share [% of variance]", f"{EDGES} [% per tolerance]",
+        f"<for {result.factor:g} × less [value, or bound: factor]",
+    )  # fmt: skip
+    rows = [
+        [
             row.label,
             row.kind,
             number(row.value),
             row.unit,
-            with_error(row.derivative),
+            row.derivative,
             number(row.tolerance),
-            with_error(_percent(row.change)),
-            with_error(_percent(share)) if share is not None else "in a group",
+            _percent(row.change),
+            _percent(shares[row.label]) if row.label in shares else "in a group",
+            f"{100 * row.edge_check:+.2g}" if math.isfinite(row.edge_check) else ABSENT,
+            change_text(row),
         ]
-        line += [f"{100 * row.edge_check:+.2g}" if math.isfinite(row.edge_check) else ABSENT] if edges else []
-        cells.append([*line, change_text(row)])
-    return text_table(columns, cells, left=(0, 1, 3, len(columns) - 1))
+        for row in result.rows
+    ]
+    return Table(heads, rows, "t-ranking", filter=("filter parameters", "filter parameters"))
 
 
 def change_text(row: Row) -> str:
@@ -84,24 +89,28 @@ def change_text(row: Row) -> str:
 
 
 def together_lines(result: Sensitivity) -> list[str]:
-    """The best few changes."""
+    """What the best few changes do together."""
     found = result.together
     if not found.changes:
         return ["no derivative is known well enough to propose a change; trace more rays"]
     title = f"{len(found.changes)} changes that lower it {number(found.factor, 3)} times by the linear model"
     if not found.reached:
         title += f", not {result.factor:g} times: all are at their bounds"
-    columns = [("parameter", ""), ("from", ""), ("to", ""), ("unit", ""), ("its part", "×")]
-    rows = [
-        [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
-        for row, change in found.changes
-    ]
-    lines = [title, text_table(columns, rows, left=(0, 3))]
+    lines = [title]
     if found.traced is not None:
         lines.append(f"traced on other seeds: {_times(found.traced)} lower")
     if found.image is not None:
         lines.append(f"direct image then: {number(100 * found.image.value, 4)} % of what it was")
     return lines
+
+
+def changes_table(result: Sensitivity) -> Table:
+    """The best few changes, one by one."""
+    rows = [
+        [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
+        for row, change in result.together.changes
+    ]
+    return Table(columns("<parameter", "from", "to", "<unit", "its part [×]"), rows, "t-together", sortable=False)
 
 
 def spread_lines(result: Sensitivity) -> list[str]:

@@ -1,36 +1,35 @@
-"""A sweep as text and as values for JSON."""
+"""A sweep as tables, as text and as values for JSON."""
 
 from __future__ import annotations
 
 from typing import Any
 
 from mistray.files.json_values import plain
-from mistray.report.tables.text import ABSENT, number, text_table, with_error
+from mistray.report.model import Table, columns
+from mistray.report.tables.text import ABSENT, number, table_text
 from mistray.sweeps import Sweep
 from mistray.sweeps.result import estimate_of
 
-SHOWN = (
-    ("direct_W", "direct", "W"),
-    ("stray_W", "stray", "W"),
-    ("ghost_to_signal", "stray/direct", ""),
-    ("direct_rms_radius_mm", "RMS radius", "mm"),
-    ("worst_rms_irradiance_W_mm2", "its RMS irradiance", "W/mm²"),
-)
-"""Numbers of a row that are shown: column, header, unit."""
+SHOWN = ("direct_W", "stray_W", "ghost_to_signal", "direct_rms_radius_mm", "worst_rms_irradiance_W_mm2")
+
+
+def rows_table(result: Sweep) -> Table:
+    """A line for each configuration, wavelength and field."""
+    heads = columns(
+        "<configuration", "field [deg]", "wavelength [nm]", "direct [W]", "stray [W]", "stray/direct",
+        "RMS radius [mm]", "<brightest stray path", "its RMS irradiance [W/mm²]",
+    )  # fmt: skip
+    rows = []
+    for row in result.rows:
+        *numbers, last = (estimate_of(row, name) for name in SHOWN)
+        place = (row["configuration"], f"{row['field_deg']:g}", f"{row['wavelength_nm']:g}")
+        rows.append([*place, *numbers, row["worst_path"] or ABSENT, last])
+    return Table(heads, rows, "t-rows", filter=("filter rows", "filter rows"))
 
 
 def sweep_text(result: Sweep) -> str:
     """What `mistray sweep` prints: a line for each configuration, wavelength and field."""
-    columns = [("configuration", ""), ("field", "deg"), ("wavelength", "nm")]
-    columns += [(head, unit) for _, head, unit in SHOWN]
-    columns.insert(-1, ("brightest stray path", ""))
-    lines = []
-    for row in result.rows:
-        cells = [row["configuration"], f"{row['field_deg']:g}", f"{row['wavelength_nm']:g}"]
-        cells += [with_error(estimate_of(row, name)) for name, _, _ in SHOWN]
-        cells.insert(-1, row["worst_path"] or ABSENT)
-        lines.append(cells)
-    return f"{text_table(columns, lines, left=(0, len(columns) - 2))}\n\n{cache_line(result)}"
+    return f"{table_text(rows_table(result))}\n\n{cache_line(result)}"
 
 
 def cache_line(result: Sweep) -> str:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Sequence
 
 from mistray.analysis.estimate import Estimate
+from mistray.report.model import Cell, Figure, Fold, Items, Map, Note, Noted, Part, Table, Terms, Value
 
 MOST_DECIMALS = 6
 ABSENT = "–"
@@ -65,6 +66,49 @@ def text_table(columns: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]]
 
     rule = "  ".join("-" * w for w in widths)
     return "\n".join([*[join(line) for line in heads], rule, *[join(row) for row in rows]])
+
+
+def table_text(table: Table, most: int | None = None) -> str:
+    """A table of a report in fixed width; `most` rows and a last one for the rest, if it is to be short."""
+    if not table.rows:
+        return table.empty
+    most = table.most if most is None else most
+    rows = list(table.rows if most is None else table.rows[:most])
+    if len(table.rows) > len(rows) and table.rest:
+        rows.append(table.rest)
+    left = [k for k, column in enumerate(table.columns) if column.style == "t"]
+    heads = [(column.head, column.unit) for column in table.columns]
+    return text_table(heads, [[cell_text(value) for value in row] for row in rows], left)
+
+
+def cell_text(value: Value) -> str:
+    """A cell of a table as text."""
+    if isinstance(value, Noted):
+        value = value.number
+    if isinstance(value, Estimate):
+        return with_error(value)
+    if isinstance(value, Cell):
+        return value.text
+    return value.summary if isinstance(value, Fold) else str(value)
+
+
+def parts_text(parts: Sequence[Part]) -> str:
+    """Tables, notes and lists as text, and of a picture what its caption says."""
+    texts = []
+    for part in parts:
+        if isinstance(part, Table):
+            texts.append(table_text(part))
+        elif isinstance(part, Note):
+            texts.append(part.text)
+        elif isinstance(part, Items):
+            texts += part.texts
+        elif isinstance(part, Terms):
+            texts += [f"{term}: {text}" for term, text in part.pairs]
+        elif isinstance(part, Figure):
+            texts.append(f"(picture: {part.caption or part.text})")
+        elif isinstance(part, Map):
+            texts.append(f"(map: {part.title}, {part.values.min():.3g} to {part.values.max():.3g} {part.unit})")
+    return "\n".join(texts)
 
 
 def _exponent(value: float) -> int:

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING, Any
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
 from mistray.report.figures.cut_open import CutPlane, OpenSurface, open_surfaces
-from mistray.report.html.markup import thousands
+from mistray.report.parts import thousands
 from mistray.report.rays.path_rays import RayLine, check_count, chosen_rows, rays_of_paths
 from mistray.report.view3d.controls import (
     COLOURINGS,

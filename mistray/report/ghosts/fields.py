@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping
-from html import escape
 from typing import Any
 
 import pandas as pd
+from markupsafe import Markup
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
@@ -15,23 +16,38 @@ from mistray.analysis.path_maps import FieldMaps
 from mistray.analysis.ranking import FEWEST_RAYS, RANKS, rank_column
 from mistray.analysis.stray_levels import LEVELS
 from mistray.report.figures.layout import layout
-from mistray.report.figures.plots import as_png, as_svg, common_range, ghost_image
-from mistray.report.html.explorer import BOX_CELL, BOX_HEADER, explorer, picture_cell
-from mistray.report.html.markup import cell, data_table, figure, filter_box, image, number_cell, thousands
+from mistray.report.figures.plots import as_png, common_range, ghost_image
+from mistray.report.html.explorer import BOX_HEADER, explorer, picture_cell
+from mistray.report.html.markup import image
 from mistray.report.html.thumbnails import DECADES, thumbnail
-from mistray.report.tables.levels import TITLES, level_rows
+from mistray.report.model import (
+    Column,
+    Figure,
+    Filter,
+    Fold,
+    Folded,
+    Group,
+    Note,
+    Part,
+    Table,
+    Value,
+    columns,
+)
+from mistray.report.parts import thousands
+from mistray.report.tables.levels import TITLES, level_table
 from mistray.report.tables.text import ABSENT, number
 
+SURFACE_AND_ALL = 2  # columns of a table of levels that holds none
 ROWS_SHOWN = 60  # the worst paths
 STRONGEST_SHOWN = 10  # and the first by power and by RMS irradiance
 AT_WAVELENGTHS = (
     "Normalised to the on-axis image at the same wavelength. Of all light: at all wavelengths; of stray light: at this "
     "one."
 )
-PICTURES = (
-    '<p class="note">Pictures: log<sub>10</sub> of the irradiance about the centroid of each path, '
+PICTURES = Markup(
+    "Pictures: log<sub>10</sub> of the irradiance about the centroid of each path, "
     '<i class="scale"></i> from the floor to the top that stand below it in W/mm², '
-    f"at most {DECADES:g} decades; black: less, or no ray.</p>"
+    f"at most {DECADES:g} decades; black: less, or no ray."
 )
 RANK_HEADERS = {"rms": "RMS irr.", "power": "power", "peak": "peak"}
 PEAK = ("peak", "W/mm²", "peak_W_mm2", "peak_se_W_mm2")
@@ -47,7 +63,7 @@ PATH_NUMBERS = (
 )
 
 
-def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes], per_wavelength: bool) -> str:
+def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, bytes], per_wavelength: bool) -> Group:
     """
     Pictures, statistics block and path table of one field.
 
@@ -57,28 +73,19 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
     s : FieldSummary
         Of all light of this field.
     pictures : mapping of str to bytes
-        PNG files by name, as from `mistray.report.output.draw`; what is missing is drawn, but for colour pictures.
+        PNG files by name, as from `ghosts_output.draw`; what is missing is drawn, but for colour pictures.
     per_wavelength : bool
         Add the paths at each wavelength.
     """
     t = report[s.field_deg]
     m, stray = s.map, report.stray_statistics(s.field_deg)
-    header = [
-        ("map", "", "t"), ("min", "W/mm²"), ("max", "W/mm²"), ("average", "W/mm²"), ("RMS", "W/mm²"),
-        ("total flux", "W"), ("incident rays", ""),
-    ]  # fmt: skip
-    block = [
-        [
-            cell(name, "t"),
-            cell(number(v.minimum)),
-            number_cell(Estimate(v.maximum, v.maximum_se)),
-            cell(number(v.mean)),
-            cell(number(v.rms)),
-            cell(number(v.flux_W)),
-            cell(f"{v.incident_rays}"),
-        ]
+    heads = columns("<map", "min [W/mm²]", "max [W/mm²]", "average [W/mm²]", "RMS [W/mm²]", "total flux [W]",
+                    "incident rays")  # fmt: skip
+    block: list[list[Value]] = [
+        [name, number(v.minimum), Estimate(v.maximum, v.maximum_se), *map(number, (v.mean, v.rms, v.flux_W)),
+         v.incident_rays]
         for name, v in (("all light", m), ("without the direct image", stray))
-    ]
+    ]  # fmt: skip
     kinds = ", ".join(f"{count} {kind}" for kind, count in s.paths_of_kind.items() if count)
     asymmetry = ""
     if math.isfinite(s.asymmetry) and float(t.settings.get("azimuth_deg") or 0.0) % 180 == 0:
@@ -95,27 +102,22 @@ def field_section(report: GhostReport, s: FieldSummary, pictures: Mapping[str, b
     )
     colour = pictures.get(f"colour_{s.field_deg:g}deg.png")
     anchor = f"field-{s.field_deg:g}".replace(".", "_")
-    return (
-        f'<div class="field"><h3 id="{anchor}">Field {s.field_deg:g}°</h3><p>{text}</p>'
-        + figure(image(ghost_map, f"irradiance on the detector, field {s.field_deg:g}°"))
-        + (figure(image(colour, f"the detector in colour, field {s.field_deg:g}°")) if colour else "")
-        + data_table(f"t-map-{anchor}", header, block, sortable=False)
-        + "".join(_levels(report, s.field_deg, by, f"t-{by}-levels-{anchor}") for by in LEVELS)
-        + figure(as_svg(layout(report, s.field_deg)))
-        + explored_paths(report, s.field_deg, f"t-{anchor}")
-        + (_paths_at_wavelengths(report, s.field_deg, f"t-waves-{anchor}") if per_wavelength else "")
-        + "</div>"
-    )
-
-
-def _levels(report: GhostReport, field_deg: float, by: str, name: str) -> str:
-    """Stray light of a field by level and critical surface."""
-    levels, rows = level_rows(report, field_deg, by)
-    if not levels:
-        return ""
-    header = [("critical surface", "", "t"), *((f"{by} {level}", "W") for level in levels), ("all", "W")]
-    cells = [[cell(words[0], "t"), *map(cell, words[1:])] for words in rows]
-    return f"<p>{TITLES[by]}.</p>" + data_table(name, header, cells, sortable=False)
+    parts: list[Part] = [
+        Note(f"Field {s.field_deg:g}°", "h3", anchor),
+        Note(text),
+        Figure(ghost_map, text=f"irradiance on the detector, field {s.field_deg:g}°"),
+        *([Figure(colour, text=f"the detector in colour, field {s.field_deg:g}°")] if colour else []),
+        Table(heads, block, f"t-map-{anchor}", sortable=False),
+    ]
+    for by in LEVELS:
+        levels = level_table(report, s.field_deg, by, f"t-{by}-levels-{anchor}")
+        if len(levels.columns) > SURFACE_AND_ALL:
+            parts += [Note(f"{TITLES[by]}."), levels]
+    parts.append(Figure(functools.partial(layout, report, s.field_deg)))
+    parts += explored_paths(report, s.field_deg, f"t-{anchor}")
+    if per_wavelength:
+        parts.append(_paths_at_wavelengths(report, s.field_deg, f"t-waves-{anchor}"))
+    return Group("field", parts)
 
 
 def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
@@ -123,7 +125,7 @@ def mapped_paths(report: GhostReport, field_deg: float) -> FieldMaps:
     return report.path_maps(field_deg, list(shown_paths(report, field_deg).path_id))
 
 
-def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
+def explored_paths(report: GhostReport, field_deg: float, name: str) -> list[Part]:
     """
     The table of the paths of one field with a picture of each, and the panel that shows what is chosen in it.
 
@@ -136,16 +138,15 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
         Id of the table.
     """
     table, shown, maps = report.table(field_deg), shown_paths(report, field_deg), mapped_paths(report, field_deg)
-    ranks = {column: RANK_HEADERS[rank] for rank, column in RANKS.items() if column in table}
-    headers = [("rank", text) for text in ranks.values()]
-    header = [("image", ""), BOX_HEADER, *_header(shown, False), *headers, ("path", "T R I t r A", "t")]
-    rows = [
+    ranks = {column: Column("rank", RANK_HEADERS[rank]) for rank, column in RANKS.items() if column in table}
+    heads = [*columns("image"), BOX_HEADER, *_heads(shown, False), *ranks.values(), *columns("<path [T R I t r A]")]
+    rows: list[list[Value]] = [
         [
             _picture(report, field_deg, row, maps),
-            BOX_CELL,
-            *_cells(row, shown, False),
-            *(cell(str(rank) if rank else ABSENT) for rank in (getattr(row, column) for column in ranks)),
-            f'<td class="path m"><details><summary>{escape(row.path)}</summary>{escape(row.events)}</details></td>',
+            "",
+            *_values(row, shown, False),
+            *(str(rank) if rank else ABSENT for rank in (getattr(row, column) for column in ranks)),
+            Fold(row.path, row.events, "path m"),
         ]
         for row in shown.itertuples(index=False)
     ]
@@ -162,28 +163,29 @@ def explored_paths(report: GhostReport, field_deg: float, name: str) -> str:
         )
     if not shown.well_sampled.all():
         notes.append(f"* fewer than {FEWEST_RAYS} rays: RMS radius and irradiance are unreliable, ranked last.")
-    return (
-        explorer(report, field_deg, maps, name)
-        + filter_box(name, "filter rows, for example: detector window", f"filter the paths of field {field_deg:g}°")
-        + PICTURES
-        + data_table(name, header, rows)
-        + (f'<p class="note">{" ".join(notes)}</p>' if notes else "")
-    )
+    return [
+        explorer(report, field_deg, maps, name),
+        _filter(field_deg, name),
+        Note(PICTURES, "note"),
+        Table(heads, rows, name),
+        *([Note(" ".join(notes), "note")] if notes else []),
+    ]
 
 
-def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> str:
-    """The paths that `_paths` shows, at each of their wavelengths."""
+def _filter(field_deg: float, name: str) -> Filter:
+    return Filter(name, "filter rows, for example: detector window", f"filter the paths of field {field_deg:g}°")
+
+
+def _paths_at_wavelengths(report: GhostReport, field_deg: float, name: str) -> Folded:
+    """The paths that are shown, at each of their wavelengths."""
     shown = shown_paths(report, field_deg)
-    rows = []
+    rows: list[list[Value]] = []
     for path_id in shown.path_id:
         spectrum = report.spectrum(field_deg, path_id)
-        rows += [[cell(str(path_id)), *_cells(row, shown, True)[1:]] for row in spectrum.itertuples(index=False)]
-    return (
-        f"<details><summary>The same paths at each wavelength ({len(rows)} rows)</summary>"
-        + filter_box(name, "filter rows, for example: detector window", f"filter the paths of field {field_deg:g}°")
-        + data_table(name, _header(shown, True), rows)
-        + f'<p class="note">{AT_WAVELENGTHS}</p></details>'
-    )
+        rows += [[str(path_id), *_values(row, shown, True)[1:]] for row in spectrum.itertuples(index=False)]
+    summary = f"The same paths at each wavelength ({len(rows)} rows)"
+    table = Table(_heads(shown, True), rows, name)
+    return Folded(summary, [_filter(field_deg, name), table, Note(AT_WAVELENGTHS, "note")])
 
 
 def shown_paths(report: GhostReport, field_deg: float) -> pd.DataFrame:
@@ -204,31 +206,25 @@ def _numbers(table: pd.DataFrame, wave: bool) -> list[tuple[str, str, str, str]]
     ]
 
 
-def _header(table: pd.DataFrame, wavelength: bool) -> list[tuple[str, ...]]:
-    return [
-        ("path", "no."), ("1st → 2nd ghost surface, scatter", "", "t"), ("kind", "", "t"),
-        *([("λ", "nm")] if wavelength else []), ("rays", ""),
-        *((text, unit) for text, unit, _, _ in _numbers(table, wavelength)),
-    ]  # fmt: skip
+def _heads(table: pd.DataFrame, wavelength: bool) -> list[Column]:
+    named = ("path [no.]", "<1st → 2nd ghost surface, scatter", "<kind", *(["λ [nm]"] if wavelength else []), "rays")
+    return columns(*named, *(Column(head, unit) for head, unit, _, _ in _numbers(table, wavelength)))
 
 
-def _cells(row: Any, table: pd.DataFrame, wavelength: bool) -> list[str]:
+def _values(row: Any, table: pd.DataFrame, wavelength: bool) -> list[Value]:
     return [
-        cell(str(row.path_id)),
-        cell(str(row.label) + ("" if row.well_sampled else " *"), "t"),
-        cell(str(row.kind), "t"),
-        *([cell(f"{row.wavelength_nm:g}")] if wavelength else []),
-        cell(str(row.rays)),
-        *(
-            number_cell(Estimate(getattr(row, value), getattr(row, se)))
-            for _, _, value, se in _numbers(table, wavelength)
-        ),
+        str(row.path_id),
+        str(row.label) + ("" if row.well_sampled else " *"),
+        str(row.kind),
+        *([f"{row.wavelength_nm:g}"] if wavelength else []),
+        str(row.rays),
+        *(Estimate(getattr(row, value), getattr(row, se)) for _, _, value, se in _numbers(table, wavelength)),
     ]
 
 
-def _picture(report: GhostReport, field_deg: float, row: Any, maps: FieldMaps) -> str:
+def _picture(report: GhostReport, field_deg: float, row: Any, maps: FieldMaps) -> Value:
     if row.path_id not in maps.paths:
-        return picture_cell(row.path_id, "", ())
+        return ""
     t = report[field_deg]
     height, width = t.irradiance.shape
     found = thumbnail(maps.paths[row.path_id], t.extent, (height, width), (row.x_mm, row.y_mm), row.rms_radius_mm)

@@ -1,35 +1,28 @@
-"""One self-contained report.html: style, script and pictures inside, nothing from the network."""
+"""The report of a ghost analysis, and its page: self-contained, with style, script and pictures inside."""
 
 from __future__ import annotations
 
+import functools
 import math
 from collections.abc import Mapping, Sequence
-from html import escape
 from pathlib import Path
 from typing import Any
+
+from markupsafe import Markup
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.recorders.path_events import STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.report.figures.plots import as_png, levels_against_field, montage
-from mistray.report.html.coatings import coatings
+from mistray.report.ghosts.fields import field_section, mapped_paths
+from mistray.report.ghosts.ledgers import coatings, energy_ledger, surface_ledger
+from mistray.report.ghosts.scatter import scatter_ledger
 from mistray.report.html.explorer import page_data
-from mistray.report.html.fields import field_section, mapped_paths
-from mistray.report.html.hover import hover_figure
-from mistray.report.html.ledgers import energy_ledger, surface_ledger
-from mistray.report.html.markup import (
-    cell,
-    data_table,
-    figure,
-    image,
-    number_cell,
-    section,
-    setting_text,
-    thousands,
-)
-from mistray.report.html.page import page
-from mistray.report.html.scatter import scatter_ledger
+from mistray.report.html.render import html_page
+from mistray.report.model import Column, Figure, Hover, Note, Part, Report, Section, Table, Value, columns
+from mistray.report.own_sections import own_sections
+from mistray.report.parts import setting_text, settings_section, thousands
 from mistray.report.tables.ghosts import warnings
 from mistray.report.tables.text import ABSENT, with_error
 
@@ -75,6 +68,11 @@ DEFINITIONS = (
 )  # fmt: skip
 
 
+OVERVIEW = "Irradiance on the detector at every field, all light, one log10 scale."
+LEVELS = "Power by kind of light, and the ten worst stray paths at every field."
+AT_WAVELENGTHS = "Nominal and normalised: against the on-axis image at the same wavelength."
+
+
 def write_html(
     report: GhostReport,
     path: str | Path,
@@ -96,7 +94,7 @@ def write_html(
     command : str
         The command line that made it, for the reader who wants to repeat it.
     pictures : mapping of str to bytes, optional
-        PNG files that were drawn already, by name, as from `mistray.report.output.draw`; colour pictures stand in the
+        PNG files that were drawn already, by name, as from `ghosts_output.draw`; colour pictures stand in the
         report if they are among these.
     per_wavelength : bool
         Add the paths and the ledgers at each wavelength.
@@ -117,28 +115,43 @@ def html_text(
     per_wavelength: bool = False,
 ) -> str:
     """The report as HTML text; see `write_html`."""
-    pictures = pictures or {}
+    return html_page(ghosts_report(report, title, command, pictures or {}, per_wavelength))
+
+
+def ghosts_report(
+    report: GhostReport, title: str, command: str, pictures: Mapping[str, bytes], per_wavelength: bool
+) -> Report:
+    """The report of a ghost analysis; see `write_html`."""
     for field in report:
         mapped_paths(report, field)  # first of all: the maps of the summaries come from the same run of the rays
-    settings = next(iter(report.values())).settings
     summaries = [report.summary(field) for field in report]
     fields = [page_data(report.scene), *(field_section(report, s, pictures, per_wavelength) for s in summaries)]
-    with_coatings = bool(report.nominal_trace.tables)
+    overview = pictures.get("overview.png") or as_png(montage(report))
+    drawn = [Figure(overview, OVERVIEW, "ghost images of all fields"), _levels(report)]
     sections = [
-        _head(report, title, settings, summaries),
-        _summary(report, summaries, per_wavelength),
-        _pictures(report, pictures),
-        section("fields", "Field by field", "".join(fields)),
-        section("energy", "Energy ledger", energy_ledger(report, per_wavelength)),
-        *([section("scatter", "Scattered light", scatter_ledger(report))] if report.scatters else []),
-        section("surfaces", "Flux at every surface", surface_ledger(report, per_wavelength)),
-        *([section("coatings", "Coatings and surfaces", coatings(report))] if with_coatings else []),
-        section("settings", "Assumptions, definitions and settings", _settings(settings, report, command)),
+        Section("summary", "Summary", _summary(report, summaries, per_wavelength), "Summary"),
+        Section("pictures", "Pictures", drawn, "Pictures"),
+        Section("fields", "Field by field", fields, "Fields"),
+        Section("energy", "Energy ledger", energy_ledger(report, per_wavelength), "Energy"),
     ]
-    return page(f"Ghost analysis: {title}", sections, ("report", "hover", "explorer"))
+    if report.scatters:
+        sections.append(Section("scatter", "Scattered light", scatter_ledger(report), "Scatter"))
+    sections.append(Section("surfaces", "Flux at every surface", surface_ledger(report, per_wavelength), "Surfaces"))
+    if report.nominal_trace.tables:
+        sections.append(Section("coatings", "Coatings and surfaces", coatings(report), "Coatings"))
+    return Report(
+        "Ghost analysis",
+        title,
+        [*sections, *own_sections(report), _settings(report, command)],
+        lead=[Note(_traced(report), "sub"), _finding(report, summaries)],
+        warnings=warnings(report),
+        scripts=("report", "hover", "explorer"),
+    )
 
 
-def _head(report: GhostReport, title: str, settings: dict[str, Any], summaries: Sequence[FieldSummary]) -> str:
+def _traced(report: GhostReport) -> str:
+    """What was traced, in one sentence."""
+    settings = next(iter(report.values())).settings
     fields = ", ".join(f"{field:g}" for field in report)
     lines = f"{', '.join(f'{wavelength:g}' for wavelength in report.wavelengths_nm)} nm"
     shares = [f"{100 * report.weight(wavelength):.3g}" for wavelength in report.wavelengths_nm]
@@ -146,131 +159,96 @@ def _head(report: GhostReport, title: str, settings: dict[str, Any], summaries: 
         lines += f" with {', '.join(shares)} % of the flux" if len(set(shares)) > 1 else " in equal shares"
     most = settings["max_scatters"]
     scatters = f" and {most} scatter event{'' if most == 1 else 's'}" if report.scatters else ""
-    traced = (
+    return (
         f"Fields {fields}° at azimuth {setting_text(settings['azimuth_deg'])}°, {lines}, "
         f"{thousands(settings['rays'])} start rays at each field, up to {settings['max_reflections']} reflections"
         f"{scatters}."
     )
-    found = warnings(report)
-    box = ""
-    if found:
-        box = (
-            '<div class="warnings"><b>Mind</b><ul>'
-            + "".join(f"<li>{escape(text)}</li>" for text in found)
-            + "</ul></div>"
-        )
-    links = (("summary", "Summary"), ("pictures", "Pictures"), ("fields", "Fields"), ("energy", "Energy"),
-             *([("scatter", "Scatter")] if report.scatters else []), ("surfaces", "Surfaces"),
-             *([("coatings", "Coatings")] if report.nominal_trace.tables else []),
-             ("settings", "Settings"))  # fmt: skip
-    nav = "".join(f'<a href="#{target}">{text}</a>' for target, text in links)
-    return (
-        f'<header><h1>Ghost analysis: {escape(title)}</h1><p class="sub">{escape(traced)}</p>'
-        f"{_finding(report, summaries)}{box}<nav>{nav}</nav></header>"
-    )
 
 
-def _finding(report: GhostReport, summaries: Sequence[FieldSummary]) -> str:
+def _finding(report: GhostReport, summaries: Sequence[FieldSummary]) -> Note:
     rated = [s for s in summaries if s.brightest is not None and math.isfinite(s.brightest_normalised.value)]
     if not rated:
-        return "<p>No stray path reaches the detector.</p>"
+        return Note("No stray path reaches the detector.")
     worst = max(rated, key=lambda s: s.brightest_normalised.value)
     row = report.top(worst.field_deg, 1, "rms").iloc[0]
     most = max(summaries, key=lambda s: s.stray_W.value)
     strongest = {s.field_deg: report.top(s.field_deg, 1, "power").iloc[0] for s in rated}
     at, strong = max(strongest.items(), key=lambda item: item[1].power_W)
-    return (
-        f"<p>Worst path by RMS irradiance: <b>{escape(row.label)}</b> ({escape(row.kind)}) at {worst.field_deg:g}°, "
-        f"{with_error(worst.brightest_normalised)} of the on-axis image. "
-        f"Strongest path by power: <b>{escape(strong.label)}</b> ({escape(strong.kind)}) at {at:g}°, "
-        f"{with_error(Estimate(strong.power_W, strong.power_se_W))} W. "
-        f"Most stray light: {with_error(most.stray_W)} W at {most.field_deg:g}°, "
-        f"{with_error(most.stray_to_nominal)} of the power of the on-axis image.</p>"
+    path = Markup("<b>{}</b> ({}) at {:g}°")
+    text = (
+        "Worst path by RMS irradiance: {}, {} of the on-axis image. Strongest path by power: {}, {} W. "
+        "Most stray light: {} W at {:g}°, {} of the power of the on-axis image."
     )
+    words = (
+        *(path.format(row.label, row.kind, worst.field_deg), with_error(worst.brightest_normalised)),
+        *(path.format(strong.label, strong.kind, at), with_error(Estimate(strong.power_W, strong.power_se_W))),
+        *(with_error(most.stray_W), most.field_deg, with_error(most.stray_to_nominal)),
+    )
+    return Note(Markup(text).format(*words))
 
 
-def _summary(report: GhostReport, summaries: Sequence[FieldSummary], per_wavelength: bool) -> str:
-    kinds = [kind for kind in STRAY_KINDS if any(s.paths_of_kind[kind] for s in summaries)]
-    header = [
-        ("field", "deg"), ("paths", ""), ("direct image", "W"), ("stray light", "W"),
-        *((f"of it {kind}", "W") for kind in kinds),
-        ("stray/direct", ""), ("stray/nominal", ""), ("peak stray/peak nominal", ""), ("worst path", "normalised"),
-    ]  # fmt: skip
-    rows = []
-    for s in summaries:
-        field, numbers, worst = _summary_cells(s, kinds)
-        rows.append([field, *numbers, number_cell(report.peak_to_nominal(s.field_deg)), worst])
-    at_wavelengths = ""
-    if per_wavelength:
-        table = []
-        for s in (report.summary(s.field_deg, line) for s in summaries for line in report.wavelengths_nm):
-            field, numbers, worst = _summary_cells(s, kinds)
-            table.append([field, cell(f"{s.wavelength_nm:g}"), *numbers, worst])
-        at_wavelengths = (
-            "<h3>At each wavelength</h3><p>Nominal and normalised: against the on-axis image at the same wavelength."
-            f"</p>{data_table('t-summary-waves', [header[0], ('λ', 'nm'), *header[1:-2], header[-1]], table)}"
-        )
+def _summary(report: GhostReport, summaries: Sequence[FieldSummary], per_wavelength: bool) -> list[Part]:
+    """Statistics of every field; on request at each wavelength too."""
     nominal = report.nominal
     text = (
         f"Nominal image (on axis, direct): {with_error(nominal.power_W)} W, "
         f"RMS radius {with_error(nominal.rms_radius_mm)} mm, "
         f"RMS irradiance {with_error(nominal.rms_irradiance_W_mm2)} W/mm²."
     )
-    return section("summary", "Summary", f"<p>{text}</p>{data_table('t-summary', header, rows)}{at_wavelengths}")
+    kinds = [kind for kind in STRAY_KINDS if any(s.paths_of_kind[kind] for s in summaries)]
+    parts: list[Part] = [Note(text), _summary_table(report, summaries, kinds, "t-summary")]
+    if per_wavelength:
+        lines = [report.summary(s.field_deg, line) for s in summaries for line in report.wavelengths_nm]
+        table = _summary_table(report, lines, kinds, "t-summary-waves").without("peak stray/peak nominal")
+        parts += [Note("At each wavelength", "h3"), Note(AT_WAVELENGTHS), table]
+    return parts
 
 
-def _summary_cells(s: FieldSummary, kinds: Sequence[str]) -> tuple[str, list[str], str]:
-    """Cells of one row of the summary: the field, the numbers, the worst path."""
-    numbers = [
-        cell(str(s.paths)),
-        number_cell(s.direct.power_W if s.direct.power_W.value > 0 else UNKNOWN),
-        number_cell(s.stray_W),
-        *(number_cell(s.stray_of_kind_W[kind]) if s.paths_of_kind[kind] else cell(ABSENT) for kind in kinds),
-        number_cell(s.ghost_to_signal),
-        number_cell(s.stray_to_nominal),
+def _summary_table(report: GhostReport, summaries: Sequence[FieldSummary], kinds: Sequence[str], name: str) -> Table:
+    rows: list[list[Value]] = [
+        [
+            f"{s.field_deg:g}",
+            "" if s.wavelength_nm is None else f"{s.wavelength_nm:g}",
+            s.paths,
+            s.direct.power_W if s.direct.power_W.value > 0 else UNKNOWN,
+            s.stray_W,
+            *(s.stray_of_kind_W[kind] if s.paths_of_kind[kind] else ABSENT for kind in kinds),
+            *(s.ghost_to_signal, s.stray_to_nominal, report.peak_to_nominal(s.field_deg), s.brightest_normalised),
+        ]
+        for s in summaries
     ]
-    return cell(f"{s.field_deg:g}"), numbers, number_cell(s.brightest_normalised)
+    heads = columns(
+        "field [deg]", "λ [nm]", "paths", "direct image [W]", "stray light [W]",
+        *(Column(f"of which {kind}", "W") for kind in kinds), "stray/direct", "stray/nominal",
+        "peak stray/peak nominal", "worst path [normalised]",
+    )  # fmt: skip
+    table = Table(heads, rows, name)
+    return table.without("λ") if all(s.wavelength_nm is None for s in summaries) else table
 
 
-def _pictures(report: GhostReport, pictures: Mapping[str, bytes]) -> str:
-    overview = pictures.get("overview.png") or as_png(montage(report))
-    parts = [
-        figure(
-            image(overview, "ghost images of all fields"),
-            "Irradiance on the detector at every field, all light, one log10 scale.",
-        ),
-        _levels(report),
-    ]
-    return section("pictures", "Pictures", "".join(parts))
-
-
-def _levels(report: GhostReport) -> str:
+def _levels(report: GhostReport) -> Figure:
     """Power against field angle, with its values for the pointer."""
-    drawn, fields = levels_against_field(report), sorted(report)
+    fields = sorted(report)
     values = []
     for s in (report.summary(field) for field in fields):
         powers = {"direct image": s.direct.power_W, "stray light": s.stray_W}
         powers |= {kind: s.stray_of_kind_W[kind] for kind in STRAY_KINDS if s.paths_of_kind[kind]}
         shown = [(name, f"{with_error(power)} W" if power.value > 0 else ABSENT) for name, power in powers.items()]
         values.append([*shown, ("worst path, normalised", with_error(s.brightest_normalised))])
-    titles = [f"field {field:g}°" for field in fields]
-    caption = "Power by kind of light, and the ten worst stray paths at every field."
-    return hover_figure("data-levels", drawn, drawn.axes[0], fields, titles, values, caption)
+    hover = Hover("data-levels", fields, [f"field {field:g}°" for field in fields], values)
+    return Figure(functools.partial(levels_against_field, report), LEVELS, hover=hover)
 
 
-def _settings(settings: dict[str, Any], report: GhostReport, command: str) -> str:
-    polarization = POLARIZATION[settings["polarization"]]
-    scatter = SCATTERED.format(**settings) if report.scatters else SPECULAR
-    texts = [text.format(polarization=polarization, scatter=scatter) for text in ASSUMPTIONS]
-    assumptions = "".join(f"<li>{escape(text)}</li>" for text in texts)
-    definitions = "".join(f"<dt>{escape(term)}</dt><dd>{escape(text)}</dd>" for term, text in DEFINITIONS)
-    shown = {key: value for key, value in settings.items() if key not in ("field_deg", "versions")}
+def _settings(report: GhostReport, command: str) -> Section:
+    settings = next(iter(report.values())).settings
+    words = {
+        "polarization": POLARIZATION[settings["polarization"]],
+        "scatter": SCATTERED.format(**settings) if report.scatters else SPECULAR,
+    }
+    shown: dict[str, Any] = {key: value for key, value in settings.items() if key not in ("field_deg", "versions")}
     shown["field_deg"] = ", ".join(f"{field:g}" for field in report)
     shown |= {f"version of {name}": version for name, version in dict(settings.get("versions") or {}).items()}
-    pairs = ((escape(str(key)), escape(setting_text(value))) for key, value in shown.items())
-    items = "".join(f"<dt>{key}</dt><dd>{value}</dd>" for key, value in pairs)
-    ran = f"<h3>Command</h3><pre>{escape(command)}</pre>" if command else ""
-    return (
-        f'<h3>Assumptions</h3><ul>{assumptions}</ul><h3>Definitions</h3><dl class="settings">{definitions}</dl>'
-        f'<h3>Settings</h3><dl class="settings">{items}</dl>{ran}'
+    return settings_section(
+        shown, command, DEFINITIONS, [text.format(**words) for text in ASSUMPTIONS], link="Settings"
     )

@@ -1,0 +1,48 @@
+"""Picture of thermal self-emission: what each surface and medium puts on the detector."""
+
+from __future__ import annotations
+
+import numpy as np
+from matplotlib.ticker import LogLocator
+
+from mistray.analysis.thermal.emission import ThermalReport
+from mistray.report.figures.figure import Figure
+from mistray.report.figures.plots import BLUE, GREEN, ORANGE, VERMILION
+
+SHOWN = 12  # bars
+KIND_COLOURS = {"surface": BLUE, "medium": GREEN}
+COLD_COLOUR = ORANGE
+
+
+def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
+    """Irradiance by surface and medium as bars, the strongest first, and lines for all of it and for the scene."""
+    lit = [e for e in report.emitters if e.irradiance_W_mm2.value > 0][:SHOWN]
+    made = Figure(figsize=(8.6, 1.4 + 0.32 * max(len(lit), 3)), dpi=120, layout="constrained")
+    axes = made.subplots()
+    values = np.array([e.irradiance_W_mm2.value for e in lit])
+    colours = [COLD_COLOUR if e.temperature_K < report.temperature_K else KIND_COLOURS[e.kind] for e in lit]
+    axes.barh(range(len(lit)), values, color=colours, height=0.7)
+    errors = np.array([e.irradiance_W_mm2.se for e in lit])
+    axes.errorbar(values, range(len(lit)), xerr=np.minimum(errors, 0.9 * values), fmt="none", ecolor="#333333", lw=0.9)
+    axes.set_yticks(range(len(lit)), [e.name for e in lit], fontsize=8)
+    axes.invert_yaxis()
+    for value, colour, text in (
+        (report.total_W_mm2.value, VERMILION, "all self-emission"),
+        (report.image_W_mm2.value, "#555555", f"image of a blackbody at {report.scene_K:g} K"),
+    ):
+        if value > 0:
+            axes.axvline(value, color=colour, lw=1.2, ls="--", label=f"{text}: {value:.3g} W/mm²")
+    if len(lit):
+        axes.set_xscale("log")
+        axes.set_xlim(max(values.min() / 3, values.max() * 1e-8))
+        axes.xaxis.set_major_locator(LogLocator(10, numticks=12))
+    axes.set_xlabel(f"irradiance on the detector, {report.band_um[0]:g} to {report.band_um[1]:g} µm [W/mm²]")
+    axes.grid(True, axis="x", color="#dddddd", lw=0.6)
+    axes.set_axisbelow(True)
+    axes.spines[["top", "right"]].set_visible(False)
+    if axes.get_legend_handles_labels()[0]:
+        made.legend(loc="outside upper right", fontsize=8, frameon=False, ncols=2)
+    made.suptitle(title, fontsize=10, x=0.01, ha="left")
+    note = "bars of one standard error; blue: surfaces, green: media, orange: what is colder than the rest"
+    made.supxlabel(note, fontsize=7.5, color="#555555")
+    return made

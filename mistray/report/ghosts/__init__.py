@@ -1,0 +1,1 @@
+"""The report of a ghost analysis: its summary, its fields, its ledgers."""

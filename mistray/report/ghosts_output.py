@@ -1,0 +1,124 @@
+"""Everything that a ghost analysis writes into a directory, complete or not at all."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from mistray.analysis.ghosts import GhostReport
+from mistray.replace_file import claim_files, draft_folder, written
+from mistray.report.colour import ColourPictures, Look
+from mistray.report.figures.layout import layout
+from mistray.report.figures.plots import as_png, common_range, ghost_image, levels_against_field, montage
+from mistray.report.ghosts.fields import mapped_paths
+from mistray.report.ghosts.report import html_text
+from mistray.report.output import nearest_directory, told, writable_directory
+from mistray.report.rays.path_sort import path_sort_text
+from mistray.report.tables.ghosts_csv import write_csv
+
+PATHS_SORTED = 1000  # paths in a path-sort file
+
+
+def draw(report: GhostReport, look: Look | None = None) -> dict[str, bytes]:
+    """
+    All pictures as PNG, by file name.
+
+    Parameters
+    ----------
+    report : GhostReport
+    look : Look, optional
+        Draw colour pictures, too, like this.
+
+    Returns
+    -------
+    dict
+        overview.png, levels.png and, for each field, ghosts_<field>deg.png and layout_<field>deg.png; with a look also
+        colour_<field>deg.png.
+    """
+    limits = common_range(report)
+    pictures = {"overview.png": as_png(montage(report)), "levels.png": as_png(levels_against_field(report))}
+    for field in report:
+        pictures[f"ghosts_{field:g}deg.png"] = as_png(ghost_image(report, field, limits))
+        pictures[f"layout_{field:g}deg.png"] = as_png(layout(report, field))
+    if look is not None:
+        colours = ColourPictures(report, look)
+        pictures |= {f"colour_{field:g}deg.png": as_png(colours.figure(field)) for field in report}
+    return pictures
+
+
+def write_png(report: GhostReport, directory: str | Path, look: Look | None = None) -> list[Path]:
+    """
+    Write the pictures of `draw`.
+
+    Parameters
+    ----------
+    report : GhostReport
+    directory : str or Path
+        Must exist.
+    look : Look, optional
+        See `draw`.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    return _write(draw(report, look), Path(directory))
+
+
+def write_all(
+    report: GhostReport,
+    directory: str | Path,
+    title: str = "scene",
+    command: str = "",
+    per_wavelength: bool = False,
+    look: Look | None = None,
+) -> list[Path]:
+    """
+    Write CSV, PNG, path-sort files (of the `PATHS_SORTED` strongest paths) and report.html.
+
+    All files are made in a temporary directory, in the target or, where that is still to be made, beside it, and moved
+    at the end, so that a failure leaves nothing half-written. Files of the same names are replaced, others are left
+    alone.
+
+    Parameters
+    ----------
+    report : GhostReport
+    directory : str or Path
+        Made if it is missing, with the directories above it.
+    title : str
+        Name of the optical system.
+    command : str
+        Command line, quoted in the report.
+    per_wavelength : bool
+        Add tables of each wavelength, in the report and as CSV.
+    look : Look, optional
+        Add colour pictures, developed like this.
+
+    Returns
+    -------
+    list of Path
+        The files written.
+    """
+    target = writable_directory(directory)
+    with told(directory), draft_folder(nearest_directory(target)) as draft:
+        for field in report:
+            mapped_paths(report, field)  # before the pictures, whose maps then come from the same run of the rays
+        pictures = draw(report, look)
+        drafts = [*write_csv(report, draft, per_wavelength), *_write(pictures, draft)]
+        for field in report:
+            path = draft / f"path_sort_{field:g}deg.txt"
+            path.write_text(path_sort_text(report[field], PATHS_SORTED), encoding="utf-8")
+            drafts.append(path)
+        page = html_text(report, title, command, pictures, per_wavelength)
+        drafts += _write({"report.html": page.encode()}, draft)
+        target.mkdir(parents=True, exist_ok=True)
+        claim_files(target / path.name for path in drafts)
+        files = [path.replace(target / path.name) for path in drafts]
+        written.extend(files)
+        return files
+
+
+def _write(pictures: dict[str, bytes], directory: Path) -> list[Path]:
+    for name, png in pictures.items():
+        (directory / name).write_bytes(png)
+    return [directory / name for name in pictures]

@@ -1,0 +1,100 @@
+"""A report as one HTML page: style, scripts and pictures inside, nothing from the network."""
+
+from __future__ import annotations
+
+import base64
+import functools
+from collections.abc import Sequence
+from html import escape
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, FunctionLoader, StrictUndefined
+from markupsafe import Markup
+
+from mistray.analysis.estimate import Estimate
+from mistray.analysis.irradiance import log_range
+from mistray.report import model
+from mistray.report.figures.figure import Figure
+from mistray.report.figures.plots import DECADES, as_svg, draw_map
+from mistray.report.html.hover import hover_figure
+from mistray.report.html.markup import cell, number_cell
+
+
+def html_page(report: model.Report) -> str:
+    """A whole HTML document."""
+    code = Markup("\n".join(_resource("assets", f"{name}.js") for name in report.scripts))
+    css = Markup(_resource("assets", "report.css"))
+    return _environment().get_template("page.html").render(report=report, code=code, css=css) + "\n"
+
+
+def template(name: str, **values: Any) -> str:
+    """A template of this room, filled in."""
+    return _environment().get_template(name).render(values).strip()
+
+
+def html_parts(parts: Sequence[model.Part]) -> str:
+    """Parts of a report as HTML."""
+    part = _environment().get_template("parts.html").module.part  # type: ignore[attr-defined]
+    return "".join(part(one) for one in parts)
+
+
+def value_cell(value: model.Value, column: model.Column) -> Markup:
+    """A cell of a table."""
+    return Markup(_cell(value, column))
+
+
+def _cell(value: model.Value, column: model.Column) -> str:
+    if isinstance(value, Estimate):
+        return number_cell(value)
+    if isinstance(value, model.Noted):
+        return number_cell(value.number, value.note)
+    if isinstance(value, model.Cell):
+        return cell(value.text, value.style)
+    if isinstance(value, model.Finished):
+        return value.html
+    if isinstance(value, model.Fold):
+        below = f"<details><summary>{escape(value.summary)}</summary>{escape(value.text)}</details>"
+        return f'<td class="{value.style}">{below}</td>'
+    return cell(str(value), column.style)
+
+
+def _hovering(figure: model.Figure) -> Markup:
+    assert callable(figure.picture)
+    assert figure.hover is not None
+    drawn, hover = figure.picture(), figure.hover
+    places = (hover.x, hover.titles, hover.values)
+    return Markup(hover_figure(hover.name, drawn, drawn.axes[0], *places, figure.caption))
+
+
+def _drawn_map(given: model.Map) -> model.Figure:
+    return model.Figure(functools.partial(_map_figure, given), given.title)
+
+
+def _map_figure(given: model.Map) -> Figure:
+    drawn = Figure(figsize=(5.6, 4.4), dpi=110, layout="constrained")
+    axes = drawn.subplots()
+    picture = draw_map(axes, given.values, given.extent_mm, log_range([given.values], DECADES))
+    axes.set_xlabel("x [mm]")
+    axes.set_ylabel("y [mm]")
+    if picture is not None:
+        drawn.colorbar(picture, ax=axes, extend="min").set_label(f"log₁₀ [{given.unit}]")
+    return drawn
+
+
+@functools.cache
+def _environment() -> Environment:
+    made = Environment(loader=FunctionLoader(lambda name: _resource("templates", name)), autoescape=True,
+                       trim_blocks=True, undefined=StrictUndefined)  # fmt: skip
+    made.filters |= {
+        "base64": lambda png: base64.b64encode(png).decode("ascii"),
+        "cell": value_cell,
+        "drawn_map": _drawn_map,
+        "hovering": _hovering,
+        "svg": lambda drawn: Markup(as_svg(drawn)),
+    }
+    return made
+
+
+def _resource(folder: str, name: str) -> str:
+    return files("mistray.report.html").joinpath(folder, name).read_text(encoding="utf-8")

@@ -1,0 +1,67 @@
+"""Parts that the reports of several commands have: definitions and settings, and a DataFrame as a table."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+from mistray.report.model import Items, Note, Part, Section, Terms
+from mistray.report.tables.text import ABSENT
+from mistray.trace.forward import versions
+
+
+def settings_section(
+    facts: Mapping[str, Any],
+    command: str,
+    definitions: Sequence[tuple[str, str]] = (),
+    assumptions: Sequence[str] = (),
+    before: Sequence[Part] = (),
+    after: Sequence[Part] = (),
+    link: str = "",
+) -> Section:
+    """
+    The last section of a report: what it takes for granted, what its words mean, and how it was made.
+
+    Parameters
+    ----------
+    facts : mapping
+        Settings by name; values of any kind.
+    command : str
+        Command line; empty: none.
+    definitions : sequence of (str, str)
+    assumptions : sequence of str
+    before, after : sequence of Part
+        Above all of it, and between the settings and the command.
+    link : str
+        See `Section`.
+    """
+    parts: list[Part] = list(before)
+    if assumptions:
+        parts += [Note("Assumptions", "h3"), Items(assumptions)]
+    if definitions:
+        parts += [Note("Definitions", "h3"), Terms(definitions), Note("Settings", "h3")]
+    parts += [Terms([(str(key), setting_text(value)) for key, value in facts.items()]), *after]
+    if command:
+        parts += [Note("Command", "h3"), Note(command, "pre")]
+    words = [word for word, there in (("Assumptions", assumptions), ("definitions", definitions)) if there]
+    title = f"{', '.join([*words, '']).removesuffix(', ')} and settings".capitalize() if words else "Settings"
+    return Section("settings", title, parts, link)
+
+
+def version_settings() -> dict[str, str]:
+    """Versions of the packages that made the numbers, as settings of a report."""
+    return {f"version of {name}": version for name, version in versions().items()}
+
+
+def setting_text(value: Any) -> str:
+    """A setting as text."""
+    if isinstance(value, float):
+        return f"{value:g}"
+    if isinstance(value, list | tuple):
+        return ", ".join(setting_text(item) for item in value)
+    return ABSENT if value is None else str(value)
+
+
+def thousands(value: Any) -> str:
+    """A whole number with a space before every three digits."""
+    return f"{int(value):,}".replace(",", " ") if value is not None else ABSENT
