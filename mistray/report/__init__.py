@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from mistray.report.ghosts_output import write_all, write_png
     from mistray.report.objects_output import write_objects
     from mistray.report.output import writable_directory
+    from mistray.report.own_sections import remove_section, report_section
     from mistray.report.pst_output import write_pst
     from mistray.report.rays.path_rays import RayLine, rays_of_paths
     from mistray.report.rays.path_sort import SortedPath, parse_path_sort, path_sort_text
@@ -50,6 +51,7 @@ __all__ = lazy_package(
         "rays.path_rays": ("RayLine", "rays_of_paths"),
         "rays.path_sort": ("SortedPath", "parse_path_sort", "path_sort_text"),
         "figures.plots": ("ghost_image", "levels_against_field", "montage"),
+        "own_sections": ("remove_section", "report_section"),
         "pst_output": ("write_pst",),
         "tables.pst": ("pst_text",),
         "rays.ray_files": ("read_rays", "write_rays"),

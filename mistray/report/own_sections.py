@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from typing import Any, TypeVar
 
 import pandas as pd
 
+from mistray.errors import MistrayError
 from mistray.files.json_values import plain
-from mistray.report.model import Section, Table
+from mistray.report.model import Map, Section, Table
 from mistray.report.tables.frames import table_frame
 from mistray.report.tables.text import parts_text
 
@@ -52,22 +53,35 @@ def own_text(result: Any) -> list[str]:
     return [f"{section.title}\n{parts_text(section.parts)}" for section in own_sections(result)]
 
 
-def own_tables(result: Any) -> dict[str, pd.DataFrame]:
-    """The tables of the sections by file name."""
-    parts = [part for section in own_sections(result) for part in section.parts]
-    return {f"{part.name}.csv": table_frame(part) for part in parts if isinstance(part, Table)}
+def own_tables(result: Any, taken: Container[str] = ()) -> dict[str, pd.DataFrame]:
+    """
+    The tables of the sections by file name.
+
+    Raises
+    ------
+    MistrayError
+        A table has no name, or that of a file in `taken` or of another table.
+    """
+    tables: dict[str, pd.DataFrame] = {}
+    for section in own_sections(result):
+        for part in section.parts:
+            if isinstance(part, Table):
+                name = f"{part.name}.csv"
+                if not part.name or name in taken or name in tables:
+                    raise MistrayError(f"section '{section.title}': a table is named '{part.name}'; name it otherwise")
+                tables[name] = table_frame(part)
+    return tables
 
 
 def own_record(result: Any) -> dict[str, Any]:
-    """The sections as values for JSON, by anchor: title and the rows of each table by its name."""
-    return {
-        section.anchor: {
-            "title": section.title,
-            **{
-                part.name: plain(table_frame(part).to_dict("records"))
-                for part in section.parts
-                if isinstance(part, Table)
-            },
-        }
-        for section in own_sections(result)
-    }
+    """The sections as values for JSON, by anchor: title, rows of each table and range of each map by its name."""
+    record: dict[str, Any] = {}
+    for section in own_sections(result):
+        record[section.anchor] = own = {"title": section.title}
+        for part in section.parts:
+            if isinstance(part, Table):
+                own[part.name] = plain(table_frame(part).to_dict("records"))
+            elif isinstance(part, Map):
+                ends = {"smallest": part.values.min(), "largest": part.values.max()}
+                own[part.name] = plain({"extent_mm": part.extent_mm, "unit": part.unit, **ends})
+    return record

@@ -129,7 +129,7 @@ def csv_tables(report: GhostReport, per_wavelength: bool = False) -> dict[str, p
     tables["stray_levels.csv"] = level_frame(report)
     if any(t.aiming for t in report.values()):
         tables["aiming.csv"] = aiming_table(report)
-    return tables | own_tables(report)
+    return tables | own_tables(report, tables)
 
 
 def write_csv(report: GhostReport, directory: str | Path, per_wavelength: bool = False) -> list[Path]:

@@ -1,0 +1,131 @@
+"""A section of one's own in the report of a ghost analysis: this file is all that a user writes."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from mistray import cli
+from mistray.analysis import GhostReport
+from mistray.analysis.estimate import Estimate
+from mistray.errors import MistrayError
+from mistray.report import main_table, remove_section, report_section, write_all
+from mistray.report.figures.figure import Figure as Drawing
+from mistray.report.model import Figure, Map, Note, Section, Table, columns
+
+BRIGHTEST = 3  # ghosts of each field
+
+
+def reflecting(report: GhostReport) -> list[tuple[float, str, Estimate]]:
+    """Field, surface, and power of the brightest ghosts by the surface that reflects them first."""
+    found = []
+    for field in report:
+        rows = report.top(field, BRIGHTEST, "power")
+        for surface, own in rows[rows.ghost_1.astype(bool)].groupby("ghost_1", sort=False):
+            power = Estimate(float(own.power_W.sum()), float(np.hypot.reduce(own.power_se_W)))
+            found.append((field, str(surface), power))
+    return found
+
+
+def brightest_ghosts(report: GhostReport) -> Section:
+    """Which surfaces the brightest ghosts come from: a table, a picture, a map and a remark."""
+    found = reflecting(report)
+
+    def bars() -> Drawing:
+        drawn = Drawing(figsize=(6, 3))
+        axes = drawn.subplots()
+        axes.barh([f"{surface}, {field:g}°" for field, surface, _ in found], [power.value for *_, power in found])
+        axes.set_xlabel("power [W]")
+        return drawn
+
+    first = next(iter(report.values()))
+    rows = [[f"{field:g}", surface, power] for field, surface, power in found]
+    return Section(
+        "brightest",
+        "Surfaces of the brightest ghosts",
+        [
+            Note(f"The {BRIGHTEST} brightest ghosts of each field <by power>."),
+            Table(columns("field [deg]", "<surface", "power [W]"), rows, "ghost_surfaces"),
+            Figure(bars, "Power by the surface that reflects first."),
+            Map(first.irradiance, first.extent, "all light of the first field", name="light"),
+        ],
+        link="Brightest",
+    )
+
+
+@pytest.fixture
+def section() -> Iterator[Any]:
+    """The section, which every report has while a test runs."""
+    yield report_section(brightest_ghosts)
+    remove_section(brightest_ghosts)
+
+
+@pytest.fixture(scope="module")
+def report() -> GhostReport:
+    import mistray
+
+    return mistray.ghosts(mistray.load("plate"), field_deg=[0.0, 5.0], rays=2000, seed=1)
+
+
+def test_the_section_is_on_the_page_and_among_the_tables(section: Any, report: GhostReport, tmp_path: Path) -> None:
+    files = {file.name for file in write_all(report, tmp_path / "out", "plate")}
+    assert "ghost_surfaces.csv" in files
+    table = pd.read_csv(tmp_path / "out" / "ghost_surfaces.csv")
+    assert list(table.columns) == ["field_deg", "surface", "power_W", "power_se_W"]
+    expected = reflecting(report)
+    assert len(expected) >= 2
+    assert list(table.surface) == [surface for _, surface, _ in expected]
+    np.testing.assert_allclose(table.power_W, [power.value for *_, power in expected], rtol=1e-8)
+    page = (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    body = page[page.index('<h2 id="brightest">') :]
+    body = body[: body.index("</section>")]
+    assert '<a href="#brightest">Brightest</a>' in page
+    assert body.count("<svg") == 2  # the figure and the map
+    assert body.count("<tr>") == 1 + len(expected)
+    assert "&lt;by power&gt;" in body
+    assert page.index('id="surfaces"') < page.index('id="brightest"') < page.index('id="settings"')
+
+
+def test_the_section_is_printed(section: Any, report: GhostReport) -> None:
+    text = main_table(report)
+    assert "Surfaces of the brightest ghosts" in text
+    assert all(surface in text.split("Surfaces of the brightest ghosts")[1] for _, surface, _ in reflecting(report))
+
+
+def test_the_command_has_it_too(section: Any, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    arguments = ["ghosts", "plate", "--rays", "1000", "--field-deg", "0", "--quiet"]
+    assert cli.main([*arguments, "--json"]) == 0
+    found = json.loads(capsys.readouterr().out)["sections"]["brightest"]
+    assert found["title"] == "Surfaces of the brightest ghosts"
+    assert found["ghost_surfaces"][0]["power_W"] > 0
+    assert found["light"]["largest"] > found["light"]["smallest"] == 0
+
+
+@pytest.mark.parametrize("name", ["", "paths"])
+def test_a_table_needs_a_file_name_of_its_own(report: GhostReport, tmp_path: Path, name: str) -> None:
+    @report_section
+    def section(_: GhostReport) -> Section:
+        return Section("mine", "Mine", [Table(columns("a"), [["1"]], name)])
+
+    try:
+        with pytest.raises(MistrayError, match="'Mine'"):
+            write_all(report, tmp_path / "out", "plate")
+    finally:
+        remove_section(section)
+    assert not (tmp_path / "out").exists()
+
+
+def test_without_it_nothing_is_different(
+    report: GhostReport, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    files = {file.name for file in write_all(report, tmp_path / "out", "plate")}
+    assert "ghost_surfaces.csv" not in files
+    assert 'id="brightest"' not in (tmp_path / "out" / "report.html").read_text(encoding="utf-8")
+    assert cli.main(["ghosts", "plate", "--rays", "1000", "--field-deg", "0", "--quiet", "--json"]) == 0
+    assert "sections" not in json.loads(capsys.readouterr().out)
