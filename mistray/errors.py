@@ -1,7 +1,9 @@
-"""The error class that users are meant to see, a kind of it that carries what was finished, and the warning."""
+"""The error class that users are meant to see, kinds of it, the warning, and what a wrong word may have meant."""
 
 from __future__ import annotations
 
+import difflib
+from collections.abc import Iterable
 from typing import Any
 
 
@@ -45,3 +47,10 @@ class UnfinishedError(MistrayError):
     def __init__(self, message: str, partial: Any = None) -> None:
         super().__init__(message)
         self.partial = partial
+
+
+def nearest(word: str, choices: Iterable[str]) -> str:
+    """What a wrong word may have meant, or all that there is to choose from, for the end of a message."""
+    words = list(choices)
+    close = difflib.get_close_matches(word, words, n=1)
+    return f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(words)}"

@@ -1,4 +1,4 @@
-"""Ranges of numbers, stated once: constructors, the command line and the plugins of scenes check by the same ones.
+"""Ranges of numbers, stated once: constructors, files, the command line and plugins of scenes check by the same ones.
 
 A dataclass has them as metadata of its fields, see `ranged`, and its constructor calls `check_fields`. An argument of
 the command line has one as its type, and its help then says it. Plugins call `Range.check`.
@@ -16,13 +16,27 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 
 _KEY = "range"
 
 
+class Demand:
+    """What a value must be: a range of numbers, one of some words, of a type."""
+
+    demand: str
+
+    def check(self, name: str, value: Any, owner: str = "") -> Any:
+        """The value; raises `MistrayError` if it is none that there can be, see `Range.check`."""
+        raise NotImplementedError
+
+    def field(self, default: Any = dataclasses.MISSING) -> Any:
+        """A field of a dataclass whose value, unless it is None, meets the demand; see `check_fields`."""
+        return dataclasses.field(default=default, metadata={_KEY: self})
+
+
 @dataclass(frozen=True)
-class Range:
+class Range(Demand):
     """
     A range of numbers, and the type of an argument of the command line that must lie in it.
 
@@ -58,7 +72,7 @@ class Range:
         return f"{'> ' if self.above else ''}{_text(self.low)} … {'< ' if self.below else ''}{_text(self.high)}"
 
     @property
-    def demand(self) -> str:
+    def demand(self) -> str:  # type: ignore[override]  # read-only
         """What a number must do, such as "must lie between 0 and 90 degrees"."""
         ends = {(True, True): ", both excluded", (True, False): f", {_text(self.low)} excluded",
                 (False, True): f", {_text(self.high)} excluded"}.get((self.above, self.below), "")  # fmt: skip
@@ -132,14 +146,63 @@ class Range:
         except MistrayError:
             raise argparse.ArgumentTypeError(f"{text} {self.demand}") from None
 
-    def field(self, default: Any = dataclasses.MISSING) -> Any:
-        """A field of a dataclass whose number, unless it is None, lies in the range; see `check_fields`."""
-        return dataclasses.field(default=default, metadata={_KEY: self})
+
+@dataclass(frozen=True)
+class Words(Demand):
+    """
+    What a text can be, as `Range` says it of a number.
+
+    Attributes
+    ----------
+    choices : tuple of str
+    """
+
+    choices: tuple[str, ...]
+
+    @property
+    def demand(self) -> str:  # type: ignore[override]  # read-only
+        """What a text must do."""
+        return f"must be one of {', '.join(self.choices)}"
+
+    def check(self, name: str, value: Any, owner: str = "") -> Any:
+        """The text; raises `MistrayError` if it is none of the choices, see `Range.check`."""
+        if not isinstance(value, str) or value not in self.choices:
+            raise MistrayError(
+                f"{owner}{': ' if owner else ''}{name} is {value!r}; {nearest(str(value), self.choices)}"
+            )
+        return value
+
+
+@dataclass(frozen=True)
+class OfType(Demand):
+    """
+    What a value of another type can be, as `Range` says it of a number.
+
+    Attributes
+    ----------
+    kind : type
+    demand : str
+        For messages.
+    """
+
+    kind: type
+    demand: str
+
+    def check(self, name: str, value: Any, owner: str = "") -> Any:
+        """The value; raises `MistrayError` if it has another type or is an empty text, see `Range.check`."""
+        if not isinstance(value, self.kind) or value == "":
+            raise MistrayError(f"{owner}{': ' if owner else ''}{name} is {value!r}; it {self.demand}")
+        return value
+
+
+def demand_of(field: dataclasses.Field[Any]) -> Demand | None:
+    """What the value of a field of a dataclass must be; None if nothing is said of it."""
+    return field.metadata.get(_KEY)
 
 
 def check_fields(settings: Any, owner: str = "") -> None:
     """
-    Check the numbers of a dataclass by the ranges of its fields; None, where nothing is given, passes.
+    Check the values of a dataclass by the ranges and choices of its fields; None, where nothing is given, passes.
 
     Whole numbers become int.
 
@@ -164,6 +227,9 @@ def _text(value: float) -> str:
     short = f"{value:g}"
     return re.sub(r"e\+?(-?)0*", r"e\1", short if float(short) == value else f"{value:.10g}")
 
+
+TEXT = OfType(str, "must be text")
+FLAG = OfType(bool, "must be true or false")
 
 # Numbers of which nothing more is known: the kernel has float32, whose products need room
 FINITE = Range()
@@ -222,6 +288,7 @@ FILM_PIXELS = Range(1, 2**26, whole=True)  # 0.5 GB an image
 
 # Of searches and comparisons
 CHANCE = Range(1e-30, 1.0)
+NORM = Range(1.0, 1e6, remedy="a smooth maximum takes 16, say")
 PART = Range(0.0, 1.0, below=True)
 FACTOR = Range(1.0, 1e6, above=True, remedy="it says how much smaller the metric shall become")
 EDGE_WIDTH = Range(1e-6, 0.5, remedy="it is relative to the radius of a rim")

@@ -255,7 +255,9 @@ def chosen_parameters(scene: Any, params: Mapping[str, Any], keys: Iterable[str]
     return {key: known[key] for key in chosen}
 
 
-def gradient_request(chosen: Iterable[Parameter], edges: bool, edge_width: float) -> GradientRequest:
+def gradient_request(
+    chosen: Iterable[Parameter], edges: bool = True, edge_width: float = EDGE_WIDTH
+) -> GradientRequest:
     """What the tracer must gather for some parameters."""
     ZONE.check("edge_width", edge_width)
     chosen = list(chosen)

@@ -7,26 +7,23 @@ gradient, designs of any number of layers can therefore be compared on the host,
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import drjit as dr
 import numpy as np
-from scipy.optimize import minimize
-from scipy.stats import qmc
 
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
 from mistray.gradients.raw_gradient import GradientRequest
 from mistray.materials import complex_index
 from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.thickness_minima import Cost, thickness_minima
 from mistray.physics.thinfilm import reflectance_transmittance
 from mistray.surfaces.optics import REFLECTION_BACK, REFLECTION_FRONT, TABLED, TRANSMISSION
 
 COSINES = np.linspace(0.0, 1.0, 33)  # in the rarer material; R is taken as linear between them
 POINTS, KEPT = 128, 6  # of the Latin hypercube, and those of them that are followed to a minimum
-DIFFERENCE_NM = 0.01
-FLOOR = 1e-30  # of a cost, for its logarithm
 
 
 @dataclass(frozen=True)
@@ -50,7 +47,7 @@ class ReflectanceWeights:
     weights: dict[str, np.ndarray]
     glasses: dict[str, tuple[str, str]]
 
-    def cost(self, surfaces: Sequence[str], stack: Stack) -> Callable[[np.ndarray], np.ndarray]:
+    def cost(self, surfaces: Sequence[str], stack: Stack) -> Cost:
         """
         Σ w R of some surfaces as a function of the thicknesses of their common coating.
 
@@ -144,7 +141,7 @@ def _spread(by_node: np.ndarray) -> np.ndarray:
 
 
 def best_thicknesses(
-    cost: Callable[[np.ndarray], np.ndarray], low: Sequence[float], high: Sequence[float], given: Sequence[np.ndarray]
+    cost: Cost, low: Sequence[float], high: Sequence[float], given: Sequence[np.ndarray]
 ) -> np.ndarray:
     """
     Thicknesses of least cost within bounds: the deepest of the minima that points of a Latin hypercube lead to.
@@ -163,16 +160,5 @@ def best_thicknesses(
     (L,) float64
         Thicknesses, nm.
     """
-    layers = len(low)
-    points = qmc.scale(qmc.LatinHypercube(layers, seed=np.random.default_rng(0)).random(POINTS), low, high)
-    chosen = [*given, *points[np.argsort(cost(points))[:KEPT]]]
-    steps = DIFFERENCE_NM * np.concatenate([np.zeros((1, layers)), np.eye(layers), -np.eye(layers)])
-
-    def slope(d: np.ndarray) -> tuple[float, np.ndarray]:
-        values = np.log(np.maximum(cost(np.abs(d + steps)), FLOOR))
-        up, down = np.split(values[1:], 2)
-        return float(values[0]), (up - down) / (2 * DIFFERENCE_NM)
-
     bounds = list(zip(low, high, strict=True))
-    ends = [minimize(slope, start, jac=True, method="L-BFGS-B", bounds=bounds) for start in chosen]
-    return np.asarray(min(ends, key=lambda end: float(end.fun)).x)
+    return thickness_minima(cost, bounds, given, points=POINTS, followed=KEPT)[0]

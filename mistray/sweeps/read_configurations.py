@@ -6,6 +6,7 @@ from pathlib import Path
 
 from mistray.optimize.toml.section import Section
 from mistray.prescription import Structure
+from mistray.ranges import FINITE, SHARE, TEXT
 from mistray.sweeps.configurations import Configuration
 
 
@@ -25,7 +26,7 @@ def read_configurations(source: str | Path) -> list[Configuration]:
         If the file is missing or no TOML, a key is unknown or missing, a value is no number, or two configurations have
         one name.
     """
-    whole = Section.of_file(source, "configurations")
+    whole = Section.of(source, "configurations")
     whole.known(("configuration",))
     found = [_configuration(section) for section in whole.tables("configuration")]
     if not found:
@@ -37,19 +38,18 @@ def _configuration(section: Section) -> Configuration:
     section.known(("name", "values", "paint", "coat", "block"))
     values, paint, coat = (section.table(key) for key in ("values", "paint", "coat"))
     return Configuration(
-        section.text("name"),
+        section.value("name", TEXT),
         {key: values.numbers(key) for key in values.content},
-        {key: paint.text(key) if isinstance(value, str) else paint.number(key, None, 0, 1)
-         for key, value in paint.content.items()},
-        {key: coat.text(key) for key in coat.content},
+        {key: paint.value(key, TEXT if isinstance(value, str) else SHARE) for key, value in paint.content.items()},
+        {key: coat.value(key, TEXT) for key in coat.content},
         [_structure(item) for item in section.tables("block")],
-    )  # fmt: skip
+    )
 
 
 def _structure(section: Section) -> Structure:
     """A frustum that absorbs all light; of a flat ring one z is enough, of a tube one radius."""
     section.known(("name", "r0", "z0", "r1", "z1"))
-    r0, z0, r1, z1 = (section.finite(key) for key in ("r0", "z0", "r1", "z1"))
+    r0, z0, r1, z1 = (section.value(key, FINITE, None) for key in ("r0", "z0", "r1", "z1"))
     if r0 is None or z0 is None:
         raise section.fail("r0" if r0 is None else "z0", "is missing; give r0 and z0, and r1, z1 or both")
-    return Structure(section.text("name"), r0, z0, r0 if r1 is None else r1, z0 if z1 is None else z1)
+    return Structure(section.value("name", TEXT), r0, z0, r0 if r1 is None else r1, z0 if z1 is None else z1)

@@ -177,7 +177,7 @@ def test_what_cannot_be_met(source: Path, limit: float) -> None:
         ({"require": [{"metric": "pst_bond", "limit": 1}]}, "did you mean 'pst_band'"),
         ({"require": [{"metric": "pst_band", "limit": 1.0}]}, "low_deg is missing; the metric 'pst_band' needs"),
         ({"require": [{"metric": "path_power"}]}, "limit is missing"),
-        ({"require": [{"metric": "path_power", "limit": -1}]}, "limit is -1; it must be a number greater than 0"),
+        ({"require": [{"metric": "path_power", "limit": -1}]}, "limit is -1; it must lie between 1e-30"),
         ({"choose": [{"surfaces": "front", "parameter": "rms"}]}, "did you mean 'rms_nm'"),
         ({"choose": [{"surfaces": [], "parameter": "rms_nm"}]}, "give ids of shapes or patterns"),
         ({"choose": [{"surfaces": "front", "parameter": "rms_nm", "best": 3, "worst": 2}]}, "less than the worst"),
@@ -188,7 +188,7 @@ def test_what_cannot_be_met(source: Path, limit: float) -> None:
         ),
         ({"choose": [{"surfaces": "a", "parameter": "level", "values": [1, 2], "costs": [1]}]}, "has 1 entries for 2"),
         ({"choose": [{"surfaces": "a", "parameter": "level", "values": [1, 2]}]}, "costs is missing"),
-        ({"solver": {"seeds": 1}}, "seeds is 1; it must be a number from 2"),
+        ({"solver": {"seeds": 1}}, "seeds is 1; it must be a whole number between 2"),
     ],
 )
 def test_bad_files(change: dict[str, Any], words: str) -> None:

@@ -291,7 +291,7 @@ class TestRefusals:
             observed(HITS[::4]).moments_of_each("ghost")
 
     def test_norm(self) -> None:
-        with pytest.raises(MistrayError, match=r"norm is 0\.5; a smooth maximum takes a number of at least 1"):
+        with pytest.raises(MistrayError, match=r"norm is 0\.5; it must lie between 1 and"):
             observed().peak("all", 0.5)
 
     @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from mistray.analysis.metrics.glare import veiling_glare_index
 from mistray.analysis.pst.result import Pst
 from mistray.analysis.pst.run import pst_of_each
 from mistray.analysis.pst.sums import weighted_sum
-from mistray.optimize import views
+from mistray.optimize.metrics import views
 from mistray.optimize.metrics.metric import Metric, combine, log
 from mistray.optimize.metrics.observation import smooth_maximum
 from mistray.optimize.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
@@ -288,21 +288,21 @@ class TestRefusals:
         refused = [
             (lambda: pst_bin(scene, 20, "gost"), "light 'gost' does not exist; did you mean 'ghost'"),
             (lambda: pst_bin(scene, 20, ()), "no light is chosen; use total, stray"),
-            (lambda: pst_bin(scene, 20, convention="both"), "convention is 'both'; use 'normal' or 'projected'"),
-            (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean rays"),
+            (lambda: pst_bin(scene, 20, convention="both"), "convention is 'both'; choose from normal, projected"),
+            (lambda: pst_bin(scene, 20, ray=3), "there is no setting 'ray'; did you mean 'rays'"),
             (lambda: pst_bin(scene, 20, fields_deg=3), "there is no setting 'fields_deg'"),
             (lambda: pst_bin(scene, 20, method="forward"), "method is no setting of a PST metric"),
             (lambda: pst_bin(scene, 20, relative_error=0.1), "relative_error is no setting of a PST metric"),
             (lambda: pst_bin(scene, 20, pst_field_deg=(40,), **TRACED).value(), "angle 20° is in no cell"),
             (lambda: pst_band(scene, 50, 20), "band from 50 to 20°; field angles must ascend"),
-            (lambda: pst_band(scene, 20, 50, quantity="sum"), "quantity is 'sum'; use 'mean' or 'integral'"),
+            (lambda: pst_band(scene, 20, 50, quantity="sum"), "quantity is 'sum'; choose from mean, integral"),
             (lambda: pst_band(scene, 20, 50, cell_deg=1.0), "cell_deg is given without pst_field_deg"),
             (lambda: pst_band(scene, 20, 50, pst_field_deg=80, **TRACED).value(), "no cell of the PST holds any of it"),
             (lambda: pst_bin(scene, (20, 40)), "field_deg is .20, 40.; it must lie between 0 and 90"),
             (lambda: pst_mask(scene, 20, 1e-3, pst_field_deg=30), "leave out pst_field_deg"),
             (lambda: pst_mask(scene, (20, 40), (1e-3,)), "mask of 2 angles and 1 limits"),
             (lambda: pst_mask(scene, (20, 40), (1e-3, 0)), "limits is 0; it must lie between 1e-30"),
-            (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; a metric knows 'mean'"),
+            (lambda: veiling_glare(scene, 5.0, place="map", **TRACED).value(), "place is 'map'; choose from mean"),
             (lambda: veiling_glare(scene, 95.0, **TRACED).value(), "patch of half-width 95°"),
             (lambda: log(pst_bin(scene, 80, "direct", **TRACED)).value(), "its logarithm does not exist"),
         ]  # fmt: skip

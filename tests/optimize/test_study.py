@@ -12,12 +12,11 @@ import pytest
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import Metric, Moved, Optimizer, path_power, read_study
+from mistray.optimize import Metric, Moved, Optimizer, VariableGroup, path_power, read_study
 from mistray.optimize.study.study_scene import band, place
 from mistray.optimize.study.terms import KINDS
 from mistray.optimize.toml.read_coating import COATING_KEYS
 from mistray.optimize.toml.read_term import TERM_KEYS
-from mistray.optimize.toml.read_variable import VARIABLE_KEYS
 
 ROOT = Path(__file__).parents[2]
 GOOD: dict[str, Any] = {
@@ -125,7 +124,7 @@ class TestReading:
     def test_every_key_is_in_the_docs(self) -> None:
         text = (ROOT / "docs" / "optimization.md").read_text(encoding="utf-8")
         named = set(re.findall(r"^\| `((?:term|variable|coating|optimizer)\.\w+)` \|", text, re.MULTILINE))
-        keys = {"term": TERM_KEYS, "variable": VARIABLE_KEYS, "coating": COATING_KEYS}
+        keys = {"term": TERM_KEYS, "variable": tuple(VariableGroup.__dataclass_fields__), "coating": COATING_KEYS}
         keys["optimizer"] = tuple(Optimizer.__dataclass_fields__)
         assert named == {f"{section}.{key}" for section, known in keys.items() for key in known}
         for kind in KINDS:
@@ -188,22 +187,22 @@ class TestRefusals:
             ("term", {"a": 1}, r"term is no list of sections; write each one as \[\[term\]\]"),
             ("term.0.kind", "path_pwer", r"term\[1\]\.kind is 'path_pwer'; did you mean 'path_power'\?"),
             ("term.0.kind", None, r"term\[1\]\.kind is missing; choose from path_power, ghost_to_signal"),
-            ("term.0.goal", None, r"term\[1\]\.goal is missing; choose from minimise, at_least, at_most, keep"),
+            ("term.0.goal", None, r"term\[1\]\.goal is missing; it must be one of minimise, at_least, at_most, keep"),
             ("term.0.goal", "minimize", r"term\[1\]\.goal is 'minimize'; did you mean 'minimise'\?"),
             ("term.0.wieght", 2, r"term\[1\]\.wieght is unknown; did you mean 'weight'\?"),
             ("term.0.low_deg", 2, r"term\[1\]\.low_deg is unknown"),
-            ("term.0.weight", 0, r"term\[1\]\.weight is 0; it must be a number greater than 0"),
+            ("term.0.weight", 0, r"term\[1\]\.weight is 0; it must lie between 1e-30"),
             ("term.0.limit", 1, r"term\[1\]\.limit has no meaning with goal = \"minimise\"; remove it"),
             ("term.1.limit", None, r"term\[2\]\.limit is missing; with goal = \"at_least\" give limit or"),
             ("term.1.limit_of_start", 1, r"term\[2\]\.limit_of_start is one limit too many; with goal"),
-            ("term.1.limit", float("nan"), r"term\[2\]\.limit is nan; it must be a finite number"),
-            ("term.0.floor_of_start", -1, r"term\[1\]\.floor_of_start is -1; it must be a number greater than 0"),
+            ("term.1.limit", float("nan"), r"term\[2\]\.limit is nan; it must lie between"),
+            ("term.0.floor_of_start", -1, r"term\[1\]\.floor_of_start is -1; it must lie between 1e-30"),
             (
                 "term.1.floor_of_start",
                 0.1,
                 r"term\[2\]\.floor_of_start has no meaning with goal = \"at_least\"; remove",
             ),
-            ("term.1.tolerance", -1, r"term\[2\]\.tolerance is -1; it must be a number greater than 0"),
+            ("term.1.tolerance", -1, r"term\[2\]\.tolerance is -1; it must lie between 1e-30"),
             ("term.2.low_deg", None, r"term\[3\]\.low_deg is missing; kind = 'pst_band' needs it"),
             ("term.2.low_deg", 80, r"term\[3\]\.\(kind 'pst_band'\): band from 80 to 80°"),
             ("term.2.low_deg", "x", r"term\[3\]\.\(kind 'pst_band'\): its arguments do not fit: "),
@@ -258,23 +257,23 @@ class TestRefusals:
             ),
             ("variable.0.parameters", [{"key": "x", "factor": 0}], r"parameters\.factor is 0; the parameter would not"),
             ("variable.0.parameters", [{"factor": 2}], r"variable\[1\]\.parameters\.key is missing; it must be text"),
-            ("variable.0.low", None, r"variable\[1\]\.low is missing; it must be a number"),
+            ("variable.0.low", None, r"variable\[1\]\.low is missing; it must lie between"),
             ("variable.0.low", 9, r"variable\[1\]\.low is 9 and high is 9; low must be less than high"),
             ("variable.0.high", 4, r"variable\[1\]\.low is 5 and high is 4; low must be less than high"),
-            ("variable.0.high", float("nan"), r"variable\[1\]\.high is nan; it must be a number"),
+            ("variable.0.high", float("nan"), r"variable\[1\]\.high is nan; it must lie between"),
             ("variable.0.scale", "log", r"variable\[1\]\.parameters has a factor; with scale = \"log\""),
             ("variable.1.low", 0, r"variable\[2\]\.low is 0; with scale = \"log\" it must be greater than 0"),
             ("variable.0.scale", "cubic", r"variable\[1\]\.scale is 'cubic'; choose from linear, log"),
             ("variable.0.each", 1, r"variable\[1\]\.each is 1; it must be true or false"),
             ("variable.0.parameter", "x", r"variable\[1\]\.parameter is unknown; did you mean 'parameters'\?"),
-            ("optimizer.starts", 0, r"optimizer\.starts is 0; it must be a number from 1 to 100"),
+            ("optimizer.starts", 0, r"optimizer\.starts is 0; it must be a whole number between 1 and 100"),
             ("optimizer.stepps", 0, r"optimizer\.stepps is unknown; did you mean 'steps'\?"),
             ("optimizer.method", "adma", r"optimizer\.method is 'adma'; did you mean 'adam'\?"),
             ("optimizer.seeds", "fresh", r"optimizer\.seeds is .fresh., which method = \"sqp\" cannot work with"),
             ("optimizer.decay", 0.9, r"optimizer\.decay has no meaning with method = \"sqp\"; remove it"),
             ("optimizer.algorithm", "LD_MMA", r"optimizer\.algorithm has no meaning with method"),
-            ("optimizer.seed", True, r"optimizer\.seed is True; it must be a number"),
-            ("optimizer.tolerance", "small", r"optimizer\.tolerance is 'small'; it must be a number"),
+            ("optimizer.seed", True, r"optimizer\.seed is True; it must be a whole number"),
+            ("optimizer.tolerance", "small", r"optimizer\.tolerance is 'small'; it must lie between 0 and 1"),
         ],
     )
     def test_one_line_with_key_and_remedy(self, place: str, value: Any, message: str) -> None:

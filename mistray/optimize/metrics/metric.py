@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -13,15 +12,16 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 from mistray.optimize.metrics.observation import NORM, Observation, Selection, smooth_maximum, smooth_minimum
 from mistray.optimize.metrics.views import View
-from mistray.ranges import FIELD_DEG
+from mistray.ranges import FIELD_DEG, POSITIVE, Range
 from mistray.recorders.path_events import DIRECT
 from mistray.renamed import renamed
 from mistray.trace import trace
 
 AXIS_DEG = 0.0
+STEP_DEG = Range(0.0, 45.0, above=True, below=True, unit="degrees", remedy="give a small angle, 0.5 say")
 SMALLEST_STEP_DEG, LARGEST_STEP_DEG = 0.02, 0.5  # between the fields of a slope
 
 
@@ -86,8 +86,7 @@ class Metric:
         -------
         list of Observation or PstObservation
         """
-        if not 0 < times < np.inf:
-            raise MistrayError(f"times is {times:g}; it must be a positive number")
+        POSITIVE.check("times", times)
         return [view.observe(self.scene, times, changes) for view in self.views]
 
     def evaluate(self, observations: list[Any]) -> Any:
@@ -149,6 +148,10 @@ class CombinedMetric(Metric):
             name: mi.Float64(part.function([seen[view.key] for view in part.views]))
             for name, part in (self.parts or {}).items()
         }
+
+    def part(self, name: str) -> Metric:
+        """One of the parts, evaluated from the observations of all of them."""
+        return Metric(self.scene, lambda observations: self.values(observations)[name], name=name)
 
 
 def combine(
@@ -356,8 +359,7 @@ def relative_illumination(scene: Any, *, step_deg: float | None = None, **traced
     if step_deg is None:
         nearest = min(map(abs, off_axis))  # no step leads out of the field
         step_deg = min(LARGEST_STEP_DEG, max(nearest / 10, min(nearest, SMALLEST_STEP_DEG)))
-    if not 0 < step_deg < 45:
-        raise MistrayError(f"step_deg is {step_deg:g}; give a small angle greater than 0, 0.5 say")
+    STEP_DEG.check("step_deg", step_deg)
     inwards = [(angle, -math.copysign(step_deg, angle)) for angle in off_axis]
     angles = [AXIS_DEG, AXIS_DEG - step_deg, AXIS_DEG + step_deg]
     angles += [angle + k * step for angle, step in inwards for k in range(3)]
@@ -398,9 +400,7 @@ def require_known(given: Iterable[str], known: Iterable[str]) -> None:
     names = list(known)
     for key in given:
         if key not in names:
-            close = difflib.get_close_matches(key, names, n=2)
-            hint = f"did you mean {' or '.join(close)}?" if close else f"use {', '.join(names)}"
-            raise MistrayError(f"metric: there is no setting '{key}'; {hint}")
+            raise MistrayError(f"metric: there is no setting '{key}'; {nearest(key, names)}")
 
 
 def _brightest(observation: Observation, selection: Selection, norm: float) -> Any:

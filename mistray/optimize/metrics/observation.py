@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,9 +12,10 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.ranking import FEWEST_RAYS
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.ids import event_words
+from mistray.ranges import NORM as NORMS
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative
 from mistray.recorders.path_events import DIRECT, LETTERS, STRAY_KINDS, way_text
 from mistray.recorders.sampled import Sampled
@@ -226,10 +226,8 @@ class Observation:
     def _check_events(self, text: str) -> None:
         """Raise if a text cannot be the events of a path of this scene."""
         if ":" not in text:
-            close = difflib.get_close_matches(text, KINDS, n=2)
-            hint = f"did you mean {' or '.join(map(repr, close))}? Kinds are" if close else "use one of"
             raise MistrayError(
-                f"selection '{text}' is no kind of path; {hint} {', '.join(KINDS)}, or the events of one"
+                f"selection '{text}' is no kind of path; {nearest(text, KINDS)} Or give the events of one"
             )
         met = {event.rpartition(":")[0] for events in self._ways for event in event_words(events)}
         known = list(dict.fromkeys((*(surface.id for surface in self.trace.surfaces), *sorted(met))))
@@ -239,9 +237,7 @@ class Observation:
                 surface = next((name for name in known if event.startswith(f"{name}:")), surface)
                 letter = event.removeprefix(f"{surface}:").split(" ")[0]
             if surface not in known:
-                close = difflib.get_close_matches(surface, known, n=3)
-                hint = f"did you mean {', '.join(map(repr, close))}?" if close else f"use {', '.join(known)}"
-                raise MistrayError(f"selection '{text}': there is no surface '{surface}'; {hint}")
+                raise MistrayError(f"selection '{text}': there is no surface '{surface}'; {nearest(surface, known)}")
             if letter not in LETTERS.values():
                 raise MistrayError(
                     f"selection '{text}': '{letter}' after '{surface}:' is no event; use one of "
@@ -362,7 +358,7 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
         p ≥ 1; the larger, the nearer to the maximum, and the more the derivative belongs to one value alone. 1: the
         sum.
     """
-    _check_norm(norm)
+    NORMS.check("norm", norm)
     largest = dr.max(dr.detach(values))
     if not float(largest[0]) > 0:
         return dr.sum(values) * dr.opaque(mi.Float64, 0)  # a dark map: 0 with the derivative 0
@@ -374,8 +370,3 @@ def smooth_maximum(values: Any, norm: float = NORM) -> mi.Float64:
 def smooth_minimum(values: Any, norm: float = NORM) -> mi.Float64:
     """The smooth minimum (Σ v^-p)^(-1/p) of values v > 0: at most their smallest; see `smooth_maximum`."""
     return 1 / smooth_maximum(1 / values, norm)
-
-
-def _check_norm(norm: float) -> None:
-    if not 1 <= norm < np.inf:
-        raise MistrayError(f"norm is {norm:g}; a smooth maximum takes a number of at least 1, 16 say")

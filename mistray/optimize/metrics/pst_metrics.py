@@ -14,13 +14,7 @@ from mistray.analysis.pst.run import pst
 from mistray.errors import MistrayError
 from mistray.optimize.metrics.metric import Metric, require_known
 from mistray.optimize.metrics.observation import NORM, smooth_maximum
-from mistray.optimize.metrics.pst_observation import (
-    Light,
-    PstObservation,
-    named_classes,
-    require_convention,
-    require_quantity,
-)
+from mistray.optimize.metrics.pst_observation import CONVENTION, QUANTITY, Light, PstObservation, named_classes
 from mistray.optimize.metrics.views import PstView, View
 from mistray.ranges import POLAR_DEG, POSITIVE
 from mistray.recorders.directions import CELL_DEG
@@ -81,7 +75,7 @@ def pst_bin(
         Arguments of `mistray.pst`, with `pst_field_deg` for its field angles: `field_deg` alone, a cell 2° wide, unless
         given. Metrics with the same settings share one trace in `combine`.
     """
-    require_convention(convention)
+    CONVENTION.check("convention", convention)
     settings = {PST_FIELD: (float(POLAR_DEG.check("field_deg", field_deg)),), **traced}
     if azimuth_deg is not None:
         settings = {"azimuths_deg": (float(azimuth_deg),), **settings}
@@ -127,8 +121,8 @@ def pst_band(
     **traced
         As for `pst_bin`; without `pst_field_deg` cells of at most 2° fill the band.
     """
-    require_quantity(quantity)
-    require_convention(convention)
+    QUANTITY.check("quantity", quantity)
+    CONVENTION.check("convention", convention)
     if not 0 <= low_deg < high_deg <= LARGEST_DEG:
         raise MistrayError(f"band from {low_deg:g} to {high_deg:g}°; field angles must ascend within 0 … 90 degrees")
     return _metric(
@@ -171,7 +165,7 @@ def pst_mask(
     **traced
         As for `pst_bin`.
     """
-    require_convention(convention)
+    CONVENTION.check("convention", convention)
     if PST_FIELD in traced:
         raise MistrayError(f"a mask has a PST at its own field angles; leave out {PST_FIELD}")
     angles = tuple(POLAR_DEG.check_each("field_deg", field_deg))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Iterator, Sequence
 
 import drjit as dr
@@ -12,9 +11,10 @@ import numpy as np
 from mistray.analysis.metrics.extended_source import ExtendedSource, Sky, cover
 from mistray.analysis.metrics.glare import glare_cells
 from mistray.analysis.pst.result import CONVENTIONS, STRAY, Pst
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.optimize.metrics.observation import leaf
+from mistray.ranges import Words
 from mistray.recorders.sampled import Sampled
 from mistray.recorders.sky import CLASSES
 from mistray.renamed import renamed
@@ -23,7 +23,7 @@ from mistray.surfaces.upload import upload
 Light = str | Sequence[str]
 GROUPS = {"total": CLASSES, "stray": STRAY}
 LIGHT = (*GROUPS, *CLASSES)
-QUANTITIES = ("mean", "integral")
+CONVENTION, QUANTITY, PLACE = Words(CONVENTIONS), Words(("mean", "integral")), Words(("mean", "point"))
 
 
 class PstObservation:
@@ -66,7 +66,7 @@ class PstObservation:
         convention : {"normal", "projected"}
             See `Pst`.
         """
-        require_convention(convention)
+        CONVENTION.check("convention", convention)
         classes = named_classes(light)
         if classes not in self._cells:
             self._cells[classes] = leaf(self._values[[CLASSES.index(name) for name in classes]].sum(axis=0))
@@ -99,7 +99,7 @@ class PstObservation:
         MistrayError
             If no cell holds the direction.
         """
-        require_convention(convention)
+        CONVENTION.check("convention", convention)
         grid = self.pst.grid
         i, j = grid.nearest(field_deg, float(grid.azimuths_deg[0]) if azimuth_deg is None else azimuth_deg)
         weights = np.zeros(grid.shape)
@@ -142,8 +142,8 @@ class PstObservation:
         MistrayError
             If no cell holds any of the band.
         """
-        require_quantity(quantity)
-        require_convention(convention)
+        QUANTITY.check("quantity", quantity)
+        CONVENTION.check("convention", convention)
         value = self.weighted(self.seen(Sky(1.0, low_deg, high_deg), light, interpolation), light)
         if quantity == "integral":
             return value
@@ -192,8 +192,7 @@ class PstObservation:
         MistrayError
             If the detector gets no light from the white source.
         """
-        if place not in ("mean", "point"):
-            raise MistrayError(f"place is '{place}'; a metric knows 'mean' and 'point'")
+        PLACE.check("place", place)
         black, white, light = glare_cells(
             self.pst,
             patch_deg,
@@ -237,18 +236,6 @@ class PstObservation:
             dr.clear_grad(cells)
 
 
-def require_convention(name: str) -> None:
-    """Raise if a convention does not exist."""
-    if name not in CONVENTIONS:
-        raise MistrayError(f"convention is '{name}'; use 'normal' or 'projected'")
-
-
-def require_quantity(name: str) -> None:
-    """Raise if a quantity of a band does not exist."""
-    if name not in QUANTITIES:
-        raise MistrayError(f"quantity is '{name}'; use 'mean' or 'integral'")
-
-
 def named_classes(light: Light) -> tuple[str, ...]:
     """Classes that a name or several stand for; raises `MistrayError` for a name that does not exist."""
     names = (light,) if isinstance(light, str) else tuple(light)
@@ -256,7 +243,5 @@ def named_classes(light: Light) -> tuple[str, ...]:
         raise MistrayError(f"no light is chosen; use {', '.join(LIGHT)}")
     for name in names:
         if name not in LIGHT:
-            close = difflib.get_close_matches(str(name), LIGHT, n=2)
-            hint = f"did you mean {' or '.join(map(repr, close))}? There are" if close else "use"
-            raise MistrayError(f"light '{name}' does not exist; {hint} {', '.join(LIGHT)}")
+            raise MistrayError(f"light '{name}' does not exist; {nearest(str(name), LIGHT)}")
     return tuple(dict.fromkeys(part for name in names for part in GROUPS.get(name, (name,))))

@@ -15,6 +15,7 @@ from mistray.errors import MistrayError
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.study.model import Study, Term
 from mistray.optimize.study.terms import RAYS, of_layers, of_pst, traced_metric
+from mistray.ranges import SEEDS as SEED_COUNT
 
 SEEDS = 8
 
@@ -72,38 +73,27 @@ class Levels:
         return dataclasses.replace(self, values={**self.values, **exact}, units={**self.units, **units})
 
 
-@dataclass(frozen=True)
-class Row:
+@dataclass(frozen=True, kw_only=True)
+class Row(Cell):
     """
     One number before and after.
 
     Attributes
     ----------
-    term : str
     unit : str
-    field_deg, wavelength_nm : float or None
-        See `Cell`.
     before, before_se, after, after_se : float
         The value in the two designs, mean over the seeds, with standard errors.
     ratio, ratio_se : float
         before / after. Both trace the same rays, so its error is smaller than theirs.
     """
 
-    term: str
     unit: str
-    field_deg: float | None
-    wavelength_nm: float | None
     before: float
     before_se: float
     after: float
     after_se: float
     ratio: float
     ratio_se: float
-
-    @property
-    def whole(self) -> bool:
-        """Whether this is the term itself and not one field or wavelength of it."""
-        return self.field_deg is None and self.wavelength_nm is None
 
 
 @dataclass(frozen=True)
@@ -148,8 +138,7 @@ def measure(scene: Any, study: Study, seeds: int = SEEDS, times: float = 1.0) ->
     times : float
         So many times the rays of the terms for each seed.
     """
-    if seeds < 2:
-        raise MistrayError(f"seeds is {seeds}; a standard error needs at least 2")
+    SEED_COUNT.check("seeds", seeds)
     numbers = tuple(study.optimizer.seed + 1 + k for k in range(seeds))
     metrics: dict[Cell, Metric] = {}
     for term in study.terms:
@@ -203,16 +192,14 @@ def compare(before: Levels, after: Levels) -> Comparison:
             ratio_se = (b - ratio * a).std(ddof=1) / abs(a.mean()) / root  # of a ratio of means
         rows.append(
             Row(
-                cell.term,
-                before.units.get(cell.term, ""),
-                cell.field_deg,
-                cell.wavelength_nm,
-                float(b.mean()),
-                float(b.std(ddof=1) / root),
-                float(a.mean()),
-                float(a.std(ddof=1) / root),
-                float(ratio),
-                float(ratio_se),
+                **vars(cell),
+                unit=before.units.get(cell.term, ""),
+                before=float(b.mean()),
+                before_se=float(b.std(ddof=1) / root),
+                after=float(a.mean()),
+                after_se=float(a.std(ddof=1) / root),
+                ratio=float(ratio),
+                ratio_se=float(ratio_se),
             )
         )
     return Comparison(before.seeds, tuple(rows))

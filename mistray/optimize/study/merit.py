@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -12,8 +11,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.optimize.gradient import Gradient, gradient
-from mistray.optimize.metrics.metric import CombinedMetric, Metric, combine
+from mistray.optimize.gradient import chosen_parameters, gradient, gradient_request, gradient_seen
+from mistray.optimize.metrics.metric import Metric, combine
 from mistray.optimize.search.point import Pieces
 from mistray.optimize.study.goals import by_value, check, contribution, holds, least_merit, pieces
 from mistray.optimize.study.model import Optimizer, Study
@@ -27,16 +26,6 @@ def seed_of(optimizer: Optimizer, number: int) -> int:
     if optimizer.seeds == "fixed" or number == 0:
         return optimizer.seed
     return int(np.random.SeedSequence((optimizer.seed, number)).generate_state(1)[0])
-
-
-@dataclass(frozen=True)
-class _OfTraced(Metric):
-    """One part of a combined metric that has been traced already."""
-
-    observations: tuple[Any, ...] = ()
-
-    def observe(self, times: float = 1.0, **changes: Any) -> list[Any]:
-        return list(self.observations)
 
 
 class Merit:
@@ -165,8 +154,10 @@ class Merit:
     ) -> dict[str, Any]:
         """The merit and the gradient of every term, by one trace for all and a walk in reverse for each."""
         whole = combine(metrics, lambda traced: mi.Float64(0.0))
-        observations = tuple(whole.observe())
-        found = {name: self._of_traced(whole, observations, name) for name in metrics}
+        observations = whole.observe()
+        chosen = chosen_parameters(self.scene, self.params, self.variables.keys)
+        request = gradient_request(chosen.values())
+        found = {name: gradient_seen(whole.part(name), observations, chosen, request) for name in metrics}
         slopes = {name: self.variables.slope(result.gradient, x) for name, result in found.items()}
         slopes |= {name: self.variables.slope(by_thickness, x) for name, (_, by_thickness) in layers.items()}
         values = self._checked(
@@ -190,11 +181,6 @@ class Merit:
             "traced_seconds": sum(o.seconds for o in observations) + sum(r.seconds[1] for r in found.values()),
             "left_out": [text for result in found.values() for text in result.left_out],
         }
-
-    def _of_traced(self, whole: CombinedMetric, observations: tuple[Any, ...], name: str) -> Gradient:
-        """Gradient of one term from traces that are there."""
-        part = _OfTraced(self.scene, lambda seen: whole.values(seen)[name], name=name, observations=observations)
-        return gradient(part, self.params, self.variables.keys)
 
     def pieces(self, at: Evaluation) -> Pieces | None:
         """The merit taken apart, if the terms were differentiated one by one."""

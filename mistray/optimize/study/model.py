@@ -9,10 +9,13 @@ from dataclasses import asdict, dataclass, field, replace
 from typing import Any
 
 from mistray.coatings import Stack
+from mistray.errors import MistrayError
+from mistray.optimize.search.nlopt import ALGORITHMS
+from mistray.ranges import FINITE, FLAG, POSITIVE, TEXT, Range, Words, check_fields
 
-GOALS = ("minimise", "at_least", "at_most", "keep")
-SCALES = ("linear", "log")
-SEEDS = ("fixed", "fresh")
+LIMITED = ("at_least", "at_most")  # goals
+DESIGN_NM = Range(1.0, 1e9, unit="nm")
+COUNT = Range(1, 100, whole=True)
 
 
 @dataclass(frozen=True)
@@ -46,14 +49,23 @@ class Term:
 
     name: str
     kind: Any
-    goal: str = "minimise"
-    weight: float = 1.0
-    limit: float | None = None
-    limit_of_start: float | None = None
-    tolerance: float = 0.01
-    floor_of_start: float = 1e-15
+    goal: str = Words(("minimise", *LIMITED, "keep")).field("minimise")
+    weight: float = POSITIVE.field(1.0)
+    limit: float | None = FINITE.field(None)
+    limit_of_start: float | None = FINITE.field(None)
+    tolerance: float = POSITIVE.field(0.01)
+    floor_of_start: float = POSITIVE.field(1e-15)
     own: Mapping[str, Any] = field(default_factory=dict)
     traced: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        given = [key for key in ("limit", "limit_of_start") if getattr(self, key) is not None]
+        if self.goal in LIMITED and len(given) != 1:
+            what = f"{given[1]} is one limit too many" if given else "limit is missing"
+            raise MistrayError(f'{what}; with goal = "{self.goal}" give limit or limit_of_start')
+        if self.goal not in LIMITED and given:
+            raise MistrayError(f'{given[0]} has no meaning with goal = "{self.goal}"; remove it')
 
 
 @dataclass(frozen=True)
@@ -71,9 +83,14 @@ class Moved:
         How far they move with the variable; not 0.
     """
 
-    key: str
+    key: str = TEXT.field()
     entry: int | None = None
-    factor: float = 1.0
+    factor: float = FINITE.field(1.0)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.factor == 0:
+            raise MistrayError("factor is 0; the parameter would not move, leave it out")
 
 
 @dataclass(frozen=True)
@@ -96,10 +113,19 @@ class VariableGroup:
 
     name: str | None
     parameters: tuple[Moved, ...]
-    low: float
-    high: float
-    scale: str = "linear"
-    each: bool = False
+    low: float = FINITE.field()
+    high: float = FINITE.field()
+    scale: str = Words(("linear", "log")).field("linear")
+    each: bool = FLAG.field(False)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not self.low < self.high:
+            raise MistrayError(f"low is {self.low:g} and high is {self.high:g}; low must be less than high")
+        if self.scale == "log" and self.low <= 0:
+            raise MistrayError(f'low is {self.low:g}; with scale = "log" it must be greater than 0')
+        if self.scale == "log" and any(moved.factor != 1 for moved in self.parameters):
+            raise MistrayError('parameters has a factor; with scale = "log" parameters move by ratios, without factors')
 
 
 @dataclass(frozen=True)
@@ -125,7 +151,7 @@ class CoatingGroup:
     surfaces: tuple[str, ...] | None
     start: Stack
     bounds_nm: tuple[tuple[float, float], ...]
-    design_nm: float = 550.0
+    design_nm: float = DESIGN_NM.field(550.0)
 
 
 @dataclass(frozen=True)
@@ -159,17 +185,24 @@ class Optimizer:
         From so many of them, the best ones, a search begins; 1 … 100.
     """
 
-    method: str = "lbfgsb"
-    algorithm: str = "LD_MMA"
-    steps: int = 40
-    step_size: float = 0.02
-    decay: float = 1.0
-    tolerance: float = 1e-3
-    patience: int = 2
-    seeds: str = "fixed"
-    seed: int = 0
-    starts: int = 1
-    searches: int = 1
+    method: str = Words(("sqp", "lbfgsb", "adam", "nlopt")).field("lbfgsb")
+    algorithm: str = Words(ALGORITHMS).field("LD_MMA")
+    steps: int = Range(0, 10_000, whole=True).field(40)
+    step_size: float = Range(1e-6, 1.0).field(0.02)
+    decay: float = Range(0.1, 1.0).field(1.0)
+    tolerance: float = Range(0.0, 1.0).field(1e-3)
+    patience: int = Range(1, 1000, whole=True).field(2)
+    seeds: str = Words(("fixed", "fresh")).field("fixed")
+    seed: int = Range(0, 2**31, whole=True).field(0)
+    starts: int = COUNT.field(1)
+    searches: int = COUNT.field(1)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if self.seeds == "fresh" and self.method != "adam":
+            raise MistrayError(
+                f'seeds is \'fresh\', which method = "{self.method}" cannot work with; take "fixed", or method = "adam"'
+            )
 
 
 @dataclass(frozen=True)

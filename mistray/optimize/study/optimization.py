@@ -25,11 +25,11 @@ from mistray.optimize.study.terms import UNITS_OF_LAYERS, layer_value, of_layers
 from mistray.optimize.study.variables import Variables, find_variables
 from mistray.optimize.toml.read_study import read_study
 from mistray.ranges import SECONDS
+from mistray.ranges import SEEDS as SEED_COUNT
 from mistray.scene import load
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating
 
-LEAST_SEEDS = 2  # of the comparison, for a standard error
 SHARE_OF_SEARCH = 0.6  # of the time that is given; the comparison has the rest
 
 
@@ -170,11 +170,8 @@ def optimize(
     """
     read = study if isinstance(study, Study) else read_study(study)
     if steps is not None:
-        if steps < 0:
-            raise MistrayError(f"steps is {steps}; it must not be negative")
         read = dataclasses.replace(read, optimizer=dataclasses.replace(read.optimizer, steps=steps))
-    if verification_seeds < LEAST_SEEDS:
-        raise MistrayError(f"verification_seeds is {verification_seeds}; a standard error needs at least {LEAST_SEEDS}")
+    SEED_COUNT.check("verification_seeds", verification_seeds)
     if resume and checkpoint is None:
         raise MistrayError("resume needs a checkpoint; name the file of the state to go on from")
     end = None if seconds is None else time.perf_counter() + SECONDS.check("seconds", seconds)
@@ -196,7 +193,7 @@ def optimize(
         searches.run()
         if end is not None:  # both designs are traced on every seed
             in_time = int((end - time.perf_counter()) / (2 * searches.each))
-            verification_seeds = min(max(in_time, LEAST_SEEDS), verification_seeds)
+            verification_seeds = min(max(in_time, int(SEED_COUNT.low)), verification_seeds)
         best = searches.best
         started = time.perf_counter()
         designs = variables.start, np.array(best.x)

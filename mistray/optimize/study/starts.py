@@ -10,19 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import minimize
 from scipy.stats import qmc
 
 from mistray.materials import complex_index
 from mistray.optimize.study.state import Start
 from mistray.optimize.study.study_scene import Placed
 from mistray.optimize.study.variables import Variables
+from mistray.optimize.thickness_minima import thickness_minima
 from mistray.physics.thinfilm import reflectance_transmittance
 
 ANGLES_DEG = (0.0, 15.0, 30.0, 45.0)  # in the rarer material
 POINTS = 256  # of the Latin hypercube
 KEPT = 24  # of them that are followed to a minimum
-DIFFERENCE_NM = 0.01
 SAME_NM = 1.0  # minima nearer than this in every layer are one
 
 
@@ -97,23 +96,8 @@ def minima(proxy: Proxy, bounds_nm: Sequence[tuple[float, float]], given: np.nda
     list of (L,) float64
         Thicknesses, nm.
     """
-    low, high = np.array(bounds_nm).T
-    points = qmc.scale(qmc.LatinHypercube(len(low), seed=np.random.default_rng(seed)).random(POINTS), low, high)
-    best = points[np.argsort(proxy(points))[:KEPT]]
-    steps = DIFFERENCE_NM * np.concatenate([np.zeros((1, len(low))), np.eye(len(low)), -np.eye(len(low))])
-
-    def slope(d: np.ndarray) -> tuple[float, np.ndarray]:
-        values = np.log(proxy(np.abs(d + steps)))
-        up, down = np.split(values[1:], 2)
-        return float(values[0]), (up - down) / (2 * DIFFERENCE_NM)
-
-    found: list[tuple[float, np.ndarray]] = []
-    for start in (given, *best):
-        end = minimize(slope, start, jac=True, method="L-BFGS-B", bounds=bounds_nm)
-        found.append((float(end.fun), np.asarray(end.x)))
-    found.sort(key=lambda item: item[0])
     distinct: list[np.ndarray] = []
-    for _, d in found:
+    for d in thickness_minima(proxy, bounds_nm, [given], points=POINTS, followed=KEPT, seed=seed):
         if all(np.max(np.abs(d - other)) > SAME_NM for other in distinct):
             distinct.append(d)
     return distinct

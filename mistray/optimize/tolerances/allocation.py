@@ -10,6 +10,7 @@ from scipy.optimize import Bounds, LinearConstraint, milp, minimize
 
 from mistray.errors import MistrayError
 from mistray.physics.contamination import CLEANED_SLOPE, coverage_percent
+from mistray.ranges import POSITIVE, check_fields
 
 # Values whose scatter goes with a power of them; a cleanliness level has a law of its own
 POWERS = {"rms_nm": 2.0, "A": 1.0, "b0": 1.0, "reflectance": 1.0, "coverage_percent": 1.0}
@@ -63,9 +64,12 @@ class PowerCost:
         > 0; 1 by default, the rule of thumb that the time of polishing goes with 1/σ.
     """
 
-    weight: float = 1.0
-    reference: float = 1.0
-    exponent: float = 1.0
+    weight: float = POSITIVE.field(1.0)
+    reference: float = POSITIVE.field(1.0)
+    exponent: float = POSITIVE.field(1.0)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
         """Cost of values."""
@@ -87,6 +91,16 @@ class StepCost:
 
     values: tuple[float, ...]
     costs: tuple[float, ...]
+
+    def __post_init__(self) -> None:
+        if len(self.values) != len(self.costs):
+            raise MistrayError(f"costs has {len(self.costs)} entries for {len(self.values)} values; give one for each")
+        if np.any(np.diff(self.values) <= 0) or not self.values[0] > 0:
+            raise MistrayError(f"values is {list(self.values)}; give ascending numbers above 0")
+        if np.any(np.diff(self.costs) > 0) or min(self.costs) < 0 or self.costs[0] == 0:
+            raise MistrayError(
+                f"costs is {list(self.costs)}; what is worse must not cost more, and no cost is negative"
+            )
 
     def __call__(self, value: np.ndarray) -> np.ndarray:
         """Cost of values, each of the coarsest grade that is at least as good; that of the best below all."""

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import inspect
-import itertools
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
+from mistray.errors import MistrayError
 from mistray.optimize.metrics.by_name import FACTORIES
 from mistray.optimize.metrics.metric import Metric
+from mistray.optimize.study.terms import own_arguments
 from mistray.optimize.tolerances.allocation import SCATTER, PowerCost, StepCost
 from mistray.optimize.toml.section import Section
+from mistray.ranges import FLAG, LEVEL, POSITIVE, Range, Words, check_fields
 from mistray.renamed import old_names
+
+FORM = 'ids of shapes or patterns, such as ["L*_front"]'
 
 
 @dataclass(frozen=True)
@@ -31,9 +34,12 @@ class Requirement:
         Of the metric's function.
     """
 
-    metric: str
-    limit: float
+    metric: str = Words(tuple(FACTORIES)).field()
+    limit: float = POSITIVE.field()
     arguments: Mapping[str, Any] = field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
     def of(self, scene: Any) -> Metric:
         """The metric of a scene."""
@@ -58,10 +64,17 @@ class Grades:
     """
 
     surfaces: tuple[str, ...]
-    parameter: str
-    best: float
-    worst: float
     cost: PowerCost | StepCost
+    parameter: str = Words(SCATTER).field()
+    best: float = POSITIVE.field()
+    worst: float = POSITIVE.field()
+
+    def __post_init__(self) -> None:
+        check_fields(self)
+        if not self.best < self.worst and not isinstance(self.cost, StepCost):
+            raise MistrayError(f"best is {self.best:g} and worst {self.worst:g}; the best is less than the worst")
+        if self.parameter == "level":
+            LEVEL.check("best", self.best)
 
 
 @dataclass(frozen=True)
@@ -88,10 +101,13 @@ class BudgetStudy:
     name: str
     requirements: tuple[Requirement, ...]
     choices: tuple[Grades, ...]
-    iterations: int = 4
-    sigmas: float = 2.0
-    seeds: int = 4
-    shared: bool = False
+    iterations: int = Range(1, 20, whole=True).field(4)
+    sigmas: float = Range(0.0, 10.0).field(2.0)
+    seeds: int = Range(2, 100, whole=True).field(4)
+    shared: bool = FLAG.field(False)
+
+    def __post_init__(self) -> None:
+        check_fields(self)
 
 
 def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetStudy:
@@ -110,12 +126,7 @@ def read_budget(source: str | Path | Mapping[str, Any] | BudgetStudy) -> BudgetS
     """
     if isinstance(source, BudgetStudy):
         return source
-    if isinstance(source, Mapping):
-        return _study(Section("budget", "", source, Path()))
-    return _study(Section.of_file(source, "budget"))
-
-
-def _study(section: Section) -> BudgetStudy:
+    section = Section.of(source, "budget")
     section.known(("require", "choose", "traced", "solver"))
     traced = section.table("traced")
     requirements = tuple(_requirement(item, traced) for item in section.tables("require"))
@@ -125,73 +136,44 @@ def _study(section: Section) -> BudgetStudy:
             raise section.fail(key, f"is missing; add at least one section [[{key}]]")
     solver = section.table("solver")
     solver.known(("iterations", "sigmas", "seeds", "shared"))
-    return BudgetStudy(
-        section.title.removeprefix("budget ").strip("'"),
-        requirements,
-        choices,
-        solver.whole("iterations", BudgetStudy.iterations, 1, 20),
-        solver.number("sigmas", BudgetStudy.sigmas, 0.0, 10.0),
-        solver.whole("seeds", BudgetStudy.seeds, 2, 100),
-        solver.flag("shared", BudgetStudy.shared),
+    return solver.make(
+        BudgetStudy,
+        name=section.title.removeprefix("budget ").strip("'"),
+        requirements=requirements,
+        choices=choices,
     )
 
 
 def _requirement(section: Section, traced: Section) -> Requirement:
-    kind = section.choice("metric", None, tuple(FACTORIES))
-    if "limit" not in section.content:
-        raise section.fail("limit", "is missing; give the greatest value that the metric may have")
-    limit = section.positive("limit", 1.0)
-    names = old_names(FACTORIES[kind])
+    factory = FACTORIES[section.value("metric", Words(tuple(FACTORIES)))]
+    names = old_names(factory)
     own = {key: value for key, value in section.renamed(names).content.items() if key not in ("metric", "limit")}
     arguments = {**traced.renamed(names).content, **own}
-    needed = [
-        name
-        for name, parameter in inspect.signature(FACTORIES[kind]).parameters.items()
-        if parameter.default is inspect.Parameter.empty and parameter.kind is not inspect.Parameter.VAR_KEYWORD
-    ]
-    for name in needed[1:]:  # the first is the scene
+    needed = [key for key, is_needed in own_arguments(factory).items() if is_needed]
+    for name in needed:
         if name not in arguments:
-            raise section.fail(name, f"is missing; the metric '{kind}' needs {', '.join(needed[1:])}")
-    return Requirement(kind, limit, {key: tuple(v) if isinstance(v, list) else v for key, v in arguments.items()})
+            raise section.fail(name, f"is missing; the metric '{factory.__name__}' needs {', '.join(needed)}")
+    return section.make(
+        Requirement, arguments={key: tuple(v) if isinstance(v, list) else v for key, v in arguments.items()}
+    )
 
 
 def _choice(section: Section) -> Grades:
     section.known(("surfaces", "parameter", "best", "worst", "cost", "values", "costs"))
+    section.value("parameter", Words(SCATTER))  # before what depends on it
     surfaces = section.content.get("surfaces")
-    names = [surfaces] if isinstance(surfaces, str) else surfaces
-    if not isinstance(names, list) or not names or not all(isinstance(name, str) and name for name in names):
-        raise section.fail("surfaces", f'is {surfaces!r}; give ids of shapes or patterns, such as ["L*_front"]')
-    parameter = section.choice("parameter", None, SCATTER)
-    if "values" in section.content or "costs" in section.content:
-        for key in ("best", "worst", "cost"):
-            if key in section.content:
-                raise section.fail(key, "stands beside a list of values, which has its own; remove it or the list")
-        cost = _steps(section)
-        return Grades(tuple(names), parameter, cost.values[0], cost.values[-1], cost)
-    least = 1.0 if parameter == "level" else 0.0
-    best, worst = (section.number(key, None, least, 1e9) for key in ("best", "worst"))
-    if not 0 < best < worst:
-        raise section.fail(
-            "best", f"is {best:g} and worst {worst:g}; the best is greater than 0 and less than the worst"
+    names = (surfaces,) if isinstance(surfaces, str) and surfaces else section.texts("surfaces", FORM)
+    if "values" not in section and "costs" not in section:
+        own = section.table("cost")
+        own.known(PowerCost.__dataclass_fields__)
+        return section.make(
+            Grades, surfaces=names, cost=own.make(PowerCost, reference=section.value("worst", POSITIVE))
         )
-    own = section.table("cost")
-    own.known(("weight", "reference", "exponent"))
-    power = PowerCost(own.positive("weight", 1.0), own.positive("reference", worst), own.positive("exponent", 1.0))
-    return Grades(tuple(names), parameter, best, worst, power)
-
-
-def _steps(section: Section) -> StepCost:
-    missing = [key for key in ("values", "costs") if key not in section.content]
+    for key in ("best", "worst", "cost"):
+        if key in section:
+            raise section.fail(key, "stands beside a list of values, which has its own; remove it or the list")
+    missing = [key for key in ("values", "costs") if key not in section]
     if missing:
         raise section.fail(missing[0], "is missing; values and their costs go together")
-    values, costs = section.numbers("values"), section.numbers("costs")
-    if len(values) != len(costs):
-        raise section.fail("costs", f"has {len(costs)} entries for {len(values)} values; give one for each")
-    least = 1.0 if section.content.get("parameter") == "level" else 0.0
-    if any(a >= b for a, b in itertools.pairwise(values)) or not values[0] > 0 or values[0] < least:
-        raise section.fail(
-            "values", f"is {list(values)}; give ascending numbers{' from 1 on' if least else ' above 0'}"
-        )
-    if any(a < b for a, b in itertools.pairwise(costs)) or min(costs) < 0 or costs[0] == 0:
-        raise section.fail("costs", f"is {list(costs)}; what is worse must not cost more, and no cost is negative")
-    return StepCost(values, costs)
+    cost = section.make(StepCost, values=section.numbers("values"), costs=section.numbers("costs"))
+    return section.make(Grades, surfaces=names, cost=cost, best=cost.values[0], worst=cost.values[-1])

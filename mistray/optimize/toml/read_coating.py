@@ -7,26 +7,24 @@ from pathlib import Path
 from mistray.coatings import Stack, parse_layers, preset
 from mistray.errors import MistrayError
 from mistray.ids import check_written_id
-from mistray.optimize.study.model import CoatingGroup
+from mistray.optimize.study.model import DESIGN_NM, CoatingGroup
 from mistray.optimize.toml.section import Section
+from mistray.ranges import TEXT
 
 ALL = "all"
+FORM = f'a list of shape ids, or "{ALL}"'
 COATING_KEYS = ("name", "surfaces", "layers", "preset", "design_nm", "first", "thickness_nm")
 
 
 def read_coating(section: Section, number: int) -> CoatingGroup:
     """One coating of a study; `number` makes a name if it has none."""
     section.known(COATING_KEYS)
-    name = section.text("name", f"coating_{number}")
+    name = section.value("name", TEXT, f"coating_{number}")
     check_written_id(name, "coating")
-    surfaces = section.content.get("surfaces")
-    if surfaces != ALL and not (
-        isinstance(surfaces, list) and surfaces and all(isinstance(surface, str) for surface in surfaces)
-    ):
-        raise section.fail("surfaces", f'is {surfaces!r}; give a list of shape ids, or "{ALL}"')
-    if surfaces != ALL and len(set(surfaces)) < len(surfaces):
-        raise section.fail("surfaces", f"is {surfaces}; name every surface once")
-    design_nm = section.number("design_nm", 550.0, 1.0, 1e9)
+    surfaces = None if section.content.get("surfaces") == ALL else section.texts("surfaces", FORM)
+    if surfaces is not None and len(set(surfaces)) < len(surfaces):
+        raise section.fail("surfaces", f"is {list(surfaces)}; name every surface once")
+    design_nm = section.value("design_nm", DESIGN_NM, CoatingGroup.design_nm)
     start = _start(section, name, design_nm)
     bounds = _bounds(section, len(start.layers))
     for k, (layer, (low, high)) in enumerate(zip(start.layers, bounds, strict=True)):
@@ -36,7 +34,7 @@ def read_coating(section: Section, number: int) -> CoatingGroup:
                 f"is {low:g} … {high:g} nm, but layer {k + 1} ({layer.material}) starts with "
                 f"{layer.thickness_nm:g} nm; widen the bounds or change the start",
             )
-    return CoatingGroup(name, None if surfaces == ALL else tuple(surfaces), start, bounds, design_nm)
+    return CoatingGroup(name, surfaces, start, bounds, design_nm)
 
 
 def _start(section: Section, name: str, design_nm: float) -> Stack:
@@ -44,7 +42,7 @@ def _start(section: Section, name: str, design_nm: float) -> Stack:
     if len(given) != 1:
         raise section.fail("", f"has {' and '.join(given) or 'no start design'}; give layers or preset")
     (key,) = given
-    text = section.text(key)
+    text = section.value(key, TEXT)
     try:
         if key == "layers":
 

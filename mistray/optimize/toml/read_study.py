@@ -7,9 +7,8 @@ from pathlib import Path
 from typing import Any
 
 from mistray.errors import MistrayError
-from mistray.optimize.search import METHODS
-from mistray.optimize.search.nlopt import ALGORITHMS, installed
-from mistray.optimize.study.model import SEEDS, Optimizer, Study
+from mistray.optimize.search.nlopt import installed
+from mistray.optimize.study.model import Optimizer, Study
 from mistray.optimize.study.terms import of_layers, old_arguments
 from mistray.optimize.toml.read_coating import read_coating
 from mistray.optimize.toml.read_term import TRACE_KEYS, check_coatings, read_term, read_traced
@@ -37,16 +36,11 @@ def read_study(source: str | Path | Mapping[str, Any]) -> Study:
         If the file is missing or no TOML, a key is unknown or missing, or a value is impossible; one line with the
         file, the key and the remedy.
     """
-    if isinstance(source, Mapping):
-        return _read(Section("study", "", source, Path()), "study")
-    return _read(Section.of_file(source, "study"), str(Path(source)))
-
-
-def _read(whole: Section, name: str) -> Study:
+    whole = Section.of(source, "study")
     whole.known(SECTIONS)
     trace = whole.table("trace").renamed(old_arguments("path_power"))
     trace.known(TRACE_KEYS)
-    shared = read_traced(trace)
+    shared = read_traced(trace, trace.content)
     terms = tuple(read_term(section, shared) for section in whole.tables("term"))
     if all(of_layers(term) for term in terms):
         raise whole.fail("term", "is missing, or all are about layers alone; add a section [[term]] about light")
@@ -61,7 +55,7 @@ def _read(whole: Section, name: str) -> Study:
     check_coatings(terms, [coating.name for coating in coatings], whole)
     limits = any(term.goal != "minimise" for term in terms)
     optimizer = read_optimizer(whole.table("optimizer"), limits, bool(coatings))
-    return Study(name, terms, variables, coatings, optimizer)
+    return Study("study" if isinstance(source, Mapping) else str(Path(source)), terms, variables, coatings, optimizer)
 
 
 def read_optimizer(section: Section, limits: bool, coatings: bool) -> Optimizer:
@@ -77,30 +71,15 @@ def read_optimizer(section: Section, limits: bool, coatings: bool) -> Optimizer:
         Whether there are coatings, for which there are starts to be found.
     """
     section.known(Optimizer.__dataclass_fields__)
-    method = section.choice("method", "sqp" if limits else "lbfgsb", tuple(METHODS))
+    method = section.content.get("method", "sqp" if limits else "lbfgsb")
+    starts = STARTS if coatings else 1
+    optimizer = section.make(Optimizer, method=method, patience=PATIENCE.get(str(method), 1), starts=starts)
     for key, owner in (("algorithm", "nlopt"), ("decay", "adam")):
-        if key in section.content and method != owner:
+        if key in section and method != owner:
             raise section.fail(key, f'has no meaning with method = "{method}"; remove it')
-    seeds = section.choice("seeds", Optimizer.seeds, SEEDS)
-    if seeds == "fresh" and method != "adam":
-        raise section.fail(
-            "seeds", f'is \'fresh\', which method = "{method}" cannot work with; take "fixed", or method = "adam"'
-        )
     if method == "nlopt":
         try:
             installed()
         except MistrayError as error:
             raise section.fail("method:", str(error)) from None
-    return Optimizer(
-        method,
-        section.choice("algorithm", Optimizer.algorithm, ALGORITHMS),
-        section.whole("steps", Optimizer.steps, 0, 10_000),
-        section.number("step_size", Optimizer.step_size, 1e-6, 1.0),
-        section.number("decay", Optimizer.decay, 0.1, 1.0),
-        section.number("tolerance", Optimizer.tolerance, 0.0, 1.0),
-        section.whole("patience", PATIENCE[method], 1, 1000),
-        seeds,
-        section.whole("seed", Optimizer.seed, 0, 2**31),
-        section.whole("starts", STARTS if coatings else 1, 1, 100),
-        section.whole("searches", Optimizer.searches, 1, 100),
-    )
+    return optimizer

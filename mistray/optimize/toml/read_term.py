@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
+from dataclasses import MISSING
 from typing import Any
 
-from mistray.errors import MistrayError
-from mistray.optimize.study.model import GOALS, Term
+from mistray.errors import MistrayError, nearest
+from mistray.optimize.study.model import Term
 from mistray.optimize.study.terms import (
     KINDS,
     LIGHT,
@@ -17,22 +18,22 @@ from mistray.optimize.study.terms import (
     own_arguments,
     traced_arguments,
 )
-from mistray.optimize.toml.section import Section, nearest
+from mistray.optimize.toml.section import Section
+from mistray.ranges import TEXT
 
 TERM_KEYS = ("name", "kind", "goal", "weight", "limit", "limit_of_start", "tolerance", "floor_of_start")
 TRACE_KEYS = traced_arguments("path_power")
-LIMITED = ("at_least", "at_most")
 
 
-def read_traced(section: Section) -> dict[str, Any]:
-    """Settings of traces among the keys of a section, checked as far as that goes without knowing what they are for."""
+def read_traced(section: Section, keys: Iterable[str]) -> dict[str, Any]:
+    """Settings of traces at keys of a section, checked as far as that goes without knowing what they are for."""
     found: dict[str, Any] = {}
-    for key, value in section.content.items():
+    for key in keys:
+        value = section.content[key]
         if key == "field_deg":
-            fields = section.spaced(key, -90.0, "degrees")
-            if fields is not None and not all(-90 < angle < 90 for angle in fields):
-                raise section.fail(key, f"is {list(fields)}; angles lie between -90 and 90 degrees")
-            found[key] = fields
+            found[key] = section.spaced(key, -90.0, "degrees")
+            if not all(-90 < angle < 90 for angle in found[key]):
+                raise section.fail(key, f"is {list(found[key])}; angles lie between -90 and 90 degrees")
         elif key == "wavelength_nm":
             found[key] = section.spaced(key, 1e-3, "nm")
         elif key == "weights":
@@ -74,40 +75,24 @@ def read_term(section: Section, trace: Mapping[str, Any]) -> Term:
     for key, needed in own.items():
         if needed and key not in section.content:
             raise section.fail(key, f"is missing; kind = '{called}' needs it")
-    goal = section.choice("goal", None, GOALS)
-    limit, limit_of_start = section.finite("limit"), section.finite("limit_of_start")
-    given = [key for key in ("limit", "limit_of_start") if key in section.content]
-    if goal in LIMITED and len(given) != 1:
-        what = "is one limit too many" if given else "is missing"
-        raise section.fail(given[1] if given else "limit", f'{what}; with goal = "{goal}" give limit or limit_of_start')
-    if goal not in LIMITED and given:
-        raise section.fail(given[0], f'has no meaning with goal = "{goal}"; remove it')
-    floor = Term.floor_of_start
-    if "floor_of_start" in section.content:
-        if goal != "minimise":
-            raise section.fail("floor_of_start", f'has no meaning with goal = "{goal}"; remove it')
-        floor = section.positive("floor_of_start", floor)
-    here = {key: value for key, value in section.content.items() if key in settings and key not in own}
+    here = [key for key in section.content if key in settings and key not in own]
     if "wavelength_nm" in here and "weights" not in here:  # those of [trace] belong to its own wavelengths
         trace = {key: value for key, value in trace.items() if key not in LIGHT}
     traced = {key: value for key, value in trace.items() if key in settings and key not in own}
-    read = read_traced(Section(section.title, section.place, here, section.folder))
-    term = Term(
-        section.text("name", called),
-        kind,
-        goal,
-        section.positive("weight", Term.weight),
-        limit,
-        limit_of_start,
-        section.positive("tolerance", Term.tolerance),
-        floor,
-        {key: tuple(v) if isinstance(v := section.content[key], list) else v for key in own if key in section.content},
-        {**traced, **read},
+    read = read_traced(section, here)
+    own_values = {key: section.content[key] for key in own if key in section}
+    term = section.make(
+        Term,
+        name=section.value("name", TEXT, called),
+        kind=kind,
+        goal=MISSING,  # a file says what a term is for
+        own={key: tuple(value) if isinstance(value, list) else value for key, value in own_values.items()},
+        traced={**traced, **read},
     )
-    if kind in OF_LAYERS and "coatings" in term.own:
-        names = term.own["coatings"]
-        if not isinstance(names, tuple) or not names or not all(isinstance(name, str) for name in names):
-            raise section.fail("coatings", f"is {section.content['coatings']!r}; give a list of names of [[coating]]")
+    if "floor_of_start" in section and term.goal != "minimise":
+        raise section.fail("floor_of_start", f'has no meaning with goal = "{term.goal}"; remove it')
+    if kind in OF_LAYERS and "coatings" in section:
+        section.texts("coatings", "a list of names of [[coating]]")
     if not callable(kind):
         try:
             check_term(term)

@@ -2,18 +2,21 @@
 
 from __future__ import annotations
 
-import difflib
+import dataclasses
 import math
 import tomllib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
+from mistray.ranges import POSITIVE, Demand, Range, demand_of
 from mistray.read_file import read_text
 from mistray.renamed import by_new_names
+
+T = TypeVar("T")
 
 
 class Section:
@@ -35,13 +38,14 @@ class Section:
         self.title, self.place, self.content, self.folder = title, place, content, folder
 
     @classmethod
-    def of_file(cls, source: str | Path, kind: str) -> Section:
+    def of(cls, source: str | Path | Mapping[str, Any], kind: str) -> Section:
         """
         The whole of a TOML file.
 
         Parameters
         ----------
-        source : str or Path
+        source : str, Path or mapping
+            The file, or its content.
         kind : str
             What is in it, for messages.
 
@@ -50,6 +54,8 @@ class Section:
         MistrayError
             If the file is missing or no TOML.
         """
+        if isinstance(source, Mapping):
+            return cls(kind, "", source, Path())
         path = Path(source)
         text = read_text(path, kind)
         try:
@@ -57,6 +63,13 @@ class Section:
         except (tomllib.TOMLDecodeError, RecursionError) as error:
             raise MistrayError(f"{kind} '{path}': {error}; correct the TOML") from None
         return cls(f"{kind} '{path}'", "", content, path.parent)
+
+    def __contains__(self, key: str) -> bool:
+        return key in self.content
+
+    def inner(self, place: str, content: Mapping[str, Any]) -> Section:
+        """A table within this one."""
+        return Section(self.title, f"{self.place}{place}.", content, self.folder)
 
     def fail(self, key: str, text: str) -> MistrayError:
         """An error about a key; an empty key means the table itself."""
@@ -79,49 +92,46 @@ class Section:
         value = self.content.get(key, {})
         if not isinstance(value, Mapping):
             raise self.fail(key, f"is {value!r}; write a section [{key}]")
-        return Section(self.title, f"{self.place}{key}.", value, self.folder)
+        return self.inner(key, value)
 
     def tables(self, key: str) -> list[Section]:
         """All tables of a list of them."""
         value = self.content.get(key, [])
         if not isinstance(value, list) or not all(isinstance(item, Mapping) for item in value):
             raise self.fail(key, f"is no list of sections; write each one as [[{key}]]")
-        return [
-            Section(self.title, f"{self.place}{key}[{number}].", item, self.folder)
-            for number, item in enumerate(value, start=1)
-        ]
+        return [self.inner(f"{key}[{number}]", item) for number, item in enumerate(value, start=1)]
 
-    def number(self, key: str, default: float | None, low: float, high: float) -> float:
-        """A number from `low` to `high`; with the default None it must be given."""
-        value = self.content.get(key, default)
-        if value is None:
-            raise self.fail(key, f"is missing; it must be a number from {low:g} to {high:g}")
-        if isinstance(value, bool) or not isinstance(value, int | float) or not low <= value <= high:
-            raise self.fail(key, f"is {value!r}; it must be a number from {low:g} to {high:g}")
-        return float(value)
-
-    def positive(self, key: str, default: float) -> float:
-        """A finite number above 0."""
-        value = self.content.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int | float) or not 0 < value < math.inf:
-            raise self.fail(key, f"is {value!r}; it must be a number greater than 0")
-        return float(value)
-
-    def finite(self, key: str) -> float | None:
-        """A finite number, or None if it is missing."""
+    def value(self, key: str, demand: Demand, default: Any = dataclasses.MISSING) -> Any:
+        """The checked value of a key, a number as float unless it must be whole; without a default it must be there."""
         value = self.content.get(key)
         if value is None:
-            return None
-        if isinstance(value, bool) or not isinstance(value, int | float) or not math.isfinite(value):
-            raise self.fail(key, f"is {value!r}; it must be a finite number")
-        return float(value)
+            if default is dataclasses.MISSING:
+                raise self.fail(key, f"is missing; it {demand.demand}")
+            return default
+        found = demand.check(f"{self.place}{key}", value, self.title)
+        return float(found) if isinstance(demand, Range) and not demand.whole else found
 
-    def whole(self, key: str, default: int, low: int, high: float) -> int:
-        """A whole number from `low` to `high`."""
-        value = self.number(key, default, low, high)
-        if value != int(value):
-            raise self.fail(key, f"is {value!r}; it must be a whole number")
-        return int(value)
+    def make(self, kind: type[T], /, **values: Any) -> T:
+        """
+        The dataclass that the table stands for, which checks itself.
+
+        Fields of which it is known what they must be, see `mistray.ranges.check_fields`, have the keys of their names.
+
+        Parameters
+        ----------
+        kind : type
+        **values
+            Of the other fields, and of fields whose keys are missing.
+        """
+        given = {
+            field.name: self.value(field.name, demand, values.get(field.name, field.default))
+            for field in dataclasses.fields(kind)  # type: ignore[arg-type]  # mypy knows no bound for dataclasses
+            if (demand := demand_of(field)) is not None
+        }
+        try:
+            return kind(**{**values, **given})
+        except MistrayError as error:
+            raise MistrayError(f"{self.title}: {self.place}{error}") from None
 
     def numbers(self, key: str, value: Any = None) -> tuple[float, ...]:
         """A number or a list of numbers, all finite; `value` instead of what stands at the key."""
@@ -133,42 +143,24 @@ class Section:
             raise self.fail(key, f"is {value!r}; the numbers must be finite")
         return tuple(float(v) for v in values)
 
-    def text(self, key: str, default: str | None = None) -> str:
-        """A text that is not empty; with the default None it must be given."""
-        value = self.content.get(key, default)
-        if not isinstance(value, str) or not value:
-            raise self.fail(key, "is missing; it must be text" if value is None else f"is {value!r}; it must be text")
-        return value
-
-    def flag(self, key: str, default: bool) -> bool:
-        """True or false."""
-        value = self.content.get(key, default)
-        if not isinstance(value, bool):
-            raise self.fail(key, f"is {value!r}; it must be true or false")
-        return value
-
-    def choice(self, key: str, default: str | None, choices: Sequence[str]) -> str:
-        """One of some words."""
-        value = self.content.get(key, default)
-        if value is None:
-            raise self.fail(key, f"is missing; choose from {', '.join(choices)}")
-        if value not in choices:
-            raise self.fail(key, f"is {value!r}; {nearest(str(value), choices)}")
-        return str(value)
-
-    def spaced(self, key: str, least: float, unit: str) -> tuple[float, ...] | None:
-        """A number, a list of numbers, or start, stop and step; each once and at least `least`. None if missing."""
+    def texts(self, key: str, form: str) -> tuple[str, ...]:
+        """A list of texts that are not empty; `form` says in the message what to give."""
         value = self.content.get(key)
-        if value is None:
-            return None
+        if not isinstance(value, list) or not value or not all(isinstance(item, str) and item for item in value):
+            raise self.fail(key, f"is {value!r}; give {form}")
+        return tuple(value)
+
+    def spaced(self, key: str, least: float, unit: str) -> tuple[float, ...]:
+        """A number, a list of numbers, or start, stop and step; each once and at least `least`."""
+        value = self.content[key]
         if isinstance(value, Mapping):
-            inner = Section(self.title, f"{self.place}{key}.", value, self.folder)
+            inner = self.inner(key, value)
             inner.known(("start", "stop", "step"))
             missing = [name for name in ("start", "stop", "step") if name not in value]
             if missing:
                 raise self.fail(key, f"has no {missing[0]}; write {{start = 450, stop = 650, step = 25}}")
-            start, stop = (inner.number(name, None, least, 1e9) for name in ("start", "stop"))
-            step = inner.positive("step", 1.0)
+            start, stop = (inner.value(name, Range(least, 1e9, unit=unit)) for name in ("start", "stop"))
+            step = inner.value("step", POSITIVE)
             if stop < start:
                 raise self.fail(key, f"goes from {start:g} to {stop:g} {unit}; stop must not be below start")
             return tuple(float(v) for v in start + step * np.arange(math.floor((stop - start) / step + 1e-9) + 1))
@@ -177,9 +169,3 @@ class Section:
             kind = "positive " if least > 0 else ""
             raise self.fail(key, f"is {list(result)}; give {kind}numbers in {unit}, each once")
         return result
-
-
-def nearest(word: str, choices: Sequence[str]) -> str:
-    """What a wrong word may have meant, or all that there is."""
-    close = difflib.get_close_matches(word, choices, n=1)
-    return f"did you mean '{close[0]}'?" if close else f"choose from {', '.join(choices)}"
