@@ -19,8 +19,8 @@ import mistray
 from mistray.execute.tracer import prepare
 from mistray.recorders.tallies import SEGMENTS
 from mistray.scatter.abg import ABg
+from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
 from mistray.scatter.scan import table
-from mistray.scatter.zemax_bsdf import write_zemax_bsdf
 from mistray.settings import Settings
 
 SEGMENTS_BAR = 1e7

@@ -12,7 +12,7 @@ import pytest
 from oracles import brushed
 
 from mistray import cli
-from mistray.scatter.tabulated import Tabulated
+from mistray.scatter.measured.tabulated import Tabulated
 
 DATA = Path(__file__).parent / "data"
 ABG = ("abg", "--A", "0.0025", "--B", "0.001", "--g", "1.8")

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 from mistray import cli
-from mistray.cli.coating import wavelengths
+from mistray.cli.commands.coating import wavelengths
 from mistray.coatings import CoatingTable, preset, spectrum
 from mistray.errors import MistrayError
 

@@ -93,7 +93,7 @@ def test_the_bar_counts(monkeypatch: pytest.MonkeyPatch) -> None:
 
 def test_bars_say_at_once_what_is_done(monkeypatch: pytest.MonkeyPatch) -> None:
     """Right after the start and after each other: the next step may take hours."""
-    from mistray.cli import optimize, pst, study
+    from mistray.cli.commands import optimize, pst, study
 
     terminal, options = on_a_terminal(monkeypatch), argparse.Namespace(quiet=False)
     with study._progress(options) as progress:

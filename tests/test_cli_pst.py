@@ -23,7 +23,7 @@ import mistray.analysis.pst.run
 import mistray.scene
 from mistray import cli
 from mistray.analysis.pst.state import PstProgress, load_state, save_state
-from mistray.cli.pst import _state_of
+from mistray.cli.commands.pst import _state_of
 from mistray.trace import Settings
 
 ANGLES = "0:80:20"

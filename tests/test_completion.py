@@ -10,7 +10,8 @@ from pathlib import Path
 import pytest
 
 from mistray import cli
-from mistray.cli import completion, program
+from mistray.cli import program
+from mistray.cli.commands import completion
 
 BASH = shutil.which("bash")
 

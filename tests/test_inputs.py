@@ -32,10 +32,10 @@ from mistray.optimize.toml.read_study import read_study
 from mistray.prescription import from_batoid, from_json
 from mistray.read_file import read_text
 from mistray.report.rays.ray_files import read_rays
-from mistray.scatter.bsdf_csv import read_bsdf_csv
-from mistray.scatter.psd_table import PsdTable
-from mistray.scatter.zemax_abg import abg_from_catalogue
-from mistray.scatter.zemax_bsdf import read_zemax_bsdf
+from mistray.scatter.measured.bsdf_csv import read_bsdf_csv
+from mistray.scatter.measured.psd_table import PsdTable
+from mistray.scatter.measured.zemax_abg import abg_from_catalogue
+from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf
 from mistray.scene.files import scene_files
 from mistray.scene.unshared import SceneText
 from mistray.scene.xml_file import SceneFile

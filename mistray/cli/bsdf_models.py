@@ -245,7 +245,7 @@ def _polynomial(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
 
 
 def _psd_table(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
-    from mistray.scatter.psd_table import PsdTable
+    from mistray.scatter.measured.psd_table import PsdTable
 
     _required("psd_table", given, "file")
     return PsdTable.read(given.pop("file"), **given)
@@ -270,13 +270,13 @@ def _paint(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
 
 
 def _catalogue(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
-    from mistray.scatter.zemax_abg import abg_from_catalogue
+    from mistray.scatter.measured.zemax_abg import abg_from_catalogue
 
     return abg_from_catalogue(given.pop("file"), **given)
 
 
 def _table(given: dict[str, Any], options: argparse.Namespace) -> Scatter:
-    from mistray.scatter.tabulated import Tabulated
+    from mistray.scatter.measured.tabulated import Tabulated
 
     return Tabulated.read(given.pop("file"), **given)
 

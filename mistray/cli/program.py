@@ -12,7 +12,9 @@ import warnings
 from collections.abc import Sequence
 from typing import Any
 
-from mistray.cli import (
+from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
+from mistray.cli.claims import guard_of
+from mistray.cli.commands import (
     bsdf,
     budget,
     cache,
@@ -31,8 +33,6 @@ from mistray.cli import (
     thermal,
     view,
 )
-from mistray.cli.arguments import INTERRUPTED, Help, Parser, as_text
-from mistray.cli.claims import guard_of
 from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError
 from mistray.interrupts import requested

@@ -8,7 +8,7 @@ from typing import Any
 import drjit as dr
 import mitsuba as mi
 
-from mistray.physics.sag import polynomial, polynomial_derivative, polynomial_second_derivative
+from mistray.physics.geometry.sag import polynomial, polynomial_derivative, polynomial_second_derivative
 
 
 class AsphericTerms(dr.CustomOp):

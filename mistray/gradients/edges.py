@@ -43,7 +43,7 @@ from mistray.gradients.rims import RimRecorder
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.launches import launches_of
 from mistray.kernel.ray_tree import trace_tree
-from mistray.physics.sag import sag
+from mistray.physics.geometry.sag import sag
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.recorders.ledger import EVENT_BITS

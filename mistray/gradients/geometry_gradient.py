@@ -16,7 +16,7 @@ import numpy as np
 
 from mistray.coatings.stack import Stack, outside_first
 from mistray.errors import MistrayError
-from mistray.physics.pose import moved
+from mistray.physics.geometry.pose import moved
 from mistray.surfaces.gradient_columns import DISPLACEMENT, GEOMETRY, PARAMETER_COLUMNS, POSE
 from mistray.surfaces.optics import OPAQUE, TABLED, TRANSMISSION, node_cosines, refraction_rows, total_rows
 

@@ -22,7 +22,7 @@ import numpy as np
 
 from mistray.gradients.replay_surfaces import Split
 from mistray.kernel.interaction import Interaction
-from mistray.physics.sag import sag_derivative
+from mistray.physics.geometry.sag import sag_derivative
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
 from mistray.surfaces.optics import ASPHERIC, IDEAL, OPAQUE
 from mistray.surfaces.surface import ENDS

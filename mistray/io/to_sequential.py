@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.pose import moved
+from mistray.physics.geometry.pose import moved
 from mistray.prescription.coating import Coating
 from mistray.prescription.model import Detector, Prescription, Surface
 from mistray.prescription.sequential.rays import Array, passes, trace

@@ -9,7 +9,7 @@ import mitsuba as mi
 
 from mistray.kernel.polarization import Mueller, from_plane, plane_of_incidence, to_plane
 from mistray.physics.fresnel import reflectance
-from mistray.physics.sag import sag, sag_derivative
+from mistray.physics.geometry.sag import sag, sag_derivative
 from mistray.surfaces.extrema import larger, smaller
 from mistray.surfaces.optics import (
     ASPHERIC,

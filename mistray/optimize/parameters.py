@@ -47,7 +47,7 @@ from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
 from mistray.gradients.geometry_gradient import SHIFTS, shape_parameters
 from mistray.gradients.scatter_gradient import fixed
 from mistray.ids import fits
-from mistray.physics.sag import sag
+from mistray.physics.geometry.sag import sag
 from mistray.surfaces.gradient_columns import COEFFICIENTS, DISPLACEMENT, ROTATION
 from mistray.surfaces.surfaces import solid_shapes
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
-from mistray.physics.crossing import meeting
-from mistray.physics.paraxial import ParaxialSystem
-from mistray.physics.pose import rotation
-from mistray.physics.sag import conic_end, sag
+from mistray.physics.geometry.crossing import meeting
+from mistray.physics.geometry.paraxial import ParaxialSystem
+from mistray.physics.geometry.pose import rotation
+from mistray.physics.geometry.sag import conic_end, sag
 from mistray.prescription.coating import BLACK, Coating, check_name
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.naming import scattering, shared_coatings, shared_scatter

@@ -8,7 +8,7 @@ direction that differs by the small slope q, the hit on the detector is
 
 with 2 × 2 matrices P and Q (for a coaxial system P = A and Q = B of the ABCD matrix). A plane at the distance L is
 imaged onto the detector where Q = L P, that is L = B/A, and a detector of half size h has an image of half size h/|A|:
-ISL and ISH of stray-light work (see `mistray.physics.paraxial.image_seen`).
+ISL and ISH of stray-light work (see `mistray.physics.geometry.paraxial.image_seen`).
 
 Against the light it is the images of the opening of the system instead, see `DesignPath.reversed`.
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from mistray.kernel.device_targets import DeviceTargets
 from mistray.kernel.targets import AimSet
-from mistray.physics.sag import in_proportion, sag, sag_derivative
+from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.sampling.outlines import detector_area
 from mistray.sampling.space_filling import curve_points

@@ -11,12 +11,12 @@ from mistray.scatter.gaussian import Gaussian
 from mistray.scatter.harvey_shack import HarveyShack
 from mistray.scatter.k_correlation import KCorrelation
 from mistray.scatter.lobe import Placement
+from mistray.scatter.measured.psd_table import PsdTable
+from mistray.scatter.measured.tabulated import Tabulated
 from mistray.scatter.paint import Paint
 from mistray.scatter.particulate import Particulate
 from mistray.scatter.phong import Phong
 from mistray.scatter.polynomial import Polynomial
-from mistray.scatter.psd_table import PsdTable
-from mistray.scatter.tabulated import Tabulated
 
 KINDS: Mapping[str, type[Placement]] = MappingProxyType(
     {

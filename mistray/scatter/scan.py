@@ -10,8 +10,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import Scatter
-from mistray.scatter.rotations import RotatedSamples
-from mistray.scatter.samples import Samples
+from mistray.scatter.measured.rotations import RotatedSamples
+from mistray.scatter.measured.samples import Samples
 from mistray.scatter.total import check_loss, totals
 
 SMALLEST_R, LARGEST_ANGLE_DEG = 1e-7, 89.9

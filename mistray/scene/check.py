@@ -11,7 +11,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.crossing import SAMPLES, meeting
+from mistray.physics.geometry.crossing import SAMPLES, meeting
 
 TOLERANCE = 1e-7  # heights, relative to the radius of the surface: what is written with fewer digits than that touches
 

@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.pose import fixed_angles_deg, moved, rotation
+from mistray.physics.geometry.pose import fixed_angles_deg, moved, rotation
 from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Surface
 from mistray.prescription.model import MAX_COEFFICIENTS
 from mistray.scene.load import find

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import mitsuba as mi
 
-from mistray.physics.sag import sag, sag_derivative
+from mistray.physics.geometry.sag import sag, sag_derivative
 from mistray.surfaces.crossings import stretch
 from mistray.surfaces.surface import SELF_HIT
 

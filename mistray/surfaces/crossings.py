@@ -9,7 +9,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.physics.sag import in_proportion, sag, sag_derivative
+from mistray.physics.geometry.sag import in_proportion, sag, sag_derivative
 from mistray.surfaces.extrema import larger, smaller
 
 if TYPE_CHECKING:

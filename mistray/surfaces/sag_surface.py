@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Any, ClassVar
 
 import numpy as np
 
-from mistray.physics.sag import conic_end, sag, sag_derivative
+from mistray.physics.geometry.sag import conic_end, sag, sag_derivative
 from mistray.surfaces.crossings import conic_crossing, plane_crossing
 from mistray.surfaces.gradient_columns import COEFFICIENTS, HALF_HEIGHT, HALF_WIDTH, INNER, OUTER
 from mistray.surfaces.surface import RECTANGLE, ROUND, Opening, Surface

@@ -23,7 +23,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.sag import in_proportion
+from mistray.physics.geometry.sag import in_proportion
 from mistray.ranges import FILM_PIXELS, FILM_SIDE
 from mistray.surfaces.bodies import Bodies
 from mistray.surfaces.implicit_surface import ImplicitTable
@@ -35,7 +35,7 @@ from mistray.surfaces.upload import upload
 
 SAME_FRAME = 1e-9  # by which the directions of axes may differ
 # Row of the polynomial table: curvature, conic, a4 … a20 in units of the aperture and the unit of these, see
-# `mistray.physics.sag.in_proportion`; z range, outer (-1: a rectangle), slope
+# `mistray.physics.geometry.sag.in_proportion`; z range, outer (-1: a rectangle), slope
 POLYNOMIAL_VECTORS = 4
 
 
@@ -172,7 +172,7 @@ class SurfaceTable:
     def asphere_sag(
         self, s: mi.UInt32, active: mi.Bool | bool = True
     ) -> tuple[mi.Float, mi.Float, list[mi.Float], mi.Float]:
-        """Shape of the aspheres s as `mistray.physics.sag` takes it: curvature, conic constant, coefficients, unit."""
+        """Curvature, conic constant, coefficients and unit of the aspheres s, see `mistray.physics.geometry.sag`."""
         row = self.asphere_row(s, active)
         return row[0], row[1], row[2 : 2 + self.coefficient_count], row[11]
 

@@ -6,7 +6,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mistray.physics.sag import conic_end
+from mistray.physics.geometry.sag import conic_end
 from mistray.surfaces.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
 

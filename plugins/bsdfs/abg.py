@@ -11,7 +11,7 @@ from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
 from mistray.scatter.abg import ABg as Model
-from mistray.scatter.zemax_abg import abg_from_catalogue
+from mistray.scatter.measured.zemax_abg import abg_from_catalogue
 
 
 class ABg(Scatterer):

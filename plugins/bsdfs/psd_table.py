@@ -9,7 +9,7 @@ import mitsuba as mi
 from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.interface import _resolve
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter.psd_table import PsdTable as Model
+from mistray.scatter.measured.psd_table import PsdTable as Model
 from mistray.scatter.rough_surface import substrate_index
 
 

@@ -8,7 +8,7 @@ from mistray.errors import MistrayError
 from mistray.plugins.bsdfs.interface import _resolve
 from mistray.plugins.bsdfs.sample_axis import SampleAxis
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter.tabulated import Tabulated as Model
+from mistray.scatter.measured.tabulated import Tabulated as Model
 
 
 class Tabulated(Scatterer):
@@ -52,7 +52,7 @@ class Tabulated(Scatterer):
     wavelength_nm     nm      > 0          550        by itself only; see ``interface``
     ================= ======= ============ ========== ==========================================================
 
-    It has no parameters to differentiate. Source: see `mistray.scatter.tabulated`.
+    It has no parameters to differentiate. Source: see `mistray.scatter.measured.tabulated`.
 
     .. code-block:: xml
 

@@ -8,7 +8,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.sag import in_proportion, sag
+from mistray.physics.geometry.sag import in_proportion, sag
 from mistray.plugins.shapes.revolution import POSE, RELATIVE, Revolution, float_property, grid
 from mistray.ranges import FINITE, RADIUS_MM, SIZE_MM, Range
 from mistray.surfaces.gradient_columns import COEFFICIENTS
@@ -60,7 +60,7 @@ class Asphere(Revolution):
                                                             its mesh stock integrators see the front
     ======================= ============ ======== ========= =======================================================
 
-    Source of the formula: the usual even asphere (ISO 10110-12), written out in `mistray.physics.sag`.
+    Source of the formula: the usual even asphere (ISO 10110-12), written out in `mistray.physics.geometry.sag`.
 
     .. code-block:: xml
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from mistray._mitsuba_compat import write_mesh
 from mistray.errors import MistrayError
-from mistray.physics.pose import moved
+from mistray.physics.geometry.pose import moved
 from mistray.ranges import AZIMUTH_DEG, PLACE_MM, SPACE, Range
 from mistray.surfaces.gradient_columns import POSE, declare_columns
 

@@ -16,7 +16,7 @@ from oracles.small_scenes import interface_xml
 
 import mistray
 from mistray.analysis.path_analysis import SORT_KEYS, path_analysis
-from mistray.cli import ghosts as cli_ghosts
+from mistray.cli.commands import ghosts as cli_ghosts
 from mistray.cli.program import main
 from mistray.recorders.path_events import way_text
 

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.scatter.bsdf_csv import write_bsdf_csv
+from mistray.scatter.measured.bsdf_csv import write_bsdf_csv
+from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
 from mistray.scatter.paint import Paint
 from mistray.scatter.scan import table
-from mistray.scatter.zemax_bsdf import write_zemax_bsdf
 
 GLOSS = {"reflectance": 0.1, "b0": 0.3, "l": 0.2, "s": -3.0, "n": 1.5}
 SCENE = """<scene version="3.0.0">

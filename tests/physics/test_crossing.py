@@ -3,7 +3,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mistray.physics.crossing import SAMPLES, meeting
+from mistray.physics.geometry.crossing import SAMPLES, meeting
 
 
 def flat(r):

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.physics.paraxial import ParaxialSystem, chief_ray_angle, image_seen, natural_illumination
+from mistray.physics.geometry.paraxial import ParaxialSystem, chief_ray_angle, image_seen, natural_illumination
 
 DATA = Path(__file__).parents[1] / "data"
 N = 1.5168

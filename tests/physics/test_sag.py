@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from mistray.physics.sag import (
+from mistray.physics.geometry.sag import (
     conic_end,
     polynomial,
     polynomial_derivative,

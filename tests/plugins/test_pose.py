@@ -11,7 +11,7 @@ import pytest
 
 import mistray
 from mistray._mitsuba_compat import mesh_arrays
-from mistray.physics.pose import moved
+from mistray.physics.geometry.pose import moved
 from mistray.surfaces.surfaces import SurfaceTable
 
 BLACK = {"type": "interface", "R": 0.0}

@@ -15,7 +15,7 @@ from mistray.io.conventions import figure, object_na, turns_deg
 from mistray.io.optiland import from_optiland
 from mistray.io.rayoptics import from_rayoptics
 from mistray.materials import complex_index, refractive_index
-from mistray.physics.sag import sag
+from mistray.physics.geometry.sag import sag
 from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.materials import same_material
 from mistray.prescription.sequential.rays import motion, trace

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sequential_lenses import BORED, by_name, lens, newtonian
 
-from mistray.physics.sag import sag
+from mistray.physics.geometry.sag import sag
 from mistray.prescription import ClearAperture, Coating, Decentre, Row, Sequential
 from mistray.prescription.closing.system import build, to_prescription
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from mistray import MistrayError
-from mistray.physics.sag import sag
+from mistray.physics.geometry.sag import sag
 from mistray.prescription import ClearAperture, Decentre, Row, Sequential
 from mistray.prescription.sequential.rays import frames, passes, to_world, trace
 

@@ -7,7 +7,7 @@ import pytest
 from report.ranked_paths import ORDERS, WIDE, ranked_report
 
 from mistray.analysis.ranking import RANKS
-from mistray.cli import ghosts as command
+from mistray.cli.commands import ghosts as command
 from mistray.cli.ghosts_json import as_json
 from mistray.report.figures.layout import layout, worst_paths
 from mistray.report.ghosts.fields import shown_paths

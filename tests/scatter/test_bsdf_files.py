@@ -8,11 +8,11 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.scatter.bsdf_csv import read_bsdf_csv, write_bsdf_csv
 from mistray.scatter.evaluate import bsdf
-from mistray.scatter.samples import Samples
-from mistray.scatter.tabulated import Tabulated
-from mistray.scatter.zemax_bsdf import read_zemax_bsdf, write_zemax_bsdf
+from mistray.scatter.measured.bsdf_csv import read_bsdf_csv, write_bsdf_csv
+from mistray.scatter.measured.samples import Samples
+from mistray.scatter.measured.tabulated import Tabulated
+from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf, write_zemax_bsdf
 
 LAMBERT = """# a comment
 Source  Measured

@@ -10,7 +10,7 @@ import pytest
 
 from mistray.errors import MistrayError
 from mistray.scatter.k_correlation import KCorrelation
-from mistray.scatter.psd_table import PsdTable
+from mistray.scatter.measured.psd_table import PsdTable
 from mistray.scatter.total import lobe_total
 
 POLISH = Path(__file__).parents[1] / "data" / "psd_polish.csv"

@@ -9,13 +9,13 @@ import pytest
 from oracles import brushed
 
 from mistray.errors import MistrayError
-from mistray.scatter.bsdf_csv import read_bsdf_csv, write_bsdf_csv
 from mistray.scatter.evaluate import bsdf
-from mistray.scatter.rotations import RotatedSamples, by_rotation, whole_circle
-from mistray.scatter.samples import Samples
-from mistray.scatter.tabulated import Tabulated
+from mistray.scatter.measured.bsdf_csv import read_bsdf_csv, write_bsdf_csv
+from mistray.scatter.measured.rotations import RotatedSamples, by_rotation, whole_circle
+from mistray.scatter.measured.samples import Samples
+from mistray.scatter.measured.tabulated import Tabulated
+from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf, write_zemax_bsdf
 from mistray.scatter.total import lobe_total
-from mistray.scatter.zemax_bsdf import read_zemax_bsdf, write_zemax_bsdf
 
 ROTATIONS, INCIDENCE = np.arange(0.0, 361.0, 15.0), np.array([0.0, 20.0, 40.0, 60.0, 80.0])
 Z = np.array([0.0, 0.0, 1.0])

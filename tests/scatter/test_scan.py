@@ -10,9 +10,9 @@ from mistray.scatter import Lobe, RatioTable
 from mistray.scatter.abg import ABg
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.harvey_shack import HarveyShack
+from mistray.scatter.measured.tabulated import Tabulated
 from mistray.scatter.paint import Paint
 from mistray.scatter.scan import Light, scan, table
-from mistray.scatter.tabulated import Tabulated
 
 
 def unit(theta_deg: float, phi_deg: float) -> np.ndarray:

@@ -11,9 +11,9 @@ import pytest
 from mistray.errors import MistrayError
 from mistray.scatter.abg import ABg
 from mistray.scatter.evaluate import bsdf
-from mistray.scatter.samples import Samples, half_circle
+from mistray.scatter.measured.samples import Samples, half_circle
+from mistray.scatter.measured.tabulated import Tabulated
 from mistray.scatter.scan import table
-from mistray.scatter.tabulated import Tabulated
 from mistray.scatter.total import lobe_total
 
 ANGLES = np.arange(0.0, 85.0, 10.0)

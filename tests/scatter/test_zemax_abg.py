@@ -12,7 +12,7 @@ from mistray.cli.program import main
 from mistray.errors import MistrayError
 from mistray.prescription import Scatter
 from mistray.scatter.abg import ABg
-from mistray.scatter.zemax_abg import abg_from_catalogue, read_abg_data
+from mistray.scatter.measured.zemax_abg import abg_from_catalogue, read_abg_data
 
 CATALOGUE = """! shop catalogue
 NAME Polish 1

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from mistray.errors import MistrayError
-from mistray.physics.pose import moved
+from mistray.physics.geometry.pose import moved
 from mistray.prescription import Coating, Stop
 from mistray.scene.read_optics import read_optics
 from mistray.scenes.newtonian.prescription import build as newtonian

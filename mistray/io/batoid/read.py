@@ -24,7 +24,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.io.batoid.design_light import DesignLight, without
 from mistray.io.batoid.file import read_optic
-from mistray.physics.pose import fixed_angles_deg
+from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.prescription.coating import Coating
 from mistray.prescription.geometry import barrel
 from mistray.prescription.model import Detector, Prescription, Source, Structure, Surface

@@ -33,7 +33,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.sag import sag, sag_derivative
+from mistray.physics.geometry.sag import sag, sag_derivative
 from mistray.prescription.baffles.tube import BaffleTube, check_positive, vane_tube
 from mistray.prescription.baffles.vanes import VaneEdge
 from mistray.prescription.coating import BLACK, Coating

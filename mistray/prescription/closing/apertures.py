@@ -6,7 +6,7 @@ import math
 from dataclasses import replace
 from typing import Any
 
-from mistray.physics.sag import sag
+from mistray.physics.geometry.sag import sag
 from mistray.prescription.coating import BLACK
 from mistray.prescription.geometry import detector_frame
 from mistray.prescription.model import Detector, Structure, Surface

@@ -8,7 +8,7 @@ from itertools import pairwise
 
 import numpy as np
 
-from mistray.physics.sag import sag
+from mistray.physics.geometry.sag import sag
 from mistray.prescription.closing.edges import Closing, on_axis, placed
 from mistray.prescription.closing.mirrors import beam_shares, percent
 from mistray.prescription.closing.shadows import met_at

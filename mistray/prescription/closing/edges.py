@@ -15,7 +15,7 @@ from typing import Literal, TypeVar
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.pose import fixed_angles_deg
+from mistray.physics.geometry.pose import fixed_angles_deg
 from mistray.prescription.coating import BLACK, Coating
 from mistray.prescription.geometry import barrel, detector_frame, is_gas, lens_edge, wall
 from mistray.prescription.model import Detector, Stop, Structure, Surface

@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mistray.physics.sag import sag
+from mistray.physics.geometry.sag import sag
 from mistray.prescription.closing.shadows import met_at
 from mistray.prescription.sequential.rays import curvature
 from mistray.prescription.sequential.table import ClearAperture, Row

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.crossing import SAMPLES, meeting
-from mistray.physics.sag import conic_end
+from mistray.physics.geometry.crossing import SAMPLES, meeting
+from mistray.physics.geometry.sag import conic_end
 from mistray.prescription.closing.apertures import own_clip
 from mistray.prescription.closing.edges import meets_plane, on_axis, placed
 from mistray.prescription.closing.mirrors import off_axis_piece

@@ -16,7 +16,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.materials.mate import shown
-from mistray.physics.crossing import meeting
+from mistray.physics.geometry.crossing import meeting
 from mistray.prescription.closing.apertures import aperture_pieces
 from mistray.prescription.closing.bores import add_bores
 from mistray.prescription.closing.edges import EDGES, Closing, Edges, Item, StopPlane, mirror_back, on_axis, placed

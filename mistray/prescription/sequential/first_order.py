@@ -1,7 +1,8 @@
 """First-order data of a sequential lens: focal lengths, pupils, and the rays that its aperture and fields mean.
 
 Tilts and decentres are left out, as in the first-order data of lens design programs: surfaces stand on one axis at the
-thicknesses of the table, and a reflection is a refraction into the negative index (`mistray.physics.paraxial`).
+thicknesses of the table, and a reflection is a refraction into the negative index, see
+`mistray.physics.geometry.paraxial`.
 """
 
 from __future__ import annotations
@@ -12,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.physics.paraxial import ParaxialSystem
+from mistray.physics.geometry.paraxial import ParaxialSystem
 from mistray.prescription.sequential.rays import curvature, indices
 from mistray.prescription.sequential.table import Sequential
 

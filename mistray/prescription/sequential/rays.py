@@ -13,8 +13,8 @@ import numpy.typing as npt
 
 from mistray.errors import MistrayError
 from mistray.materials import refractive_index
-from mistray.physics.pose import moved, rotation
-from mistray.physics.sag import sag, sag_derivative
+from mistray.physics.geometry.pose import moved, rotation
+from mistray.physics.geometry.sag import sag, sag_derivative
 from mistray.prescription.sequential.table import Decentre, Row, Sequential
 
 Array = npt.NDArray[np.float64]

@@ -10,14 +10,14 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.scatter.bsdf_csv import read_bsdf_csv
 from mistray.scatter.evaluate import bsdf
 from mistray.scatter.lobe import Lobe, Placement, RatioTable
+from mistray.scatter.measured.bsdf_csv import read_bsdf_csv
+from mistray.scatter.measured.rotations import RotatedSamples
+from mistray.scatter.measured.samples import BEYOND, Samples
+from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf
 from mistray.scatter.radial import RadialTable
-from mistray.scatter.rotations import RotatedSamples
-from mistray.scatter.samples import BEYOND, Samples
 from mistray.scatter.total import lobe_total
-from mistray.scatter.zemax_bsdf import read_zemax_bsdf
 
 INCIDENCE_NODES, R_NODES, PSI_NODES = 49, 257, 37
 COS_NODES = 129

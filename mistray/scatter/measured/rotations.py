@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.scatter.samples import (
+from mistray.scatter.measured.samples import (
     ANGLE_ROUNDING_DEG,
     SYMMETRY_TOLERANCE,
     Samples,

@@ -325,9 +325,9 @@ def _write_curves(scans: list[Scan], path: Path, command: str, turned: bool) -> 
 
 
 def _write_table(model: Scatter, options: argparse.Namespace, event: str, light: Light) -> None:
-    from mistray.scatter.bsdf_csv import write_bsdf_csv
+    from mistray.scatter.measured.bsdf_csv import write_bsdf_csv
+    from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
     from mistray.scatter.scan import table
-    from mistray.scatter.zemax_bsdf import write_zemax_bsdf
 
     zemax = options.table.suffix.lower() == ".bsdf"
     samples = table(model, options.angles_deg, "specular" if zemax else "normal", event, light)

@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ranges import NOT_NEGATIVE
-from mistray.scatter.bsdf_csv import numbers, read_lines
+from mistray.scatter.measured.bsdf_csv import numbers, read_lines
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.rough_surface import RoughSurface
 

@@ -19,7 +19,7 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.scatter.abg import ABg
-from mistray.scatter.bsdf_csv import numbers, read_lines
+from mistray.scatter.measured.bsdf_csv import numbers, read_lines
 
 NAMED = re.compile(r"(.+\.dat):(.+)", re.IGNORECASE)
 UM = 1e3  # nm

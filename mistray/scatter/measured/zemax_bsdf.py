@@ -18,9 +18,9 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.replace_file import replace_file
-from mistray.scatter.bsdf_csv import numbers, read_lines
-from mistray.scatter.rotations import RotatedSamples, by_rotation
-from mistray.scatter.samples import Samples
+from mistray.scatter.measured.bsdf_csv import numbers, read_lines
+from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
+from mistray.scatter.measured.samples import Samples
 
 GRIDS = ("SampleRotation", "AngleOfIncidence", "ScatterAzimuth", "ScatterRadial")
 EVENTS = {"brdf": "reflection", "btdf": "transmission"}

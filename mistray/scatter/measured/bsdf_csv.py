@@ -11,8 +11,8 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.read_file import read_text
 from mistray.replace_file import replace_file
-from mistray.scatter.rotations import RotatedSamples, by_rotation
-from mistray.scatter.samples import Samples
+from mistray.scatter.measured.rotations import RotatedSamples, by_rotation
+from mistray.scatter.measured.samples import Samples
 
 COLUMNS = ("theta_i_deg", "theta_s_deg", "phi_deg", "bsdf")
 ROTATION = "rotation_deg"

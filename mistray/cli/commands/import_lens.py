@@ -9,10 +9,10 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli import import_mechanics
 from mistray.cli.arguments import Help
 from mistray.cli.arriving import arriving
 from mistray.cli.claims import claim_files, declare_outputs
+from mistray.cli.commands import import_mechanics
 from mistray.errors import MistrayError
 from mistray.ranges import MARGIN, SIZE_MM, WAVELENGTH_NM
 from mistray.read_file import require_file

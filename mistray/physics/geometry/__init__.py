@@ -1,0 +1,1 @@
+"""Equations of shapes and places: sag, crossings, poses, first-order optics."""

@@ -1,0 +1,1 @@
+"""Measured scatter: tables of BSDFs, and the files that hold them."""
