@@ -259,6 +259,7 @@ ELSEWHERE = {
     "mistray/cli/program.py: os.open": "the null device, to write to",
     "mistray/replace_file.py: open": "what is open already, to write to",
     "mistray/report/html/render.py: read_text": "a part of mistray",
+    "mistray/report/parts.py: read_text": "a part of mistray",
     "mistray/files/irradiance_files.py: fits.open": "bytes of read_file",
     "mistray/files/irradiance_files.py: openexr.File": "a file to write; after require_file",
     "mistray/files/irradiance_files.py: draft.read_bytes": "a file that was written just now",

@@ -12,10 +12,9 @@ from mistray.report.figures.objects import objects_layout
 from mistray.report.figures.plots import as_png
 from mistray.report.model import Figure, Folded, Note, Part, Report, Section
 from mistray.report.output import write_report
-from mistray.report.parts import settings_section, version_settings
+from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.tables.objects import (
     APART,
-    MEANINGS,
     common_table,
     csv_tables,
     estimate_table,
@@ -55,7 +54,7 @@ def objects_report(found: Objects, estimates: pd.DataFrame, title: str = "scene"
                 [object_table(found.illuminated, name="t-illuminated")], "Illuminated"),
         Section("straight", "Straight shots",
                 [Note(SHOTS), shots] if shots.rows else [Note(NO_SHOTS)], "Straight shots"),
-        settings_section(found.facts | version_settings(), command, MEANINGS, link="Settings"),
+        settings_section(found.facts | version_settings(), command, terms("objects"), link="Settings"),
     ]  # fmt: skip
     return Report(
         "Critical and illuminated objects",

@@ -1,8 +1,11 @@
-"""Parts that the reports of several commands have: definitions and settings, and a DataFrame as a table."""
+"""What the reports of several commands have: definitions and settings."""
 
 from __future__ import annotations
 
+import functools
+import tomllib
 from collections.abc import Mapping, Sequence
+from importlib.resources import files
 from typing import Any
 
 from mistray.report.model import Items, Note, Part, Section, Terms
@@ -13,7 +16,7 @@ from mistray.trace.forward import versions
 def settings_section(
     facts: Mapping[str, Any],
     command: str,
-    definitions: Sequence[tuple[str, str]] = (),
+    definitions: Mapping[str, str] | None = None,
     assumptions: Sequence[str] = (),
     before: Sequence[Part] = (),
     after: Sequence[Part] = (),
@@ -28,7 +31,8 @@ def settings_section(
         Settings by name; values of any kind.
     command : str
         Command line; empty: none.
-    definitions : sequence of (str, str)
+    definitions : mapping of str to str, optional
+        See `terms`.
     assumptions : sequence of str
     before, after : sequence of Part
         Above all of it, and between the settings and the command.
@@ -39,13 +43,20 @@ def settings_section(
     if assumptions:
         parts += [Note("Assumptions", "h3"), Items(assumptions)]
     if definitions:
-        parts += [Note("Definitions", "h3"), Terms(definitions), Note("Settings", "h3")]
+        parts += [Note("Definitions", "h3"), Terms(list(definitions.items())), Note("Settings", "h3")]
     parts += [Terms([(str(key), setting_text(value)) for key, value in facts.items()]), *after]
     if command:
         parts += [Note("Command", "h3"), Note(command, "pre")]
     words = [word for word, there in (("Assumptions", assumptions), ("definitions", definitions)) if there]
     title = f"{', '.join([*words, '']).removesuffix(', ')} and settings".capitalize() if words else "Settings"
     return Section("settings", title, parts, link)
+
+
+@functools.cache
+def terms(report: str) -> dict[str, str]:
+    """What the words of a report mean, in the order in which they are shown; see assets/terms.toml."""
+    text = files("mistray.report.html").joinpath("assets", "terms.toml").read_text(encoding="utf-8")
+    return dict(tomllib.loads(text)[report])
 
 
 def version_settings() -> dict[str, str]:

@@ -17,7 +17,7 @@ from mistray.report.figures.plots import as_png
 from mistray.report.figures.pst import pst_causes, pst_curve, pst_irradiance, pst_map
 from mistray.report.model import Figure, Hover, Note, Report, Section
 from mistray.report.output import write_report
-from mistray.report.parts import settings_section, thousands, version_settings
+from mistray.report.parts import settings_section, terms, thousands, version_settings
 from mistray.report.tables.pst import (
     DEFINITIONS,
     DENOMINATOR,
@@ -39,24 +39,6 @@ CURVE = "PST of all light, of the stray light and of each class; below, relative
 CAUSES = "Where the stray light comes from: first surface that scatters it; ghosts are light only reflected."
 MAP = "PST over field angle and azimuth; the point of a map is the direction in which the light travels."
 DETECTOR = "Irradiance on the detector from a distant source of 1 W/mm² across its beam, each on its own scale."
-MEANINGS = (
-    ("E_det", "flux that meets the detector, on both sides and at every hit, over its area; what it absorbs of it does "
-     "not matter"),
-    ("E_⊥", "irradiance of the distant source on a plane across its beam"),
-    ("θ", "angle between the beam and the axis; the PST of an angle is the mean over its cell of directions"),
-    ("direct image", "light through the optics without scatter and without any reflection but those of mirrors"),
-    ("straight shots", "light without scatter and reflection too, but past the optics, through an edge or a bevel, or "
-     "with total reflection"),
-    ("ghosts", "light that is reflected by optics or structure, and not scattered"),
-    ("single, multiple scatter", "light that is scattered once, or several times, with or without reflections"),
-    ("stray light", "all light but the direct image"),
-    ("of stray light", "share of the stray light at this angle; the same denominator for all paths of an angle"),
-    ("largest ray", "share of the scattered light of a cell in its strongest single ray; where it is large the tails "
-     "of the distribution are not sampled, and both the value and its error are likely too small"),
-    ("edge of the field", "angle at which the direct image has half of its PST at the smallest angle, interpolated"),
-    ("break", "angle at which the slope of log10 PST of the stray light changes abruptly: another cause takes over"),
-    ("± ", "one standard error, from the spread of independent batches of start rays"),
-)  # fmt: skip
 
 
 def draw(pst: Pst, title: str = "", maps_at: Sequence[tuple[float, float]] = ()) -> dict[str, bytes]:
@@ -170,7 +152,7 @@ def pst_report(
     return Report(
         "Point source transmittance",
         title,
-        [*sections, settings_section(_facts(pst), command, MEANINGS, link="Definitions and settings")],
+        [*sections, settings_section(_facts(pst), command, terms("pst"), link="Definitions and settings")],
         lead=[Note(Markup("{}.<br>{}.").format(definition, run), "sub"), Note(_finding(pst))],
         warnings=warnings(pst),
         tab="PST",

@@ -12,7 +12,7 @@ from mistray.report.figures.plots import as_png
 from mistray.report.figures.sensitivity import draws_figure, ranking_figure
 from mistray.report.model import Figure, Folded, Note, Report, Section
 from mistray.report.output import write_report
-from mistray.report.parts import settings_section
+from mistray.report.parts import settings_section, terms
 from mistray.report.tables.frames import frame_table
 from mistray.report.tables.sensitivity import (
     changes_table,
@@ -30,14 +30,6 @@ RANKING = (
     "all of them together."
 )
 PERTURBED = "Metrics of perturbed systems, all traced with the same rays, and what the linear model says."
-DEFINITIONS = (
-    ("derivative", "of the metric by the parameter, from one reverse run of the trace, with its standard error"),
-    ("tolerance", "usual manufacturing tolerance, taken for one standard deviation"),
-    ("change per tolerance", "derivative · tolerance / metric: to first order the change of ln(metric)"),
-    ("share of variance", "(s·tol)² over the sum of all of them, the variance of their noise taken off"),
-    ("for n × less", "value at which the metric is n times lower by the linear model of its logarithm, or the factor "
-     "at the bound of the physical range; held: would change the optics themselves"),
-)  # fmt: skip
 
 
 def sensitivity_report(result: Sensitivity, title: str = "scene", command: str = "") -> Report:
@@ -66,7 +58,7 @@ def sensitivity_report(result: Sensitivity, title: str = "scene", command: str =
     return Report(
         "Sensitivity",
         title,
-        [*sections, settings_section(result.facts, command, DEFINITIONS, after=left if missing else ())],
+        [*sections, settings_section(result.facts, command, terms("sensitivity"), after=left if missing else ())],
         lead=[Note(Markup("{}: <b>{}</b>").format(result.name, value)), Note(f"{spread[0]}.")],
         warnings=notes(result),
         csv=csv,

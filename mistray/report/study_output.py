@@ -18,11 +18,11 @@ from mistray.report.figures.objects import objects_layout
 from mistray.report.figures.plots import as_png, levels_against_field, montage
 from mistray.report.ghosts.fields import explored_paths
 from mistray.report.ghosts.ledgers import energy_ledger
-from mistray.report.ghosts.report import ASSUMPTIONS, DEFINITIONS, POLARIZATION, SCATTERED
+from mistray.report.ghosts.report import ASSUMPTIONS, POLARIZATION, SCATTERED
 from mistray.report.html.explorer import page_data
 from mistray.report.model import Figure, Folded, Items, Note, Part, Report, Section, Terms
 from mistray.report.output import write_report
-from mistray.report.parts import settings_section, thousands
+from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.pst_output import causes_figure, curve_figure
 from mistray.report.tables.frames import frame_table
 from mistray.report.tables.study import fact_text, step_warnings, study_warnings
@@ -42,31 +42,6 @@ FIGURES = {
     "common_objects": ("objects.png",),
     "analysis": ("ghost_images.png", "ghost_levels.png", "worst_ghosts.png"),
 }
-TABLES = {
-    "optical_surfaces": "Surfaces in the order of the light",
-    "structure": "Surfaces that are not optics of the design path",
-    "critical": "Critical objects, the strongest first",
-    "straight_shots": "Views of the outside past the optics",
-    "illuminated": "Illuminated objects, the strongest first",
-    "common": "Common objects, in the order of the light",
-    "optics": "Optics: common by design",
-    "apart": "Objects that are lit in one place and seen in another, and so are not common",
-    "product_estimate": "Estimate of the first-order scatter of every object at every source angle",
-    "treatments": "What surfaces do to light, surfaces alike together",
-    "surface_budget": "R + T + TIS + A of every surface",
-    "scatter_models": "TIS of every scatter model alone",
-    "targets": "Targets of every surface that scatters",
-    "paraxial_targets": "Paraxial images of the detector behind the surfaces of the path, beside the targets traced",
-    "aimed_rays": "Aimed rays in the check, and their share that reaches the detector without a further reflection",
-    "pst": "PST by class of the light, and the main cause of the stray light",
-    "pst_top_paths": "The strongest stray paths of every angle",
-    "pst_breaks": "Breaks of the curve of stray light, in decades of PST per degree",
-    "first_level_scatter": "First-level scatter (scattered once, not reflected) by angle and surface",
-    "zero_order_paths": "Zero-order paths: neither scattered nor reflected, and no image",
-    "ghosts": "Ghosts: summary of the fields",
-    "worst_ghosts": "The worst ghosts of every field by RMS irradiance, and the strongest by power",
-}
-"""Titles of the tables by name; one that is not here has its name as title."""
 
 
 SOURCES = (
@@ -74,19 +49,6 @@ SOURCES = (
     "wave over the whole scene from all azimuths, averaged over a cell of angles."
 )
 _GHOST_TERMS = ("RMS radius", "RMS irradiance", "normalised", "stray light", "stray/nominal", "± ")
-_PST_TERMS = (
-    ("PST, normal", "irradiance on the detector, averaged over its area, over that of the beam on a plane across it"),
-    ("PST, projected", "the same over the irradiance on the plane of the aperture: PST normal / cos θ"),
-    ("critical object", "what the detector sees through the optics"),
-    ("illuminated object", "what light from outside reaches"),
-    ("common object", "both critical and illuminated: one scatter event there sends light to the detector"),
-    ("TIS", "total integrated scatter: what a surface scatters into one hemisphere, share of the incident light"),
-    ("first-level scatter", "light that is scattered once and never reflected, mirrors apart"),
-    ("zero-order path", "a way to the detector without scatter and without reflection, mirrors apart, that is not the "
-     "image"),
-    ("break", "angle at which the slope of log10 PST of the stray light changes abruptly"),
-    ("main cause", "first surface that scatters the light, structure that reflects it, ghosts, or straight shots"),
-)  # fmt: skip
 
 
 def draw_study(study: Study) -> dict[str, bytes]:
@@ -191,7 +153,7 @@ def _ghosts(report: GhostReport) -> list[Part]:
 
 
 def _table(name: str, frame: pd.DataFrame) -> list[Part]:
-    title = Note(TABLES.get(name, name), "h3")
+    title = Note(terms("study_tables").get(name, name), "h3")
     if frame.empty:
         return [title, Note("none", "note")]
     table = frame_table(f"t-{name}", frame)
@@ -210,7 +172,7 @@ def _settings(study: Study, command: str) -> Section:
         "scatter": SCATTERED.format(max_scatters=traced.get("max_scatters", ghosts["max_scatters"])),
     }
     assumptions = [*(text.format(**words) for text in ASSUMPTIONS[:-1]), SOURCES]
-    definitions = [*_PST_TERMS, *(pair for pair in DEFINITIONS if pair[0] in _GHOST_TERMS)]
+    definitions = terms("study") | {term: terms("ghosts")[term] for term in _GHOST_TERMS}
     shown = study.settings | {f"PST {key}": study.pst.facts[key] for key in ("rays", "seconds")}
     shown |= {f"version of {name}": version for name, version in dict(ghosts.get("versions") or {}).items()}
     return settings_section(shown, command, definitions, assumptions, link="Settings")

@@ -10,17 +10,11 @@ from mistray.report.figures.plots import as_png
 from mistray.report.figures.sweep import sweep_figure
 from mistray.report.model import Figure, Note, Report, Section, Table, columns
 from mistray.report.output import write_report
-from mistray.report.parts import settings_section, version_settings
+from mistray.report.parts import settings_section, terms, version_settings
 from mistray.report.tables.sweep import cache_line, rows_table, sweep_record, values_text
 from mistray.sweeps import Sweep
 
 CAPTION = "Stray light and direct image over the launched power, with standard errors."
-DEFINITIONS = (
-    ("direct, stray", "power that the detector absorbs from the direct image, and from all other paths"),
-    ("stray/direct", "at the same field; – where no direct light arrives"),
-    ("RMS radius", "of the direct image about its centroid"),
-    ("brightest stray path", "that of the highest RMS irradiance P/(π r²)"),
-)
 
 
 def sweep_tables(result: Sweep) -> dict[str, pd.DataFrame]:
@@ -41,7 +35,7 @@ def sweep_report(result: Sweep, title: str = "scene", command: str = "") -> Repo
         [
             Section("rows", "Fields, wavelengths and configurations", [Figure(picture, CAPTION), rows_table(result)]),
             Section("configurations", "Configurations", [configurations]),
-            settings_section({**result.arguments, **version_settings()}, command, DEFINITIONS),
+            settings_section({**result.arguments, **version_settings()}, command, terms("sweep")),
         ],
         lead=[Note(f"{size}: {cache_line(result)}.")],
         warnings=result.warnings,

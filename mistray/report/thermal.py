@@ -15,22 +15,10 @@ from mistray.analysis.thermal.emission import ThermalReport
 from mistray.files.json_values import plain
 from mistray.report.model import Figure, Note, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
-from mistray.report.parts import settings_section, thousands
+from mistray.report.parts import settings_section, terms, thousands
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 
 SHOWN, RETURNS_SHOWN = 12, 6  # rows of the printed tables
-MEANINGS = (
-    ("irradiance", "W/mm² in the band, that meets the detector; 1 W/mm² = 10⁶ W/m²"),
-    ("share", "n² times the share of the detector's view, of Lambertian rays, that meets a surface"),
-    ("emission", "n² times the share that it absorbs, 1 - R - T - scatter at each angle: by Kirchhoff's law what it "
-     "emits; times π and the radiance of a blackbody of its temperature it is the irradiance. All emissions, what "
-     "leaves the system and what is not followed add up to n², n the index before the detector"),
-    ("image of the scene", "of a blackbody around the system, by light without scatter and without any reflection but "
-     "those of mirrors"),
-    ("NITD", "narcissus: change of the scene's temperature that would take as much light away as the detector's view "
-     "of all that is colder than the housing, by way of ghosts and scatter; what is seen is its change over the field"),
-    ("± ", "one standard error, from the spread of independent batches of rays"),
-)  # fmt: skip
 
 
 def summary_rows(report: ThermalReport) -> list[tuple[str, str, Estimate]]:
@@ -166,7 +154,7 @@ def thermal_report(report: ThermalReport, title: str = "scene", command: str = "
     return Report(
         "Thermal self-emission",
         title,
-        [*sections, settings_section(facts, command, MEANINGS, link="Definitions and settings")],
+        [*sections, settings_section(facts, command, terms("thermal"), link="Definitions and settings")],
         lead=[Note(f"{heading(report)}.", "sub"), Note(finding + ".")],
         warnings=report.notes,
         csv=csv_tables(report),

@@ -22,7 +22,7 @@ from mistray.report.html.explorer import page_data
 from mistray.report.html.render import html_page
 from mistray.report.model import Column, Figure, Hover, Note, Part, Report, Section, Table, Value, columns
 from mistray.report.own_sections import own_sections
-from mistray.report.parts import setting_text, settings_section, thousands
+from mistray.report.parts import setting_text, settings_section, terms, thousands
 from mistray.report.tables.ghosts import warnings
 from mistray.report.tables.text import ABSENT, with_error
 
@@ -42,30 +42,6 @@ SCATTERED = (
     "Surfaces scatter by the models that the scene gives them, up to {max_scatters} times along a path. Scattered "
     "light is unpolarised. Aimed rays and random ones share the flux by weights, so that their sum is right on average."
 )
-DEFINITIONS = (
-    ("power", "flux that the detector absorbs; the incident flux is in paths.csv"),
-    ("RMS radius", "root of the mean square distance of a path's rays from their centroid, weighted by flux"),
-    ("RMS irradiance", "P / (π r_rms²): power of the path over the disc of its RMS radius"),
-    ("peak", "irradiance of the brightest pixel of the path; depends on the pixel size"),
-    ("normalised", "RMS irradiance of the path over that of the direct image on axis (field 0°)"),
-    ("stray light", "everything that reaches the detector and is not the direct image"),
-    ("of all light", "share of everything that the detector absorbs at this field, the direct image included"),
-    ("of stray light", "share of the stray light at this field"),
-    ("stray/direct", "stray power over the power of the direct image at the same field; – where there is none"),
-    ("stray/nominal", "stray power over the power of the direct image on axis"),
-    ("peak stray/peak nominal", "brightest pixel of the stray light over that of the on-axis image; depends on the "
-     "pixel size"),
-    ("ghost surfaces", "surfaces where the path was reflected specularly, in the order of the light; structure counts, "
-     "the mirrors of the design path do not"),
-    ("single, multiple scatter", "one or several scatter events on the way; with specular reflections besides them "
-     "ghost + scatter"),
-    ("path", "T transmitted, R reflected, I totally internally reflected, t scattered in transmission, r scattered in "
-     "reflection, A absorbed; open it for the surfaces"),
-    ("polarisation", "degree of polarisation of all light of a path together, 0 … 1; of several wavelengths the mean, "
-     "weighted by power"),
-    ("wavelengths", "a path is a list of surfaces; its numbers are those of all wavelengths together"),
-    ("± ", "one standard error; of a sum of paths from the spread of 32 batches of start rays"),
-)  # fmt: skip
 
 
 OVERVIEW = "Irradiance on the detector at every field, all light, one log10 scale."
@@ -250,5 +226,5 @@ def _settings(report: GhostReport, command: str) -> Section:
     shown["field_deg"] = ", ".join(f"{field:g}" for field in report)
     shown |= {f"version of {name}": version for name, version in dict(settings.get("versions") or {}).items()}
     return settings_section(
-        shown, command, DEFINITIONS, [text.format(**words) for text in ASSUMPTIONS], link="Settings"
+        shown, command, terms("ghosts"), [text.format(**words) for text in ASSUMPTIONS], link="Settings"
     )

@@ -18,24 +18,6 @@ ROWS_SHOWN, ESTIMATES_SHOWN = 25, 10
 APART = "Lit in one place and seen in another, so not common: {}."
 
 POWER_UNIT = "W per W started"
-MEANINGS = (
-    ("critical", "seen by the detector: met by rays that start there like light from a Lambertian surface, go against "
-     "the light and are only transmitted"),
-    ("illuminated", "met by light from outside that is only transmitted"),
-    ("common", "critical and illuminated, with places that are both; it can send light to the detector by one scatter "
-     "event"),
-    ("optics", "surfaces of the design path; common by design, listed apart"),
-    ("side", "of an opaque surface; a surface that transmits is one object"),
-    ("stands between", "surfaces of the design path, as most of the rays that meet the object have it"),
-    ("stop", "before or after the aperture stop along the design path; “stop”: a part of it"),
-    ("power", "flux of the rays that meet the object, for each W that starts; one ray of n has 1/n"),
-    ("Φ", "flux on the object from a distant source of 1 W/mm² across its beam; of a cone the mean over directions"),
-    ("BSDF", "mean over pairs of rays that light and that see the object, weighted with the light that they bring"),
-    ("GCF", "geometrical configuration factor: projected solid angle of the detector from the object, through the "
-     "optics, over π; where the object is lit"),
-    ("PST", "Φ · BSDF · π GCF over the area of the detector: light of this object by one scatter event and no ghost"),
-    ("± ", "one standard error"),
-)  # fmt: skip
 
 
 def object_table(rows: Sequence[SceneObject], most: int = ROWS_SHOWN, name: str = "") -> Table:
