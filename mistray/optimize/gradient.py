@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
 from typing import Any
 
 import drjit as dr
@@ -98,20 +98,6 @@ ONSET = (
 INDEX_OF_SCATTER = "the change of what surfaces scatter with the index of the materials beside them"
 
 
-@dataclass
-class _Sums:
-    """Derivatives by batch, by plugin and name: with visibility as it is, and at rims with two widths."""
-
-    inner: dict[tuple[int, str], np.ndarray] = field(default_factory=dict)
-    edges: tuple[dict[tuple[int, str], np.ndarray], ...] = field(default_factory=lambda: ({}, {}))
-
-    @staticmethod
-    def add(into: dict[tuple[int, str], np.ndarray], found: Iterator[tuple[Any, str, np.ndarray]]) -> None:
-        """Add what a chain rule yields."""
-        for owner, name, part in found:
-            into[id(owner), name] = into.get((id(owner), name), 0.0) + part
-
-
 def gradient(
     metric: Metric,
     params: Mapping[str, Any],
@@ -176,7 +162,7 @@ def gradient_seen(
     """
     value = metric.evaluate(observations)
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
-    sums, left_out, seconds = _Sums(), [LEFT_OUT], 0.0
+    left_out, seconds = [LEFT_OUT], 0.0
     noise = Sampled.of(np.zeros(BATCHES), EQUAL)
     raws: dict[tuple[Any, ...], RawGradient] = {}
     for observation in observations:
@@ -195,10 +181,16 @@ def gradient_seen(
     def is_chosen(owner: Any, name: str) -> bool:
         return (id(owner), name) in places
 
+    # By plugin and name, by batch: with visibility as it is, and at rims with zones of the whole and of half the width
+    inner, wide, narrow = (dict[tuple[int, str], np.ndarray]() for _ in range(3))
     for raw in raws.values():
-        sums.add(sums.inner, parameter_gradient(raw, is_chosen))
-        for half_width, into in enumerate(sums.edges):
-            sums.add(into, edge_gradient(raw, is_chosen, bool(half_width)))
+        for sums, found in (
+            (inner, parameter_gradient(raw, is_chosen)),
+            (wide, edge_gradient(raw, is_chosen, False)),
+            (narrow, edge_gradient(raw, is_chosen, True)),
+        ):
+            for owner, name, part in found:
+                sums[id(owner), name] = sums.get((id(owner), name), 0.0) + part
     if request.moves and not request.edges:
         left_out.append(NO_EDGES)
     if request.moves and any(_jumps(raw) for raw in raws.values()):
@@ -210,22 +202,22 @@ def gradient_seen(
     for key, p in chosen.items():
         place = id(p.owner), p.name
         nothing = np.zeros((BATCHES, p.value.size))  # a surface that was never met
-        wide, narrow = (of_width.get(place, nothing) for of_width in sums.edges)
-        total = sums.inner.get(place, nothing) + wide
+        at_rims, at_half_width = wide.get(place, nothing), narrow.get(place, nothing)
+        total = inner.get(place, nothing) + at_rims
         parts[key], result[key] = total, total.sum(axis=0)
         errors[key] = batch_error(total.T, EQUAL)
-        if wide.any() or narrow.any():
-            checks[key] = (narrow - wide).sum(axis=0)
+        if at_rims.any() or at_half_width.any():
+            checks[key] = (at_half_width - at_rims).sum(axis=0)
     return Gradient(
-        float(dr.detach(value)[0]),
-        float(noise.se),
-        noise.apart,
-        result,
-        errors,
-        checks,
-        parts,
-        left_out,
-        (sum(o.seconds for o in observations), seconds),
+        value=float(dr.detach(value)[0]),
+        value_se=float(noise.se),
+        value_noise=noise.apart,
+        gradient=result,
+        standard_error=errors,
+        edge_check=checks,
+        batches=parts,
+        left_out=left_out,
+        seconds=(sum(o.seconds for o in observations), seconds),
     )
 
 

@@ -19,7 +19,7 @@ from mistray.optimize.metrics.pst_metrics import pst_bin
 from mistray.optimize.metrics.pst_observation import Light
 from mistray.optimize.parameters import Parameter, groups, match, parameters
 from mistray.optimize.tolerances.proposals import structure
-from mistray.optimize.tolerances.rows import Line, Table, lines_of
+from mistray.optimize.tolerances.rows import Line, OfLine, Table, lines_of
 from mistray.ranges import POLAR_DEG
 from mistray.renamed import renamed
 from mistray.scene import find, load
@@ -43,7 +43,7 @@ Progress = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
-class Edit:
+class Edit(OfLine):
     """
     One number of the scene that can be edited, and what a step of it does to the PST.
 
@@ -68,21 +68,6 @@ class Edit:
     step: float
     derivative: tuple[Estimate, ...]
     change: tuple[Estimate, ...]
-
-    @property
-    def label(self) -> str:
-        """Key of the parameter, or the part that moves as a whole, such as ``hood.z``."""
-        return self.line.label
-
-    @property
-    def kind(self) -> str:
-        """See `mistray.optimize.parameters.Parameter`."""
-        return self.line.parameter.kind
-
-    @property
-    def unit(self) -> str:
-        """Of value and step."""
-        return self.line.parameter.unit
 
 
 @renamed(angles_deg="field_deg")

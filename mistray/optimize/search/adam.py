@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 
 if TYPE_CHECKING:
-    from mistray.optimize.search.point import Point
+    from mistray.optimize.search.point import AfterStep, Merit
     from mistray.optimize.study.model import Optimizer
 
 # The authors' values
 BETA_1, BETA_2, EPSILON = 0.9, 0.999, 1e-8
 
 
-def adam(
-    function: Callable[[np.ndarray], Point],
-    y0: np.ndarray,
-    optimizer: Optimizer,
-    after: Callable[[np.ndarray], None],
-) -> str:
+def adam(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
     Search downhill from a point by steps of about the same length; a step beyond a bound ends at it.
 

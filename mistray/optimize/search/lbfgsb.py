@@ -2,25 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.optimize import minimize
 
 if TYPE_CHECKING:
-    from mistray.optimize.search.point import Point
+    from mistray.optimize.search.point import AfterStep, Merit
     from mistray.optimize.study.model import Optimizer
 
 UNLIMITED = 10**9  # what ends a search is decided after each step
 
 
-def lbfgsb(
-    function: Callable[[np.ndarray], Point],
-    y0: np.ndarray,
-    optimizer: Optimizer,
-    after: Callable[[np.ndarray], None],
-) -> str:
+def lbfgsb(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
     Search downhill from a point.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import importlib
-from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -11,7 +10,7 @@ import numpy as np
 from mistray.errors import MistrayError
 
 if TYPE_CHECKING:
-    from mistray.optimize.search.point import Point
+    from mistray.optimize.search.point import AfterStep, Merit
     from mistray.optimize.study.model import Optimizer
 
 ALGORITHMS = ("LD_MMA", "LD_CCSAQ", "LD_SLSQP", "LD_LBFGS", "LD_VAR2", "LD_TNEWTON_PRECOND_RESTART")
@@ -34,12 +33,7 @@ def installed() -> Any:
         ) from None
 
 
-def nlopt_search(
-    function: Callable[[np.ndarray], Point],
-    y0: np.ndarray,
-    optimizer: Optimizer,
-    after: Callable[[np.ndarray], None],
-) -> str:
+def nlopt_search(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
     Search downhill from a point; every evaluation but the first counts as a step.
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -60,3 +61,7 @@ class Point:
     merit: float
     slope: np.ndarray
     pieces: Pieces | None = None
+
+
+Merit = Callable[[np.ndarray], Point]  # a point of the unit cube, (n,) → what is known there
+AfterStep = Callable[[np.ndarray], None]  # called with the point after each step; an exception of it ends the search

@@ -10,7 +10,6 @@ the model does (algorithm 4.1).
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
 from typing import TYPE_CHECKING
 
@@ -20,6 +19,7 @@ from scipy.optimize import lsq_linear
 from mistray.optimize.search.point import Pieces, Point
 
 if TYPE_CHECKING:
+    from mistray.optimize.search.point import AfterStep, Merit
     from mistray.optimize.study.model import Optimizer
 
 GOOD, BAD = 0.75, 0.25  # lowered by so much of what the model says: the box grows, shrinks
@@ -29,12 +29,7 @@ FAINT = 1e-10  # of the curvature, so that the model has one minimum
 ROUNDS = 30  # of finding out which one-sided penalties count
 
 
-def sqp(
-    function: Callable[[np.ndarray], Point],
-    y0: np.ndarray,
-    optimizer: Optimizer,
-    after: Callable[[np.ndarray], None],
-) -> str:
+def sqp(function: Merit, y0: np.ndarray, optimizer: Optimizer, after: AfterStep) -> str:
     """
     Search downhill from a point.
 

@@ -199,21 +199,21 @@ def optimize(
         designs = variables.start, np.array(best.x)
         levels = [_levels(read, opened, variables, x, verification_seeds) for x in designs]
     return Optimization(
-        read,
-        source,
-        placed,
-        wavelengths,
-        variables,
-        opened.thickness_keys,
-        tuple(state.starts),
-        tuple(searches.steps),
-        searches.ended,
-        best,
-        compare(*levels),
-        tuple(state.left_out),
-        state.seconds,
-        state.traced_seconds,
-        time.perf_counter() - started,
+        study=read,
+        source=source,
+        placed=placed,
+        band_nm=wavelengths,
+        variables=variables,
+        thickness_keys=opened.thickness_keys,
+        starts=tuple(state.starts),
+        steps=tuple(searches.steps),
+        ended=searches.ended,
+        best=best,
+        comparison=compare(*levels),
+        left_out=tuple(state.left_out),
+        search_seconds=state.seconds,
+        traced_seconds=state.traced_seconds,
+        verification_seconds=time.perf_counter() - started,
     )
 
 

@@ -151,8 +151,8 @@ class Searches:
             raise Ended(f"the next point has no merit: {error}") from None
         self._made += 1
         # What is left out comes with numbers that differ from point to point; the last ones stay
-        told = [*self.state.left_out, *result.pop("left_out")]
-        self.state.left_out = list({text.partition(":")[0]: text for text in told}.values())
+        left_out = [*self.state.left_out, *result.pop("left_out")]
+        self.state.left_out = list({text.partition(":")[0]: text for text in left_out}.values())
         kept.append(Evaluation(y=y.copy(), seconds=time.perf_counter() - self._began, **result))
         if self.file is not None:
             self.file.write(self.state)
@@ -173,16 +173,16 @@ class Searches:
         """Add a step, and show it if it was not made before an interruption."""
         self.steps.append(
             Step(
-                start,
-                step,
-                self._asked,
-                at.merit,
-                at.merit_se,
-                dict(at.terms),
-                self.problem.broken(at.terms),
-                float(np.linalg.norm(at.free_slope)),
-                at.seconds,
-                tuple(self.values(at.y).tolist()),
+                start=start,
+                step=step,
+                evaluations=self._asked,
+                merit=at.merit,
+                merit_se=at.merit_se,
+                terms=dict(at.terms),
+                broken=self.problem.broken(at.terms),
+                gradient_norm=float(np.linalg.norm(at.free_slope)),
+                seconds=at.seconds,
+                x=tuple(self.values(at.y).tolist()),
             )
         )
         if new and self.progress is not None:

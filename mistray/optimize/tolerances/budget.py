@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import tempfile
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -21,6 +21,7 @@ from mistray.optimize.parameters import Parameter, parameters
 from mistray.optimize.scene_values import assign
 from mistray.optimize.tolerances.allocation import Choice, Model, allocate, excess
 from mistray.optimize.tolerances.proposals import APART
+from mistray.optimize.tolerances.steps import Progress, Steps
 from mistray.optimize.toml.read_budget import BudgetStudy, Grades, read_budget
 from mistray.physics.contamination import CLEANED_SLOPE
 from mistray.scene import load
@@ -28,8 +29,6 @@ from mistray.scene.load import find
 from mistray.scene.unshared import SceneText
 
 SETTLED = 0.02  # relative change of all numbers below which they count as found
-
-Progress = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
@@ -187,7 +186,7 @@ class _Search:
     """The gradients, the allocations, and the proof."""
 
     def __init__(self, scene: Any, study: BudgetStudy, progress: Progress | None) -> None:
-        self.study, self.progress = study, progress
+        self.study = study
         self.params = mi.traverse(scene)
         known = parameters(scene, self.params)
         pairs = _pairs(study, known)
@@ -198,14 +197,8 @@ class _Search:
         self.metrics: list[Metric] = [requirement.of(scene) for requirement in study.requirements]
         self.limits = np.array([requirement.limit for requirement in study.requirements])
         self.left_out: list[str] = []
-        self.steps = len(self.metrics) * (study.iterations + 2 * study.seeds)
-        self.done = 0
+        self.advance = Steps(progress, len(self.metrics) * (study.iterations + 2 * study.seeds))
         self.numbers = self.start
-
-    def advance(self) -> None:
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, self.steps)
 
     def choices(self, numbers: np.ndarray) -> list[Choice]:
         """What can be chosen, with the numbers at which the metrics are known."""
@@ -283,18 +276,18 @@ class _Search:
     def _chosen(self, first: np.ndarray, last: np.ndarray) -> tuple[Chosen, ...]:
         return tuple(
             Chosen(
-                parameter.key,
-                grades.parameter,
-                parameter.unit,
-                parameter.shapes,
-                float(self.start[k]),
-                float(self.numbers[k]),
-                grades.best,
-                grades.worst,
-                float(grades.cost(np.array(self.start[k]))),
-                float(grades.cost(np.array(self.numbers[k]))),
-                tuple(map(float, first[:, k])),
-                tuple(map(float, last[:, k])),
+                key=parameter.key,
+                parameter=grades.parameter,
+                unit=parameter.unit,
+                surfaces=parameter.shapes,
+                before=float(self.start[k]),
+                after=float(self.numbers[k]),
+                best=grades.best,
+                worst=grades.worst,
+                cost_before=float(grades.cost(np.array(self.start[k]))),
+                cost_after=float(grades.cost(np.array(self.numbers[k]))),
+                shares_before=tuple(map(float, first[:, k])),
+                shares_after=tuple(map(float, last[:, k])),
             )
             for k, (parameter, grades) in enumerate(zip(self.known, self.grades, strict=True))
         )

@@ -47,8 +47,29 @@ class Line:
     silent: tuple[str, ...] = ()
 
 
+class OfLine:
+    """What is known of a line: its names."""
+
+    line: Line
+
+    @property
+    def label(self) -> str:
+        """See `Line`."""
+        return self.line.label
+
+    @property
+    def kind(self) -> str:
+        """See `mistray.optimize.parameters.Parameter`."""
+        return self.line.parameter.kind
+
+    @property
+    def unit(self) -> str:
+        """Of the value."""
+        return self.line.parameter.unit
+
+
 @dataclass(frozen=True)
-class Row:
+class Row(OfLine):
     """
     One number of the scene, and what it does to the metric.
 
@@ -82,21 +103,6 @@ class Row:
     edge_check: float
     alone: Change
     free: bool
-
-    @property
-    def label(self) -> str:
-        """See `Line`."""
-        return self.line.label
-
-    @property
-    def kind(self) -> str:
-        """See `mistray.optimize.parameters.Parameter`."""
-        return self.line.parameter.kind
-
-    @property
-    def unit(self) -> str:
-        """Of value, tolerance and range."""
-        return self.line.parameter.unit
 
 
 def lines_of(scene: Any, params: Any, known: Mapping[str, Parameter], chosen: Iterable[str]) -> list[Line]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import TYPE_CHECKING, Any
 
@@ -20,12 +20,11 @@ from mistray.optimize.tolerances.draws import Draws, draw_systems
 from mistray.optimize.tolerances.propagation import Spread, propagate
 from mistray.optimize.tolerances.proposals import SEEDS, free_keys, traced_change
 from mistray.optimize.tolerances.rows import Line, Row, Table, lines_of, shifted_values, whole_values
+from mistray.optimize.tolerances.steps import Progress, Steps
 from mistray.ranges import FACTOR, POSITIVE
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Progress = Callable[[float, float], None]
 
 
 @dataclass(frozen=True)
@@ -153,6 +152,7 @@ class Sensitivity:
         return self.to_pandas().to_string(index=False)
 
 
+# The arguments are the options of `mistray sensitivity`, all but the metric by keyword
 def sensitivity(
     metric: Metric,
     params: Mapping[str, Any] | None = None,
@@ -228,7 +228,7 @@ def sensitivity(
     limits = _tolerances(known, tolerances or {})
     groups = _groups(known, lines, together)
     free = set(free_keys(metric.scene, known) if change is None else match(known, change))
-    advance = _Steps(progress, 1 + (2 * SEEDS if check else 0) + monte_carlo)
+    advance = Steps(progress, 1 + (2 * SEEDS if check else 0) + monte_carlo)
     keys = list(dict.fromkeys(key for line in lines for key in line.keys))
     found = gradient(metric, given, keys, edges=edges, edge_width=edge_width)
     advance()
@@ -251,18 +251,18 @@ def sensitivity(
     if monte_carlo:
         draws = draw_systems(metric, given, rows, groups, int(monte_carlo), seed, advance)
     return Sensitivity(
-        metric.name,
-        metric.unit,
-        Estimate(found.value, found.value_se),
-        tuple(sorted(rows, key=lambda row: -abs(row.change.value))),
-        spread,
-        factor,
-        proposal,
-        draws,
-        tuple(found.left_out),
-        tuple(_without_derivative(given, known)),
-        found.seconds,
-        {
+        name=metric.name,
+        unit=metric.unit,
+        value=Estimate(found.value, found.value_se),
+        rows=tuple(sorted(rows, key=lambda row: -abs(row.change.value))),
+        spread=spread,
+        factor=factor,
+        together=proposal,
+        draws=draws,
+        left_out=tuple(found.left_out),
+        without_derivative=tuple(_without_derivative(given, known)),
+        seconds=found.seconds,
+        facts={
             "field_deg": metric.field_deg,
             "wavelength_nm": metric.wavelength_nm,
             **(metric.settings or {}),
@@ -274,18 +274,6 @@ def sensitivity(
             "seed of the draws": seed,
         },
     )
-
-
-class _Steps:
-    """Counts what is done."""
-
-    def __init__(self, progress: Progress | None, total: int) -> None:
-        self.progress, self.total, self.done = progress, total, 0
-
-    def __call__(self) -> None:
-        self.done += 1
-        if self.progress is not None:
-            self.progress(self.done, self.total)
 
 
 def _require_light(found: Gradient) -> None:
@@ -300,8 +288,7 @@ def _tolerances(known: Mapping[str, Parameter], given: Mapping[str, float]) -> d
     """Tolerance of every parameter."""
     limits = {key: parameter.tolerance for key, parameter in known.items()}
     for pattern, value in given.items():
-        if not (math.isfinite(value) and value > 0):
-            raise MistrayError(f"tolerance of '{pattern}' is {value:g}; it must be greater than 0")
+        POSITIVE.check(f"tolerance of '{pattern}'", value)
         limits |= dict.fromkeys(match(known, [pattern]), float(value))
     return limits
 
