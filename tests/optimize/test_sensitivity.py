@@ -13,9 +13,10 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.optimize import path_power, tolerance_draws
+from mistray.optimize import path_power
 from mistray.optimize.parameters import parameters
 from mistray.optimize.scene_values import changed
+from mistray.optimize.tolerances import draws
 from mistray.optimize.tolerances.proposals import free_keys
 from mistray.optimize.tolerances.sensitivity import sensitivity
 
@@ -204,7 +205,7 @@ def test_systems_that_cross_are_drawn_again(load_scene, monkeypatch: pytest.Monk
     found = sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=10, seed=1)
     assert 1 <= found.draws.rejected <= 30  # 3 expected; none in 6 % of all seeds, and this one is fixed
     assert found.draws.ratios == pytest.approx(np.ones(10), rel=1e-6)
-    monkeypatch.setattr(tolerance_draws, "_put", lambda *_: False)
+    monkeypatch.setattr(draws, "_put", lambda *_: False)
     with pytest.raises(MistrayError, match="21 of 21 perturbed systems have surfaces that cross; give smaller tol"):
         sensitivity(metric, keys=["front.z", "rear.z"], check=False, monte_carlo=2)
 
