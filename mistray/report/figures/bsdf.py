@@ -14,7 +14,7 @@ from matplotlib.ticker import FixedLocator, LogLocator, NullFormatter
 from mistray.errors import MistrayError
 from mistray.physics import contamination
 from mistray.physics.contamination import CLEANED_SLOPE
-from mistray.report.figures.figure import Figure
+from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.scatter.scan import Scan
 
@@ -68,8 +68,7 @@ def bsdf_figure(scans: Sequence[Scan], title: str, knee: float | None = None) ->
         axes.set_ylim(bottom, top)
         axes.set_ylabel("BSDF [1/sr]")
         axes.yaxis.set_major_locator(LogLocator(10, numticks=14))
-        axes.grid(True, which="major", color="#dddddd", lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
+        plain_axes(axes)
         axes.legend(fontsize=8, frameon=False)
     left.set_xscale("log")
     left.set_xlim(_first_distance(scans), 2)
@@ -183,8 +182,7 @@ def particles_figure(level: float, slope: float = CLEANED_SLOPE) -> Figure:
         axes.set_xscale("log")
         axes.set_yscale("log")
         axes.yaxis.set_major_locator(LogLocator(10, numticks=14))
-        axes.grid(True, which="major", color="#dddddd", lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
+        plain_axes(axes)
         axes.legend(fontsize=8, frameon=False)
     figure.suptitle(f"Particles of level {level:.4g}, slope {slope:g}", fontsize=11)
     return figure

@@ -7,7 +7,7 @@ from matplotlib.lines import Line2D
 from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from mistray.optimize.tolerances.budget import Budget
-from mistray.report.figures.figure import Figure
+from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.plots import BLUE, GREY, VERMILION
 from mistray.report.tables.budget import at_bound, surfaces_text
 from mistray.report.tables.text import number
@@ -45,9 +45,7 @@ def budget_figure(result: Budget, title: str = "") -> Figure:
         right.set_xlabel("share of the metric [%]")
         for axes in (left, right):
             axes.set_ylim(-0.8, len(shown) - 0.2)
-            axes.grid(True, axis="x", color="#e3e3e3", lw=0.6)
-            axes.set_axisbelow(True)
-            axes.spines[["top", "right", "left"]].set_visible(False)
+            plain_axes(axes, "x", colour="#e3e3e3", below=True, left=False)
             axes.tick_params(axis="y", length=0)
     handles = [
         Line2D([], [], ls="", ms=5, marker="o", mfc="white", color=GREY, label="before"),

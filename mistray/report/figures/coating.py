@@ -19,7 +19,7 @@ from mistray.coatings import Bare, Coating, Spectrum, spectrum
 from mistray.coatings.stack import outside_first
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
-from mistray.report.figures.figure import Figure
+from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 LINE_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
@@ -189,8 +189,7 @@ def _lines(axes: Axes, x: np.ndarray, values: Spectrum, part: Any, colour: str, 
 
 
 def _reflectance_axis(axes: Axes, mirror: bool, logarithmic: bool) -> None:
-    axes.grid(True, which="major", color="#dddddd", lw=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
+    plain_axes(axes)
     if logarithmic:
         axes.set_yscale("log")
         axes.set_ylim(max(100 * LOWEST, axes.get_ylim()[0]), 110)

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 from matplotlib import figure
+from matplotlib.axes import Axes
 from matplotlib.text import Text
 from matplotlib.ticker import FixedFormatter, FuncFormatter
 
@@ -12,6 +13,30 @@ from matplotlib.ticker import FixedFormatter, FuncFormatter
 def legend_label(name: str) -> str:
     """A name as it stands in a legend, from which Matplotlib leaves out what begins with an underscore."""
     return f" {name}" if name.startswith("_") else name
+
+
+def plain_axes(
+    axes: Axes, grid: Literal["both", "x"] = "both", colour: str = "#dddddd", below: bool = False, left: bool = True
+) -> None:
+    """
+    Axes without a box.
+
+    Parameters
+    ----------
+    axes : Axes
+    grid : {"both", "x"}
+        Which lines of a thin grid there are.
+    colour : str
+        Of the grid.
+    below : bool
+        Whether the grid lies below bars and markers.
+    left : bool
+        Whether the line of the y axis is drawn.
+    """
+    axes.grid(True, axis=grid, color=colour, lw=0.6)
+    if below:
+        axes.set_axisbelow(True)
+    axes.spines[["top", "right", *([] if left else ["left"])]].set_visible(False)
 
 
 class Figure(figure.Figure):

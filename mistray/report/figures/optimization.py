@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.optimize import Optimization, Step
 from mistray.optimize.study.study_scene import Placed
-from mistray.report.figures.figure import Figure, legend_label
+from mistray.report.figures.figure import Figure, legend_label, plain_axes
 from mistray.report.figures.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
@@ -116,8 +116,7 @@ def reflectance_figure(result: Optimization) -> Figure:
         axes.set_ylim(0, 110 * max(np.max(curve[inside]) for curve in curves))
         axes.set_xlabel("wavelength [nm]")
         axes.set_ylabel("reflectance [%]")
-        axes.grid(True, color="#dddddd", lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
+        plain_axes(axes)
     for axes in grid.flat[len(panels) :]:
         axes.set_axis_off()
     handles = [Line2D([], [], color=COLOURS[k], label=f"{angle:g}°") for k, angle in enumerate(ANGLES_DEG)]
@@ -144,8 +143,7 @@ def _style(number: int) -> dict[str, Any]:
 def _frame(axes: Axes, below: str) -> None:
     axes.set_xlabel(below)
     axes.xaxis.set_major_locator(MaxNLocator(integer=True))
-    axes.grid(True, which="major", color="#dddddd", lw=0.6)
-    axes.spines[["top", "right"]].set_visible(False)
+    plain_axes(axes)
 
 
 def _glasses(item: Placed) -> list[tuple[str, str]]:

@@ -22,7 +22,7 @@ from mistray.errors import MistrayError
 from mistray.files.irradiance_files import Extent, Map
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.replace_file import replace_file
-from mistray.report.figures.figure import Figure
+from mistray.report.figures.figure import Figure, plain_axes
 
 BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7",
@@ -172,8 +172,7 @@ def levels_against_field(report: GhostReport) -> Figure:
     for axes in (left, right):
         axes.set_yscale("log")
         axes.set_xlabel("field angle [deg]")
-        axes.grid(True, which="major", color="#dddddd", lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
+        plain_axes(axes)
         if axes.get_legend_handles_labels()[0]:
             axes.legend(fontsize=8, framealpha=0.85, edgecolor="none")
         if len(fields) <= FIELDS_AS_TICKS:

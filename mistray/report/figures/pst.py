@@ -16,7 +16,7 @@ from mistray.analysis.pst.causes import cause_frame, field_edge
 from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
 from mistray.renamed import renamed
-from mistray.report.figures.figure import Figure, legend_label
+from mistray.report.figures.figure import Figure, legend_label, plain_axes
 from mistray.report.figures.plots import (
     BLACK,
     BLUE,
@@ -88,9 +88,7 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
     below.set_xlabel("field angle θ [deg]")
     edge = field_edge(pst)
     for axes in (above, below):
-        axes.grid(True, which="major", color="#e3e3e3", lw=0.6)
-        axes.spines[["top", "right"]].set_visible(False)
-        axes.set_axisbelow(True)
+        plain_axes(axes, colour="#e3e3e3", below=True)
         if edge is not None:
             axes.axvline(edge, color=BLUE, lw=0.8, ls=(0, (5, 3)), zorder=1)
     if edge is not None:

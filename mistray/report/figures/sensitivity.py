@@ -12,7 +12,7 @@ from mistray.optimize.tolerances.draws import PERCENTILES
 from mistray.optimize.tolerances.propagation import Contribution
 from mistray.optimize.tolerances.rows import Row
 from mistray.optimize.tolerances.sensitivity import Sensitivity
-from mistray.report.figures.figure import Figure
+from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.plots import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 KIND_COLOURS = {
@@ -65,9 +65,7 @@ def ranking_figure(result: Sensitivity, title: str = "", count: int = BARS) -> F
     right.set_xlabel("share of the variance [%]")
     for axes in (left, right):
         axes.set_ylim(-0.8, len(shown) - 0.2)
-        axes.grid(True, axis="x", color="#e3e3e3", lw=0.6)
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right", "left"]].set_visible(False)
+        plain_axes(axes, "x", colour="#e3e3e3", below=True, left=False)
         axes.tick_params(axis="y", length=0)
     colours = {NAMES.get(kind, kind): KIND_COLOURS.get(kind, GREY) for kind in kinds}
     figure.legend(
@@ -113,9 +111,7 @@ def draws_figure(result: Sensitivity, title: str = "") -> Figure:
     right.set_xlabel("100 ln(metric / nominal), linear model")
     right.set_ylabel("100 ln(metric / nominal), traced")
     for axes in (left, right):
-        axes.grid(True, color="#e3e3e3", lw=0.6)
-        axes.set_axisbelow(True)
-        axes.spines[["top", "right"]].set_visible(False)
+        plain_axes(axes, colour="#e3e3e3", below=True)
     figure.suptitle(f"{title}{': ' if title else ''}{len(logs)} perturbed systems", fontsize=10, x=0.02, ha="left")
     return figure
 

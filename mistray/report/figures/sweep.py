@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from mistray.report.figures.figure import Figure, legend_label
+from mistray.report.figures.figure import Figure, legend_label, plain_axes
 from mistray.report.figures.plots import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from mistray.sweeps import Sweep
 from mistray.sweeps.result import estimate_of
@@ -45,9 +45,7 @@ def sweep_figure(result: Sweep, title: str = "") -> Figure:
             panel.set_yscale("log")
         if across == "configuration":
             panel.set_xticks(range(len(names)), names, rotation=30 if len(names) > 4 else 0, ha="center")
-        panel.grid(True, color="#e3e3e3", lw=0.6)
-        panel.set_axisbelow(True)
-        panel.spines[["top", "right"]].set_visible(False)
+        plain_axes(panel, colour="#e3e3e3", below=True)
     handles, labels = axes[0].get_legend_handles_labels()
     if 1 < len(handles) <= LEGEND:
         figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)

@@ -6,7 +6,7 @@ import numpy as np
 from matplotlib.ticker import LogLocator
 
 from mistray.analysis.thermal.emission import ThermalReport
-from mistray.report.figures.figure import Figure
+from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.plots import BLUE, GREEN, ORANGE, VERMILION
 
 SHOWN = 12  # bars
@@ -37,9 +37,7 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
         axes.set_xlim(max(values.min() / 3, values.max() * 1e-8))
         axes.xaxis.set_major_locator(LogLocator(10, numticks=12))
     axes.set_xlabel(f"irradiance on the detector, {report.band_um[0]:g} to {report.band_um[1]:g} µm [W/mm²]")
-    axes.grid(True, axis="x", color="#dddddd", lw=0.6)
-    axes.set_axisbelow(True)
-    axes.spines[["top", "right"]].set_visible(False)
+    plain_axes(axes, "x", below=True)
     if axes.get_legend_handles_labels()[0]:
         made.legend(loc="outside upper right", fontsize=8, frameon=False, ncols=2)
     made.suptitle(title, fontsize=10, x=0.01, ha="left")

@@ -13,9 +13,10 @@ from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.ranges import EVENTS
 from mistray.recorders.path_events import DIRECT
+from mistray.report.model import Table, Value, columns
 from mistray.report.own_sections import own_text
 from mistray.report.tables.scatter import scatter_text
-from mistray.report.tables.text import ABSENT, number, text_table, with_error
+from mistray.report.tables.text import ABSENT, number, table_text, with_error
 from mistray.settings import BRANCHES
 
 LIMIT_WARNING = 1e-6  # of the launched flux
@@ -47,66 +48,44 @@ ALL = "all"
 
 def summary_table(summaries: Sequence[FieldSummary]) -> str:
     """Main table: one row for each field, and for each wavelength where there are summaries of one."""
-    waves = any(s.wavelength_nm is not None for s in summaries)
-    columns = [
-        ("field", "deg"),
-        *([("λ", "nm")] if waves else []),
-        ("paths", ""),
-        ("direct image", "W"),
-        ("stray light", "W"),
-        ("stray/direct", ""),
-        ("stray/nominal", ""),
-        ("worst ghost", "norm. RMS irradiance"),
-    ]
-    rows = [
+    heads = columns("field [deg]", "λ [nm]", "paths", "direct image [W]", "stray light [W]", "stray/direct",
+                    "stray/nominal", "worst ghost [norm. RMS irradiance]")  # fmt: skip
+    rows: list[list[Value]] = [
         [
             f"{s.field_deg:g}",
-            *([ALL if s.wavelength_nm is None else f"{s.wavelength_nm:g}"] if waves else []),
-            str(s.paths),
-            with_error(s.direct.power_W) if s.direct.power_W.value > 0 else ABSENT,
-            with_error(s.stray_W),
-            with_error(s.ghost_to_signal),
-            with_error(s.stray_to_nominal),
-            with_error(s.brightest_normalised),
+            ALL if s.wavelength_nm is None else f"{s.wavelength_nm:g}",
+            s.paths,
+            s.direct.power_W if s.direct.power_W.value > 0 else ABSENT,
+            *(s.stray_W, s.ghost_to_signal, s.stray_to_nominal, s.brightest_normalised),
         ]
         for s in summaries
     ]
-    return text_table(columns, rows)
+    table = Table(heads, rows)
+    return table_text(table.without("λ") if all(s.wavelength_nm is None for s in summaries) else table)
 
 
 def ghost_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:
     """The worst stray paths of every field and the strongest; per wavelength, each with its spectrum below it."""
-    peaks = report.rank == "peak"
-    columns = [
-        ("field", "deg"),
-        ("path", ""),
-        ("ghost and scatter surfaces", "1st → 2nd"),
-        ("kind", ""),
-        *([("λ", "nm")] if per_wavelength else []),
-        ("power", "W"),
-        ("RMS radius", "mm"),
-        ("RMS irradiance", "W/mm²"),
-        ("normalised", "to on-axis image"),
-        *([("peak", "W/mm²")] if peaks else []),
-    ]
-    rows = []
+    heads = columns(
+        "field [deg]", "path", "<ghost and scatter surfaces [1st → 2nd]", "<kind", "λ [nm]", "power [W]",
+        "RMS radius [mm]", "RMS irradiance [W/mm²]", "normalised [to on-axis image]", "peak [W/mm²]",
+    )  # fmt: skip
+    rows: list[list[Value]] = []
     for field in report:
         for row in report.listed(field, count).itertuples(index=False):
             marks = f"{STRONGEST if row.rank_power == 1 else ' '}{' ' if row.well_sampled else '*'}"
+            peak = Estimate(row.peak_W_mm2, row.peak_se_W_mm2) if report.rank == "peak" else ""
             name = [f"{field:g}", f"{row.path_id}{marks}", str(row.label), str(row.kind)]
-            peak = [with_error(Estimate(row.peak_W_mm2, row.peak_se_W_mm2))] if peaks else []
-            rows.append([*name, *([ALL] if per_wavelength else []), *_path_numbers(row), *peak])
-            if per_wavelength:
-                for line in report.spectrum(field, row.path_id).itertuples(index=False):
-                    mark = "" if line.well_sampled else "* "
-                    cells = ["", mark, "", "", f"{line.wavelength_nm:g}", *_path_numbers(line)]
-                    rows.append([*cells, *([""] if peaks else [])])
+            rows.append([*name, ALL, *_path_numbers(row), peak])
+            for line in report.spectrum(field, row.path_id).itertuples(index=False) if per_wavelength else ():
+                mark = "" if line.well_sampled else "* "
+                rows.append(["", mark, "", "", f"{line.wavelength_nm:g}", *_path_numbers(line), ""])
         rest = beyond(report, field, count)
         if len(rest):
-            share = f"{rest.percent_of_stray.sum():.3g} % of the stray light"
-            cells = [f"{field:g}", "", f"… and {len(rest)} more paths: {share}", "", *([ALL] if per_wavelength else [])]
-            rows.append([*cells, with_error(report.power_of(field, rest)), "", "", "", *([""] if peaks else [])])
-    return text_table(columns, rows, left=(2, 3)) if rows else "no stray path reaches the detector"
+            text = f"… and {len(rest)} more paths: {rest.percent_of_stray.sum():.3g} % of the stray light"
+            rows.append([f"{field:g}", "", text, "", ALL, report.power_of(field, rest), *[""] * 4])
+    left_out = [*([] if per_wavelength else ["λ"]), *([] if report.rank == "peak" else ["peak"])]
+    return table_text(Table(heads, rows, empty="no stray path reaches the detector").without(*left_out))
 
 
 def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
@@ -115,33 +94,26 @@ def beyond(report: GhostReport, field_deg: float, count: int) -> pd.DataFrame:
     return table[(table.kind != DIRECT) & ~table.path_id.isin(report.listed(field_deg, count).path_id)]
 
 
-def _path_numbers(row: Any) -> list[str]:
-    columns = ("power{}_W", "rms_radius{}_mm", "rms_irradiance{}_W_mm2", "normalised_rms_irradiance{}")
-    return [with_error(Estimate(*(getattr(row, name.format(kind)) for kind in ("", "_se")))) for name in columns]
+def _path_numbers(row: Any) -> list[Value]:
+    named = ("power{}_W", "rms_radius{}_mm", "rms_irradiance{}_W_mm2", "normalised_rms_irradiance{}")
+    return [Estimate(*(getattr(row, name.format(kind)) for kind in ("", "_se"))) for name in named]
 
 
 def ledger_table(report: GhostReport) -> str:
     """Energy ledger of every field at every wavelength, and of all light."""
-    columns = [("field", "deg"), ("λ", "nm"), ("launched", "W"), ("detected", "W"), ("absorbed by surfaces", "W"),
-               ("absorbed in media", "W"), ("escaped", "W"), ("cut", "W"), ("closure", "relative")]  # fmt: skip
-    rows = []
+    heads = columns("field [deg]", "λ [nm]", "launched [W]", "detected [W]", "absorbed by surfaces [W]",
+                    "absorbed in media [W]", "escaped [W]", "cut [W]", "closure [relative]")  # fmt: skip
+    rows: list[list[Value]] = []
     for field, t in report.items():
         ledgers = {ALL: t.energy} | {f"{line:g}": t.energy_at(line) for line in report.wavelengths_nm}
-        for name, energy in ledgers.items():
-            absorbed = [sum(power for power, _ in part.values()) for part in (energy.absorbed, energy.absorbed_in)]
+        for name, e in ledgers.items():
+            absorbed = [sum(power for power, _ in part.values()) for part in (e.absorbed, e.absorbed_in)]
             rows.append(
-                [
-                    f"{field:g}",
-                    name,
-                    number(energy.launched_W, 6),
-                    with_error(Estimate(energy.detected_W, energy.detected_se_W)),
-                    *(number(power, 6) for power in absorbed),
-                    with_error(Estimate(energy.escaped_W, energy.escaped_se_W)),
-                    number(sum(energy.cut.values()), 3),
-                    f"{energy.closure:.1e}",
-                ]
-            )
-    return text_table(columns, rows)
+                [f"{field:g}", name, number(e.launched_W, 6), Estimate(e.detected_W, e.detected_se_W),
+                 *(number(power, 6) for power in absorbed), Estimate(e.escaped_W, e.escaped_se_W),
+                 number(sum(e.cut.values()), 3), f"{e.closure:.1e}"]
+            )  # fmt: skip
+    return table_text(Table(heads, rows))
 
 
 def main_table(report: GhostReport, count: int = 4, per_wavelength: bool = False) -> str:

@@ -10,8 +10,8 @@ import pandas as pd
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.stray_levels import LEVELS
-from mistray.report.model import Column, Table, columns
-from mistray.report.tables.text import ABSENT, number, table_text, text_table, with_error
+from mistray.report.model import Column, Table, Value, columns
+from mistray.report.tables.text import ABSENT, number, table_text, with_error
 
 SURFACES_SHOWN = 8
 MOST_LEVELS = 6  # that have a column each
@@ -72,51 +72,49 @@ def level_text(report: GhostReport) -> str:
 
 def filter_text(report: GhostReport, selection: str) -> str:
     """How much light passes a filter at each field, and by which paths."""
-    columns = [("field", "deg"), ("path", ""), ("kind", ""), ("name", ""), ("λ", "nm"),
-               ("rays", ""), ("power", "W"), ("share", "% of stray light")]  # fmt: skip
-    rows = []
+    heads = columns("field [deg]", "path", "<kind", "<name", "λ [nm]", "rays", "power [W]",
+                    "share [% of stray light]")  # fmt: skip
+    rows: list[list[Value]] = []
     for field in report:
         found = report.filtered(field, selection)
         count = f"{len(found.table)} paths" if len(found.table) != 1 else "1 path"
-        whole = [with_error(found.power_W), number(found.percent_of_stray, 4)]
-        rows.append([f"{field:g}", "all", count, "", "", str(found.table.rays.sum()), *whole])
+        share = number(found.percent_of_stray, 4)
+        rows.append([f"{field:g}", "all", count, "", "", str(found.table.rays.sum()), found.power_W, share])
         for row in found.table.head(PATHS_SHOWN).itertuples(index=False):
-            power = with_error(Estimate(row.power_W, row.power_se_W))
+            power = Estimate(row.power_W, row.power_se_W)
             rows.append(["", str(row.path_id), row.kind, row.label, f"{row.wavelength_nm:g}", str(row.rays), power, ""])
-    return f"Paths that pass the filter {selection}\n" + text_table(columns, rows, left=(2, 3))
+    return f"Paths that pass the filter {selection}\n{table_text(Table(heads, rows))}"
 
 
 def alias_text(report: GhostReport, aliases: Mapping[str, str] | str) -> str:
     """The strongest paths of each field with surfaces under other names."""
-    columns = [("field", "deg"), ("paths", ""), ("events", ""), ("kind", ""), ("rays", ""), ("power", "W")]
-    rows = []
+    rows: list[list[Value]] = []
     for field in report:
         table = report.aliased(field, aliases)
         for row in table.head(PATHS_SHOWN).itertuples(index=False):
-            power = with_error(Estimate(row.power_W, row.power_se_W))
-            rows.append([f"{field:g}", str(len(row.path_ids)), row.events, row.kind, str(row.rays), power])
+            power = Estimate(row.power_W, row.power_se_W)
+            rows.append([f"{field:g}", len(row.path_ids), row.events, row.kind, str(row.rays), power])
         rest = table.iloc[PATHS_SHOWN:]
         if len(rest):
-            power = with_error(report.power_of(field, rest))
-            rows.append([f"{field:g}", str(sum(map(len, rest.path_ids))), f"… and {len(rest)} more", "", "", power])
-    return "Paths under other names; paths: how many are one row\n" + text_table(columns, rows, left=(2, 3))
+            count, power = sum(map(len, rest.path_ids)), report.power_of(field, rest)
+            rows.append([f"{field:g}", count, f"… and {len(rest)} more", "", "", power])
+    heads = columns("field [deg]", "paths", "<events", "<kind", "rays", "power [W]")
+    return f"Paths under other names; paths: how many are one row\n{table_text(Table(heads, rows))}"
 
 
 def analysis_text(table: pd.DataFrame, sort: str) -> str:
     """A path analysis, the first paths of each field and what is uncategorised."""
-    columns = [("field", "deg"), ("path", ""), ("name", ""), ("kind", ""), ("power", "W"), ("branches", ""),
-               ("objects", ""), ("unique", "objects"), ("last object", ""), ("diffractions", ""),
-               ("mean OPL", "mm")]  # fmt: skip
-    rows = []
+    heads = columns("field [deg]", "path", "<name", "<kind", "power [W]", "branches", "objects", "unique [objects]",
+                    "<last object", "diffractions", "mean OPL [mm]")  # fmt: skip
+    rows: list[list[Value]] = []
     for field, own in table.groupby("field_deg", sort=False):
         first = own[own.path_id >= 0].head(PATHS_SHOWN)
         for row in pd.concat([first, own[own.path_id < 0]]).itertuples(index=False):
-            power = with_error(Estimate(row.power_W, row.power_se_W))
-            counts = [row.objects, row.unique_objects, row.last_object, row.diffractions]
-            cells = [str(v) for v in counts] if row.path_id >= 0 else [ABSENT] * 4
-            length = with_error(Estimate(row.opl_mm, row.opl_se_mm)) if row.path_id >= 0 else ABSENT
+            counts = (row.objects, row.unique_objects, row.last_object, row.diffractions)
+            known = [*map(str, counts), Estimate(row.opl_mm, row.opl_se_mm)] if row.path_id >= 0 else [ABSENT] * 5
             name = str(row.path_id) if row.path_id >= 0 else ""
-            rows.append([f"{field:g}", name, row.label, row.kind, power, str(row.branches), *cells, length])
+            power = Estimate(row.power_W, row.power_se_W)
+            rows.append([f"{field:g}", name, row.label, row.kind, power, str(row.branches), *known])
         if len(own[own.path_id >= 0]) > len(first):
             rows.append([f"{field:g}", "", f"… and {(own.path_id >= 0).sum() - len(first)} more", *[""] * 8])
-    return f"Path analysis by {sort}\n" + text_table(columns, rows, left=(2, 3, 8))
+    return f"Path analysis by {sort}\n{table_text(Table(heads, rows))}"

@@ -7,8 +7,9 @@ from typing import Any
 
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
+from mistray.report.model import Table, columns
 from mistray.report.output import csv_text, write_files
-from mistray.report.tables.text import text_table, with_error
+from mistray.report.tables.text import table_text
 from mistray.sweeps import PstSweep
 
 CSV = "pst_sweep.csv"
@@ -16,12 +17,12 @@ CSV = "pst_sweep.csv"
 
 def pst_sweep_text(found: PstSweep) -> str:
     """A line for each configuration and field angle."""
-    columns = [("configuration", ""), ("angle", "deg"), ("stray PST before", ""), ("after", ""), ("after/before", "")]
+    heads = columns("<configuration", "angle [deg]", "stray PST before", "after", "after/before")
     lines = []
     for row in found.to_pandas().itertuples():
         pairs = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
-        lines.append([row.configuration, f"{row.angle_deg:g}", *(with_error(Estimate(*pair)) for pair in pairs)])
-    text = text_table(columns, lines, left=(0,))
+        lines.append([row.configuration, f"{row.angle_deg:g}", *(Estimate(*pair) for pair in pairs)])
+    text = table_text(Table(heads, lines))
     return f"{text}\n\nthe error of after/before is that of runs with the same random numbers"
 
 

@@ -7,8 +7,8 @@ from collections.abc import Mapping
 from mistray.analysis.aiming_check import LEAST_LANDED, AimedRow, SamplingCheck, sampling_check
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
-from mistray.report.model import Table, columns
-from mistray.report.tables.text import ABSENT, number, table_text, text_table, with_error
+from mistray.report.model import Table, Value, columns
+from mistray.report.tables.text import ABSENT, number, table_text
 
 SURFACES_SHOWN = 10
 
@@ -32,22 +32,20 @@ def scatter_text(report: GhostReport) -> str:
 
 def surface_text(report: GhostReport) -> str:
     """Scattered light by the first surface that scatters it, the strongest surfaces of each field one by one."""
-    columns = [
-        ("field", "deg"), ("first scatter at", ""), ("part", ""), ("paths", ""), ("rays", ""), ("power", "W"),
-        ("share", "% of stray light"),
-    ]  # fmt: skip
-    rows = []
+    heads = columns("field [deg]", "<first scatter at", "<part", "paths", "rays", "power [W]",
+                    "share [% of stray light]")  # fmt: skip
+    rows: list[list[Value]] = []
     for field in report:
         table = report.scatter_surfaces(field)
         for row in table.head(SURFACES_SHOWN).itertuples(index=False):
-            power = with_error(Estimate(row.power_W, row.power_se_W))
+            power = Estimate(row.power_W, row.power_se_W)
             share = number(row.percent_of_stray, 4)
             rows.append([f"{field:g}", row.surface, row.part, str(row.paths), str(row.rays), power, share])
         rest = table.iloc[SURFACES_SHOWN:]
         if len(rest):
             numbers = [str(rest.paths.sum()), str(rest.rays.sum()), number(rest.power_W.sum(), 3)]
             rows.append([f"{field:g}", f"… and {len(rest)} more", "", *numbers, number(rest.percent_of_stray.sum(), 4)])
-    return text_table(columns, rows, left=(1, 2))
+    return table_text(Table(heads, rows))
 
 
 def sampling_table(checks: Mapping[float, SamplingCheck]) -> Table:
@@ -69,14 +67,14 @@ def aiming_text(checks: Mapping[float, SamplingCheck]) -> str:
     for row in (row for check in checks.values() for row in check.rows):
         aimed[row.surface] = aimed.get(row.surface, 0) + row.aimed
     names = sorted(aimed, key=lambda name: -aimed[name])
-    columns = [("surface", ""), *((f"{field:g}", "deg") for field in landed)]
+    heads = columns("<surface", *(f"{field:g} [deg]" for field in landed))
     lines = []
     for name in names[:SURFACES_SHOWN]:
         cells = [rows.get(name) for rows in landed.values()]
         lines.append([name, *(_share(row) if row else ABSENT for row in cells)])
     if len(names) > SURFACES_SHOWN:
         lines.append([f"… and {len(names) - SURFACES_SHOWN} more", *("" for _ in landed)])
-    return text_table(columns, lines, left=(0,))
+    return table_text(Table(heads, lines))
 
 
 def _share(row: AimedRow) -> str:
