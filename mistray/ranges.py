@@ -18,7 +18,7 @@ from typing import Any
 
 from mistray.errors import MistrayError, nearest
 
-_KEY = "range"
+_KEY, _DOC = "range", "doc"
 
 
 class Demand:
@@ -30,9 +30,9 @@ class Demand:
         """The value; raises `MistrayError` if it is none that there can be, see `Range.check`."""
         raise NotImplementedError
 
-    def field(self, default: Any = dataclasses.MISSING) -> Any:
-        """A field of a dataclass whose value, unless it is None, meets the demand; see `check_fields`."""
-        return dataclasses.field(default=default, metadata={_KEY: self})
+    def field(self, default: Any = dataclasses.MISSING, doc: str = "") -> Any:
+        """A field of a dataclass whose value, unless it is None, meets the demand, see `check_fields`; its help."""
+        return dataclasses.field(default=default, metadata={_KEY: self, _DOC: doc})
 
 
 @dataclass(frozen=True)
@@ -69,17 +69,18 @@ class Range(Demand):
         )
 
     def __str__(self) -> str:
-        return f"{'> ' if self.above else ''}{_text(self.low)} … {'< ' if self.below else ''}{_text(self.high)}"
+        low, high = number_text(self.low), number_text(self.high)
+        return f"{'> ' if self.above else ''}{low} … {'< ' if self.below else ''}{high}"
 
     @property
     def demand(self) -> str:  # type: ignore[override]  # read-only
         """What a number must do, such as "must lie between 0 and 90 degrees"."""
-        ends = {(True, True): ", both excluded", (True, False): f", {_text(self.low)} excluded",
-                (False, True): f", {_text(self.high)} excluded"}.get((self.above, self.below), "")  # fmt: skip
+        ends = {(True, True): ", both excluded", (True, False): f", {number_text(self.low)} excluded",
+                (False, True): f", {number_text(self.high)} excluded"}.get((self.above, self.below), "")  # fmt: skip
         unit = f" {self.unit}" if self.unit else ""
         remedy = f"; {self.remedy}" if self.remedy else ""
         kind = "be a whole number" if self.whole else "lie"
-        return f"must {kind} between {_text(self.low)} and {_text(self.high)}{unit}{ends}{remedy}"
+        return f"must {kind} between {number_text(self.low)} and {number_text(self.high)}{unit}{ends}{remedy}"
 
     def check(self, name: str, value: Any, owner: str = "") -> Any:
         """
@@ -200,6 +201,11 @@ def demand_of(field: dataclasses.Field[Any]) -> Demand | None:
     return field.metadata.get(_KEY)
 
 
+def doc_of(field: dataclasses.Field[Any]) -> str:
+    """What the help of the command line says of a field of a dataclass."""
+    return str(field.metadata.get(_DOC, ""))
+
+
 def check_fields(settings: Any, owner: str = "") -> None:
     """
     Check the values of a dataclass by the ranges and choices of its fields; None, where nothing is given, passes.
@@ -222,7 +228,7 @@ def check_fields(settings: Any, owner: str = "") -> None:
             object.__setattr__(settings, field.name, field.metadata[_KEY].check(field.name, value, owner))
 
 
-def _text(value: float) -> str:
+def number_text(value: float) -> str:
     """A number as people write it: 4294967295, 1e30, 1e-6."""
     short = f"{value:g}"
     return re.sub(r"e\+?(-?)0*", r"e\1", short if float(short) == value else f"{value:.10g}")

@@ -18,6 +18,8 @@ from mistray.ranges import (
     SEED,
     SEGMENTS,
     THRESHOLD,
+    Demand,
+    Words,
     check_fields,
 )
 
@@ -34,6 +36,57 @@ BRANCHES = {
 }  # letters of the branches that `cut_below` tells apart, in its order; what a medium scatters is transmitted
 LARGEST = 1e30  # threshold: the kernel has float32
 MAX_SEGMENTS = 1 << 19  # a second of a core, also where each segment scatters
+
+
+class RayControl(Demand):
+    """A name of `RAY_CONTROLS`, or letters of `OPERATIONS`; these are put in order."""
+
+    demand = f"must be one of {', '.join(RAY_CONTROLS)}, or letters of {', '.join(OPERATIONS)}"
+
+    def check(self, name: str, value: Any, owner: str = "") -> str:
+        """The name that stands for the letters, else the letters."""
+        if value in RAY_CONTROLS:
+            return str(value)
+        letters = value.replace(",", "").replace(" ", "") if isinstance(value, str) else ""
+        if not letters or set(letters) - set(OPERATIONS):
+            names = ", ".join(map(repr, RAY_CONTROLS))
+            raise MistrayError(f"{name} is {value!r}; use {names}, or letters of {', '.join(OPERATIONS)} such as 'TIA'")
+        ordered = "".join(letter for letter in OPERATIONS if letter in letters)
+        return next((key for key, allowed in RAY_CONTROLS.items() if allowed == ordered), ordered)
+
+
+class ByBranch(Demand):
+    """Numbers by branch, see `Settings.cut_below`, in any of their forms."""
+
+    demand = f"must be numbers for {', '.join(BRANCHES)}, as in 'R=1e-6, t=1e-9'"
+
+    def check(self, name: str, value: Any, owner: str = "") -> tuple[float, ...]:
+        """The numbers in the order of `BRANCHES`."""
+        given = value
+        letters = ", ".join(BRANCHES)
+        if isinstance(given, str):
+            parts = [part.partition("=") for part in given.replace(",", " ").split()]
+            given = {letter: number for letter, _, number in parts}
+            if len(given) < len(parts):
+                raise MistrayError(f"{name} names a branch twice; give each of {letters} once")
+        if isinstance(given, Mapping):
+            unknown = [str(letter) for letter in given if letter not in BRANCHES]
+            if unknown:
+                raise MistrayError(f"{name} has '{unknown[0]}'; its branches are {letters}, as in 'R=1e-6, t=1e-9'")
+            given = [given.get(letter, 0.0) for letter in BRANCHES]
+        try:
+            found = tuple(float(number) for number in given)
+        except (TypeError, ValueError):
+            raise MistrayError(f"{name} is {given!r}; give a number for {letters}, as in 'R=1e-6, t=1e-9'") from None
+        if len(found) != len(BRANCHES):
+            raise MistrayError(f"{name} has {len(found)} numbers; give one for each of {letters}")
+        for letter, number in zip(BRANCHES, found, strict=True):
+            NOT_NEGATIVE.check(f"{name} of {letter}", number)
+        return found
+
+
+CONTROL, BY_BRANCH = RayControl(), ByBranch()
+NOTHING_CUT = (0.0,) * len(BRANCHES)
 
 
 @dataclass(frozen=True)
@@ -101,43 +154,45 @@ class Settings:
     """
 
     rays: int = RAYS.field(1_000_000)
-    max_reflections: int = LIMIT.field(2)
-    max_scatters: int = LIMIT.field(1)
-    max_optical_scatters: int = LIMIT.field(NO_LIMIT)
-    max_random_scatters: int = LIMIT.field(NO_LIMIT)
-    max_generations: int = LIMIT.field(NO_LIMIT)
-    max_events: int = EVENTS.field(64)
-    max_consecutive: int = CONSECUTIVE.field(NO_LIMIT)
-    max_segments: int = SEGMENTS.field(MAX_SEGMENTS)
-    scatter_rays: int = RAYS_PER_HIT.field(1)
-    aimed_rays: int = AIMED_RAYS.field(1)
-    aim: str = "auto"
-    flux_threshold: float = THRESHOLD.field(1e-8)
-    cut_below: Any = (0.0,) * len(BRANCHES)
-    cut_below_W: Any = (0.0,) * len(BRANCHES)
-    scatter_threshold: float = THRESHOLD.field(0.1)
-    splitting: str = "split"
-    below_threshold: str = "cut"
-    seed: int = SEED.field(0)
-    ray_control: str = "allow_all"
-    polarization: str = "unpolarized"
+    max_reflections: int = LIMIT.field(2, "reflections on one path, those of mirrors and TIR not counted")
+    max_generations: int = LIMIT.field(NO_LIMIT, "reflections and scatter events together on one path")
+    max_events: int = EVENTS.field(64, "surfaces met on one path")
+    max_consecutive: int = CONSECUTIVE.field(NO_LIMIT, "hits of one surface in a row on one path")
+    max_segments: int = SEGMENTS.field(MAX_SEGMENTS, "ray segments of the tree of one start ray")
+    flux_threshold: float = THRESHOLD.field(1e-8, "flux below which a ray ends, relative to its start ray")
+    cut_below: Any = BY_BRANCH.field(  # noqa: RUF009  of what cannot change
+        NOTHING_CUT,
+        "flux below which branches end, relative to the start ray, by kind, such as 'R=1e-6, t=1e-9': R and T are "
+        "specular reflection and transmission, r and t scattered ones, A absorption",
+    )
+    cut_below_W: Any = BY_BRANCH.field(NOTHING_CUT, "the same in W")  # noqa: RUF009
+    splitting: str = Words(("split", "one")).field("split", "follow both rays at a surface, or one of them by chance")
+    below_threshold: str = Words(("cut", "roulette")).field(
+        "cut", "end a ray below the threshold, or play unbiased roulette"
+    )
+    seed: int = SEED.field(0, "seed of the random numbers")
+    ray_control: str = CONTROL.field(
+        "allow_all",
+        "what light may do at surfaces: allow_all, transmit_specular, reflect_specular, halt_all, or letters of T, R, "
+        "I (total reflection), M (mirrors), t and r (scatter) and A (absorption), such as TIA",
+    )
+    polarization: str = Words(("unpolarized", "stokes")).field(
+        "unpolarized", "means of s and p at every hit, or Stokes vectors along paths"
+    )
+    max_scatters: int = LIMIT.field(1, "scatter events on one path; 0: none")
+    max_optical_scatters: int = LIMIT.field(NO_LIMIT, "those of them at surfaces that transmit")
+    max_random_scatters: int = LIMIT.field(NO_LIMIT, "those of them that are not aimed at a target")
+    scatter_rays: int = RAYS_PER_HIT.field(1, "rays scattered at random at every hit")
+    aimed_rays: int = AIMED_RAYS.field(1, "rays aimed at the targets at every hit, to either side; 0: none")
+    aim: str = Words(("auto", "targets", "none")).field(
+        "auto", "aim at the detector and targets of the scene, only at these, or not"
+    )
+    scatter_threshold: float = THRESHOLD.field(
+        0.1, "flux below which hits scatter by chance, relative to the ray's start"
+    )
 
     def __post_init__(self) -> None:
-        def fail(key: str, what: str) -> None:
-            raise MistrayError(f"{key} is {getattr(self, key)!r}; {what}")
-
         check_fields(self)
-        for key in ("cut_below", "cut_below_W"):
-            object.__setattr__(self, key, _by_branch(key, getattr(self, key)))
-        if self.aim not in ("auto", "targets", "none"):
-            fail("aim", "use 'auto', 'targets' or 'none'")
-        if self.splitting not in ("split", "one"):
-            fail("splitting", "use 'split' or 'one'")
-        if self.below_threshold not in ("cut", "roulette"):
-            fail("below_threshold", "use 'cut' or 'roulette'")
-        object.__setattr__(self, "ray_control", _control(self.ray_control))
-        if self.polarization not in ("unpolarized", "stokes"):
-            fail("polarization", "use 'unpolarized' or 'stokes'")
 
     @classmethod
     def of(cls, scene: Any, **given: Any) -> Settings:
@@ -154,9 +209,7 @@ class Settings:
         if not any(self.cut_below_W):
             return self
         relative = (max(a, float(b) / float(unit_W)) for a, b in zip(self.cut_below, self.cut_below_W, strict=True))
-        return replace(
-            self, cut_below=tuple(min(value, LARGEST) for value in relative), cut_below_W=(0.0,) * len(BRANCHES)
-        )
+        return replace(self, cut_below=tuple(min(value, LARGEST) for value in relative), cut_below_W=NOTHING_CUT)
 
     @property
     def scatter_limits(self) -> tuple[int, int, int]:
@@ -182,41 +235,3 @@ class Settings:
     def stokes(self) -> bool:
         """Whether branches carry their polarisation."""
         return self.polarization == "stokes"
-
-
-def _control(given: Any) -> str:
-    """Name of a ray control, or its letters in the order of `OPERATIONS`."""
-    if given in RAY_CONTROLS:
-        return str(given)
-    letters = given.replace(",", "").replace(" ", "") if isinstance(given, str) else ""
-    if not letters or set(letters) - set(OPERATIONS):
-        names = ", ".join(map(repr, RAY_CONTROLS))
-        raise MistrayError(
-            f"ray_control is {given!r}; use {names}, or letters of {', '.join(OPERATIONS)} such as 'TIA'"
-        )
-    ordered = "".join(letter for letter in OPERATIONS if letter in letters)
-    return next((name for name, allowed in RAY_CONTROLS.items() if allowed == ordered), ordered)
-
-
-def _by_branch(key: str, given: Any) -> tuple[float, ...]:
-    """Numbers by branch, see `Settings.cut_below`, from any of their forms."""
-    letters = ", ".join(BRANCHES)
-    if isinstance(given, str):
-        parts = [part.partition("=") for part in given.replace(",", " ").split()]
-        given = {letter: value for letter, _, value in parts}
-        if len(given) < len(parts):
-            raise MistrayError(f"{key} names a branch twice; give each of {letters} once")
-    if isinstance(given, Mapping):
-        unknown = [str(letter) for letter in given if letter not in BRANCHES]
-        if unknown:
-            raise MistrayError(f"{key} has '{unknown[0]}'; its branches are {letters}, as in 'R=1e-6, t=1e-9'")
-        given = [given.get(letter, 0.0) for letter in BRANCHES]
-    try:
-        found = tuple(float(value) for value in given)
-    except (TypeError, ValueError):
-        raise MistrayError(f"{key} is {given!r}; give a number for {letters}, as in 'R=1e-6, t=1e-9'") from None
-    if len(found) != len(BRANCHES):
-        raise MistrayError(f"{key} has {len(found)} numbers; give one for each of {letters}")
-    for letter, value in zip(BRANCHES, found, strict=True):
-        NOT_NEGATIVE.check(f"{key} of {letter}", value)
-    return found

@@ -18,25 +18,20 @@ from mistray.cli.claims import declare_outputs
 from mistray.errors import MistrayError
 from mistray.interrupts import check, later
 from mistray.ranges import (
-    AIMED_RAYS,
-    CONSECUTIVE,
-    EVENTS,
-    LIMIT,
     RAYS,
-    RAYS_PER_HIT,
     SECONDS,
-    SEED,
-    SEGMENTS,
     THREADS,
-    THRESHOLD,
     WAVELENGTH_NM,
     WEIGHT,
+    Range,
+    Words,
+    demand_of,
+    doc_of,
+    number_text,
 )
+from mistray.settings import BY_BRANCH, NO_LIMIT, NOTHING_CUT, Settings
 
-CONTROL_HELP = (
-    "what light may do at surfaces: allow_all, transmit_specular, reflect_specular, halt_all, or letters of T, R, "
-    "I (total reflection), M (mirrors), t and r (scatter) and A (absorption), such as TIA"
-)
+ELSE = "(default: as the scene says, else what stands in brackets)"
 FIRST_SECOND = 1.0  # s, after which what is still at work says so
 
 
@@ -56,32 +51,10 @@ def add_spectrum(group: Any) -> None:
 
 def add_ray_tree(parser: argparse.ArgumentParser, rays: str) -> Any:
     """Declare the settings of the ray tree; `rays` is the help of --rays. Returns their group."""
-    group = parser.add_argument_group("ray tree (default: as the scene says, else what stands in brackets)")
+    group = parser.add_argument_group(f"ray tree {ELSE}")
     group.add_argument("--rays", type=RAYS, metavar="N", help=rays)
-    group.add_argument("--max-reflections", type=LIMIT, metavar="N",
-                       help="reflections on one path, those of mirrors and TIR not counted (2)")  # fmt: skip
-    group.add_argument("--max-generations", type=LIMIT, metavar="N",
-                       help="reflections and scatter events together on one path (no limit)")  # fmt: skip
-    group.add_argument("--max-events", type=EVENTS, metavar="N", help="surfaces met on one path (64)")
-    group.add_argument("--max-consecutive", type=CONSECUTIVE, metavar="N",
-                       help="hits of one surface in a row on one path (no limit)")  # fmt: skip
-    group.add_argument("--max-segments", type=SEGMENTS, metavar="N",
-                       help="ray segments of the tree of one start ray (524288)")  # fmt: skip
-    group.add_argument("--flux-threshold", type=THRESHOLD, metavar="F",
-                       help="flux below which a ray ends, relative to its start ray (1e-8)")  # fmt: skip
-    group.add_argument("--cut-below", metavar="LIST",
-                       help="flux below which branches end, relative to the start ray, by kind, such as "
-                       "'R=1e-6, t=1e-9': R and T are specular reflection and transmission, r and t "
-                       "scattered ones, A absorption (none)")  # fmt: skip
-    group.add_argument("--cut-below-W", metavar="LIST", help="the same in W (none)")
-    group.add_argument("--splitting", choices=("split", "one"),
-                       help="follow both rays at a surface, or one of them by chance (split)")  # fmt: skip
-    group.add_argument("--below-threshold", choices=("cut", "roulette"),
-                       help="end a ray below the threshold, or play unbiased roulette (cut)")  # fmt: skip
-    group.add_argument("--seed", type=SEED, metavar="N", help="seed of the random numbers (0)")
-    group.add_argument("--ray-control", metavar="WHAT", help=f"{CONTROL_HELP} (allow_all)")
-    group.add_argument("--polarization", choices=("unpolarized", "stokes"),
-                       help="means of s and p at every hit, or Stokes vectors along paths (unpolarized)")  # fmt: skip
+    for name in settings_between("rays", "max_scatters"):
+        add_setting(group, name)
     add_machine(group)
     return group
 
@@ -123,20 +96,33 @@ def workers_of(options: argparse.Namespace) -> contextlib.AbstractContextManager
 
 def add_scatter(parser: argparse.ArgumentParser) -> None:
     """Declare the settings of scatter."""
-    group = parser.add_argument_group("scatter (default: as the scene says, else what stands in brackets)")
-    group.add_argument("--max-scatters", type=LIMIT, metavar="N", help="scatter events on one path; 0: none (1)")
-    group.add_argument("--max-optical-scatters", type=LIMIT, metavar="N",
-                       help="those of them at surfaces that transmit (no limit)")  # fmt: skip
-    group.add_argument("--max-random-scatters", type=LIMIT, metavar="N",
-                       help="those of them that are not aimed at a target (no limit)")  # fmt: skip
-    group.add_argument("--scatter-rays", type=RAYS_PER_HIT, metavar="N",
-                       help="rays scattered at random at every hit (1)")  # fmt: skip
-    group.add_argument("--aimed-rays", type=AIMED_RAYS, metavar="N",
-                       help="rays aimed at the targets at every hit, to either side; 0: none (1)")  # fmt: skip
-    group.add_argument("--aim", choices=("auto", "targets", "none"),
-                       help="aim at the detector and targets of the scene, only at these, or not (auto)")  # fmt: skip
-    group.add_argument("--scatter-threshold", type=THRESHOLD, metavar="F",
-                       help="flux below which hits scatter by chance, relative to the ray's start (0.1)")  # fmt: skip
+    group = parser.add_argument_group(f"scatter {ELSE}")
+    for name in ("max_scatters", *settings_between("max_scatters")):
+        add_setting(group, name)
+
+
+def settings_between(first: str, last: str = "") -> list[str]:
+    """Names of the settings behind `first`, up to `last` or to the end."""
+    names = [setting.name for setting in fields(Settings)]
+    return names[names.index(first) + 1 : names.index(last) if last else len(names)]
+
+
+def add_setting(group: Any, name: str, default: str = "") -> None:
+    """Declare the option of a setting; `default` says what it is by default, where the command has another one."""
+    setting, usual = Settings.__dataclass_fields__[name], getattr(Settings, name)
+    demand, words = demand_of(setting), {NO_LIMIT: "no limit", NOTHING_CUT: "none"}.get(usual)
+    default = default or words or (usual if isinstance(usual, str) else number_text(usual))
+    kind: dict[str, Any] = {"metavar": "LIST" if demand is BY_BRANCH else "WHAT"}
+    if isinstance(demand, Words):
+        kind = {"choices": demand.choices}
+    elif isinstance(demand, Range):
+        kind = {"type": demand, "metavar": "N" if demand.whole else "F"}
+    group.add_argument(flag(name), help=f"{doc_of(setting)} ({default})", **kind)
+
+
+def flag(name: str) -> str:
+    """The option of a setting."""
+    return f"--{name.replace('_', '-')}"
 
 
 TABLE_FORMATS = ("parquet",)
@@ -214,8 +200,6 @@ def check_formats(options: argparse.Namespace) -> None:
 
 def settings_of(options: argparse.Namespace) -> dict[str, Any]:
     """All fields of `mistray.trace.Settings` as given; None where the scene or the default decides."""
-    from mistray.trace import Settings
-
     return {setting.name: getattr(options, setting.name) for setting in fields(Settings)}
 
 

@@ -9,12 +9,13 @@ from typing import Any
 from mistray.cli.arguments import Help, add_angles
 from mistray.cli.claims import claim_folder
 from mistray.cli.tracing_arguments import (
-    CONTROL_HELP,
+    ELSE,
     TABLE_FORMATS,
     add_machine,
     add_output,
     add_scene,
     add_seconds,
+    add_setting,
     check_formats,
     progress_bar,
     scene_title,
@@ -24,7 +25,7 @@ from mistray.cli.tracing_arguments import (
     working,
 )
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, CONE_DEG, EVENTS, PLACE_MM, RAYS, ROWS, SEED, SHARE, WAVELENGTH_NM
+from mistray.ranges import AZIMUTH_DEG, CONE_DEG, PLACE_MM, RAYS, ROWS, SHARE, WAVELENGTH_NM
 
 ROWS_SHOWN = 25
 HALF_ANGLE_DEG = 20.0
@@ -64,15 +65,15 @@ def add(commands: Any) -> None:
                       help="rays leave the detector within this angle of its normal (90)")  # fmt: skip
     view.add_argument("--detector", metavar="ID", help="shape with the sensor, where the scene has several")
     view.add_argument("--stop", metavar="NAME", help="part or shape that is the aperture stop (found by marginal rays)")
-    tracing = parser.add_argument_group("rays (default: as the scene says, else what stands in brackets)")
+    tracing = parser.add_argument_group(f"rays {ELSE}")
     tracing.add_argument("--rays", type=RAYS, metavar="N",
                          help="start rays from the detector, and from outside at each angle (1e6)")  # fmt: skip
     tracing.add_argument("--threshold", type=SHARE, metavar="W",
                          help="flux that makes an object count, W for each W that starts (1e-6)")  # fmt: skip
-    tracing.add_argument("--ray-control", metavar="WHAT", help=f"{CONTROL_HELP} (transmit_specular)")
+    add_setting(tracing, "ray_control", default="transmit_specular")
     tracing.add_argument("--no-total-reflection", action="store_true", help="end rays in total reflection")
-    tracing.add_argument("--max-events", type=EVENTS, metavar="N", help="surfaces met on one way (64)")
-    tracing.add_argument("--seed", type=SEED, metavar="N", help="seed of the random numbers (0)")
+    add_setting(tracing, "max_events")
+    add_setting(tracing, "seed")
     add_seconds(tracing)
     add_machine(tracing)
     output = add_output(parser, "objects.html, CSV, JSON and PNG files", FILES, formats=TABLE_FORMATS)
