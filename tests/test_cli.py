@@ -62,7 +62,7 @@ def test_help_of_every_command_has_an_example(capsys):
         assert err == ""
 
 
-@pytest.mark.parametrize("file", sorted(Path(cli.__file__).parent.glob("*.py")), ids=lambda file: file.stem)
+@pytest.mark.parametrize("file", sorted(Path(cli.__file__).parent.rglob("*.py")), ids=lambda file: file.stem)
 def test_the_command_line_itself_imports_nothing_heavy(file):
     """Analysis and Mitsuba are imported by the command that needs them, after libLLVM is settled."""
     tree = ast.parse(file.read_text(encoding="utf-8"))
@@ -73,13 +73,13 @@ def test_the_command_line_itself_imports_nothing_heavy(file):
         elif isinstance(node, ast.ImportFrom):
             names.add(node.module)
     heavy = {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names}
-    names_of = ("errors", "interrupts", "ranges", "read_file", "renamed", "replace_file", "time_budget")
+    names_of = ("errors", "interrupts", "ranges", "read_file", "renamed", "replace_file", "settings", "time_budget")
     light = tuple(f"mistray.{name}" for name in names_of)
     assert not {name for name in heavy if name not in light and not name.startswith("mistray.cli")}
 
 
 def test_every_command_is_in_the_list():
-    files = Path(cli.__file__).parent.glob("*.py")
+    files = Path(cli.__file__).parent.rglob("*.py")
     commands = {file.stem for file in files if "\ndef add(commands" in file.read_text(encoding="utf-8")}
     assert {module.__name__.rpartition(".")[2] for module in program.COMMANDS} == commands
 
