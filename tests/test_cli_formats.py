@@ -34,7 +34,7 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
         return traced[-1]
 
     monkeypatch.setattr(importlib.import_module("mistray.analysis.field_traces"), "trace", trace)
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.run"), "pst", pst)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.transmittance"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda source: lens_scene())
 
     # Pictures take seconds, and are not asked for here

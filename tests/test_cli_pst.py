@@ -19,7 +19,7 @@ import pytest
 from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_xml, write
 from report.fake_pst import fake_pst
 
-import mistray.analysis.pst.run
+import mistray.analysis.pst.transmittance
 import mistray.scene
 from mistray import cli
 from mistray.analysis.pst.state import PstProgress, load_state, save_state
@@ -55,8 +55,8 @@ def fake(monkeypatch: pytest.MonkeyPatch) -> list[dict[str, Any]]:
         azimuths, pixels = given["azimuths_deg"], given["map_pixels"]
         return fake_pst(field_deg, azimuths, map_pixels=pixels, convention=given["convention"], paths=given["paths"])
 
-    importlib.import_module("mistray.analysis.study.run")  # or it would keep the one below for other tests
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.run"), "pst", pst)
+    importlib.import_module("mistray.analysis.study.eight_steps")  # or it would keep the one below for other tests
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.transmittance"), "pst", pst)
     monkeypatch.setattr(mistray.scene, "load", lambda source: source)
     return calls
 
@@ -372,7 +372,7 @@ class TestSavedRun:
         def pressed(*_: Any, **__: Any) -> None:
             raise KeyboardInterrupt
 
-        monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.run"), "pst", pressed)
+        monkeypatch.setattr(importlib.import_module("mistray.analysis.pst.transmittance"), "pst", pressed)
         nothing = (130, "", "mistray: interrupted, nothing was written\n")
         assert run(capsys, "x", "--out", str(tmp_path)) == nothing
         assert run(capsys, "x") == nothing

@@ -83,7 +83,7 @@ def test_bad_input_is_one_line(capsys: Any, arguments: tuple[str, ...], words: s
 def test_nothing_is_traced_when_the_output_cannot_be_written(
     capsys: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.study.run"), "study", None)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.study.eight_steps"), "study", None)
     file = tmp_path / "file"
     file.write_text("")
     code, _, errors = run(capsys, "plate", "--out", str(file))
@@ -96,7 +96,7 @@ def test_an_interrupt_says_where_to_go_on(capsys: Any, tmp_path: Path, monkeypat
         given["state"].write_bytes(b"saved")
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.study.run"), "study", study)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.study.eight_steps"), "study", study)
     code, _, errors = run(capsys, "plate", "--out", str(tmp_path))
     assert code == 130
     assert "go on with --resume" in errors
@@ -110,7 +110,7 @@ def test_an_interrupt_before_anything_is_saved_says_so(
     def study(*_: Any, **__: Any) -> None:
         raise KeyboardInterrupt
 
-    monkeypatch.setattr(importlib.import_module("mistray.analysis.study.run"), "study", study)
+    monkeypatch.setattr(importlib.import_module("mistray.analysis.study.eight_steps"), "study", study)
     code, _, errors = run(capsys, "plate", "--out", str(tmp_path), "--force")
     assert code == 130
     assert "nothing was written" in errors

@@ -121,7 +121,7 @@ class TestSweep:
         self, capsys: Any, plate: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
     ) -> None:
         """The rows that are finished are written, and are in the cache."""
-        running, out = sys.modules["mistray.sweeps.run"], tmp_path / "out"
+        running, out = sys.modules["mistray.sweeps.trace_rows"], tmp_path / "out"
         real, calls = running.trace, []
 
         def gone(*arguments: Any, **more: Any) -> Any:
@@ -142,7 +142,7 @@ class TestSweep:
 
     @pytest.mark.parametrize("finished", [0, 2])
     def test_interrupted(self, capsys: Any, plate: str, monkeypatch: pytest.MonkeyPatch, finished: int) -> None:
-        running, done = sys.modules["mistray.sweeps.run"], []
+        running, done = sys.modules["mistray.sweeps.trace_rows"], []
 
         def interrupted(*_: Any) -> dict[str, Any]:
             if len(done) == finished:
@@ -174,7 +174,7 @@ class TestSweep:
     def test_nothing_is_traced_when_the_output_cannot_be_written(
         self, capsys: Any, plate: str, monkeypatch: pytest.MonkeyPatch
     ) -> None:
-        monkeypatch.setattr(sys.modules["mistray.sweeps.run"], "trace", None)
+        monkeypatch.setattr(sys.modules["mistray.sweeps.trace_rows"], "trace", None)
         code, _, errors = run(capsys, "sweep", plate, "--out", plate)
         assert code == 2
         assert "is a file; name a directory" in errors

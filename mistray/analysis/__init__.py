@@ -14,9 +14,9 @@ if TYPE_CHECKING:
     from mistray.analysis.path_analysis import path_analysis
     from mistray.analysis.pst.first_level import FirstLevel, first_level
     from mistray.analysis.pst.result import Pst
-    from mistray.analysis.pst.run import pst
+    from mistray.analysis.pst.transmittance import pst
     from mistray.analysis.ranking import DirectImage
-    from mistray.analysis.study.run import Study, study
+    from mistray.analysis.study.eight_steps import Study, study
     from mistray.analysis.thermal.emission import ThermalReport, thermal
 
 __all__ = lazy_package(
@@ -31,9 +31,9 @@ __all__ = lazy_package(
         "path_analysis": ("path_analysis",),
         "pst.first_level": ("FirstLevel", "first_level"),
         "pst.result": ("Pst",),
-        "pst.run": ("pst",),
+        "pst.transmittance": ("pst",),
         "ranking": ("DirectImage",),
-        "study.run": ("Study", "study"),
+        "study.eight_steps": ("Study", "study"),
         "thermal.emission": ("ThermalReport", "thermal"),
     },
 )

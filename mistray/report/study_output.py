@@ -11,7 +11,7 @@ import pandas as pd
 from markupsafe import Markup
 
 from mistray.analysis.ghosts import GhostReport
-from mistray.analysis.study.run import Study
+from mistray.analysis.study.eight_steps import Study
 from mistray.analysis.study.step import StudyStep
 from mistray.report.figures.layout import layout
 from mistray.report.figures.objects import objects_layout

@@ -5,7 +5,7 @@ from mistray.sweeps.edit_ranking import EditRanking, rank_edits
 from mistray.sweeps.pst_sweep import PstSweep, sweep_pst
 from mistray.sweeps.read_configurations import read_configurations
 from mistray.sweeps.result import Sweep
-from mistray.sweeps.run import sweep
+from mistray.sweeps.trace_rows import sweep
 
 __all__ = [
     "Configuration",

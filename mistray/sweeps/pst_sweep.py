@@ -12,7 +12,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.run import pst_of_each
+from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.coatings import Stack, coating_from_text
 from mistray.errors import MistrayError
 from mistray.ids import fits

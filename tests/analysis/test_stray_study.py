@@ -13,9 +13,9 @@ import pandas as pd
 import pytest
 
 import mistray
+from mistray.analysis.study.eight_steps import Study, study
 from mistray.analysis.study.models import mechanical_model, optical_model, role
 from mistray.analysis.study.objects import source_angles
-from mistray.analysis.study.run import Study, study
 from mistray.analysis.study.step import STEPS
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.errors import MistrayError

@@ -19,7 +19,7 @@ from oracles.statistics import assert_z
 from scipy.integrate import quad
 
 import mistray
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.transmittance import pst
 
 Load = Callable[[str], Any]
 DATA = Path(__file__).parents[1] / "data"

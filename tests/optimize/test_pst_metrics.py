@@ -18,8 +18,8 @@ import mistray
 from mistray import MistrayError
 from mistray.analysis.metrics.glare import veiling_glare_index
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.run import pst_of_each
 from mistray.analysis.pst.sums import weighted_sum
+from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.optimize.metrics import views
 from mistray.optimize.metrics.metric import Metric, combine, log
 from mistray.optimize.metrics.observation import smooth_maximum

@@ -19,7 +19,7 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml, write
 import mistray
 from mistray.cache import Cache, store
 from mistray.errors import MistrayError
-from mistray.sweeps import run as sweeping
+from mistray.sweeps import trace_rows as sweeping
 from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
 from mistray.sweeps.configurations import Resolved
 from mistray.trace import Settings

@@ -12,7 +12,7 @@ import pandas as pd
 import mistray
 from mistray.analysis.pst.causes import breaks, cause_frame, first_level_scatter
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.transmittance import pst
 
 NOTEBOOK = Path(__file__).parents[2] / "notebooks" / "phone_camera_pst.ipynb"
 SIDE = 4.367886545  # of the detector in the study's script, mm

@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.transmittance import pst
 from mistray.prescription import Coating, Detector, Prescription, Scatter, Source
 from mistray.prescription.baffles.two_stage import two_stage_baffle
 

@@ -21,7 +21,7 @@ from scipy.stats import chi2, norm, t
 import mistray
 from mistray.analysis.pst.forward import forward_pst
 from mistray.analysis.pst.result import CLASSES, Pst
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.transmittance import pst
 from mistray.sampling.plane_wave import Entrance
 from mistray.settings import Settings
 

@@ -25,7 +25,7 @@ import mistray
 from mistray.analysis.metrics.extended_source import Sky, source_irradiance
 from mistray.analysis.metrics.glare import veiling_glare_index
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.transmittance import pst
 from mistray.execute.backward import see
 from mistray.prescription import Coating, Prescription, Scatter
 from mistray.scenes.phone_camera.prescription import build as phone_camera

@@ -14,7 +14,7 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.pst.result import Pst
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
 from mistray.renamed import renamed
 from mistray.settings import Settings

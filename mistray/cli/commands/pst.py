@@ -109,7 +109,7 @@ def run(options: argparse.Namespace) -> int:
     """Run the command."""
     _check(options)
     start_mitsuba(options)
-    from mistray.analysis.pst.run import pst
+    from mistray.analysis.pst.transmittance import pst
     from mistray.recorders.directions import DirectionGrid
     from mistray.report.tables.pst import pst_record, pst_text
     from mistray.scene import load

@@ -89,7 +89,7 @@ def run(options: argparse.Namespace) -> int:
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the saved run; give --out")
     start_mitsuba(options)
-    from mistray.analysis.study.run import study
+    from mistray.analysis.study.eight_steps import study
     from mistray.report.tables.study import study_record, study_text
     from mistray.scene import load
 

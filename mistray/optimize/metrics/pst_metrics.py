@@ -10,7 +10,7 @@ from typing import Any
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
 from mistray.optimize.metrics.metric import Metric, require_known
 from mistray.optimize.metrics.observation import NORM, smooth_maximum

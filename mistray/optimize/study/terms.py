@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.transmittance import pst
 from mistray.errors import MistrayError
 from mistray.optimize.metrics.by_name import FACTORIES, OF_PST
 from mistray.optimize.metrics.metric import Metric

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mistray.analysis.estimate import Estimate
-from mistray.analysis.study.run import Study
+from mistray.analysis.study.eight_steps import Study
 from mistray.analysis.study.step import Fact, StudyStep
 from mistray.files.json_values import plain
 from mistray.report.tables import ghosts as tables

@@ -15,7 +15,7 @@ import numpy as np
 from mistray.analysis.ghosts import GhostReport, ghosts
 from mistray.analysis.objects.search import Objects, objects
 from mistray.analysis.pst.result import CONVENTIONS, Pst
-from mistray.analysis.pst.run import pst
+from mistray.analysis.pst.transmittance import pst
 from mistray.analysis.study.analysis import stray_light_analysis
 from mistray.analysis.study.first_order import FirstOrder
 from mistray.analysis.study.models import mechanical_model, optical_model
