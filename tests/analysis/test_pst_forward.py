@@ -15,8 +15,10 @@ from oracles.statistics import assert_z
 from scipy.optimize import brentq
 
 import mistray
-from mistray.analysis.pst.forward import forward_pst
+from mistray.analysis.pst import forward
 from mistray.analysis.pst.forward_cells import FIRST_RAYS
+from mistray.analysis.pst.request import PstRequest
+from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance, PlaneWaves, hull_points
@@ -68,6 +70,14 @@ def glass_reflectance(theta: np.ndarray) -> np.ndarray:
     """Mean of s and p of a bare surface, by Fresnel's formulas."""
     c, t = np.cos(theta), np.sqrt(1 - (np.sin(theta) / INDEX) ** 2)
     return 0.5 * (((c - INDEX * t) / (c + INDEX * t)) ** 2 + ((INDEX * c - t) / (INDEX * c + t)) ** 2)
+
+
+def forward_pst(
+    scene: Any, grid: DirectionGrid, *, entrance: Any = None, settings: Any = None, progress: Any = None, **request: Any
+) -> Pst:
+    """A forward run for a request."""
+    asked = PstRequest.of(method="forward", **request)
+    return forward.forward_pst(scene, grid, asked, entrance=entrance, settings=settings, progress=progress)
 
 
 class TestClosedForms:

@@ -12,7 +12,7 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 from oracles.small_scenes import interface_xml, write
 
 import mistray
-from mistray.analysis.pst import transmittance
+from mistray.analysis.pst import adjoint_run
 from mistray.analysis.pst.state import PstProgress, load_state
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.sky import CLASSES, DIFFRACTED, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
@@ -60,7 +60,7 @@ def test_the_largest_share_is_of_the_scattered_light_alone(window: Any) -> None:
 def counts(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
     """How often the state was saved and the table of paths read."""
     found = {"saved": 0, "read": 0}
-    save, read = transmittance.save_state, BackwardTrace.paths
+    save, read = adjoint_run.save_state, BackwardTrace.paths
 
     def counted_save(*arguments: Any) -> Path:
         found["saved"] += 1
@@ -70,7 +70,7 @@ def counts(monkeypatch: pytest.MonkeyPatch) -> dict[str, int]:
         found["read"] += 1
         return read(self)
 
-    monkeypatch.setattr(transmittance, "save_state", counted_save)
+    monkeypatch.setattr(adjoint_run, "save_state", counted_save)
     monkeypatch.setattr(BackwardTrace, "paths", counted_read)
     return found
 
@@ -89,7 +89,7 @@ def test_an_interrupt_saves_the_pass_that_it_waited_for(
     window: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Also where saving would have cost more than its share of the time."""
-    monkeypatch.setattr(transmittance, "SAVING", -1.0)
+    monkeypatch.setattr(adjoint_run, "SAVING", -1.0)
     reports: list[PstProgress] = []
 
     def press(now: PstProgress) -> None:

@@ -3,26 +3,25 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import asdict, replace
-from functools import partial
 
 import mitsuba as mi
 import numpy as np
 
-from mistray.analysis.pst.forward_cells import FIRST_RAYS, Cell, ForwardCells
-from mistray.analysis.pst.forward_parts import CellPart, CellsTask
+from mistray.analysis.pst.forward_cells import FIRST_RAYS, Cell, CellPass, CellsTask, ForwardCells
+from mistray.analysis.pst.request import PstRequest
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress
-from mistray.errors import MistrayError, UnfinishedError
-from mistray.execute.workers import Workers, current_workers, do_parts
+from mistray.errors import MistrayError
+from mistray.execute.passes import execute_passes
+from mistray.execute.workers import current_workers
 from mistray.ranges import RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
 from mistray.sampling.plane_wave import Entrance
 from mistray.sampling.sources import spectrum_of
 from mistray.settings import Settings
 from mistray.surfaces.thin_gaps import thin_gaps
-from mistray.time_budget import share
 
 Progress = Callable[[PstProgress], None]
 
@@ -30,15 +29,8 @@ Progress = Callable[[PstProgress], None]
 def forward_pst(
     scene: mi.Scene,
     grid: DirectionGrid,
+    request: PstRequest | None = None,
     *,
-    wavelength_nm: float | Sequence[float] | None = None,
-    weights: Sequence[float] | None = None,
-    detector: str | None = None,
-    rays: int | None = None,
-    relative_error: float | None = None,
-    error_up_to_deg: float | None = None,
-    paths: bool = True,
-    map_pixels: int = 0,
     entrance: Entrance | None = None,
     points: np.ndarray | None = None,
     progress: Progress | None = None,
@@ -55,23 +47,11 @@ def forward_pst(
     scene : mi.Scene
         From `mistray.load`; its sources give the wavelengths alone.
     grid : DirectionGrid
-    wavelength_nm : float or sequence of float, optional
-        Default: those of the scene's first source with their weights, 550 nm without one.
-    weights : sequence of float, optional
-        Shares of the flux, one for each wavelength; normalised, equal by default.
-    detector : str, optional
-        Id of the detector, if the scene has several.
-    rays : int, optional
-        Start rays of a cell; with `relative_error` the most of them. Default: those of `settings`.
-    relative_error : float, optional
-        Double the rays of a cell until the standard error of all light together over its value is at most this; a cell
-        that no light is found in gets `DARK_RAYS` at most.
-    error_up_to_deg : float, optional
-        Cells of larger field angles end with the first `FIRST_RAYS` rays. Default: 90.
-    paths : bool
-        List the paths of each cell.
-    map_pixels : int
-        Longer side of the maps of the detector; 0: no maps.
+    request : PstRequest, optional
+        Light, detector, paths and maps, and the error that is wanted: with `relative_error` the rays of a cell are
+        doubled until the standard error of all light together over its value is at most this; a cell that no light is
+        found in gets `DARK_RAYS` at most, and cells of field angles beyond `error_up_to_deg` end with the first
+        `FIRST_RAYS` rays. The angles are those of `grid`.
     entrance : Entrance, optional
         Trace the light through this disc only.
     points : (p, 3) float64, optional
@@ -79,7 +59,7 @@ def forward_pst(
     progress : callable, optional
         Called after each pass of a cell.
     settings : Settings, optional
-        Default: those of the scene.
+        With the start rays of a cell, the most of them where an error is wanted. Default: those of the scene.
 
     Returns
     -------
@@ -99,50 +79,34 @@ def forward_pst(
     """
     if not isinstance(scene, mi.Scene):
         raise MistrayError(f"forward_pst() got {type(scene).__name__}; load the scene first: mistray.load(path)")
+    request = PstRequest(method="forward") if request is None else request
     settings = Settings.of(scene) if settings is None else settings
-    settings = settings if rays is None else replace(settings, rays=rays)
-    limited = _angles_that_count(grid, relative_error, error_up_to_deg)
-    if isinstance(map_pixels, bool) or map_pixels != int(map_pixels) or map_pixels < 0:
-        raise MistrayError(f"map_pixels is {map_pixels}; give the pixels across a map, or 0 for no maps")
-    wavelengths, shares = spectrum_of(scene, wavelength_nm, weights)
+    settings = settings if request.rays is None else replace(settings, rays=request.rays)
+    relative_error = request.relative_error
+    limited = _angles_that_count(grid, relative_error, request.error_up_to_deg)
+    wavelengths, shares = spectrum_of(scene, request.wavelength_nm, request.weights)
     wavelengths, shares = wavelengths[shares > 0], shares[shares > 0]
     started = time.perf_counter()
-    arguments = (grid, settings, wavelengths, shares, detector, entrance, map_pixels, points)
+    arguments = (grid, settings, wavelengths, shares, request.detector, entrance, int(request.map_pixels), points)
     cells = ForwardCells(scene, *arguments)
     n, m = grid.shape
     most = [settings.rays if counts or relative_error is None else min(FIRST_RAYS, settings.rays) for counts in limited]
     report = _Report(m * sum(most), relative_error, progress)
-    parts = [CellPart(i, j, most[i], relative_error if limited[i] else None, paths) for i, j in np.ndindex(n, m)]
-    workers = current_workers()
-    if workers is None:
-        found: dict[tuple[int, int], Cell] = {}
-        for part in parts:
-            after_pass = partial(report.after_pass, part.rays, part.wanted_error)
-            with share(1 / (len(parts) - len(found))):
-                found[part.i, part.j] = cell = cells.cell(*part, after_pass)
-            report.close_cell(part.rays, cell, bool(limited[part.i]))
-    else:
-        found = _by_workers(workers, CellsTask(scene, arguments, cells.kernel_arrays()), parts, report, limited)
+    passes = {
+        (i, j): CellPass(i, j, most[i], relative_error if limited[i] else None, request.paths)
+        for i, j in np.ndindex(n, m)
+    }
+    cells.progress = report.after_pass
+
+    def done(part: CellPass, cell: Cell) -> None:
+        if current_workers() is not None:  # here the cell has told by itself
+            report.after_pass(part, cell.rays, cell.error)
+        report.close_cell(part.rays, cell, bool(limited[part.i]))
+
+    task = CellsTask(scene, arguments, cells.kernel_arrays())
+    found = execute_passes(task, passes, cells, "cells", done)
     seconds = time.perf_counter() - started
-    return _result(cells, found, limited, relative_error, error_up_to_deg, seconds)
-
-
-def _by_workers(
-    workers: Workers, task: CellsTask, parts: Sequence[CellPart], report: _Report, limited: np.ndarray
-) -> dict[tuple[int, int], Cell]:
-    """The cells, traced by workers; with an `UnfinishedError` those that are finished."""
-    found: dict[tuple[int, int], Cell] = {}
-    try:
-        with do_parts(workers, task, parts) as results:
-            for part, cell in results:
-                found[part.i, part.j] = cell
-                report.after_pass(part.rays, part.wanted_error, cell.rays, cell.error)
-                report.close_cell(part.rays, cell, bool(limited[part.i]))
-    except UnfinishedError as error:
-        error.partial = found
-        error.args = (f"{error}; {len(found)} of {len(parts)} cells are finished and kept",)
-        raise
-    return {(part.i, part.j): found[part.i, part.j] for part in parts}
+    return _result(cells, found, limited, request, seconds)
 
 
 def _angles_that_count(grid: DirectionGrid, relative_error: float | None, error_up_to_deg: float | None) -> np.ndarray:
@@ -183,10 +147,11 @@ class _Report:
         self._spared = 0  # rays that they did not need
         self._worst = 0.0
 
-    def after_pass(self, most: int, wanted: float | None, rays: int, error: float) -> None:
-        """A cell has `rays` of its `most` rays and this error."""
+    def after_pass(self, part: CellPass, rays: int, error: float) -> None:
+        """A cell has so many of its rays and this error."""
         if self._progress is None:
             return
+        most, wanted = part.rays, part.wanted_error
         seconds = time.perf_counter() - self._started
         done = self._rays + rays
         share = rays / most
@@ -210,12 +175,13 @@ def _result(
     cells: ForwardCells,
     found: dict[tuple[int, int], Cell],
     limited: np.ndarray,
-    relative_error: float | None,
-    error_up_to_deg: float | None,
+    request: PstRequest,
     seconds: float,
 ) -> Pst:
     """The cells together."""
     import pandas as pd
+
+    relative_error = request.relative_error
 
     grid = cells.grid
     n, m = grid.shape
@@ -250,7 +216,7 @@ def _result(
             "segments": int(stack("segments").sum()),
             "settings": asdict(settings),
             "relative_error": relative_error,
-            "error_up_to_deg": error_up_to_deg,
+            "error_up_to_deg": request.error_up_to_deg,
             "entrance": None if entrance is None else {"centre": list(entrance.centre), "radius": entrance.radius},
             "unseen": named(np.isinf(errors)),
             "unfinished": named(late),

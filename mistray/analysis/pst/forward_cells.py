@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.execute.by_parts import tables_of
+from mistray.execute.by_parts import SceneTask, tables_of
 from mistray.execute.tracer import Run, image
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
@@ -219,6 +219,30 @@ class Cell:
         return np.divide(self.parts, self.weight, out=np.zeros_like(self.parts), where=self.weight > 0)
 
 
+class CellPass(NamedTuple):
+    """
+    What is to be traced of a cell.
+
+    Attributes
+    ----------
+    i, j : int
+        Numbers of its field angle and azimuth.
+    rays : int
+        Start rays at most.
+    wanted_error : float or None
+        Relative standard error of all light at which it is enough; each pass doubles the rays. None: one pass of all
+        rays.
+    paths : bool
+        List the ways of the light.
+    """
+
+    i: int
+    j: int
+    rays: int
+    wanted_error: float | None = None
+    paths: bool = True
+
+
 class ForwardCells:
     """
     Forward runs of the cells of a grid; the kernel is compiled once, every other cell costs its rays.
@@ -237,6 +261,11 @@ class ForwardCells:
         Longer side of the maps; 0: none.
     points : (p, 3) float64, optional
         What the light covers, from `hull_points`; by default the scene.
+
+    Attributes
+    ----------
+    progress : callable or None
+        Called after each pass of a cell with the cell, its rays so far and its relative error.
     """
 
     def __init__(
@@ -272,6 +301,7 @@ class ForwardCells:
         path = find_design_path(self.table, scene)
         has_optics = path is not None and path.has_optics
         self._ways = Ways(self.table.event_ids, self.table.event_words, has_optics)
+        self.progress: Callable[[CellPass, int, float], None] | None = None
 
     @property
     def notes(self) -> list[str]:
@@ -282,32 +312,9 @@ class ForwardCells:
         """What the kernel reads, for each wavelength."""
         return tables_of(self._runs)
 
-    def cell(
-        self,
-        i: int,
-        j: int,
-        rays: int,
-        wanted_error: float | None = None,
-        paths: bool = True,
-        progress: Callable[[int, float], None] | None = None,
-    ) -> Cell:
-        """
-        Trace cell (i, j).
-
-        Parameters
-        ----------
-        i, j : int
-            Numbers of its field angle and azimuth.
-        rays : int
-            Start rays at most.
-        wanted_error : float, optional
-            Relative standard error of all light at which it is enough; each pass doubles the rays. None: one pass of
-            all rays.
-        paths : bool
-            List the ways of the light.
-        progress : callable, optional
-            Called after each pass with the rays so far and the relative error.
-        """
+    def cell(self, part: CellPass) -> Cell:
+        """Trace a cell, and tell `progress` after each of its passes."""
+        i, j, rays, wanted_error, paths = part
         sums = [Sums() for _ in self._runs]
         passes = done = 0
         todo = rays if wanted_error is None else min(FIRST_RAYS, rays)
@@ -316,8 +323,8 @@ class ForwardCells:
                 self._trace(run, sums[k], (i, j, passes, k), todo)
             passes, done = passes + 1, done + todo
             found = self._cell(sums)
-            if progress:
-                progress(done, found.error)
+            if self.progress:
+                self.progress(part, done, found.error)
             enough = time_is_up() or (wanted_error is not None and found.error <= wanted_error)
             if enough or done >= (rays if np.isfinite(found.error) else min(rays, DARK_RAYS)):
                 return self._with_details(found, sums, paths)
@@ -382,3 +389,16 @@ class ForwardCells:
         value = sum(pixels * scale * one.value for scale, one in zip(self._scales(sums), found, strict=True))
         variance = sum(np.square(pixels * scale * one.se) for scale, one in zip(self._scales(sums), found, strict=True))
         return np.stack([value, np.sqrt(variance)])
+
+
+class CellsTask(SceneTask):
+    """Cells of a grid, for `mistray.execute.passes`."""
+
+    def make(self) -> ForwardCells:
+        """The cells at a worker."""
+        cells: ForwardCells = self.build(ForwardCells)
+        return cells
+
+    def do(self, made: ForwardCells, part: CellPass) -> Cell:
+        """Trace a cell."""
+        return made.cell(part)

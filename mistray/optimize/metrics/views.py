@@ -8,7 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from mistray.analysis.pst.transmittance import RAYS, pst_of_each
+from mistray.analysis.pst.request import RAYS
+from mistray.analysis.pst.transmittance import pst_of_each
 from mistray.errors import MistrayError
 from mistray.optimize.metrics.observation import Observation
 from mistray.optimize.metrics.pst_observation import PstObservation

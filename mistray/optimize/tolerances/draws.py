@@ -11,8 +11,9 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.estimate import Estimate
-from mistray.errors import MistrayError, UnfinishedError
-from mistray.execute.workers import Workers, current_workers, do_parts
+from mistray.errors import MistrayError
+from mistray.execute.passes import passes_by_workers
+from mistray.execute.workers import current_workers
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.scene_values import assign
 from mistray.optimize.tolerances.rows import Row, shifted_values, whole_values
@@ -169,7 +170,9 @@ def draw_systems(
         else:
             drawn_systems = list(systems())
             assign(params, given)
-            traced = _by_workers(workers, metric, given, drawn_systems, advance)
+            task = _SystemsTask(metric, given, drawn_systems)
+            numbers = {number: number for number in range(len(drawn_systems))}
+            traced = list(passes_by_workers(workers, task, numbers, "systems", lambda *_: advance()).values())
     finally:
         assign(params, given)
     return Draws(np.array(traced) / nominal, np.array(predicted), nominal, rejected)
@@ -205,27 +208,6 @@ class _SystemsTask:
             return _checked(part, self.metric.value)
         finally:
             assign(made, self.given)
-
-
-def _by_workers(
-    workers: Workers,
-    metric: Metric,
-    given: Mapping[str, np.ndarray],
-    systems: Sequence[Mapping[str, np.ndarray]],
-    advance: Callable[[], None],
-) -> list[float]:
-    """The metrics of systems, traced by workers; with an `UnfinishedError` those that are finished, by number."""
-    found: dict[int, float] = {}
-    try:
-        with do_parts(workers, _SystemsTask(metric, given, systems), range(len(systems))) as results:
-            for number, traced in results:
-                found[number] = traced
-                advance()
-    except UnfinishedError as error:
-        error.partial = found
-        error.args = (f"{error}; {len(found)} of {len(systems)} systems are finished and kept",)
-        raise
-    return [found[number] for number in range(len(systems))]
 
 
 def _put(scene: Any, params: Any, values: Mapping[str, np.ndarray]) -> bool:

@@ -1,0 +1,88 @@
+"""What is asked of a PST, in one piece from the call to the run."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.ranges import PIXELS_OR_NONE, RELATIVE_ERROR
+from mistray.recorders.directions import DirectionGrid
+from mistray.settings import Settings
+
+METHODS = ("adjoint", "forward")
+RAYS = {"adjoint": 4_000_000, "forward": 200_000}  # where a call says nothing; forward: at each angle
+MOST_RAYS = 2_000_000_000  # where a call wants an error and does not say how many rays it may take
+
+Numbers = float | Sequence[float] | np.ndarray
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class PstRequest:
+    """
+    What is asked of a PST; `mistray.pst` says what each value means.
+
+    Attributes
+    ----------
+    settings : mapping
+        Fields of `mistray.trace.Settings` that are given, but for the rays.
+
+    Raises
+    ------
+    MistrayError
+        For values that are out of range or do not go together.
+    """
+
+    field_deg: Numbers = range(0, 81, 2)
+    method: str = "adjoint"
+    convention: str = "normal"
+    azimuths_deg: Numbers | None = None
+    cell_deg: float | None = None
+    azimuth_cell_deg: float | None = None
+    wavelength_nm: float | Sequence[float] | None = None
+    weights: Sequence[float] | None = None
+    detector: str | None = None
+    rays: int | None = None
+    relative_error: float | None = None
+    error_up_to_deg: float | None = None
+    paths: bool = True
+    map_pixels: int = 0
+    state: str | Path | None = None
+    resume: bool = False
+    settings: Mapping[str, Any] = field(default_factory=dict)
+
+    @classmethod
+    def of(cls, **arguments: Any) -> PstRequest:
+        """From the arguments of `mistray.pst`: what is no field here is one of the settings."""
+        own = {f.name for f in fields(cls)} - {"settings"}
+        settings = {key: value for key, value in arguments.items() if key not in own}
+        return cls(settings=settings, **{key: value for key, value in arguments.items() if key in own})
+
+    def __post_init__(self) -> None:
+        if self.method not in METHODS:
+            raise MistrayError(f"method is '{self.method}'; use 'adjoint' or 'forward'")
+        if self.relative_error is not None:
+            RELATIVE_ERROR.check("relative_error", self.relative_error)
+        PIXELS_OR_NONE.check("map_pixels", self.map_pixels)
+        if self.resume and self.state is None:
+            raise MistrayError("resume needs the file of the state; give state=…")
+        if self.method == "forward" and self.state is not None:
+            raise MistrayError("state is given with method 'forward'; only the adjoint method can be continued")
+
+    def grid(self, axes: np.ndarray) -> DirectionGrid:
+        """The cells of directions, measured in a frame whose columns are `axes`."""
+        grid = DirectionGrid.of(self.field_deg, self.azimuths_deg, self.cell_deg, self.azimuth_cell_deg, axes)
+        last = self.error_up_to_deg
+        if last is not None and not np.any(grid.field_deg <= last):
+            raise MistrayError(f"error_up_to_deg is {last:g}; no angle is as small as that")
+        return grid
+
+    def settings_for(self, scene: mi.Scene) -> Settings:
+        """The settings of a trace of a scene."""
+        usual = RAYS[self.method] if self.relative_error is None else MOST_RAYS
+        return Settings.of(scene, rays=usual if self.rays is None else self.rays, **self.settings)

@@ -1,0 +1,65 @@
+"""Passes of a task whose sums stay apart, done here or by workers: one place for time, progress and what is lost."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, TypeVar
+
+from mistray.errors import UnfinishedError
+from mistray.execute.workers import Task, Workers, current_workers, do_parts
+from mistray.time_budget import share
+
+Name = TypeVar("Name")
+Pass = TypeVar("Pass")
+
+
+def execute_passes(
+    task: Task, passes: Mapping[Name, Pass], made: Any, what: str, done: Callable[[Pass, Any], None]
+) -> dict[Name, Any]:
+    """
+    Do the passes of a task, in their order here, or by workers if there are any.
+
+    Parameters
+    ----------
+    task : Task
+    passes : mapping
+        By names, under which their sums are returned. Here each has an equal share of the time that is left.
+    made : object
+        What `Task.make` gives, as it is here.
+    what : str
+        What passes are, in the plural, for messages.
+    done : callable
+        Called with each pass and its sums.
+
+    Raises
+    ------
+    UnfinishedError
+        If the workers are gone; ``partial`` has the sums of the passes that are finished.
+    """
+    workers = current_workers()
+    if workers is not None:
+        return passes_by_workers(workers, task, passes, what, done)
+    found: dict[Name, Any] = {}
+    for name, one in passes.items():
+        with share(1 / (len(passes) - len(found))):
+            found[name] = sums = task.do(made, one)
+        done(one, sums)
+    return found
+
+
+def passes_by_workers(
+    workers: Workers, task: Task, passes: Mapping[Name, Pass], what: str, done: Callable[[Pass, Any], None]
+) -> dict[Name, Any]:
+    """Let workers do the passes of a task; see `execute_passes`. The sums come back in the order of the passes."""
+    found: dict[Name, Any] = {}
+    names = {one: name for name, one in passes.items()}
+    try:
+        with do_parts(workers, task, list(passes.values())) as results:
+            for one, sums in results:
+                found[names[one]] = sums
+                done(one, sums)
+    except UnfinishedError as error:
+        error.partial = found
+        error.args = (f"{error}; {len(found)} of {len(passes)} {what} are finished and kept",)
+        raise
+    return {name: found[name] for name in passes}
