@@ -46,7 +46,7 @@ RAYS_KEPT = 21  # of a path, to choose those from that are drawn
 Polyline = npt.NDArray[np.float64]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FieldSummary:
     """
     One row of the main table, of all light or of one wavelength.

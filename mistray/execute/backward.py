@@ -385,7 +385,7 @@ class BackwardTrace:
         return np.asarray(self.sums["reasons"][list(CUTS.values())].sum(axis=0))
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class SeenSurface:
     """
     What the detector sees of a surface.
@@ -418,7 +418,7 @@ class SeenSurface:
     emission_by_batch: np.ndarray
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Seen:
     """
     What a detector sees, in a trace against the light.
@@ -504,10 +504,21 @@ def see(
     for i in trace.table.listed:
         sums = trace.sums["surfaces"][i]
         share, share_se, _ = estimate(sums[INCIDENT])
-        emission = estimate(sums[ABSORBED_HERE])
+        emission, emission_se, emission_by_batch = estimate(sums[ABSORBED_HERE])
         table = trace.table
-        hits = round(float(sums[HITS].sum()))
-        rows.append(SeenSurface(table.ids[i], table.parts[i], table.spaces[i], hits, share, share_se, *emission))
+        rows.append(
+            SeenSurface(
+                id=table.ids[i],
+                part=table.parts[i],
+                space=table.spaces[i],
+                hits=round(float(sums[HITS].sum())),
+                share=share,
+                share_se=share_se,
+                emission=emission,
+                emission_se=emission_se,
+                emission_by_batch=emission_by_batch,
+            )
+        )
     media = {
         name: estimate(row)
         for name, row in zip(trace.table.optics.media[1:], trace.sums["media"][1:], strict=True)

@@ -57,7 +57,7 @@ class Part(NamedTuple):
     rays: int | None = None
 
 
-@dataclass
+@dataclass(kw_only=True)
 class Run:
     """
     One source at one wavelength: what the kernel needs, and what it found.
@@ -458,5 +458,16 @@ def runs_of(scene: mi.Scene, settings: Settings, sources: Sequence[Beam], detect
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
         table, scattering = tables[beam.wavelength_nm]
         unit = beam.power / count
-        runs.append(Run(beam, table, scattering, intersector, settings.with_unit(unit), count, stream, unit))
+        runs.append(
+            Run(
+                beam=beam,
+                table=table,
+                scattering=scattering,
+                intersector=intersector,
+                settings=settings.with_unit(unit),
+                rays=count,
+                seed=stream,
+                unit=unit,
+            )
+        )
     return runs

@@ -177,7 +177,7 @@ class Trace:
 
     def irradiance_of(self, path_ids: Sequence[int]) -> tuple[np.ndarray, np.ndarray]:
         """
-        Irradiance of some paths together, by tracing the same rays again.
+        Trace the same rays again for the irradiance of some paths together.
 
         Parameters
         ----------
@@ -247,7 +247,7 @@ class Trace:
 
     def box(self, x0: float, x1: float, y0: float, y1: float) -> PathTable:
         """
-        The paths that feed a rectangle of the detector, by tracing the same rays again.
+        Trace the same rays again for the paths that feed a rectangle of the detector.
 
         Parameters
         ----------
@@ -265,7 +265,7 @@ class Trace:
 
     def history(self, path_id: int, n: int = 8) -> RayHistory:
         """
-        Rays of a path, point by point, with optical path lengths.
+        Trace rays again for those of a path, point by point, with optical path lengths.
 
         Parameters
         ----------
@@ -280,7 +280,7 @@ class Trace:
 
     def sampled_rays(self, path_ids: Sequence[int], n: int = 8) -> dict[int, list[Ray]]:
         """
-        Rays of many paths at once, from a sample of the start rays that is spread over the beam.
+        Trace a sample of the rays again, spread over the beam, for rays of many paths at once.
 
         `history` looks for rays of one path until it has enough; here a path that is rare has few rays or none.
 

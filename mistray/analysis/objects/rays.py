@@ -51,7 +51,7 @@ class StartPoints:
     medium: int = 0
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True, eq=False, kw_only=True)
 class Hits:
     """
     The hits of all rays at one step of their ways.

@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 
 from mistray.renamed import renamed
 
 
-@dataclass(frozen=True)
-class SceneObject:
+@dataclass(frozen=True, kw_only=True)
+class _Placed:
     """
-    A surface, or one side of it, as the detector or the outside sees it.
+    Which object it is, and where it stands.
 
     Attributes
     ----------
@@ -26,39 +26,39 @@ class SceneObject:
         "before", "stop" or "after": where it stands along the design path; "" where that is not known.
     optic : bool
         On the design path.
+    """
+
+    id: str
+    part: str
+    side: str
+    space: int
+    between: str
+    stop: str
+    optic: bool
+
+
+@dataclass(frozen=True, kw_only=True)
+class SceneObject(_Placed):
+    """
+    A surface, or one side of it, as the detector or the outside sees it.
+
+    Attributes
+    ----------
     rays : int
         Rays that meet it.
     power, power_se : float
         Their flux, W for each W that starts.
     """
 
-    id: str
-    part: str
-    side: str
-    space: int
-    between: str
-    stop: str
-    optic: bool
     rays: int
     power: float
     power_se: float
 
 
-@dataclass(frozen=True)
-class CommonObject:
-    """
-    An object that is critical and illuminated.
+@dataclass(frozen=True, kw_only=True)
+class CommonObject(_Placed):
+    """An object that is critical and illuminated, with the rays and the flux of both views, see `SceneObject`."""
 
-    Attributes are those of `SceneObject`, with the rays and the flux of both views.
-    """
-
-    id: str
-    part: str
-    side: str
-    space: int
-    between: str
-    stop: str
-    optic: bool
     critical_rays: int
     critical_power: float
     critical_power_se: float
@@ -122,18 +122,10 @@ def strongest(rows: list[SceneObject]) -> list[SceneObject]:
 
 def both_views(seen: SceneObject, lit: SceneObject) -> CommonObject:
     """One row for what the detector and the outside see of an object."""
-    return CommonObject(
-        seen.id,
-        seen.part,
-        seen.side,
-        seen.space,
-        seen.between,
-        seen.stop,
-        seen.optic,
-        seen.rays,
-        seen.power,
-        seen.power_se,
-        lit.rays,
-        lit.power,
-        lit.power_se,
-    )
+    place = {f.name: getattr(seen, f.name) for f in fields(_Placed)}
+    views = {
+        f"{view}_{name}": getattr(one, name)
+        for view, one in (("critical", seen), ("illuminated", lit))
+        for name in ("rays", "power", "power_se")
+    }
+    return CommonObject(**place, **views)

@@ -37,7 +37,7 @@ FIRST_RAYS = 1 << 15  # of a cell whose error is asked for
 DARK_RAYS = 1 << 22  # after which a cell that no light was found in is given up
 
 
-@dataclass
+@dataclass(kw_only=True)
 class CellRun(Run):
     """
     A run whose film is of the light that meets the detector.
@@ -296,7 +296,17 @@ class ForwardCells:
             scattering = Scattering(ScatterTables(table, targets))
             wave = self._waves.at(0, 0, wavelength, share)
             self._runs.append(
-                CellRun(wave, table, scattering, intersector, settings, 0, 0, 0.0, map_size=self._map_size)
+                CellRun(
+                    beam=wave,
+                    table=table,
+                    scattering=scattering,
+                    intersector=intersector,
+                    settings=settings,
+                    rays=0,
+                    seed=0,
+                    unit=0.0,
+                    map_size=self._map_size,
+                )
             )
         path = find_design_path(self.table, scene)
         has_optics = path is not None and path.has_optics

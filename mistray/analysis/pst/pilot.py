@@ -12,7 +12,7 @@ that a way which one direction has hardly seen, but whose light is known from th
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -51,7 +51,7 @@ def against_the_light(events: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarr
     return np.where(order >= 0, turned, 0).astype(np.uint32), lengths - 1
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class Plan:
     """
     What a pilot has found, by pairs of a way and a cell; the first index of two is `FORWARD` or `BACKWARD`.
@@ -87,6 +87,19 @@ class Plan:
     second: np.ndarray
     rays: np.ndarray
     cost: np.ndarray
+
+    def with_forward_pairs(self, way: np.ndarray, cell: np.ndarray) -> Plan:
+        """The plan with further pairs that are counted with the light, of which the pilot has seen nothing."""
+        nothing = np.zeros((2, len(way)))
+        return replace(
+            self,
+            way=np.concatenate([self.way, way]),
+            cell=np.concatenate([self.cell, cell]),
+            forward=np.concatenate([self.forward, np.full(len(way), True)]),
+            hits=np.concatenate([self.hits, nothing], axis=1),
+            mean=np.concatenate([self.mean, nothing], axis=1),
+            second=np.concatenate([self.second, nothing], axis=1),
+        )
 
     @property
     def light(self) -> np.ndarray:
@@ -255,7 +268,10 @@ class Pilot:
         # A ray against the light serves all cells, one with the light its own
         effort = second * (cost * [self._cells.areas.size, 1])[:, None]
         forward = self._choose(way, cell, hits, light, effort)
-        plan = Plan(events, lengths, way, cell, forward, hits, mean, second, self.rays.copy(), cost)
+        plan = Plan(
+            events=events, lengths=lengths, way=way, cell=cell, forward=forward, hits=hits, mean=mean, second=second,
+            rays=self.rays.copy(), cost=cost,
+        )  # fmt: skip
         return _widened(plan, len(lengths), self._way_level)
 
     def _choose(
@@ -302,16 +318,4 @@ def _widened(plan: Plan, ways: int, forward: np.ndarray) -> Plan:
     wanted = (chosen[:, None] * plan.rays.shape[1] + cells).ravel()
     new = np.setdiff1d(wanted, plan.way * plan.rays.shape[1] + plan.cell)
     way, cell = np.divmod(new, plan.rays.shape[1])
-    nothing = np.zeros((2, len(new)))
-    return Plan(
-        plan.events,
-        plan.lengths,
-        np.concatenate([plan.way, way]),
-        np.concatenate([plan.cell, cell]),
-        np.concatenate([plan.forward, np.full(len(new), True)]),
-        np.concatenate([plan.hits, nothing], axis=1),
-        np.concatenate([plan.mean, nothing], axis=1),
-        np.concatenate([plan.second, nothing], axis=1),
-        plan.rays,
-        plan.cost,
-    )
+    return plan.with_forward_pairs(way, cell)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import KW_ONLY, dataclass, field, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -78,6 +78,7 @@ class Pst:
     grid: DirectionGrid
     by_batch: np.ndarray
     weight: np.ndarray
+    _: KW_ONLY
     convention: str = "normal"
     method: str = "adjoint"
     facts: dict[str, Any] = field(default_factory=dict)

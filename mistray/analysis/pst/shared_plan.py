@@ -57,20 +57,13 @@ def share(plans: Sequence[Plan], tables: Sequence[SurfaceTable]) -> list[Plan]:
         at = np.zeros(len(first), dtype=np.int64)
         at[of] = np.arange(len(of))
         at[lacking] = len(of) + np.arange(len(lacking))
-        nothing = np.zeros((2, int(held.sum())))
-        shared.append(
-            replace(
-                plan,
-                events=np.concatenate([np.pad(plan.events, ((0, 0), (0, longest - plan.events.shape[1]))), own]),
-                lengths=np.concatenate([plan.lengths, lengths[first[lacking]]]),
-                way=np.concatenate([plan.way, at[new_way[held]]]),
-                cell=np.concatenate([plan.cell, new_cell[held]]),
-                forward=np.concatenate([np.isin(pair, forward), np.full(nothing.shape[1], True)]),
-                hits=np.concatenate([plan.hits, nothing], axis=1),
-                mean=np.concatenate([plan.mean, nothing], axis=1),
-                second=np.concatenate([plan.second, nothing], axis=1),
-            )
+        known = replace(
+            plan,
+            events=np.concatenate([np.pad(plan.events, ((0, 0), (0, longest - plan.events.shape[1]))), own]),
+            lengths=np.concatenate([plan.lengths, lengths[first[lacking]]]),
+            forward=np.isin(pair, forward),
         )
+        shared.append(known.with_forward_pairs(at[new_way[held]], new_cell[held]))
     return shared
 
 

@@ -31,7 +31,7 @@ MOST_EVENTS = 64
 LARGEST_FIELD_DEG = 89.0
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class FirstOrder:
     """
     First-order numbers of a system at one wavelength.

@@ -72,7 +72,7 @@ class Emitter:
     irradiance_W_mm2: Estimate
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, kw_only=True)
 class ThermalReport:
     """
     What warms the detector; irradiances are in W/mm² in the band and do not depend on what the detector absorbs.
