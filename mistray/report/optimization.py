@@ -7,7 +7,6 @@ from collections.abc import Mapping
 from dataclasses import asdict
 from pathlib import Path
 
-import pandas as pd
 from markupsafe import Markup
 
 from mistray.optimize import Optimization
@@ -22,6 +21,7 @@ from mistray.report.optimization_tables import (
     history_frame,
     layers_table,
     moved_table,
+    terms_frame,
     variables_frame,
 )
 from mistray.report.output import writable_directory, write_report
@@ -104,7 +104,7 @@ def optimization_report(result: Optimization, command: str = "") -> Report:
         [*sections, settings_section(facts, command)],
         lead=[Items(_findings(result)), Note(seeds)],
         csv={
-            "terms.csv": pd.DataFrame([vars(row) for row in result.comparison.rows]),
+            "terms.csv": terms_frame(result),
             "variables.csv": variables_frame(result),
             "history.csv": history_frame(result),
         },

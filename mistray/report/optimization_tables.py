@@ -14,6 +14,9 @@ from mistray.optimize.study.goals import holds, limit_of
 from mistray.report.model import Table, Value, columns
 from mistray.report.tables.text import number, table_text
 
+TERM_COLUMNS = (
+    "term", "unit", "field_deg", "wavelength_nm", "before", "before_se", "after", "after_se", "ratio", "ratio_se",
+)  # fmt: skip
 AT_BOUND = 1e-6  # of the way from bound to bound
 
 
@@ -158,6 +161,11 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
             }
         )
     )
+
+
+def terms_frame(result: Optimization) -> pd.DataFrame:
+    """The terms, each whole, at every field and at every wavelength."""
+    return pd.DataFrame([vars(row) for row in result.comparison.rows])[list(TERM_COLUMNS)]
 
 
 def variables_frame(result: Optimization) -> pd.DataFrame:

@@ -71,6 +71,9 @@ def test_files(result: Optimization, files: list[Path]) -> None:
     for file in files[4:7]:
         assert file.read_bytes().startswith(b"\x89PNG")
     rows = read(files[1])
+    assert list(rows[0]) == [
+        *("term", "unit", "field_deg", "wavelength_nm", "before", "before_se", "after", "after_se", "ratio", "ratio_se")
+    ]
     assert len(rows) == len(result.comparison.rows) == 1 + 2 + 2 + 4 + 1
     assert (rows[0]["term"], rows[0]["field_deg"], rows[0]["wavelength_nm"], rows[0]["unit"]) == (
         "ghosts",

@@ -1,4 +1,4 @@
-"""Pieces of HTML: sections, tables, figures."""
+"""Pieces of HTML that tables are made of: cells, and pictures within them."""
 
 from __future__ import annotations
 
