@@ -29,7 +29,7 @@ SAME = 0.95  # least share of such hits
 
 def tree_segments(run: Run, most: int) -> tuple[mi.Point3f, mi.Vector3f, np.ndarray]:
     """Segments of a run's own ray tree, of branches that end in the detector: origins, directions and lengths."""
-    recorder = run.record(0, most)
+    recorder = run.record(None, most)
     count = min(int(recorder.count[0]), recorder.capacity)
     lengths, lanes = np.array(recorder.length)[:count], np.array(recorder.lane)[:count]
     nodes = np.array(recorder.nodes).reshape(recorder.capacity, run.settings.max_events, -1)[:count]
