@@ -17,6 +17,7 @@ import mistray.scene
 import mistray.scenes
 from mistray import cli
 from mistray.cli import program
+from mistray.cli.options import Options
 from mistray.errors import MistrayError
 from mistray.trace import Settings
 
@@ -80,8 +81,13 @@ def test_the_command_line_itself_imports_nothing_heavy(file):
 
 def test_every_command_is_in_the_list():
     files = Path(cli.__file__).parent.rglob("*.py")
-    commands = {file.stem for file in files if "\ndef add(commands" in file.read_text(encoding="utf-8")}
+    commands = {file.stem for file in files if "\nCOMMAND = Command(" in file.read_text(encoding="utf-8")}
     assert {module.__name__.rpartition(".")[2] for module in program.COMMANDS} == commands
+
+
+def test_no_option_hides_what_all_commands_do():
+    for module in program.COMMANDS:
+        assert not {option.dest for option in module.COMMAND.options} & set(dir(Options)), module.COMMAND.name
 
 
 def test_version(capsys):

@@ -122,7 +122,7 @@ def test_defaults_are_those_that_hold(name: str) -> None:
 def test_every_command_that_traces_has_a_variant_and_threads() -> None:
     for module in program.COMMANDS:
         name = module.__name__.rpartition(".")[2]
-        tracing = "start_mitsuba(options)" in inspect.getsource(module)
+        tracing = "options.start()" in inspect.getsource(module)
         flags = {flag for action in OPTIONS.get(name, ()) for flag in action.option_strings}
         assert tracing == ({"--variant", "--threads"} <= flags), name
     assert {"--variant", "--threads"} <= {flag for action in OPTIONS["ghosts"] for flag in action.option_strings}

@@ -18,8 +18,7 @@ BASH = shutil.which("bash")
 
 @pytest.fixture(scope="module")
 def commands():
-    parser = program._parser()
-    return completion.described(parser._subparsers._group_actions[0])
+    return completion.described(module.COMMAND for module in program.COMMANDS)
 
 
 @pytest.fixture(scope="module")

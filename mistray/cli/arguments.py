@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import chain
 from typing import Any, NoReturn
@@ -69,7 +70,7 @@ class Angles:
         Where they must lie.
     """
 
-    within: Range
+    within: Range = POLAR_DEG
 
     def __str__(self) -> str:
         return str(self.within)
@@ -90,18 +91,35 @@ class Angles:
         return [round(first + k * step, 9) for k in range(steps + 1)]
 
 
-class _Joined(argparse.Action):
+class Joined(argparse.Action):
     """The values of several arguments, each a list, as one list."""
 
     def __call__(self, parser: Any, namespace: argparse.Namespace, values: Any, option: str | None = None) -> None:
+        """Keep them."""
         setattr(namespace, self.dest, list(chain(*values)))
-
-
-def add_angles(group: Any, name: str, text: str, within: Range = POLAR_DEG) -> None:
-    """Declare an argument that takes numbers and ranges first:last:step, all in one list; `text` is its help."""
-    group.add_argument(name, type=Angles(within), nargs="+", action=_Joined, metavar="DEG", help=text)
 
 
 def as_text(name: str) -> str:
     """A name as text: bytes that are none in the locale's encoding as UTF-8, or else as question marks."""
     return name.encode("utf-8", "surrogateescape").decode("utf-8", "replace")
+
+
+def pairs(wrong: str, kind: Callable[[str], Any] = str) -> Callable[[str], tuple[str, Any]]:
+    """
+    The type of an argument NAME=VALUE.
+
+    Parameters
+    ----------
+    wrong : str
+        What another text is, and what to write.
+    kind : callable
+        Type of the value.
+    """
+
+    def pair(text: str) -> tuple[str, Any]:
+        name, sign, value = text.rpartition("=")
+        if not sign or not name:
+            raise argparse.ArgumentTypeError(f"'{text}' is {wrong}")
+        return name, kind(value)
+
+    return pair

@@ -23,23 +23,6 @@ LENSES = (".zmx", ".seq", ".yaml", ".yml")
 _ENDS = re.compile("[\n\r\"'{}[\\]]")  # what may stand before or behind the name of a file in a lens
 
 
-def declare_outputs(parser: Any, group: Any, *options: str, folder: Sequence[str] = ()) -> None:
-    """
-    Declare --force, and which options name files that the command writes.
-
-    Parameters
-    ----------
-    parser, group : ArgumentParser or group
-        The command's, and the group that shows --force.
-    *options : str
-        Names of the options, such as "plot".
-    folder : sequence of str
-        Patterns of what is written into the folder of --out, such as "ghosts_*.png".
-    """
-    group.add_argument("--force", action="store_true", help="replace existing files; never one that is read")
-    parser.set_defaults(outputs=(*options, *(("out",) if folder else ())), folder_files=tuple(folder))
-
-
 def guard_of(options: argparse.Namespace) -> Guard:
     """The guard of a command's files; --resume goes on with files of its own, so that these may be replaced."""
     force = getattr(options, "force", False) or getattr(options, "resume", False)

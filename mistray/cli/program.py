@@ -33,6 +33,7 @@ from mistray.cli.commands import (
     thermal,
     view,
 )
+from mistray.cli.options import Options
 from mistray.cli.signals import ignore
 from mistray.errors import Interrupted, MistrayError
 from mistray.interrupts import requested
@@ -40,7 +41,7 @@ from mistray.replace_file import guarding, written
 
 BAD_INPUT = 2
 FILES_NAMED = 3  # of those that an interrupted command has written
-# In the order of the help; each has `add`
+# In the order of the help; each has a `COMMAND` and `run`
 COMMANDS = (
     doctor,
     import_lens,
@@ -108,7 +109,7 @@ def _command(arguments: list[str]) -> int:
     """Run one command; --help and --version end here, too."""
     try:
         began = time.monotonic()
-        options = _parser().parse_args(arguments)
+        options = _parser().parse_args(arguments, Options())
         options.began = began
         # Names that are no text in the locale's encoding stand in reports, which are UTF-8
         options.command_line = as_text(shlex.join(["mistray", *arguments]))
@@ -190,6 +191,6 @@ def _parser() -> argparse.ArgumentParser:
     )
     parser.add_argument("--version", action=_Version, nargs=0, help="show the version and exit")
     commands = parser.add_subparsers(metavar="COMMAND", required=True)
-    for command in COMMANDS:
-        command.add(commands)
+    for module in COMMANDS:
+        module.COMMAND.declare(commands, module.run)
     return parser

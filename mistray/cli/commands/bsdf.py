@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli import bsdf_models
-from mistray.cli.arguments import Help
-from mistray.cli.claims import claim_files, declare_outputs
-from mistray.cli.tracing_arguments import print_json, working
+from mistray.cli.claims import claim_files
+from mistray.cli.command import Command, Group, Option
+from mistray.cli.options import Options
+from mistray.cli.tracing_arguments import FORCE, print_json, working
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
 
@@ -26,59 +26,55 @@ EVENTS = ("reflection", "transmission")
 PICTURES = (".png", ".svg", ".pdf")
 
 
-def add(commands: Any) -> None:
-    """Declare the command."""
-    parser = commands.add_parser(
-        "bsdf",
-        help="BSDF and total scatter of a scatter model",
-        description="Evaluate a scatter model: its BSDF against |β - β0| and against the angle of scatter, and the\n"
-        "light that it scatters (TIS) at several angles of incidence. Pictures, curves and tables.",
-        epilog="examples:\n"
-        "  mistray bsdf abg --A 0.0025 --B 0.001 --g 1.8 --plot abg.png\n"
-        "  mistray bsdf abg --rms-nm 5 --correlation-um 100 --wavelength-nm 500 --R 0.95\n"
-        "  mistray bsdf harvey_shack --rms-nm 4 --event transmission --back 1.5333 --plot polished.png\n"
-        "  mistray bsdf particulate --level 300 --event transmission --plot dust.png\n"
-        "  mistray bsdf paint --preset flat_black --json\n"
-        "  mistray bsdf measured.bsdf --table copy.csv\n"
-        "  mistray bsdf abg --A 2e-5 --B 1e-6 --g 2 --event transmission --hit-deg 30 --hit-sr 4e-6 --hit-before 0.125",
-        formatter_class=Help,
-    )
-    parser.add_argument(
-        "model", metavar="MODEL", help=f"{', '.join(bsdf_models.KINDS)}, a file .bsdf or .csv, or ABG_DATA.DAT:NAME"
-    )
-    parser.add_argument("--angles-deg", type=POLAR_DEG, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
-                        help="angles of incidence (0 15 30 45 60 75)")  # fmt: skip
-    parser.add_argument("--rotations-deg", type=AZIMUTH_DEG, nargs="+", metavar="DEG",
-                        help="anisotropic tables: azimuths of the sample's x axis from that of the specular direction "
-                        "(0 90)")  # fmt: skip
-    parser.add_argument("--event", choices=EVENTS, help="what is drawn and written (what the model scatters first)")
-    parser.add_argument("--wavelength-nm", type=WAVELENGTH_NM, default=550.0, metavar="NM", help="wavelength (550)")
-    parser.add_argument("--front", default="air", metavar="MATERIAL", help="material in front (air)")
-    parser.add_argument("--back", default="N-BK7", metavar="MATERIAL", help="material behind (N-BK7)")
-    parser.add_argument("--from-back", action="store_true", help="light comes from behind")
-    parser.add_argument("--R", type=SHARE, default=1.0, metavar="SHARE",
-                        help="what the coating reflects (1: BSDF of the reflected beam)")  # fmt: skip
-    parser.add_argument("--T", type=SHARE, default=1.0, metavar="SHARE",
-                        help="what it transmits (1: BSDF of the transmitted beam)")  # fmt: skip
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .svg or .pdf")
-    parser.add_argument("--plot-particles", type=Path, metavar="FILE",
-                        help="particulate: write a picture of the sizes and of the covered area")  # fmt: skip
-    parser.add_argument("--csv", type=Path, metavar="FILE", help="write the curves in the plane of incidence")
-    parser.add_argument("--table", type=Path, metavar="FILE",
-                        help="write a table over the hemisphere, for scenes: .bsdf (Zemax) or .csv")  # fmt: skip
-    declare_outputs(parser, parser, "plot", "plot_particles", "csv", "table")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of the tables, with the curves")
-    hits = parser.add_argument_group("a world without importance sampling: rays until one finds a small detector")
-    hits.add_argument("--hit-deg", type=FIELD_DEG, metavar="DEG",
-                      help="angle of the detector with the normal, at the first angle of incidence")  # fmt: skip
-    hits.add_argument("--hit-sr", type=SOLID_ANGLE_SR, metavar="SR", help="its solid angle as seen from the surface")
-    hits.add_argument("--hit-before", type=CHANCE, metavar="SHARE",
-                      help="chance that a ray gets to the surface (1)")  # fmt: skip
-    bsdf_models.declare(parser)
-    parser.set_defaults(run=run)
+# fmt: off
+COMMAND = Command(
+    "bsdf",
+    "BSDF and total scatter of a scatter model",
+    "Evaluate a scatter model: its BSDF against |β - β0| and against the angle of scatter, and the\n"
+    "light that it scatters (TIS) at several angles of incidence. Pictures, curves and tables.",
+    (
+        "mistray bsdf abg --A 0.0025 --B 0.001 --g 1.8 --plot abg.png",
+        "mistray bsdf abg --rms-nm 5 --correlation-um 100 --wavelength-nm 500 --R 0.95",
+        "mistray bsdf harvey_shack --rms-nm 4 --event transmission --back 1.5333 --plot polished.png",
+        "mistray bsdf particulate --level 300 --event transmission --plot dust.png",
+        "mistray bsdf paint --preset flat_black --json",
+        "mistray bsdf measured.bsdf --table copy.csv",
+        "mistray bsdf abg --A 2e-5 --B 1e-6 --g 2 --event transmission --hit-deg 30 --hit-sr 4e-6 --hit-before 0.125",
+    ),
+    (
+        Option("model", f"{', '.join(bsdf_models.KINDS)}, a file .bsdf or .csv, or ABG_DATA.DAT:NAME", metavar="MODEL"),
+        Option("--angles-deg", "angles of incidence (0 15 30 45 60 75)",
+               POLAR_DEG, "DEG", "+", default=list(DEFAULT_ANGLES)),
+        Option("--rotations-deg", "anisotropic tables: azimuths of the sample's x axis from that of the specular "
+               "direction (0 90)", AZIMUTH_DEG, "DEG", "+"),
+        Option("--event", "what is drawn and written (what the model scatters first)", EVENTS),
+        Option("--wavelength-nm", "wavelength (550)", WAVELENGTH_NM, "NM", default=550.0),
+        Option("--front", "material in front (air)", metavar="MATERIAL", default="air"),
+        Option("--back", "material behind (N-BK7)", metavar="MATERIAL", default="N-BK7"),
+        Option("--from-back", "light comes from behind", bool),
+        Option("--R", "what the coating reflects (1: BSDF of the reflected beam)", SHARE, "SHARE", default=1.0),
+        Option("--T", "what it transmits (1: BSDF of the transmitted beam)", SHARE, "SHARE", default=1.0),
+        Option("--plot", "write a picture: .png, .svg or .pdf", Path, "FILE", writes=()),
+        Option("--plot-particles", "particulate: write a picture of the sizes and of the covered area", Path, "FILE",
+               writes=()),
+        Option("--csv", "write the curves in the plane of incidence", Path, "FILE", writes=()),
+        Option("--table", "write a table over the hemisphere, for scenes: .bsdf (Zemax) or .csv", Path, "FILE",
+               writes=()),
+        FORCE,
+        Option("--json", "print JSON instead of the tables, with the curves", bool),
+        Group("a world without importance sampling: rays until one finds a small detector", (
+            Option("--hit-deg", "angle of the detector with the normal, at the first angle of incidence",
+                   FIELD_DEG, "DEG"),
+            Option("--hit-sr", "its solid angle as seen from the surface", SOLID_ANGLE_SR, "SR"),
+            Option("--hit-before", "chance that a ray gets to the surface (1)", CHANCE, "SHARE"),
+        )),
+        bsdf_models.GROUP,
+    ),
+)
+# fmt: on
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the command."""
     from mistray.scatter.scan import scan
 
@@ -132,7 +128,7 @@ def run(options: argparse.Namespace) -> int:
 
 
 def _record(
-    options: argparse.Namespace,
+    options: Options,
     title: str,
     model: Scatter,
     totals: list[dict[str, Any]],
@@ -182,7 +178,7 @@ def _record(
     return dict(plain(record))
 
 
-def _chance(options: argparse.Namespace, model: Scatter, event: str, light: Light) -> Chance | None:
+def _chance(options: Options, model: Scatter, event: str, light: Light) -> Chance | None:
     """Of a hit by rays that nobody aims, if it is asked for."""
     from mistray.scatter.chance import chance
 
@@ -230,7 +226,7 @@ def _total_rows(
     return rows
 
 
-def _light(options: argparse.Namespace) -> Light:
+def _light(options: Options) -> Light:
     from mistray.materials import refractive_index
     from mistray.scatter.scan import Light
 
@@ -239,9 +235,9 @@ def _light(options: argparse.Namespace) -> Light:
     return Light(options.wavelength_nm, n_in, n_out, not options.from_back, options.R, options.T)
 
 
-def _title(options: argparse.Namespace, model: Scatter) -> str:
+def _title(options: Options, model: Scatter) -> str:
     """The model and the numbers it was given."""
-    given = {key: getattr(options, key) for key in bsdf_models.OPTIONS if getattr(options, key) is not None}
+    given = bsdf_models.given(options)
     parts = [f"{key} = {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in given.items()]
     name = Path(options.model).name if options.model not in bsdf_models.KINDS else options.model
     return ", ".join([f"{name} {parts[0]}" if parts else name, *parts[1:]])
@@ -265,7 +261,7 @@ def _notes(model: Scatter) -> list[str]:
     return [f"note: {advice}"] if advice else []
 
 
-def _sheet(options: argparse.Namespace) -> list[str]:
+def _sheet(options: Options) -> list[str]:
     """The steps from a roughness to A, B and g."""
     sheet = bsdf_models.roughness_sheet(options)
     if sheet is None:
@@ -324,7 +320,7 @@ def _write_curves(scans: list[Scan], path: Path, command: str, turned: bool) -> 
     replace_file(path, "\n".join(lines) + "\n", "curves")
 
 
-def _write_table(model: Scatter, options: argparse.Namespace, event: str, light: Light) -> None:
+def _write_table(model: Scatter, options: Options, event: str, light: Light) -> None:
     from mistray.scatter.measured.bsdf_csv import write_bsdf_csv
     from mistray.scatter.measured.zemax_bsdf import write_zemax_bsdf
     from mistray.scatter.scan import table

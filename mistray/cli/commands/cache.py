@@ -2,33 +2,33 @@
 
 from __future__ import annotations
 
-import argparse
 from typing import Any
 
-from mistray.cli.arguments import Help
+from mistray.cli.command import Command, Option
+from mistray.cli.options import Options
 from mistray.cli.tracing_arguments import print_json
 
 BYTES_PER_MB = 1e6
 
 
-def add(commands: Any) -> None:
-    """Declare the command."""
-    parser = commands.add_parser(
-        "cache",
-        help="say what is kept of earlier results, or remove it",
-        description="Results of mistray sweep are kept in the user's folder for caches, or in that of the environment\n"
-        "variable MISTRAY_CACHE (off: none), up to MISTRAY_CACHE_MB (1000); docs/sweeps.md has the details.",
-        epilog="examples:\n  mistray cache info\n  mistray cache clear",
-        formatter_class=Help,
-    )
-    parser.add_argument(
-        "action", choices=("info", "clear"), help="say where the cache is and how large, or remove all results"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    parser.set_defaults(run=run)
+# fmt: off
+COMMAND = Command(
+    "cache",
+    "say what is kept of earlier results, or remove it",
+    "Results of mistray sweep are kept in the user's folder for caches, or in that of the environment\n"
+    "variable MISTRAY_CACHE (off: none), up to MISTRAY_CACHE_MB (1000); docs/sweeps.md has the details.",
+    (
+        "mistray cache info", "mistray cache clear",
+    ),
+    (
+        Option("action", "say where the cache is and how large, or remove all results", ("info", "clear")),
+        Option("--json", "print JSON instead of text", bool),
+    ),
+)
+# fmt: on
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the command."""
     from mistray.cache import limit_bytes, open_cache
 

@@ -4,12 +4,13 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
-from mistray.cli.arguments import Help
-from mistray.cli.claims import claim_files, declare_outputs
+from mistray.cli.claims import claim_files
 from mistray.cli.coating_json import as_json
-from mistray.cli.tracing_arguments import print_json, working
+from mistray.cli.command import Command, Option
+from mistray.cli.options import Options
+from mistray.cli.tracing_arguments import FORCE, print_json, working
 from mistray.errors import MistrayError
 from mistray.ranges import POLAR_DEG, POSITIVE, WAVELENGTH_NM
 
@@ -24,44 +25,41 @@ ROWS_SHOWN = 7
 MOST_WAVELENGTHS = 20_000
 
 
-def add(commands: Any) -> None:
-    """Declare the command."""
-    parser = commands.add_parser(
-        "coating",
-        help="reflectance of a coating over wavelength and angle",
-        description="Evaluate a coating between two materials, or the coatings of a scene: R, T and A = 1 - R - T\n"
-        "over wavelength and angle, for s and p. Pictures, and a CSV table that scenes can use.",
-        epilog="examples:\n"
-        "  mistray coating bbar3 --plot bbar3.png\n"
-        "  mistray coating protected_al --wavelength-nm 400:1000:10 --angles-deg 0 45\n"
-        '  mistray coating "MgF2 99.64, 2.1 0.5w, 1.63 0.25w" --back N-SF6 --csv ar.csv\n'
-        "  mistray coating COATING.DAT:AR --design-nm 587.6 --json\n"
-        "  mistray coating cooke_triplet --plot surfaces.png",
-        formatter_class=Help,
-    )
-    parser.add_argument(
-        "coating", metavar="COATING",
-        help="preset, 'bare', table.csv, COATING.DAT:NAME, layers between commas (material and thickness in nm, or in "
-             "waves with a w), or a scene",
-    )  # fmt: skip
-    parser.add_argument("--front", metavar="MATERIAL", help="material in front (air)")
-    parser.add_argument("--back", metavar="MATERIAL", help="material behind (N-BK7)")
-    parser.add_argument("--from-back", action="store_true", help="light comes from behind")
-    parser.add_argument("--wavelength-nm", nargs="+", default=[DEFAULT_WAVELENGTHS], metavar="NM",
-                        help=f"wavelengths, or first:last:step ({DEFAULT_WAVELENGTHS})")  # fmt: skip
-    parser.add_argument("--angles-deg", type=POLAR_DEG, nargs="+", default=list(DEFAULT_ANGLES), metavar="DEG",
-                        help="angles of incidence (0 15 30 45)")  # fmt: skip
-    parser.add_argument("--design-nm", type=WAVELENGTH_NM, default=550.0, metavar="NM",
-                        help="wavelength of thicknesses in waves and of presets (550)")  # fmt: skip
-    parser.add_argument("--plot", type=Path, metavar="FILE", help="write a picture: .png, .svg or .pdf")
-    parser.add_argument("--csv", type=Path, metavar="FILE",
-                        help="write R, T and phases; its angles are those in the material of lower index")  # fmt: skip
-    declare_outputs(parser, parser, "plot", "csv")
-    parser.add_argument("--json", action="store_true", help="print JSON instead of the tables, with the whole spectrum")
-    parser.set_defaults(run=run)
+# fmt: off
+COMMAND = Command(
+    "coating",
+    "reflectance of a coating over wavelength and angle",
+    "Evaluate a coating between two materials, or the coatings of a scene: R, T and A = 1 - R - T\n"
+    "over wavelength and angle, for s and p. Pictures, and a CSV table that scenes can use.",
+    (
+        "mistray coating bbar3 --plot bbar3.png",
+        "mistray coating protected_al --wavelength-nm 400:1000:10 --angles-deg 0 45",
+        'mistray coating "MgF2 99.64, 2.1 0.5w, 1.63 0.25w" --back N-SF6 --csv ar.csv',
+        "mistray coating COATING.DAT:AR --design-nm 587.6 --json",
+        "mistray coating cooke_triplet --plot surfaces.png",
+    ),
+    (
+        Option("coating", "preset, 'bare', table.csv, COATING.DAT:NAME, layers between commas (material and thickness "
+               "in nm, or in waves with a w), or a scene", metavar="COATING"),
+        Option("--front", "material in front (air)", metavar="MATERIAL"),
+        Option("--back", "material behind (N-BK7)", metavar="MATERIAL"),
+        Option("--from-back", "light comes from behind", bool),
+        Option("--wavelength-nm", f"wavelengths, or first:last:step ({DEFAULT_WAVELENGTHS})",
+               metavar="NM", nargs="+", default=[DEFAULT_WAVELENGTHS]),
+        Option("--angles-deg", "angles of incidence (0 15 30 45)", POLAR_DEG, "DEG", "+", default=list(DEFAULT_ANGLES)),
+        Option("--design-nm", "wavelength of thicknesses in waves and of presets (550)",
+               WAVELENGTH_NM, "NM", default=550.0),
+        Option("--plot", "write a picture: .png, .svg or .pdf", Path, "FILE", writes=()),
+        Option("--csv", "write R, T and phases; its angles are those in the material of lower index", Path, "FILE",
+               writes=()),
+        FORCE,
+        Option("--json", "print JSON instead of the tables, with the whole spectrum", bool),
+    ),
+)
+# fmt: on
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the command."""
     from mistray.coatings import coating_from_text, spectrum, write_table
 
@@ -136,16 +134,13 @@ def _is_scene(text: str) -> bool:
     return True
 
 
-def _scene(options: argparse.Namespace, lam: list[float]) -> int:
+def _scene(options: Options, lam: list[float]) -> int:
     """Coatings of the surfaces of a scene."""
     from mistray._mitsuba_compat import silence_warnings
     from mistray._variant import ensure_variant
 
-    given = [f"--{name.replace('_', '-')}" for name in ("front", "back", "from_back", "csv") if getattr(options, name)]
-    if given:
-        raise MistrayError(
-            f"{given[0]} has no meaning for a scene, whose surfaces have their own materials; leave it out"
-        )
+    own = " has no meaning for a scene, whose surfaces have their own materials; leave it out"
+    options.refuse(("front", "back", "from_back", "csv"), own)
     ensure_variant()  # settles libLLVM before anything imports Mitsuba
     silence_warnings()
     from mistray.coatings import spectrum

@@ -2,42 +2,42 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
 
 from mistray.cli import bsdf_models
-from mistray.cli.arguments import Help
+from mistray.cli.command import Command, Option
+from mistray.cli.options import Options
 
 # Placeholders of file names
 FILES = ("AGF", "BUDGET", "COATING", "DIR", "FILE", "MODEL", "SCENE", "STUDY", "XML", "ZMX")
 MANY = ("*", "+")
 
 
-def add(commands: Any) -> None:
-    """Declare the command."""
-    parser = commands.add_parser(
-        "completion",
-        help="print a script with which the shell completes mistray's commands and options",
-        description="Print a script for bash, zsh or fish that completes commands, options, choices, the names of\n"
-        "shipped scenes, scatter models and coatings, and files. It is made from the options of this version.",
-        epilog="examples:\n"
-        "  mistray completion bash > ~/.local/share/bash-completion/completions/mistray\n"
-        "  mistray completion zsh > ~/.zfunc/_mistray    # a folder of fpath, before compinit\n"
-        "  mistray completion fish > ~/.config/fish/completions/mistray.fish",
-        formatter_class=Help,
-    )
-    parser.add_argument("shell", choices=SHELLS, help="for which shell")
-    parser.set_defaults(run=run, commands=commands)
+# fmt: off
+COMMAND = Command(
+    "completion",
+    "print a script with which the shell completes mistray's commands and options",
+    "Print a script for bash, zsh or fish that completes commands, options, choices, the names of\n"
+    "shipped scenes, scatter models and coatings, and files. It is made from the options of this version.",
+    (
+        "mistray completion bash > ~/.local/share/bash-completion/completions/mistray",
+        "mistray completion zsh > ~/.zfunc/_mistray    # a folder of fpath, before compinit",
+        "mistray completion fish > ~/.config/fish/completions/mistray.fish",
+    ),
+    (Option("shell", "for which shell", ("bash", "zsh", "fish")),),
+)
+# fmt: on
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the command."""
-    print(script(options.shell, described(options.commands)), end="")
+    from mistray.cli.program import COMMANDS
+
+    print(script(options.shell, described(module.COMMAND for module in COMMANDS)), end="")
     return 0
 
 
@@ -70,7 +70,7 @@ class Value:
 
 
 @dataclass(frozen=True)
-class Command:
+class Described:
     """A command: its name, its line of help, its options and its positional arguments."""
 
     name: str
@@ -79,16 +79,18 @@ class Command:
     positional: tuple[Value, ...]
 
 
-def described(commands: Any) -> list[Command]:
-    """The commands of argparse's subparsers."""
+HELP = Value("", "show this help message and exit", ("-h", "--help"))
+
+
+def described(commands: Iterable[Command]) -> list[Described]:
+    """What the commands take."""
     names = _names()
     found = []
-    for action in commands._choices_actions:
-        shown = [item for item in commands.choices[action.dest]._actions if item.help != argparse.SUPPRESS]
-        actions = [_value(item, names) for item in shown]
-        options = tuple(value for value in actions if value.flags)
-        positional = tuple(value for value in actions if not value.flags)
-        found.append(Command(action.dest, action.help or "", options, positional))
+    for command in commands:
+        values = [HELP, *(_value(option, names) for option in command.options)]
+        options = tuple(value for value in values if value.flags)
+        positional = tuple(value for value in values if not value.flags)
+        found.append(Described(command.name, command.help, options, positional))
     return found
 
 
@@ -101,25 +103,25 @@ def _names() -> dict[str, tuple[str, ...]]:
     return {"SCENE": scenes, "MODEL": tuple(bsdf_models.KINDS), "COATING": (*PRESETS, "bare", *scenes)}
 
 
-def _value(action: argparse.Action, names: Mapping[str, tuple[str, ...]]) -> Value:
-    label = str(action.metavar if isinstance(action.metavar, str) else action.dest)
-    text = "" if action.help is None else " ".join(str(action.help).split())
-    if action.nargs == 0:
-        return Value("", text, tuple(action.option_strings))
-    proposed = tuple(map(str, action.choices)) if action.choices is not None else names.get(label, ())
-    files = action.type is Path or label in FILES
-    many = action.nargs in MANY or (isinstance(action.nargs, int) and action.nargs > 1)
-    return Value(label, text, tuple(action.option_strings), proposed, files, many)
+def _value(option: Option, names: Mapping[str, tuple[str, ...]]) -> Value:
+    label = option.metavar if isinstance(option.metavar, str) else option.dest
+    flags = tuple(option.name.split()) if option.name.startswith("-") else ()
+    if option.type is bool:
+        return Value("", option.help, flags)
+    proposed = option.type if isinstance(option.type, tuple) else names.get(label, ())
+    files = option.type is Path or label in FILES
+    many = option.nargs in MANY or (isinstance(option.nargs, int) and option.nargs > 1)
+    return Value(label, option.help, flags, proposed, files, many)
 
 
-def script(shell: str, commands: list[Command]) -> str:
+def script(shell: str, commands: list[Described]) -> str:
     """
     The script for a shell.
 
     Parameters
     ----------
     shell : {"bash", "zsh", "fish"}
-    commands : list of Command
+    commands : list of Described
     """
     return SHELLS[shell](commands)
 
@@ -165,7 +167,7 @@ _BASH_CASE = """\
             ;;"""
 
 
-def _bash(commands: list[Command]) -> str:
+def _bash(commands: list[Described]) -> str:
     cases = []
     for command in commands:
         values = []
@@ -186,7 +188,7 @@ def _bash_value(values: Iterable[Value]) -> str:
     return f"names={names} files={'yes' if any(value.files for value in values) else 'no'}"
 
 
-def _zsh(commands: list[Command]) -> str:
+def _zsh(commands: list[Described]) -> str:
     lines = [
         "#compdef mistray",
         "# zsh completion of mistray, made by `mistray completion zsh`",
@@ -244,7 +246,7 @@ def _escaped(text: str) -> str:
     return text
 
 
-def _fish(commands: list[Command]) -> str:
+def _fish(commands: list[Described]) -> str:
     lines = [
         "# fish completion of mistray, made by `mistray completion fish`",
         "complete -c mistray -f",
@@ -277,4 +279,4 @@ def _fish_text(text: str) -> str:
     return f"'{escaped}'"
 
 
-SHELLS: Mapping[str, Callable[[list[Command]], str]] = MappingProxyType({"bash": _bash, "zsh": _zsh, "fish": _fish})
+SHELLS: Mapping[str, Callable[[list[Described]], str]] = MappingProxyType({"bash": _bash, "zsh": _zsh, "fish": _fish})

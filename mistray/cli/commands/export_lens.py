@@ -2,51 +2,44 @@
 
 from __future__ import annotations
 
-import argparse
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
-from mistray.cli.arguments import Help
-from mistray.cli.claims import claim_files, declare_outputs
-from mistray.cli.tracing_arguments import print_json
+from mistray.cli.claims import claim_files
+from mistray.cli.command import Command, Option
+from mistray.cli.options import Options
+from mistray.cli.tracing_arguments import FORCE, print_json
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, WAVELENGTH_NM
 
-
-def add(commands: Any) -> None:
-    """Declare the command."""
-    parser = commands.add_parser(
-        "export",
-        help="write the optical surfaces of a scene as a lens file, or its critical rays",
-        description="Write the optical surfaces of a scene, in the order of light, as a sequential lens for Zemax "
-        "OpticStudio and programs that read its files. Structure, scatter and coatings without a name are left out, "
-        "and the command says what was.\n"
-        "Into a .csv file: the critical rays, centre and rim of the beam of each field, node by node, to check mounts\n"
-        "and baffles with.",
-        epilog="examples:\n"
-        "  mistray export cooke_triplet -o triplet.zmx\n"
-        "  mistray export cooke_triplet -o critical.csv --field-deg 0 7 10\n"
-        "  mistray export camera.xml -o camera.zmx --json",
-        formatter_class=Help,
-    )
-    parser.add_argument(
-        "scene", metavar="SCENE", help="scene XML file, or the name of a shipped scene such as cooke_triplet"
-    )
-    parser.add_argument(
-        "-o", "--output", metavar="FILE", type=Path,
-        help="file to write, .zmx or .csv (default: SCENE with .zmx, in this folder)",
-    )  # fmt: skip
-    parser.add_argument("--field-deg", type=FIELD_DEG, nargs="+", metavar="DEG",
-                        help="of critical rays: field angles, degrees (that of the scene)")  # fmt: skip
-    parser.add_argument("--wavelength-nm", type=WAVELENGTH_NM, nargs="+", metavar="NM",
-                        help="of critical rays: wavelengths, nm (those of the scene)")  # fmt: skip
-    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    declare_outputs(parser, parser, "output")
-    parser.set_defaults(run=run)
+# fmt: off
+COMMAND = Command(
+    "export",
+    "write the optical surfaces of a scene as a lens file, or its critical rays",
+    "Write the optical surfaces of a scene, in the order of light, as a sequential lens for Zemax "
+    "OpticStudio and programs that read its files. Structure, scatter and coatings without a name are left out, "
+    "and the command says what was.\n"
+    "Into a .csv file: the critical rays, centre and rim of the beam of each field, node by node, to check mounts\n"
+    "and baffles with.",
+    (
+        "mistray export cooke_triplet -o triplet.zmx",
+        "mistray export cooke_triplet -o critical.csv --field-deg 0 7 10",
+        "mistray export camera.xml -o camera.zmx --json",
+    ),
+    (
+        Option("scene", "scene XML file, or the name of a shipped scene such as cooke_triplet", metavar="SCENE"),
+        Option("-o --output", "file to write, .zmx or .csv (default: SCENE with .zmx, in this folder)", Path, "FILE",
+               writes=()),
+        Option("--field-deg", "of critical rays: field angles, degrees (that of the scene)", FIELD_DEG, "DEG", "+"),
+        Option("--wavelength-nm", "of critical rays: wavelengths, nm (those of the scene)", WAVELENGTH_NM, "NM", "+"),
+        Option("--json", "print JSON instead of text", bool),
+        FORCE,
+    ),
+)
+# fmt: on
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the command."""
     from mistray.io.to_sequential import to_sequential
     from mistray.io.zemax.write import write_zemax
@@ -58,10 +51,9 @@ def run(options: argparse.Namespace) -> int:
     claim_files(options, output)
     if output.suffix.lower() == ".csv":
         return _critical_rays(output, options)
-    for name in ("field_deg", "wavelength_nm"):
-        if getattr(options, name) is not None:
-            option = f"--{name.replace('_', '-')}"
-            raise MistrayError(f"{option} is about critical rays; name a .csv file as output, or leave it out")
+    options.refuse(
+        ["field_deg", "wavelength_nm"], " is about critical rays; name a .csv file as output, or leave it out"
+    )
     if output.suffix.lower() != ".zmx":
         raise MistrayError(f"output '{output}': '{output.suffix}' cannot be written; end it in .zmx or .csv")
     prescription, left_out = read_optics(options.scene)
@@ -87,7 +79,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _critical_rays(output: Path, options: argparse.Namespace) -> int:
+def _critical_rays(output: Path, options: Options) -> int:
     """Write the critical rays."""
     from mistray._variant import ensure_variant
     from mistray.analysis.critical_rays import critical_rays

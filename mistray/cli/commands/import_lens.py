@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import argparse
 import math
 import shlex
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import Help
 from mistray.cli.arriving import arriving
-from mistray.cli.claims import claim_files, declare_outputs
+from mistray.cli.claims import claim_files
+from mistray.cli.command import Command, Group, Option
 from mistray.cli.commands import import_mechanics
+from mistray.cli.options import Options
+from mistray.cli.tracing_arguments import FORCE, flag, print_json
 from mistray.errors import MistrayError
 from mistray.ranges import MARGIN, SIZE_MM, WAVELENGTH_NM
 from mistray.read_file import require_file
@@ -40,58 +41,54 @@ _MECHANICS = "mechanics"
 _CALLED = {"json": "JSON", "yaml": "batoid", "zmx": "Zemax", "seq": "CODE V", _MECHANICS: "mechanical"}
 
 
-def add(commands: Any) -> None:
-    """Declare the command."""
-    parser = commands.add_parser(
-        "import",
-        help="turn a lens file or mechanics into a scene",
-        description="Read a lens or mechanics and write them as a scene (Mitsuba XML). Lines of the file that have no "
-        "effect are listed. Where no light of the source reaches the detector the scene is written, the exit code is 2 "
-        "and a line says what takes the light.",
-        epilog="examples:\n"
-        "  mistray import triplet.zmx -o triplet.xml --edges ground\n"
-        "  mistray import triplet.seq --radius-mode yes\n"
-        "  mistray import scenes/phone_camera/prescription.json -o scene.xml\n"
-        "  mistray import LSST_r.yaml -o lsst.xml --wavelength-nm 620\n"
-        "  mistray import tube.step --into triplet.xml -o both.xml --paint 'vane*=black'",
-        formatter_class=Help,
-    )
-    parser.add_argument(
-        "lens",
-        metavar="FILE",
-        help="lens as Zemax .zmx, CODE V .seq, batoid .yaml or .json (like scenes/phone_camera), or mechanics as "
-        ".step, .stl, .obj or .ply",
-    )
-    parser.add_argument(
-        "-o", "--output", metavar="XML", type=Path, help="file to write (default: FILE with .xml, in this folder)"
-    )
-    parser.add_argument("--json", action="store_true", help="print JSON instead of text")
-    declare_outputs(parser, parser, "output")
-    group = parser.add_argument_group("lenses")
-    group.add_argument("--wavelength-nm", type=WAVELENGTH_NM, metavar="NM",
-                       help="wavelength of the source, nm (batoid: required; others: as the file says)")  # fmt: skip
-    group.add_argument("--variant", metavar="NAME", help="design variant that a JSON file holds, such as R13=5.272")
-    group = parser.add_argument_group("Zemax and CODE V files (in brackets: the default)")
-    group.add_argument("--edges", metavar="KIND",
-                       help="lens edges: blackened, ground, or open, which are polished and without a barrel "
-                       "(blackened)")  # fmt: skip
-    group.add_argument("--coatings", metavar="FILE", help="COATING.DAT that holds the coatings of a .zmx file")
-    group.add_argument("--glass", nargs="+", metavar="NAME=MATERIAL",
-                       help="material of a glass name, such as 'MYGLASS=nd=1.62 Vd=36.4 k=0'")  # fmt: skip
-    group.add_argument("--glass-catalogue", nargs="+", metavar="AGF", help="further glass catalogues")
-    group.add_argument("--radius-mode", choices=("yes", "no"),
-                       help="a .seq file gives radii (yes) or curvatures (no), where it does not say")  # fmt: skip
-    group.add_argument("--margin", type=MARGIN, metavar="PART",
-                       help="clear radii that the file does not give exceed the rays by this part (0.02)")  # fmt: skip
-    group.add_argument("--beam", metavar="KIND",
-                       help="the source fills the entrance pupil (pupil) or the first surface (front)")  # fmt: skip
-    group.add_argument("--detector-half-mm", type=SIZE_MM, nargs=2, metavar=("X", "Y"),
-                       help="half width and height of the detector, mm (as the image of all fields)")  # fmt: skip
-    import_mechanics.add_options(parser)
-    parser.set_defaults(run=run)
+# fmt: off
+COMMAND = Command(
+    "import",
+    "turn a lens file or mechanics into a scene",
+    "Read a lens or mechanics and write them as a scene (Mitsuba XML). Lines of the file that have no "
+    "effect are listed. Where no light of the source reaches the detector the scene is written, the exit code is 2 "
+    "and a line says what takes the light.",
+    (
+        "mistray import triplet.zmx -o triplet.xml --edges ground",
+        "mistray import triplet.seq --radius-mode yes",
+        "mistray import scenes/phone_camera/prescription.json -o scene.xml",
+        "mistray import LSST_r.yaml -o lsst.xml --wavelength-nm 620",
+        "mistray import tube.step --into triplet.xml -o both.xml --paint 'vane*=black'",
+    ),
+    (
+        Option("lens", "lens as Zemax .zmx, CODE V .seq, batoid .yaml or .json (like scenes/phone_camera), or "
+               "mechanics as .step, .stl, .obj or .ply", metavar="FILE"),
+        Option("-o --output", "file to write (default: FILE with .xml, in this folder)", Path, "XML", writes=()),
+        Option("--json", "print JSON instead of text", bool),
+        FORCE,
+        Group("lenses", (
+            Option("--wavelength-nm", "wavelength of the source, nm (batoid: required; others: as the file says)",
+                   WAVELENGTH_NM, "NM"),
+            Option("--variant", "design variant that a JSON file holds, such as R13=5.272", metavar="NAME"),
+        )),
+        Group("Zemax and CODE V files (in brackets: the default)", (
+            Option("--edges", "lens edges: blackened, ground, or open, which are polished and without a barrel "
+                   "(blackened)", metavar="KIND"),
+            Option("--coatings", "COATING.DAT that holds the coatings of a .zmx file", metavar="FILE"),
+            Option("--glass", "material of a glass name, such as 'MYGLASS=nd=1.62 Vd=36.4 k=0'",
+                   metavar="NAME=MATERIAL", nargs="+"),
+            Option("--glass-catalogue", "further glass catalogues", metavar="AGF", nargs="+"),
+            Option("--radius-mode", "a .seq file gives radii (yes) or curvatures (no), where it does not say",
+                   ("yes", "no")),
+            Option("--margin", "clear radii that the file does not give exceed the rays by this part (0.02)",
+                   MARGIN, "PART"),
+            Option("--beam", "the source fills the entrance pupil (pupil) or the first surface (front)",
+                   metavar="KIND"),
+            Option("--detector-half-mm", "half width and height of the detector, mm (as the image of all fields)",
+                   SIZE_MM, ("X", "Y"), 2),
+        )),
+        import_mechanics.GROUP,
+    ),
+)
+# fmt: on
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the command."""
     lens = Path(options.lens)
     require_file(lens, "lens")
@@ -121,7 +118,6 @@ def run(options: argparse.Namespace) -> int:
     light = arriving(output)
     record = {"name": prescription.name, "surfaces": shapes, **record, "arriving_share": light.share}
     if options.json:
-        from mistray.cli.tracing_arguments import print_json
         from mistray.files.json_values import plain
 
         print_json(plain(record), [output])
@@ -131,19 +127,18 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _check(options: argparse.Namespace, kind: str) -> None:
+def _check(options: Options, kind: str) -> None:
     """Refuse options that mean nothing for a kind of file."""
     for name, (words, kinds) in _ONLY.items():
         value = getattr(options, name)
         if value is not None and kind not in kinds:
             shown = " ".join(map(str, value if isinstance(value, list) else [value]))
-            flag = "--" + name.replace("_", "-")
-            raise MistrayError(f"{flag} {shown}: {_CALLED[kind]} files hold no {words}; leave it out")
+            raise MistrayError(f"{flag(name)} {shown}: {_CALLED[kind]} files hold no {words}; leave it out")
     if kind != _MECHANICS:
-        import_mechanics.refuse(options, _CALLED[kind])
+        options.refuse(import_mechanics.NAMES, f": {_CALLED[kind]} files hold no mechanics; leave it out")
 
 
-def _from_sequential(lens: Path, kind: str, options: argparse.Namespace) -> Built:
+def _from_sequential(lens: Path, kind: str, options: Options) -> Built:
     from mistray.io.codev.read import read_codev
     from mistray.io.zemax.read import read_zemax
     from mistray.prescription.closing.system import build
@@ -156,7 +151,7 @@ def _from_sequential(lens: Path, kind: str, options: argparse.Namespace) -> Buil
             lens, radius_mode=None if options.radius_mode is None else options.radius_mode == "yes", **shared
         ),
     }
-    chosen = {name: value for name in ("edges", "margin", "beam") if (value := getattr(options, name)) is not None}
+    chosen = options.given("edges", "margin", "beam")
     half = options.detector_half_mm
     built = build(readers[kind](), detector_half_mm=None if half is None else (half[0], half[1]), **chosen)
     if options.wavelength_nm is None:
@@ -177,14 +172,14 @@ def _at(prescription: Prescription, wavelength_nm: float) -> Prescription:
     return prescription.with_source(wavelength_nm=(wavelength_nm,), weights=None)
 
 
-def _from_json(lens: Path, options: argparse.Namespace) -> Prescription:
+def _from_json(lens: Path, options: Options) -> Prescription:
     from mistray.prescription import from_json
 
     prescription = from_json(lens, variant=options.variant)
     return prescription if options.wavelength_nm is None else _at(prescription, options.wavelength_nm)
 
 
-def _from_batoid(lens: Path, options: argparse.Namespace) -> Prescription:
+def _from_batoid(lens: Path, options: Options) -> Prescription:
     if options.wavelength_nm is None:
         raise MistrayError(f"lens '{lens}': batoid media depend on the wavelength; give --wavelength-nm")
     from mistray.prescription import from_batoid

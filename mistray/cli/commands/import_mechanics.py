@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import argparse
 import shlex
 from collections import Counter
 from collections.abc import Mapping, Sequence
@@ -12,6 +11,8 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arriving import arriving
 from mistray.cli.claims import claim_files
+from mistray.cli.command import Group, Option
+from mistray.cli.options import Options
 from mistray.cli.tracing_arguments import print_json, working
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, PLACE_MM, ROWS, SECONDS, SPACE, TOLERANCE_MM
@@ -22,41 +23,27 @@ if TYPE_CHECKING:
     from mistray.prescription import MeshStructure, Structure
 
 SUFFIXES = (".step", ".stp", ".stl", ".obj", ".ply")
-OPTIONS = (
-    "into", "paint", "space", "unit", "move_mm", "tilt_deg", "most_analytic", "tolerance_mm", "time_limit_s",
-)  # fmt: skip
+# fmt: off
+GROUP = Group("mechanics (STEP, STL, OBJ, PLY)", (
+    Option("--into", "scene that the parts are added to (default: a file for <include>)", metavar="SCENE"),
+    Option("--paint", "paint of parts or faces by name: 'vane*=flat_black', 'tube=paint reflectance=0.05'; black "
+           "absorbs everything, as what has no paint does; names of the scene count too",
+           metavar="PATTERN=PAINT", nargs="+"),
+    Option("--space", "optical space of parts or faces", metavar="PATTERN=N", nargs="+"),
+    Option("--unit", "of STL, OBJ, PLY: um, mm, cm, m, inch or ft (mm)", metavar="UNIT"),
+    Option("--move-mm", "where the origin of the parts goes after the tilt, mm (0 0 0)", PLACE_MM, ("X", "Y", "Z"), 3),
+    Option("--tilt-deg", "turns about x, then y, then z of the scene, degrees (0 0 0)",
+           AZIMUTH_DEG, ("X", "Y", "Z"), 3),
+    Option("--most-analytic", "surfaces made exact at most, the largest; 0: all are meshes (64)", ROWS, "N"),
+    Option("--tolerance-mm", "largest distance of the facets of a STEP file from its surfaces, mm (0.01)",
+           TOLERANCE_MM, "MM"),
+    Option("--time-limit-s", "for reading a STEP file, processor time, seconds (5, and 30 for each MB)", SECONDS, "S"),
+))
+# fmt: on
+NAMES = tuple(option.dest for option in GROUP.options)  # of the options that only mechanics have
 
 
-def add_options(parser: argparse.ArgumentParser) -> None:
-    """Declare the options that only mechanics have."""
-    group = parser.add_argument_group("mechanics (STEP, STL, OBJ, PLY)")
-    group.add_argument("--into", metavar="SCENE",
-                       help="scene that the parts are added to (default: a file for <include>)")  # fmt: skip
-    group.add_argument("--paint", nargs="+", metavar="PATTERN=PAINT",
-                       help="paint of parts or faces by name: 'vane*=flat_black', 'tube=paint reflectance=0.05'; black "
-                       "absorbs everything, as what has no paint does; names of the scene count too")  # fmt: skip
-    group.add_argument("--space", nargs="+", metavar="PATTERN=N", help="optical space of parts or faces")
-    group.add_argument("--unit", metavar="UNIT", help="of STL, OBJ, PLY: um, mm, cm, m, inch or ft (mm)")
-    group.add_argument("--move-mm", type=PLACE_MM, nargs=3, metavar=("X", "Y", "Z"),
-                       help="where the origin of the parts goes after the tilt, mm (0 0 0)")  # fmt: skip
-    group.add_argument("--tilt-deg", type=AZIMUTH_DEG, nargs=3, metavar=("X", "Y", "Z"),
-                       help="turns about x, then y, then z of the scene, degrees (0 0 0)")  # fmt: skip
-    group.add_argument("--most-analytic", type=ROWS, metavar="N",
-                       help="surfaces made exact at most, the largest; 0: all are meshes (64)")  # fmt: skip
-    group.add_argument("--tolerance-mm", type=TOLERANCE_MM, metavar="MM",
-                       help="largest distance of the facets of a STEP file from its surfaces, mm (0.01)")  # fmt: skip
-    group.add_argument("--time-limit-s", type=SECONDS, metavar="S",
-                       help="for reading a STEP file, processor time, seconds (5, and 30 for each MB)")  # fmt: skip
-
-
-def refuse(options: argparse.Namespace, what: str) -> None:
-    """Raise if an option of mechanics is given for a file of another kind, which `what` names."""
-    for name in OPTIONS:
-        if getattr(options, name) is not None:
-            raise MistrayError(f"--{name.replace('_', '-')}: {what} files hold no mechanics; leave it out")
-
-
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Import the parts of `options.lens` into `options.output`."""
     from mistray.mechanics import read_mechanics
     from mistray.mechanics.mechanics import MOST_ANALYTIC

@@ -2,27 +2,16 @@
 
 from __future__ import annotations
 
-import argparse
 import contextlib
 import sys
 from collections.abc import Iterator
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import Help
-from mistray.cli.claims import claim_folder
+from mistray.cli.command import Command, Option
+from mistray.cli.options import Options
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.tracing_arguments import (
-    add_machine,
-    add_output,
-    add_scene,
-    add_seconds,
-    seconds_left,
-    show,
-    start_mitsuba,
-    terminal_bar,
-    working,
-)
+from mistray.cli.tracing_arguments import MACHINE, SCENE, TIME, output, terminal_bar
 from mistray.errors import MistrayError
 from mistray.ranges import ROWS, SEEDS
 
@@ -41,45 +30,42 @@ FILES = (
     "reflectance.png",
 )
 
-
-def add(commands: Any) -> None:
-    """Declare the command."""
-    parser = commands.add_parser(
-        "optimize",
-        help="make stray light small by coatings, shapes, positions, rims and scatter",
-        description="Search values of a scene's parameters that make a merit small, along the gradient of the traced\n"
-        "merit, and prove the result on other random numbers. STUDY is a TOML file that says what is to be small,\n"
-        "what is to be kept, and what may change; docs/optimization.md describes it.",
-        epilog="examples:\n"
-        "  mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar\n"
-        "  mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar --steps 80 --resume",
-        formatter_class=Help,
-    )
-    add_scene(parser)
-    parser.add_argument("study", metavar="STUDY", type=Path, help="TOML file")
-    parser.add_argument(
-        "--steps", type=ROWS, metavar="N", help="most steps of each search (default: as the study says)"
-    )
-    parser.add_argument("--verification-seeds", type=SEEDS, metavar="N", default=8,
-                        help="seeds on which the result is compared with the given design, at least 2 (8)")  # fmt: skip
-    add_seconds(parser)
-    parser.add_argument("--resume", action="store_true", help="go on from the checkpoint in --out")
-    add_machine(parser)
-    add_output(parser, "scene.xml, report.html, tables, pictures and the checkpoint", FILES)
-    parser.set_defaults(run=run)
+# fmt: off
+COMMAND = Command(
+    "optimize",
+    "make stray light small by coatings, shapes, positions, rims and scatter",
+    "Search values of a scene's parameters that make a merit small, along the gradient of the traced\n"
+    "merit, and prove the result on other random numbers. STUDY is a TOML file that says what is to be small,\n"
+    "what is to be kept, and what may change; docs/optimization.md describes it.",
+    (
+        "mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar",
+        "mistray optimize cooke_triplet examples/triplet_ar.toml --out out/triplet_ar --steps 80 --resume",
+    ),
+    (
+        SCENE,
+        Option("study", "TOML file", Path, "STUDY"),
+        Option("--steps", "most steps of each search (default: as the study says)", ROWS, "N"),
+        Option("--verification-seeds", "seeds on which the result is compared with the given design, at least 2 (8)",
+               SEEDS, "N", default=8),
+        TIME,
+        Option("--resume", "go on from the checkpoint in --out", bool),
+        *MACHINE,
+        output("scene.xml, report.html, tables, pictures and the checkpoint", FILES),
+    ),
+)
+# fmt: on
 
 
-def run(options: argparse.Namespace) -> int:
+def run(options: Options) -> int:
     """Run the command."""
     if options.resume and options.out is None:
         raise MistrayError("--resume needs the folder of the checkpoint; give --out")
-    start_mitsuba(options)
+    folder = options.start()
     from mistray.optimize import optimize, read_study
     from mistray.report.optimization_tables import optimization_record, report_text
 
     study = read_study(options.study)
     steps = study.optimizer.steps if options.steps is None else options.steps
-    folder = claim_folder(options)
     checkpoint = None if folder is None else folder / "checkpoint.json"
     saved = SavedRun(checkpoint, lambda: "all steps are", options.resume)
     files: list[Path] = []
@@ -93,21 +79,18 @@ def run(options: argparse.Namespace) -> int:
                 resume=options.resume,
                 progress=shown,
                 verification_seeds=options.verification_seeds,
-                seconds=seconds_left(options),
+                seconds=options.seconds_left(),
             )
         if options.out is not None:
             from mistray.report.optimization import write_optimization
 
-            with working("drawing the report", options.quiet):
+            with options.working("drawing the report"):
                 files = write_optimization(result, options.out, options.command_line)
-    if saved.code:
-        return saved.code
-    show(options, lambda: optimization_record(result), lambda: report_text(result), files)
-    return 0
+    return saved.code or options.show(lambda: optimization_record(result), lambda: report_text(result), files)
 
 
 @contextlib.contextmanager
-def _progress(options: argparse.Namespace, steps: int) -> Iterator[Any]:
+def _progress(options: Any, steps: int) -> Iterator[Any]:
     """A line for each step and below them a bar over the steps, on stderr when that is a terminal."""
     with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed}", "starts", max(steps, 1)) as bar:
 

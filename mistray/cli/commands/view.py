@@ -2,27 +2,13 @@
 
 from __future__ import annotations
 
-import argparse
-from collections.abc import Sequence
-from dataclasses import fields
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
-from mistray.cli.arguments import Help
-from mistray.cli.claims import claim_files, declare_outputs
-from mistray.cli.tracing_arguments import (
-    add_ray_tree,
-    add_scatter,
-    add_scene,
-    add_spectrum,
-    check_weights,
-    print_json,
-    progress_bar,
-    scene_title,
-    settings_of,
-    start_mitsuba,
-    working,
-)
+from mistray.cli.claims import claim_files
+from mistray.cli.command import Command, Group, Option
+from mistray.cli.options import Options
+from mistray.cli.tracing_arguments import FORCE, NAMES, SCATTER, SCENE, SPECTRUM, print_json, ray_tree
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM, RAYS_DRAWN, ROWS
 
@@ -34,83 +20,85 @@ RAYS = 20_000
 WHOLE = "none"
 PICTURE = ("colour", "cut_deg", "cut_mm")  # options of the page alone
 OF_A_TRACE = ("field_deg", "azimuth_deg", "wavelength_nm", "weights", "paths", "path_ids", "filter", "rays_per_path",
-              "save_rays")  # fmt: skip
+              "save_rays", *NAMES)  # fmt: skip
+NO_EFFECT = " has no effect "
 
 
-def add(commands: Any) -> None:
-    """Declare the command."""
-    parser = commands.add_parser(
-        "view",
-        help="show a scene in 3-D, cut open, with the rays of its strongest paths",
-        description="Trace a scene and write one HTML page: the surfaces cut open and coloured by the flux on them,\n"
-        "rays of the strongest paths, the rows of the path table to switch them. The page needs no network; to\n"
-        "make it takes plotly: pip install 'mistray[view]'.",
-        epilog="examples:\n"
-        "  mistray view phone_camera --field-deg 20 --out view.html\n"
-        "  mistray view cooke_triplet --field-deg 10 --layout triplet.pdf --save-rays rays.ply\n"
-        "  mistray view scene.xml --cut-deg 90 --path-ids 0 3 7 --out view.html\n"
-        "  mistray view scene.xml --no-trace",
-        formatter_class=Help,
-    )
-    add_scene(parser)
-    source = parser.add_argument_group("source (default: as the scene says)")
-    source.add_argument("--field-deg", type=FIELD_DEG, metavar="DEG", help="field angle, degrees")
-    source.add_argument("--azimuth-deg", type=AZIMUTH_DEG, metavar="DEG", help="azimuth of the field about z, degrees")
-    add_spectrum(source)
-    add_ray_tree(parser, f"start rays ({RAYS}, whatever the scene says)")
-    add_scatter(parser)
-    picture = parser.add_argument_group("picture")
-    picture.add_argument(
-        "--paths",
-        type=ROWS,
-        metavar="N",
-        help="paths, strongest first, each at its strongest wavelength (8; 4 in a layout)",
-    )
-    picture.add_argument("--path-ids", type=ROWS, nargs="+", metavar="ID", help="these rows instead")
-    picture.add_argument("--filter", metavar="EXPR",
-                         help="strongest rows that pass a filter, as 'G(lens*) & !S' (docs/rays.md)")  # fmt: skip
-    picture.add_argument("--rays-per-path", type=RAYS_DRAWN, metavar="N",
-                         help="most rays of each path (10; 7 in a layout)")  # fmt: skip
-    picture.add_argument("--colour", choices=("flux", "absorbed", "role"),
-                         help="of surfaces: incident flux, absorbed flux, or what they are (flux)")  # fmt: skip
-    picture.add_argument("--cut-deg", type=_cut, metavar="DEG",
-                         help="azimuth of the half that is taken away, about z; none: the whole (180)")  # fmt: skip
-    picture.add_argument("--cut-mm", type=PLACE_MM, metavar="MM",
-                         help="distance of the cut from the z axis, mm (0)")  # fmt: skip
-    picture.add_argument("--no-trace", action="store_true", help="the scene alone: no rays, no flux")
-    output = parser.add_argument_group("output")
-    output.add_argument("--out", type=Path, metavar="FILE", help="HTML page (view.html, unless another file is named)")
-    output.add_argument("--layout", type=Path, metavar="FILE",
-                        help="section y-z with rays, for papers: .svg, .pdf, .eps or .png")  # fmt: skip
-    output.add_argument("--save-rays", type=Path, nargs="+", default=[], metavar="FILE",
-                        help="rays of the rows as polylines: .ply, .obj, .json")  # fmt: skip
-    declare_outputs(parser, output, "out", "layout", "save_rays")
-    output.add_argument("--json", action="store_true", help="print JSON instead of the names of the files")
-    output.add_argument("--quiet", action="store_true", help="no progress, nothing printed")
-    parser.set_defaults(run=run)
+def _cut(text: str) -> float | str:
+    """An azimuth in degrees, or "none"."""
+    return WHOLE if text == WHOLE else AZIMUTH_DEG(text)
 
 
-def run(options: argparse.Namespace) -> int:
+# fmt: off
+COMMAND = Command(
+    "view",
+    "show a scene in 3-D, cut open, with the rays of its strongest paths",
+    "Trace a scene and write one HTML page: the surfaces cut open and coloured by the flux on them,\n"
+    "rays of the strongest paths, the rows of the path table to switch them. The page needs no network; to\n"
+    "make it takes plotly: pip install 'mistray[view]'.",
+    (
+        "mistray view phone_camera --field-deg 20 --out view.html",
+        "mistray view cooke_triplet --field-deg 10 --layout triplet.pdf --save-rays rays.ply",
+        "mistray view scene.xml --cut-deg 90 --path-ids 0 3 7 --out view.html",
+        "mistray view scene.xml --no-trace",
+    ),
+    (
+        SCENE,
+        Group("source (default: as the scene says)", (
+            Option("--field-deg", "field angle, degrees", FIELD_DEG, "DEG"),
+            Option("--azimuth-deg", "azimuth of the field about z, degrees", AZIMUTH_DEG, "DEG"),
+            *SPECTRUM,
+        )),
+        ray_tree(f"start rays ({RAYS}, whatever the scene says)"),
+        SCATTER,
+        Group("picture", (
+            Option("--paths", "paths, strongest first, each at its strongest wavelength (8; 4 in a layout)", ROWS, "N"),
+            Option("--path-ids", "these rows instead", ROWS, "ID", "+"),
+            Option("--filter", "strongest rows that pass a filter, as 'G(lens*) & !S' (docs/rays.md)", metavar="EXPR"),
+            Option("--rays-per-path", "most rays of each path (10; 7 in a layout)", RAYS_DRAWN, "N"),
+            Option("--colour", "of surfaces: incident flux, absorbed flux, or what they are (flux)",
+                   ("flux", "absorbed", "role")),
+            Option("--cut-deg", "azimuth of the half that is taken away, about z; none: the whole (180)", _cut, "DEG"),
+            Option("--cut-mm", "distance of the cut from the z axis, mm (0)", PLACE_MM, "MM"),
+            Option("--no-trace", "the scene alone: no rays, no flux", bool),
+        )),
+        Group("output", (
+            Option("--out", "HTML page (view.html, unless another file is named)", Path, "FILE", writes=()),
+            Option("--layout", "section y-z with rays, for papers: .svg, .pdf, .eps or .png", Path, "FILE",
+                   writes=()),
+            Option("--save-rays", "rays of the rows as polylines: .ply, .obj, .json", Path, "FILE", "+", default=[],
+                   writes=()),
+            FORCE,
+            Option("--json", "print JSON instead of the names of the files", bool),
+            Option("--quiet", "no progress, nothing printed", bool),
+        )),
+    ),
+)
+# fmt: on
+
+
+def run(options: Options) -> int:
     """Run the command."""
-    start_mitsuba(options)
+    options.start()
     from mistray.report.figures.layout import PATHS_DRAWN, RAYS_DRAWN, layout_figure, layout_format, write_layout
     from mistray.report.output import writable_directory
     from mistray.report.rays.path_rays import chosen_rows, rays_of_paths
     from mistray.report.rays.ray_files import format_of, write_rays
     from mistray.report.view3d.view import MOST_PATHS, RAYS_PER_PATH, graph_objects
-    from mistray.scene import load
     from mistray.trace import trace
     from mistray.trace.path_filter import PathFilter
 
-    check_weights(options)
     if options.filter is not None:
         PathFilter(options.filter)  # an error in its text shows before the trace
-        _refuse(options, ("path_ids",), "beside --filter; give one of them")
+        options.refuse(["path_ids"], NO_EFFECT + "beside --filter; give one of them")
     page = options.out
     if page is None and options.layout is None and not options.save_rays:
         page = Path("view.html")
-    _check(options, page)
-    if page is not None:
+    if options.no_trace:
+        options.refuse(OF_A_TRACE, NO_EFFECT + "with --no-trace; leave it out")
+    if page is None:
+        options.refuse(PICTURE, NO_EFFECT + "without a page; give --out")
+    else:
         graph_objects()  # before anything is traced
     if options.layout is not None:
         layout_format(options.layout)
@@ -119,20 +107,16 @@ def run(options: argparse.Namespace) -> int:
     for file in filter(None, (page, options.layout, *options.save_rays)):
         writable_directory(file.parent)
     claim_files(options, page, options.layout, *options.save_rays)
-    with working(f"loading {options.scene}", options.quiet):
-        scene = load(options.scene)
+    scene = options.load()
     traced = None
     if not options.no_trace:
-        with progress_bar(options) as progress:
-            settings = settings_of(options)
+        with options.tracing() as progress:
             traced = trace(
                 scene,
                 field_deg=options.field_deg,
                 azimuth_deg=options.azimuth_deg,
-                wavelength_nm=options.wavelength_nm,
-                weights=options.weights,
                 progress=progress,
-                **settings | {"rays": RAYS if settings["rays"] is None else settings["rays"]},
+                **options.spectral_settings() | {"rays": RAYS if options.rays is None else options.rays},
             )
     if options.filter is not None and traced is not None:
         options.path_ids = _passing(traced, options)
@@ -140,7 +124,7 @@ def run(options: argparse.Namespace) -> int:
     paths = most if options.paths is None else options.paths
     rays = RAYS_PER_PATH if options.rays_per_path is None else options.rays_per_path
     files = []
-    with working("drawing", options.quiet):
+    with options.working("drawing"):
         shown = None
         if page is not None:
             shown = _view(scene, traced, paths, rays, options)
@@ -161,7 +145,7 @@ def run(options: argparse.Namespace) -> int:
     return 0
 
 
-def _passing(traced: Trace, options: argparse.Namespace) -> list[int]:
+def _passing(traced: Trace, options: Options) -> list[int]:
     """The strongest rows that pass the filter."""
     from mistray.report.rays.path_rays import one_of_each
     from mistray.report.view3d.view import MOST_PATHS
@@ -173,35 +157,16 @@ def _passing(traced: Trace, options: argparse.Namespace) -> list[int]:
     return found
 
 
-def _check(options: argparse.Namespace, page: Path | None) -> None:
-    """Refuse options that would have no effect."""
-    if page is None:
-        _refuse(options, PICTURE, "without a page; give --out")
-    if options.no_trace:
-        from mistray.trace import Settings
-
-        settings = (setting.name for setting in fields(Settings))
-        _refuse(options, (*OF_A_TRACE, *settings), "with --no-trace; leave it out")
-
-
-def _refuse(options: argparse.Namespace, names: Sequence[str], why: str) -> None:
-    """Raise for the first of these options that is given."""
-    for name in names:
-        if getattr(options, name) not in (None, []):
-            raise MistrayError(f"--{name.replace('_', '-')} has no effect {why}")
-
-
-def _view(scene: Any, traced: Trace | None, paths: int, rays: int, options: argparse.Namespace) -> View:
+def _view(scene: Any, traced: Trace | None, paths: int, rays: int, options: Options) -> View:
     from mistray.report.view3d.view import view
 
-    given = {name: getattr(options, name) for name in PICTURE if getattr(options, name) is not None}
+    given = options.given(*PICTURE)
     if given.get("cut_deg") == WHOLE:
         given["cut_deg"] = None
-    title = scene_title(options.scene)
-    return view(scene, traced, paths=paths, path_ids=options.path_ids, rays=rays, title=title, **given)
+    return view(scene, traced, paths=paths, path_ids=options.path_ids, rays=rays, title=options.title, **given)
 
 
-def _record(traced: Trace | None, paths: int, options: argparse.Namespace) -> dict[str, Any]:
+def _record(traced: Trace | None, paths: int, options: Options) -> dict[str, Any]:
     """What --json prints: the rows that are drawn."""
     if traced is None:
         return {"paths": []}
@@ -216,8 +181,3 @@ def _record(traced: Trace | None, paths: int, options: argparse.Namespace) -> di
         "paths": [{name: getattr(row, name) for name in names} for row in rows],
     }
     return dict(plain(record))
-
-
-def _cut(text: str) -> float | str:
-    """An azimuth in degrees, or "none"."""
-    return WHOLE if text == WHOLE else AZIMUTH_DEG(text)

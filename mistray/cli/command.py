@@ -1,0 +1,122 @@
+"""A command as data: its texts and its options, from which its parser and its completion are made."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from typing import Any
+
+from mistray.cli.arguments import Angles, Help, Joined, Parser
+
+
+@dataclass(frozen=True)
+class Option:
+    """
+    An option, or an argument that stands without a name.
+
+    Attributes
+    ----------
+    name : str
+        Such as "--out", or "-o --output"; without dashes for what stands without a name.
+    help : str
+    type : callable or tuple of str, optional
+        Of each value, or its choices; bool for a flag.
+    metavar : str or tuple of str, optional
+        What stands for its values in the help.
+    nargs : int or str, optional
+        How many values there are, as argparse says it.
+    default
+    extends : bool
+        Whether values given later are added to those given before.
+    old : str
+        An earlier name, which is still taken.
+    writes : tuple of str, optional
+        Given if it names what the command writes: patterns of the files in a folder, empty for a file.
+    """
+
+    name: str
+    help: str
+    type: Any = None
+    metavar: str | tuple[str, ...] | None = None
+    nargs: int | str | None = None
+    default: Any = None
+    extends: bool = False
+    old: str = ""
+    writes: tuple[str, ...] | None = None
+
+    @property
+    def dest(self) -> str:
+        """Its name among the options that were read."""
+        return self.name.split()[-1].removeprefix("--").replace("-", "_")
+
+    def declare(self, target: Any) -> None:
+        """Add it to a parser, or to a group of one."""
+        how: dict[str, Any] = {"metavar": self.metavar, "nargs": self.nargs, "default": self.default}
+        if self.type is bool:
+            how = {"action": "store_true"}
+        elif isinstance(self.type, tuple):
+            how["choices"] = self.type
+        elif isinstance(self.type, Angles):
+            how |= {"type": self.type, "action": Joined}
+        elif self.type is not None:
+            how |= {"type": self.type, "action": "extend" if self.extends else "store"}
+        target.add_argument(*self.name.split(), help=self.help, **how)
+
+
+@dataclass(frozen=True)
+class Group:
+    """Options under a heading of the help."""
+
+    title: str
+    options: tuple[Option, ...]
+
+
+@dataclass(frozen=True)
+class Command:
+    """
+    A command.
+
+    Attributes
+    ----------
+    name, help, description : str
+        Its name, its line in the list of commands, and what its own help begins with.
+    examples : tuple of str
+        Command lines.
+    parts : tuple of Option or Group
+        In the order of the help.
+    """
+
+    name: str
+    help: str
+    description: str
+    examples: tuple[str, ...]
+    parts: tuple[Option | Group, ...]
+
+    @property
+    def options(self) -> Iterator[Option]:
+        """All options, whatever their group."""
+        for part in self.parts:
+            yield from part.options if isinstance(part, Group) else (part,)
+
+    def declare(self, commands: Any, run: Callable[[Any], int]) -> None:
+        """Add its parser to those of argparse; `run` is what it does."""
+        lines = [f"example{'s' if len(self.examples) > 1 else ''}:", *self.examples]
+        texts = {"help": self.help, "description": self.description, "epilog": "\n  ".join(lines)}
+        parser: Parser = commands.add_parser(self.name, formatter_class=Help, **texts)
+        for part in self.parts:
+            if isinstance(part, Group):
+                group = parser.add_argument_group(part.title)
+                for option in part.options:
+                    option.declare(group)
+            else:
+                part.declare(parser)
+        written = {option.dest: option.writes for option in self.options if option.writes is not None}
+        parser.set_defaults(run=run, outputs=tuple(written), folder_files=sum(written.values(), ()))
+        for option in self.options:
+            if option.old:
+                parser.take_old_name(option.old, option.name)
+
+
+def angles(name: str, help: str, within: Any = None, old: str = "") -> Option:
+    """An option that takes angles in degrees and ranges of them, all in one list."""
+    return Option(name, help, Angles(within) if within else Angles(), "DEG", "+", old=old)

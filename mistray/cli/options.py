@@ -1,0 +1,173 @@
+"""The arguments of one command as given, and what all commands do with them: check, load, trace, write, print."""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import time
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from mistray.cli.arguments import as_text
+from mistray.cli.claims import claim_folder
+from mistray.cli.tracing_arguments import NAMES, flag, print_json, progress_bar, working
+from mistray.errors import MistrayError
+from mistray.interrupts import check, later
+from mistray.ranges import SECONDS
+
+if TYPE_CHECKING:
+    from mistray.report import IrradianceMap
+    from mistray.report.model import Report
+
+
+class Options(argparse.Namespace):
+    """What argparse has read."""
+
+    def given(self, *names: str) -> dict[str, Any]:
+        """Those of some options that are given."""
+        return {name: value for name in names if (value := getattr(self, name)) is not None}
+
+    def settings(self) -> dict[str, Any]:
+        """All fields of `mistray.trace.Settings` as given; None where the scene or the default decides."""
+        return {name: getattr(self, name) for name in NAMES}
+
+    def spectral_settings(self) -> dict[str, Any]:
+        """The settings, and the wavelengths with their weights."""
+        return {"wavelength_nm": self.wavelength_nm, "weights": self.weights, **self.settings()}
+
+    def refuse(self, names: Iterable[str], why: str) -> None:
+        """Raise for the first of these options that is given; `why` follows its name in the message."""
+        for name in names:
+            value = getattr(self, name)
+            if value is not None and value is not False and value != []:
+                raise MistrayError(f"{flag(name)}{why}")
+
+    def has(self, name: str) -> Any:
+        """The value of an option; None too where the command has no such option."""
+        return vars(self).get(name)
+
+    @property
+    def title(self) -> str:
+        """Name of the scene: that of its file, or of its folder if the file is called scene.xml."""
+        path = Path(self.scene).resolve()
+        return as_text(path.parent.name if path.name == "scene.xml" else path.stem)
+
+    def seconds_left(self) -> float | None:
+        """What is left of --seconds; None where it is not given."""
+        if self.seconds is None:
+            return None
+        return max(float(self.seconds - (time.monotonic() - self.began)), SECONDS.low)
+
+    def check(self) -> None:
+        """Refuse weights that do not fit the wavelengths, and --formats that cannot be written."""
+        if self.has("weights") is not None:
+            if self.wavelength_nm is None:
+                raise MistrayError("--weights without --wavelength-nm; give one wavelength for each weight")
+            if len(self.weights) != len(self.wavelength_nm):
+                raise MistrayError(
+                    f"--weights has {len(self.weights)} values for {len(self.wavelength_nm)} of --wavelength-nm; "
+                    "give one weight for each wavelength"
+                )
+        if self.has("formats"):
+            if self.out is None:
+                raise MistrayError("--formats writes files; say with --out where they shall go")
+            from mistray.report.formats import require_formats
+
+            require_formats(self.formats)
+
+    def start(self) -> Path | None:
+        """
+        Check, choose the variant and the threads before anything imports Mitsuba, and claim the folder of --out.
+
+        Returns the folder; None without one.
+        """
+        self.check()
+        from mistray._mitsuba_compat import silence_warnings
+        from mistray._variant import ensure_variant, set_threads
+
+        with later():  # an interrupt may crash Mitsuba and Dr.Jit while they start
+            ensure_variant(self.variant)  # settles libLLVM
+            if self.threads is not None:
+                set_threads(self.threads)
+            silence_warnings()
+        check()
+        return claim_folder(self) if self.folder_files else None
+
+    def working(self, what: str) -> contextlib.AbstractContextManager[None]:
+        """The block in which something is done that has no steps to count, see `working`."""
+        return working(what, self.quiet)
+
+    def load(self) -> Any:
+        """The scene."""
+        from mistray.scene import load
+
+        with self.working(f"loading {self.scene}"):
+            return load(self.scene)
+
+    def workers(self) -> contextlib.AbstractContextManager[None]:
+        """The block in which the workers of --scheduler trace, if it is given."""
+        if self.has("scheduler") is None:
+            return contextlib.nullcontext()
+        from mistray.cluster import distribute
+
+        return distribute(self.scheduler)
+
+    @contextlib.contextmanager
+    def tracing(self) -> Iterator[Callable[[float, float], None] | None]:
+        """The block in which rays are traced, by the workers if there are any; what moves its bar."""
+        with self.workers(), progress_bar(self) as progress:
+            yield progress
+
+    def write(
+        self,
+        make: Callable[[str, str], Report],
+        scene: Callable[[Path], str] | None = None,
+        maps: Mapping[str, IrradianceMap] | None = None,
+        note: str = "",
+    ) -> list[Path]:
+        """
+        Write a report into the folder of --out, its tables and maps in the --formats as well.
+
+        Parameters
+        ----------
+        make : callable
+            Name of the optical system and command line → the report.
+        scene : callable, optional
+            The folder → text of a scene.xml.
+        maps : mapping, optional
+            By file name without ending.
+        note : str
+            Follows the name of the optical system.
+
+        Returns
+        -------
+        list of Path
+            The files; none without --out.
+        """
+        if self.out is None:
+            return []
+        from mistray.report.formats import write_formats
+        from mistray.report.output import write_report
+
+        with self.working("drawing the report"):
+            report = make(f"{self.title}{note}", self.command_line)
+            files = write_report(report, self.out, scene(self.out) if scene else "")
+            facts = {"command": self.command_line}
+            return files + write_formats(self.has("formats") or (), self.out, report.csv, maps or {}, facts)
+
+    def show(
+        self,
+        record: Callable[[], Mapping[str, Any]],
+        text: Callable[[], str],
+        files: Sequence[Path],
+        page: str = "report.html",
+    ) -> int:
+        """Print a result: the record with the names of the files, or the text, or nothing; returns the exit code."""
+        if self.json:
+            print_json(record(), files)
+        elif not self.quiet:
+            print(text())
+            if files:
+                print(f"\n{len(files)} files in {self.out}; open {self.out / page}")
+        return 0
