@@ -28,7 +28,8 @@ from mistray.recorders.sampled import Sampled
 from mistray.recorders.start_rays import StartRays, generators
 from mistray.recorders.tallies import REASONS, STARTED, SURFACE_SUMS, Tallies
 from mistray.sampling.aiming import aims
-from mistray.sampling.sources import Beam, Source, beams
+from mistray.sampling.source import SceneSource, Source
+from mistray.sampling.sources import scene_sources
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.surfaces import SurfaceTable
@@ -64,7 +65,7 @@ class Run:
 
     Attributes
     ----------
-    beam : Source
+    source : Source
     table : SurfaceTable
     rays : int
         Start rays.
@@ -88,7 +89,7 @@ class Run:
         What is traced; None: all passes.
     """
 
-    beam: Source
+    source: Source
     table: SurfaceTable
     scattering: Scattering
     intersector: Intersector
@@ -128,7 +129,7 @@ class Run:
     @property
     def is_sample(self) -> bool:
         """Whether what is traced stands for the whole beam: any part does, but for the rows of a grid in one pass."""
-        whole_rows = self.beam.pattern != "grid" or self.passes == 1
+        whole_rows = self.source.pattern != "grid" or self.passes == 1
         return self.parts is None or (bool(self.parts) and whole_rows)
 
     def start_pass(self, number: int) -> StartRays:
@@ -140,10 +141,10 @@ class Run:
         rng, scrambled = generators(self.seed, lane)
         # Random batches of a grid: its rows are no sample of it
         blocks = mi.UInt32(mi.Float64(index) * (BATCHES / lanes))
-        batch = scrambled % BATCHES if self.beam.pattern == "grid" else blocks
+        batch = scrambled % BATCHES if self.source.pattern == "grid" else blocks
         dr.eval(lane, batch, rng)
         closing = np.random.default_rng((self.seed, number)).exponential(size=BATCHES)
-        o, d = self.beam.start(lane, batch, self.rays, rng, closing, self.table.centre)
+        o, d = self.source.start(lane, batch, self.rays, rng, closing, self.table.centre)
         dr.eval(o, d, rng)
         return StartRays(lane, batch, rng, o, d, dr.full(mi.Float, 1, lanes))
 
@@ -174,7 +175,7 @@ class Run:
 
     def exact(self, start: StartRays) -> tuple[np.ndarray, np.ndarray]:
         """Origins (mm) and directions of start rays in the world, without rounding of the device; (n, 3) float64."""
-        return self.beam.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
+        return self.source.exact(self.table.download_points(start.o), np.array(start.d, dtype=np.float64).T)
 
     def make_tallies(self) -> Tallies:
         """Sums at zero."""
@@ -280,7 +281,7 @@ class Run:
     def stand_for(self, parts: Sequence[Part]) -> None:
         """Let what was found in some parts stand for all light of the source."""
         self.parts = tuple(parts)
-        self.unit = self.beam.power / max(float(self.started.sum()), 1.0)
+        self.unit = self.source.power / max(float(self.started.sum()), 1.0)
 
     @property
     def started(self) -> np.ndarray:
@@ -439,28 +440,30 @@ def prepare(
     detector: str | None = None,
 ) -> list[Run]:
     """Build one `Run` for each source and wavelength; the rays are shared in proportion to their flux."""
-    return runs_of(scene, settings, beams(scene, field_deg, azimuth_deg, wavelength_nm, weights), detector)
+    return runs_of(scene, settings, scene_sources(scene, field_deg, azimuth_deg, wavelength_nm, weights), detector)
 
 
-def runs_of(scene: mi.Scene, settings: Settings, sources: Sequence[Beam], detector: str | None = None) -> list[Run]:
-    """Build one `Run` for each beam; the rays are shared in proportion to their flux."""
-    total = sum(beam.power for beam in sources)
+def runs_of(
+    scene: mi.Scene, settings: Settings, sources: Sequence[SceneSource], detector: str | None = None
+) -> list[Run]:
+    """Build one `Run` for each of some sources; the rays are shared in proportion to their flux."""
+    total = sum(source.power for source in sources)
     first = SurfaceTable(scene, sources[0].wavelength_nm, detector, settings.stokes)
     intersector = Intersector(first)
     targets = aims(first, scene, settings)
     tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first, targets)))}
     runs = []
-    for number, beam in enumerate(sources):
-        if beam.wavelength_nm not in tables:
-            other = first.at(beam.wavelength_nm)
-            tables[beam.wavelength_nm] = other, Scattering(ScatterTables(other, targets))
-        count = beam.count(max(1, round(settings.rays * beam.power / total)))
+    for number, source in enumerate(sources):
+        if source.wavelength_nm not in tables:
+            other = first.at(source.wavelength_nm)
+            tables[source.wavelength_nm] = other, Scattering(ScatterTables(other, targets))
+        count = source.count(max(1, round(settings.rays * source.power / total)))
         stream = (settings.seed + 0x9E3779B9 * number) % 2**32
-        table, scattering = tables[beam.wavelength_nm]
-        unit = beam.power / count
+        table, scattering = tables[source.wavelength_nm]
+        unit = source.power / count
         runs.append(
             Run(
-                beam=beam,
+                source=source,
                 table=table,
                 scattering=scattering,
                 intersector=intersector,

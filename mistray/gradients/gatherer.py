@@ -17,10 +17,12 @@ from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.gradients.replay import Branches, End, Exit, follow, replay_rays
 from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
 from mistray.gradients.scatter_replay import ScatterReplay
+from mistray.gradients.start_motion import SourceStart, StartMotion, SurfaceStart, source_derivatives
 from mistray.kernel.scattering import Scattering
 from mistray.recorders.adjoint import CHANNELS
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
 from mistray.recorders.start_rays import StartRays
+from mistray.sampling.source import SceneSource
 from mistray.settings import Settings
 from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
@@ -42,8 +44,8 @@ class Gatherer:
     request : GradientRequest
     longest : int
         Longest path.
-    start_surface : int, optional
-        Surface that the rays start from, against the light.
+    start : SceneSource or int, optional
+        Source of the rays, or the surface that they start from, against the light; None: it stays as it is.
 
     Raises
     ------
@@ -58,18 +60,26 @@ class Gatherer:
         settings: Settings,
         request: GradientRequest,
         longest: int,
-        start_surface: int | None = None,
+        start: SceneSource | int | None = None,
     ) -> None:
         _check(table, settings)
         self.table, self.scattering, self.request = table, scattering, request
         self.surfaces = ReplaySurfaces(table, request)
         self.scatter = ScatterReplay(table, scattering) if scattering.any else None
         self.recorder = BranchRecorder(as_many(CAPACITY, longest), longest, points_only=True)
-        self.start_surface = start_surface
+        self.backward = isinstance(start, int)
         # Rays at rims have only a place that changes; what it costs is in their coefficients
         places = replace(request, rows=False, scatter=False)
         self.edges = [ReplaySurfaces(table, places) for _ in range(2)] if request.edges and request.moves else []
+        self._starts = [self._start_motion(start, surfaces) for surfaces in (self.surfaces, *self.edges)]
         self.strayed = self.rays = 0
+
+    def _start_motion(self, start: SceneSource | int | None, surfaces: ReplaySurfaces) -> StartMotion | None:
+        if start is None:
+            return None
+        if isinstance(start, int):
+            return SurfaceStart(surfaces, start)
+        return SourceStart(start, self.request.sources, self.table.centre)
 
     def portions(self, start: StartRays, hits_per_ray: float, walk: Callable[[StartRays], None]) -> Iterator[StartRays]:
         """
@@ -132,14 +142,14 @@ class Gatherer:
         if group is not None:
             rays = replace(rays, batch=group(rays.row))
         found = follow(self.surfaces, rays)
-        replay_rays(self.surfaces, rays, found, end(rays.row, keys[order]), self.scatter, self.start_surface)
+        replay_rays(self.surfaces, rays, found, end(rays.row, keys[order]), self.scatter, self._starts[0])
         self.strayed += int(dr.count(found.strayed)[0])
         self.rays += len(order)
 
     def replay_edges(self, start: StartRays, events: EdgeEvents) -> None:
         """Replay the hits close to rims of a portion."""
         rows = np.array(events.row)
-        for surfaces, c in zip(self.edges, (events.c, events.c_half), strict=True):
+        for surfaces, start_motion, c in zip(self.edges, self._starts[1:], (events.c, events.c_half), strict=True):
             used = np.flatnonzero(np.array(c))
             if not len(used):
                 continue
@@ -148,12 +158,14 @@ class Gatherer:
             picked = upload(mi.UInt32, chosen)
             kept = (dr.gather(type(v), v, picked) for v in (events.rim, events.joined, events.scale, c))
             end = RimEnd(*kept)
-            replay_rays(surfaces, rays, follow(surfaces, rays), end, None, self.start_surface)
+            replay_rays(surfaces, rays, follow(surfaces, rays), end, None, start_motion)
 
     def result(self) -> RawGradient:
         """What has been gathered."""
         request = self.request
-        raw = RawGradient(self.table, self.scattering, backward=self.start_surface is not None)
+        raw = RawGradient(self.table, self.scattering, backward=self.backward)
+        if not self.backward and request.sources:
+            raw.sources = source_derivatives(self._starts)
         if request.geometry:
             raw.geometry = self.surfaces.geometry()
         if request.indices:

@@ -40,6 +40,9 @@ def parameter_gradient(raw: RawGradient, wanted: Wish) -> Derivatives:
         yield from index_gradient(raw.table, raw.indices, wanted, raw.rows)
     if raw.scatter:
         yield from scatter_gradient(raw.table, raw.scattering, raw.scatter, wanted)
+    for found in raw.sources:
+        if wanted(found.owner, found.name):
+            yield found.owner, found.name, found.inner[:, None]
 
 
 def edge_gradient(raw: RawGradient, wanted: Wish, half_width: bool = False) -> Derivatives:
@@ -48,3 +51,6 @@ def edge_gradient(raw: RawGradient, wanted: Wish, half_width: bool = False) -> D
         yield from geometry_gradient(raw.table, raw.edges[int(half_width)], wanted)
     if raw.edge_indices is not None:
         yield from index_gradient(raw.table, raw.edge_indices[int(half_width)], wanted)
+    for found in raw.sources:
+        if wanted(found.owner, found.name):
+            yield found.owner, found.name, found.edges[int(half_width)][:, None]

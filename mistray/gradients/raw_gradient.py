@@ -10,6 +10,7 @@ import numpy as np
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
 
 if TYPE_CHECKING:
+    from mistray.gradients.start_motion import SourceDerivative
     from mistray.kernel.scattering import Scattering
     from mistray.surfaces.surfaces import SurfaceTable
 
@@ -31,6 +32,8 @@ class GradientRequest:
         By the refractive indices on both sides of every surface.
     scatter : bool
         By the tables of scatter.
+    sources : frozenset of str
+        Names of parameters of sources.
     edges : bool
         With what rays gain and lose at rims.
     edge_width : float
@@ -41,6 +44,7 @@ class GradientRequest:
     geometry: frozenset[str] = frozenset()
     indices: bool = False
     scatter: bool = False
+    sources: frozenset[str] = frozenset()
     edges: bool = True
     edge_width: float = EDGE_WIDTH
 
@@ -52,12 +56,12 @@ class GradientRequest:
     @property
     def moves(self) -> bool:
         """Whether places of hits change, and with them what rays gain and lose at rims."""
-        return bool(self.geometry) or self.indices
+        return bool(self.geometry or self.indices or self.sources)
 
     @property
     def only_rims(self) -> bool:
         """Whether visibility is all that can change."""
-        return self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter)
+        return self.geometry <= set(RIM_COLUMNS) and not (self.rows or self.indices or self.scatter or self.sources)
 
 
 @dataclass
@@ -81,6 +85,8 @@ class RawGradient:
         Their part of `edges`.
     scatter : dict
         Name of an array of `Scattering.arrays` (totals, lobes, ratios, logs) → (BATCHES, size) float64.
+    sources : list of SourceDerivative
+        By the parameters of sources.
     left_out : list of str
         What is not in it.
     seconds : float
@@ -97,6 +103,7 @@ class RawGradient:
     indices: np.ndarray | None = None
     edge_indices: np.ndarray | None = None
     scatter: dict[str, np.ndarray] = field(default_factory=dict)
+    sources: list[SourceDerivative] = field(default_factory=list)
     left_out: list[str] = field(default_factory=list)
     seconds: float = 0.0
     backward: bool = False
@@ -109,5 +116,6 @@ class RawGradient:
                 value += getattr(other, name)
         for name, values in self.scatter.items():
             values += other.scatter[name]
+        self.sources += other.sources
         self.left_out += [text for text in other.left_out if text not in self.left_out]
         self.seconds += other.seconds

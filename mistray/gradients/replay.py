@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import drjit as dr
 import mitsuba as mi
@@ -23,6 +24,9 @@ from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
 from mistray.gradients.scatter_replay import ScatterEvent, ScatterReplay
 from mistray.recorders.ledger import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.recorders.path_events import EVENT_MASK
+
+if TYPE_CHECKING:
+    from mistray.gradients.start_motion import StartMotion
 
 NEWTON_STEPS = 1  # of the first pass, from the recorded float32 point: its error of 1e-6 is squared, then again
 FAR_OFF = 1e-3  # a ray that misses its recorded points by more, in units of 1 + their coordinates, is not the same
@@ -183,7 +187,7 @@ def replay_rays(
     found: Followed,
     end: End | Exit,
     scatter: ScatterReplay | None = None,
-    start_surface: int | None = None,
+    start: StartMotion | None = None,
 ) -> None:
     """
     Add the derivatives of what the metric gains from recorded rays to the numbers of the surfaces.
@@ -199,8 +203,8 @@ def replay_rays(
         What the metric gains from a ray as a differentiable function of its last hit, or for rays that leave.
     scatter : ScatterReplay, optional
         Of a scene that scatters.
-    start_surface : int, optional
-        Surface that the rays start from and move with.
+    start : StartMotion, optional
+        Told of the derivatives by the starts of the rays.
     """
     alive = ~found.strayed
     away = end if isinstance(end, Exit) else None
@@ -301,8 +305,8 @@ def replay_rays(
         mode="symbolic",
         label="replay rays",
     )
-    if start_surface is not None:
-        surfaces.move_start(start_surface, rays.o, rays.d, by_p, by_d, rays.batch, alive)
+    if start is not None:
+        start.add(rays, by_p, by_d, alive)
     dr.eval(by_p, by_d)
     dr.sync_thread()
 

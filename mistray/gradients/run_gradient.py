@@ -17,6 +17,7 @@ from mistray.recorders.film import Film
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import HITS
+from mistray.sampling.source import SceneSource
 from mistray.surfaces.upload import upload
 
 BOX_FILM = (
@@ -126,7 +127,9 @@ def run_gradient(
     if not request.replays:
         return RawGradient(run.table, run.scattering, rows=run.derivatives(pixel, paths))
     longest = run.settings.max_events if run.paths is None else int(run.paths.lengths.max(initial=1))
-    gatherer = Gatherer(run.table, run.scattering, run.settings, request, longest)
+    source = run.source
+    assert isinstance(source, SceneSource)
+    gatherer = Gatherer(run.table, run.scattering, run.settings, request, longest, source)
     film = run.make_film()
     image = None if pixel is None else upload(mi.Float64, np.asarray(pixel, dtype=np.float64))
     traced = run.surfaces.size > 0

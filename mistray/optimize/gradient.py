@@ -21,7 +21,7 @@ from mistray.settings import BATCHES
 from mistray.surfaces.optics import OPAQUE, TABLED
 
 COATING_KINDS = ("coating", "share")
-OTHER_KINDS = ("scatter", "index")
+OTHER_KINDS = ("scatter", "index", "source")
 
 
 @dataclass(frozen=True)
@@ -260,6 +260,7 @@ def gradient_request(
         geometry=geometry_columns(p.name for p in shapes),
         indices="index" in kinds,
         scatter="scatter" in kinds,
-        edges=edges and bool(shapes or "index" in kinds),
+        sources=frozenset(p.name for p in chosen if p.kind == "source"),
+        edges=edges and bool(shapes or kinds & {"index", "source"}),
         edge_width=edge_width,
     )

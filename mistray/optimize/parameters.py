@@ -22,6 +22,7 @@ rim        0.1 mm                                          ISO 2768-1: sizes of 
 position   0.02 mm of an `asphere`, 0.1 mm of a `frustum`  Optimax: centre thickness ± 0.020 mm; Apollo Optical Systems:
                                                            concentricity 0.015 to 0.025 mm; ISO 2768-1 as for rims
 tilt       1 arcmin                                        assumed
+source     what the source states, or 1 %                  assumed
 index      5e-4; of air 1e-5                               Optimax, manufacturing tolerance chart, "precision": n
                                                            ± 0.0005; air at 20 ± 10 °C
 ========== =============================================== ==========================================================
@@ -51,7 +52,7 @@ from mistray.physics.geometry.sag import sag
 from mistray.surfaces.gradient_columns import COEFFICIENTS, DISPLACEMENT, ROTATION
 from mistray.surfaces.surfaces import solid_shapes
 
-KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index")
+KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index", "source")
 # Scatter: unit, range and tolerance relative to the value
 _SCATTER = {
     "A": ("1/sr", 0.0, math.inf, 0.2),
@@ -75,6 +76,7 @@ _SCATTER = {
     "width_mm": ("mm", 0.0, math.inf, 0.2),
 }
 OWN_SCATTER = ("1", -math.inf, math.inf, 0.2)  # what is known of a value of a user's scatter plugin
+OF_SOURCE = 0.01  # of a number of a source that states no tolerance, relative to it
 BINDER = 0.02  # tolerance of the index of a paint's binder
 THICKNESS, LAYER_INDEX, LAYER_K = 0.01, 0.01, 1e-4
 SHARE, LEAST_SHARE = 0.2, 1e-3
@@ -155,6 +157,9 @@ def parameters(scene: mi.Scene, params: Mapping[str, Any] | None = None) -> dict
             near.setdefault(part, []).append(shape)
     for key in params.keys():  # noqa: SIM118  (mi.SceneParameters iterates over pairs)
         owner, name = properties[key][2], key.rsplit(".", 1)[-1]
+        if name in getattr(owner, "differentiable", ()) and hasattr(owner, "sources"):
+            found[key] = _of_source(key, owner, name)
+            continue
         shapes = [shape for shape in near.get(id(owner), ()) if _has(shape, owner, name)]
         if not shapes:
             continue
@@ -286,6 +291,15 @@ def _about_bsdf(owner: Any, name: str, value: np.ndarray) -> _About:
     if name == "n_shift":
         return "coating", "1", LAYER_INDEX, float(np.max(value - indices.real)), math.inf
     return "coating", "1", LAYER_K, float(np.max(value - indices.imag)), math.inf
+
+
+def _of_source(key: str, source: Any, name: str) -> Parameter:
+    """A number of a source, which is about no surface."""
+    within, value = source.ranges[name], source.values[name]
+    tolerance = source.tolerances.get(name, OF_SOURCE * abs(value) or OF_SOURCE)
+    return Parameter(
+        key, "source", within.unit, np.array([value]), source, name, (), tolerance, within.low, within.high
+    )
 
 
 def _about_shape(shape: Any, name: str, value: np.ndarray) -> _About:

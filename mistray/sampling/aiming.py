@@ -39,7 +39,7 @@ SEEN, DETECTOR_SEEN = 0.04, 0.005  # share of them that must see it
 LANDED = 0.02  # share of the rays to an image that must land on the detector
 MOST_TARGETS = 4
 
-_OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg")
+_OF_SOURCES = ("matrix", "size", "plane", "distance", "field_deg", "azimuth_deg", "values")
 MOST_KNOWN = 32  # scenes whose automatic targets are kept: a scene is traced at many fields
 _known: dict[str, dict[Place, list[Target]]] = {}
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from mistray.kernel.targets import Target
 from mistray.sampling.outlines import outline
-from mistray.sampling.sources import Beam, beams
+from mistray.sampling.source import SceneSource
+from mistray.sampling.sources import scene_sources, source_emitters
 from mistray.surfaces.host_rays import crossings, first_hit, inside, normals, onward, specular
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
@@ -158,7 +159,7 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
     """
     The design path of a scene.
 
-    Probe rays of each beam on its axis (field angle 0), then at its own field angle, are followed: reflected where a
+    Probe rays of each source on its axis (field angle 0), then at its own field angle, are followed: reflected where a
     surface is declared ``mirror``, is opaque and reflects more than half, or in total reflection; transmitted
     elsewhere. The path that most of them take to the detector is it.
 
@@ -167,24 +168,21 @@ def find_design_path(table: SurfaceTable, scene: mi.Scene) -> DesignPath | None:
     DesignPath or None
         None where no probe reaches the detector, or there is no source.
     """
-    if not any(hasattr(emitter, "start_distance") for emitter in scene.emitters()):
+    if not source_emitters(scene):
         return None
     for field in (0.0, None):
-        for beam in beams(scene, field_deg=field):
-            probed = _probe(table, beam)
-            path = _with_base_ray(table, beam, probed) if probed else None
+        for source in scene_sources(scene, field_deg=field):
+            probed = _probe(table, source)
+            path = _with_base_ray(table, source, probed) if probed else None
             if path is not None:
                 return path
     return None
 
 
-def _probe(table: SurfaceTable, beam: Beam) -> list[Step] | None:
+def _probe(table: SurfaceTable, source: SceneSource) -> list[Step] | None:
     """The steps that most probes take to the detector, each with the hit of one of them."""
     sample = mi.Point2f(*(upload(mi.Float, v) for v in np.random.default_rng(0).random((2, PROBES))))
-    x, y = (np.array(v, dtype=np.float64)[:, None] for v in beam.emitter.positions(sample))
-    d = np.tile(beam.direction, (PROBES, 1))
-    o = beam.pivot + x * beam.u + y * beam.v
-    o = o - (beam.distance + (o - beam.pivot) @ beam.direction)[:, None] * d
+    o, d = source.probes(sample)
     last = np.full(PROBES, -1)
     trails: list[list[Step]] = [[] for _ in range(PROBES)]
     arrived = []
@@ -208,10 +206,10 @@ def _probe(table: SurfaceTable, beam: Beam) -> list[Step] | None:
     return next(trails[ray] for ray, order in orders.items() if order == most)
 
 
-def _with_base_ray(table: SurfaceTable, beam: Beam, probed: list[Step]) -> DesignPath | None:
-    """The path with the steps of the ray in the middle of the beam; None if that ray misses a surface altogether."""
+def _with_base_ray(table: SurfaceTable, source: SceneSource, probed: list[Step]) -> DesignPath | None:
+    """The path with the steps of the ray in the middle of the light; None if that ray misses a surface altogether."""
     path = DesignPath(table, tuple(probed), outline(table.shapes[table.detector]))
-    o, d = beam.pivot[None] - beam.distance * beam.direction, beam.direction[None]
+    o, d = source.middle
     steps = []
     for step in probed:
         o, normal = path.meet(step, o, d)

@@ -11,7 +11,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.recorders.directions import DirectionGrid
-from mistray.sampling.sources import sorted_points
+from mistray.sampling.source import Source
+from mistray.sampling.space_filling import sorted_points
 from mistray.surfaces.host_points import box_corners
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -47,7 +48,7 @@ class Entrance:
 
 
 @dataclass(frozen=True)
-class PlaneWave:
+class PlaneWave(Source):
     """
     Light from the directions of one cell of a grid, of an irradiance of 1 W/mm² across each of them.
 
@@ -88,8 +89,6 @@ class PlaneWave:
     is_round: bool
     distance: float
 
-    pattern = "random"
-
     @property
     def area(self) -> float:
         """Cross-section, mm²."""
@@ -97,23 +96,15 @@ class PlaneWave:
         return float(np.pi * a * a if self.is_round else 4 * a * b)
 
     @property
-    def power(self) -> float:
+    def power(self) -> float:  # type: ignore[override]  # read-only
         """Flux at this wavelength, W."""
         return self.share * self.area
-
-    def count(self, rays: int) -> int:
-        """Rays that a request for `rays` starts."""
-        return rays
-
-    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """The rays themselves: their directions are random."""
-        return o, d
 
     def start(
         self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
     ) -> tuple[mi.Vector3f, mi.Vector3f]:
         """
-        Origins and directions of the start rays of one pass; arguments as of `Beam.start`.
+        Origins and directions of the start rays of one pass; see `Source.start`.
 
         Five random numbers a lane. The positions of a batch are sorted along a curve.
         """

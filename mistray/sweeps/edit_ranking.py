@@ -262,7 +262,7 @@ def _methods(scene: Any, known: Mapping[str, Parameter]) -> dict[str, str]:
     together = {name: set(ids) for ids in parts.values() for name in ids}
     found = {}
     for key, p in known.items():
-        fellows = together[p.shapes[0]]
+        fellows = together[p.shapes[0]] if p.shapes else set()
         if p.kind == "position" or (p.kind == "tilt" and len(fellows) == 1):
             found[key] = "move"
         elif p.kind == "rim" and fellows <= rigid:

@@ -15,7 +15,7 @@ from mistray.errors import MistrayError, UnfinishedError
 from mistray.optimize.scene_values import changed
 from mistray.ranges import FIELD_DEG
 from mistray.renamed import renamed
-from mistray.sampling.sources import beams, spectrum, spectrum_of
+from mistray.sampling.sources import scene_sources, source_emitters, spectrum, spectrum_of
 from mistray.scene import find, load
 from mistray.scene.check import check_overlaps
 from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins, traced_facts
@@ -194,14 +194,14 @@ def _angles(
 ) -> list[float]:
     """Those given, each once, or the one of the scene's source; degrees."""
     if field_deg is None:
-        own = {float(emitter.field_deg) for emitter in scene.emitters() if hasattr(emitter, "start_distance")}
+        own = {float(emitter.field_deg) for emitter in source_emitters(scene)}
         if len(own) > 1:
             raise MistrayError("sweep: the sources of the scene have several field angles; give field_deg")
         angles = list(own) or [0.0]
     else:
         angles = list(dict.fromkeys(FIELD_DEG.check_each("field_deg", field_deg, "sweep")))
     for angle in angles:  # before the first is traced
-        beams(scene, angle, azimuth_deg, wavelength_nm)
+        scene_sources(scene, angle, azimuth_deg, wavelength_nm)
     return angles
 
 

@@ -122,7 +122,7 @@ def silent_places(runs: Sequence[Run]) -> list[SilentPlace]:
             lit[name] = lit.get(name, np.zeros(2)) + found
         places = np.unique(events[(events & EVENT_MASK) >= FIRST_SCATTERED] >> EVENT_BITS)
         heard |= {table.event_ids[place] for place in places.tolist()}
-    launched = sum(run.beam.power for run in runs)
+    launched = sum(run.source.power for run in runs)
     quiet = [
         SilentPlace(name, float(flux) / launched)
         for name, (hits, flux) in lit.items()

@@ -165,7 +165,7 @@ def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
                 error = float(run.unit * batch_error(sums, run.started))
                 media[name] = before + float(run.unit * sums.sum()), float(np.hypot(se, error))
     return Energy(
-        launched_W=sum(run.beam.power for run in runs),
+        launched_W=sum(run.source.power for run in runs),
         detected_W=detector.absorbed_W,
         detected_se_W=detector.absorbed_se_W,
         absorbed={row.id: (row.absorbed_W, row.absorbed_se_W) for row in surfaces if row is not detector},

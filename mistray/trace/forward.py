@@ -19,7 +19,7 @@ from mistray.execute.workers import current_workers
 from mistray.interrupts import later, requested
 from mistray.recorders import Recorder
 from mistray.recorders.tallies import FIRST_MISS
-from mistray.sampling.sources import Beam
+from mistray.sampling.sources import source_emitters
 from mistray.settings import Settings
 from mistray.time_budget import is_limited, share, within
 from mistray.trace.result import Trace
@@ -156,7 +156,7 @@ def trace(
             with later():
                 _execute(runs, ledger, progress, recorders)
                 if requested():
-                    _keep(runs, lambda: _result(runs, settings, field_deg, azimuth_deg, ledger, None))
+                    _keep(runs, lambda: _result(scene, runs, settings, field_deg, azimuth_deg, ledger, None))
         else:
             if recorders:
                 raise MistrayError("recorders are given and workers trace, who know none; leave out one of the two")
@@ -164,11 +164,11 @@ def trace(
             try:
                 execute_by_parts(workers, task, runs, progress)
             except UnfinishedError as error:
-                _explain(error, runs, lambda: _result(runs, settings, field_deg, azimuth_deg, ledger, task))
+                _explain(error, runs, lambda: _result(scene, runs, settings, field_deg, azimuth_deg, ledger, task))
                 raise
             for run in runs:
                 _require_hits(run)
-    return _result(runs, settings, field_deg, azimuth_deg, ledger, task)
+    return _result(scene, runs, settings, field_deg, azimuth_deg, ledger, task)
 
 
 def _execute(
@@ -207,20 +207,17 @@ def _check_budget(runs: Sequence[Run]) -> None:
     if current_workers() is not None:
         raise MistrayError("seconds is given and workers trace, whose parts are not timed; leave out one of the two")
     for run in runs:
-        if run.beam.pattern == "grid" and run.passes > 1:
+        if run.source.pattern == "grid" and run.passes > 1:
             raise MistrayError(
-                f"seconds is given and source '{run.beam.name}' starts a grid of {run.rays} rays: "
+                f"seconds is given and source '{run.source.name}' starts a grid of {run.rays} rays: "
                 f"its first rows are no sample; give at most {PASS_LANES} rays, or the pattern 'random'"
             )
 
 
 def _require_hits(run: Run) -> None:
     if run.reasons[FIRST_MISS].sum() == run.started.sum():
-        beam = run.beam
-        assert isinstance(beam, Beam)
         raise MistrayError(
-            f"source '{beam.name}': no ray of the beam along "
-            f"({', '.join(f'{c:.4g}' for c in beam.direction)}) hits a surface; "
+            f"source '{run.source.name}': no ray of its light {run.source.towards} hits a surface; "
             "check field_deg, the source's position and its size"
         )
 
@@ -250,6 +247,7 @@ def _explain(error: UnfinishedError, runs: Sequence[Run], result: Callable[[], T
 
 
 def _result(
+    scene: mi.Scene,
     runs: list[Run],
     settings: Settings,
     field_deg: float | None,
@@ -258,11 +256,9 @@ def _result(
     task: TraceTask | None,
 ) -> Trace:
     """The trace of some runs that have been traced, with everything that determines it."""
-    first = runs[0].beam
-    assert isinstance(first, Beam)
-    emitter = first.emitter
-    wavelengths = sorted({run.beam.wavelength_nm for run in runs})
-    power = sum(run.beam.power for run in runs)
+    emitter = source_emitters(scene)[0]
+    wavelengths = sorted({run.source.wavelength_nm for run in runs})
+    power = sum(run.source.power for run in runs)
     found = Trace(
         runs,
         {
@@ -272,7 +268,7 @@ def _result(
             "azimuth_deg": emitter.azimuth_deg if azimuth_deg is None else float(azimuth_deg),
             "wavelength_nm": wavelengths,
             "weights": [
-                sum(run.beam.power for run in runs if run.beam.wavelength_nm == w) / power for w in wavelengths
+                sum(run.source.power for run in runs if run.source.wavelength_nm == w) / power for w in wavelengths
             ],
             "detector": runs[0].table.ids[runs[0].table.detector],
             "ledger": ledger,

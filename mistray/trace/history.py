@@ -76,7 +76,7 @@ class RayHistory:
         """
         import pandas as pd
 
-        table, beam = self._run.table, self._run.beam
+        table, source = self._run.table, self._run.source
         ids, parts = table.event_ids, table.event_parts
         rows = []
         for number, ray in enumerate(self._rays):
@@ -84,7 +84,7 @@ class RayHistory:
                 zip(ray.points, ray.directions, ray.flux_W, ray.opl_mm, strict=True)
             ):
                 if node == 0:
-                    intercept, part, surface = "Emitted", beam.name, "-"
+                    intercept, part, surface = "Emitted", source.name, "-"
                 else:
                     code = int(ray.codes[node - 1])
                     intercept = INTERCEPTS[code & EVENT_MASK]
@@ -97,7 +97,7 @@ class RayHistory:
                         intercept,
                         part,
                         surface,
-                        beam.wavelength_nm,
+                        source.wavelength_nm,
                         *point,
                         flux,
                         opl,

@@ -501,8 +501,8 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
             book.paths.events[place], book.paths.lengths[place], run.table.event_ids, run.table.event_words
         )
         numbers.append(path_numbers([RunSums(book.paths.sums[place], book.started, book.unit, facts["scatters"] > 0)]))
-        source = np.full(len(place), run.beam.name, dtype=object)
-        parts.append({"source": source, "wavelength_nm": np.full(len(place), run.beam.wavelength_nm)} | facts)
+        source = np.full(len(place), run.source.name, dtype=object)
+        parts.append({"source": source, "wavelength_nm": np.full(len(place), run.source.wavelength_nm)} | facts)
         places.append(place)
     found = PathNumbers.joined(numbers)
     columns = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]} | found.columns

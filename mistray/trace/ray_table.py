@@ -198,7 +198,7 @@ class _Search:
         """All columns of rays, in their order; none given: of no rays."""
         empty = {name: np.zeros(0, dtype=np.int64 if name in ("start_ray", "node") else float) for name in FACTS}
         given = empty | {"path_id": np.zeros(0, dtype=np.int64)} | given
-        beam, count = self._run.beam, len(codes)
+        source, count = self._run.source, len(codes)
         lists = [row[:length] for row, length in zip(codes.tolist(), given["node"].tolist(), strict=True)]
         words = [[INTERCEPTS[code & EVENT_MASK] for code in row] for row in lists]
         width, height, (x0, x1, y0, y1) = self._run.table.film()
@@ -211,8 +211,8 @@ class _Search:
         return {
             "path_id": given["path_id"],
             "kind": self._paths.column("kind")[given["path_id"]],
-            "wavelength_nm": np.full(count, beam.wavelength_nm),
-            "source": np.full(count, beam.name, dtype=object),
+            "wavelength_nm": np.full(count, source.wavelength_nm),
+            "source": np.full(count, source.name, dtype=object),
             "start_ray": given["start_ray"],
             "node": given["node"],
             "type": np.array([row[-2] if len(row) > 1 else "Emitted" for row in words], dtype=object),

@@ -135,10 +135,10 @@ class Trace:
     @property
     def wavelengths_nm(self) -> list[float]:
         """The wavelengths of the trace, ascending, nm."""
-        return sorted({run.beam.wavelength_nm for run in self._runs})
+        return sorted({run.source.wavelength_nm for run in self._runs})
 
     def _runs_at(self, wavelength_nm: float) -> list[Run]:
-        runs = [run for run in self._runs if run.beam.wavelength_nm == wavelength_nm]
+        runs = [run for run in self._runs if run.source.wavelength_nm == wavelength_nm]
         if not runs:
             known = ", ".join(f"{value:g}" for value in self.wavelengths_nm)
             raise MistrayError(f"{wavelength_nm:g} nm was not traced; this trace has {known} nm")
@@ -306,7 +306,7 @@ class Trace:
     @property
     def tables(self) -> list[SurfaceTable]:
         """The surfaces as the kernel has them, at each wavelength, ascending."""
-        tables = {run.beam.wavelength_nm: run.table for run in self._runs}
+        tables = {run.source.wavelength_nm: run.table for run in self._runs}
         return [tables[wavelength] for wavelength in sorted(tables)]
 
     def rays(

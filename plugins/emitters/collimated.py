@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import drjit as dr
 import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, POSITIVE, RADIUS_MM, SIZE_MM, WAVELENGTH_NM, WEIGHT, Range
+from mistray.plugins.emitters.light_source import LightSource
+from mistray.ranges import POSITIVE, RADIUS_MM, SIZE_MM, Range
+from mistray.sampling.beam import Beam
+from mistray.sampling.sources import SourceRequest
 from mistray.surfaces.host_points import box_corners
 
 STOCK_DISTANCE = 100.0  # start of the beam for stock integrators, in units of its size
 
 
-class Collimated(mi.Emitter):
+class Collimated(LightSource):
     r"""
     Collimated beam (:monosp:`collimated`): a star, the sun or a laser, as in TracePro's grid source.
 
@@ -63,50 +68,28 @@ class Collimated(mi.Emitter):
     def __init__(self, props: mi.Properties) -> None:
         super().__init__(props)
         self.m_flags = +mi.EmitterFlags.DeltaDirection
-        self.name = str(props.id())
-        owner = f"source '{self.name}'"
 
         def number(key: str, within: Range, default: float = 0.0) -> float:
-            return float(within.check(key, props.get(key, default), owner))
+            return self._number(props, key, within, default)
 
-        self.field_deg = number("field_deg", FIELD_DEG)
-        self.azimuth_deg = number("azimuth_deg", AZIMUTH_DEG)
         self.irradiance = number("irradiance", POSITIVE, 1.0)
         self.distance = number("distance", RADIUS_MM)
         self.plane = str(props.get("plane", "beam"))
         self.pattern = str(props.get("pattern", "random"))
-        self.matrix = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, dtype=np.float64).reshape(4, 4)
-        self.wavelengths_nm = _numbers(owner, "wavelength_nm", props.get("wavelength_nm", 550.0), WAVELENGTH_NM)
-        weights = props.get("weights", None)
-        self.weights = (
-            np.ones(len(self.wavelengths_nm)) if weights is None else _numbers(owner, "weights", weights, WEIGHT)
-        )
         self.rectangular = "half_width" in props or "half_height" in props
         if self.rectangular:
             self.size = (number("half_width", SIZE_MM), number("half_height", SIZE_MM))
         else:
             self.size = (number("radius", SIZE_MM), number("inner_radius", RADIUS_MM))
         if self.rectangular and ("radius" in props):
-            raise MistrayError(f"source '{self.name}': give radius or half_width and half_height, not both")
-        self._check()
-        self.weights = self.weights / self.weights.sum()
-
-    def _check(self) -> None:
-        def fail(what: str) -> None:
-            raise MistrayError(f"source '{self.name}': {what}")
-
-        rotation = self.matrix[:3, :3]
-        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
-            fail("to_world scales, shears or mirrors; use a rigid motion and set the size by radius or half widths")
+            self._fail("give radius or half_width and half_height, not both")
         a, b = self.size
         if not self.rectangular and not b < a:
-            fail(f"inner_radius is {b:g} mm; it must lie between 0 and radius = {a:g} mm")
+            self._fail(f"inner_radius is {b:g} mm; it must lie between 0 and radius = {a:g} mm")
         if self.plane not in ("beam", "axis"):
-            fail(f"plane is '{self.plane}'; use 'beam' or 'axis'")
+            self._fail(f"plane is '{self.plane}'; use 'beam' or 'axis'")
         if self.pattern not in ("random", "grid"):
-            fail(f"pattern is '{self.pattern}'; use 'random' or 'grid'")
-        if len(self.weights) != len(self.wavelengths_nm) or not self.weights.sum() > 0:
-            fail(f"weights needs {len(self.wavelengths_nm)} values that are not all 0; give one for each wavelength")
+            self._fail(f"pattern is '{self.pattern}'; use 'random' or 'grid'")
 
     @property
     def area(self) -> float:
@@ -128,15 +111,14 @@ class Collimated(mi.Emitter):
         pivot, direction, u, v : (3,) float
             u and v span the plane of the cross-section, mm; direction is a unit vector.
         """
-        theta = np.radians(self.field_deg if field_deg is None else field_deg)
-        phi = np.radians(self.azimuth_deg if azimuth_deg is None else azimuth_deg)
-        c, s = np.cos(phi), np.sin(phi)
-        spin = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
-        direction = spin @ [0.0, np.sin(theta), np.cos(theta)]
-        u = spin @ [1.0, 0.0, 0.0]
-        v = spin @ ([0.0, np.cos(theta), -np.sin(theta)] if self.plane == "beam" else [0.0, 1.0, 0.0])
-        rotation = self.matrix[:3, :3]
-        return self.matrix[:3, 3], rotation @ direction, rotation @ u, rotation @ v
+        pivot, direction, u, v = super().frame(field_deg, azimuth_deg)
+        if self.plane == "axis":
+            v = super().frame(0.0, azimuth_deg)[3]
+        return pivot, direction, u, v
+
+    def source(self, request: SourceRequest, **facts: Any) -> Beam:
+        """The rays of one wavelength."""
+        return Beam(distance=self.start_distance(request.bounds, facts["direction"], facts["pivot"]), **facts)
 
     def positions(self, sample: mi.Point2f) -> tuple[mi.Float, mi.Float]:
         """Equal-area map of the unit square to the cross-section: coordinates along u and v, mm."""
@@ -175,21 +157,6 @@ class Collimated(mi.Emitter):
         ray.time = time
         return ray, mi.Spectrum(self.power())
 
-    def sample_position(
-        self, time: mi.Float, sample: mi.Point2f, active: mi.Mask = True
-    ) -> tuple[mi.PositionSample3f, mi.Float]:
-        # The beam comes from infinitely far away: no camera sees it
-        return dr.zeros(mi.PositionSample3f, dr.width(sample)), mi.Float(0)
-
-    def sample_wavelengths(  # type: ignore[no-untyped-def]
-        self, si: mi.SurfaceInteraction3f, sample: mi.Float, active: mi.Mask = True
-    ):
-        # Mitsuba's RGB and mono variants carry no wavelength; the spectral ones get the first of the beam
-        wavelengths = dr.zeros(type(si.wavelengths), dr.width(sample))
-        if mi.is_spectral:
-            wavelengths += float(self.wavelengths_nm[0])
-        return wavelengths, mi.Spectrum(self.power())
-
     def sample_direction(
         self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
     ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
@@ -220,36 +187,6 @@ class Collimated(mi.Emitter):
     def _stock_distance(self) -> float:
         """From the pivot upstream to the start, mm, where stock integrators trace the beam."""
         return self.distance or STOCK_DISTANCE * max(self.size)
-
-    def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Mask = True) -> mi.Float:
-        return mi.Float(0)
-
-    def eval_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Mask = True) -> mi.Spectrum:
-        return mi.Spectrum(0)
-
-    def pdf_position(self, ps: mi.PositionSample3f, active: mi.Mask = True) -> mi.Float:
-        return mi.Float(0)
-
-    def eval(self, si: mi.SurfaceInteraction3f, active: mi.Mask = True) -> mi.Spectrum:
-        return mi.Spectrum(0)
-
-    def bbox(self) -> mi.ScalarBoundingBox3f:
-        return mi.ScalarBoundingBox3f()
-
-    def traverse(self, callback: mi.TraversalCallback) -> None:
-        """Nothing here is a Dr.Jit variable: field angle and size are arguments of a trace."""
-
-    def to_string(self) -> str:
-        wavelengths = ", ".join(f"{value:g}" for value in self.wavelengths_nm)
-        return f"Collimated[field = {self.field_deg:g} deg, {self.power():g} W, {wavelengths} nm]"
-
-
-def _numbers(owner: str, key: str, value: object, within: Range) -> np.ndarray:
-    try:
-        found = [float(part) for part in str(value).replace(",", " ").split()]
-    except ValueError:
-        raise MistrayError(f"{owner}: {key} is '{value}'; give one number or a list separated by commas") from None
-    return np.array([within.check(key, number, owner) for number in found], dtype=np.float64)
 
 
 mi.register_emitter("collimated", lambda props: Collimated(props))

@@ -20,6 +20,7 @@ from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradie
 from mistray.gradients.raw_gradient import EDGE_WIDTH, GradientRequest
 from mistray.gradients.run_gradient import run_gradient
 from mistray.ranges import EDGE_WIDTH as ZONE
+from mistray.sampling.sources import source_emitters
 from mistray.settings import Settings
 from mistray.trace.forward import trace
 
@@ -143,8 +144,8 @@ class StrayLight(mi.CppADIntegrator):
         tracked = _tracked(scene)
         _check_differentiable(params, tracked)
         kinds = {kind for kind, _ in tracked.values()}
-        if "scatter" in kinds:
-            raise MistrayError("integrator 'straylight' has no forward mode by values of scatter; use dr.backward")
+        for kind in sorted(kinds & {"scatter", "source"}):
+            raise MistrayError(f"integrator 'straylight' has no forward mode by values of a {kind}; use dr.backward")
         if self.edges and kinds - {"coating"}:
             raise MistrayError(
                 "integrator 'straylight': forward mode holds visibility as it is; set edges=False, or use dr.backward"
@@ -172,6 +173,7 @@ class StrayLight(mi.CppADIntegrator):
             geometry=geometry_columns(name for (_, name), (kind, _) in tracked.items() if kind == "shape"),
             indices=any(kind == "index" for kind, _ in tracked.values()),
             scatter=any(kind == "scatter" for kind, _ in tracked.values()),
+            sources=frozenset(name for (_, name), (kind, _) in tracked.items() if kind == "source"),
             edges=self.edges,
             edge_width=self.edge_width,
         )
@@ -201,7 +203,12 @@ class StrayLight(mi.CppADIntegrator):
 
 def _tracked(scene: mi.Scene) -> dict[tuple[int, str], tuple[str, mi.Float]]:
     """Parameters of a scene that carry derivatives: plugin and name → kind and value."""
-    found = {}
+    found = {
+        (id(emitter), name): ("source", value)
+        for emitter in source_emitters(scene)
+        for name, value in emitter.parameters.items()
+        if dr.grad_enabled(value)
+    }
     for shape in scene.shapes():
         bsdf = shape.bsdf()
         film = getattr(bsdf, "film", None)

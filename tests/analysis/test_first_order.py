@@ -10,14 +10,14 @@ import pytest
 import mistray
 from mistray.analysis.study.first_order import FirstOrder, first_order
 from mistray.sampling.design_path import find_design_path
-from mistray.sampling.sources import beams
+from mistray.sampling.sources import scene_sources
 from mistray.scenes.cooke_triplet.prescription import build as triplet
 from mistray.surfaces.surfaces import SurfaceTable
 
 
 def measured(name: str) -> tuple[FirstOrder, SurfaceTable]:
     scene = mistray.load(name)
-    table = SurfaceTable(scene, beams(scene)[0].wavelength_nm)
+    table = SurfaceTable(scene, scene_sources(scene)[0].wavelength_nm)
     path = find_design_path(table, scene)
     assert path is not None
     return first_order(scene, path), table

@@ -14,7 +14,8 @@ import mistray
 from mistray.analysis.objects.estimates import surface_bsdf
 from mistray.analysis.objects.patches import Patches
 from mistray.analysis.objects.search import objects
-from mistray.analysis.objects.sources import DiskSource, Surroundings, source_axes
+from mistray.analysis.objects.sources import DiskSource, Surroundings
+from mistray.sampling.sources import field_axes
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -214,7 +215,7 @@ def test_directions_of_the_sources(load):
     assert_z("sin²", sine2.mean(), (low + high) / 2, sine2.std() / np.sqrt(n))
     scene = load(open_tube_text(3.0, 1.0, 0.7))
     table = SurfaceTable(scene, 550.0)
-    cone = Surroundings.cone(table, source_axes(scene), half).sample(n, rng)
+    cone = Surroundings.cone(table, field_axes(scene), half).sample(n, rng)
     cosine = cone.d[:, 2]
     assert_z("cos", cosine.mean(), (1 + np.cos(np.radians(half))) / 2, cosine.std() / np.sqrt(n))
     assert np.allclose(cone.d.mean(axis=0)[:2], 0, atol=5e-3)
@@ -223,7 +224,7 @@ def test_directions_of_the_sources(load):
 def test_azimuths_are_those_of_the_source():
     """Field angle and azimuth give the direction of the scene's own source."""
     scene = mistray.load("phone_camera")
-    table, axes = SurfaceTable(scene, 550.0), source_axes(scene)
+    table, axes = SurfaceTable(scene, 550.0), field_axes(scene)
     (emitter,) = (entry for entry in scene.emitters() if hasattr(entry, "frame"))
     for angle, azimuth in ((12.0, 70.0), (-12.0, 70.0), (40.0, 200.0)):
         found = Surroundings.direction(table, axes, angle, azimuth).sample(4, np.random.default_rng(0))

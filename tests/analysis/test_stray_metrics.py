@@ -84,7 +84,7 @@ def pst_of(
         grid,
         by_batch,
         np.full(batches, 1 / batches),
-        convention,
+        convention=convention,
         facts={"detector_area_mm2": 4.0},
         maps=maps,
         extent_mm=(-1.0, 1.0, -1.0, 1.0),

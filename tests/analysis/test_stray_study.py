@@ -21,7 +21,7 @@ from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sam
 from mistray.errors import MistrayError
 from mistray.sampling.aiming import aims
 from mistray.sampling.design_path import find_design_path
-from mistray.sampling.sources import beams
+from mistray.sampling.sources import scene_sources
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import Settings
 
@@ -33,7 +33,7 @@ D_LINE_NM = 587.5618
 
 def prepared(name: str):
     scene = mistray.load(name)
-    table = SurfaceTable(scene, beams(scene)[0].wavelength_nm)
+    table = SurfaceTable(scene, scene_sources(scene)[0].wavelength_nm)
     return scene, table, find_design_path(table, scene)
 
 

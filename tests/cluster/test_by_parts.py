@@ -133,7 +133,7 @@ def test_a_grid_whose_rows_are_not_all_there_is_no_result(monkeypatch):
     (run,) = mistray.trace(scene, rays=2000)._runs
     run.parts = (by_parts.Part(0),)
     assert run.is_sample
-    monkeypatch.setattr(type(run.beam), "pattern", "grid")
+    monkeypatch.setattr(type(run.source), "pattern", "grid")
     assert run.is_sample
     run.rays = 1 << 21
     assert not run.is_sample

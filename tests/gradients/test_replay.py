@@ -142,7 +142,7 @@ def traced(path: Path, field_deg: float, rays: int) -> Case:
     (run,) = t._runs
     origin, direction = run.start_rays(np.arange(run.rays))
     size = model.radius_about(model.emitters[0].to_world[:3, 3])
-    return Case(t, model, run.beam.wavelength_nm, size, origin, direction, branches(t))
+    return Case(t, model, run.source.wavelength_nm, size, origin, direction, branches(t))
 
 
 @pytest.fixture(scope="module", params=CASES)

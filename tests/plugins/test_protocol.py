@@ -225,8 +225,8 @@ def test_text_forms_name_the_numbers(scene):
         ("beam", {"wavelength_nm": "green"}, "give one number or a list separated by commas"),
         ("integrator", {"rays": 0}, "rays is 0; it must"),
         ("integrator", {"max_events": 1001}, "it must be a whole number between 1 and"),
-        ("integrator", {"splitting": "both"}, "use 'split' or 'one'"),
-        ("integrator", {"below_threshold": "drop"}, "use 'cut' or 'roulette'"),
+        ("integrator", {"splitting": "both"}, "splitting is 'both'"),
+        ("integrator", {"below_threshold": "drop"}, "below_threshold is 'drop'"),
         ("integrator", {"flux_threshold": 2.0}, "must lie between 0 and 1"),
     ],
 )

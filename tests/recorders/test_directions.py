@@ -15,7 +15,7 @@ from mistray import MistrayError
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.recorder import Departure
 from mistray.recorders.sky import Sky
-from mistray.sampling.sources import beams
+from mistray.sampling.sources import scene_sources
 
 
 def random_rotation(seed: int) -> np.ndarray:
@@ -238,7 +238,7 @@ def test_azimuth_is_that_of_a_source(load_scene) -> None:
     """The beam of a turned source at field angle 20°, azimuth 130° goes into that cell, in the source's frame."""
     beam = beam_xml(1.0, along=(1.0, 2.0, 3.0), field_deg=20.0, azimuth_deg=130.0)
     scene = load_scene(scatter_scene(beam, placed_xml("asphere", "detector", at=(0, 0, 9), pixels=4, semi_diameter=1)))
-    (one,) = beams(scene)
+    (one,) = scene_sources(scene)
     rotation = np.asarray(one.emitter.matrix[:3, :3], dtype=np.float64)
     grid = DirectionGrid.of([0.0, 20.0, 40.0], np.arange(0, 360, 10), rotation=rotation, cell_deg=1.0)
     (cell,) = device_cells(grid, -one.direction[None])

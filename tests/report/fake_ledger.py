@@ -58,7 +58,7 @@ def fake_run(
     """The attributes of a run that the path table reads; `surfaces` are the bits of the surfaces by their names."""
     words = np.array(list(surfaces.values()), dtype=np.uint32)
     return SimpleNamespace(
-        beam=SimpleNamespace(name=name, wavelength_nm=wavelength_nm),
+        source=SimpleNamespace(name=name, wavelength_nm=wavelength_nm),
         table=SimpleNamespace(
             event_ids=list(surfaces),
             event_parts=[name.split("_")[0].strip("()") for name in surfaces],

@@ -126,7 +126,7 @@ def against_oracle(t: Any, path: Path) -> list[str]:
     power = np.full(run.rays, run.unit)
 
     def oracle(start: np.ndarray) -> nonsequential.Ledger:
-        return nonsequential.trace(model, start, direction, power, run.beam.wavelength_nm, **settings)
+        return nonsequential.trace(model, start, direction, power, run.source.wavelength_nm, **settings)
 
     theirs = {record.events: record for record in oracle(origin).paths}
     mine = {tuple(row.event_list): row for row in t.paths}
@@ -228,7 +228,7 @@ def run(chosen: Iterable[int], folder: Path) -> Outcome:
 
 # Sound scenes that are refused all the same, each with the reason that is theirs
 REFUSED = (
-    "no ray of the beam",  # drawn so that it passes everything
+    "no ray of its light",  # drawn so that it passes everything
     "'detector' and 'mirror' cross",  # where there is little room before the mirror
     "is not smooth",  # a roughness beyond the theory
     "more light than",  # models of scatter that add up to more than all of it

@@ -11,6 +11,7 @@ import numpy as np
 from mistray.analysis.objects.rays import ChainTracer, Escape, Hits, StartPoints
 from mistray.errors import MistrayError
 from mistray.sampling.design_path import find_design_path
+from mistray.sampling.sources import source_emitters
 from mistray.surfaces.host_points import across
 from mistray.surfaces.optics import OPAQUE
 from mistray.surfaces.surfaces import SurfaceTable
@@ -89,7 +90,7 @@ class Places:
 
     def __init__(self, table: SurfaceTable, scene: mi.Scene, tracer: MakeTracer, stop: str | None = None) -> None:
         self.table = table
-        has_source = any(hasattr(emitter, "start_distance") for emitter in scene.emitters())
+        has_source = bool(source_emitters(scene))
         self.path = find_design_path(table, scene) if has_source else None
         if stop is not None and stop not in (*table.ids, *table.parts):
             raise MistrayError(f"stop: no part and no shape of the scene is called '{stop}'; parts: {_names(table)}")

@@ -19,14 +19,14 @@ from mistray.analysis.objects.patches import meet
 from mistray.analysis.objects.places import Places
 from mistray.analysis.objects.rays import ChainTracer
 from mistray.analysis.objects.rows import LISTS, SceneObject, StraightShot, both_views, describe, strongest
-from mistray.analysis.objects.sources import DetectorView, DiskSource, RaySource, Surroundings, source_axes
+from mistray.analysis.objects.sources import DetectorView, DiskSource, RaySource, Surroundings
 from mistray.analysis.objects.view import SIDES, View
 from mistray.errors import MistrayError
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.ranges import FIELD_DEG, PART
 from mistray.renamed import renamed
-from mistray.sampling.sources import spectrum_of
+from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.settings import Settings
 from mistray.surfaces.intersect import Intersector
 from mistray.surfaces.optics import OPAQUE
@@ -339,7 +339,7 @@ def objects(
             table, intersector, scattering[backward], chosen.allowed, mirrors, chosen.max_events, total_reflection
         )
 
-    axes = source_axes(scene)
+    axes = field_axes(scene)
     angles = [] if field_deg is None else FIELD_DEG.check_each("field_deg", field_deg)
     sources: list[RaySource] = [Surroundings.direction(table, axes, angle, azimuth_deg) for angle in angles]
     if source is not None:

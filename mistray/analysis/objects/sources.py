@@ -9,7 +9,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Protocol
 
-import mitsuba as mi
 import numpy as np
 
 from mistray.analysis.objects.rays import StartPoints
@@ -21,8 +20,6 @@ from mistray.sampling.plane_wave import PlaneWave, PlaneWaves, hull_points
 from mistray.settings import BATCHES
 from mistray.surfaces.host_points import across, surface_points
 from mistray.surfaces.surfaces import SurfaceTable
-
-SMALL_FIELD_DEG = 1.0
 
 
 class RaySource(Protocol):
@@ -166,7 +163,7 @@ class Surroundings:
 
     @classmethod
     def cone(cls, table: SurfaceTable, axes: np.ndarray, half_angle_deg: float) -> Surroundings:
-        """A cone about the axis of field angles; `axes` as from `source_axes`."""
+        """A cone about the axis of field angles; `axes` as from `mistray.sampling.sources.field_axes`."""
         CONE_DEG.check("half_angle_deg", half_angle_deg)
         grid = _one_cell(0.0, half_angle_deg, 0.0, 360.0, axes)
         return cls(
@@ -211,18 +208,6 @@ def _one_cell(low_deg: float, high_deg: float, azimuth_deg: float, width_deg: fl
     """A grid of one cell, which may be a single direction."""
     middle = np.array([0.5 * (low_deg + high_deg)])
     return DirectionGrid(middle, np.array([[low_deg, high_deg]]), np.array([azimuth_deg]), width_deg, axes)
-
-
-def source_axes(scene: mi.Scene) -> np.ndarray:
-    """(3, 3) float64: columns x, y, z of the frame of field angles: that of the first source, else the world's."""
-    for emitter in scene.emitters():
-        if hasattr(emitter, "start_distance"):
-            z = emitter.frame(0.0, 0.0)[1]
-            tilted = emitter.frame(SMALL_FIELD_DEG, 0.0)[1]
-            y = tilted - (tilted @ z) * z
-            y /= np.linalg.norm(y)
-            return np.stack([np.cross(y, z), y, z], axis=1)
-    return np.eye(3)
 
 
 def lambertian(

@@ -297,7 +297,7 @@ class ForwardCells:
             wave = self._waves.at(0, 0, wavelength, share)
             self._runs.append(
                 CellRun(
-                    beam=wave,
+                    source=wave,
                     table=table,
                     scattering=scattering,
                     intersector=intersector,
@@ -342,16 +342,16 @@ class ForwardCells:
 
     def _trace(self, run: CellRun, sums: Sums, stream: tuple[int, int, int, int], rays: int) -> None:
         i, j, _, k = stream
-        run.beam = self._waves.at(i, j, run.table.wavelength_nm, float(self.shares[k]))
+        run.source = self._waves.at(i, j, run.table.wavelength_nm, float(self.shares[k]))
         run.rays = max(1, round(rays * self.shares[k]))
         run.seed = int(np.random.SeedSequence((self.settings.seed, *stream)).generate_state(1)[0])
-        run.unit = run.beam.power / run.rays
+        run.unit = run.source.power / run.rays
         run.execute(True, None)
         sums.add(run, self._ways)
 
     def _scales(self, sums: Sequence[Sums]) -> list[float]:
         """PST_normal of a start ray that lands with all its flux, by wavelength."""
-        return [run.beam.power / (self.area * part.started.sum()) for run, part in zip(self._runs, sums, strict=True)]
+        return [run.source.power / (self.area * part.started.sum()) for run, part in zip(self._runs, sums, strict=True)]
 
     def _parts(self, sums: Sequence[Sums]) -> np.ndarray:
         """(w, BATCHES): what each batch adds to the PST_normal of each way."""
@@ -373,7 +373,7 @@ class ForwardCells:
             largest_share=largest / scattered if scattered > 0 else np.nan,
             rays=round(sum(part.started.sum() for part in sums)),
             segments=round(sum(part.segments for part in sums)),
-            beam_area=sum(run.beam.power for run in self._runs),  # of 1 W/mm² together
+            beam_area=sum(run.source.power for run in self._runs),  # of 1 W/mm² together
         )
 
     def _with_details(self, cell: Cell, sums: Sequence[Sums], paths: bool) -> Cell:

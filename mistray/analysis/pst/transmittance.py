@@ -22,7 +22,7 @@ from mistray.execute.workers import current_workers
 from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import renamed
 from mistray.sampling.plane_wave import hull_points
-from mistray.sampling.sources import spectrum_of
+from mistray.sampling.sources import field_axes, spectrum_of
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import within
@@ -184,7 +184,7 @@ def pst_of_each(
     prepared: list[tuple[mi.Scene, DirectionGrid, Settings]] = []
     traces: list[BackwardTrace] = []
     for scene in scenes:
-        grid, chosen = request.grid(_axes(scene)), request.settings_for(scene)
+        grid, chosen = request.grid(field_axes(scene)), request.settings_for(scene)
         if request.method == "adjoint":
             traces.append(
                 BackwardTrace(
@@ -230,11 +230,3 @@ def _hull(scenes: Sequence[mi.Scene], request: PstRequest) -> np.ndarray | None:
         return None
     first = [float(spectrum_of(scene, request.wavelength_nm, request.weights)[0][0]) for scene in scenes]
     return hull_points(*(SurfaceTable(scene, one, request.detector) for scene, one in zip(scenes, first, strict=True)))
-
-
-def _axes(scene: mi.Scene) -> np.ndarray:
-    """Axes that field angles are measured in: those of the first source, else of the world."""
-    for emitter in scene.emitters():
-        if hasattr(emitter, "start_distance"):
-            return np.asarray(emitter.matrix[:3, :3], dtype=np.float64)
-    return np.eye(3)

@@ -28,7 +28,7 @@ from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import renamed
 from mistray.sampling.aiming import aims
 from mistray.sampling.design_path import find_design_path
-from mistray.sampling.sources import beams
+from mistray.sampling.sources import scene_sources
 from mistray.settings import NO_LIMIT
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.time_budget import share, within
@@ -218,7 +218,7 @@ def study(
             f"max_random_scatters is {chosen.max_random_scatters}; a PST that is traced against the light has no such "
             "limit; leave it out"
         )
-    first = beams(scene, wavelength_nm=wavelength_nm, weights=weights)[0].wavelength_nm
+    first = scene_sources(scene, wavelength_nm=wavelength_nm, weights=weights)[0].wavelength_nm
     table = SurfaceTable(scene, first, stokes=chosen.stokes)
     path = find_design_path(table, scene)
     light: dict[str, Any] = {"wavelength_nm": wavelength_nm, "weights": weights}

@@ -15,7 +15,8 @@ import numpy as np
 
 from mistray.sampling.design_path import DesignPath
 from mistray.sampling.outlines import outline
-from mistray.sampling.sources import beams
+from mistray.sampling.source import SceneSource
+from mistray.sampling.sources import scene_sources
 from mistray.surfaces.host_points import across
 from mistray.surfaces.host_rays import first_hit, onward
 
@@ -141,10 +142,7 @@ def _passes(scene: Any, path: DesignPath, x: np.ndarray, y: np.ndarray) -> tuple
         First surface that is not that of the design path; -1: none.
     """
     table = path.table
-    beam = beams(scene, field_deg=0.0)[0]
-    o = beam.pivot + x[:, None] * beam.u + y[:, None] * beam.v
-    o = o - (beam.distance + (o - beam.pivot) @ beam.direction)[:, None] * beam.direction
-    d = np.tile(beam.direction, (len(o), 1))
+    o, d = scene_sources(scene, field_deg=0.0)[0].parallel(x, y)
     last, ends = np.full(len(o), -1), np.full(len(o), -1)
     passes = np.zeros(len(o), dtype=bool)
     alive = np.arange(len(o))
@@ -167,8 +165,8 @@ def _passes(scene: Any, path: DesignPath, x: np.ndarray, y: np.ndarray) -> tuple
 def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
     """Diameter and free area of the entrance pupil, and the surface at its edge."""
     target = outline(path.table.shapes[path.steps[0].surface])
-    beam = beams(scene, field_deg=0.0)[0]
-    largest = 1.02 * (float(np.linalg.norm(target.u) + np.linalg.norm(target.v)) + _off_axis(target.centre, beam))
+    source = scene_sources(scene, field_deg=0.0)[0]
+    largest = 1.02 * (float(np.linalg.norm(target.u) + np.linalg.norm(target.v)) + _off_axis(target.centre, source))
     phi = OFFSET + 2 * np.pi * np.arange(AZIMUTHS) / AZIMUTHS
     r = largest * (np.arange(RADII) + 0.5) / RADII
 
@@ -211,10 +209,10 @@ def _pupil(scene: Any, path: DesignPath) -> tuple[float, float, str]:
     return 2 * math.sqrt(float(np.mean(outer**2))), area, path.table.ids[surface] if surface >= 0 else "-"
 
 
-def _off_axis(centre: np.ndarray, beam: Any) -> float:
-    """Distance of a point from the axis of a beam."""
-    away = centre - beam.pivot
-    return float(np.linalg.norm(away - (away @ beam.direction) * beam.direction))
+def _off_axis(centre: np.ndarray, source: SceneSource) -> float:
+    """Distance of a point from the axis of a source."""
+    away = centre - source.pivot
+    return float(np.linalg.norm(away - (away @ source.direction) * source.direction))
 
 
 def _field(scene: Any, path: DesignPath) -> dict[str, float]:
@@ -226,8 +224,8 @@ def _field(scene: Any, path: DesignPath) -> dict[str, float]:
 
     def hit(angle_deg: float, azimuth_deg: float) -> np.ndarray:
         """Hit on the plane of the detector, in its axes; NaN where the base ray is lost."""
-        beam = beams(scene, field_deg=angle_deg, azimuth_deg=azimuth_deg)[0]
-        found = path.follow(beam.pivot[None] - beam.distance * beam.direction, beam.direction[None], 0)
+        source = scene_sources(scene, field_deg=angle_deg, azimuth_deg=azimuth_deg)[0]
+        found = path.follow(*source.middle, 0)
         return np.asarray((found[0] - detector.centre) @ axes)
 
     # A field in the direction of azimuth φ, from +y towards -x, moves the image along one line: which azimuth serves

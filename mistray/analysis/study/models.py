@@ -11,7 +11,7 @@ import pandas as pd
 from mistray.analysis.study.first_order import FirstOrder, first_order
 from mistray.analysis.study.step import Fact, StudyStep, count_of
 from mistray.sampling.design_path import DesignPath
-from mistray.sampling.sources import beams
+from mistray.sampling.sources import scene_sources
 from mistray.surfaces.optics import OPAQUE, WALL
 from mistray.surfaces.sag_surface import SagSurface
 from mistray.surfaces.surfaces import SurfaceTable
@@ -59,8 +59,7 @@ def optical_model(scene: Any, table: SurfaceTable, path: DesignPath | None) -> S
     numbers = first_order(scene, path)
     frame = path_surfaces(path)
     warnings = []
-    beam = beams(scene, field_deg=0.0)[0]
-    reach = beam.emitter.size[0] if not beam.emitter.rectangular else min(beam.emitter.size)
+    reach = scene_sources(scene, field_deg=0.0)[0].reach
     if reach < UNDERFILL * numbers.pupil_diameter_mm / 2:
         warnings.append(
             f"the source reaches {reach:.4g} mm from the axis, the entrance pupil {numbers.pupil_diameter_mm / 2:.4g} "

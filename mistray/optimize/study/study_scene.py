@@ -18,7 +18,7 @@ from mistray.errors import MistrayError
 from mistray.optimize.parameters import Parameter, parameters
 from mistray.optimize.study.model import CoatingGroup, Study
 from mistray.optimize.study.terms import of_layers
-from mistray.sampling.sources import beams
+from mistray.sampling.sources import scene_sources
 from mistray.scene import load
 from mistray.scene.recoat import SharedCoating, write_recoated
 
@@ -66,8 +66,8 @@ def band(scene: Any, study: Study) -> tuple[tuple[float, ...], tuple[float, ...]
     """
     terms = [term for term in study.terms if not of_layers(term)]
     traced = next((term for term in terms if term.goal == "minimise"), terms[0]).traced
-    sources = beams(scene, wavelength_nm=traced.get("wavelength_nm"), weights=traced.get("weights"))
-    wavelengths = np.unique([beam.wavelength_nm for beam in sources])
+    sources = scene_sources(scene, wavelength_nm=traced.get("wavelength_nm"), weights=traced.get("weights"))
+    wavelengths = np.unique([source.wavelength_nm for source in sources])
     powers = np.array([sum(b.power for b in sources if b.wavelength_nm == nm) for nm in wavelengths])
     return tuple(float(nm) for nm in wavelengths), tuple(float(share) for share in powers / powers.sum())
 

@@ -152,8 +152,10 @@ def _bodies(scene: Any, known: Mapping[str, Parameter]) -> dict[str, tuple[str, 
     shapes = {shape.id(): shape for shape in scene.shapes()}
     found: dict[tuple[Any, ...], list[str]] = {}
     for key, parameter in known.items():
+        if parameter.kind != "position":
+            continue
         shape = shapes[parameter.shapes[0]]
-        if parameter.kind == "position" and (shape.id() in rigid or shape.mechanics):
+        if shape.id() in rigid or shape.mechanics:
             axis = shape.base[:3, DISPLACEMENT.index(parameter.name)]
             found.setdefault((shape.part, parameter.name, *np.round(axis, 9).tolist()), []).append(key)
     result: dict[str, tuple[str, tuple[str, ...]]] = {}

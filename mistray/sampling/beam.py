@@ -1,0 +1,62 @@
+"""A parallel beam: start rays of the plugin `collimated`."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.sampling.source import SceneSource
+from mistray.sampling.space_filling import sorted_points
+
+
+@dataclass(frozen=True, kw_only=True)
+class Beam(SceneSource):
+    """
+    Rays of one direction that start on one plane normal to it.
+
+    The pivot and the axes are those of the cross-section, see `Collimated.frame`.
+    """
+
+    @property
+    def pattern(self) -> str:  # type: ignore[override]  # read-only
+        """Positions of the rays: "random" or "grid"."""
+        return str(self.emitter.pattern)
+
+    @property
+    def reach(self) -> float:
+        """Radius about the middle ray that the light fills at the pivot, mm."""
+        return float(min(self.emitter.size) if self.emitter.rectangular else self.emitter.size[0])
+
+    def count(self, rays: int) -> int:
+        """Rays that a request for `rays` starts: a grid has a square number."""
+        return int(np.sqrt(rays)) ** 2 if self.pattern == "grid" else rays
+
+    def exact(self, o: np.ndarray, d: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """The same lines from one plane normal to the exact direction: o, d (n, 3) float64 → (n, 3) float64 each."""
+        ahead = (o - self.pivot) @ self.direction + self.distance
+        return o - ahead[:, None] * self.direction, np.broadcast_to(self.direction, d.shape).copy()
+
+    def start(
+        self, lane: mi.UInt32, batch: mi.UInt32, rays: int, rng: mi.PCG32, closing: np.ndarray, centre: np.ndarray
+    ) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """Origins and directions, see `Source.start`; three numbers of each generator are drawn."""
+        if self.pattern == "grid":
+            side = int(np.sqrt(rays))
+            sample = mi.Point2f((mi.Float(lane % side) + 0.5) / side, (mi.Float(lane // side) + 0.5) / side)
+        else:
+            sample = sorted_points(batch, rng, closing)
+        x, y = self.emitter.positions(sample)
+        vectors = (self.pivot - centre, self.direction, self.u, self.v)
+        pivot, direction, u, v = (mi.Vector3f(*(dr.opaque(mi.Float, float(c)) for c in vector)) for vector in vectors)
+        offset = u * x + v * y
+        # All rays start on one plane normal to the beam, also where the cross-section is not
+        back = dr.opaque(mi.Float, self.distance) + dr.dot(offset, direction)
+        origin = pivot + offset - back * direction
+        return origin, dr.zeros(mi.Vector3f, dr.width(lane)) + direction
+
+    def probes(self, sample: mi.Point2f) -> tuple[np.ndarray, np.ndarray]:
+        """Its rays through points of the cross-section, see `SceneSource.probes`."""
+        return self.parallel(*(np.array(v, dtype=np.float64) for v in self.emitter.positions(sample)))

@@ -1,0 +1,218 @@
+"""Base class for sources of light, those of mistray and of one's own."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any, ClassVar
+
+import drjit as dr
+import mitsuba as mi
+import numpy as np
+
+from mistray.errors import MistrayError
+from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, WAVELENGTH_NM, WEIGHT, Range
+from mistray.sampling.source import EmittedRays, SceneSource
+from mistray.sampling.sources import SourceRequest
+
+
+class LightSource(mi.Emitter):
+    """
+    A source of light with a place, an axis and wavelengths.
+
+    A subclass is a plugin as soon as it is registered, ``mi.register_emitter("name", Name)``. Every source has the
+    properties ``field_deg``, ``azimuth_deg``, ``wavelength_nm``, ``weights`` and ``to_world`` of `collimated`; its axis
+    is Rz(``azimuth_deg``) · (0, sin θ, cos θ) with θ = ``field_deg``. A subclass states what follows. It is traced,
+    recorded and drawn then, and has derivatives by the parameters in `differentiable`, edges included.
+
+    Attributes
+    ----------
+    ranges : mapping of str to Range
+        Its own numbers with the values they may have; those without an entry in `defaults` are required.
+    defaults : mapping of str to float
+    differentiable : tuple of str
+        Those of its numbers that `motion` knows the derivatives by.
+    tolerances : mapping of str to float
+        Of these, half the width of the range in which a shop holds them.
+    values : dict of str to float
+        Its own numbers.
+    """
+
+    ranges: ClassVar[Mapping[str, Range]] = {}
+    defaults: ClassVar[Mapping[str, float]] = {}
+    differentiable: ClassVar[tuple[str, ...]] = ()
+    tolerances: ClassVar[Mapping[str, float]] = {}
+
+    def __init__(self, props: mi.Properties) -> None:
+        super().__init__(props)
+        self.m_flags = +mi.EmitterFlags.DeltaPosition
+        self.name = str(props.id())
+        self.owner = f"source '{self.name}'"
+        missing = [key for key in self.ranges if key not in props and key not in self.defaults]
+        if missing:
+            raise MistrayError(f"{self.owner}: {', '.join(missing)} is missing; add what is required")
+        self.values = {key: self._number(props, key, self.ranges[key], self.defaults.get(key)) for key in self.ranges}
+        self.field_deg = self._number(props, "field_deg", FIELD_DEG, 0.0)
+        self.azimuth_deg = self._number(props, "azimuth_deg", AZIMUTH_DEG, 0.0)
+        self.matrix = np.array(props.get("to_world", mi.ScalarTransform4f()).matrix, dtype=np.float64).reshape(4, 4)
+        rotation = self.matrix[:3, :3]
+        if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-5) or np.linalg.det(rotation) < 0:
+            self._fail("to_world scales, shears or mirrors; use a rigid motion and set the size by parameters")
+        self.wavelengths_nm = self._numbers("wavelength_nm", props.get("wavelength_nm", 550.0), WAVELENGTH_NM)
+        weights = props.get("weights", None)
+        count = len(self.wavelengths_nm)
+        shares = np.ones(count) if weights is None else self._numbers("weights", weights, WEIGHT)
+        if len(shares) != count or not shares.sum() > 0:
+            self._fail(f"weights needs {count} values that are not all 0; give one for each wavelength")
+        self.weights = shares / shares.sum()
+        self.parameters = {key: mi.Float(self.values[key]) for key in self.differentiable}
+
+    def power(self, field_deg: float | None = None) -> float:
+        """Flux, W, at its own field angle or another one."""
+        raise NotImplementedError
+
+    def rays(self, sample: mi.Point2f, rng: mi.PCG32, n: Mapping[str, mi.Float]) -> tuple[mi.Vector3f, mi.Vector3f]:
+        """
+        Origins (mm) and directions of rays of equal flux, in the frame of the source, whose z is its axis.
+
+        Parameters
+        ----------
+        sample : mi.Point2f
+            Points of the unit square; their neighbours shall become neighbouring rays.
+        rng : mi.PCG32
+            For more numbers, where a ray needs more than two.
+        n : mapping of str to mi.Float
+            The numbers in `values`.
+        """
+        raise NotImplementedError
+
+    def motion(self, name: str, o: mi.Vector3d, d: mi.Vector3d) -> tuple[mi.Vector3d, mi.Vector3d]:
+        """Derivatives of the origins o and directions d of rays, in the frame of the source, by one of its numbers."""
+        raise NotImplementedError
+
+    def frame(self, field_deg: float | None = None, azimuth_deg: float | None = None) -> tuple[np.ndarray, ...]:
+        """
+        The source in the world, float64.
+
+        Returns
+        -------
+        pivot, direction, u, v : (3,) float64
+            The origin of its frame (mm), its axis, and the axes across it.
+        """
+        theta = np.radians(self.field_deg if field_deg is None else field_deg)
+        phi = np.radians(self.azimuth_deg if azimuth_deg is None else azimuth_deg)
+        c, s = np.cos(phi), np.sin(phi)
+        spin = np.array([[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]])
+        direction = spin @ [0.0, np.sin(theta), np.cos(theta)]
+        u = spin @ [1.0, 0.0, 0.0]
+        v = spin @ [0.0, np.cos(theta), -np.sin(theta)]
+        rotation = self.matrix[:3, :3]
+        return self.matrix[:3, 3], rotation @ direction, rotation @ u, rotation @ v
+
+    def sources(self, request: SourceRequest) -> Sequence[SceneSource]:
+        """What a trace starts, one for each wavelength."""
+        pivot, direction, u, v = self.frame(request.field_deg, request.azimuth_deg)
+        return [
+            self.source(
+                request,
+                emitter=self,
+                name=request.name,
+                wavelength_nm=float(wavelength),
+                power=self.power(request.field_deg) * share,
+                pivot=pivot,
+                direction=direction,
+                u=u,
+                v=v,
+            )
+            for wavelength, share in zip(request.wavelengths_nm, request.weights, strict=True)
+        ]
+
+    def source(self, request: SourceRequest, **facts: Any) -> SceneSource:
+        """The rays of one wavelength."""
+        return EmittedRays(**facts)
+
+    def _fail(self, what: str) -> None:
+        raise MistrayError(f"{self.owner}: {what}")
+
+    def _number(self, props: mi.Properties, key: str, within: Range, default: float | None) -> float:
+        return float(within.check(key, props.get(key, default), self.owner))
+
+    def _numbers(self, key: str, value: object, within: Range) -> np.ndarray:
+        try:
+            found = [float(part) for part in str(value).replace(",", " ").split()]
+        except ValueError:
+            self._fail(f"{key} is '{value}'; give one number or a list separated by commas")
+        return np.array([within.check(key, number, self.owner) for number in found], dtype=np.float64)
+
+    def traverse(self, callback: mi.TraversalCallback) -> None:
+        for key, value in self.parameters.items():
+            callback.put(key, value, mi.ParamFlags.Differentiable | mi.ParamFlags.Discontinuous)
+
+    def parameters_changed(self, keys: list[str] = []) -> None:  # noqa: B006  (Mitsuba's own signature)
+        given = {key: float(dr.detach(value)[0]) for key, value in self.parameters.items()}
+        # Compared as rounded, so that what was not touched keeps the digits of the scene
+        changed = {key: value for key, value in given.items() if value != float(np.float32(self.values[key]))}
+        try:
+            for key, value in changed.items():
+                self.ranges[key].check(key, value, self.owner)
+        except MistrayError:
+            for key in changed:
+                self.parameters[key][0] = self.values[key]
+            raise
+        self.values |= changed
+
+    # Mitsuba's own protocol, so that a stock particle tracer can use the source
+
+    def sample_ray(
+        self, time: mi.Float, sample1: mi.Float, sample2: mi.Point2f, sample3: mi.Point2f, active: mi.Mask = True
+    ) -> tuple[mi.Ray3f, mi.Spectrum]:
+        pivot, *axes = (mi.Vector3f(*vector.tolist()) for vector in self.frame())
+        numbers = {name: mi.Float(value) for name, value in self.values.items()}
+        o, d = self.rays(sample2, mi.PCG32(size=dr.width(sample2)), numbers)
+        direction, u, v = axes
+        ray = dr.zeros(mi.Ray3f, dr.width(sample2))
+        ray.o = mi.Point3f(pivot + u * o.x + v * o.y + direction * o.z)
+        ray.d = dr.normalize(u * d.x + v * d.y + direction * d.z)
+        ray.maxt = dr.largest(mi.Float)
+        ray.time = time
+        return ray, mi.Spectrum(self.power())
+
+    def sample_wavelengths(  # type: ignore[no-untyped-def]
+        self, si: mi.SurfaceInteraction3f, sample: mi.Float, active: mi.Mask = True
+    ):
+        # Mitsuba's RGB and mono variants carry no wavelength; the spectral ones get the first of the source
+        wavelengths = dr.zeros(type(si.wavelengths), dr.width(sample))
+        if mi.is_spectral:
+            wavelengths += float(self.wavelengths_nm[0])
+        return wavelengths, mi.Spectrum(self.power())
+
+    def sample_position(
+        self, time: mi.Float, sample: mi.Point2f, active: mi.Mask = True
+    ) -> tuple[mi.PositionSample3f, mi.Float]:
+        # No camera sees a source that is no surface
+        return dr.zeros(mi.PositionSample3f, dr.width(sample)), mi.Float(0)
+
+    def sample_direction(
+        self, it: mi.Interaction3f, sample: mi.Point2f, active: mi.Mask = True
+    ) -> tuple[mi.DirectionSample3f, mi.Spectrum]:
+        """No light for integrators that look for it from the surfaces; a source of one kind may know better."""
+        return dr.zeros(mi.DirectionSample3f, dr.width(it)), mi.Spectrum(0)
+
+    def pdf_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Mask = True) -> mi.Float:
+        return mi.Float(0)
+
+    def eval_direction(self, it: mi.Interaction3f, ds: mi.DirectionSample3f, active: mi.Mask = True) -> mi.Spectrum:
+        return mi.Spectrum(0)
+
+    def pdf_position(self, ps: mi.PositionSample3f, active: mi.Mask = True) -> mi.Float:
+        return mi.Float(0)
+
+    def eval(self, si: mi.SurfaceInteraction3f, active: mi.Mask = True) -> mi.Spectrum:
+        return mi.Spectrum(0)
+
+    def bbox(self) -> mi.ScalarBoundingBox3f:
+        return mi.ScalarBoundingBox3f()
+
+    def to_string(self) -> str:
+        wavelengths = ", ".join(f"{value:g}" for value in self.wavelengths_nm)
+        own = "".join(f"{key} = {value:g}, " for key, value in self.values.items())
+        return f"{type(self).__name__}[{own}field = {self.field_deg:g} deg, {self.power():g} W, {wavelengths} nm]"
