@@ -1,4 +1,4 @@
-# make demo | test | test-all | lint | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
+# make demo | quick | test | test-long | test-all | lint | bench | clean; each sets up what it needs. PYTHON=python3.12 picks another one.
 
 PYTHON ?= python3
 VENV   := .venv
@@ -11,13 +11,15 @@ CHECK  := from mistray._variant import find_llvm; from mistray._mitsuba_compat i
 PYTEST := $(BIN)/python -m pytest -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart=0
 
 .DEFAULT_GOAL := help
-.PHONY: help demo test test-all lint bench venv clean
+.PHONY: help demo quick test test-long test-all lint bench venv clean
 .DELETE_ON_ERROR:
 
 help:
 	@echo "make demo      trace the ghosts of the phone camera into out/demo"
-	@echo "make test      lint, types and tests"
-	@echo "make test-all  the same with the long tests"
+	@echo "make quick     a test of every room, within a minute"
+	@echo "make test      lint, types and tests, within ten minutes"
+	@echo "make test-long the tests that take seconds each, which make test leaves out"
+	@echo "make test-all  lint, types and all tests"
 	@echo "make lint      lint and types only"
 	@echo "make bench     measure the speed beside other programs; parts: make bench BENCH='--only batoid embree'"
 	@echo "make venv      only set up $(VENV)"
@@ -26,8 +28,15 @@ help:
 demo: venv
 	$(BIN)/mistray ghosts scenes/phone_camera/scene.xml --field-deg 0 5 10 15 20 25 27 --rays 2e4 --out out/demo --force
 
+# Only files with such tests are read
+quick: venv
+	$(PYTEST) -m "quick and not (gpu or slow or long)" $$(grep -rl 'mark\.quick' tests --include='test_*.py')
+
 test: lint
-	$(PYTEST) -m "not gpu and not slow"
+	$(PYTEST) -m "not (gpu or slow or long)"
+
+test-long: venv
+	$(PYTEST) -m "long and not (gpu or slow)"
 
 test-all: lint
 	$(PYTEST) -m "not gpu"

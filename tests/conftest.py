@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import os
 import signal
+import time
 from collections.abc import Callable, Iterable, Iterator
 from functools import lru_cache
 from pathlib import Path
@@ -29,6 +30,7 @@ LONG = (
 
 
 SLOW_S = 3600
+UNTIL = "MISTRAY_TESTS_UNTIL"  # seconds since 1970
 
 
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
@@ -50,7 +52,9 @@ def gpu_missing() -> str:
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:
-    """Tests with the marker `gpu` are skipped, with the reason, where there is none."""
+    """Tests are skipped, with the reason, after a time of day that was set, and those marked `gpu` without a GPU."""
+    if time.time() > float(os.environ.get(UNTIL, "inf")):
+        pytest.skip(f"the time that {UNTIL} allows is over")
     if item.get_closest_marker("gpu") and gpu_missing():
         pytest.skip(gpu_missing())
 

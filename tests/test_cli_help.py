@@ -14,6 +14,8 @@ from mistray.cli import program
 from mistray.settings import NO_LIMIT
 from mistray.trace import Settings
 
+pytestmark = pytest.mark.quick
+
 COMMANDS: dict[str, argparse.ArgumentParser] = program._parser()._subparsers._group_actions[0].choices
 OPTIONS = {
     name: [

@@ -11,6 +11,8 @@ import pytest
 
 from mistray import cli
 
+pytestmark = pytest.mark.quick
+
 SHARED = Path(__file__).parent / "data"
 # f = 50 · 50 / 100 / (n - 1) about, n of N-BK7 at the d line
 ZMX = """MODE SEQ

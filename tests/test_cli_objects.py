@@ -51,6 +51,7 @@ def test_there_are_commands_in_the_docs():
     assert len(COMMANDS) == 3
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("command", COMMANDS)
 def test_commands_of_the_docs(capsys, tmp_path, monkeypatch, command):
     monkeypatch.chdir(tmp_path)

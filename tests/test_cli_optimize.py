@@ -79,6 +79,7 @@ def test_report_and_files(capsys: Any, files: tuple[str, str, str]) -> None:
     assert len((Path(out) / "history.csv").read_text().splitlines()) > 5
 
 
+@pytest.mark.long
 def test_a_time_budget(capsys: Any, files: tuple[str, str, str]) -> None:
     """A search without an end of its own ends in time, says why, and leaves all files; later it goes on from there."""
     scene, study, out = files

@@ -125,6 +125,7 @@ def test_every_option_is_passed_on(capsys: Any, fake: list[dict[str, Any]]) -> N
     }
 
 
+@pytest.mark.long
 def test_it_writes_its_files(capsys: Any, fake: list[dict[str, Any]], tmp_path: Path) -> None:
     out = tmp_path / "out"
     arguments = ["lens.xml", "--out", str(out), "--field-deg", ANGLES, "--azimuths-deg", "0:270:90"]
@@ -327,6 +328,7 @@ class TestSavedRun:
                 assert path["pst"] == pytest.approx(same["pst"], rel=1e-9)
                 assert path["rays"] == same["rays"]
 
+    @pytest.mark.long
     def test_interrupted_it_says_how_to_go_on(self, capfd: Any, tmp_path: Path) -> None:
         state, log = tmp_path / "run" / "state.npz", tmp_path / "log"
         process = self.start(state, log)
@@ -340,6 +342,7 @@ class TestSavedRun:
         assert " start rays" in line
         self.goes_on_like_one_run(capfd, state)
 
+    @pytest.mark.long
     def test_killed_it_leaves_the_last_state(self, capfd: Any, tmp_path: Path) -> None:
         state, log = tmp_path / "state.npz", tmp_path / "log"
         process = self.start(state, log)
@@ -383,6 +386,7 @@ class TestSavedRun:
         assert err == f"mistray: interrupted; the saved run is still in {saved}, go on with --resume\n"
 
 
+@pytest.mark.long
 def test_commands_of_the_page_run(capfd: Any, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     page = (Path(__file__).parents[1] / "docs" / "pst.md").read_text(encoding="utf-8")
     commands = [line for line in page.split("```sh\n")[1].split("```")[0].splitlines() if line]

@@ -22,6 +22,7 @@ def run(capsys: Any, *arguments: str) -> tuple[int, str, str]:
     return code, captured.out, captured.err
 
 
+@pytest.mark.long
 def test_findings_and_one_report(capsys: Any, tmp_path: Path) -> None:
     out = tmp_path / "new" / "out"
     code, printed, errors = run(capsys, "plate_and_wall", *FEW, "--out", str(out))

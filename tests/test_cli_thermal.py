@@ -83,6 +83,7 @@ def test_bad_input(arguments: tuple[str, ...], words: str, scene: str, capsys: p
     assert err.count("\n") == 1
 
 
+@pytest.mark.long
 def test_a_time_budget_is_kept_and_the_result_says_so(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
     began = time.monotonic()
     code, text, _ = run(capsys, scene, "--rays", "1e9", "--seconds", "3", "--json")

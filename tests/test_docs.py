@@ -39,6 +39,7 @@ def test_there_are_pages() -> None:
     assert any(BLOCK.search(page.read_text(encoding="utf-8")) for page in PAGES)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.stem)
 def test_examples_run(page: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.chdir(tmp_path)

@@ -206,6 +206,7 @@ def ghosts(case: Case) -> list[str]:
     return ["ghosts", case.scene, "--rays", "200", *case.options, "--out", "out", "--force"]
 
 
+@pytest.mark.long
 def test_the_scene_is_good(capfd, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     Path("scene.xml").write_text(SCENE)
@@ -223,6 +224,7 @@ def test_one_line_and_nothing_written(capfd, folder, case):
     check_line(err, case.words)
 
 
+@pytest.mark.long
 def test_the_command_itself(tmp_path):
     """The same through the real command, as processes of their own; every third case, as each starts Python anew."""
 

@@ -176,6 +176,7 @@ def complaint(read: Callable[[Path], object], path: Path, capfd: pytest.CaptureF
     return None if text is None else unclear(text)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "damage"), CASES)
 def test_damaged_files(name: str, damage: Damage, tmp_path: Path, capfd: pytest.CaptureFixture[str]) -> None:
     check(name, damage, KINDS[name].count, tmp_path, capfd)

@@ -74,6 +74,7 @@ def test_a_filter_names_them(tmp_path: Path) -> None:
     assert [row.path_id for row in plain.paths.select("G(p0_rear)")]
 
 
+@pytest.mark.long
 def test_commands(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any) -> None:
     names = STRANGE[0]
     monkeypatch.chdir(tmp_path)

@@ -94,6 +94,7 @@ def test_a_signal_ends_an_explosion(command: list[str], after_s: float, number: 
     assert ("nothing was written" in last) == (not written)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("room", [200_000, 500_000])
 def test_a_full_disk_keeps_the_tables_that_fit(room: int, tmp_path: Path) -> None:
     def little_room() -> None:

@@ -59,10 +59,12 @@ def check(worker: Worker, chosen: list[Try]) -> None:
     assert not wrong, "\n".join(wrong)
 
 
+@pytest.mark.long
 def test_some_options(worker: Worker) -> None:
     check(worker, [one for one in TRIES[::STEP] if one.command not in LONG and one.option not in WORK])
 
 
+@pytest.mark.long
 def test_some_numbers_of_scenes(worker: Worker) -> None:
     check(worker, [one for one in SCENES[::STEP_XML] if one.command not in LONG])
 

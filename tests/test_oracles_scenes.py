@@ -20,6 +20,7 @@ WINDOW = ("window_front", "window_rear")
 DIRECT = [*((surface, "SpecTran") for surface in LENSES), ("detector", "Absorbed")]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("path", SCENES, ids=[path.parent.name for path in SCENES])
 @pytest.mark.parametrize("field_deg", [0.0, 0.4, 9.0])
 def test_energy_closes_and_media_fit(path: Path, field_deg: float) -> None:
@@ -76,6 +77,7 @@ PHONE_FIGURES = [
 ]
 
 
+@pytest.mark.long
 @pytest.mark.validation
 @pytest.mark.parametrize(("field_deg", "rms_um", "chief_mm", "illumination", "passed"), PHONE_FIGURES)
 def test_phone_camera_figures(

@@ -94,6 +94,7 @@ def test_list_of_packages_is_complete():
     assert homes <= folders, "Python files in folders without __init__.py"
 
 
+@pytest.mark.long
 def test_nobody_imports_the_mapped_folders_directly():
     """From the root of the repository, `import plugins` is a second copy of `mistray.plugins`."""
     wrong = []

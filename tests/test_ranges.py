@@ -20,6 +20,8 @@ from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, RAYS, THRESHOLD, Range, check_fields
 from mistray.settings import Settings
 
+pytestmark = pytest.mark.quick
+
 RANGES = {name: value for name, value in vars(ranges).items() if isinstance(value, Range)}
 COMMANDS: dict[str, argparse.ArgumentParser] = _parser()._subparsers._group_actions[0].choices  # type: ignore
 NOT_NUMBERS = (None, True, "5", "", [1, 2], object(), 1j)

@@ -31,6 +31,7 @@ def test_the_commands_of_the_readme_are_known():
     assert [line for line in COMMANDS if line.startswith("make")] == ["make demo", "make test"]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("line", [line for line in COMMANDS if line.startswith("mistray")])
 def test_command(line, monkeypatch, capsys):
     """In this process: to start Python and Mitsuba for each takes longer than most of them."""
@@ -45,6 +46,7 @@ def test_command(line, monkeypatch, capsys):
     assert printed.out
 
 
+@pytest.mark.long
 def test_make_demo_writes_the_report():
     if shutil.which("make") is None or Path(sys.prefix) != ROOT / ".venv":
         pytest.skip("not run by make in its own environment")
@@ -57,6 +59,7 @@ def test_make_demo_writes_the_report():
     assert not re.search(r"(src|href)=[\"']https?:", html), "the report must not need a network"
 
 
+@pytest.mark.long
 def test_python_examples(tmp_path):
     """The blocks follow each other, as a reader would run them; each is short."""
     examples = blocks("python")

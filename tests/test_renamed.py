@@ -85,6 +85,7 @@ FEW: dict[str, Any] = {"rays": 200}
 MOVED = {"moved": {"detector.z": 0.1}}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("by_old_name", "by_new_name"),
     [

@@ -129,6 +129,7 @@ RUNS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("stop", [MistrayError("no room"), KeyboardInterrupt()], ids=["error", "interrupt"])
 @pytest.mark.parametrize("command", RUNS)
 def test_a_run_that_was_saved_is_named(

@@ -274,6 +274,7 @@ def strange(tmp_path: Path, *arguments: str) -> str:
     return done.stdout.decode()
 
 
+@pytest.mark.long
 def test_strange_surroundings(tmp_path: Path) -> None:
     assert json.loads(strange(tmp_path, "--json"))["fields"]
 

@@ -134,6 +134,7 @@ def test_old_llvm_is_refused_without_an_abort(path):
     assert late.stdout.startswith("variant 'llvm_ad_rgb': Dr.Jit has been imported with LLVM 1"), late.stderr
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("before", "environment", "argument", "expected"),
     [

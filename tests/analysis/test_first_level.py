@@ -74,6 +74,7 @@ def test_bad_limits(scene, calls):
         first_level(scene, limits={"x": {"max_ghosts": 1}})
 
 
+@pytest.mark.long
 def test_of_a_real_scene():
     """Less light under each limit; one scatter event at most is a part of all."""
     found = first_level(mistray.load("plate_and_wall"), [0.0, 30.0, 60.0], rays=40_000, max_scatters=2)

@@ -16,6 +16,8 @@ from mistray.errors import MistrayError
 from mistray.recorders.path_events import STRAY_KINDS
 from mistray.recorders.path_events import short_label as label
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture
 def traced(monkeypatch):

@@ -100,6 +100,7 @@ def seen_share(half_width: float, gap: float, glass: float, n: float) -> float:
     return float(np.trapezoid(np.sin(2 * theta) * azimuths, theta))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("total", [True, False])
 def test_gcf_of_one_side_is_at_most_one(total):
     """

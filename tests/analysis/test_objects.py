@@ -104,6 +104,7 @@ def test_a_tube_lit_from_outside(load, angle):
         assert_z("outside", outside.value, 2 * radius * length * abs(np.sin(theta)), outside.se)
 
 
+@pytest.mark.long
 def test_cone_of_light_through_an_opening(load):
     """Averaged over the solid angle of a cone, an area takes A (1 + cos h)/2; a disc source gives the same."""
     scene = load(open_tube_text(1e-3, 1.0, 0.999))
@@ -276,6 +277,7 @@ def test_light_past_a_lens_is_a_straight_shot(phone):
 # ---- ray controls
 
 
+@pytest.mark.long
 def test_ray_controls(load):
     """Nothing goes on, all of it is reflected, all of it is transmitted, or either by chance."""
     scene = load(plate_text(R=0.3, T=0.5))

@@ -72,6 +72,7 @@ def test_the_mean_is_that_of_all_rays(lenses: Any) -> None:
         assert found.branches[path_id] == len(own)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("key", SORT_KEYS)
 def test_seven_keys(lenses: Any, ring: Any, key: str) -> None:
     for trace in (lenses, ring):
@@ -175,6 +176,7 @@ def test_wrong_aliases(lenses: Any) -> None:
         assert named[1].replace("\\", "") in str(caught.value)
 
 
+@pytest.mark.long
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     words = ["ghosts", "singlet_window_detector", "--field-deg", "2", "--rays", "400", "--alias", "L1*=lens",
              "--path-analysis", "objects", "--least-share", "0.05", "--quiet"]  # fmt: skip

@@ -18,6 +18,8 @@ from mistray.execute.backward import BackwardTrace
 from mistray.recorders.sky import CLASSES, DIFFRACTED, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
 from mistray.settings import Settings
 
+pytestmark = pytest.mark.quick
+
 RAYS = 8192  # less than a first pass: one pass
 SCATTERED = ("single_scatter", "multiple_scatter")
 

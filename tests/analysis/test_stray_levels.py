@@ -79,6 +79,7 @@ def test_another_word_is_refused(report: GhostReport) -> None:
         report.stray_levels(FIELD, "ghost")
 
 
+@pytest.mark.long
 def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     """A filter on the command line: its paths, its rays, and their power, as the trace has them."""
     words = ["ghosts", "singlet_window_detector", "--field-deg", "0", "2", "--rays", "800", "--quiet"]

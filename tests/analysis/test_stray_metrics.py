@@ -219,6 +219,7 @@ class TestErrors:
         weight = np.broadcast_to(share, (*grid.shape, batches)).copy() if forward else share
         return Pst(grid, truth[..., None] * (1 + noise), weight, method="forward" if forward else "adjoint")
 
+    @pytest.mark.long
     @pytest.mark.parametrize("forward", [False, True])
     def test_sum_and_quotient(self, forward: bool) -> None:
         rng = np.random.default_rng(7)

@@ -51,6 +51,7 @@ def small() -> Study:
 # ---- step 1
 
 
+@pytest.mark.long
 def test_surfaces_in_the_order_of_the_light(camera):
     step = optical_model(*camera)
     table = step.table
@@ -234,6 +235,7 @@ def test_the_parts_are_at_hand(small):
     assert "Stray-light analysis" in repr(small)
 
 
+@pytest.mark.long
 def test_one_report_and_a_csv_of_every_table(small, tmp_path: Path):
     files = small.write(tmp_path / "out", "mistray study plate_and_wall")
     assert files[-1].name == "report.html"

@@ -22,6 +22,8 @@ from mistray.analysis.thermal.spectrum import band_weights, traced_wavelengths
 from mistray.errors import MistrayError
 from mistray.physics import planck
 
+pytestmark = pytest.mark.quick
+
 DATA = Path(__file__).parents[1] / "data"
 PER_M2 = 1e-6
 BAND = (8.0, 12.0)

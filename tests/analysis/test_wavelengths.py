@@ -105,6 +105,7 @@ def test_weights_of_the_scene_are_the_default():
     assert [report.weight(wavelength) for wavelength in LINES] == pytest.approx([0.25, 0.5, 0.25])
 
 
+@pytest.mark.long
 def test_standard_errors_of_the_ghost_of_all_lines(scene):
     """40 seeds: Σz² against the common mean is χ² with 39 degrees of freedom; within 9.5 … 100, false alarm 1e-6.
 

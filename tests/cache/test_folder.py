@@ -10,6 +10,8 @@ import pytest
 from mistray.cache import code_fingerprint, default_folder, file_fingerprint, fingerprint, limit_bytes, open_cache
 from mistray.errors import MistrayError
 
+pytestmark = pytest.mark.quick
+
 
 def test_the_environment_says_where(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("MISTRAY_CACHE", str(tmp_path))

@@ -45,6 +45,7 @@ def assert_same(a, b, rtol=ROUNDING):
     assert (a.rays_traced, a.segments, a.settings["rays"]) == (b.rays_traced, b.segments, b.settings["rays"])
 
 
+@pytest.mark.long
 def test_parts_add_up_to_one_run(scene, monkeypatch):
     monkeypatch.setattr(by_parts, "LEAST_RAYS", 1 << 10)
     arguments = {"rays": 40_000, "wavelength_nm": [500.0, 600.0], "field_deg": 2.0}
@@ -159,6 +160,7 @@ def test_ghosts_keep_the_fields_that_are_finished(scene):
     assert {field: t.rays_traced for field, t in caught.value.partial.items()} == {0.0: 2000}
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("method", ["adjoint", "forward"])
 def test_pst_by_workers(method, tmp_path):
     scene = mistray.load("plate_and_wall")

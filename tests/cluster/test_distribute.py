@@ -111,6 +111,7 @@ def assert_same(one, many):
 # The next four use up one cluster, in this order
 
 
+@pytest.mark.long
 def test_a_worker_of_another_version_is_refused(cluster, scene, monkeypatch):
     monkeypatch.setattr("mistray.cluster.travel.surroundings", lambda: {"mistray": "9.9", "variant": "llvm_ad_rgb"})
     with (

@@ -72,6 +72,7 @@ def plate(tmp_path):
     return tmp_path / "scenes/plate.xml"
 
 
+@pytest.mark.quick
 def test_files_travel_with_a_scene(plate):
     scene = mistray.load(plate)
     here = powers(scene, (500, 600))
@@ -140,6 +141,7 @@ def test_a_file_that_changed_since_is_noticed(plate, tmp_path):
         mistray.trace(scene, rays=500)
 
 
+@pytest.mark.quick
 def test_scenes_from_dicts_travel_with_their_frames():
     whole = {
         "type": "scene",

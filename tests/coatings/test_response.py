@@ -9,6 +9,8 @@ from mistray.coatings import Bare, Ideal
 from mistray.coatings.response import total_reflection
 from mistray.errors import MistrayError
 
+pytestmark = pytest.mark.quick
+
 COSINES = np.cos(np.radians(np.concatenate([np.linspace(0, 89.9, 60), [90.0]])))
 GLASS, METAL = 1.5168 + 0j, 0.958 + 6.69j
 

@@ -9,6 +9,8 @@ import tmm
 from mistray.coatings import Layer, Stack, layer_text, parse_layers
 from mistray.errors import MistrayError
 
+pytestmark = pytest.mark.quick
+
 ABSORBING = (Layer("1.38", 120.0), Layer("2.3+0.4i", 15.0), Layer("1.6", 90.0))
 NUMBERS = [(1.38 + 0j, 120.0), (2.3 + 0.4j, 15.0), (1.6 + 0j, 90.0)]
 COSINES = np.cos(np.radians([0.0, 20.0, 45.0, 70.0, 89.0]))

@@ -173,6 +173,7 @@ def test_what_was_dropped_is_raised_after_the_launch(plates: Any, monkeypatch: p
         mistray.pst(plates, [0, 20], rays=1000)
 
 
+@pytest.mark.long
 def test_a_long_trace_names_the_limit_to_lower(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     forecast = importlib.import_module("mistray.execute.forecast")
     monkeypatch.setattr(forecast, "FIRST_LOOK", 0.0)

@@ -24,6 +24,8 @@ from mistray.recorders.ledger import Ledger
 from mistray.recorders.tallies import SURFACE_SUMS
 from mistray.settings import BATCHES, Settings
 
+pytestmark = pytest.mark.quick
+
 MOST_RAYS = 2**32 - 1
 
 PROGRAM = """

@@ -9,6 +9,8 @@ import pytest
 
 from mistray.gradients.aspheric_terms import AsphericTerms
 
+pytestmark = pytest.mark.quick
+
 ORDERS = 9
 
 

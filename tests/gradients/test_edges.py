@@ -213,6 +213,7 @@ class TestTotalDerivative:
         run.execute(ledger=False, progress=None)
         return np.asarray(run.surfaces[run.table.detector, ABSORBED_HERE] / rays)
 
+    @pytest.mark.long
     def test_against_new_traces(self) -> None:
         """Steps small enough for the curvature of the power to stay below the error."""
         scene = mistray.load("double_gauss_barrel")
@@ -264,6 +265,7 @@ def scatter_derivative(rays: int) -> np.ndarray:
 
 
 class TestAgainstTheLight:
+    @pytest.mark.long
     def test_central_differences(self, load_scene) -> None:
         """Vane that scatters, up to three events; the step of 0.4 mm shows no curvature beyond the error."""
         rays, step = 400_000, 0.4
@@ -274,6 +276,7 @@ class TestAgainstTheLight:
         found = edge_derivative(read_frozen(baffle_text(paint=0.5)), groups, "vane.r0", STEP)
         check("radius of the hole", found, expected, se)
 
+    @pytest.mark.long
     def test_direct_edge_sampling(self, load_scene) -> None:
         """
         Black vane, one scatter event, against the integral along its rim, which knows no zones.

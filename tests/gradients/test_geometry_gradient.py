@@ -225,6 +225,7 @@ def residual(shape: mi.Shape, name: str, moves: np.ndarray) -> float:
     return worst / max(scale, 1e-300)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", KINDS)
 def test_points_and_rims_move_as_the_columns_say(kind: str) -> None:
     shape = random_shape(kind, 1)

@@ -20,6 +20,8 @@ from mistray.optimize import path_power
 from mistray.optimize.gradient import Gradient
 from mistray.optimize.scene_values import changed
 
+pytestmark = pytest.mark.quick
+
 WRONG = 1.3
 BEAM = 5.0  # mm
 LAUNCHED = np.pi * BEAM**2

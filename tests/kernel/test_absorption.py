@@ -8,6 +8,8 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 
 import mistray
 
+pytestmark = pytest.mark.quick
+
 TAU = 0.9  # of 5 mm at 550 nm
 K = float(-np.log(TAU) * 550e-6 / (4 * np.pi * 5.0))
 DARK = f"1.5+{K!r}i"

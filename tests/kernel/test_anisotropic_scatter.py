@@ -101,6 +101,7 @@ def small_detector(f: float, polar_deg: float, distance: float = 60.0, radius: f
 
 
 class TestClosedForms:
+    @pytest.mark.long
     @pytest.mark.parametrize("azimuth", [0.0, 90.0, 135.0, 250.0])
     def test_four_azimuths(self, two_fold: dict[str, Any], azimuth: float) -> None:
         """a + b cos 2φ at four azimuths, whatever the azimuth of the light; 0.2 % is the table's interpolation."""
@@ -111,6 +112,7 @@ class TestClosedForms:
             assert se < 2e-3 * exact
             assert_z(f"beam at {beam:g}°", found, exact, se, k=4.0, floor=2e-3 * exact)
 
+    @pytest.mark.long
     def test_file(self, brdf: dict[str, Any]) -> None:
         """The closed form behind an Asymmetrical4D file, at odd angles: 1.5 % of A is the file's interpolation."""
         rng = np.random.default_rng(4)
@@ -122,6 +124,7 @@ class TestClosedForms:
             exact = small_detector(brushed.bsdf(d * [1, 1, -1], seen, x, FRONT_NORMAL), polar)
             assert_z("odd angles", found, exact, se, k=4.0, floor=small_detector(0.015 * brushed.A, polar))
 
+    @pytest.mark.long
     def test_transmission(self, tmp_path: Path) -> None:
         """A BTDF into glass: the specular direction is the refracted one, and the angles are seen from the light."""
         rotations, angles = np.arange(0.0, 361.0, 15.0), np.array([0.0, 12.0, 24.0, 36.0])
@@ -136,6 +139,7 @@ class TestClosedForms:
         exact = small_detector(brushed.bsdf(specular, seen, x, FRONT_NORMAL), polar)
         assert_z("BTDF", found, exact, se, k=4.0, floor=small_detector(0.015 * brushed.A, polar))
 
+    @pytest.mark.long
     @pytest.mark.parametrize("beam", [0.0, 30.0, 140.0])
     def test_absorbed(self, brdf: dict[str, Any], beam: float) -> None:
         """What the plate keeps is 1 - TIS, which changes with the azimuth of incidence; 0.6 % is interpolation."""
@@ -177,6 +181,7 @@ class TestClosedForms:
 class TestRotation:
     """A sample that is turned by 90° is the same as light and detector turned by -90° about it."""
 
+    @pytest.mark.long
     @pytest.mark.parametrize("kind", ["asphere", pytest.param("frustum", marks=pytest.mark.slow), "rectangle"])
     def test_power(self, brdf: dict[str, Any], kind: str) -> None:
         shape = {
@@ -195,6 +200,7 @@ class TestRotation:
             d, d_se = power(tilted, rays=2_000)
             assert_z("tilt_z", d, a, np.hypot(a_se, d_se), k=4.0, floor=1e-4 * a)
 
+    @pytest.mark.long
     def test_map(self, two_fold: dict[str, Any]) -> None:
         """The map behind a plate at normal incidence turns with the sample, in each pixel."""
 
@@ -232,6 +238,7 @@ class TestRotation:
 class TestBothDirections:
     """Rays with the light and against it give the same PST of each quadrant of azimuths."""
 
+    @pytest.mark.long
     @pytest.mark.parametrize(
         ("shape", "turned"),
         [

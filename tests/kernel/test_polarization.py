@@ -9,6 +9,8 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 
 import mistray
 
+pytestmark = pytest.mark.quick
+
 TOTAL_45 = {"unpolarized": 0.9043267914588886, "stokes": 0.9073443298016289}
 
 

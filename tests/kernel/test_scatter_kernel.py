@@ -64,6 +64,7 @@ def reference(load_scene) -> tuple[object, tuple[float, float]]:
     return scene, scattered(mistray.trace(scene, rays=200_000, seed=100, max_scatters=2, scatter_threshold=0.0))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("mode", MODES)
 def test_modes_agree(reference, mode: str) -> None:
     """Flux of scattered light, whatever the way of sampling; false alarm 1e-3 for all modes."""

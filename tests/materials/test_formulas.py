@@ -14,6 +14,8 @@ from mistray.materials import LINE_C_NM, LINE_D_NM, LINE_F_NM, cauchy_index
 from mistray.materials.formulas import AGF_FORMULAS, PAGE_FORMULAS
 from mistray.materials.pages import data_folder, read_page
 
+pytestmark = pytest.mark.quick
+
 
 def pages_by_formula():
     """One page for each number of a formula that the database uses."""

@@ -15,6 +15,8 @@ from mistray.io.cad.mesh import read_mesh
 from mistray.mechanics import read_mechanics
 from mistray.mechanics.ply import ply_bytes
 
+pytestmark = pytest.mark.quick
+
 DATA = Path(__file__).parents[1] / "data"
 CORNERS = [(0.0, 0.0, 0.0), (2.0, 0.0, 0.0), (0.0, 3.0, 0.0), (0.0, 0.0, 4.0)]
 FACES = [(0, 2, 1), (0, 1, 3), (0, 3, 2), (1, 2, 3)]  # a tetrahedron of 4 mm³, normals outwards

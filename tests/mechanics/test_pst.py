@@ -79,12 +79,14 @@ def outside(tube: Mechanics, folder: Path) -> tuple[Any, ...]:
     return tube.painted({"vane*": "paint reflectance=0.1 side=back"}).structures(folder)
 
 
+@pytest.mark.long
 def test_exact_surfaces(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
     tube = outside(drawn, tmp_path)
     assert all(isinstance(shape, Structure) for shape in tube)
     assert np.all(apart(pst(tube, seed=2), typed) < 3)
 
 
+@pytest.mark.long
 def test_mesh(typed: Any, drawn: Mechanics, tmp_path: Path) -> None:
     tube = outside(replace(drawn, most_analytic=0), tmp_path)
     assert [type(shape) for shape in tube] == [MeshStructure]

@@ -50,6 +50,7 @@ def result(tmp_path_factory: pytest.TempPathFactory) -> Optimization:
     return optimize(script().short_vanes(tmp_path_factory.mktemp("vanes")), reduced())
 
 
+@pytest.mark.long
 def test_stray_light_falls_on_other_seeds(result: Optimization) -> None:
     row = result.comparison.of("stray 20-80")
     assert row.ratio - SIGMAS * row.ratio_se > 10, row

@@ -125,6 +125,7 @@ def deviations(found: Gradient, gradient: dict[str, np.ndarray], expected: dict[
     return worst
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", CASES)
 def test_against_the_oracle(cases: Callable[[str], Case], name: str) -> None:
     case, keys = cases(name), KEYS[name]
@@ -162,6 +163,7 @@ def test_what_is_left_out_is_named(cases: Callable[[str], Case]) -> None:
     assert any("scatter with the index" in text for text in found.left_out)
 
 
+@pytest.mark.long
 def test_cleanliness_level() -> None:
     """
     Dust, whose random choices change with its level: two traces with other seeds at levels 20 % apart.

@@ -82,6 +82,7 @@ def triplet() -> Any:
 
 
 class TestCookeTriplet:
+    @pytest.mark.long
     @pytest.mark.parametrize("kind", ["ghost", "ratio", "image", "one path"])
     def test_ten_random_parameters(self, triplet, kind) -> None:
         params = keep_coatings(triplet, "thickness_nm", "n_shift", "k_shift")
@@ -95,6 +96,7 @@ class TestCookeTriplet:
         }[kind]()  # fmt: skip
         assert compare(metric, params, 10, seed=1) < TOLERANCE
 
+    @pytest.mark.long
     def test_a_design_that_all_surfaces_share(self) -> None:
         """One object, one key: its derivative is the sum over the surfaces."""
         prescription = build_triplet()
@@ -105,6 +107,7 @@ class TestCookeTriplet:
         metric = path_power(shared, "ghost", rays=3000, field_deg=(0.0, 12.0), **TRACED)
         assert compare(metric, params, 6, seed=5) < TOLERANCE
 
+    @pytest.mark.long
     def test_a_wrong_gradient_fails(self, triplet, monkeypatch: pytest.MonkeyPatch) -> None:
         """With the transmission's share left out the comparison is off by far more than the tolerance."""
         derivatives = Run.derivatives
@@ -161,6 +164,7 @@ class TestCookeTriplet:
 
 
 class TestPhoneCamera:
+    @pytest.mark.long
     def test_ten_random_parameters(self) -> None:
         """Stacks on the lenses, ideal coatings elsewhere."""
         scene = coated(build_phone(), "1.38 95, 2.1 120, 1.63 80")
@@ -168,6 +172,7 @@ class TestPhoneCamera:
         metric = path_power(scene, "ghost", rays=1500, field_deg=10.0, **TRACED)
         assert compare(metric, params, 10, seed=2) < TOLERANCE
 
+    @pytest.mark.long
     def test_ideal_coatings(self) -> None:
         scene = mistray.load("phone_camera")
         params = keep_coatings(scene, "R", "T")
@@ -212,6 +217,7 @@ class TestAngles:
         assert all(np.all(values != 0) for values in gradient(metric, params).gradient.values())
         assert compare(metric, params, 6, seed=6) < TOLERANCE
 
+    @pytest.mark.long
     def test_both_sides_and_total_reflection(self, load_scene) -> None:
         """The absorbing film takes part of the total reflection, from inside the glass and near the critical angle."""
         film = (

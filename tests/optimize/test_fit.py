@@ -95,6 +95,7 @@ def scene() -> Any:
 class TestPstBands:
     """The derivatives of a curve from one replay."""
 
+    @pytest.mark.long
     def test_jacobian_is_that_of_single_numbers(self, scene):
         """Each row against `mistray.gradient` of that cell alone: the same rays, another way of adding them up."""
         import mitsuba as mi
@@ -142,6 +143,7 @@ def example():
     return script
 
 
+@pytest.mark.long
 @pytest.mark.validation
 def test_truth_is_near_in_four_draws(example):
     """χ² of 12 degrees of freedom is beyond 32.9 with a probability of 1e-3; half the covariance doubles it."""

@@ -143,6 +143,7 @@ def vanishes(case: Case, found: Gradient, key: str, expected: np.ndarray) -> boo
     return bool(np.all(np.abs(expected) < 0.2 * np.abs(found.batches[key]).sum(axis=0) + zero))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", KEYS)
 def test_each_parameter(cases: Callable[[str], Case], name: str) -> None:
     """Every kind of parameter and metric; a gradient that is 1 % too large fails for each of them."""
@@ -172,6 +173,7 @@ def test_each_parameter(cases: Callable[[str], Case], name: str) -> None:
     assert noticed >= {kind_of(key) for key in keys} - ({"tilt_z"} if name == "triplet" else set())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", ["singlet", "double Gauss", "phone camera"])
 def test_directions(cases: Callable[[str], Case], name: str) -> None:
     """

@@ -122,6 +122,7 @@ class TestStatistics:
                 assert g.standard_error[key][0] > 0
                 assert abs(g.gradient[key][0] - value) < 4.5 * g.standard_error[key][0], (how, key)
 
+    @pytest.mark.long
     def test_standard_errors(self) -> None:
         """Over 40 seeds the spread is the error: χ² with 39 degrees of freedom, false-alarm probability 1e-6 each."""
         scene = mistray.load("phone_camera")

@@ -11,6 +11,8 @@ from mistray.optimize import path_power
 from mistray.optimize.gradient import gradient
 from mistray.optimize.parameters import groups, parameters
 
+pytestmark = pytest.mark.quick
+
 TOLERANCE = 1e-3  # of the issue, on frozen paths
 
 

@@ -220,6 +220,7 @@ class TestMerit:
         assert merit.broken(found["terms"]) == ("transmission",)
         assert merit.least == pytest.approx(1.5 * math.log(1e-15))
 
+    @pytest.mark.long
     @pytest.mark.parametrize("method", ["lbfgsb", "sqp"])
     def test_slope_against_differences(self, plate: Path, method: str) -> None:
         """Of coatings, terms of layers and an ideal R on a log scale; all at once, or term by term; with one seed."""

@@ -215,6 +215,7 @@ class TestCombined:
 
 
 class TestNoise:
+    @pytest.mark.long
     def test_over_seeds(self, scene) -> None:
         """Over 40 seeds the spread is the error: χ² with 39 degrees of freedom, false-alarm probability 1e-6 each."""
         settings = {"rays": 400, "max_reflections": 2, "field_deg": FIELDS}
@@ -258,6 +259,7 @@ class TestCoatings:
     KEYS = ("front.bsdf.R", "rear.bsdf.T", "detector.bsdf.R")
     STEP = 0.002
 
+    @pytest.mark.long
     @pytest.mark.parametrize("name", [*EVERY, "ghost_radius"])
     def test_central_differences(self, lens, name: str) -> None:
         params = mi.traverse(lens)

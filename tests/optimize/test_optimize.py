@@ -135,6 +135,7 @@ class TestSearch:
         assert set(result.parameters) == {"p0_front.bsdf.R", "p0_rear.bsdf.R"}
         assert result.comparison.of("path_power").ratio == pytest.approx(2500, rel=1e-4)
 
+    @pytest.mark.long
     def test_several_starts_leave_a_local_minimum(self, plate: Path) -> None:
         """Three quarter waves are a minimum too, a worse one over a band: from there only other starts lead away."""
         band = [450, 550, 650]
@@ -195,6 +196,7 @@ class TestCheckpoint:
             optimize(plate, study(**optimizer), checkpoint=file, progress=progress)
         return seen
 
+    @pytest.mark.long
     @pytest.mark.parametrize("how", [{}, {"method": "adam", "seeds": "fresh", "steps": 6}])
     def test_resumed_is_uninterrupted(self, plate: Path, tmp_path: Path, how: dict[str, Any]) -> None:
         """The same answer as without interruption. Sums of a trace may differ in the last bit from run to run."""
@@ -220,6 +222,7 @@ class TestCheckpoint:
         assert [step.start for step in result.steps[:3]] == [0, 1, 2]
         assert sum(step.step == 0 for step in result.steps) == 3
 
+    @pytest.mark.long
     def test_more_steps_later(self, plate: Path, tmp_path: Path) -> None:
         file = tmp_path / "checkpoint.json"
         short = optimize(plate, study(), steps=2, checkpoint=file)
@@ -264,6 +267,7 @@ class TestKernels:
         entries = dr.kernel_history([dr.KernelType.JIT])
         return sum(not entry["cache_hit"] or entry["cache_disk"] for entry in entries)
 
+    @pytest.mark.long
     @pytest.mark.parametrize("how", [{}, {"method": "adam", "seeds": "fresh"}])
     def test_none_is_compiled_after_the_second_step(self, how: dict[str, Any]) -> None:
         """Counted on the Cooke triplet: two terms of light at two fields, one of layers."""

@@ -13,6 +13,8 @@ import mistray
 from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.optimize.parameters import KINDS, groups, match, parameters
 
+pytestmark = pytest.mark.quick
+
 FILM = {"type": "thinfilm", "id": "AR", "layers": "1.38 100, 2.1+0.01i 60", "n_shift": "0.1, 0", "k_shift": "0, 0.002"}
 
 

@@ -50,6 +50,7 @@ def found(script: Any) -> Any:
     ]
 
 
+@pytest.mark.long
 def test_better_than_the_preset_with_as_many_layers(script, found):
     textbook, designed, wrong = found
     assert [len(coating.stack.layers) for coating in designed.coatings] == [3] * len(script.GLASSES)

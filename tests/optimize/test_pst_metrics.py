@@ -193,6 +193,7 @@ TRACED = {"rays": 20_000, "max_scatters": 1}
 
 
 class TestMetrics:
+    @pytest.mark.long
     def test_against_the_curve(self, scene) -> None:
         angles = (0.0, 20.0, 40.0)
         pst = next(pst_of_each([scene], angles, paths=False, one_direction=True, **TRACED))
@@ -231,6 +232,7 @@ class TestMetrics:
         assert o.pst.grid.edges_deg[[0, -1], [0, 1]].tolist() == [0, 90]
         assert metric.value() == pytest.approx(veiling_glare_index(o.pst, 5.0).value, rel=1e-12)
 
+    @pytest.mark.long
     def test_equal_runs_are_made_once(self, scene, monkeypatch: pytest.MonkeyPatch) -> None:
         made: list[Any] = []
 

@@ -78,6 +78,7 @@ CASES: dict[str, tuple[str, Callable[[Any], Any], list[str]]] = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("no_kernels")
 @pytest.mark.parametrize("name", CASES)
 def test_numbers_are_data(load_scene: Callable[[str], Any], name: str) -> None:

@@ -90,6 +90,7 @@ def test_a_wrong_slope_is_found(load_scene, monkeypatch: pytest.MonkeyPatch) -> 
     assert abs(found.gradient["rear.bsdf.T"][0] / expected - 1) > 0.5
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("model", "key"), [(BOTH, "front.bsdf.T"), (BOTH, "rear.bsdf.R"), (DUST, "rear.bsdf.R")])
 def test_where_choices_depend_on_the_coating(load_scene, model: str, key: str) -> None:
     """Particles scatter by T, 2 R and 1 + R²; false alarm 1e-3 for the three cases."""

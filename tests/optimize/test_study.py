@@ -18,6 +18,8 @@ from mistray.optimize.study.terms import KINDS
 from mistray.optimize.toml.read_coating import COATING_KEYS
 from mistray.optimize.toml.read_term import TERM_KEYS
 
+pytestmark = pytest.mark.quick
+
 ROOT = Path(__file__).parents[2]
 GOOD: dict[str, Any] = {
     "trace": {"field_deg": [0, 10], "wavelength_nm": [500, 600], "weights": [1, 3], "rays": 100},

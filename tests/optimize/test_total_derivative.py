@@ -85,6 +85,7 @@ def off(gradient: mistray.optimize.Gradient, differences: dict[str, tuple[float,
     return found
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("edge_width", [0.1, 0.05])
 def test_geometry_and_edges(scene: Any, differences: dict[str, tuple[float, float]], edge_width: float) -> None:
     metric = path_power(scene, "all", rays=RAYS, field_deg=FIELD_DEG, **TRACED)

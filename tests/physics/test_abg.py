@@ -19,6 +19,8 @@ from mistray.errors import MistrayError
 from mistray.physics import abg
 from mistray.physics.disc import disc_total
 
+pytestmark = pytest.mark.quick
+
 DATA = Path(__file__).parents[1] / "data"
 VECTORS, QUADRATURE = 1e-6, 1e-4  # relative, as required
 

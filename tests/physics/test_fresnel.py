@@ -9,6 +9,8 @@ import pytest
 
 from mistray.physics.fresnel import cos2_refracted, reflectance
 
+pytestmark = pytest.mark.quick
+
 VECTORS = Path(__file__).parents[1] / "data" / "fresnel.csv"
 
 

@@ -15,6 +15,8 @@ import mistray  # noqa: F401  (settles libLLVM and the variant)
 from mistray.physics import thinfilm
 from mistray.physics.thinfilm import amplitudes, reflectance_transmittance
 
+pytestmark = pytest.mark.quick
+
 WAVELENGTH = 550.0
 # Differences of fourth order: h⁴f⁽⁵⁾/30 of truncation and 1e-15/h of rounding, with f of order 1 in 2πnd/λ, are below
 # 1e-10 for these steps; resonances of total reflection are steeper.

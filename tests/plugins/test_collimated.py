@@ -12,6 +12,8 @@ import mistray
 from mistray.execute.tracer import prepare
 from mistray.settings import Settings
 
+pytestmark = pytest.mark.quick
+
 BLACK = {"type": "interface", "R": 0.0}
 
 

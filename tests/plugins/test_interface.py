@@ -14,6 +14,8 @@ from oracles.interface import interact
 
 import mistray
 
+pytestmark = pytest.mark.quick
+
 TABLE = "wavelength_nm,angle_deg,R,T,R_back\n550,0,.1,.8,.15\n550,45,.2,.6,.25\n550,90,.9,.05,.9\n"
 
 

@@ -58,6 +58,7 @@ def interaction_of(wi: np.ndarray, count: int) -> mi.SurfaceInteraction3f:
 
 
 class TestSampling:
+    @pytest.mark.long
     @pytest.mark.parametrize(
         ("angle", "mode"), [(0.0, IMPORTANCE), (50.0, IMPORTANCE), (50.0, RADIANCE), (80.0, IMPORTANCE)]
     )
@@ -77,6 +78,7 @@ class TestSampling:
 
         assert p_value(wo[pdf > 0], SAMPLES, wrong, charts) < 1e-10
 
+    @pytest.mark.long
     @pytest.mark.parametrize(("angle", "azimuth"), [(0.0, 0.7), (40.0, 0.7), (40.0, 2.5), (75.0, 4.0)])
     def test_what_is_scattered_is_the_tis(self, table: dict[str, Any], angle: float, azimuth: float) -> None:
         """The mean weight of samples against the closed form, which changes with the azimuth of incidence."""
@@ -103,6 +105,7 @@ class TestSampling:
                 exact = brushed.bsdf(specular, seen, x_axis(30.0), normal)
                 assert value / abs(wo[2]) == pytest.approx(exact, abs=0.02 * brushed.A)
 
+    @pytest.mark.long
     def test_specular_beam_loses_by_the_azimuth(self, table: dict[str, Any]) -> None:
         """Relative to R, what is scattered is missing in the reflected beam: by azimuth, 13 % apart."""
         bsdf = surface(table | {"relative_to": "specular"}, R=0.9, T=0.0)
@@ -129,6 +132,7 @@ def plate(kind: str, bsdf: dict[str, Any]) -> dict[str, Any]:
     }[kind]  # fmt: skip
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("kind", "axis"),
     [
@@ -184,6 +188,7 @@ class TestRefused:
         both = surface(small | {"rotation_deg": 30.0}, second=small | {"rotation_deg": 30.0}, R=0.0, T=0.0)
         assert str(both.sample_axis) == "x turned by 30°"
 
+    @pytest.mark.long
     @pytest.mark.parametrize(
         ("shape", "message"),
         [

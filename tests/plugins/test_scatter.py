@@ -277,6 +277,7 @@ class TestStockIntegrators:
         error = np.sqrt(sum(image.var(ddof=1) / image.size for image in images))
         assert_z("paint", images[0].mean(), images[1].mean(), error, floor=1e-6)
 
+    @pytest.mark.long
     @pytest.mark.parametrize("key", ["abg.A", "abg.B"])
     def test_gradient_of_a_rendering(self, key: str) -> None:
         """`prb` differentiates by the parameters of a nested model: against central differences, same seeds."""

@@ -93,6 +93,7 @@ def scatter_p(
     return p_value(wo, SAMPLES, density(claimed_by, wi, ctx), charts(name, wi, event))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "event", "angle", "front", "mode"), CASES)
 def test_chi_square(name: str, event: str, angle: float, front: bool, mode: Any) -> None:
     bsdf = surface(MODELS[name])
@@ -141,6 +142,7 @@ def test_a_wrong_density_fails(name: str, key: str, factor: float) -> None:
     assert p < 1e-9, f"a wrong {key} went unnoticed: p = {p:.2g}"
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 @pytest.mark.parametrize("mode", [IMPORTANCE, RADIANCE])
 def test_weight_value_and_density_agree(name: str, mode: Any) -> None:

@@ -132,6 +132,7 @@ def test_particles_are_not_reciprocal() -> None:
     assert abs(there / back - 1) > 0.1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", MODELS)
 def test_radiance_is_adjoint_to_importance(name: str) -> None:
     """What an eye at wi sees of light from wo is what light from wo sends to wi, per projected solid angle."""
@@ -166,6 +167,7 @@ def moved(name: str, key: str, factor: float) -> Any:
     return surface({**MODELS[name], key: {**given, **MODELS[name]}[key] * factor})
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "key"), GRADIENTS)
 def test_derivative_of_eval(name: str, key: str) -> None:
     """∂(BSDF cos θ) against central differences of the float64 model."""

@@ -16,6 +16,8 @@ from oracles.small_scenes import STEEP_REAR
 import mistray
 from mistray._mitsuba_compat import mesh_arrays
 
+pytestmark = pytest.mark.quick
+
 BLACK = {"type": "interface", "R": 0.0}
 EVEN = {"radius": 20.0, "conic": -0.5, "a4": 1e-4, "a6": -2e-7}
 ASPHERE = {"type": "asphere", **EVEN, "semi_diameter": 6.0, "bsdf": BLACK}

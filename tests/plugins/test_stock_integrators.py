@@ -59,6 +59,7 @@ def render(shapes: dict[str, Any], eye: list[float], target: list[float], **inte
     return np.array(mi.render(scene, spp=128))[:, :, 0]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("coating", [{}, {"R": 0.2, "T": 0.8}, {"R": 1.0, "T": 0.0}])
 def test_white_furnace(coating: dict[str, float]) -> None:
     """A lossless lens in even light is invisible, ray by ray: R + T = 1 leaves nothing to chance."""
@@ -118,6 +119,7 @@ def window(film: dict[str, Any]) -> dict[str, Any]:
     }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "film", [{"preset": "bbar3"}, {"layers": "2.1+0.3i 20, 1.46 90"}, {"layers": "2.3 0.25w, 1.38 0.25w, 2.3 0.25w"}]
 )
@@ -171,6 +173,7 @@ def test_a_coated_window_under_path_and_straylight(film: dict[str, Any]) -> None
     assert_z("radiance of the screen", pixels.mean(), passed, error, false_alarm=1e-3, floor=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["prb", "prb_basic", "prbvolpath", "prb_projective", "direct_projective"])
 def test_gradients_while_another_scene_lives(kind: str) -> None:
     """Mitsuba's virtual calls trace every emitter and BSDF of the process, those of other scenes too."""

@@ -98,6 +98,7 @@ def test_a_target_is_no_surface_of_the_ray_tree():
     np.testing.assert_array_equal(a.irradiance, b.irradiance)
 
 
+@pytest.mark.long
 def test_stock_integrators_see_through_it():
     """A lamp behind a target is as bright as without it, seen along the view and through a null interaction."""
     lamp = {"type": "rectangle", "emitter": {"type": "area", "radiance": {"type": "rgb", "value": 3.0}}}

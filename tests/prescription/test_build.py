@@ -15,6 +15,8 @@ from mistray.prescription.closing.system import build, to_prescription
 from mistray.prescription.scene_file import beside
 from mistray.prescription.sequential.rays import to_world, trace
 
+pytestmark = pytest.mark.quick
+
 
 def ends(piece: Structure) -> list[tuple[float, float]]:
     return [(piece.r0, piece.z0), (piece.r1, piece.z1)]

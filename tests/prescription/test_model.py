@@ -10,6 +10,8 @@ import pytest
 from mistray.errors import MistrayError
 from mistray.prescription import Coating, Detector, Prescription, Source, Stop, Structure, Surface
 
+pytestmark = pytest.mark.quick
+
 DETECTOR = Detector(z=20.0, half_width=1.0, half_height=1.0)
 SOURCE = Source(radius=1.0)
 

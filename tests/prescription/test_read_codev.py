@@ -17,6 +17,8 @@ from mistray.prescription.sequential.first_order import first_order, paraxial_sy
 from mistray.prescription.sequential.rays import to_world, trace
 from mistray.prescription.sequential.table import ClearAperture, Sequential
 
+pytestmark = pytest.mark.quick
+
 DOUBLET = """
 RDM;LEN "VERSION: 11.2; not a command"
 TITLE 'A doublet, 3.5" ! of two glasses; air spaced'

@@ -110,6 +110,7 @@ CELLS = {
 RAYS = 4000
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("variant", [None, "R13=5.272"])
 @pytest.mark.parametrize("cell", CELLS)
 def test_every_cell_is_closed(cell, variant):

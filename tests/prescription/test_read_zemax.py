@@ -14,6 +14,8 @@ from mistray.prescription.sequential.first_order import first_order
 from mistray.prescription.sequential.rays import frames, to_world, trace
 from mistray.prescription.sequential.table import ClearAperture, Decentre, Sequential
 
+pytestmark = pytest.mark.quick
+
 COATINGS = Path(__file__).parents[1] / "data" / "coating_sample.dat"
 SYSTEM = """MODE SEQ
 NAME Singlet

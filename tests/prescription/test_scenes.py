@@ -62,6 +62,7 @@ OPENINGS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", OPENINGS)
 @pytest.mark.parametrize("field_deg", [0.0, 15.0])
 def test_light_leaves_through_the_front_only(name, field_deg):
@@ -108,6 +109,7 @@ def test_lens_and_reflector_has_the_paths_of_the_slide():
     assert per_ray == pytest.approx((0.00286680426298308 / 2) / (20.7347613517402 / 26), rel=1e-2)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", NAMES)
 def test_dictionary_and_file_load_as_the_same_scene(name):
     import mitsuba as mi

@@ -20,6 +20,8 @@ from mistray.prescription.sequential.rays import frames, to_world, trace
 from mistray.prescription.sequential.table import ClearAperture, Decentre, Row, Sequential
 from mistray.scenes.newtonian.prescription import build as newtonian
 
+pytestmark = pytest.mark.quick
+
 IMAGE = Row(9, kind="image")
 
 

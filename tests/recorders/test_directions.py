@@ -17,6 +17,8 @@ from mistray.recorders.recorder import Departure
 from mistray.recorders.sky import Sky
 from mistray.sampling.sources import scene_sources
 
+pytestmark = pytest.mark.quick
+
 
 def random_rotation(seed: int) -> np.ndarray:
     """A right-handed frame."""

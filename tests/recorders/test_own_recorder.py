@@ -12,6 +12,8 @@ import pytest
 import mistray
 from mistray.recorders import Recorder, Visit
 
+pytestmark = pytest.mark.quick
+
 POINTS, LENGTHS = ("lengths x", "lengths y", "lengths z"), "lengths"
 
 

@@ -115,6 +115,7 @@ class TestStandardErrors:
                 found.setdefault(name, []).append(pair)
         return {name: np.array(pairs) for name, pairs in found.items()}
 
+    @pytest.mark.long
     def test_chi_square(self, runs: dict[str, np.ndarray]) -> None:
         """Sum of ((value - mean)/SE)² over the seeds. An error from 32 batches makes the ratio Student's t with 31
         degrees of freedom, whose square has mean 1.069 and variance 2.54. Joint false alarm 1e-3.

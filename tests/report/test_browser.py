@@ -227,6 +227,7 @@ def found(report, tmp_path_factory):
     return opened(pages, tmp_path_factory.mktemp("pages"))
 
 
+@pytest.mark.long
 def test_no_errors(found):
     assert {page: result["errors"] for page, result in found.items()} == {"ghosts.html": [], "pst.html": []}
 

@@ -17,6 +17,8 @@ from mistray.report import IrradianceMap, read_irradiance, write_formats, write_
 from mistray.report.formats import require_formats
 from mistray.trace import Trace
 
+pytestmark = pytest.mark.quick
+
 UNITS = {
     "path_id": "1",
     "wavelength_nm": "nm",

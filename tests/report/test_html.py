@@ -78,6 +78,7 @@ def test_nothing_comes_from_the_network(text):
     assert not re.search(r"@import|url\(\s*['\"]?http|fetch\(|XMLHttpRequest", without_namespaces)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", ["one wavelength", "in colours"])
 def test_tags_are_balanced_and_ids_are_unique(text, coloured, kind):
     page = Page()

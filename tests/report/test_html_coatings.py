@@ -12,6 +12,8 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.report.ghosts.report import html_text
 from mistray.surfaces.surfaces import SurfaceTable
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture(scope="module")
 def text():

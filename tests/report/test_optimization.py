@@ -56,6 +56,7 @@ def read(path: Path) -> list[dict[str, str]]:
         return list(csv.DictReader(file))
 
 
+@pytest.mark.long
 def test_files(result: Optimization, files: list[Path]) -> None:
     assert [file.name for file in files] == [
         "scene.xml",

@@ -58,6 +58,7 @@ def test_csv(rank):
     assert ("peak_W_mm2" in table) == ("rank_peak" in table) == (rank == "peak")
 
 
+@pytest.mark.long
 @by_rank
 def test_layout_and_report(rank):
     report = ranked_report(rank)

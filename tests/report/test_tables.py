@@ -15,6 +15,8 @@ from mistray.report.tables.ghosts import main_table, warnings
 from mistray.report.tables.ghosts_csv import csv_tables, write_csv
 from mistray.report.tables.text import text_table, with_error
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture(scope="module")
 def report():

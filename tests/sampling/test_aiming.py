@@ -163,6 +163,7 @@ def oracle_lands(images: DetectorImages, name: str, number: int, origins: np.nda
     return landed
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", [*LENS_SCENES, "phone_camera"])
 def test_targets_hold_the_light_that_reaches_the_detector(name):
     """

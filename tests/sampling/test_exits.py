@@ -15,6 +15,8 @@ from mistray.sampling.exits import SKY_DEG, Exits, exits, find_opening, sky_disc
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 
+pytestmark = pytest.mark.quick
+
 AXIS = np.array([0.0, 0.0, 1.0])
 DETECTOR = {"pixels": 4, "semi_diameter": 1.0}
 

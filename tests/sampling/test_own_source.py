@@ -16,6 +16,8 @@ from mistray.optimize import path_power
 from mistray.plugins.emitters.light_source import LightSource
 from mistray.ranges import PLACE_MM, POSITIVE, Range
 
+pytestmark = pytest.mark.quick
+
 DISTANCE, RADIUS, CONE_DEG = 30.0, 10.0, 60.0
 
 

@@ -8,6 +8,8 @@ import pytest
 from mistray import MistrayError
 from mistray.kernel.targets import AimSet, Target
 
+pytestmark = pytest.mark.quick
+
 CENTRE, U, V = np.array([1.0, 2.0, 3.0]), np.array([2.0, 0.5, 0.0]), np.array([0.3, 1.0, 0.4])
 SAMPLES = np.random.default_rng(0).random((40_000, 2))
 # Mean of a² over the shape: radius²/4 of a disc with a hole, 1/3 of -1 … 1, and 1/6 of a triangle of unit legs

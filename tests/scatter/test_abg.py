@@ -15,6 +15,8 @@ from mistray.scatter.abg import ABg
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import lobe_total
 
+pytestmark = pytest.mark.quick
+
 DATA = Path(__file__).parents[1] / "data"
 QUADRATURE = 1e-4  # relative, as required
 

@@ -14,6 +14,8 @@ from mistray.errors import MistrayError
 from mistray.scatter.harvey_shack import HarveyShack, index_step
 from mistray.scatter.total import lobe_total
 
+pytestmark = pytest.mark.quick
+
 DATA = Path(__file__).parents[1] / "data"
 QUADRATURE = 1e-4  # relative, as required
 NORMAL = np.array([1.0])

@@ -80,6 +80,7 @@ def test_shipped_scenes_are_probable(name: str) -> None:
     assert all("B 0.001 and g 1.8" in text for text in found)
 
 
+@pytest.mark.long
 def test_the_command_line_shows_it(tmp_path: Path) -> None:
     """One line on stderr, without the place in the source."""
     text = """<scene version="3.0.0"><emitter type="collimated"><float name="radius" value="1"/></emitter>

@@ -10,6 +10,8 @@ from mistray.scene.read_optics import read_optics
 from mistray.scenes.newtonian.prescription import build as newtonian
 from mistray.scenes.phone_camera.prescription import build as phone_camera
 
+pytestmark = pytest.mark.quick
+
 GLASS = '<bsdf type="interface"><string name="back" value="N-BK7"/></bsdf>'
 SCENE = """<scene version="3.0.0">
     <default name="R" value="50"/>

@@ -14,6 +14,8 @@ from mistray.errors import MistrayError
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating, recoated, write_recoated
 
+pytestmark = pytest.mark.quick
+
 AR = Stack((Layer("1.38", 99.5), Layer("2.1", 131.25)), name="AR")
 TRIPLET = find("cooke_triplet")
 SCENE = """<?xml version="1.0" encoding="utf-8"?>

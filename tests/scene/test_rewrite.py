@@ -70,6 +70,7 @@ PLACES = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("name", SHIPPED)
 def test_round_trip_of_all_values_of_a_shipped_scene(name: str, tmp_path: Path) -> None:
     rng = np.random.default_rng(6)
@@ -180,6 +181,7 @@ class TestText:
             '<float name="x" value="0.1"/>',
         ]
 
+    @pytest.mark.long
     @pytest.mark.parametrize(
         ("values", "lines"),
         [

@@ -14,6 +14,8 @@ from mistray.surfaces.surface import NO_SURFACE
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.surfaces.upload import upload
 
+pytestmark = pytest.mark.quick
+
 RAYS = 4000
 
 

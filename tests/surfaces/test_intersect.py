@@ -253,6 +253,7 @@ def test_rays_that_leave_a_surface(scene: Scene) -> None:
     assert {scene.ids[i] for i in np.unique(surface[surface >= 0])} == set(scene.ids)
 
 
+@pytest.mark.long
 def test_grazing_rays(scene: Scene) -> None:
     """Many of them are fragile; see `test_a_shallow_double_crossing` for one that is just not."""
     hits, fragile = scene.compare(scene.grazing(8_000, seed=3))

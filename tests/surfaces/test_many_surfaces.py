@@ -176,6 +176,7 @@ def test_derivatives_by_rings_add_up_to_that_of_the_tube(load: Callable[[str], m
     assert total(150, "bsdf.reflectance") == pytest.approx(total(1, "bsdf.reflectance"), rel=1e-5)
 
 
+@pytest.mark.long
 def test_the_kernel_does_not_grow_with_the_number_of_walls(load: Callable[[str], mi.Scene]) -> None:
     """What is compiled is counted, which no cache of kernels hides; unrolled, a wall adds 110 operations."""
 
@@ -191,6 +192,7 @@ def test_the_kernel_does_not_grow_with_the_number_of_walls(load: Callable[[str],
     assert operations(400) < 1.2 * operations(150)
 
 
+@pytest.mark.long
 def test_setting_a_trace_up_grows_with_the_number_of_walls(load: Callable[[str], mi.Scene]) -> None:
     """Targets, tables and results of 400 walls against those of 100, which are unrolled."""
     few, many = load(tube(100)), load(tube(400))

@@ -15,6 +15,8 @@ from mistray.optimize import path_power
 from mistray.plugins.shapes.implicit import Implicit, arctan2, sqrt
 from mistray.ranges import RADIUS_MM, Range
 
+pytestmark = pytest.mark.quick
+
 MAJOR, MINOR, BEAM = 6.0, 1.5, 8.0
 
 

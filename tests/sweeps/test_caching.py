@@ -24,6 +24,8 @@ from mistray.sweeps.cells import Cell, KeptRows, SceneContents, foreign_plugins,
 from mistray.sweeps.configurations import Resolved
 from mistray.trace import Settings
 
+pytestmark = pytest.mark.quick
+
 TABLE = "wavelength_nm,n\n400,1.53\n700,1.51\n"
 LENS = scene_text(
     shape_xml("asphere", "front", 0.0, interface_xml("air", "glass.csv k=0"), radius=20.0, semi_diameter=4.0),

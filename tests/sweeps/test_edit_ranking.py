@@ -74,6 +74,7 @@ def common_area(d: float, r: float, big: float) -> float:
     return r * r * (inner - math.sin(2 * inner) / 2) + big * big * (outer - math.sin(2 * outer) / 2)
 
 
+@pytest.mark.long
 def test_closed_forms(scene: Path) -> None:
     """All four methods: four comparisons within 4.5 standard errors, false alarm 3e-5; the widest error is 10 %."""
     found = ranked(scene, "direct", rays=200_000)
@@ -102,6 +103,7 @@ def test_closed_forms(scene: Path) -> None:
     assert painted.derivative[0].se > 1e-3 * painted.derivative[0].value
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("label", ["polish_4nm.rms_nm", "black_paint.reflectance", "stop_front.r1"])
 def test_against_differences(label: str) -> None:
     """As differences of PSTs with the same rays; 4.5 standard errors, false alarm 2e-5."""

@@ -97,6 +97,7 @@ def test_a_block_by_rays_with_the_light(scene: Path) -> None:
     assert change.before_se > 0
 
 
+@pytest.mark.long
 def test_the_error_of_the_ratio(scene: Path) -> None:
     """
     Of 12 seeds the ratios spread as their errors say.
@@ -110,6 +111,7 @@ def test_the_error_of_the_ratio(scene: Path) -> None:
     assert 1.5 < chi2 < 37.4
 
 
+@pytest.mark.long
 def test_table_and_command(scene: Path, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     edits = tmp_path / "edits.toml"
     edits.write_text(

@@ -10,6 +10,8 @@ from oracles.small_scenes import interface_xml, plates_text, scene_text, shape_x
 
 import mistray
 
+pytestmark = pytest.mark.quick
+
 
 class TestColoursSourcesDetectors:
     def test_wavelengths_with_weights(self, load_text) -> None:

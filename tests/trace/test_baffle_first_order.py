@@ -64,6 +64,7 @@ def test_no_light_arrives_after_one_scatter_forwards():
     assert scattered(system(made), 30.0, scatters=2) > 1e-4
 
 
+@pytest.mark.long
 def test_no_light_arrives_after_one_scatter_backwards():
     """All angles and azimuths at once; the vane that is missing shows at the angles that light its gap."""
     options = {"rays": 100_000, "max_scatters": 1, "max_reflections": 0, "paths": False}
@@ -86,6 +87,7 @@ def test_beyond_the_exclusion_angle_only():
     assert found.stray[~outside].max() > 0
 
 
+@pytest.mark.long
 def test_bevels_hide_and_square_or_round_edges_do_not():
     """A rounded edge scatters in proportion to its radius; a bevel without rounding is as good as no thickness."""
     sharp = system(tube(edge=VaneEdge(thickness=0.6, bevel_deg=20.0)))
@@ -115,6 +117,7 @@ def test_four_scatters_through_two_stages():
     assert pst(spoiled.to_scene(), grid, max_scatters=3, **options).value.max() > 0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "beyond_deg", "scatters"), [("baffle_tube", 23.5, 1), ("two_stage_baffle", 40.5, 3)])
 def test_shipped_tubes_are_dark_where_the_lens_is_not_lit(name, beyond_deg, scatters):
     """Without scatter at the lens nothing arrives after so many scatters, and something after one more or two."""
@@ -135,6 +138,7 @@ DIRECT = {"rays": 200_000, "max_scatters": 0, "max_reflections": 0}
 
 
 # Field angle beyond which nothing may meet the detector without scatter and ghosts
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("name", "beyond_deg"),
     [("cassegrain", 0.6), ("newtonian_scatter", 2.0), ("double_gauss_barrel", 40.0), ("plate_and_wall", 43.0)],

@@ -34,6 +34,7 @@ def load(path: Path):
     return mistray.load(path)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("path", "splitting", "below"), CASES)
 def test_closure(path: Path, splitting: str, below: str) -> None:
     scene = load(path)
@@ -112,6 +113,7 @@ class TestCuts:
         cut = mistray.trace(scene, rays=100, max_events=2).energy.cut["max_events"]
         assert cut / (25 * 3.141592653589793) == pytest.approx(1 - r, rel=1e-6)
 
+    @pytest.mark.long
     @pytest.mark.parametrize("below", ["cut", "roulette"])
     def test_roulette_is_booked_and_zero_on_average(self, below: str) -> None:
         """False alarm 6e-5: the mean of 40 seeds within 4 standard errors."""

@@ -40,6 +40,7 @@ def test_equal_paths_share_a_name() -> None:
     assert first == second != other
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scene", ["phone_camera", "double_gauss_barrel", "cassegrain", "lens_and_reflector"])
 def test_no_name_is_blank_or_given_twice_in_a_pst(scene: str) -> None:
     pst = mistray.pst(mistray.load(scene), [18.0, 20.0, 22.0, 24.0], rays=4_000)
@@ -57,6 +58,7 @@ def test_no_name_is_blank_or_given_twice_in_a_table_of_ghosts(scene: str, field:
     assert table.label.str.strip().astype(bool).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("scene", sorted(shipped_scenes()))
 def test_every_path_of_a_trace_has_a_name_of_its_own(scene: str) -> None:
     """At two wavelengths, so that the same events occur twice; in the ledger, in its print and with ways added up."""

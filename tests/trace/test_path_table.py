@@ -289,6 +289,7 @@ def test_the_printed_table_says_what_it_leaves_out() -> None:
     assert "% of all" in lines[0]
 
 
+@pytest.mark.long
 def test_a_hundred_thousand_paths() -> None:
     """Reading, sorting and merging take seconds (3.7 s on one core); a loop over the paths took minutes."""
     rng = np.random.default_rng(7)

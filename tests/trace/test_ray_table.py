@@ -130,6 +130,7 @@ class TestHotSpot:
             whole[inside].sort_values(key, ignore_index=True)[FIRST[1:]],
         )
 
+    @pytest.mark.long
     @pytest.mark.parametrize("pixels", [(0, 16, 0, 16), (3, 9, 5, 6), (15, 16, 0, 1), (7, 8, 8, 9)])
     def test_pixels(self, rough: Any, pixels: tuple[int, int, int, int]) -> None:
         c0, c1, r0, r1 = pixels
@@ -155,6 +156,7 @@ class TestHotSpot:
 
 
 class TestSelection:
+    @pytest.mark.long
     @pytest.mark.parametrize(
         ("text", "same"),
         [

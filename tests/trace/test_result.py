@@ -14,6 +14,8 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 import mistray
 from mistray.trace import PathRow
 
+pytestmark = pytest.mark.quick
+
 
 @pytest.fixture(scope="module")
 def triplet() -> Any:

@@ -212,6 +212,7 @@ class TestPlates:
         check("irradiance", power / 0.01, se / 0.01, expected, 2e-3, RIM)
         assert power / sum(row.power_W for row in t.paths) == 1  # nothing but scatter gets there
 
+    @pytest.mark.long
     @pytest.mark.parametrize("incidence_deg", [0.0, 30.0, 60.0, 85.0])
     def test_total(self, load_scene: Load, incidence_deg: float) -> None:
         """The specular beam loses the TIS at its angle, to 1e-4; the scattered rays carry as much on average."""
@@ -266,6 +267,7 @@ def cone_text(bsdf: str, incidence_deg: float, axis_deg: float, azimuth_deg: flo
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("row", vectors("is_cone_flux.csv"), ids=lambda r: "_".join(list(r.values())[:5]))
 def test_flux_into_a_cone(load_scene: Load, row: dict[str, str]) -> None:
     """The importance sampled flux of TracePro: a target that fills the cone gives the integral of f cos over it.
@@ -307,6 +309,7 @@ def converging_text(bsdf: str, plate_z: float, theta_deg: float, half: float) ->
     ), total
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     "row",
     vectors("scatter_plate_converging.csv"),

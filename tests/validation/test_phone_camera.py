@@ -36,6 +36,7 @@ def ghosts(scene):
     }
 
 
+@pytest.mark.long
 def test_spots(image):
     """
     The ray tree gives the spot of the same rays in float64, and the figures where these are sampled well enough.
@@ -86,6 +87,7 @@ def test_relative_illumination_of_the_metric():
         assert chief > 1.007 * exact
 
 
+@pytest.mark.long
 def test_irradiance_on_axis():
     """
     By quadrature 129.2 (d line) and 129.6 kW/mm² (550 nm) for the light that passes the stop, 128.1 and 128.5 for the
@@ -104,6 +106,7 @@ def test_irradiance_on_axis():
     assert abs(phone_camera.NOMINAL - rows[1]["quadrature"]) < rows[1]["study_se"]
 
 
+@pytest.mark.long
 def test_ghosts_on_axis(ghosts):
     """The four of Table 22, the window's first; the only other among the first five is the window with itself."""
     names = list(ghosts[0].surfaces[:5])
@@ -148,6 +151,7 @@ def test_the_study_is_wider_off_axis(ghosts):
     assert not any(blur > 10 for blur in filters)
 
 
+@pytest.mark.long
 def test_other_readings_do_not_give_the_figure_either():
     values = [value for row in phone_camera.readings() for key, value in row.items() if key != "reading"]
     assert len(values) == 16
@@ -164,6 +168,7 @@ def test_the_window_alone_repeats_the_image(scene):
     assert twice.rms_radius_mm == pytest.approx(direct.rms_radius_mm, rel=1e-3)
 
 
+@pytest.mark.long
 def test_pairs_of_table_22(ghosts):
     for row in phone_camera.ghost_pairs(ghosts[0]):
         assert_z(str(row["surfaces"]), row["traced"], row["quadrature"], row["traced_se"], k=4)

@@ -100,6 +100,7 @@ class TestDirect:
         check("direct", *found.curve("direct"), expected, 0.02)
         check("all light", *found.to("projected").curve(), expected / found.grid.mean_cosine, 0.02)
 
+    @pytest.mark.long
     @METHODS
     def test_phone_camera_on_axis(self, method: str) -> None:
         """Its stop lies before all lenses and is its entrance pupil; fourteen surfaces transmit 0.98 and 0.99.
@@ -169,6 +170,7 @@ class TestFirstOrderScatter:
         value, se = found.curve("single_scatter")
         check("PST", value, np.hypot(se, 1e-3 * expected), expected, 0.08)
 
+    @pytest.mark.long
     @METHODS
     @pytest.mark.parametrize("plate_z", [0.3, 50.0, 80.0])
     @pytest.mark.parametrize("bsdf", ["lambert", "ABg", "harvey"])
@@ -188,6 +190,7 @@ class TestFirstOrderScatter:
 
 
 class TestVeilingGlare:
+    @pytest.mark.long
     @METHODS
     @pytest.mark.parametrize("row", vectors("vgi_retro.csv"), ids=lambda r: f"{r['R_det']}-{r['R_w1']}")
     def test_retro_ghost(self, load_scene: Load, row: dict[str, str], method: str) -> None:
@@ -223,6 +226,7 @@ class TestVeilingGlare:
 
 
 class TestCavities:
+    @pytest.mark.long
     @METHODS
     @pytest.mark.parametrize("rho", [0.05, 0.5, 1.0])
     @pytest.mark.parametrize("length", [1.0, 2.0, 4.0])
@@ -243,6 +247,7 @@ class TestCavities:
         f12 = integrals.disc_to_disc(1.0, 1.0, length)
         check("direct", direct.value / np.pi, direct.se / np.pi, f12, 0.02)
 
+    @pytest.mark.long
     @METHODS
     @pytest.mark.parametrize("rho", [0.5, 0.9])
     def test_integrating_sphere(self, load_scene: Load, rho: float, method: str) -> None:
@@ -302,6 +307,7 @@ SHEET = placed_xml(
 class TestWhiteFurnace:
     """All albedos are 1 and light of radiance 1 comes in by the one opening: it is 1 everywhere, n² in glass."""
 
+    @pytest.mark.long
     @METHODS
     @pytest.mark.parametrize(
         ("text", "squared_index"),

@@ -235,6 +235,7 @@ REFUSED = (
 )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("structure", QUICK)
 def test_some_random_scenes(structure: int, tmp_path: Path) -> None:
     outcome = run(numbers(structure, QUICK[structure]), tmp_path)

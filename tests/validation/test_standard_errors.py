@@ -74,6 +74,7 @@ QUICK = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", QUICK)
 def test_errors_of_a_trace(kind: str, monkeypatch: pytest.MonkeyPatch) -> None:
     """

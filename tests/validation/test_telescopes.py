@@ -20,6 +20,7 @@ CASES = [(name, field) for name, (_, fields) in TELESCOPES.items() for field in 
 FAINT = 1e-6  # of the star
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("name", "field_deg"), CASES)
 def test_same_rays(name: str, field_deg: float) -> None:
     telescope = TELESCOPES[name][0]
