@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import graphlib
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -166,6 +167,49 @@ def test_a_room_has_few_files():
         for room in rooms
     }
     assert not {name: count for name, count in counts.items() if count > MOST_FILES}
+
+
+MOST_LINES, MOST_PARAMETERS = 150, 8
+REASON = "# More than 8 parameters: "  # and why, in the line above
+
+
+def test_functions_are_short_and_take_few_parameters():
+    long, wide = [], []
+    for file in FILES:
+        text = file.read_text()
+        lines = text.splitlines()
+        for node in ast.walk(ast.parse(text)):
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            where = f"{file.relative_to(ROOT)}:{node.lineno} {node.name}"
+            if node.end_lineno - node.lineno >= MOST_LINES:
+                long.append(where)
+            names = [a.arg for a in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)]
+            above = lines[min([node.lineno, *(d.lineno for d in node.decorator_list)]) - 2].strip()
+            if len(names) - (names[:1] in (["self"], ["cls"])) > MOST_PARAMETERS and not above.startswith(REASON):
+                wide.append(where)
+    assert (long, wide) == ([], [])
+
+
+def test_modules_import_in_no_circle():
+    """Imports within functions and for types aside."""
+    names = {module_of(file) for file in FILES}
+    imports = {name: set() for name in names}
+    for file in FILES:
+        for node in ast.parse(file.read_text()).body:
+            imports[module_of(file)] |= imported(node, names)
+    graph = graphlib.TopologicalSorter(imports)
+    graph.prepare()  # raises where modules need each other
+
+
+def imported(node, modules):
+    """The modules that a statement imports from; of a package its modules rather than itself."""
+    if isinstance(node, ast.Import):
+        return {alias.name for alias in node.names} & modules
+    if isinstance(node, ast.ImportFrom) and not node.level:
+        inside = [f"{node.module}.{alias.name}" for alias in node.names]
+        return {name if name in modules else node.module for name in inside} & modules
+    return set()
 
 
 def test_every_module_has_a_layer():

@@ -117,6 +117,7 @@ class BackwardTrace:
         For settings that a backward trace does not know.
     """
 
+    # More than 8 parameters: what a saved run must have in common with the one that goes on, each an argument
     def __init__(
         self,
         scene: mi.Scene,

@@ -309,9 +309,7 @@ class ReplaySurfaces:
         """R and T of the surfaces s for other light: a function of its side and its cosine of incidence."""
 
         def shares(from_front: mi.Bool, cos_i: mi.Float64) -> tuple[mi.Float64, mi.Float64]:
-            front, back = self._sides(s, batch, active)
-            n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
-            return self._coated(s, split.word, from_front, cos_i, n_i, n_t, mi.Bool(False), batch, active)[:2]
+            return self._coated(s, split.word, from_front, cos_i, mi.Bool(False), batch, active)[:2]
 
         return shares
 
@@ -321,10 +319,8 @@ class ReplaySurfaces:
         from_front = dr.detach(cosine) > 0
         axis = dr.select(from_front, met.normal, -met.normal)
         cos_i = dr.abs(cosine)
-        front, back = self._sides(s, batch, active)
-        n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
         word = dr.gather(mi.UInt32, self.table.optics.words, s, active)
-        R, T, cos_t, eta, total = self._coated(s, word, from_front, cos_i, n_i, n_t, what == TOTAL, batch, active)
+        R, T, cos_t, eta, total = self._coated(s, word, from_front, cos_i, what == TOTAL, batch, active)
         reflected = met.d - 2 * cosine * met.normal
         transmitted = eta * met.d + (cos_t - eta * cos_i) * axis
         medium_in, medium_out = (
@@ -344,13 +340,13 @@ class ReplaySurfaces:
         word: mi.UInt32,
         from_front: mi.Bool,
         cos_i: mi.Float64,
-        n_i: mi.Float64,
-        n_t: mi.Float64,
         known_total: mi.Bool,
         batch: mi.UInt32,
         active: mi.Bool,
     ) -> tuple[mi.Float64, mi.Float64, mi.Float64, mi.Float64, mi.Bool]:
         """R and T (means of s and p), cosine of refraction, n_i/n_t, and whether light is reflected in total."""
+        front, back = self._sides(s, batch, active)
+        n_i, n_t = dr.select(from_front, front, back), dr.select(from_front, back, front)
         eta = n_i / n_t
         sin2_t = eta * eta * (1 - cos_i * cos_i)
         opaque = (word & OPAQUE) != 0

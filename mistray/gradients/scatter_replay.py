@@ -24,7 +24,7 @@ from mistray.kernel.interaction import shares_at
 from mistray.kernel.lobes import STRIDE, RadialSampler, multilinear, radial_place
 from mistray.kernel.scatter_shares import Shares
 from mistray.kernel.scatter_tables import LOBE_FLOATS, RATIO_HEAD, PackedLobes, ScatterTables, pack
-from mistray.kernel.scattering import Scattering, specular_direction
+from mistray.kernel.scattering import Around, Scattering, specular_direction
 from mistray.scatter.radial import RINGS, RadialTable
 from mistray.settings import BATCHES
 
@@ -206,16 +206,14 @@ class ScatterReplay(Scattering):
         )
         outward = dr.select(event.reflect, -event.axis, event.axis)
         cos_s = dr.dot(direction, outward)
+        specular = specular_direction(event.reflect, event.d, event.axis, event.cos_i, event.cos_t, event.eta)
+        x_axis, one = self._sample_axis(event, active), mi.Float(1)
+        around = Around(event.axis, outward, specular, event.d, event.cos_i, event.eta, x_axis, one)
         if self._tables.backward:
-            flux = self._flux_against(event, plan, direction, cos_s, active, coating)
+            flux = self._flux_against(event, plan, around, direction, cos_s, coating or self._coating(event.s, active))
         else:
-            specular = specular_direction(event.reflect, event.d, event.axis, event.cos_i, event.cos_t, event.eta)
             lobes = self._read_lobes(plan, dr.select(event.reflect, event.R, event.T), event.cos_i)
-            one = mi.Float(1)
-            x_axis = self._sample_axis(event, active)
-            flux, _, _ = self._evaluate(
-                lobes, one, direction, cos_s, outward, specular, event.d, event.cos_i, one, x_axis
-            )
+            flux, _, _ = self._evaluate(lobes, one, direction, cos_s, around)
         good = active & (cos_s > 0) & (flux > 0)
         return dr.select(good, dr.log(dr.select(good, flux, 1)), 0)
 
@@ -223,22 +221,19 @@ class ScatterReplay(Scattering):
         self,
         event: ScatterEvent,
         plan: mi.Vector4u,
+        around: Around,
         direction: mi.Vector3f,
         cos_s: mi.Float,
-        active: mi.Bool,
-        coating: Coating | None,
+        coating: Coating,
     ) -> mi.Float:
         """As `_against`, where R and T have derivatives."""
         from_front = event.from_front ^ ~event.reflect
-        R, T = (coating or self._coating(event.s, active))(from_front, cos_s)
+        R, T = coating(from_front, cos_s)
         # Of light on the side of the ray, or on the other side
         eta = dr.select(event.reflect, event.eta, dr.rcp(event.eta))
         cos_t = dr.safe_sqrt(1 - dr.square(eta) * (1 - dr.square(cos_s)))
         share = dr.select(event.reflect, R, T)
-        x_axis = self._sample_axis(event, active)
-        return self._against(
-            plan, event.reflect, event.axis, event.cos_i, event.eta, event.d, direction, cos_s, cos_t, share, x_axis
-        )
+        return self._against(plan, event.reflect, around, direction, cos_s, cos_t, share)
 
     def _coating(self, s: mi.UInt32, active: mi.Bool) -> Coating:
         """The coatings of surfaces, from the tables of the run."""

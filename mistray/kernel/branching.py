@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.branch_limits import BranchLimits
-from mistray.kernel.bulk_scattering import BulkAim
+from mistray.kernel.bulk_scattering import BulkAim, CloudRay
 from mistray.kernel.event_codes import scatters_done
 from mistray.kernel.interaction import Interaction, counts_as_reflection
 from mistray.kernel.kernel_scene import KernelScene
@@ -124,8 +124,7 @@ class Choice:
     factor : mi.Float
         Of the flux of a ray that the surface scatters.
     draw, draw_cloud : callable
-        ``draw(rng)`` gives the ray of the surface, ``draw_cloud(rng)`` whether the ray of the medium is aimed, and how
-        many rays it stands for at random and aimed.
+        ``draw(rng)`` gives the ray of the surface, ``draw_cloud(rng)`` that of the medium.
     """
 
     number: mi.UInt32
@@ -137,7 +136,7 @@ class Choice:
     boost: mi.Float
     factor: mi.Float
     draw: Callable[[mi.PCG32], ScatteredRay]
-    draw_cloud: Callable[[mi.PCG32], tuple[mi.Bool, mi.Float, mi.Float]]
+    draw_cloud: Callable[[mi.PCG32], CloudRay]
 
 
 class Branching:
@@ -318,10 +317,10 @@ class Branching:
             assert given is not None
             return given.ray(number - SCATTER, random_rays, rng)
 
-        def draw_cloud(rng: mi.PCG32) -> tuple[mi.Bool, mi.Float, mi.Float]:
+        def draw_cloud(rng: mi.PCG32) -> CloudRay:
             assert bulk_aim is not None
             aimed = number >= SCATTER + scattered_rays + random_clouds
-            return aimed, mi.Float(random_clouds), mi.Float(bulk_aim.rays)
+            return CloudRay(aimed, mi.Float(random_clouds), mi.Float(bulk_aim.rays))
 
         return Choice(number, later, pending, flux, scatter, cloud, boost, boost, draw, draw_cloud)
 
@@ -359,7 +358,7 @@ class Branching:
             assert given is not None
             return given.one_ray(w_s / both, random_rays, rng)
 
-        def draw_cloud(rng: mi.PCG32) -> tuple[mi.Bool, mi.Float, mi.Float]:
+        def draw_cloud(rng: mi.PCG32) -> CloudRay:
             bulk = self._scattering.bulk
             assert bulk is not None
             assert bulk_aim is not None

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -43,6 +43,23 @@ class BulkAim:
     rays: mi.UInt32
 
 
+class CloudRay(NamedTuple):
+    """
+    Which of a segment's rays is drawn.
+
+    Attributes
+    ----------
+    aim : mi.Bool
+        Whether it goes to a target.
+    random_rays, aimed_rays : mi.Float
+        How many rays of either kind the segment sends on average.
+    """
+
+    aim: mi.Bool
+    random_rays: mi.Float
+    aimed_rays: mi.Float
+
+
 class BulkScattering:
     """
     Scatter in the media of a scene at one wavelength.
@@ -74,12 +91,12 @@ class BulkScattering:
         row = dr.gather(mi.Vector4u, self._rows, side, active)
         return BulkAim(row.xy, row.z)
 
-    def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> tuple[mi.Bool, mi.Float, mi.Float]:
-        """One ray for all of a segment, aimed half of the time: whether it is, and rays of both kinds on average."""
+    def one_ray(self, aim: BulkAim, random_rays: mi.UInt32, rng: mi.PCG32) -> CloudRay:
+        """One ray for all of a segment, aimed half of the time."""
         if not self._aimed:
-            return mi.Bool(False), mi.Float(1), mi.Float(0)
+            return CloudRay(mi.Bool(False), mi.Float(1), mi.Float(0))
         aiming = dr.select(aim.rays > 0, dr.select(random_rays > 0, mi.Float(0.5), 1), 0)
-        return rng.next_float32() < aiming, 1 - aiming, aiming
+        return CloudRay(rng.next_float32() < aiming, 1 - aiming, aiming)
 
     def scatter(
         self,
@@ -88,9 +105,7 @@ class BulkScattering:
         d: mi.Vector3f,
         length: mi.Float,
         aim: BulkAim,
-        aimed: mi.Bool,
-        random_rays: mi.Float,
-        aimed_rays: mi.Float,
+        ray: CloudRay,
         rng: mi.PCG32,
         active: mi.Bool,
     ) -> tuple[mi.Float, mi.Vector3f, mi.Float]:
@@ -105,10 +120,7 @@ class BulkScattering:
         length : mi.Float
             Of the segment, mm.
         aim : BulkAim
-        aimed : mi.Bool
-            Whether this ray goes to a target.
-        random_rays, aimed_rays : mi.Float
-            How many rays of either kind the segment sends on average.
+        ray : CloudRay
         rng : mi.PCG32
         active : mi.Bool
 
@@ -136,12 +148,12 @@ class BulkScattering:
         if not self._aimed:
             return away, direction, mi.Float(1)
         origin = dr.fma(-away, d, p)
-        here = active & (aimed_rays > 0)
+        here = active & (ray.aimed_rays > 0)
         to_target, own = self._targets.sample(
-            aim.targets, [u[1], u[2], mi.Float(0), rng.next_float32()], origin, d, here & aimed
+            aim.targets, [u[1], u[2], mi.Float(0), rng.next_float32()], origin, d, here & ray.aim
         )
-        direction = dr.select(here & aimed, to_target, direction)
+        direction = dr.select(here & ray.aim, to_target, direction)
         phase = phase_about(dr.squared_norm(direction - d), dr.squared_norm(direction + d), g)
-        density = self._targets.density(aim.targets, origin, direction, d, aimed, own, here)
-        share = phase / dr.fma(random_rays, phase, dr.select(here, aimed_rays * density, 0))
+        density = self._targets.density(aim.targets, origin, direction, d, ray.aim, own, here)
+        share = phase / dr.fma(ray.random_rays, phase, dr.select(here, ray.aimed_rays * density, 0))
         return away, direction, dr.select(dr.isfinite(share), share, 0)

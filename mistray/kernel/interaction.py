@@ -199,26 +199,19 @@ def interact(
     from_front = cosine > 0  # the normal points from front to back
     along_d = dr.mulsign(normal, cosine)
     cos_i = smaller(dr.abs(cosine), 1)
-    n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
-    eta = n_i / n_t
-    sin2_t = eta * eta * (1 - cos_i * cos_i)
-    opaque = (word & OPAQUE) != 0
-    tir = (sin2_t >= 1) & ~opaque
-    cos_t = dr.sqrt(larger(1 - sin2_t, 0))
+    at = _incidence(optics, word, from_front, cos_i)
     reflected = dr.normalize(d - 2 * cos_i * along_d)
-    transmitted = dr.normalize(eta * d + (cos_t - eta * cos_i) * along_d)
-    kind = word & 3
-    place = _place(table, s, kind, tir, cos_i, cos_t, sin2_t, eta, active)
+    transmitted = dr.normalize(at.eta * d + (at.cos_t - at.eta * cos_i) * along_d)
+    place = _place(table, s, at, active)
     polarized = None
     if stokes is None:
-        R, T = _unpolarized(table, kind, optics, place, cos_i, cos_t, n_i, n_t, from_front, active)
-        R, T = dr.select(tir, R + T, R), dr.select(tir | opaque, 0, T)
+        R, T = _unpolarized(table, optics, place, at, active)
     else:
         in_plane = plane_of_incidence(d, normal)
         turned = to_plane(stokes, d, in_plane)
-        reflection, transmission = _mueller(table, kind, optics, place, tir, from_front, active)
+        reflection, transmission = _mueller(table, at.kind, optics, place, at.tir, from_front, active)
         polarized = Polarized(turned, in_plane, reflection, transmission)
-        R, T = reflection.share(turned), dr.select(tir | opaque, 0, transmission.share(turned))
+        R, T = reflection.share(turned), dr.select(at.tir | at.opaque, 0, transmission.share(turned))
     front, back = (word >> FRONT_MEDIUM_SHIFT) & MEDIUM_MASK, (word >> BACK_MEDIUM_SHIFT) & MEDIUM_MASK
     return Interaction(
         p=p,
@@ -226,11 +219,11 @@ def interact(
         transmitted=transmitted,
         R=R,
         T=T,
-        tir=tir,
+        tir=at.tir,
         axis=along_d,
         cos_i=cos_i,
-        cos_t=cos_t,
-        eta=eta,
+        cos_t=at.cos_t,
+        eta=at.eta,
         word=word,
         medium_in=dr.select(from_front, front, back),
         medium_out=dr.select(from_front, back, front),
@@ -246,64 +239,63 @@ def shares_at(
 ) -> tuple[mi.Float, mi.Float, mi.Float]:
     """R, T and the cosine of refraction of the surfaces s for unpolarised light of another angle of incidence."""
     optics = dr.gather(mi.Vector4f, table.optics.indices, s, active)
+    at = _incidence(optics, word, from_front, cos_i)
+    return *_unpolarized(table, optics, _place(table, s, at, active), at, active), at.cos_t
+
+
+@dataclass
+class _Incidence:
+    """Light that meets a surface: what it knows of the coating, the side, angles and indices."""
+
+    kind: mi.UInt32
+    opaque: mi.Bool
+    from_front: mi.Bool
+    n_i: mi.Float
+    n_t: mi.Float
+    eta: mi.Float
+    cos_i: mi.Float
+    cos_t: mi.Float
+    sin2_t: mi.Float
+    tir: mi.Bool
+
+
+def _incidence(optics: mi.Vector4f, word: mi.UInt32, from_front: mi.Bool, cos_i: mi.Float) -> _Incidence:
+    """Snell's law."""
     n_i, n_t = dr.select(from_front, optics.x, optics.y), dr.select(from_front, optics.y, optics.x)
-    eta, kind, opaque = n_i / n_t, word & 3, (word & OPAQUE) != 0
+    eta, opaque = n_i / n_t, (word & OPAQUE) != 0
     sin2_t = eta * eta * (1 - cos_i * cos_i)
     tir = (sin2_t >= 1) & ~opaque
     cos_t = dr.sqrt(larger(1 - sin2_t, 0))
-    place = _place(table, s, kind, tir, cos_i, cos_t, sin2_t, eta, active)
-    R, T = _unpolarized(table, kind, optics, place, cos_i, cos_t, n_i, n_t, from_front, active)
-    return dr.select(tir, R + T, R), dr.select(tir | opaque, 0, T), cos_t
+    return _Incidence(word & 3, opaque, from_front, n_i, n_t, eta, cos_i, cos_t, sin2_t, tir)
 
 
-def _place(
-    table: SurfaceTable,
-    s: mi.UInt32,
-    kind: mi.UInt32,
-    tir: mi.Bool,
-    cos_i: mi.Float,
-    cos_t: mi.Float,
-    sin2_t: mi.Float,
-    eta: mi.Float,
-    active: mi.Bool,
-) -> Place:
+def _place(table: SurfaceTable, s: mi.UInt32, at: _Incidence, active: mi.Bool) -> Place:
     """Where the angle of incidence stands in the surface's table, see `mistray.surfaces.optics`."""
     places = dr.gather(mi.Vector4u, table.optics.places, s, active)
-    x = dr.select(tir, total_variable(sin2_t, eta, cos_i), smaller(cos_i, cos_t))
-    start, last = dr.select(tir, places.z, places.x), dr.select(tir, places.w, places.y)
-    x = dr.select(kind == TABLED, x * mi.Float(last), 0)
+    x = dr.select(at.tir, total_variable(at.sin2_t, at.eta, at.cos_i), smaller(at.cos_i, at.cos_t))
+    start, last = dr.select(at.tir, places.z, places.x), dr.select(at.tir, places.w, places.y)
+    x = dr.select(at.kind == TABLED, x * mi.Float(last), 0)
     node = dr.minimum(mi.UInt32(x), last - 1)
     return Place(start + node, x - mi.Float(node))
 
 
 def _unpolarized(
-    table: SurfaceTable,
-    kind: mi.UInt32,
-    optics: mi.Vector4f,
-    place: Place,
-    cos_i: mi.Float,
-    cos_t: mi.Float,
-    n_i: mi.Float,
-    n_t: mi.Float,
-    from_front: mi.Bool,
-    active: mi.Bool,
+    table: SurfaceTable, optics: mi.Vector4f, place: Place, at: _Incidence, active: mi.Bool
 ) -> tuple[mi.Float, mi.Float]:
-    """R and T, each the mean of s and p."""
+    """R and T, each the mean of s and p; in total reflection all that is not absorbed is reflected."""
     kinds = table.optics.kinds
     R, T = optics.z, optics.w
     if FRESNEL in kinds:
-        bare = reflectance(cos_i, cos_t, n_i, n_t)
-        if len(kinds) == 1:
-            return bare, 1 - bare
-        fresnel = kind == FRESNEL
+        bare = reflectance(at.cos_i, at.cos_t, at.n_i, at.n_t)
+        fresnel = at.kind == FRESNEL if len(kinds) > 1 else True
         R, T = dr.select(fresnel, bare, R), dr.select(fresnel, 1 - bare, T)
     if TABLED in kinds:
-        tabled = active & (kind == TABLED)
+        tabled = active & (at.kind == TABLED)
         low, high = (dr.gather(mi.Vector4f, table.optics.table, place.row + k, tabled) for k in range(2))
         values = dr.lerp(low, high, place.fraction)
-        R = dr.select(tabled, dr.select(from_front, values.x, values.y), R)
+        R = dr.select(tabled, dr.select(at.from_front, values.x, values.y), R)
         T = dr.select(tabled, values.z, T)
-    return R, T
+    return dr.select(at.tir, R + T, R), dr.select(at.tir | at.opaque, 0, T)
 
 
 def _mueller(

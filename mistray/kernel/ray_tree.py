@@ -272,16 +272,16 @@ class _Tree:
         away, shared = mi.Float(0), mi.Float(0)
         bulk_aim = children.bulk_aim
         if bulk_aim is not None and scattering.bulk is not None:
-            aim_cloud, random_parts, aimed_parts = choice.draw_cloud(rng)
+            cloud_ray = choice.draw_cloud(rng)
             away, along, share = scattering.bulk.scatter(
-                medium_in, p, d, state["length"], bulk_aim, aim_cloud, random_parts, aimed_parts, rng, cloud
+                medium_in, p, d, state["length"], bulk_aim, cloud_ray, rng, cloud
             )
             away = dr.select(cloud, away, 0)
             origin, heading = dr.fma(-away, d, p), dr.select(cloud, along, heading)
             slope = dr.select(cloud, 0, slope)
             shared = dr.select(cloud & (bulk_aim.rays > 0), flux, 0)
             flux = dr.select(cloud, flux * share, flux)
-            aim |= cloud & aim_cloud
+            aim |= cloud & cloud_ray.aim
         node.rng = rng
         place = dr.select(cloud, table.count + medium_in, s) if self.bulk else s
         return _Sent(origin, heading, flux, reflect, aim, slope, medium_in, place, away, shared, node.visit)

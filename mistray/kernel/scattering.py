@@ -14,6 +14,7 @@ surface are (E. Veach, 1997, section 5.2).
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 import drjit as dr
@@ -49,6 +50,35 @@ NO_AZIMUTH = 1e-16  # product of the squared lengths of two directions' tangenti
 NO_TANGENT = 1e-12  # squared length of a tangential part: light at normal incidence has no plane of incidence
 ONE_LESS = 1 - 2.0**-23  # a cosine whose angle still has a finite derivative
 ANYWHERE = 0.1  # share of the rays of a lobe by angle that go against refraction anywhere
+
+
+@dataclass
+class Around:
+    """
+    What the lobes of a hit are about.
+
+    Attributes
+    ----------
+    axis : mi.Vector3f
+        The normal on the side that the light goes to without reflection.
+    outward, specular, d : mi.Vector3f
+        The normal on the side that rays are sent to, the specular direction and the one of arrival.
+    cos_i, eta : mi.Float
+        Cosine of incidence, and the index there over the one behind.
+    x_axis : mi.Vector3f or None
+        The x axis of a sample that is not the same in all azimuths.
+    scale : mi.Float
+        By which random rays are spread wider.
+    """
+
+    axis: mi.Vector3f
+    outward: mi.Vector3f
+    specular: mi.Vector3f
+    d: mi.Vector3f
+    cos_i: mi.Float
+    eta: mi.Float
+    x_axis: mi.Vector3f | None
+    scale: mi.Float
 
 
 class Scattering:
@@ -173,6 +203,7 @@ class Scattering:
             dr.select(here, dr.fma(2 * x, row.w, row.z), 0),
         )
 
+    # More than 8 parameters: the node, the ray and the state of a conditional block, which takes loose arrays
     def scatter(
         self,
         table: SurfaceTable,
@@ -251,23 +282,20 @@ class Scattering:
         plan = dr.gather(mi.Vector4u, self._tables.cases, case)
         lobes = self._read_lobes(plan, x, it.cos_i)
         total = sum((lobe["flux"] for lobe in lobes), mi.Float(0))
-        direction = self._random(lobes, total, u, outward, specular, d, scale)
+        x_axis = self._x_axis(s, it, mi.Bool(True))
+        around = Around(it.axis, outward, specular, d, it.cos_i, it.eta, x_axis, scale)
+        direction = self._random(lobes, total, u, around)
         own = mi.UInt32(0)
         if self._tables.aimed:
             aimed, own = self._tables.targets.sample(plan.zw, u, it.p, specular, ray.aim)
             direction = dr.select(ray.aim, aimed, direction)
         cos_s = dr.dot(direction, outward)
-        x_axis = self._x_axis(s, it, mi.Bool(True))
-        flux, slope, density = self._evaluate(
-            lobes, total, direction, cos_s, outward, specular, d, it.cos_i, scale, x_axis
-        )
+        flux, slope, density = self._evaluate(lobes, total, direction, cos_s, around)
         if self._tables.backward:
             from_front = it.from_front ^ ~ray.reflect
             R, T, cos_t = shares_at(table, s, it.word, from_front, cos_s, mi.Bool(True))
             share = dr.select(ray.reflect, R, T)
-            flux = self._against(
-                plan, ray.reflect, it.axis, it.cos_i, it.eta, d, direction, cos_s, cos_t, share, x_axis
-            )
+            flux = self._against(plan, ray.reflect, around, direction, cos_s, cos_t, share)
         techniques = ray.random_rays * density
         if self._tables.aimed:
             there = ray.aimed_rays > 0
@@ -281,34 +309,30 @@ class Scattering:
         self,
         plan: mi.Vector4u,
         reflect: mi.Bool,
-        axis: mi.Vector3f,
-        cos_i: mi.Float,
-        eta: mi.Float,
-        d: mi.Vector3f,
+        around: Around,
         direction: mi.Vector3f,
         cos_s: mi.Float,
         cos_t: mi.Float,
         x: mi.Float,
-        x_axis: mi.Vector3f | None,
     ) -> mi.Float:
         """
         What light that comes against `direction` sends against d, as flux per solid angle of `direction`.
 
-        `cos_t` is the light's own cosine of refraction, x the coating's R or T for it; `axis`, `cos_i` and `eta` are
-        those of the ray, `x_axis` is that of the sample. With the étendue dG = n² cos θ dω dA of either direction the
-        flux per étendue is the same whether one follows the light or goes against it; the change from dG to dω gives
-        the factor n_i² cos θ_i/(n_o² cos θ_o).
+        `cos_t` is the light's own cosine of refraction, x the coating's R or T for it. With the étendue
+        dG = n² cos θ dω dA of either direction the flux per étendue is the same whether one follows the light or goes
+        against it; the change from dG to dω gives the factor n_i² cos θ_i/(n_o² cos θ_o).
         """
-        incident, outward, eta = -direction, -axis, dr.rcp(eta)
-        specular = specular_direction(reflect, incident, dr.select(reflect, axis, outward), cos_s, cos_t, eta)
+        incident, outward, eta = -direction, -around.axis, dr.rcp(around.eta)
+        specular = specular_direction(reflect, incident, dr.select(reflect, around.axis, outward), cos_s, cos_t, eta)
         lobes = self._read_lobes(plan, x, cos_s)
         # Of light in total reflection only lobes about the normal pass on to the other side
         passes = reflect | (cos_t > 0)
         for lobe in lobes:
             lobe["here"] = lobe["here"] & (passes | ((lobe["words"].x & NORMAL) != 0))
         one = mi.Float(1)
-        flux, _, _ = self._evaluate(lobes, one, -d, cos_i, outward, specular, incident, cos_s, one, x_axis)
-        return flux * cos_s / cos_i * dr.select(reflect, 1, dr.square(eta))
+        light = Around(outward, outward, specular, incident, cos_s, eta, around.x_axis, one)
+        flux, _, _ = self._evaluate(lobes, one, -around.d, around.cos_i, light)
+        return flux * cos_s / around.cos_i * dr.select(reflect, 1, dr.square(eta))
 
     def _read_lobes(self, plan: mi.Vector4u, x: mi.Float, cos_i: mi.Float) -> list[dict[str, Any]]:
         """The lobes of a case and the flux of each over all directions."""
@@ -336,13 +360,13 @@ class Scattering:
             )
         return lobes
 
-    def _centre(self, words: mi.Vector2u, outward: mi.Vector3f, specular: mi.Vector3f, d: mi.Vector3f) -> mi.Vector3f:
+    def _centre(self, words: mi.Vector2u, around: Around) -> mi.Vector3f:
         """Unit vector at the centre of a lobe."""
-        centre = specular
+        centre = around.specular
         if self._tables.flags & RETRO:
-            centre = dr.select((words.x & RETRO) != 0, -d, centre)
+            centre = dr.select((words.x & RETRO) != 0, -around.d, centre)
         if self._tables.flags & NORMAL:
-            centre = dr.select((words.x & NORMAL) != 0, outward, centre)
+            centre = dr.select((words.x & NORMAL) != 0, around.outward, centre)
         return centre
 
     def _random(
@@ -350,12 +374,10 @@ class Scattering:
         lobes: list[dict[str, Any]],
         total: mi.Float,
         u: list[mi.Float],
-        outward: mi.Vector3f,
-        specular: mi.Vector3f,
-        d: mi.Vector3f,
-        scale: mi.Float,
+        around: Around,
     ) -> mi.Vector3f:
-        """A direction at random: a lobe by its flux, then its profile, `scale` times as wide."""
+        """A direction at random: a lobe by its flux, then its profile."""
+        outward, scale = around.outward, around.scale
         chosen, wanted, so_far = lobes[0]["words"], u[0] * total, lobes[0]["flux"]
         for lobe in lobes[1:]:
             later = lobe["here"] & (wanted >= so_far) & (lobe["flux"] > 0)
@@ -365,7 +387,7 @@ class Scattering:
         if self._tables.backward and self._tables.flags & NORMAL:
             # Light of all directions goes to a lobe about the normal
             r = dr.select((chosen.x & NORMAL) != 0, dr.sqrt(u[1]), r)
-        centre = self._centre(chosen, outward, specular, d)
+        centre = self._centre(chosen, around)
         turn = u[2]
         by_angle = (chosen.x & BY_ANGLE) != 0 if self._tables.flags & BY_ANGLE else mi.Bool(False)
         if self._tables.backward and self._tables.flags & BY_ANGLE:
@@ -395,19 +417,15 @@ class Scattering:
         total: mi.Float,
         direction: mi.Vector3f,
         cos_s: mi.Float,
-        outward: mi.Vector3f,
-        specular: mi.Vector3f,
-        d: mi.Vector3f,
-        cos_i: mi.Float,
-        scale: mi.Float,
-        x_axis: mi.Vector3f | None = None,
+        around: Around,
     ) -> tuple[mi.Float, mi.Float, mi.Float]:
         """Flux per solid angle and incident flux, its derivative by R or T, and the density of the random rays."""
+        outward, cos_i, scale = around.outward, around.cos_i, around.scale
         flux, slope, density = mi.Float(0), mi.Float(0), mi.Float(0)
         for lobe in lobes:
             words = lobe["words"]
             here = lobe["here"]
-            apart = direction - self._centre(words, outward, specular, d)
+            apart = direction - self._centre(words, around)
             across = apart - dr.dot(apart, outward) * outward
             r2, per_angle = dr.squared_norm(across), cos_s
             if self._tables.flags & BY_ANGLE:
@@ -435,13 +453,10 @@ class Scattering:
             if self._tables.flags & COSINE:
                 value *= dr.select((words.x & COSINE) != 0, cos_s, 1)
             if self._tables.flags & EDGE:
-                grown = obliquity(dr.dot(specular, outward), cos_s, r2)
+                grown = obliquity(dr.dot(around.specular, outward), cos_s, r2)
                 value *= dr.select((words.x & EDGE) != 0, grown, 1)
             if self._tables.flags & RATIO:
-                cos_specular = dr.dot(specular, outward)
-                ratio = self._ratio(
-                    lobe, words, cos_specular, cos_s, r2, across, direction, specular, outward, d, x_axis, here
-                )
+                ratio = self._ratio(lobe, around, direction, cos_s, r2, across)
                 value *= dr.select((words.x & RATIO) != 0, ratio, 1)
             flux += value
             slope += value * lobe["slope"]
@@ -450,21 +465,17 @@ class Scattering:
     def _ratio(
         self,
         lobe: dict[str, Any],
-        words: mi.Vector2u,
-        cos_specular: mi.Float,
+        around: Around,
+        direction: mi.Vector3f,
         cos_s: mi.Float,
         r2: mi.Float,
         across: mi.Vector3f,
-        direction: mi.Vector3f,
-        specular: mi.Vector3f,
-        outward: mi.Vector3f,
-        d: mi.Vector3f,
-        x_axis: mi.Vector3f | None,
-        active: mi.Bool,
     ) -> mi.Float:
         """The ratio table of a lobe."""
-        active = active & ((words.x & RATIO) != 0)
-        tangent = specular - cos_specular * outward
+        words, outward, x_axis = lobe["words"], around.outward, around.x_axis
+        active = lobe["here"] & ((words.x & RATIO) != 0)
+        cos_specular = dr.dot(around.specular, outward)
+        tangent = around.specular - cos_specular * outward
         second = dr.clip(1 - (1 - 0.5 * dr.log2(dr.maximum(r2, 1e-30))) / (1 - lobe["log2_r_min"]), 0, 1)
         if self._tables.flags & BY_COSINES:
             by_cosines = (words.x & BY_COSINES) != 0
@@ -483,7 +494,7 @@ class Scattering:
         value = self._tables.ratio(words.y, (first, second, angle / dr.pi), active & ~turned)
         if x_axis is None:
             return value
-        lit = dr.mulsign(outward, -dr.dot(d, outward))
+        lit = dr.mulsign(outward, -dr.dot(around.d, outward))
         tangent, beside, rotation = plane_of_sample(tangent, lit, x_axis)
         across = dr.select(dr.squared_norm(across) > NO_TANGENT**2, across, tangent)
         azimuth = dr.atan2(dr.dot(across, beside), dr.dot(across, tangent)) * (0.5 / dr.pi)

@@ -120,10 +120,8 @@ class BranchRecorder(Recorder):
             return
         gained, lane = self.sky.gain(departure), departure.start.lane
         depth, counts = departure.length - 1, departure.active & (gained != 0)
-        self._write(
-            *(departure.nodes, departure.event, counts, departure.node, depth, lane, departure.key, gained),
-            heading=departure.heading,
-        )
+        branch = (lane, departure.key, gained, departure.heading, None)
+        self._write(departure.nodes, departure.event, counts, departure.node, depth, branch)
 
     def write(
         self,
@@ -154,10 +152,8 @@ class BranchRecorder(Recorder):
         kept : mi.Bool
             Whether there was room for it.
         """
-        lane = visit.start.lane
-        return self._write(
-            visit.nodes, visit.event, active, node, visit.depth, lane, visit.key, weight, heading=heading, place=place
-        )
+        branch = (visit.start.lane, visit.key, weight, heading, place)
+        return self._write(visit.nodes, visit.event, active, node, visit.depth, branch)
 
     def clear(self) -> None:
         """Forget all branches."""
@@ -171,14 +167,15 @@ class BranchRecorder(Recorder):
         active: mi.Bool,
         last: Sequence[mi.Float],
         depth: mi.UInt32,
-        lane: mi.UInt32,
-        key: mi.UInt64,
-        weight: mi.Float64,
-        *,
-        heading: mi.Vector3f | None = None,
-        place: tuple[mi.Float, mi.Float] | None = None,
+        branch: tuple[Any, ...],
     ) -> tuple[mi.UInt32, mi.Bool]:
-        """Write paths, node by node; `last` is what the nodes at `depth` consist of, `key` counts the last event."""
+        """
+        Write paths, node by node.
+
+        `last` is what the nodes at `depth` consist of; a branch has a lane, a key that counts its last event, a weight,
+        and perhaps a heading and a place.
+        """
+        lane, key, weight, heading, place = branch
         slot = dr.scatter_inc(self.count, mi.UInt32(0), active)
         active = active & (slot < self.capacity)
         dr.scatter(self.lane, lane, slot, active)

@@ -14,7 +14,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.physics.geometry.sag import sag, sag_derivative
-from mistray.surfaces.crossings import stretch
+from mistray.surfaces.crossings import AxisRay, stretch
 from mistray.surfaces.surface import SELF_HIT
 
 if TYPE_CHECKING:
@@ -149,8 +149,8 @@ class AsphereSearch:
             size = dr.select(rectangle, dr.norm(clip), outer)
         outer2 = size * size
 
-        dd, od, oo = dr.fma(d.x, d.x, d.y * d.y), dr.fma(o.x, d.x, o.y * d.y), dr.fma(o.x, o.x, o.y * o.y)
-        start, end = stretch(o.x, o.y, o.z, d.z, dd, od, oo, dr.rcp(d.z), outer2, z_low, z_high)
+        ray = AxisRay.of(o.x, o.y, o.z, d)
+        start, end = stretch(ray, o.z, outer2, z_low, z_high)
         end = dr.minimum(end, best)
         active &= end > start
         length = dr.select(active, end - start, 0)
@@ -163,7 +163,7 @@ class AsphereSearch:
             height = dr.fma(s, d.z, o.z) - sag(r2, *shape)
             return height, d.z - 2 * sag_derivative(r2, *shape) * dr.fma(x, d.x, y * d.y)
 
-        monotonic = dr.square(d.z) > dr.square(slope) * dd
+        monotonic = dr.square(d.z) > dr.square(slope) * ray.dd
         stride = length / INTERVALS
         f0, g0 = f(mi.Float(0))
         f0 = dr.select(own, dr.mulsign(mi.Float(1e-30), g0), f0)  # on the surface: the sign is the one it leaves with
@@ -171,7 +171,8 @@ class AsphereSearch:
         def sign(v: mi.Float) -> mi.Float:
             return dr.mulsign(mi.Float(1), v)
 
-        def walk(s, fs, gs, lo, hi, flo, fhi, found, going):  # type: ignore[no-untyped-def]
+        # More than 8 parameters: the state of the loop
+        def step(s, fs, gs, lo, hi, flo, fhi, found, going):  # type: ignore[no-untyped-def]
             t = dr.minimum(s + stride, length)
             ft, gt = f(t)
             crossed = sign(ft) != sign(fs)
@@ -191,7 +192,7 @@ class AsphereSearch:
         _, _, _, lo, hi, flo, fhi, found, _ = dr.while_loop(
             (zero, f0, g0, zero, length, zero, zero, active & monotonic & ahead, active & ~monotonic),
             lambda *v: v[8],
-            walk,
+            step,
             labels=("s", "fs", "gs", "lo", "hi", "flo", "fhi", "found", "going"),
             mode="symbolic",
             label="bracket",

@@ -245,33 +245,23 @@ def cone_crossing(ray: AxisRay, p: Cone, n: Numbers, own: mi.Bool) -> mi.Float:
 
 
 def stretch(
-    ox: mi.Float,
-    oy: mi.Float,
-    oz: mi.Float,
-    dz: mi.Float,
-    dd: mi.Float,
-    od: mi.Float,
-    oo: mi.Float,
-    inv_dz: mi.Float,
-    outer2: mi.Float,
-    z_low: mi.Float,
-    z_high: mi.Float,
+    ray: AxisRay, oz: mi.Float, outer2: mi.Float, z_low: mi.Float, z_high: mi.Float
 ) -> tuple[mi.Float, mi.Float]:
-    """Part of a ray within a cylinder and a slab, empty if its end is not beyond its start."""
-    discriminant = dr.fma(od, od, -dd * (oo - outer2))
-    root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(dd)
-    axial = dd < AXIAL  # such a ray never leaves the cylinder
-    z0, z1 = (z_low - oz) * inv_dz, (z_high - oz) * inv_dz
-    start = larger(larger(dr.select(axial, 0, (-od - root) * inv), smaller(z0, z1)), 0)
-    end = smaller(dr.select(axial, dr.inf, (-od + root) * inv), larger(z0, z1))
-    inside = dr.select(axial, oo <= outer2, discriminant >= 0)
+    """Part of a ray, from the height `oz`, within a cylinder and a slab; empty if its end is not beyond its start."""
+    discriminant = dr.fma(ray.od, ray.od, -ray.dd * (ray.oo - outer2))
+    root, inv = dr.sqrt(larger(discriminant, 0)), dr.rcp(ray.dd)
+    axial = ray.dd < AXIAL  # such a ray never leaves the cylinder
+    z0, z1 = (z_low - oz) * ray.inv_dz, (z_high - oz) * ray.inv_dz
+    start = larger(larger(dr.select(axial, 0, (-ray.od - root) * inv), smaller(z0, z1)), 0)
+    end = smaller(dr.select(axial, dr.inf, (-ray.od + root) * inv), larger(z0, z1))
+    inside = dr.select(axial, ray.oo <= outer2, discriminant >= 0)
     return start, dr.select(inside, end, -1)
 
 
 def asphere_entry(ray: AxisRay, n: Numbers, own: mi.Bool) -> mi.Float:
     """Distance at which a ray enters the cylinder and the slab that hold an asphere; infinite if it misses them."""
     oz = ray.oz - n.z
-    start, end = stretch(ray.ox, ray.oy, oz, ray.dz, ray.dd, ray.od, ray.oo, ray.inv_dz, n.outer2, n.z_low, n.z_high)
+    start, end = stretch(ray, oz, n.outer2, n.z_low, n.z_high)
     # A ray steeper than the surface is anywhere cannot come back to it
     leaves = own & (dr.square(ray.dz) > dr.square(n.slope) * ray.dd)
     return dr.select((end > start) & ~leaves, start, dr.inf)

@@ -65,7 +65,7 @@ def first_crossing(ray: AxisRay, family: Any, n: ImplicitNumbers, own: mi.Bool) 
     """
     oz = ray.oz - n.z
     bounds = n.outer2, n.z_low, n.z_high
-    start, end = stretch(ray.ox, ray.oy, oz, ray.dz, ray.dd, ray.od, ray.oo, ray.inv_dz, *bounds)
+    start, end = stretch(ray, oz, *bounds)
     active = end > start
     length = dr.select(active, end - start, 0)
     stride = length / INTERVALS

@@ -157,7 +157,7 @@ class ShellTree:
             here = columns[:, rays]
             if frame:
                 here = np.concatenate([frames[frame].T @ here[:3], frames[frame].T @ here[3:]])
-            rays = rays[_meets(here[0] - x, here[1] - y, *here[2:], *self.bounds[0, node])]
+            rays = rays[_meets(here - [[x], [y], [0], [0], [0], [0]], self.bounds[0, node])]
             if not len(rays):
                 continue
             if self.piece[0, node] < len(self.members):
@@ -188,19 +188,10 @@ def _halves(middles: np.ndarray) -> list[np.ndarray]:
     return [order[: len(order) // 2], order[len(order) // 2 :]]
 
 
-def _meets(
-    x: np.ndarray,
-    y: np.ndarray,
-    z: np.ndarray,
-    dx: np.ndarray,
-    dy: np.ndarray,
-    dz: np.ndarray,
-    low: float,
-    high: float,
-    inner2: float,
-    outer2: float,
-) -> np.ndarray:
-    """Whether rays come into a shell about the z axis: into its slab, not beside it nor through its hole."""
+def _meets(rays: np.ndarray, shell: np.ndarray) -> np.ndarray:
+    """Whether rays, (6, n), come into a shell about the z axis: into its slab, not beside it nor through its hole."""
+    x, y, z, dx, dy, dz = rays
+    low, high, inner2, outer2 = shell
     with np.errstate(all="ignore"):
         first, second = (low - z) / dz, (high - z) / dz
         start, end = np.fmax(np.fmin(first, second), 0), np.fmax(first, second)

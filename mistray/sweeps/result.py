@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeAlias
 
@@ -30,12 +31,15 @@ Source: TypeAlias = "Path | dict[str, Any] | mi.Scene"
 
 
 @renamed(fields_deg="field_deg")
+@dataclass(kw_only=True, eq=False, repr=False)
 class Sweep:
     """
     Result of `mistray.sweep`.
 
     Attributes
     ----------
+    source : Path, dict or mi.Scene
+        What was swept.
     configurations : tuple of Resolved
         With the values of the keys that each one sets.
     field_deg, wavelengths_nm : tuple of float
@@ -52,25 +56,16 @@ class Sweep:
         Of `mistray.trace` in every row, as given.
     """
 
-    def __init__(
-        self,
-        source: Source,
-        configurations: Sequence[Resolved],
-        field_deg: Sequence[float],
-        wavelengths_nm: Sequence[float],
-        rows: Sequence[Numbers],
-        arguments: dict[str, Any],
-        reused: int = 0,
-        cache_folder: Path | None = None,
-        warnings: Sequence[str] = (),
-    ) -> None:
-        self._source = source
-        self._scenes: dict[str, Any] = {}
-        self.configurations = tuple(configurations)
-        self.field_deg, self.wavelengths_nm = tuple(field_deg), tuple(wavelengths_nm)
-        self.rows = list(rows)
-        self.arguments, self.reused = dict(arguments), reused
-        self.cache_folder, self.warnings = cache_folder, tuple(warnings)
+    source: Source
+    configurations: tuple[Resolved, ...]
+    field_deg: tuple[float, ...]
+    wavelengths_nm: tuple[float, ...]
+    rows: list[Numbers]
+    arguments: dict[str, Any]
+    reused: int = 0
+    cache_folder: Path | None = None
+    warnings: tuple[str, ...] = ()
+    _scenes: dict[str, Any] = field(default_factory=dict, init=False)
 
     def __len__(self) -> int:
         return len(self.rows)
@@ -165,12 +160,12 @@ class Sweep:
         if name in self._scenes:
             return self._scenes[name]
         one = next(one for one in self.configurations if one.name == name)
-        if isinstance(self._source, mi.Scene) and one.values:
+        if isinstance(self.source, mi.Scene) and one.values:
             raise MistrayError(
                 f"configuration '{name}' changes a scene that was given loaded; give sweep() the scene's file, so that "
                 "the configuration gets a scene of its own"
             )
-        scene = self._source if isinstance(self._source, mi.Scene) else load(self._source)
+        scene = self.source if isinstance(self.source, mi.Scene) else load(self.source)
         if one.values:
             assign(mi.traverse(scene), one.values)
         self._scenes[name] = scene

@@ -115,7 +115,17 @@ def sweep(
         if short:
             said.append(f"the time was up in {len(short)} of {len(cells)} rows, which have fewer rays, see the column "
                         "rays; their errors are larger")  # fmt: skip
-        return Sweep(source, chosen, angles, wavelengths, rows, arguments, reused, folder, said)
+        return Sweep(
+            source=source,
+            configurations=tuple(chosen),
+            field_deg=tuple(angles),
+            wavelengths_nm=tuple(wavelengths),
+            rows=rows,
+            arguments=arguments,
+            reused=reused,
+            cache_folder=folder,
+            warnings=tuple(said),
+        )
 
     def trace_row(cell: Cell) -> None:
         part = _part(progress, len(found), len(cells))

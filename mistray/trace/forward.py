@@ -31,6 +31,7 @@ def versions() -> dict[str, str]:
     return {name: importlib.metadata.version(name) for name in ("mistray", "mitsuba", "drjit", "numpy")}
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 def trace(
     scene: mi.Scene,
     rays: float | None = None,

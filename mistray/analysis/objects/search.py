@@ -246,6 +246,7 @@ def _gap(number: int, views: Sequence[View]) -> int:
     return int(np.argmax(np.sum([view.in_gap[number] for view in views], axis=0)))
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 @renamed(angles_deg="field_deg")
 def objects(
     scene: mi.Scene,

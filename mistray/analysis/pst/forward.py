@@ -85,9 +85,9 @@ def forward_pst(
     relative_error = request.relative_error
     limited = _angles_that_count(grid, relative_error, request.error_up_to_deg)
     wavelengths, shares = spectrum_of(scene, request.wavelength_nm, request.weights)
-    wavelengths, shares = wavelengths[shares > 0], shares[shares > 0]
+    spectrum = wavelengths[shares > 0], shares[shares > 0]
     started = time.perf_counter()
-    arguments = (grid, settings, wavelengths, shares, request.detector, entrance, int(request.map_pixels), points)
+    arguments = (grid, settings, spectrum, request.detector, entrance, int(request.map_pixels), points)
     cells = ForwardCells(scene, *arguments)
     n, m = grid.shape
     most = [settings.rays if counts or relative_error is None else min(FIRST_RAYS, settings.rays) for counts in limited]

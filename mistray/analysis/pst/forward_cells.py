@@ -253,7 +253,7 @@ class ForwardCells:
     grid : DirectionGrid
     settings : Settings
         But for the number of rays.
-    wavelengths_nm, shares : (k,) float64
+    spectrum : two (k,) float64
         Wavelengths and their shares of the flux.
     detector : str, optional
     entrance : Entrance, optional
@@ -273,16 +273,15 @@ class ForwardCells:
         scene: mi.Scene,
         grid: DirectionGrid,
         settings: Settings,
-        wavelengths_nm: np.ndarray,
-        shares: np.ndarray,
+        spectrum: tuple[np.ndarray, np.ndarray],
         detector: str | None = None,
         entrance: Entrance | None = None,
         map_pixels: int = 0,
         points: np.ndarray | None = None,
     ) -> None:
         self.settings, self.grid, self.entrance = settings, grid, entrance
-        self.wavelengths_nm, self.shares = wavelengths_nm, shares
-        self.table = SurfaceTable(scene, float(wavelengths_nm[0]), detector, settings.stokes)
+        self.wavelengths_nm, self.shares = spectrum
+        self.table = SurfaceTable(scene, float(self.wavelengths_nm[0]), detector, settings.stokes)
         self.area = detector_area(self.table)
         width, height, self.extent = self.table.film()
         pixels = max(map_pixels, 1) / max(width, height)
@@ -291,7 +290,7 @@ class ForwardCells:
         self._waves = PlaneWaves(hull_points(self.table) if points is None else points, grid, entrance)
         intersector, targets = Intersector(self.table), aims(self.table, scene, settings)
         self._runs = []
-        for wavelength, share in zip(wavelengths_nm.tolist(), shares.tolist(), strict=True):
+        for wavelength, share in zip(self.wavelengths_nm.tolist(), self.shares.tolist(), strict=True):
             table = self.table if wavelength == self.table.wavelength_nm else self.table.at(wavelength)
             scattering = Scattering(ScatterTables(table, targets))
             wave = self._waves.at(0, 0, wavelength, share)

@@ -30,6 +30,7 @@ from mistray.time_budget import within
 Progress = Callable[[PstProgress], None]
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 @renamed(angles_deg="field_deg")
 def pst(
     scene: mi.Scene,

@@ -141,6 +141,7 @@ class Study(Mapping[str, StudyStep]):
         return "\n".join(lines + [f"warning: {text}" for text in self.warnings])
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 @renamed(angles_deg="pst_field_deg", fields_deg="field_deg")
 def study(
     scene: mi.Scene,
@@ -284,18 +285,20 @@ def study(
     assert isinstance(transmittance, float)
     design = [table.ids[step.surface] for step in path.steps] if path is not None else []
     done(stray_light_analysis(report, curve, numbers, transmittance, design))
-    asked = {
-        "rays": count,
+    light_of = _angles_and_light(report, curve)
+    asked = {"rays": count, **light_of, "convention": convention, "relative_error": relative_error, **given}
+    return Study(scene, name, tuple(steps), asked)
+
+
+def _angles_and_light(report: GhostReport, curve: Pst) -> dict[str, Any]:
+    """Angles and wavelengths that the ghosts and the PST have been traced for."""
+    return {
         "pst_field_deg": [float(angle) for angle in curve.field_deg],
         "field_deg": [float(field) for field in report],
         "wavelength_nm": list(report.wavelengths_nm),
         "weights": [report.weight(line) for line in report.wavelengths_nm],
         "azimuth_deg": next(iter(report.values())).settings["azimuth_deg"],
-        "convention": convention,
-        "relative_error": relative_error,
-        **given,
     }
-    return Study(scene, name, tuple(steps), asked)
 
 
 def _check(

@@ -164,6 +164,7 @@ class ThermalReport:
         return pd.DataFrame(rows, columns=columns)
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 def thermal(
     scene: mi.Scene,
     temperature_K: float = 293.0,

@@ -153,6 +153,7 @@ class Sensitivity:
 
 
 # The arguments are the options of `mistray sensitivity`, all but the metric by keyword
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 def sensitivity(
     metric: Metric,
     params: Mapping[str, Any] | None = None,

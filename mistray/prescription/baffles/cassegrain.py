@@ -123,6 +123,7 @@ class CassegrainBaffles:
         return (cone, *self.tube.structures(coating=coating, scatter=scatter, space=space))
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 def cassegrain_baffles(
     primary: Surface,
     secondary: Surface,

@@ -162,6 +162,7 @@ def hood_length(optic_radius: float, field_deg: float, exclusion_deg: float) -> 
     return 2 * optic_radius / slope_margin("hood", field_deg, exclusion_deg)
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 def vane_tube(
     name: str,
     *,

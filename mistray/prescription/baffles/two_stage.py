@@ -76,6 +76,7 @@ class TwoStageBaffle:
         return (*outer, bulkhead, *inner)
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 def two_stage_baffle(
     name: str,
     *,

@@ -93,6 +93,7 @@ class View:
         return f"View({self.title!r}, {len(self.surfaces)} surfaces, {len(self.rays)} rays)"
 
 
+# More than 8 parameters: the keywords of a call, each with a default and used one by one
 def view(
     scene: Any,
     trace: Trace | None = None,
