@@ -12,6 +12,7 @@ from mistray.optimize import Comparison, Optimization, Term
 from mistray.optimize.study.comparison import Row
 from mistray.optimize.study.goals import holds, limit_of
 from mistray.report.model import Table, Value, columns
+from mistray.report.tables.frames import row_of
 from mistray.report.tables.text import number, table_text
 
 TERM_COLUMNS = (
@@ -140,7 +141,7 @@ def optimization_record(result: Optimization) -> dict[str, Any]:
     """The result as values that JSON knows."""
     rows = [vars(row) for row in result.comparison.rows]
     variables = [
-        {"name": v.name, "unit": v.unit, "low": v.low, "high": v.high, "before": v.start, "after": x}
+        row_of(v, "name", "unit", "low", "high") | {"before": v.start, "after": x}
         for v, x in zip(result.variables.variables, result.best.x, strict=True)
     ]
     kept = {t.name: holds(t, (row := result.comparison.of(t.name)).after, row.before) for t in result.study.terms}
@@ -173,17 +174,8 @@ def variables_frame(result: Optimization) -> pd.DataFrame:
     rows = []
     for variable, x in zip(result.variables.variables, result.best.x, strict=True):
         for place, after, _ in variable.moved(x):
-            rows.append(
-                {
-                    "variable": variable.name,
-                    "parameter": place.label,
-                    "unit": variable.unit,
-                    "low": variable.low,
-                    "high": variable.high,
-                    "before": place.start,
-                    "after": after,
-                }
-            )
+            named = {"variable": variable.name, "parameter": place.label}
+            rows.append({**named, **row_of(variable, "unit", "low", "high"), "before": place.start, "after": after})
     return pd.DataFrame(rows)
 
 
@@ -193,5 +185,5 @@ def history_frame(result: Optimization) -> pd.DataFrame:
     for step in result.steps:
         numbers = ("start", "step", "evaluations", "merit", "merit_se", "gradient_norm", "seconds")
         values = dict(zip(result.variables.names, step.x, strict=True))
-        rows.append({**{key: getattr(step, key) for key in numbers}, **step.terms, **values})
+        rows.append({**row_of(step, *numbers), **step.terms, **values})
     return pd.DataFrame(rows)

@@ -13,11 +13,12 @@ from mistray.report.figures.sensitivity import draws_figure, ranking_figure
 from mistray.report.model import Figure, Folded, Note, Report, Section
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms
-from mistray.report.tables.frames import frame_table
+from mistray.report.tables.frames import flat, frame_table
 from mistray.report.tables.sensitivity import (
     changes_table,
     draws_lines,
     notes,
+    percent,
     ranking_table,
     sensitivity_record,
     spread_lines,
@@ -107,14 +108,8 @@ def _kinds(result: Sensitivity) -> pd.DataFrame:
 def _contributions(result: Sensitivity) -> pd.DataFrame:
     return pd.DataFrame(
         [
-            {
-                "name": item.name,
-                "members": " ".join(item.members),
-                "change_percent": 100 * item.change.value,
-                "change_percent_se": 100 * item.change.se,
-                "share": item.share.value,
-                "share_se": item.share.se,
-            }
+            {"name": item.name, "members": " ".join(item.members)}
+            | flat({"change_percent": percent(item.change), "share": item.share})
             for item in result.spread.contributions
         ]
     )

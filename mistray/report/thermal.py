@@ -16,22 +16,10 @@ from mistray.files.json_values import plain
 from mistray.report.model import Figure, Note, Report, Section, Table, Value, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms, thousands
+from mistray.report.tables.frames import row_of
 from mistray.report.tables.text import ABSENT, number, table_text, with_error
 
 SHOWN, RETURNS_SHOWN = 12, 6  # rows of the printed tables
-
-
-def summary_rows(report: ThermalReport) -> list[tuple[str, str, Estimate]]:
-    """What is known of the whole: text, unit and number."""
-    return [
-        ("self-emission", "W/mm²", report.total_W_mm2),
-        (f"image of a blackbody scene at {report.scene_K:g} K", "W/mm²", report.image_W_mm2),
-        ("scene by all paths", "W/mm²", report.scene_W_mm2),
-        ("self-emission / image", "1", report.to_image),
-        ("detector in its own view (emission)", "1", report.self_view),
-        ("NITD", "K", report.nitd_K),
-        ("not followed to its source", "W/mm²", Estimate(report.lost_W_mm2, math.nan)),
-    ]
 
 
 def heading(report: ThermalReport) -> str:
@@ -111,22 +99,17 @@ def _percent(report: ThermalReport, power: float) -> str:
 
 def return_frame(report: ThermalReport) -> pd.DataFrame:
     """Surfaces by which the detector sees itself: surface, part, emission and NITD with their errors."""
-    rows = [(r.surface, r.part, *r.emission, *r.nitd_K) for r in report.returned]
-    return pd.DataFrame(rows, columns=["surface", "part", "emission", "emission_se", "nitd_K", "nitd_K_se"])
+    return pd.DataFrame([row_of(found, "surface", "part", "emission", "nitd_K") for found in report.returned])
 
 
 def thermal_record(report: ThermalReport) -> dict[str, Any]:
     """Everything as plain values for JSON."""
-    names = ("total_W_mm2", "scene_W_mm2", "image_W_mm2", "to_image", "self_view", "nitd_K")
-    record = {name: getattr(report, name).value for name in names}
-    record |= {f"{name}_se": getattr(report, name).se for name in names}
-    keys = ("lost_W_mm2", "temperature_K", "detector_K", "scene_K", "band_um", "wavelengths_um", "detector", "notes")
-    record |= {key: getattr(report, key) for key in keys}
-    record |= {"facts": report.facts, "emitters": report.to_pandas().to_dict("records")}
-    record |= {"returned": return_frame(report).to_dict("records")}
-    found = plain(record)
-    assert isinstance(found, dict)
-    return found
+    record = row_of(
+        report, "total_W_mm2", "scene_W_mm2", "image_W_mm2", "to_image", "self_view", "nitd_K", "lost_W_mm2",
+        "temperature_K", "detector_K", "scene_K", "band_um", "wavelengths_um", "detector", "notes", "facts",
+    )  # fmt: skip
+    record |= {"emitters": report.to_pandas().to_dict("records"), "returned": return_frame(report).to_dict("records")}
+    return dict(plain(record))
 
 
 def thermal_report(report: ThermalReport, title: str = "scene", command: str = "") -> Report:

@@ -9,6 +9,7 @@ import pandas as pd
 from mistray.files.json_values import plain
 from mistray.optimize.tolerances.budget import Budget, Chosen, Met
 from mistray.report.model import Column, Table, Value, columns
+from mistray.report.tables.frames import row_of
 from mistray.report.tables.text import number, table_text, text_table
 
 MOST_DISTANCE = 99.0  # standard errors, in text
@@ -101,18 +102,9 @@ def budget_frame(result: Budget) -> pd.DataFrame:
     """One row for each number; shares of each requirement as ``share_1_before_percent`` and so on."""
     rows = []
     for chosen in result.chosen:
-        row: dict[str, Any] = {
-            "surfaces": surfaces_text(chosen),
-            "key": chosen.key,
-            "parameter": chosen.parameter,
-            "unit": chosen.unit,
-            "before": chosen.before,
-            "after": chosen.after,
-            "best": chosen.best,
-            "worst": chosen.worst,
-            "cost_before": chosen.cost_before,
-            "cost_after": chosen.cost_after,
-        }
+        row = {"surfaces": surfaces_text(chosen)} | row_of(
+            chosen, "key", "parameter", "unit", "before", "after", "best", "worst", "cost_before", "cost_after"
+        )
         for k, (b, a) in enumerate(zip(chosen.shares_before, chosen.shares_after, strict=True), start=1):
             row |= {f"share_{k}_before_percent": 100 * b, f"share_{k}_after_percent": 100 * a}
         rows.append(row)
@@ -123,16 +115,7 @@ def requirements_frame(result: Budget) -> pd.DataFrame:
     """One row for each requirement."""
     return pd.DataFrame(
         [
-            {
-                "requirement": item.name,
-                "unit": item.unit,
-                "limit": item.limit,
-                "before": item.before.value,
-                "before_se": item.before.se,
-                "after": item.after.value,
-                "after_se": item.after.se,
-                "met": item.holds,
-            }
+            {"requirement": item.name, **row_of(item, "unit", "limit", "before", "after"), "met": item.holds}
             for item in result.requirements
         ]
     )

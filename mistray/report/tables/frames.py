@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import pandas as pd
@@ -87,6 +87,19 @@ def value_text(value: Any) -> str:
         return "∞" if value > 0 else "-∞"
     whole = float(value) == int(value) and abs(value) < 1e15
     return thousands(value) if whole and abs(value) >= 1e4 else number(float(value), DIGITS)
+
+
+def flat(values: Mapping[str, Any]) -> dict[str, Any]:
+    """A row of a DataFrame, in which an `Estimate` is two columns, "x" and "x_se"."""
+    row: dict[str, Any] = {}
+    for name, value in values.items():
+        row |= {name: value.value, f"{name}_se": value.se} if isinstance(value, Estimate) else {name: value}
+    return row
+
+
+def row_of(item: Any, *names: str) -> dict[str, Any]:
+    """Attributes of an object as a row, see `flat`."""
+    return flat({name: getattr(item, name) for name in names})
 
 
 def table_frame(table: Table) -> pd.DataFrame:

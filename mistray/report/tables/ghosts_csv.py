@@ -14,14 +14,13 @@ from mistray.analysis.ghosts import FieldSummary, GhostReport
 from mistray.analysis.stray_levels import LEVELS
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.report.own_sections import own_tables
+from mistray.report.tables.frames import flat
 from mistray.trace import Trace
 
 
 def path_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
     """All paths of all fields after ``field_deg``; columns as in `GhostReport.table`, ``path_ids`` as text."""
-    tables = [report.table(field, per_wavelength).assign(field_deg=field) for field in report]
-    table = _first(pd.concat(tables, ignore_index=True), "field_deg")
-    return table.assign(path_ids=[" ".join(map(str, path_ids)) for path_ids in table.path_ids])
+    return _of_fields(report, lambda field: report.table(field, per_wavelength))
 
 
 def energy_table(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
@@ -84,27 +83,22 @@ def level_frame(report: GhostReport) -> pd.DataFrame:
 
 def filter_frame(report: GhostReport, selection: str) -> pd.DataFrame:
     """The paths of all fields that pass a filter: field_deg, then the columns of the path table."""
-    tables = [report.filtered(field, selection).table.assign(field_deg=field) for field in report]
-    return _first(pd.concat(tables, ignore_index=True), "field_deg")
+    return _of_fields(report, lambda field: report.filtered(field, selection).table)
 
 
 def filter_rays(report: GhostReport, selection: str) -> pd.DataFrame:
     """Rays of all fields that pass a filter: field_deg, then the columns of `mistray.trace.Trace.rays`."""
-    tables = [t.rays(selection).assign(field_deg=field) for field, t in report.items()]
-    return _first(pd.concat(tables, ignore_index=True), "field_deg")
+    return _of_fields(report, lambda field: report[field].rays(selection))
 
 
 def alias_frame(report: GhostReport, aliases: Mapping[str, str] | str) -> pd.DataFrame:
     """Paths of all fields with surfaces under other names: field_deg, then the columns of `GhostReport.aliased`."""
-    tables = [report.aliased(field, aliases).assign(field_deg=field) for field in report]
-    table = _first(pd.concat(tables, ignore_index=True), "field_deg")
-    return table.assign(path_ids=[" ".join(map(str, path_ids)) for path_ids in table.path_ids])
+    return _of_fields(report, lambda field: report.aliased(field, aliases))
 
 
 def analysis_frame(report: GhostReport, sort: str, least_share: float) -> pd.DataFrame:
     """Path analysis of all fields: field_deg, then the columns of `mistray.analysis.path_analysis`."""
-    tables = [report.path_analysis(field, sort, least_share).assign(field_deg=field) for field in report]
-    return _first(pd.concat(tables, ignore_index=True), "field_deg")
+    return _of_fields(report, lambda field: report.path_analysis(field, sort, least_share))
 
 
 def summary_frame(report: GhostReport, per_wavelength: bool = False) -> pd.DataFrame:
@@ -188,12 +182,19 @@ def _summary_row(s: FieldSummary) -> dict[str, Any]:
         "stray_to_nominal": s.stray_to_nominal,
         "worst_normalised_rms_irradiance": s.brightest_normalised,
     }
-    for name, estimate in estimates.items():
-        row |= {name: estimate.value, f"{name}_se": estimate.se}
-    row["worst_path_id"] = s.brightest
+    row |= flat(estimates) | {"worst_path_id": s.brightest}
     row |= {f"map_{name}_W_mm2": getattr(s.map, name) for name in ("minimum", "maximum", "mean", "rms")}
     row |= {f"map_{name}": getattr(s.map, name) for name in ("flux_W", "incident_rays")}
     return row | {"asymmetry": s.asymmetry, "asymmetry_expected": s.asymmetry_expected}
+
+
+def _of_fields(report: GhostReport, table_of: Callable[[float], pd.DataFrame]) -> pd.DataFrame:
+    """The tables of all fields as one, ``field_deg`` first; ``path_ids``, where there are any, as text."""
+    tables = [table_of(field).assign(field_deg=field) for field in report]
+    table = _first(pd.concat(tables, ignore_index=True), "field_deg")
+    if "path_ids" not in table:
+        return table
+    return table.assign(path_ids=[" ".join(map(str, path_ids)) for path_ids in table.path_ids])
 
 
 def _first(table: pd.DataFrame, *names: str) -> pd.DataFrame:

@@ -67,8 +67,8 @@ def ranking_table(result: Sensitivity) -> Table:
             row.unit,
             row.derivative,
             number(row.tolerance),
-            _percent(row.change),
-            _percent(shares[row.label]) if row.label in shares else "in a group",
+            percent(row.change),
+            percent(shares[row.label]) if row.label in shares else "in a group",
             f"{100 * row.edge_check:+.2g}" if math.isfinite(row.edge_check) else ABSENT,
             change_text(row),
         ]
@@ -116,15 +116,15 @@ def changes_table(result: Sensitivity) -> Table:
 def spread_lines(result: Sensitivity) -> list[str]:
     """The linear propagation."""
     spread = result.spread
-    deviation = with_error(_percent(spread.deviation))
+    deviation = with_error(percent(spread.deviation))
     lines = [
         f"all tolerances together: standard deviation of ln(metric) {deviation} % to first order, from "
         f"{len(spread.contributions)} independent parameters"
     ]
     groups = [item for item in spread.contributions if len(item.members) > 1]
     lines += [
-        f"together '{item.name}' ({len(item.members)} parameters): {with_error(_percent(item.change))} % per "
-        f"tolerance, {with_error(_percent(item.share))} % of the variance"
+        f"together '{item.name}' ({len(item.members)} parameters): {with_error(percent(item.change))} % per "
+        f"tolerance, {with_error(percent(item.share))} % of the variance"
         for item in groups
     ]
     if spread.noise > max(spread.variance.value, 0.0):
@@ -137,7 +137,7 @@ def draws_lines(draws: Draws) -> list[str]:
     percentiles = ", ".join(f"{p:g} %: {with_error(draws.percentile(p))}" for p in PERCENTILES)
     return [
         f"{len(draws.ratios)} perturbed systems: standard deviation of ln(metric) "
-        f"{with_error(_percent(draws.deviation))} %, by the linear model for the same systems "
+        f"{with_error(percent(draws.deviation))} %, by the linear model for the same systems "
         f"{number(100 * draws.predicted_deviation, 3)} %",
         f"metric over the nominal one: mean {with_error(draws.mean)}; percentiles {percentiles}",
         f"not explained by the linear model: {number(100 * draws.unexplained, 2)} % of the variance",
@@ -217,7 +217,8 @@ def _estimate(value: Estimate) -> dict[str, float]:
     return {"value": value.value, "se": value.se}
 
 
-def _percent(value: Estimate) -> Estimate:
+def percent(value: Estimate) -> Estimate:
+    """A share in per cent."""
     return Estimate(100 * value.value, 100 * value.se)
 
 
