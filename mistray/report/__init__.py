@@ -15,19 +15,17 @@ if TYPE_CHECKING:
     from mistray.report.formats import write_formats
     from mistray.report.ghosts.report import html_text, write_html
     from mistray.report.ghosts_output import write_all, write_png
-    from mistray.report.objects_output import write_objects
+    from mistray.report.objects_output import objects_text, write_objects
     from mistray.report.output import writable_directory
     from mistray.report.own_sections import remove_section, report_section
     from mistray.report.pst_output import write_pst
     from mistray.report.rays.path_rays import RayLine, rays_of_paths
     from mistray.report.rays.path_sort import SortedPath, parse_path_sort, path_sort_text
     from mistray.report.rays.ray_files import read_rays, write_rays
-    from mistray.report.study_output import write_study
+    from mistray.report.study_output import study_text, write_study
     from mistray.report.tables.ghosts import main_table, warnings
     from mistray.report.tables.ghosts_csv import write_csv
-    from mistray.report.tables.objects import objects_text
     from mistray.report.tables.pst import pst_text
-    from mistray.report.tables.study import study_text
     from mistray.report.tables.text import with_error
     from mistray.report.thermal import thermal_text, write_thermal
     from mistray.report.view3d.view import View, view
@@ -42,9 +40,8 @@ __all__ = lazy_package(
         "ghosts.report": ("html_text", "write_html"),
         "mistray.files.irradiance_files": ("IrradianceMap", "read_irradiance", "write_irradiance"),
         "figures.layout": ("layout", "layout_figure", "write_layout"),
-        "objects_output": ("write_objects",),
+        "objects_output": ("objects_text", "write_objects"),
         "figures.objects": ("objects_layout",),
-        "tables.objects": ("objects_text",),
         "ghosts_output": ("write_all", "write_png"),
         "output": ("writable_directory",),
         "mistray.files.parquet": ("write_parquet",),
@@ -55,8 +52,7 @@ __all__ = lazy_package(
         "pst_output": ("write_pst",),
         "tables.pst": ("pst_text",),
         "rays.ray_files": ("read_rays", "write_rays"),
-        "study_output": ("write_study",),
-        "tables.study": ("study_text",),
+        "study_output": ("study_text", "write_study"),
         "tables.ghosts": ("main_table", "warnings"),
         "tables.text": ("with_error",),
         "thermal": ("thermal_text", "write_thermal"),

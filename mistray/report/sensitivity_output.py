@@ -1,31 +1,29 @@
-"""What a sensitivity analysis leaves behind in a folder."""
+"""A sensitivity analysis as text, values for JSON, tables and a report."""
 
 from __future__ import annotations
 
+import math
 from pathlib import Path
+from typing import Any
 
 import pandas as pd
 from markupsafe import Markup
 
+from mistray.analysis.estimate import Estimate
+from mistray.files.json_values import plain
+from mistray.optimize.tolerances.draws import PERCENTILES, Draws
+from mistray.optimize.tolerances.rows import Row
 from mistray.optimize.tolerances.sensitivity import Sensitivity
-from mistray.report.figures.plots import as_png
-from mistray.report.figures.sensitivity import draws_figure, ranking_figure
-from mistray.report.model import Figure, Folded, Note, Report, Section
+from mistray.report.model import Figure, Folded, Note, Report, Section, Table, columns
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section, terms
 from mistray.report.tables.frames import flat, frame_table
-from mistray.report.tables.sensitivity import (
-    changes_table,
-    draws_lines,
-    notes,
-    percent,
-    ranking_table,
-    sensitivity_record,
-    spread_lines,
-    together_lines,
-)
-from mistray.report.tables.text import with_error
+from mistray.report.tables.text import ABSENT, number, table_text, with_error
 
+EDGES = "half edge width"
+KEYS_NAMED = 8  # of those without a derivative, in text
+NARROW_EDGE = 2.0  # standard errors by which the width of the zone at rims may matter
+COUNTS = 0.01  # of the largest change: what is smaller is not worth a warning
 RANKING = (
     "Change of the metric when a parameter changes by its manufacturing tolerance, and its share of the variance of "
     "all of them together."
@@ -33,8 +31,218 @@ RANKING = (
 PERTURBED = "Metrics of perturbed systems, all traced with the same rays, and what the linear model says."
 
 
+def sensitivity_text(result: Sensitivity, count: int = 20) -> str:
+    """
+    What `mistray sensitivity` prints: the ranked table, the best three changes, the propagation, and what is left out.
+
+    Parameters
+    ----------
+    result : Sensitivity
+    count : int
+        Rows of the table.
+    """
+    rest = len(result.rows) - count
+    edges = any(math.isfinite(row.edge_check) for row in result.rows[:count])
+    ranking = ranking_table(result) if edges else ranking_table(result).without(EDGES)
+    lines = together_lines(result)
+    if result.together.changes:
+        lines.insert(1, table_text(changes_table(result)))
+    parts = [
+        f"{result.name}: {with_error(result.value)} {result.unit}".rstrip(),
+        "",
+        table_text(ranking, count),
+        *([f"… and {rest} with less"] if rest > 0 else []),
+        "",
+        *lines,
+        "",
+        *spread_lines(result),
+        *(["", *draws_lines(result.draws)] if result.draws is not None else []),
+        "",
+        *notes(result),
+    ]
+    return "\n".join(parts)
+
+
+def ranking_table(result: Sensitivity) -> Table:
+    """All parameters, ranked."""
+    shares = {item.members[0]: item.share for item in result.spread.contributions if len(item.members) == 1}
+    heads = columns(
+        "<parameter", "<kind", "value", "<unit", "derivative [of the metric, per unit]", "tolerance [unit]",
+        "change [% per tolerance]", "share [% of variance]", f"{EDGES} [% per tolerance]",
+        f"<for {result.factor:g} × less [value, or bound: factor]",
+    )  # fmt: skip
+    rows = [
+        [
+            row.label,
+            row.kind,
+            number(row.value),
+            row.unit,
+            row.derivative,
+            number(row.tolerance),
+            percent(row.change),
+            percent(shares[row.label]) if row.label in shares else "in a group",
+            f"{100 * row.edge_check:+.2g}" if math.isfinite(row.edge_check) else ABSENT,
+            change_text(row),
+        ]
+        for row in result.rows
+    ]
+    return Table(heads, rows, "t-ranking", filter=("filter parameters", "filter parameters"))
+
+
+def change_text(row: Row) -> str:
+    """The value that lowers the metric by the factor asked for, or what the bound gives."""
+    if not row.free:
+        return "held"
+    if row.alone.reached:
+        return number(row.alone.value)
+    if row.alone.factor <= 1:
+        return ABSENT
+    return f"{number(row.alone.value)}: {row.alone.factor:.3g} ×"
+
+
+def together_lines(result: Sensitivity) -> list[str]:
+    """What the best few changes do together."""
+    found = result.together
+    if not found.changes:
+        return ["no derivative is known well enough to propose a change; trace more rays"]
+    title = f"{len(found.changes)} changes that lower it {number(found.factor, 3)} times by the linear model"
+    if not found.reached:
+        title += f", not {result.factor:g} times: all are at their bounds"
+    lines = [title]
+    if found.traced is not None:
+        lines.append(f"traced on other seeds: {_times(found.traced)} lower")
+    if found.image is not None:
+        lines.append(f"direct image then: {number(100 * found.image.value, 4)} % of what it was")
+    return lines
+
+
+def changes_table(result: Sensitivity) -> Table:
+    """The best few changes, one by one."""
+    rows = [
+        [row.label, number(row.value), number(change.value), row.unit, number(change.factor, 3)]
+        for row, change in result.together.changes
+    ]
+    return Table(columns("<parameter", "from", "to", "<unit", "its part [×]"), rows, "t-together", sortable=False)
+
+
+def spread_lines(result: Sensitivity) -> list[str]:
+    """The linear propagation."""
+    spread = result.spread
+    deviation = with_error(percent(spread.deviation))
+    lines = [
+        f"all tolerances together: standard deviation of ln(metric) {deviation} % to first order, from "
+        f"{len(spread.contributions)} independent parameters"
+    ]
+    groups = [item for item in spread.contributions if len(item.members) > 1]
+    lines += [
+        f"together '{item.name}' ({len(item.members)} parameters): {with_error(percent(item.change))} % per "
+        f"tolerance, {with_error(percent(item.share))} % of the variance"
+        for item in groups
+    ]
+    if spread.noise > max(spread.variance.value, 0.0):
+        lines.append("most of that is noise of the derivatives, which was taken off; trace more rays")
+    return lines
+
+
+def draws_lines(draws: Draws) -> list[str]:
+    """The Monte Carlo."""
+    percentiles = ", ".join(f"{p:g} %: {with_error(draws.percentile(p))}" for p in PERCENTILES)
+    return [
+        f"{len(draws.ratios)} perturbed systems: standard deviation of ln(metric) "
+        f"{with_error(percent(draws.deviation))} %, by the linear model for the same systems "
+        f"{number(100 * draws.predicted_deviation, 3)} %",
+        f"metric over the nominal one: mean {with_error(draws.mean)}; percentiles {percentiles}",
+        f"not explained by the linear model: {number(100 * draws.unexplained, 2)} % of the variance",
+        *([f"{draws.rejected} more were drawn again, because surfaces crossed"] if draws.rejected else []),
+    ]
+
+
+def notes(result: Sensitivity) -> list[str]:
+    """What a reader must know before trusting the numbers."""
+    found = [f"not in the derivatives: {text}" for text in result.left_out]
+    if result.without_derivative:
+        names = ", ".join(result.without_derivative[:KEYS_NAMED])
+        more = len(result.without_derivative) - KEYS_NAMED
+        found.append(f"no derivative: {names}{f' and {more} more' if more > 0 else ''}")
+    least = COUNTS * max(abs(row.change.value) for row in result.rows)
+    doubtful = [
+        row.label
+        for row in result.rows
+        if abs(row.edge_check) > max(NARROW_EDGE * row.change.se, 0.1 * abs(row.change.value), least)
+    ]
+    if doubtful:
+        found.append(f"the width of the zone at rims matters for {', '.join(doubtful[:KEYS_NAMED])}; lower edge_width")
+    return found
+
+
+def sensitivity_record(result: Sensitivity) -> dict[str, Any]:
+    """All of a result as values that JSON knows."""
+    spread, together, draws = result.spread, result.together, result.draws
+    record: dict[str, Any] = {
+        "metric": {"name": result.name, "unit": result.unit} | _estimate(result.value),
+        "parameters": result.to_pandas().to_dict("records"),
+        "factor": result.factor,
+        "together": {
+            "changes": [
+                {"label": row.label, "from": row.value, "to": change.value, "unit": row.unit, "factor": change.factor}
+                for row, change in together.changes
+            ],
+            "factor": together.factor,
+            "reached": together.reached,
+            "traced": None if together.traced is None else _estimate(together.traced),
+            "image": None if together.image is None else _estimate(together.image),
+        },
+        "propagation": {
+            "deviation": _estimate(spread.deviation),
+            "variance": _estimate(spread.variance),
+            "noise": spread.noise,
+            "contributions": [
+                {
+                    "name": item.name,
+                    "members": item.members,
+                    "change": _estimate(item.change),
+                    "share": _estimate(item.share),
+                }
+                for item in spread.contributions
+            ],
+        },
+        "monte_carlo": None
+        if draws is None
+        else {
+            "systems": len(draws.ratios),
+            "deviation": _estimate(draws.deviation),
+            "predicted_deviation": draws.predicted_deviation,
+            "mean": _estimate(draws.mean),
+            "percentiles": {f"{p:g}": _estimate(draws.percentile(p)) for p in PERCENTILES},
+            "unexplained": draws.unexplained,
+            "rejected": draws.rejected,
+        },
+        "left_out": result.left_out,
+        "without_derivative": result.without_derivative,
+        "seconds": result.seconds,
+        "settings": result.facts,
+    }
+    return dict(plain(record))
+
+
+def _estimate(value: Estimate) -> dict[str, float]:
+    return {"value": value.value, "se": value.se}
+
+
+def percent(value: Estimate) -> Estimate:
+    """A share in per cent."""
+    return Estimate(100 * value.value, 100 * value.se)
+
+
+def _times(value: Estimate) -> str:
+    return f"{with_error(value)} ×" if math.isfinite(value.value) else "nothing is left of it, infinitely"
+
+
 def sensitivity_report(result: Sensitivity, title: str = "scene", command: str = "") -> Report:
     """The report; `title` is the name of the optical system, `command` the command line that made it."""
+    from mistray.report.figures.plots import as_png
+    from mistray.report.figures.sensitivity import draws_figure, ranking_figure
+
     pictures = {"ranking.png": as_png(ranking_figure(result, title))}
     csv = {"sensitivity.csv": result.to_pandas(), "propagation.csv": _contributions(result)}
     before, *after = together_lines(result)

@@ -14,14 +14,14 @@ import mistray
 from mistray.analysis.objects.search import objects
 from mistray.errors import MistrayError
 from mistray.report.figures.objects import STYLES, groups, objects_layout
-from mistray.report.objects_output import write_objects
-from mistray.report.tables.objects import (
+from mistray.report.objects_output import (
     common_table,
     csv_tables,
     estimate_table,
     object_table,
     objects_record,
     objects_text,
+    write_objects,
 )
 from mistray.report.tables.text import table_text
 

@@ -11,8 +11,8 @@ import pytest
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.study.step import STEPS, Fact, StudyStep, count_of
 from mistray.report.html.render import html_parts
+from mistray.report.study_output import fact_text
 from mistray.report.tables.frames import error_of, frame_table, heading_of, value_text
-from mistray.report.tables.study import fact_text
 
 
 @pytest.mark.parametrize(

@@ -37,8 +37,7 @@ def run(options: Options) -> int:
     options.start()
     from mistray.optimize.tolerances.budget import budget
     from mistray.optimize.toml.read_budget import read_budget
-    from mistray.report.budget_output import budget_report
-    from mistray.report.tables.budget import budget_record, budget_text
+    from mistray.report.budget_output import budget_record, budget_report, budget_text
 
     study = read_budget(options.budget)
     with options.tracing() as progress:

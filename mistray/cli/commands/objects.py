@@ -79,8 +79,7 @@ def run(options: Options) -> int:
     options.start()
     from mistray.analysis.objects.search import objects
     from mistray.analysis.objects.sources import DiskSource
-    from mistray.report.objects_output import objects_report
-    from mistray.report.tables.objects import objects_record, objects_text
+    from mistray.report.objects_output import objects_record, objects_report, objects_text
 
     given = options.given("half_angle_deg", *TAKEN)
     if options.disc is not None:

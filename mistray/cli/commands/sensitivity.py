@@ -92,8 +92,7 @@ def run(options: Options) -> int:
     from mistray.optimize.metrics.by_name import FACTORIES
     from mistray.optimize.parameters import match, parameters
     from mistray.optimize.tolerances.sensitivity import sensitivity
-    from mistray.report.sensitivity_output import sensitivity_report
-    from mistray.report.tables.sensitivity import sensitivity_record, sensitivity_text
+    from mistray.report.sensitivity_output import sensitivity_record, sensitivity_report, sensitivity_text
 
     scene = options.load()
     metric = FACTORIES[options.metric](scene, **keywords, **options.given(*options.spectral_settings()))

@@ -77,8 +77,7 @@ def run(options: Options) -> int:
         raise MistrayError("--resume needs the folder of the saved run; give --out")
     folder = options.start()
     from mistray.analysis.study.eight_steps import study
-    from mistray.report.study_output import study_report
-    from mistray.report.tables.study import study_record, study_text
+    from mistray.report.study_output import study_record, study_report, study_text
 
     state = None if folder is None else folder / STATE
     if state is not None:

@@ -66,7 +66,7 @@ def run(options: Options) -> int:
     if options.rank or options.step:
         raise MistrayError("--rank and --step are about the PST; give its field angles with --pst-field-deg")
     options.start()
-    from mistray.report.tables.sweep import sweep_record, sweep_text
+    from mistray.report.sweep_output import sweep_record, sweep_text
     from mistray.sweeps import Sweep, read_configurations, sweep
 
     configurations = None if options.study is None else read_configurations(options.study)
@@ -107,8 +107,7 @@ def _run_pst(options: Options) -> int:
     if options.step and not options.rank:
         raise MistrayError("--step is about the ranking; give --rank as well, or leave it out")
     folder = options.start()
-    from mistray.report.tables import edit_ranking as ranks
-    from mistray.report.tables import pst_sweep as swept
+    from mistray.report.tables import edits
     from mistray.sweeps import rank_edits, read_configurations, sweep_pst
 
     angles_deg, settings = options.pst_field_deg, {"wavelength_nm": options.wavelength_nm, **options.settings()}
@@ -119,16 +118,16 @@ def _run_pst(options: Options) -> int:
         with options.tracing() as progress:
             configurations = read_configurations(options.study)
             found = sweep_pst(options.scene, configurations, angles_deg, progress=progress, **settings)
-        record |= swept.pst_sweep_record(found)
-        texts.append(swept.pst_sweep_text(found))
-        files += [] if folder is None else swept.write_pst_sweep(found, folder, options.command_line)
+        record |= edits.pst_sweep_record(found)
+        texts.append(edits.pst_sweep_text(found))
+        files += [] if folder is None else edits.write_edits(found, folder, options.command_line)
     if options.rank:
         given = {key: value for key, value in settings.items() if value is not None}
         with options.tracing() as progress:
             ranking = rank_edits(options.scene, angles_deg, steps=dict(options.step or ()), progress=progress, **given)
-        record |= ranks.edit_ranking_record(ranking)
-        texts.append(ranks.edit_ranking_text(ranking))
-        files += [] if folder is None else ranks.write_edit_ranking(ranking, folder, options.command_line)
+        record |= edits.edit_ranking_record(ranking)
+        texts.append(edits.edit_ranking_text(ranking))
+        files += [] if folder is None else edits.write_edits(ranking, folder, options.command_line)
     return options.show(lambda: record, lambda: "\n\n".join(texts), files, files[-1].name if files else "")
 
 

@@ -63,6 +63,11 @@ class Chosen:
     shares_before: tuple[float, ...]
     shares_after: tuple[float, ...]
 
+    @property
+    def at_bound(self) -> bool:
+        """Whether the number is the best or the worst that could be chosen."""
+        return min(abs(self.after / bound - 1) for bound in (self.best, self.worst)) < 1e-4
+
 
 @dataclass(frozen=True)
 class Met:

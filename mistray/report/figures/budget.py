@@ -9,7 +9,6 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 from mistray.optimize.tolerances.budget import Budget
 from mistray.report.figures.figure import Figure, plain_axes
 from mistray.report.figures.plots import BLUE, GREY, VERMILION
-from mistray.report.tables.budget import at_bound, surfaces_text
 from mistray.report.tables.text import number
 
 
@@ -30,7 +29,7 @@ def budget_figure(result: Budget, title: str = "") -> Figure:
             left.plot([chosen.before, chosen.after], [place, place], color=GREY, lw=1, zorder=2)
             left.plot(chosen.before, place, ls="", marker="o", mfc="white", color=GREY, ms=5, zorder=3)
             left.plot(
-                chosen.after, place, ls="", marker="D" if at_bound(chosen) else "o", color=VERMILION, ms=5, zorder=4
+                chosen.after, place, ls="", marker="D" if chosen.at_bound else "o", color=VERMILION, ms=5, zorder=4
             )
             worst = [max(shares) for shares in (chosen.shares_before, chosen.shares_after)]
             right.barh(place + 0.2, 100 * worst[0], height=0.36, color="#c9ced4")
@@ -39,7 +38,7 @@ def budget_figure(result: Budget, title: str = "") -> Figure:
         left.xaxis.set_major_locator(LogLocator(subs=(1, 2, 5)))
         left.xaxis.set_major_formatter(StrMethodFormatter("{x:g}"))
         left.xaxis.set_minor_formatter(NullFormatter())
-        left.set_yticks(places, [surfaces_text(chosen) for chosen in shown], fontsize=8)
+        left.set_yticks(places, [", ".join(chosen.surfaces) for chosen in shown], fontsize=8)
         unit = shown[0].unit
         left.set_xlabel(f"{kind}{f' [{unit}]' if unit not in ('', '1') else ''}")
         right.set_xlabel("share of the metric [%]")

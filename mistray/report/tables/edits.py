@@ -1,4 +1,4 @@
-"""What can be moved, blocked, painted and coated, ranked: as text, as values for JSON and as a CSV file."""
+"""What edits do to the PST, before and after or by its derivatives: as text, as values for JSON and as a CSV file."""
 
 from __future__ import annotations
 
@@ -7,11 +7,27 @@ from typing import Any
 
 from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
+from mistray.report.model import Table, columns
 from mistray.report.output import csv_text, write_files
-from mistray.report.tables.text import number, text_table, with_error
-from mistray.sweeps import EditRanking
+from mistray.report.tables.text import number, table_text, text_table, with_error
+from mistray.sweeps import EditRanking, PstSweep
 
-CSV = "edit_ranking.csv"
+
+def pst_sweep_text(found: PstSweep) -> str:
+    """A line for each configuration and field angle."""
+    heads = columns("<configuration", "angle [deg]", "stray PST before", "after", "after/before")
+    lines = []
+    for row in found.to_pandas().itertuples():
+        pairs = ((row.before, row.before_se), (row.after, row.after_se), (row.ratio, row.ratio_se))
+        lines.append([row.configuration, f"{row.angle_deg:g}", *(Estimate(*pair) for pair in pairs)])
+    text = table_text(Table(heads, lines))
+    return f"{text}\n\nthe error of after/before is that of runs with the same random numbers"
+
+
+def pst_sweep_record(found: PstSweep) -> dict[str, Any]:
+    """All of a result as values that JSON knows."""
+    rows = found.to_pandas().to_dict("records")
+    return dict(plain({"configurations": list(found.configurations), "rows": rows}))
 
 
 def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
@@ -47,6 +63,7 @@ def edit_ranking_record(found: EditRanking) -> dict[str, Any]:
     return dict(plain({"light": found.light, "ranking": rows, "left_out": found.left_out}))
 
 
-def write_edit_ranking(found: EditRanking, folder: Path, command: str) -> list[Path]:
-    """Write the table as CSV; returns the file."""
-    return write_files({CSV: f"# {command}\n{csv_text(found.to_pandas())}"}, folder)
+def write_edits(found: PstSweep | EditRanking, folder: Path, command: str) -> list[Path]:
+    """Write the table as CSV, pst_sweep.csv or edit_ranking.csv; returns the file."""
+    name = "pst_sweep.csv" if isinstance(found, PstSweep) else "edit_ranking.csv"
+    return write_files({name: f"# {command}\n{csv_text(found.to_pandas())}"}, folder)
