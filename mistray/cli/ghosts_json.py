@@ -90,14 +90,10 @@ def _scatter(report: GhostReport, field_deg: float) -> dict[str, Any]:
 
 
 def _energy(energy: Energy) -> dict[str, Any]:
+    names = ("launched_W", "detected_W", "detected_se_W", "escaped_W", "escaped_se_W", "closure")
+    by_name = {"absorbed_W": energy.absorbed, "absorbed_in_W": energy.absorbed_in}
     return {
-        "launched_W": energy.launched_W,
-        "detected_W": energy.detected_W,
-        "detected_se_W": energy.detected_se_W,
-        "absorbed_W": {name: {"value": power, "se": se} for name, (power, se) in energy.absorbed.items()},
-        "absorbed_in_W": {name: {"value": power, "se": se} for name, (power, se) in energy.absorbed_in.items()},
-        "escaped_W": energy.escaped_W,
-        "escaped_se_W": energy.escaped_se_W,
+        **{name: getattr(energy, name) for name in names},
+        **{key: {name: {"value": w, "se": se} for name, (w, se) in own.items()} for key, own in by_name.items()},
         "cut_W": dict(energy.cut),
-        "closure": energy.closure,
     }

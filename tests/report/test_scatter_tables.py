@@ -12,7 +12,7 @@ from mistray.analysis.ghosts import GhostReport
 from mistray.cli.ghosts_json import as_json
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.recorders.path_events import short_label as label
-from mistray.report.figures.plots import KIND_COLOURS, KIND_MARKERS
+from mistray.report.figures.plots import KINDS
 from mistray.report.ghosts.report import html_text
 from mistray.report.rays.path_sort import parse_path_sort, path_sort_text
 from mistray.report.tables.ghosts import main_table, warnings
@@ -63,7 +63,7 @@ def test_kinds_have_their_power_and_their_colour(report):
     assert powers["multiple scatter"] == pytest.approx(TWICE, rel=1e-9)
     assert powers["ghost + scatter"] == pytest.approx(GHOST, rel=1e-9)
     assert sum(powers.values()) == pytest.approx(s.stray_W.value, rel=1e-9)
-    for style in (KIND_COLOURS, KIND_MARKERS):
+    for style in ({kind: look[k] for kind, look in KINDS.items()} for k in (0, 1)):
         assert set(style) == {DIRECT, *STRAY_KINDS}
         assert len(set(style.values())) == len(style)
 

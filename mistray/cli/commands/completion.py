@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import shlex
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from types import MappingProxyType
 
 from mistray.cli import bsdf_models
 from mistray.cli.command import Command, Option
@@ -123,107 +122,36 @@ def script(shell: str, commands: list[Described]) -> str:
     shell : {"bash", "zsh", "fish"}
     commands : list of Described
     """
-    return SHELLS[shell](commands)
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
+    made = Environment(
+        loader=PackageLoader("mistray.cli"), trim_blocks=True, keep_trailing_newline=True, undefined=StrictUndefined
+    )
+    made.filters |= {
+        "quoted": shlex.quote,
+        "bash_values": _bash_values,
+        "zsh_text": _zsh_text,
+        "zsh_specs": _zsh_specs,
+        "fish_text": _fish_text,
+        "fish_value": _fish_value,
+    }
+    return made.get_template(f"{shell}.jinja").render(commands=commands)
 
 
-_BASH = """\
-# bash completion of mistray, made by `mistray completion bash`
-_mistray() {{
-    local current="${{COMP_WORDS[COMP_CWORD]}}" command="" last="" gap=0 k names="" files=no
-    COMPREPLY=()
-    for ((k = 1; k < COMP_CWORD; k++)); do
-        if [[ -z $command ]]; then
-            [[ ${{COMP_WORDS[k]}} == -* ]] || command=${{COMP_WORDS[k]}}
-        elif [[ ${{COMP_WORDS[k]}} == --* || ${{COMP_WORDS[k]}} == -o ]]; then
-            last=${{COMP_WORDS[k]}} gap=0
-        else
-            gap=$((gap + 1))
-        fi
-    done
-    case "$command" in
-        "")
-            names={commands}
-            ;;
-{cases}
-    esac
-    COMPREPLY=($(compgen -W "$names" -- "$current"))
-    if [[ $files == yes ]]; then
-        local IFS=$'\\n'  # blanks are a part of names
-        compopt -o filenames 2>/dev/null
-        COMPREPLY+=($(compgen -f -- "$current"))
-    fi
-}}
-complete -F _mistray mistray
-"""
-_BASH_CASE = """\
-        {name})
-            if [[ $current == -* ]]; then
-                names={options}
-            else
-                case "$last:$gap" in
-{values}
-                esac
-            fi
-            ;;"""
-
-
-def _bash(commands: list[Described]) -> str:
-    cases = []
-    for command in commands:
-        values = []
-        for value in command.options:
-            if value.label:
-                pattern = "|".join(f"{flag}:{'*' if value.many else '0'}" for flag in value.flags)
-                values.append(f"                    {pattern}) {_bash_value([value])} ;;")
-        values.append(f"                    *) {_bash_value(command.positional)} ;;")
-        options = shlex.quote(" ".join(flag for value in command.options for flag in value.flags))
-        cases.append(_BASH_CASE.format(name=command.name, options=options, values="\n".join(values)))
-    first = ["-h", "--help", "--version", *(command.name for command in commands)]
-    return _BASH.format(commands=shlex.quote(" ".join(first)), cases="\n".join(cases))
-
-
-def _bash_value(values: Iterable[Value]) -> str:
-    values = list(values)
+def _bash_values(values: Sequence[Value]) -> str:
+    """What is proposed for some arguments, as variables of bash."""
     names = shlex.quote(" ".join(name for value in values for name in value.names))
     return f"names={names} files={'yes' if any(value.files for value in values) else 'no'}"
 
 
-def _zsh(commands: list[Described]) -> str:
-    lines = [
-        "#compdef mistray",
-        "# zsh completion of mistray, made by `mistray completion zsh`",
-        "_mistray() {",
-        '    local curcontext="$curcontext" state line',
-        "    local -a commands",
-        "    commands=(",
-        *(f"        {shlex.quote(_escaped(command.name) + ':' + command.help)}" for command in commands),
-        "    )",
-        "    _arguments -C '(-h --help)'{-h,--help}'[show help]' '--version[show the version]' \\",
-        "        '1: :->command' '*:: :->arguments'",
-        "    case $state in",
-        "        command) _describe command commands ;;",
-        "        arguments)",
-        "            case $line[1] in",
-    ]
-    for command in commands:
-        lines.append(f"                {command.name})")
-        specs = [_zsh_option(value, flag) for value in command.options for flag in value.flags]
-        specs += [_zsh_value(value, f"{number}:") for number, value in enumerate(command.positional, start=1)]
-        lines.append("                    _arguments \\")
-        lines += [f"                        {shlex.quote(spec)} \\" for spec in specs[:-1]]
-        lines += [f"                        {shlex.quote(specs[-1])}", "                    ;;"]
-    lines += [
-        "            esac",
-        "            ;;",
-        "    esac",
-        "}",
-        'if [[ $funcstack[1] == _mistray ]]; then _mistray "$@"; else compdef _mistray mistray; fi',
-    ]
-    return "\n".join(lines) + "\n"
+def _zsh_specs(command: Described) -> list[str]:
+    """What `_arguments` of zsh takes, one text for each option and argument."""
+    specs = [_zsh_option(value, flag) for value in command.options for flag in value.flags]
+    return specs + [_zsh_value(value, f"{number}:") for number, value in enumerate(command.positional, start=1)]
 
 
 def _zsh_option(value: Value, flag: str) -> str:
-    head = f"{flag}[{_escaped(value.help)}]"
+    head = f"{flag}[{_zsh_text(value.help)}]"
     if not value.label:
         return head
     return head + _zsh_value(value, ":*-*:" if value.many else ":")
@@ -231,7 +159,7 @@ def _zsh_option(value: Value, flag: str) -> str:
 
 def _zsh_value(value: Value, start: str) -> str:
     """Placeholder and what is proposed; of several kinds `_alternative` takes both."""
-    label, names = _escaped(value.label), " ".join(value.names)
+    label, names = _zsh_text(value.label), " ".join(value.names)
     if value.files and names:
         return f"{start}{label}:{{_alternative 'names:name:({names})' 'files:file:_files'}}"
     if value.files:
@@ -239,29 +167,11 @@ def _zsh_value(value: Value, start: str) -> str:
     return f"{start}{label}:({names})" if names else f"{start}{label}: "
 
 
-def _escaped(text: str) -> str:
+def _zsh_text(text: str) -> str:
     """Text between brackets or colons of zsh."""
     for character in "\\[]:":
         text = text.replace(character, f"\\{character}")
     return text
-
-
-def _fish(commands: list[Described]) -> str:
-    lines = [
-        "# fish completion of mistray, made by `mistray completion fish`",
-        "complete -c mistray -f",
-        "complete -c mistray -n __fish_use_subcommand -l version -d 'show the version'",
-    ]
-    for command in commands:
-        lines.append(f"complete -c mistray -n __fish_use_subcommand -a {command.name} -d {_fish_text(command.help)}")
-    for command in commands:
-        here = f"complete -c mistray -n '__fish_seen_subcommand_from {command.name}'"
-        for value in command.options:
-            flags = " ".join(f"-l {flag[2:]}" if flag.startswith("--") else f"-s {flag[1:]}" for flag in value.flags)
-            lines.append(f"{here} {flags}{_fish_value(value, ' -x')} -d {_fish_text(value.help)}")
-        for value in command.positional:
-            lines.append(f"{here}{_fish_value(value, '')} -d {_fish_text(value.help)}")
-    return "\n".join(lines) + "\n"
 
 
 def _fish_value(value: Value, exclusive: str) -> str:
@@ -277,6 +187,3 @@ def _fish_text(text: str) -> str:
     """Text in quotes of fish, in which a backslash escapes."""
     escaped = text.replace("\\", "\\\\").replace("'", "\\'")
     return f"'{escaped}'"
-
-
-SHELLS: Mapping[str, Callable[[list[Described]], str]] = MappingProxyType({"bash": _bash, "zsh": _zsh, "fish": _fish})

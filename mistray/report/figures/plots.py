@@ -28,31 +28,19 @@ BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
     "#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7",
 )  # fmt: skip
 GREY, BROWN, PINK = "#7f7f7f", "#8a6d1d", "#f4a3c0"
-KIND_COLOURS = {
-    DIRECT: BLUE,
-    "ghost": VERMILION,
-    "structure": GREEN,
-    "structure+ghost": PURPLE,
-    "single scatter": BLACK,
-    "multiple scatter": GREY,
-    "ghost + scatter": BROWN,
-    "edge diffraction": YELLOW,
-    "diffraction + others": PINK,
-    "TIR": SKY,
-    "straight shot": ORANGE,
-}
-KIND_MARKERS = {
-    DIRECT: "o",
-    "ghost": "s",
-    "structure": "^",
-    "structure+ghost": "D",
-    "single scatter": "*",
-    "multiple scatter": "X",
-    "ghost + scatter": "p",
-    "edge diffraction": "<",
-    "diffraction + others": ">",
-    "TIR": "P",
-    "straight shot": "v",
+# kind of path: colour and marker
+KINDS = {
+    DIRECT: (BLUE, "o"),
+    "ghost": (VERMILION, "s"),
+    "structure": (GREEN, "^"),
+    "structure+ghost": (PURPLE, "D"),
+    "single scatter": (BLACK, "*"),
+    "multiple scatter": (GREY, "X"),
+    "ghost + scatter": (BROWN, "p"),
+    "edge diffraction": (YELLOW, "<"),
+    "diffraction + others": (PINK, ">"),
+    "TIR": (SKY, "P"),
+    "straight shot": (ORANGE, "v"),
 }
 IRRADIANCE_LABEL = "log₁₀ irradiance [W/mm²]"
 DECADES = 12.0
@@ -140,14 +128,8 @@ def levels_against_field(report: GhostReport) -> Figure:
     series = {DIRECT: [s.direct.power_W for s in summaries]}
     series |= {kind: [s.stray_of_kind_W[kind] for s in summaries] for kind in STRAY_KINDS}
     for kind, estimates in series.items():
-        _error_bars(
-            left,
-            fields,
-            [e.value for e in estimates],
-            [e.se for e in estimates],
-            kind,
-            "direct image" if kind == DIRECT else kind,
-        )
+        values, errors = zip(*estimates, strict=True)
+        _error_bars(left, fields, values, errors, kind, "direct image" if kind == DIRECT else kind)
     left.set_ylabel("power on the detector [W]")
     left.set_title("Power", fontsize=10)
     shown = set()
@@ -155,15 +137,9 @@ def levels_against_field(report: GhostReport) -> Figure:
         top = report.listed(field, 10, "rms")
         top = top[top.well_sampled]
         for kind, rows in top.groupby("kind"):
-            _error_bars(
-                right,
-                [field] * len(rows),
-                list(rows.normalised_rms_irradiance),
-                list(rows.normalised_rms_irradiance_se),
-                str(kind),
-                None if kind in shown else str(kind),
-                joined=False,
-            )
+            values, errors = rows.normalised_rms_irradiance, rows.normalised_rms_irradiance_se
+            label = None if kind in shown else str(kind)
+            _error_bars(right, [field] * len(rows), values, errors, str(kind), label, joined=False)
             shown.add(kind)
     worst = [s.brightest_normalised.value for s in summaries]
     right.plot(fields, worst, color="#888888", lw=0.8, zorder=1, label="worst path")
@@ -222,18 +198,9 @@ def _error_bars(
     se = np.where(np.isfinite(errors), errors, 0.0)[good]
     below = np.minimum(se, 0.95 * y[good])
     axes.errorbar(
-        np.array(x, dtype=np.float64)[good],
-        y[good],
-        yerr=[below, se],
-        color=KIND_COLOURS[kind],
-        marker=KIND_MARKERS[kind],
-        ms=4.5,
-        lw=1.1 if joined else 0,
-        elinewidth=0.9,
-        capsize=2,
-        label=label,
-        zorder=2,
-    )
+        np.array(x, dtype=np.float64)[good], y[good], yerr=[below, se], color=KINDS[kind][0],
+        marker=KINDS[kind][1], ms=4.5, lw=1.1 if joined else 0, elinewidth=0.9, capsize=2, label=label, zorder=2,
+    )  # fmt: skip
 
 
 def as_png(figure: Figure) -> bytes:

@@ -8,8 +8,8 @@ high bytes come first, then the low ones, compressed (zlib) and as base64.
 from __future__ import annotations
 
 import base64
+import io
 import json
-import struct
 import zlib
 from collections.abc import Sequence
 from html import escape
@@ -18,6 +18,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 from matplotlib import colormaps
+from PIL import Image
 
 from mistray.analysis.path_maps import PathMap
 
@@ -84,8 +85,6 @@ def palette_png(index: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8]) ->
     """
     A picture with at most 256 colours as PNG.
 
-    Source: PNG (Portable Network Graphics) Specification, 2nd edition, ISO/IEC 15948:2004, section 11.
-
     Parameters
     ----------
     index : (H, W) uint8
@@ -93,17 +92,10 @@ def palette_png(index: npt.NDArray[np.uint8], palette: npt.NDArray[np.uint8]) ->
     palette : (n, 3) uint8
         Red, green and blue.
     """
-    height, width = index.shape
-    rows = np.column_stack([np.zeros(height, dtype=np.uint8), index]).tobytes()  # filter 0 before every row
-    chunks = (
-        (b"IHDR", struct.pack(">IIBBBBB", width, height, 8, 3, 0, 0, 0)),
-        (b"PLTE", palette.astype(np.uint8).tobytes()),
-        (b"IDAT", zlib.compress(rows, 9)),
-        (b"IEND", b""),
-    )
-    return b"\x89PNG\r\n\x1a\n" + b"".join(
-        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks
-    )
+    picture, buffer = Image.fromarray(index), io.BytesIO()
+    picture.putpalette(palette.astype(np.uint8).tobytes())
+    picture.save(buffer, "PNG", compress_level=9)
+    return buffer.getvalue()
 
 
 def rounded(lines: Sequence[npt.NDArray[np.float64]], digits: int) -> list[list[float]]:

@@ -103,13 +103,8 @@ def path_sort_text(trace: Trace, count: int | None = None) -> str:
         lines.append(f"{left_out} weaker paths are left out; together they hold {rest:.3g} % of the detected flux.")
     lines += ["", "\t".join(COLUMNS)]
     for path in entries:
-        numbers = (
-            f"{path.absorbed_W:.9g}",
-            f"{path.absorbed_se_W:.3g}",
-            f"{path.percent:.9g}",
-            f"{path.wavelength_nm:.9g}",
-        )
-        lines.append("\t".join((str(path.path_id), str(path.rays), *numbers, path.intercepts)))
+        power = f"{path.absorbed_W:.9g}\t{path.absorbed_se_W:.3g}\t{path.percent:.9g}"
+        lines.append(f"{path.path_id}\t{path.rays}\t{power}\t{path.wavelength_nm:.9g}\t{path.intercepts}")
     for path in entries:
         lines += ["", f"Path {path.path_id}: {path.rays} rays, {path.absorbed_W:.9g} W absorbed; representative ray:"]
         lines.append("\t".join(RAY_COLUMNS))
@@ -137,20 +132,11 @@ def parse_path_sort(text: str) -> list[SortedPath]:
     events = _representative_rays(lines[end:])
     entries = []
     for line in lines[start:end]:
-        path_id, rays, absorbed, se, percent, wavelength, _ = line.split("\t")
+        path_id, rays, *numbers, _ = line.split("\t")
         if int(path_id) not in events:
             raise MistrayError(f"path-sort file: path {path_id} has no representative ray; the file is cut off")
-        entries.append(
-            SortedPath(
-                int(path_id),
-                int(rays),
-                float(absorbed),
-                float(se),
-                float(percent),
-                float(wavelength),
-                events[int(path_id)],
-            )
-        )
+        absorbed, se, percent, wavelength = map(float, numbers)
+        entries.append(SortedPath(int(path_id), int(rays), absorbed, se, percent, wavelength, events[int(path_id)]))
     return entries
 
 
@@ -168,14 +154,6 @@ def _representative_rays(lines: Sequence[str]) -> dict[int, tuple[tuple[str, str
 
 
 def _settings_line(settings: dict[str, Any]) -> str:
-    shown = (
-        "field_deg",
-        "azimuth_deg",
-        "rays",
-        "max_reflections",
-        "max_scatters",
-        "flux_threshold",
-        "splitting",
-        "seed",
-    )
+    shown = ("field_deg", "azimuth_deg", "rays", "max_reflections", "max_scatters", "flux_threshold", "splitting",
+             "seed")  # fmt: skip
     return ", ".join(f"{key} = {settings[key]}" for key in shown if key in settings)

@@ -58,6 +58,8 @@ class View:
 
     def html(self, command: str = "") -> str:
         """One HTML page with everything in it; `command` is quoted at its foot."""
+        from mistray.report.html.render import template
+
         body = self.figure.to_html(
             full_html=False,
             include_plotlyjs=True,
@@ -65,18 +67,7 @@ class View:
             default_height="100%",
             config={"displaylogo": False, "scrollZoom": True, "responsive": True},
         )
-        foot = f"<footer>{escape(command)}</footer>" if command else ""
-        return (
-            '<!DOCTYPE html>\n<html lang="en"><head><meta charset="utf-8">'
-            '<meta name="viewport" content="width=device-width, initial-scale=1">'
-            f"<title>{escape(self.title)}</title><style>\n"
-            "html, body { margin: 0; height: 100%; overflow: hidden; } body { display: flex; flex-direction: column; "
-            'font: 14px/1.4 system-ui, "Liberation Sans", sans-serif; color: #222; }\n'
-            "h1 { font-size: 16px; margin: 8px 12px 0; } p, footer { margin: 0 12px; color: #555; font-size: 12px; }\n"
-            "main { flex: 1; min-height: 0; } main > div { height: 100%; } footer { font-family: monospace; "
-            "padding-bottom: 4px; }\n</style></head>\n"
-            f"<body><h1>{escape(self.title)}</h1><p>{escape(self.note)}</p>\n<main>{body}</main>{foot}</body></html>\n"
-        )
+        return template("view.html", title=self.title, note=self.note, body=body, command=command) + "\n"
 
     def write(self, path: str | Path, command: str = "") -> Path:
         """Write the page of `html` to a file, complete or not at all; raises `MistrayError` if that fails."""
