@@ -17,7 +17,7 @@ from modes import coated
 from rows import REPEATS, Row, agree, alternate
 
 import mistray
-from mistray.gradients.raw_gradient import GradientRequest
+from mistray.gradients.table_gradient import GradientRequest
 from mistray.optimize import gradient, parameters, path_power
 from mistray.optimize.gradient import chosen_parameters, gradient_request
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
@@ -66,7 +66,7 @@ def gradient_costs(name: str, rays: int, repeats: int, **settings: Any) -> list[
             (observation,) = metric.observe()
             traced = time.perf_counter()
             dr.backward(metric.evaluate([observation]), flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)
-            for _ in observation.raw_gradients(request):
+            for _ in observation.table_gradients(request):
                 pass
             done = time.perf_counter()
             if repeat:  # the first one compiles

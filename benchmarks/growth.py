@@ -33,7 +33,7 @@ NS, MS = 1e9, 1e3
 def executed(run: Run, ledger: bool = True) -> float:
     """Trace and give the number of segments."""
     run.execute(ledger, None)
-    return float(run.reasons[SEGMENTS].sum())
+    return float(run.channels[SEGMENTS].sum())
 
 
 def with_rays(quick: bool) -> Row:

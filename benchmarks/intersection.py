@@ -56,7 +56,7 @@ def against_mesh(name: str, rays: int, bar: float, repeats: int) -> Row:
         nonlocal segments
         (run,) = prepare(scene, settings)
         run.execute(False, None)
-        segments = float(run.reasons[SEGMENTS].sum())
+        segments = float(run.channels[SEGMENTS].sum())
 
     (sample,) = prepare(scene, settings)
     o, d, lengths = tree_segments(sample, 1 << 14)

@@ -47,7 +47,7 @@ def scattering_camera(rays: int, repeats: int) -> list[Row]:
     scene = mistray.load("phone_camera_scatter")
     (run,) = prepare(scene, Settings(rays=rays))
     with_table, without = alternate(lambda: run.execute(True, None), lambda: run.execute(False, None), repeats=repeats)
-    segments = float(run.reasons[SEGMENTS].sum())
+    segments = float(run.channels[SEGMENTS].sum())
     rates = {"on": segments / with_table.seconds, "off": segments / without.seconds}
     return [
         Row(

@@ -132,7 +132,7 @@ class Settings:
         Absorption that is cut is booked at no surface, and a hit of the detector counts nowhere then; what a medium
         absorbs on the way is always booked.
     cut_below_W : tuple of five float
-        The same in W, of a trace with the light.
+        The same in W, of a forward trace.
     scatter_threshold : float
         Below this share of the flux with which a ray started, at the source or where it was scattered last, its hits
         scatter with a probability in proportion to the flux, and after a scatter event its weak branches are followed

@@ -13,8 +13,8 @@ from mistray.execute.backward import BackwardTrace
 from mistray.execute.tracer import Run, prepare
 from mistray.gradients.edges import Edges
 from mistray.recorders.adjoint import Adjoint
-from mistray.recorders.ledger import EVENT_BITS
 from mistray.recorders.path_events import EVENT_MASK, INTERCEPTS
+from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.upload import upload
@@ -81,7 +81,7 @@ def traced_edges(scene: Any, width: float, pixel: np.ndarray | float = 1.0, **tr
 
 def backward_edges(trace: BackwardTrace, derivative: np.ndarray, width: float) -> list[RimHits]:
     """
-    Hits of the first wavelength of a trace against the light, from its passes again.
+    Hits of the first wavelength of a backward trace, from its passes again.
 
     Parameters
     ----------

@@ -73,7 +73,7 @@ def test_quiet(scene: str, capsys: pytest.CaptureFixture[str]) -> None:
         (("--temperature-K", "warm"), "'warm' is not a number"),
         (("--band-um", "12", "8"), "band_um is 12 to 8; give the shorter"),
         (("--wavelength-um", "9", "8"), "in ascending order"),
-        (("--polarization", "stokes"), "rays against the light know unpolarised light only"),
+        (("--polarization", "stokes"), "backward rays know unpolarised light only"),
     ],
 )
 def test_bad_input(arguments: tuple[str, ...], words: str, scene: str, capsys: pytest.CaptureFixture[str]) -> None:

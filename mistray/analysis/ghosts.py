@@ -18,6 +18,7 @@ import numpy as np
 import numpy.typing as npt
 import pandas as pd
 
+from mistray.analysis.combine import by_path
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.field_traces import NOMINAL_FIELD_DEG, FieldTraces, Progress
 from mistray.analysis.filtered import Filtered, filtered
@@ -25,7 +26,6 @@ from mistray.analysis.irradiance import MapStatistics, brightest, mirror_asymmet
 from mistray.analysis.path_analysis import path_analysis
 from mistray.analysis.path_maps import FieldMaps, ImagesOfField, PathMap, without
 from mistray.analysis.peaks import BYTES_PER_PIXEL, MAP_BYTES, with_peaks
-from mistray.analysis.pool import by_path
 from mistray.analysis.ranking import DirectImage, direct_image, rank_column, ranked, stray_to_direct
 from mistray.analysis.scatter_surfaces import scatter_surfaces
 from mistray.analysis.stray_levels import stray_levels

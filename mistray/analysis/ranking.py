@@ -94,7 +94,7 @@ def ranked(table: pd.DataFrame, paths: PathTable, nominal: DirectImage) -> pd.Da
     Parameters
     ----------
     table : DataFrame
-        Rows of ``paths.by_way()``, or what `mistray.analysis.pool.by_path` makes of them.
+        Rows of ``paths.by_way()``, or what `mistray.analysis.combine.by_path` makes of them.
     paths : PathTable
     nominal : DirectImage
         Its RMS irradiance is what that of each row is divided by.

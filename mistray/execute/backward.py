@@ -1,4 +1,4 @@
-"""Traces against the light: from the detector to the sky, which is every direction that stray light can come from."""
+"""Backward traces: from the detector to the sky, which is every direction that stray light can come from."""
 
 from __future__ import annotations
 
@@ -22,27 +22,27 @@ from mistray.kernel.ray_tree import trace_tree
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.recorders.adjoint import Adjoint
+from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film
-from mistray.recorders.path_books import join_books
+from mistray.recorders.path_sums import PathSums, join_sums
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.sampled import batch_error
-from mistray.recorders.sky import PathBook, Sky
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import (
     ABSORBED_HERE,
+    CHANNEL_COUNT,
     CUTS,
     ESCAPED,
     HITS,
     INCIDENT,
-    REASONS,
     SEGMENTS,
     SURFACE_SUMS,
     Tallies,
 )
 from mistray.recorders.way_table import WayTable
+from mistray.sampling.backward_targets import backward_targets
 from mistray.sampling.detector_start import DetectorStart
-from mistray.sampling.exits import exits
 from mistray.sampling.sources import spectrum_of
 from mistray.settings import BATCHES, NO_LIMIT, Settings
 from mistray.surfaces.intersect import Intersector
@@ -71,7 +71,7 @@ class Band:
 
 class BackwardTrace:
     """
-    A trace against the light that can go on for as long as one likes.
+    A backward trace that can go on for as long as one likes.
 
     A ray leaves the detector like light from a Lambertian surface and goes on as the light came that would be detected
     there. Of light of radiance L that a cell of directions sends towards the scene, the irradiance on the detector is
@@ -93,14 +93,14 @@ class BackwardTrace:
     paths : bool
         Keep a table of the paths.
     both_sides : bool
-        Light that meets the detector from behind counts as well, as in a trace with the light.
+        Light that meets the detector from behind counts as well, as in a forward trace.
     left_out : tuple of (p,) uint64 and (p,) int, optional
         Keys of ways, in the order of the rays, and cells that are counted elsewhere and not here.
 
     Attributes
     ----------
     sums : dict of str to np.ndarray
-        Everything that has been counted, see `Sky.read`, and ``surfaces``, ``media``, ``reasons`` (see
+        Everything that has been counted, see `DirectionRecorder.read`, and ``surfaces``, ``media``, ``channels`` (see
         `mistray.recorders.tallies`); sums over all passes.
     passes : int
         That have been traced.
@@ -132,11 +132,11 @@ class BackwardTrace:
         left_out: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> None:
         if settings.stokes:
-            raise MistrayError("polarization is 'stokes'; rays against the light know unpolarised light only")
+            raise MistrayError("polarization is 'stokes'; backward rays know unpolarised light only")
         if settings.max_random_scatters < NO_LIMIT:
             raise MistrayError(
                 f"max_random_scatters is {settings.max_random_scatters}; it limits how light is sampled, which is "
-                "another thing against the light: use max_scatters"
+                "another thing in a backward trace: use max_scatters"
             )
         self.grid, self.settings = grid, settings
         self._scene = scene
@@ -151,7 +151,7 @@ class BackwardTrace:
         first = SurfaceTable(scene, self.wavelength_nm[0], detector)
         self.intersector = Intersector(first)
         axis = np.asarray(grid.rotation)[:, 2]
-        found = exits(first, scene, settings, axis)
+        found = backward_targets(first, scene, settings, axis)
         self.has_optics = found.has_optics
         optics = max(len(found.views), 1)
         chance = np.ones(first.count)
@@ -174,7 +174,7 @@ class BackwardTrace:
             else (0, 0)
         )
         cells = int(np.prod(grid.shape))
-        self._book = PathBook(PATH_SLOTS, ENTRY_SLOTS, settings.max_events, cells) if paths else None
+        self._path_sums = PathSums(PATH_SLOTS, ENTRY_SLOTS, settings.max_events, cells) if paths else None
         corner_x, corner_y, per_mm_x, per_mm_y = (dr.opaque(mi.Float, v) for v in (0.0, 0.0, 1.0, 1.0))
         self.film = Film(1, 1, corner_x, corner_y, per_mm_x, per_mm_y, groups=1)
         self.passes = 0
@@ -198,7 +198,7 @@ class BackwardTrace:
     @property
     def lists_paths(self) -> bool:
         """Whether there is a table of the paths."""
-        return self._book is not None
+        return self._path_sums is not None
 
     def go_on_from(self, sums: dict[str, np.ndarray], passes: int, seconds: float) -> None:
         """Take over what another trace with the same arguments has counted."""
@@ -219,16 +219,17 @@ class BackwardTrace:
         """Trace one more pass of about so many rays, by default `next_pass`; `sums` grow."""
         rays = self.next_pass if rays is None else rays
         started = time.perf_counter()
-        books: list[dict[str, np.ndarray]] = []
+        sums_of_paths: list[dict[str, np.ndarray]] = []
         # What an interrupt leaves out is a whole pass
         if self._elsewhere is None:
             new = [self.band_sums(number, self.passes, rays) for number in range(len(self.bands))]
         else:
-            new, books = self._elsewhere.whole_pass(self.passes, rays)
+            new, sums_of_paths = self._elsewhere.whole_pass(self.passes, rays)
         for sums in new:
             self._add(sums)
-        for book in books:
-            self._paths_elsewhere = join_books(self._paths_elsewhere, book) if self._paths_elsewhere else book
+        for found in sums_of_paths:
+            before = self._paths_elsewhere
+            self._paths_elsewhere = join_sums(before, found) if before else found
         self.passes += 1
         if self.pass_rays is not None:
             self.pass_rays.append(rays)
@@ -237,7 +238,7 @@ class BackwardTrace:
     def band_sums(self, number: int, done: int, rays: int) -> dict[str, np.ndarray]:
         """What a pass of so many rays, after so many passes, adds to `sums` at one wavelength."""
         one = self.bands[number]
-        sky = self.make_sky(maps=True)
+        sky = self.make_directions(maps=True)
         tallies = Tallies(one.table.count, len(one.table.optics.media))
         start = self.start_pass(number, done, rays)
         self.walk(one, start, tallies, sky)
@@ -245,7 +246,7 @@ class BackwardTrace:
         return sky.read() | {
             "surfaces": np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: one.table.count],
             "media": self._by_medium(one.table, np.array(tallies.media).reshape(-1, BATCHES)),
-            "reasons": np.array(tallies.reasons).reshape(REASONS, BATCHES),
+            "channels": np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES),
             "rays": np.full(BATCHES, rays * one.share / BATCHES),
         }
 
@@ -261,20 +262,20 @@ class BackwardTrace:
 
         Returns
         -------
-        book : dict
-            See `PathBook.read`.
+        paths_found : dict
+            See `PathSums.read`.
         segments : float
             Ray segments that were traced.
         """
-        book = PathBook(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
-        sky = Sky(self.grid, 0, book, self.has_optics)
+        paths_found = PathSums(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
+        sky = DirectionRecorder(self.grid, 0, paths_found, self.has_optics)
         segments = 0.0
         for band, one in enumerate(self.bands):
             tallies = Tallies(one.table.count, len(one.table.optics.media))
             start = self.start_pass(band, FIRST_SEARCH + number, rays)
             self.walk(one, start, tallies, sky)
-            segments += float(np.array(tallies.reasons).reshape(REASONS, BATCHES)[SEGMENTS].sum())
-        return book.read(), segments
+            segments += float(np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)[SEGMENTS].sum())
+        return paths_found.read(), segments
 
     def scene(self, band: Band) -> KernelScene:
         """What the kernel traces at a wavelength."""
@@ -289,13 +290,13 @@ class BackwardTrace:
         launches_of(band.table, self.settings, Recorders(recorders).code).whole(start, trace)
 
     def adjoint(self, derivative: np.ndarray) -> Adjoint:
-        """The gain of a metric, see `Sky`."""
-        return Adjoint(0, self.film, sky=self.make_sky(derivative))
+        """The gain of a metric, see `DirectionRecorder`."""
+        return Adjoint(0, self.film, directions=self.make_directions(derivative))
 
     def forget_paths(self) -> None:
         """Empty the table of the paths."""
-        if self._book is not None:
-            self._book = PathBook(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
+        if self._path_sums is not None:
+            self._path_sums = PathSums(PATH_SLOTS, ENTRY_SLOTS, self.settings.max_events, int(np.prod(self.grid.shape)))
 
     @contextlib.contextmanager
     def shared(self, rays: int) -> Iterator[None]:
@@ -311,12 +312,12 @@ class BackwardTrace:
             finally:
                 self._elsewhere = None
 
-    def make_sky(self, derivative: np.ndarray | None = None, maps: bool = False) -> Sky:
-        """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `Sky`."""
+    def make_directions(self, derivative: np.ndarray | None = None, maps: bool = False) -> DirectionRecorder:
+        """Sums at zero for one pass, or with a derivative what tells the gain of a metric, see `DirectionRecorder`."""
         pixels = self.map_size[0] * self.map_size[1] if maps else 0
-        if derivative is not None:  # the gradient is that of the rays against the light alone, which have the same mean
-            return Sky(self.grid, pixels, None, self.has_optics, derivative)
-        return Sky(self.grid, pixels, self._book, self.has_optics, left_out=self._left_out)
+        if derivative is not None:  # the gradient is that of the backward rays alone, which have the same mean
+            return DirectionRecorder(self.grid, pixels, None, self.has_optics, derivative)
+        return DirectionRecorder(self.grid, pixels, self._path_sums, self.has_optics, left_out=self._left_out)
 
     def start_pass(self, number: int, done: int, rays: int) -> StartRays:
         """The start rays of a wavelength in a pass of so many rays, after so many passes."""
@@ -364,11 +365,11 @@ class BackwardTrace:
         return [kernel_arrays(one.table, one.scattering) for one in self.bands]
 
     def paths(self) -> dict[str, np.ndarray] | None:
-        """The path table so far, see `PathBook.read`."""
-        if self._book is None:
+        """The path table so far, see `PathSums.read`."""
+        if self._path_sums is None:
             return None
-        here = self._book.read()
-        return join_books(self._paths_elsewhere, here) if self._paths_elsewhere else here
+        here = self._path_sums.read()
+        return join_sums(self._paths_elsewhere, here) if self._paths_elsewhere else here
 
     @property
     def rays(self) -> np.ndarray:
@@ -378,12 +379,12 @@ class BackwardTrace:
     @property
     def segments(self) -> float:
         """Ray segments that have been traced."""
-        return float(self.sums["reasons"][SEGMENTS].sum())
+        return float(self.sums["channels"][SEGMENTS].sum())
 
     @property
     def lost(self) -> np.ndarray:
         """(BATCHES,) weight that limits and thresholds cut, and what random choices have taken or added so far."""
-        return np.asarray(self.sums["reasons"][list(CUTS.values())].sum(axis=0))
+        return np.asarray(self.sums["channels"][list(CUTS.values())].sum(axis=0))
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -422,7 +423,7 @@ class SeenSurface:
 @dataclass(frozen=True, kw_only=True)
 class Seen:
     """
-    What a detector sees, in a trace against the light.
+    What a detector sees, in a backward trace.
 
     All shares are of Lambertian rays from the side of the detector that the light of the design comes to, times n² of
     the medium there; emission, escaped and lost add up to n².
@@ -463,7 +464,7 @@ def see(
     **settings: Any,
 ) -> Seen:
     """
-    Trace against the light and tell what the detector sees: surfaces, media, the sky.
+    Trace backwards and tell what the detector sees: surfaces, media, the sky.
 
     A time budget around it (`mistray.time_budget`) ends it with the rays that it has, but not before the first pass.
 
@@ -528,7 +529,7 @@ def see(
     return Seen(
         rows=rows,
         media=media,
-        escaped=estimate(trace.sums["reasons"][ESCAPED]),
+        escaped=estimate(trace.sums["channels"][ESCAPED]),
         lost=estimate(trace.lost),
         detector=trace.table.ids[trace.table.detector],
         detector_area_mm2=trace.area,

@@ -1,4 +1,4 @@
-"""A trace against the light whose passes other processes trace."""
+"""A backward trace whose passes other processes trace."""
 
 from __future__ import annotations
 
@@ -72,8 +72,8 @@ class Ahead:
                     self._handed_over.add(part)
             total, number = total + size, number + 1
             size = self._trace.pass_size(number)
-        sums, books = zip(*(self._job.result(Pass(band, done, rays)) for band in bands), strict=True)
-        return [_whole(one) for one in sums], [book for book in books if book is not None]
+        sums, path_sums = zip(*(self._job.result(Pass(band, done, rays)) for band in bands), strict=True)
+        return [_whole(one) for one in sums], [one for one in path_sums if one is not None]
 
 
 def _whole(sums: Sums) -> dict[str, np.ndarray]:

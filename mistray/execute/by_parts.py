@@ -21,7 +21,7 @@ from mistray.execute.sparse import Packed, pack
 from mistray.execute.tracer import FIRST_CAPACITY, LAST_CAPACITY, PASS_LANES, Part, Run, prepare
 from mistray.execute.workers import Workers, do_parts
 from mistray.recorders.ledger import STOKES_SUMS, SUMS, DecodedPaths, Ledger
-from mistray.recorders.tallies import REASONS, STARTED, SURFACE_SUMS
+from mistray.recorders.tallies import CHANNEL_COUNT, STARTED, SURFACE_SUMS
 from mistray.settings import BATCHES, Settings
 from mistray.surfaces.upload import upload
 
@@ -42,14 +42,14 @@ class Place(NamedTuple):
 @dataclass(frozen=True)
 class PartSums:
     """
-    What a part has found; `surfaces`, `media`, `reasons` and the sums of `paths` are those of its own batches only.
+    What a part has found; `surfaces`, `media`, `channels` and the sums of `paths` are those of its own batches only.
 
     See `Run` for what they are.
     """
 
     surfaces: np.ndarray
     media: np.ndarray
-    reasons: np.ndarray
+    channels: np.ndarray
     largest: float
     film: Packed
     paths: DecodedPaths | None
@@ -63,7 +63,7 @@ class PartSums:
         if paths is not None:
             paths = DecodedPaths(paths.keys, paths.slots, paths.events, paths.lengths, paths.sums[:, own])
         return cls(
-            run.surfaces[..., own], run.media[:, own], run.reasons[:, own], run.largest, pack(run.film), paths,
+            run.surfaces[..., own], run.media[:, own], run.channels[:, own], run.largest, pack(run.film), paths,
             run.seconds,
         )  # fmt: skip
 
@@ -177,7 +177,7 @@ class _Merged:
         self.film = np.zeros((film.groups, film.height, film.width))
         self.surfaces = np.zeros((run.table.count + len(run.table.optics.media), SURFACE_SUMS, BATCHES))
         self.media = np.zeros((len(run.table.optics.media), BATCHES))
-        self.reasons = np.zeros((REASONS, BATCHES))
+        self.channels = np.zeros((CHANNEL_COUNT, BATCHES))
         self.largest = self.seconds = 0.0
         self.sums = np.zeros((0, BATCHES, STOKES_SUMS if run.settings.stokes else SUMS))
 
@@ -187,7 +187,7 @@ class _Merged:
         self.parts.append(part)
         self.surfaces[..., own] += found.surfaces
         self.media[:, own] += found.media
-        self.reasons[:, own] += found.reasons
+        self.channels[:, own] += found.channels
         self.largest, self.seconds = max(self.largest, found.largest), self.seconds + found.seconds
         found.film.add_to(self.film)
         if found.paths is not None:
@@ -201,12 +201,12 @@ class _Merged:
                 room = max(len(self.places), 2 * len(self.sums)) - len(self.sums)
                 self.sums = np.concatenate([self.sums, np.zeros((room, *self.sums.shape[1:]))])
             self.sums[place, own] += found.paths.sums
-        return round(float(found.reasons[STARTED].sum()))
+        return round(float(found.channels[STARTED].sum()))
 
     def finish(self, ledger: bool, whole: bool) -> None:
         """Give the run its sums; one that is not whole stands for the rays of its parts alone."""
         run = self.run
-        run.surfaces, run.media, run.reasons, run.film = self.surfaces, self.media, self.reasons, self.film
+        run.surfaces, run.media, run.channels, run.film = self.surfaces, self.media, self.channels, self.film
         run.largest, run.seconds = self.largest, self.seconds
         if not whole:
             run.stand_for(sorted(self.parts))

@@ -57,7 +57,7 @@ class Forecast:
         self._tells = False
         left = (now - then) / (done - rays) * (self._rays - done)
         if left > LONG:
-            segments = float(run.reasons[SEGMENTS].sum() / run.started.sum())
+            segments = float(run.channels[SEGMENTS].sum() / run.started.sum())
             warnings.warn(
                 f"the trace takes {_duration(left)} more: a start ray has {segments:.3g} ray segments; "
                 f"{_remedy(run, segments)}, or give a time with seconds",

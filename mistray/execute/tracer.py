@@ -26,8 +26,8 @@ from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.recorders.recorder import Recorder, Recorders
 from mistray.recorders.sampled import Sampled
 from mistray.recorders.start_rays import StartRays, generators
-from mistray.recorders.tallies import REASONS, STARTED, SURFACE_SUMS, Tallies
-from mistray.sampling.aiming import aims
+from mistray.recorders.tallies import CHANNEL_COUNT, STARTED, SURFACE_SUMS, Tallies
+from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.source import SceneSource, Source
 from mistray.sampling.sources import scene_sources
 from mistray.settings import BATCHES, Settings
@@ -78,7 +78,7 @@ class Run:
         Largest flux of a scattered ray at the detector, in `unit`.
     media : (m, BATCHES) float64
         Flux that each medium absorbs, in `unit`.
-    reasons : (REASONS, BATCHES) float64
+    channels : (CHANNEL_COUNT, BATCHES) float64
     film : (groups, height, width) float64
         Detected flux by group of batches, in `unit`; see `mistray.recorders.film.groups_of`.
     paths : DecodedPaths or None
@@ -100,7 +100,7 @@ class Run:
     surfaces: np.ndarray = field(default_factory=lambda: np.zeros(0))
     largest: float = 0.0
     media: np.ndarray = field(default_factory=lambda: np.zeros(0))
-    reasons: np.ndarray = field(default_factory=lambda: np.zeros(0))
+    channels: np.ndarray = field(default_factory=lambda: np.zeros(0))
     film: np.ndarray = field(default_factory=lambda: np.zeros(0))
     paths: DecodedPaths | None = None
     ledger: Ledger | None = None
@@ -251,7 +251,7 @@ class Run:
             self.ledger = Ledger(capacity, self.settings.max_events, self.settings.stokes) if ledger else None
 
             def pause(tallies: Tallies = tallies) -> bool:
-                self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
+                self.channels = np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)
                 return self.ledger_full() or time_is_up() or (stop is not None and stop())
 
             others = Recorders(recorders)
@@ -270,7 +270,7 @@ class Run:
         self.surfaces = np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)
         self.largest = float(np.array(tallies.largest).view(np.float32)[0])
         self.media = np.array(tallies.media).reshape(-1, BATCHES)
-        self.reasons = np.array(tallies.reasons).reshape(REASONS, BATCHES)
+        self.channels = np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)
         self.film = np.array(images.sums).reshape(film.groups, film.height, film.width)
         few = self.ledger is not None and (not requested() or self.ledger.used <= MOST_PATHS_KEPT)
         self.paths = self.ledger.decode() if self.ledger is not None and few else None
@@ -286,7 +286,7 @@ class Run:
     @property
     def started(self) -> np.ndarray:
         """Start rays by batch, (BATCHES,)."""
-        return self.reasons[STARTED]
+        return self.channels[STARTED]
 
     def ledger_full(self) -> bool:
         """Whether there is a ledger that needs more room."""
@@ -450,7 +450,7 @@ def runs_of(
     total = sum(source.power for source in sources)
     first = SurfaceTable(scene, sources[0].wavelength_nm, detector, settings.stokes)
     intersector = Intersector(first)
-    targets = aims(first, scene, settings)
+    targets = importance_targets(first, scene, settings)
     tables = {first.wavelength_nm: (first, Scattering(ScatterTables(first, targets)))}
     runs = []
     for number, source in enumerate(sources):

@@ -1,4 +1,4 @@
-"""Derivatives of a metric by geometry and all else for a trace against the light: record, sort, replay by passes."""
+"""Derivatives of a metric by geometry and all else for a backward trace: record, sort, replay by passes."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.execute.backward import BackwardTrace, Band
 from mistray.gradients.edges import Edges
-from mistray.gradients.gatherer import Gatherer
-from mistray.gradients.raw_gradient import GradientRequest, RawGradient
+from mistray.gradients.path_replay import PathReplay
 from mistray.gradients.replay import Exit
+from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.recorders.branch_recorder import BranchRecorder
 from mistray.recorders.start_rays import StartRays
 from mistray.surfaces.gradient_columns import RIM_COLUMNS
@@ -27,9 +27,9 @@ EXITS_PER_RAY = 8.0  # a first guess; portions that are too large are halved
 
 def backward_gradient(
     trace: BackwardTrace, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
-) -> Iterator[RawGradient]:
+) -> Iterator[TableGradient]:
     """
-    Derivatives of a metric of a trace against the light, from the same rays traced again and replayed.
+    Derivatives of a metric of a backward trace, from the same rays traced again and replayed.
 
     Parameters
     ----------
@@ -43,7 +43,7 @@ def backward_gradient(
 
     Yields
     ------
-    RawGradient
+    TableGradient
         For each wavelength.
 
     Raises
@@ -57,33 +57,33 @@ def backward_gradient(
         raise MistrayError("derivatives by groups of cells do not know what rims take and give; use edges=False")
     for number, band in enumerate(trace.bands):
         started = time.perf_counter()
-        gatherer = Gatherer(
+        path_replay = PathReplay(
             band.table, band.scattering, trace.settings, request, trace.settings.max_events, band.table.detector
         )
 
-        def trace_again(start: StartRays, band: Band = band, recorder: BranchRecorder = gatherer.recorder) -> None:
-            recorder.sky = trace.make_sky(derivative)
+        def trace_again(start: StartRays, band: Band = band, recorder: BranchRecorder = path_replay.recorder) -> None:
+            recorder.directions = trace.make_directions(derivative)
             trace.walk(band, start, recorder)
 
-        def end(row: mi.UInt32, keys: np.ndarray, recorder: BranchRecorder = gatherer.recorder) -> Exit:
+        def end(row: mi.UInt32, keys: np.ndarray, recorder: BranchRecorder = path_replay.recorder) -> Exit:
             gain = dr.gather(mi.Float64, recorder.weight, row)
             heading = mi.Vector3d(*(mi.Float64(dr.gather(mi.Float, recorder.heading, 3 * row + k)) for k in range(3)))
             return Exit(gain, dr.zeros(mi.Vector3d, dr.width(row)), heading)
 
-        group = None if groups is None else _group_of(trace, groups, gatherer.recorder)
+        group = None if groups is None else _group_of(trace, groups, path_replay.recorder)
         with dr.suspend_grad():
             edges = None
-            if gatherer.edges:
+            if path_replay.edges:
                 edges = Edges(trace.scene(band), trace.settings, request.edge_width)
             for done, rays in enumerate(trace.pass_rays):
                 whole = trace.start_pass(number, done, rays)
                 if not request.only_rims:
-                    for start in gatherer.portions(whole, EXITS_PER_RAY, trace_again):
-                        gatherer.replay(start, lambda keys: np.ones(len(keys), dtype=bool), end, group)
+                    for start in path_replay.portions(whole, EXITS_PER_RAY, trace_again):
+                        path_replay.replay(start, lambda keys: np.ones(len(keys), dtype=bool), end, group)
                 if edges is not None:
                     for start, events in edges.events(whole, trace.adjoint(derivative)):
-                        gatherer.replay_edges(start, events)
-        raw = gatherer.result()
+                        path_replay.replay_edges(start, events)
+        raw = path_replay.result()
         raw.left_out.append(CELL_BORDERS)
         if request.geometry & set(RIM_COLUMNS):
             raw.left_out.append(DETECTOR_RIMS)
@@ -93,7 +93,7 @@ def backward_gradient(
 
 def _group_of(trace: BackwardTrace, groups: np.ndarray, recorder: BranchRecorder) -> Callable[[mi.UInt32], mi.UInt32]:
     """What tells the groups of recorded rays by the cells in which they leave."""
-    sky = trace.make_sky()
+    sky = trace.make_directions()
     numbers = upload(mi.UInt32, np.asarray(groups, dtype=np.uint32))
 
     def group(row: mi.UInt32) -> mi.UInt32:

@@ -13,7 +13,7 @@ so that the error goes with ε². With c = k · (gain of the hit - gain past the
 by any parameter is that of the metric: Δ depends on the rim, on the surface and on all that the ray has met before.
 
 A ray past the rim starts just outside of it, in the direction of the ray that hit. Where another surface of
-revolution touches the rim, the edge is the line in which both meet (see `mistray.gradients.rim_joints`). A convex
+revolution touches the rim, the edge is the line in which both meet (see `mistray.gradients.edge_contacts`). A convex
 edge is described by the rays on either surface; if both end there, each counts half. The same goes for a concave
 edge, but there the rim itself has no part in where it is: Δ follows from the distance D = F/|∇F| of the hit from the
 other surface, which `EdgeEvents.joined` names, Δ = -D s/(n · u) with the gradient's direction n, the direction u in
@@ -37,8 +37,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.gradients.edge_contacts import rim_circles
 from mistray.gradients.grazing import SILHOUETTE, grazing_kernel
-from mistray.gradients.rim_joints import rim_circles
 from mistray.gradients.rims import RimRecorder
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.launches import launches_of
@@ -46,7 +46,7 @@ from mistray.kernel.ray_tree import trace_tree
 from mistray.physics.geometry.sag import sag
 from mistray.recorders.adjoint import Adjoint
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
-from mistray.recorders.ledger import EVENT_BITS
+from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.gradient_columns import HALF_HEIGHT, HALF_WIDTH, RIM_COLUMNS
@@ -60,7 +60,7 @@ FIRST_LANES = 1 << 12
 PAST = 1e-4  # distance from the rim at which rays go past it, in units of its radius or half side
 CLEAR = 1.25  # lift over a silhouette, in units of what a sphere needs
 FLAT = 1e-3  # sine of the angle between surfaces that go on in one another
-CIRCLE_FLOATS, JOINT_FLOATS = 5, 6
+CIRCLE_FLOATS, CONTACT_FLOATS = 5, 6
 STREAM = 0x3C6EF372  # of the random numbers of rays past rims
 
 
@@ -103,7 +103,7 @@ class EdgeEvents:
 
 class Edges:
     """
-    Rims of a scene, for rays with or against the light.
+    Rims of a scene, for rays forward or backward.
 
     Parameters
     ----------
@@ -121,7 +121,7 @@ class Edges:
     ) -> None:
         table = scene.table
         self._scene, self._table, self._settings = scene, table, settings
-        self._book = RimRecorder(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
+        self._near = RimRecorder(table, width, as_many(CAPACITY, settings.max_events), settings.max_events)
         self._lanes, self._launches = FIRST_LANES, launches_of(table, settings, Edges)
         rims = len(RIM_COLUMNS)
         sizes = np.zeros((table.count, rims, 2))
@@ -129,17 +129,17 @@ class Edges:
             for rim, zone in piece.zone_widths(width).items():
                 sizes[piece.index, rim] = piece.rim_sizes[rim], zone
         found = rim_circles(table)
-        self._most = max((len(circle.joints) for circle in found.values()), default=0)
+        self._most = max((len(circle.contacts) for circle in found.values()), default=0)
         room = max(self._most, 1)
         circles = np.zeros((table.count, rims, CIRCLE_FLOATS))
-        joints = np.zeros((table.count, rims, room, JOINT_FLOATS))
+        contacts = np.zeros((table.count, rims, room, CONTACT_FLOATS))
         surfaces = np.full((table.count, rims, room), NO_SURFACE, dtype=np.uint32)
         for (surface, rim), circle in found.items():
             circles[surface, rim] = *circle.point, *circle.outward, circle.stretch
-            for k, joint in enumerate(circle.joints):
-                joints[surface, rim, k] = *joint.along, *joint.gradient, float(joint.ends), 1.0
-                surfaces[surface, rim, k] = joint.surface
-        self._sizes, self._circles, self._joints = (upload(mi.Float, v) for v in (sizes, circles, joints))
+            for k, contact in enumerate(circle.contacts):
+                contacts[surface, rim, k] = *contact.along, *contact.gradient, float(contact.ends), 1.0
+                surfaces[surface, rim, k] = contact.surface
+        self._sizes, self._circles, self._contacts = (upload(mi.Float, v) for v in (sizes, circles, contacts))
         self._joined = upload(mi.UInt32, surfaces)
 
     def events(self, start: StartRays, adjoint: Adjoint) -> Iterator[tuple[StartRays, EdgeEvents]]:
@@ -168,15 +168,15 @@ class Edges:
         while done < count:
             here = min(self._lanes, self._launches.lanes, count - done)
             part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
-            self._book.paths.clear()
-            self._launches.time(here, lambda part=part: self._gains(part, adjoint, self._book))  # type: ignore[misc]
-            hits = int(self._book.paths.count[0])
-            self._lanes = max(1, min(4 * here, int(here * ROOM * self._book.paths.capacity / max(hits, 1))))
-            if hits > self._book.paths.capacity:
+            self._near.paths.clear()
+            self._launches.time(here, lambda part=part: self._gains(part, adjoint, self._near))  # type: ignore[misc]
+            hits = int(self._near.paths.count[0])
+            self._lanes = max(1, min(4 * here, int(here * ROOM * self._near.paths.capacity / max(hits, 1))))
+            if hits > self._near.paths.capacity:
                 if here == 1:
                     raise MistrayError(
                         f"a single start ray hits {hits} times close to a rim, more than "
-                        f"{self._book.paths.capacity}; narrow the edge zones or lower max_reflections or max_scatters"
+                        f"{self._near.paths.capacity}; narrow the edge zones or lower max_reflections or max_scatters"
                     )
                 continue
             done += here
@@ -193,16 +193,16 @@ class Edges:
 
     def _compare(self, hits: int, adjoint: Adjoint) -> EdgeEvents:
         """Let rays go past the rims, and compare."""
-        book, row = self._book, dr.arange(mi.UInt32, hits)
+        near, row = self._near, dr.arange(mi.UInt32, hits)
         rim, delta, scale, copies = (
-            dr.gather(type(v), v, row) for v in (book.rim, book.delta, book.scale, book.copies)
+            dr.gather(type(v), v, row) for v in (near.rim, near.delta, near.scale, near.copies)
         )
         past = self._past(row, rim)
-        gain = dr.gather(mi.Float64, book.gain, row) - self._gains(past.start, adjoint)
+        gain = dr.gather(mi.Float64, near.gain, row) - self._gains(past.start, adjoint)
         gain *= past.factor * mi.Float64(copies)
         zone = dr.gather(mi.Float, self._sizes, 2 * past.place + 1)
         jumps, grazes = rim >= SILHOUETTE, rim == SILHOUETTE
-        zone = dr.select(jumps, book.grazing.zone * dr.select(grazes, 0.5 * scale, 1), zone)
+        zone = dr.select(jumps, near.grazing.zone * dr.select(grazes, 0.5 * scale, 1), zone)
 
         def density(width: mi.Float) -> mi.Float64:
             distance, width = mi.Float64(delta), mi.Float64(width)
@@ -213,19 +213,19 @@ class Edges:
         found = row, past.start.batch, rim, past.joined, delta, scale, c, c_half
         kept = [dr.gather(type(v), v, counts) for v in found]
         dr.eval(kept)
-        return EdgeEvents(book.paths, *kept)
+        return EdgeEvents(near.paths, *kept)
 
     def _past(self, row: mi.UInt32, rim: mi.UInt32) -> _Past:
         """Rays that go past the rims."""
-        book, table = self._book, self._table
+        near, table = self._near, self._table
         jumps = rim >= SILHOUETTE
         rim = dr.select(jumps, 0, rim)
-        length = dr.gather(mi.UInt32, book.paths.length, row)
-        last = row * book.paths.max_events + length - 1
-        s = dr.gather(mi.UInt32, book.paths.codes, last) >> EVENT_BITS
-        p = mi.Vector3f(*(dr.gather(mi.Float, book.paths.nodes, last * book.paths.node_floats + j) for j in range(3)))
-        d = mi.Vector3f(*(dr.gather(mi.Float, book.paths.heading, 3 * row + j) for j in range(3)))
-        w = mi.Float(dr.gather(mi.Float64, book.paths.weight, row))
+        length = dr.gather(mi.UInt32, near.paths.length, row)
+        last = row * near.paths.max_events + length - 1
+        s = dr.gather(mi.UInt32, near.paths.codes, last) >> EVENT_BITS
+        p = mi.Vector3f(*(dr.gather(mi.Float, near.paths.nodes, last * near.paths.node_floats + j) for j in range(3)))
+        d = mi.Vector3f(*(dr.gather(mi.Float, near.paths.heading, 3 * row + j) for j in range(3)))
+        w = mi.Float(dr.gather(mi.Float64, near.paths.weight, row))
         vertex = dr.gather(mi.Vector4f, table.vertex, s)
         frame = table.frame(s)
         q, along = frame.inward(p - vertex.xyz), frame.inward(d)
@@ -236,7 +236,7 @@ class Edges:
         radial = mi.Vector2f(q.x, q.y) / rho
         outward = mi.Vector2f(circle[2], circle[3])
         direction = mi.Vector2f(dr.dot(radial, mi.Vector2f(along.x, along.y)), along.z)
-        before = {name: dr.gather(type(v), v, row) for name, v in book.before.items()}
+        before = {name: dr.gather(type(v), v, row) for name, v in near.before.items()}
         corner = self._corner(place, outward, circle[4], direction, before["depth"] == 0)
         # Beside a circle: just past its point nearest to the hit, or on the surface that begins there, next to it
         beside = mi.Vector2f(circle[0], circle[1]) + PAST * size * corner.step
@@ -246,7 +246,7 @@ class Edges:
         key = before["key"]
         # The order of the rows changes from run to run: random numbers go with the ray itself
         bits = dr.reinterpret_array(mi.UInt32, p.x) ^ (dr.reinterpret_array(mi.UInt32, p.y) * 0x85EBCA6B)
-        lane = dr.gather(mi.UInt32, book.paths.lane, row)
+        lane = dr.gather(mi.UInt32, near.paths.lane, row)
         own = mi.UInt32(key) ^ mi.UInt32(key >> 32) ^ bits ^ dr.opaque(mi.UInt32, self._settings.seed ^ STREAM)
         state, sequence = mi.sample_tea_32(own, lane)
         rng = mi.PCG32()  # whose constructor would add the number of the row to both
@@ -260,11 +260,11 @@ class Edges:
 
     def _jump(self, row: mi.UInt32, jumps: mi.Bool, p: mi.Vector3f, s: mi.UInt32, others: tuple[Any, ...]) -> Any:
         """Start of rays beyond a jump (origin, direction, surface that they leave, surface that they are at)."""
-        book = self._book
+        near = self._near
         o, d, left, at = others
-        axis = mi.Vector3f(*(dr.gather(mi.Float, book.axis, 3 * row + j, jumps) for j in range(3)))
-        scale, delta = (dr.gather(mi.Float, v, row, jumps) for v in (book.scale, book.delta))
-        grazes = jumps & (dr.gather(mi.UInt32, book.rim, row) == SILHOUETTE)
+        axis = mi.Vector3f(*(dr.gather(mi.Float, near.axis, 3 * row + j, jumps) for j in range(3)))
+        scale, delta = (dr.gather(mi.Float, v, row, jumps) for v in (near.scale, near.delta))
+        grazes = jumps & (dr.gather(mi.UInt32, near.rim, row) == SILHOUETTE)
         critical = jumps & ~grazes
         # Past a silhouette: above the surface by a little where the ray is nearest to it, even if it bends more there
         depth = scale * (dr.rsqrt(1 - 2 * delta / scale) - 1)
@@ -292,12 +292,12 @@ class Edges:
         return mi.Vector3f(x, y, z)
 
     def _corner(self, place: mi.UInt32, u: mi.Vector2f, stretch: mi.Float, d: mi.Vector2f, starts: mi.Bool) -> _Corner:
-        """What the surfaces that touch a rim mean for rays along d beside it, see `mistray.gradients.rim_joints`."""
+        """What the surfaces that touch a rim mean for rays along d beside it, see `mistray.gradients.edge_contacts`."""
         found = _Corner(mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.UInt32(NO_SURFACE), mi.Float64(1), u)
         first = mi.Float(dr.inf)
         for k in range(self._most):
             number = place * self._most + k
-            v = [dr.gather(mi.Float, self._joints, JOINT_FLOATS * number + j) for j in range(JOINT_FLOATS)]
+            v = [dr.gather(mi.Float, self._contacts, CONTACT_FLOATS * number + j) for j in range(CONTACT_FLOATS)]
             along, gradient = mi.Vector2f(v[0], v[1]), mi.Vector2f(v[2], v[3])
             surface, there, ends = dr.gather(mi.UInt32, self._joined, number), v[5] > 0, v[4] > 0
             across = _cross(along, d)

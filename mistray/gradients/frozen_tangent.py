@@ -15,15 +15,15 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.execute.tracer import Run
-from mistray.gradients.gatherer import Gatherer, branches
 from mistray.gradients.number_direction import number_direction
-from mistray.gradients.raw_gradient import GradientRequest
+from mistray.gradients.path_replay import PathReplay, branches
 from mistray.gradients.replay import Branches, Followed, follow
 from mistray.gradients.replay_surfaces import Numbers, ReplaySurfaces
 from mistray.gradients.run_gradient import HITS_PER_RAY
+from mistray.gradients.table_gradient import GradientRequest
 from mistray.recorders.film import Film
-from mistray.recorders.ledger import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.recorders.path_events import EVENT_MASK
+from mistray.recorders.path_key import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.surfaces.gradient_columns import GEOMETRY
 
 STEP = 1e-6  # largest move of a number, in units of its scale
@@ -179,16 +179,16 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     """
     table, film = run.table, run.make_film()
     nothing = GradientRequest(rows=False, edges=False)
-    gatherer = Gatherer(table, run.scattering, run.settings, nothing, run.settings.max_events)
+    path_replay = PathReplay(table, run.scattering, run.settings, nothing, run.settings.max_events)
     direction = number_direction(table, tangents)
     step = step_of(direction, np.array([piece.size for piece in table.pieces]))
     still = ReplaySurfaces(table, nothing)
     back, forth = (ReplaySurfaces(table, nothing, direction.times(sign * step)) for sign in (-1, 1))
     image = dr.zeros(mi.Float64, film.width * film.height)
-    recorder = gatherer.recorder
+    recorder = path_replay.recorder
     with dr.suspend_grad():
         for number in range(run.passes):
-            for start in gatherer.portions(run.start_pass(number), HITS_PER_RAY, lambda s: run.walk(s, recorder)):
+            for start in path_replay.portions(run.start_pass(number), HITS_PER_RAY, lambda s: run.walk(s, recorder)):
                 count = int(recorder.count[0])
                 if not count:
                     continue

@@ -62,7 +62,7 @@ def geometry_gradient(
     ----------
     table : SurfaceTable
     geometry : (BATCHES, surfaces, len(GEOMETRY)) float64
-        By the columns, see `RawGradient`.
+        By the columns, see `TableGradient`.
     wanted : callable
         Says of a shape and a name whether its derivative is asked for; by default all are.
 

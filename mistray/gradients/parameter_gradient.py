@@ -9,20 +9,20 @@ import numpy as np
 
 from mistray.gradients.coating_gradient import coating_gradient
 from mistray.gradients.geometry_gradient import geometry_gradient, index_gradient
-from mistray.gradients.raw_gradient import RawGradient
 from mistray.gradients.scatter_gradient import scatter_gradient
+from mistray.gradients.table_gradient import TableGradient
 
-Wish = Callable[[Any, str], bool]
+IsChosen = Callable[[Any, str], bool]
 Derivatives = Iterator[tuple[Any, str, np.ndarray]]
 
 
-def parameter_gradient(raw: RawGradient, wanted: Wish) -> Derivatives:
+def parameter_gradient(raw: TableGradient, wanted: IsChosen) -> Derivatives:
     """
     Derivatives by parameters with visibility as it is.
 
     Parameters
     ----------
-    raw : RawGradient
+    raw : TableGradient
     wanted : callable
         Says of a plugin and a name whether its derivative is asked for.
 
@@ -45,7 +45,7 @@ def parameter_gradient(raw: RawGradient, wanted: Wish) -> Derivatives:
             yield found.owner, found.name, found.inner[:, None]
 
 
-def edge_gradient(raw: RawGradient, wanted: Wish, half_width: bool = False) -> Derivatives:
+def edge_gradient(raw: TableGradient, wanted: IsChosen, half_width: bool = False) -> Derivatives:
     """The part of rims, as `parameter_gradient`; with half the width of the zones if asked for."""
     if raw.edges is not None:
         yield from geometry_gradient(raw.table, raw.edges[int(half_width)], wanted)

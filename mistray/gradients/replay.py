@@ -20,10 +20,10 @@ from typing import TYPE_CHECKING
 import drjit as dr
 import mitsuba as mi
 
-from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
+from mistray.gradients.replay_surfaces import Hit, ReplaySurfaces, Split
 from mistray.gradients.scatter_replay import ScatterEvent, ScatterReplay
-from mistray.recorders.ledger import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 from mistray.recorders.path_events import EVENT_MASK
+from mistray.recorders.path_key import EVENT_BITS, RANDOM_TRANSMITTED, TRANSMITTED
 
 if TYPE_CHECKING:
     from mistray.gradients.start_motion import StartMotion
@@ -106,7 +106,7 @@ class Followed:
 
 
 # What the metric gains from the last hit of a ray
-End = Callable[[ReplaySurfaces, Met, Split, mi.UInt32, mi.UInt32, mi.Bool], mi.Float64]
+End = Callable[[ReplaySurfaces, Hit, Split, mi.UInt32, mi.UInt32, mi.Bool], mi.Float64]
 
 
 @dataclass
@@ -231,7 +231,7 @@ def replay_rays(
             by_o, by_d = mi.Vector3d(dr.grad(o)), mi.Vector3d(dr.grad(d))
         return origin, dr.select(active, by_o, 0), dr.select(active, by_d, 0), dr.select(active, result, 0)
 
-    def thin(met: Met, k: mi.UInt32, active: mi.Bool) -> mi.Float64:
+    def thin(met: Hit, k: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Ln of what is left behind the segment that led to event k."""
         if not surfaces.table.optics.absorbs:
             return mi.Float64(0)
@@ -311,7 +311,7 @@ def replay_rays(
     dr.sync_thread()
 
 
-def scatter_event(met: Met, split: Split, s: mi.UInt32, reflect: mi.Bool, batch: mi.UInt32) -> ScatterEvent:
+def scatter_event(met: Hit, split: Split, s: mi.UInt32, reflect: mi.Bool, batch: mi.UInt32) -> ScatterEvent:
     """A hit as `ScatterReplay` takes it, in the frame of the surface."""
     return ScatterEvent(
         s,

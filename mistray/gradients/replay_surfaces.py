@@ -18,9 +18,9 @@ import numpy as np
 
 from mistray.gradients.aspheric_terms import AsphericTerms
 from mistray.gradients.number_rows import NumberRows, tracked_array
-from mistray.gradients.raw_gradient import GradientRequest
+from mistray.gradients.table_gradient import GradientRequest
 from mistray.physics.fresnel import reflectance
-from mistray.recorders.ledger import TOTAL
+from mistray.recorders.path_key import TOTAL
 from mistray.settings import BATCHES
 from mistray.surfaces.gradient_columns import COEFFICIENTS, GEOMETRY, OWN, RIM_COLUMNS, SHAPE_COLUMNS
 from mistray.surfaces.optics import (
@@ -43,7 +43,7 @@ TABLE_CHANNELS = 3  # R from the front, R from the back, T
 
 
 @dataclass
-class Met:
+class Hit:
     """
     A hit in the frame of its surface, float64.
 
@@ -152,7 +152,7 @@ class ReplaySurfaces:
         active: mi.Bool,
         steps: int = 1,
         still: bool = False,
-    ) -> Met:
+    ) -> Hit:
         """
         The hit of a ray with the surfaces s near the distance t.
 
@@ -184,7 +184,7 @@ class ReplaySurfaces:
         q = p + t * direction
         _, gradient = self._surface(q, numbers)
         normal = dr.normalize(gradient) * self._place(s, active).w
-        return Met(q, direction, normal, t, turn, shift)
+        return Hit(q, direction, normal, t, turn, shift)
 
     def _numbers(self, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool, still: bool = False) -> dict[str, Any]:
         rows = self._still if still else self._shape
@@ -226,7 +226,7 @@ class ReplaySurfaces:
             gradient = dr.select(here, 0.5 * mi.Vector3d(*family.gradient(*q, own)), gradient)
         return value, gradient
 
-    def world_point(self, met: Met, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+    def world_point(self, met: Hit, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """The hit in the world, mm."""
         q = met.q
         if self._tilts:
@@ -235,7 +235,7 @@ class ReplaySurfaces:
             q = q + met.shift
         return self._to_world(q, s, active) + self.vertex(s, active)
 
-    def rim_distance(self, met: Met, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
+    def rim_distance(self, met: Hit, rim: mi.UInt32, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> mi.Float64:
         """Distance of a hit from a rim of its surface, a place in `RIM_COLUMNS`, along the surface's coordinate, mm."""
         rho = dr.sqrt(dr.maximum(met.q.x * met.q.x + met.q.y * met.q.y, 1e-24))
         x, y, z = dr.abs(met.q.x), dr.abs(met.q.y), met.q.z
@@ -266,13 +266,13 @@ class ReplaySurfaces:
         shift, turn = (mi.Vector3d(*(numbers[prefix + axis] for axis in "xyz")) for prefix in ("", "tilt_"))
         return shift, turn
 
-    def world_direction(self, met: Met, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+    def world_direction(self, met: Hit, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """A direction of the surface's frame in the world."""
         if self._tilts:
             v = v + dr.cross(met.turn, v)
         return self._to_world(v, s, active)
 
-    def local_direction(self, met: Met, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
+    def local_direction(self, met: Hit, v: mi.Vector3d, s: mi.UInt32, active: mi.Bool) -> mi.Vector3d:
         """A direction of the world in the surface's frame."""
         v = self._to_local(v, s, active)
         return v - dr.cross(met.turn, v) if self._tilts else v
@@ -313,7 +313,7 @@ class ReplaySurfaces:
 
         return shares
 
-    def split(self, met: Met, s: mi.UInt32, what: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> Split:
+    def split(self, met: Hit, s: mi.UInt32, what: mi.UInt32, batch: mi.UInt32, active: mi.Bool) -> Split:
         """Directions and shares at a hit; `what` says whether the reflection was a total one."""
         cosine = dr.dot(met.d, met.normal)
         from_front = dr.detach(cosine) > 0

@@ -35,7 +35,7 @@ STATE = {
     "key": "UInt64",
     "birth": "Float",
     "aimed_from": "UInt32",
-    "aside": "Bool",
+    "off_design": "Bool",
     "run": "UInt32",
 }
 

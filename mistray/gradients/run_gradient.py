@@ -8,11 +8,11 @@ import numpy as np
 
 from mistray.execute.tracer import Run
 from mistray.gradients.edges import Edges
-from mistray.gradients.gatherer import Gatherer, each
-from mistray.gradients.raw_gradient import GradientRequest, RawGradient
+from mistray.gradients.path_replay import PathReplay, each
 from mistray.gradients.replay import scatter_event
-from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
+from mistray.gradients.replay_surfaces import Hit, ReplaySurfaces, Split
 from mistray.gradients.scatter_replay import ScatterReplay
+from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.recorders.film import Film
 from mistray.recorders.path_derivative import MOMENTS, PathDerivative
 from mistray.recorders.start_rays import StartRays
@@ -65,7 +65,7 @@ class DetectorEnd:
             self._terms = [upload(mi.Float64, coefficients[:, k]) for k in range(MOMENTS)]
 
     def __call__(
-        self, surfaces: ReplaySurfaces, met: Met, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
+        self, surfaces: ReplaySurfaces, met: Hit, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
     ) -> mi.Float64:
         """What each ray adds to the metric, to first order, as a function of its last hit."""
         x, y = met.q.x, met.q.y
@@ -109,7 +109,7 @@ class DetectorEnd:
 
 def run_gradient(
     run: Run, paths: PathDerivative | None, pixel: np.ndarray | None, request: GradientRequest
-) -> RawGradient:
+) -> TableGradient:
     """
     Derivatives of a metric at one source and wavelength, by tracing the same rays again.
 
@@ -125,16 +125,16 @@ def run_gradient(
         replayed (see `mistray.gradients.replay`).
     """
     if not request.replays:
-        return RawGradient(run.table, run.scattering, rows=run.derivatives(pixel, paths))
+        return TableGradient(run.table, run.scattering, rows=run.derivatives(pixel, paths))
     longest = run.settings.max_events if run.paths is None else int(run.paths.lengths.max(initial=1))
     source = run.source
     assert isinstance(source, SceneSource)
-    gatherer = Gatherer(run.table, run.scattering, run.settings, request, longest, source)
+    path_replay = PathReplay(run.table, run.scattering, run.settings, request, longest, source)
     film = run.make_film()
     image = None if pixel is None else upload(mi.Float64, np.asarray(pixel, dtype=np.float64))
     traced = run.surfaces.size > 0
     hits = float(run.surfaces[run.table.detector, HITS].sum()) / run.rays if traced else HITS_PER_RAY
-    recorder = gatherer.recorder
+    recorder = path_replay.recorder
 
     def walk(start: StartRays) -> None:
         run.walk(start, recorder)
@@ -148,23 +148,23 @@ def run_gradient(
     def end(row: mi.UInt32, keys: np.ndarray) -> DetectorEnd:
         coefficients, maps = each(paths.of, keys) if paths is not None else (None, np.zeros(len(keys), dtype=np.int64))
         return DetectorEnd(
-            film, coefficients, image, maps, dr.gather(mi.Float64, recorder.weight, row), gatherer.scatter
+            film, coefficients, image, maps, dr.gather(mi.Float64, recorder.weight, row), path_replay.scatter
         )
 
     with dr.suspend_grad():  # single events are differentiated, nothing around them
         edges = None
-        if gatherer.edges:
+        if path_replay.edges:
             edges = Edges(run.scene, run.settings, request.edge_width)
             adjoint = run.adjoint(pixel, paths, rows=0)
         for number in range(run.passes):
             whole = run.start_pass(number)
             if not request.only_rims:
-                for start in gatherer.portions(whole, hits, walk):
-                    gatherer.replay(start, counts, end)
+                for start in path_replay.portions(whole, hits, walk):
+                    path_replay.replay(start, counts, end)
             if edges is not None:
                 for start, events in edges.events(whole, adjoint):
-                    gatherer.replay_edges(start, events)
-    raw = gatherer.result()
+                    path_replay.replay_edges(start, events)
+    raw = path_replay.result()
     if edges is not None and traced:
         strange = float(adjoint.unknown[0]) / max(float(run.film.sum()), np.finfo(float).tiny)
         if strange > UNKNOWN_SHARE:

@@ -191,7 +191,7 @@ class ScatterReplay(Scattering):
         active : mi.Bool
         coating : callable, optional
             (from_front, cosine of incidence) → R and T of the surfaces for light of that side; in total reflection
-            R + T and 0. Only asked against the light; by default from the tables, without derivatives by their rows.
+            R + T and 0. Only asked in a backward trace; by default from the tables, without derivatives by their rows.
 
         Returns
         -------

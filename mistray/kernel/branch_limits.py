@@ -44,8 +44,8 @@ class BranchLimits:
         self._cuts_branches = any(settings.cut_below[:ABSORPTION])
         self._cuts_absorption = settings.cut_below[ABSORPTION] > 0
 
-    def _cut(self, reason: int | mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
-        self._recorder.cut(reason, self._batch, flux, active & (flux > 0))
+    def _cut(self, channel: int | mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
+        self._recorder.cut(channel, self._batch, flux, active & (flux > 0))
 
     def absorb(self, absorbed: mi.Float, active: mi.Bool) -> tuple[mi.Float, mi.Bool]:
         """What counts of the flux that a surface absorbs, and whether the hit counts on a detector."""
@@ -86,10 +86,10 @@ class BranchLimits:
         return flux
 
     def _keep(
-        self, reason: int, flux: tuple[mi.Float, ...], kept: tuple[mi.Bool, ...], active: mi.Bool
+        self, channel: int, flux: tuple[mi.Float, ...], kept: tuple[mi.Bool, ...], active: mi.Bool
     ) -> tuple[mi.Float, ...]:
         parts = list(zip(flux, kept, strict=True))
-        self._cut(reason, sum((dr.select(keep, 0, value) for value, keep in parts), mi.Float(0)), active)
+        self._cut(channel, sum((dr.select(keep, 0, value) for value, keep in parts), mi.Float(0)), active)
         return tuple(dr.select(keep, value, 0) for value, keep in parts)
 
     def end(self, child: mi.Float, scatter: mi.Bool, cloud: mi.Bool, reflect: mi.Bool, active: mi.Bool) -> mi.Float:

@@ -18,8 +18,8 @@ from mistray.kernel.bulk_scattering import BulkAim, CloudRay
 from mistray.kernel.event_codes import scatters_done
 from mistray.kernel.interaction import Interaction, counts_as_reflection
 from mistray.kernel.kernel_scene import KernelScene
-from mistray.kernel.scatter_shares import Given, ScatteredRay
-from mistray.recorders.ledger import COUNT_MASK
+from mistray.kernel.scatter_shares import ScatterBudget, ScatteredRay
+from mistray.recorders.path_key import COUNT_MASK
 from mistray.recorders.recorder import Memory
 from mistray.recorders.tallies import EVENTS, REFLECTIONS, ROULETTE, SAMPLING, SCATTERS, THRESHOLD
 from mistray.settings import Settings
@@ -42,7 +42,7 @@ class Node:
     state : dict
         Variables of the loop, see `mistray.kernel.ray_tree`.
     interaction : Interaction
-    shares : Given or None
+    shares : ScatterBudget or None
         What the surface scatters; None: no surface does.
     R, T : mi.Float
         What it reflects and transmits as a specular beam.
@@ -53,7 +53,7 @@ class Node:
 
     state: dict[str, Any]
     interaction: Interaction
-    shares: Given | None
+    shares: ScatterBudget | None
     R: mi.Float
     T: mi.Float
     first: mi.Bool

@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.interaction import Interaction
-from mistray.recorders.ledger import (
+from mistray.recorders.path_key import (
     AIMED_TRANSMITTED,
     COUNT_MASK,
     EVENT_BITS,

@@ -331,6 +331,6 @@ def counts_as_reflection(interaction: Interaction) -> mi.Bool:
     return ~interaction.tir & ((interaction.word & MIRROR) == 0)
 
 
-def is_aside(interaction: Interaction, reflect: mi.Bool) -> mi.Bool:
+def is_off_design(interaction: Interaction, reflect: mi.Bool) -> mi.Bool:
     """Whether a specular event is none of a direct image: at a surface of the mechanics, or total reflection."""
     return ((interaction.word & WALL) != 0) | (reflect & interaction.tir)

@@ -21,11 +21,11 @@ from mistray.errors import MistrayError
 from mistray.kernel.branch_limits import NO_RUN, BranchLimits
 from mistray.kernel.branching import REFLECT, TRANSMIT, Branching, Children, Choice, Node
 from mistray.kernel.event_codes import after_scatter, event_code, is_diffraction
-from mistray.kernel.interaction import interact, is_aside
+from mistray.kernel.interaction import interact, is_off_design
 from mistray.kernel.kernel_scene import KernelScene
 from mistray.kernel.next_hit import film_coordinates, next_hit
 from mistray.kernel.pending_nodes import LEVELS, PendingNodes, at_once, in_step, node_word, wait_level
-from mistray.recorders.ledger import ABSORBED, EVENT_BITS, FIRST_KEY, extend_key
+from mistray.recorders.path_key import ABSORBED, EVENT_BITS, FIRST_KEY, extend_key
 from mistray.recorders.recorder import Branch, Departure, Memory, Recorder, Recorders, Return, Visit
 from mistray.recorders.start_rays import StartRays
 from mistray.recorders.tallies import ESCAPED, FIRST_MISS, MEDIUM, STARTED
@@ -116,7 +116,7 @@ class _Tree:
         left_behind, medium = start.given("left", full(NO_SURFACE)), start.given("medium", full())
         key = start.given("key", dr.full(mi.UInt64, FIRST_KEY, n))
         reflections, scatters = start.given("reflections", full()), start.given("scatters", full())
-        aside = start.given("aside", dr.full(mi.Bool, False, n))
+        off_design = start.given("off_design", dr.full(mi.Bool, False, n))
         under_way = start.w > 0
         if start.at is not None:
             under_way &= start.at == NO_SURFACE
@@ -133,7 +133,7 @@ class _Tree:
         lose(STARTED, 1.0, mi.Bool(True), memory)
         if self.scene.backward:
             depth = self.first_depth
-            gone = Departure(start, d, start.w, reflections, scatters, aside, key, depth, lambda k, _: k, missed)
+            gone = Departure(start, d, start.w, reflections, scatters, off_design, key, depth, lambda k, _: k, missed)
             self.recorders.depart(gone, memory)
         w, clouded = self._attenuate(start.w, medium, t, hit)
         return {
@@ -149,7 +149,7 @@ class _Tree:
             "depth": mi.UInt32(self.first_depth),  # events before it
             "reflections": mi.UInt32(reflections),  # counted reflections before it
             "key": mi.UInt64(key),  # of the events before it
-            "aside": mi.Bool(aside),  # an event before it is none of a direct image, see `is_aside`
+            "off_design": mi.Bool(off_design),  # an event before it is none of a direct image, see `is_off_design`
             "run": mi.UInt32(run),  # hits of one surface in a row before it
             "pending": full(),  # depth + 1 of the deepest node before it that has a child still to come; 0: none
             "segments": full(1),
@@ -296,7 +296,7 @@ class _Tree:
             self.recorders.lose(children.remainder, -sent.flux, (scatter | cloud) & (sent.flux > 0), memory)
         sent.flux = self.limits.end(sent.flux, scatter, cloud, sent.reflect, visit)
         sent.active = go = visit & (sent.flux > 0)
-        word = node_word(state["s"], state["reflections"], state["aside"] if self.scene.backward else None)
+        word = node_word(state["s"], state["reflections"], state["off_design"] if self.scene.backward else None)
         kept = {**state, "p": sent.origin, "away": sent.away, "word": word}
         kept |= {"child": choice.later, "boost": choice.boost}
         path = self.nodes.keep(path, kept, depth, choice.pending, choice.pending | go, self.recorders.node_floats)
@@ -332,17 +332,16 @@ class _Tree:
         run = self.limits.run_after(state["run"], s, cloud)
         hit = self.limits.arrive(run, s2, sent.flux, hit)
         bounced = reflect & children.counted & ~scatter
-        scattered, aside, after = scatter | cloud, state["aside"], state["scatters"]
+        scattered, off_design, after = scatter | cloud, state["off_design"], state["scatters"]
         if scatters:
             diffracted = is_diffraction(table.optics, it, scatter, reflect)
             after = dr.select(scattered, after_scatter(after, sent.aim, children.transmits | cloud, diffracted), after)
         if self.scene.backward:
             reflections = state["reflections"] + dr.select(bounced, mi.UInt32(1), 0)
-            aside = aside | is_aside(it, reflect)
-            gone = Departure(
-                *(self.start, sent.heading, sent.flux, reflections, after, aside, key, depth + 1, codes.read, leaving),
-                *(path, (*sent.origin, *state["d"], state["w"])),
-            )
+            off_design = off_design | is_off_design(it, reflect)
+            last = (*sent.origin, *state["d"], state["w"])
+            counts = (reflections, after, off_design, key, depth + 1, codes.read, leaving)
+            gone = Departure(self.start, sent.heading, sent.flux, *counts, path, last)
             self.recorders.depart(gone, memory)
         flux, clouded = self._attenuate(sent.flux, medium, t, hit)
         following: State = {}
@@ -371,7 +370,7 @@ class _Tree:
             "normal": normal if self.has_stock else state["normal"],
             "medium": medium,
             "reflections": dr.select(bounced, state["reflections"] + 1, state["reflections"]),
-            "aside": aside,
+            "off_design": off_design,
             "key": key,
             "run": run,
             "segments": dr.select(go, state["segments"] + 1, state["segments"]),

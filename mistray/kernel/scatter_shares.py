@@ -29,7 +29,7 @@ class Shares:
 
 
 @dataclass
-class Given:
+class ScatterBudget:
     """
     What scatter makes of the light of a node.
 
@@ -39,7 +39,7 @@ class Given:
     scattered : mi.Float
         Both together.
     absorbed : mi.Float
-        Share of the light that neither event takes; of light along the ray, also where the ray goes against the light.
+        Share of the light that neither event takes; of light along the ray, also in a backward trace.
     first_case : mi.UInt32
         That of transmission; reflection is the next.
     aimed_t, aimed_r : mi.UInt32

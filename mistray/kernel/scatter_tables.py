@@ -155,7 +155,7 @@ class Case:
     ----------
     surface : int
     from_front : bool
-        The side that the light comes from; against the light, in transmission, not that of the ray.
+        The side that the light comes from; in transmission, in a backward trace, not that of the ray.
     event : str
     rows : (turns, ANGLES + 1, 4) float64
         Totals over the rotation of the sample and the angle, see `Side`.
@@ -278,7 +278,7 @@ class ScatterTables:
     aims : mapping
         Where light is scattered → targets.
     backward : bool
-        For rays that go against the light. A case is then that of the light which the ray goes against: a ray from the
+        For rays that go backwards. A case is then that of the light which the ray goes against: a ray from the
         front that is transmitted meets light from the back that is.
 
     Attributes

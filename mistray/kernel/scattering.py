@@ -5,7 +5,7 @@ its share and uniformly over its area. All rays of a hit together are weighted w
 (Robust Monte Carlo methods for light transport simulation, 1997, section 9.2): a direction that several techniques
 could have given counts f/Σ n_i p_i, so that the sum is unbiased whatever the targets are.
 
-Rays that go against the light (see `mistray.execute.backward`) are drawn alike, about the reflected or refracted
+Rays that go backwards (see `mistray.execute.backward`) are drawn alike, about the reflected or refracted
 direction of the ray, and weighted with the BSDF of the light that they go against: surfaces need not be reciprocal. In
 transmission lobes are as wide in optical direction cosines n sin θ as they are for the light, as those of a reciprocal
 surface are (E. Veach, 1997, section 5.2).
@@ -21,7 +21,7 @@ import drjit as dr
 import mitsuba as mi
 
 from mistray.kernel.interaction import Interaction, shares_at
-from mistray.kernel.scatter_shares import Given, ScatteredRay, Shares, Turn
+from mistray.kernel.scatter_shares import ScatterBudget, ScatteredRay, Shares, Turn
 from mistray.kernel.scatter_tables import (
     ANGLES,
     ANGULAR,
@@ -115,7 +115,7 @@ class Scattering:
         frames = [tables.frames.rows] if tables.frames is not None else []
         return [tables.totals, tables.lobes, tables.ratios, *tables.radial.arrays, *frames]
 
-    def give(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> Given:
+    def give(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> ScatterBudget:
         """What the surfaces s scatter of the light that meets them."""
         side = 2 * s + dr.select(it.from_front, mi.UInt32(0), 1)
         plan = dr.gather(mi.Vector4u, self._tables.sides, side, active)
@@ -134,10 +134,10 @@ class Scattering:
         aimed_r = dr.select(reflection.scattered > 0, plan.w, 0)
         scattered = transmission.scattered + reflection.scattered
         random_rays = plan.z >> RANDOM_RAYS_SHIFT
-        return Given(transmission, reflection, scattered, absorbed, 2 * side, aimed_t, aimed_r, random_rays)
+        return ScatterBudget(transmission, reflection, scattered, absorbed, 2 * side, aimed_t, aimed_r, random_rays)
 
     def _transmittance(self, it: Interaction) -> mi.Float:
-        """T; against the light not 0 in total reflection, since light can be scattered into such directions."""
+        """T; in a backward trace not 0 in total reflection, since light can be scattered into such directions."""
         return dr.select(it.tir, 1, it.T) if self._tables.backward else it.T
 
     def _x_axis(self, s: mi.UInt32, it: Interaction, active: mi.Bool) -> mi.Vector3f | None:
@@ -208,7 +208,7 @@ class Scattering:
         self,
         table: SurfaceTable,
         s: mi.UInt32,
-        given: Given,
+        given: ScatterBudget,
         choose: Callable[[mi.PCG32], ScatteredRay],
         it: Interaction,
         d: mi.Vector3f,
@@ -224,7 +224,7 @@ class Scattering:
         table : SurfaceTable
         s : mi.UInt32
             Numbers of the surfaces.
-        given : Given
+        given : ScatterBudget
         choose : callable
             Says which of the node's rays it is.
         it : Interaction
@@ -265,7 +265,7 @@ class Scattering:
         self,
         table: SurfaceTable,
         s: mi.UInt32,
-        given: Given,
+        given: ScatterBudget,
         ray: ScatteredRay,
         it: Interaction,
         d: mi.Vector3f,

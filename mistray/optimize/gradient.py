@@ -12,7 +12,7 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
-from mistray.gradients.raw_gradient import EDGE_WIDTH, GradientRequest, RawGradient
+from mistray.gradients.table_gradient import EDGE_WIDTH, GradientRequest, TableGradient
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.parameters import Parameter, match, parameters
 from mistray.ranges import EDGE_WIDTH as ZONE
@@ -164,9 +164,9 @@ def gradient_seen(
     dr.backward(value, flags=dr.ADFlag.Default | dr.ADFlag.AllowNoGrad)  # no path at all: nothing to differentiate
     left_out, seconds = [LEFT_OUT], 0.0
     noise = Sampled.of(np.zeros(BATCHES), EQUAL)
-    raws: dict[tuple[Any, ...], RawGradient] = {}
+    raws: dict[tuple[Any, ...], TableGradient] = {}
     for observation in observations:
-        for raw in observation.raw_gradients(request):
+        for raw in observation.table_gradients(request):
             seconds += raw.seconds
             left_out += [text for text in raw.left_out if text not in left_out]
             # Fields share their tables: all of them go through the chain rule at once
@@ -221,7 +221,7 @@ def gradient_seen(
     )
 
 
-def _jumps(raw: RawGradient) -> bool:
+def _jumps(raw: TableGradient) -> bool:
     """Whether the R and T of a surface come from a table, which does not say what they do at grazing incidence."""
     optics = raw.table.optics
     clear = (optics.host_words & OPAQUE) == 0

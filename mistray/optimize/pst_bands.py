@@ -12,13 +12,13 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.gradients.parameter_gradient import parameter_gradient
-from mistray.gradients.raw_gradient import EDGE_WIDTH
+from mistray.gradients.table_gradient import EDGE_WIDTH
 from mistray.optimize.gradient import chosen_parameters, gradient_request
 from mistray.optimize.metrics.pst_observation import Light, PstObservation, named_classes
 from mistray.optimize.metrics.views import PstView
 from mistray.optimize.scene_values import assign
+from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.sampled import batch_error
-from mistray.recorders.sky import CLASSES
 from mistray.settings import BATCHES
 
 
@@ -45,7 +45,7 @@ class PstBands:
     """
     PST_normal of a scene, averaged over bands of field angle at one or several azimuths, by some of its parameters.
 
-    All derivatives come from one trace against the light and one replay of its rays: those of each ray are added to the
+    All derivatives come from one backward trace and one replay of its rays: those of each ray are added to the
     band in which it leaves. Visibility is held as it is, so parameters of shapes do not have the part of rims.
 
     Parameters
@@ -158,7 +158,7 @@ class PstBands:
             derivative = np.zeros((len(CLASSES), *observation.pst.grid.shape))
             derivative[[CLASSES.index(name) for name in self._light]] = here.sum(axis=0)
             groups = np.argmax(here > 0, axis=0)  # cells of no band have no weight
-            for raw in observation.pst.raw_gradients(derivative, self._request, groups):
+            for raw in observation.pst.table_gradients(derivative, self._request, groups):
                 for owner, name, parts in parameter_gradient(raw, lambda o, n: (id(o), n) in self._places):
                     jacobian[first : first + BATCHES, self._places.index((id(owner), name))] += parts[: len(here), 0]
         return Modelled(value, covariance, jacobian)

@@ -15,7 +15,7 @@ import numpy as np
 
 from mistray.coatings import Stack
 from mistray.errors import MistrayError
-from mistray.gradients.raw_gradient import GradientRequest
+from mistray.gradients.table_gradient import GradientRequest
 from mistray.materials import complex_index
 from mistray.optimize.metrics.metric import Metric
 from mistray.optimize.thickness_minima import Cost, thickness_minima
@@ -106,7 +106,7 @@ def reflectance_weights(metric: Metric) -> ReflectanceWeights:
     found: dict[str, dict[float, np.ndarray]] = {}
     glasses: dict[str, tuple[str, str]] = {}
     for observation in observations:
-        for raw in observation.raw_gradients(GradientRequest(rows=True)):
+        for raw in observation.table_gradients(GradientRequest(rows=True)):
             optics = raw.table.optics
             assert raw.rows is not None
             slopes = raw.rows.sum(axis=0)

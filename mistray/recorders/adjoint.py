@@ -29,7 +29,7 @@ from mistray.recorders.start_rays import StartRays
 from mistray.settings import BATCHES
 
 if TYPE_CHECKING:
-    from mistray.recorders.sky import Sky
+    from mistray.recorders.direction_recorder import DirectionRecorder
 
 GAIN, EVENTS = "gain", "events"  # of a lane, in the memory
 CHANNELS = 4  # R from the front, R from the back, T, R + T of an ideal coating beyond the critical angle
@@ -53,7 +53,7 @@ class Adjoint(Recorder):
         Number of the map + 1 of each path of the ledger, 0 for none; None: all hits count in the first map.
     ledger : Ledger, optional
         That knows the paths.
-    sky : Sky, optional
+    directions : DirectionRecorder, optional
         Says what the metric gains from rays that leave the scene.
 
     Attributes
@@ -74,10 +74,10 @@ class Adjoint(Recorder):
         path: mi.Float64 | None = None,
         map_of_slot: mi.UInt32 | None = None,
         ledger: Ledger | None = None,
-        sky: Sky | None = None,
+        directions: DirectionRecorder | None = None,
     ) -> None:
         self.rows, self.pixel, self.path, self.map_of_slot = rows, pixel, path, map_of_slot
-        self.ledger, self.sky, self._film, self.incident = ledger, sky, film, film.incident
+        self.ledger, self.directions, self._film, self.incident = ledger, directions, film, film.incident
         self.stride = dr.opaque(mi.UInt32, rows * CHANNELS)
         self.sums = dr.zeros(mi.Float64, BATCHES * rows * CHANNELS)
         self.unknown = dr.zeros(mi.Float64, 1)
@@ -87,7 +87,12 @@ class Adjoint(Recorder):
     def code(self) -> Hashable:
         """See `Recorder.code`."""
         parts = (self.pixel, self.path, self.map_of_slot, self.ledger)
-        return type(self).__name__, self.rows > 0, *(part is not None for part in parts), self.sky and self.sky.code
+        return (
+            type(self).__name__,
+            self.rows > 0,
+            *(part is not None for part in parts),
+            self.directions and self.directions.code,
+        )
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """No metric yet; local arrays by depth: cell of the table, fraction, slope, gain when the event was entered."""
@@ -123,8 +128,8 @@ class Adjoint(Recorder):
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """The metric gains from rays that leave."""
-        if self.sky is not None:
-            memory[GAIN] = memory[GAIN] + self.sky.gain(departure)
+        if self.directions is not None:
+            memory[GAIN] = memory[GAIN] + self.directions.gain(departure)
 
     def back(self, back: Return, memory: Memory) -> None:
         """Close the events whose subtrees are complete."""

@@ -7,8 +7,8 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.recorders.film import Film
+from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Memory, Recorder, Visit
-from mistray.recorders.sky import PathBook
 from mistray.recorders.way_table import WayTable
 from mistray.settings import BATCHES
 
@@ -19,18 +19,18 @@ class FoundWays(Recorder):
 
     Parameters
     ----------
-    book : PathBook
+    path_sums : PathSums
     """
 
     by_way, incident = True, True
 
-    def __init__(self, book: PathBook) -> None:
-        self.book = book
+    def __init__(self, path_sums: PathSums) -> None:
+        self.path_sums = path_sums
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Add rays that have met the detector."""
         cell = visit.start.cell
-        self.book.record(visit.key, visit.depth + 1, visit.event, cell, visit.weight, visit.detected)
+        self.path_sums.record(visit.key, visit.depth + 1, visit.event, cell, visit.weight, visit.detected)
 
 
 class CountedWays(Recorder):

@@ -13,7 +13,7 @@ from mistray.recorders.ledger import Ledger
 from mistray.recorders.recorder import Departure, EventReader, Memory, Recorder, Visit
 
 if TYPE_CHECKING:
-    from mistray.recorders.sky import Sky
+    from mistray.recorders.direction_recorder import DirectionRecorder
 
 NODE_FLOATS = 7  # of a node: point, direction of arrival, weight
 POINT_FLOATS = 3  # of them the point
@@ -57,7 +57,7 @@ class BranchRecorder(Recorder):
     choice : PathChoice or None
         Only branches of these paths are recorded; None: of every path that reaches the detector. Against the light
         every ray is recorded that leaves the scene and counts.
-    sky : Sky or None
+    directions : DirectionRecorder or None
         Says what counts of rays that leave the scene; None: nothing.
     count : (1,) mi.UInt32
         Branches that there were.
@@ -68,13 +68,13 @@ class BranchRecorder(Recorder):
     nodes : (capacity, max_events, node_floats) mi.Float
         Points (mm), and unless `points_only` directions of arrival and weights.
     weight : (capacity,) mi.Float64
-        Flux that meets the detector in units of the start ray's; against the light what the metric gains.
+        Flux that meets the detector in units of the start ray's; in a backward trace what the metric gains.
     heading : (capacity, 3) mi.Float
         Directions of rays that leave the scene.
     place : (capacity, 2) mi.Float
         x and y of the hits in the detector's frame, mm.
     path : (capacity,) mi.UInt64
-        Keys of the events, see `mistray.recorders.ledger.extend_key`.
+        Keys of the events, see `mistray.recorders.path_key.extend_key`.
     peak : (1,) mi.UInt32
         The largest flux that one ray brought to the detector, recorded or not, as the bits of a float32.
     """
@@ -83,7 +83,7 @@ class BranchRecorder(Recorder):
     max_events: int
     points_only: bool = False
     choice: PathChoice | None = None
-    sky: Sky | None = None
+    directions: DirectionRecorder | None = None
 
     def __post_init__(self) -> None:
         size = self.capacity * self.max_events
@@ -104,7 +104,7 @@ class BranchRecorder(Recorder):
     @property
     def code(self) -> Hashable:
         """See `Recorder.code`."""
-        return type(self).__name__, self.choice is None, None if self.sky is None else self.sky.code
+        return type(self).__name__, self.choice is None, None if self.directions is None else self.directions.code
 
     def visit(self, visit: Visit, memory: Memory) -> None:
         """Record hits of the detector."""
@@ -116,9 +116,9 @@ class BranchRecorder(Recorder):
 
     def depart(self, departure: Departure, memory: Memory) -> None:
         """Record rays that leave the scene from within."""
-        if self.sky is None or departure.node is None:
+        if self.directions is None or departure.node is None:
             return
-        gained, lane = self.sky.gain(departure), departure.start.lane
+        gained, lane = self.directions.gain(departure), departure.start.lane
         depth, counts = departure.length - 1, departure.active & (gained != 0)
         branch = (lane, departure.key, gained, departure.heading, None)
         self._write(departure.nodes, departure.event, counts, departure.node, depth, branch)

@@ -1,9 +1,7 @@
 """The path ledger: an open-addressing hash table in device memory that the kernel fills.
 
-A path is the sequence of its events, (surface, what happened). Its key is a rolling 64-bit hash; the first ray that
-brings a new key claims a slot by compare-and-swap and writes the event list there. Two different paths share a key
-with a probability of about paths²/2^65, 3e-11 for 30 000 paths; `Ledger.decode` hashes every recorded list again and
-compares.
+The first ray that brings a new key, see `mistray.recorders.path_key`, claims a slot by compare-and-swap and writes the
+event list there. `Ledger.decode` hashes every recorded list again and compares.
 """
 
 from __future__ import annotations
@@ -19,58 +17,16 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.interrupts import end_overdue
 from mistray.recorders.packets import add_packet, packet_size
+from mistray.recorders.path_key import host_keys
 from mistray.recorders.recorder import Memory, Recorder, Visit
 from mistray.settings import BATCHES
 
-# What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
-ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
-RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
-EVENT_BITS = 3
-# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; a bit
-# says whether one of them was not diffraction
-COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED = 0x3FF, 10, 20, 1 << 30
 # Sums of a slot and batch: rays, incident, absorbed, absorbed², absorbed · x, absorbed · y, absorbed · (x² + y²), and
 # in Stokes mode absorbed · (q, u, v)
 SUMS, STOKES_SUMS = 7, 10
-FIRST_KEY = 0x9E3779B97F4A7C15
-MULTIPLIER = 0xFF51AFD7ED558CCD
 MOST_PROBES = 256  # slots of the table that are tried for a path
 LARGE = 1 << 24  # entries of an array
 USUAL_PROBES = 4  # are enough for most paths while the table is not full
-
-
-def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
-    """Key of the path that has one event more; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
-    key = (key ^ mi.UInt64(code + 1)) * mi.UInt64(MULTIPLIER)
-    return key ^ (key >> 29)
-
-
-def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
-    """
-    The keys of event lists, computed on the host.
-
-    Parameters
-    ----------
-    events : (p, k) uint32
-        Lists, filled up at their ends.
-    lengths : (p,) int
-        Number of events of each.
-
-    Returns
-    -------
-    (p,) uint64
-        What `extend_key` makes of `FIRST_KEY` and the events one after the other.
-    """
-    keys = np.full(len(events), FIRST_KEY, dtype=np.uint64)
-    for k in range(events.shape[1]):
-        keys = np.where(k < lengths, host_extend(keys, events[:, k]), keys)
-    return keys
-
-
-def host_extend(keys: np.ndarray, codes: np.ndarray) -> np.ndarray:
-    """(p,) uint64: what `extend_key` makes of keys and codes, computed on the host."""
-    longer = (keys ^ (codes.astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
-    return np.asarray(longer ^ (longer >> np.uint64(29)))
 
 
 @dataclass

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from mistray.ids import event_words
-from mistray.recorders.ledger import (
+from mistray.recorders.path_key import (
     ABSORBED,
     AIMED_REFLECTED,
     AIMED_TRANSMITTED,

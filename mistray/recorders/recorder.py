@@ -20,7 +20,7 @@ from mistray.recorders.start_rays import StartRays
 if TYPE_CHECKING:
     from mistray.kernel.interaction import Interaction
     from mistray.kernel.kernel_scene import KernelScene
-    from mistray.kernel.scatter_shares import Given
+    from mistray.kernel.scatter_shares import ScatterBudget
 
 Memory = dict[str, Any]
 EventReader = Callable[[mi.UInt32, mi.Bool], mi.UInt32]
@@ -39,7 +39,7 @@ class Visit:
     state : dict
         Variables of the loop, see `mistray.kernel.ray_tree`.
     interaction : Interaction
-    shares : Given or None
+    shares : ScatterBudget or None
         What the surfaces scatter.
     visited : mi.Bool
         Lanes that visit a node for the first time.
@@ -68,7 +68,7 @@ class Visit:
     start: StartRays
     state: dict[str, Any]
     interaction: Interaction
-    shares: Given | None
+    shares: ScatterBudget | None
     visited: mi.Bool
     active: mi.Bool
     detected: mi.Bool
@@ -150,8 +150,8 @@ class Departure:
         In units of a start ray.
     reflections, scatters : mi.UInt32
         Counted reflections, and scatter events, see `mistray.recorders.ledger.COUNT_MASK`.
-    aside : mi.Bool
-        Whether an event is none of a direct image, see `mistray.kernel.interaction.is_aside`.
+    off_design : mi.Bool
+        Whether an event is none of a direct image, see `mistray.kernel.interaction.is_off_design`.
     key, length : mi.UInt64, mi.UInt32
         Of the path, and the number of its events.
     event : callable
@@ -168,7 +168,7 @@ class Departure:
     weight: mi.Float
     reflections: mi.UInt32
     scatters: mi.UInt32
-    aside: mi.Bool
+    off_design: mi.Bool
     key: mi.UInt64
     length: mi.UInt32
     event: EventReader

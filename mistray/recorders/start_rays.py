@@ -1,4 +1,4 @@
-"""Rays at the start of a trace, with the light from a source or against it from the detector."""
+"""Rays at the start of a trace, forwards from a source or backwards from the detector."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ class StartRays:
         Weight with which such a ray left the source or was scattered last.
     aimed_from : mi.UInt32, optional
         Surface that sent it to a target, `NO_SURFACE` if none did.
-    aside : mi.Bool, optional
+    off_design : mi.Bool, optional
         Whether an event before is none of a direct image.
     run : mi.UInt32, optional
         Hits of one surface in a row before, see `mistray.kernel.branch_limits`.
@@ -85,7 +85,7 @@ class StartRays:
     key: mi.UInt64 | None = None
     birth: mi.Float | None = None
     aimed_from: mi.UInt32 | None = None
-    aside: mi.Bool | None = None
+    off_design: mi.Bool | None = None
     run: mi.UInt32 | None = None
     at: mi.UInt32 | None = None
 

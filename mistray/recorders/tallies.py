@@ -22,7 +22,7 @@ TREE = 14  # what is left of trees that are larger than `max_segments`, and what
 LANE_REASONS = 15
 # What `ray_control` keeps back, `max_generations`, `max_consecutive`, and `cut_below` in the order of its branches
 CONTROL, GENERATIONS, CONSECUTIVE, CUT_BRANCHES = range(LANE_REASONS, LANE_REASONS + 4)
-REASONS = CUT_BRANCHES + len(BRANCHES)
+CHANNEL_COUNT = CUT_BRANCHES + len(BRANCHES)
 # What cuts light off, by the names of `Energy.cut`
 CUTS = {
     "flux_threshold": THRESHOLD,
@@ -60,9 +60,9 @@ class Tallies(Recorder):
         self._in_lanes = surfaces <= MOST_LANE_SUMS
         self.surfaces = dr.zeros(mi.Float64, (surfaces + media) * SURFACE_SUMS * BATCHES)
         self.media = dr.zeros(mi.Float64, media * BATCHES)
-        self.reasons = dr.zeros(mi.Float64, REASONS * BATCHES)
+        self.channels = dr.zeros(mi.Float64, CHANNEL_COUNT * BATCHES)
         self.largest = dr.zeros(mi.UInt32, 1)
-        dr.eval(self.surfaces, self.media, self.reasons, self.largest)
+        dr.eval(self.surfaces, self.media, self.channels, self.largest)
 
     def begin(self, start: StartRays, max_events: int, memory: Memory) -> None:
         """
@@ -95,7 +95,7 @@ class Tallies(Recorder):
 
     def cut(self, channel: int | mi.UInt32, batch: mi.UInt32, flux: mi.Float, active: mi.Bool) -> None:
         """Add flux to one of the other channels."""
-        dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, mi.Float64(flux), channel * BATCHES + batch, active)
+        dr.scatter_reduce(dr.ReduceOp.Add, self.channels, mi.Float64(flux), channel * BATCHES + batch, active)
 
     def take(self, medium: mi.UInt32, batch: mi.UInt32, flux: Any, active: mi.Bool) -> None:
         """Add flux that a medium absorbs."""
@@ -140,7 +140,7 @@ class Tallies(Recorder):
                 value = sums[what].read(k, k < self.count)
                 self._add_surface(k, what, batch, value, value != 0)
             value = sums[-1].read(k, k < LANE_REASONS)
-            dr.scatter_reduce(dr.ReduceOp.Add, self.reasons, value, k * BATCHES + batch, value != 0)
+            dr.scatter_reduce(dr.ReduceOp.Add, self.channels, value, k * BATCHES + batch, value != 0)
             return k + 1, sums
 
         count = dr.opaque(mi.UInt32, max(self.count, LANE_REASONS) if self._in_lanes else LANE_REASONS)

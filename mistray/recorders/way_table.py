@@ -6,7 +6,7 @@ import drjit as dr
 import mitsuba as mi
 import numpy as np
 
-from mistray.recorders.ledger import extend_key, host_extend
+from mistray.recorders.path_key import extend_key, host_extend
 from mistray.surfaces.upload import upload
 
 SLOTS_OF_PAIR = 4  # the table stays so empty that a search ends soon
@@ -19,7 +19,7 @@ class WayTable:
     Parameters
     ----------
     keys : (p,) uint64
-        Of the event lists, in the order of the rays that will ask; see `mistray.recorders.ledger.host_keys`.
+        Of the event lists, in the order of the rays that will ask; see `mistray.recorders.path_key.host_keys`.
     cells : (p,) int
         Numbers of the cells. The pairs differ from each other.
     """

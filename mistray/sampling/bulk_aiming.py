@@ -2,7 +2,7 @@
 
 - A body on the design path is aimed at the image of the detector by the surfaces that follow.
 - Any other body is aimed at what can be seen from within: the detector, and the lenses and mirrors of the design path.
-  Rays against the light from there, refracted where they enter the body, show where it seems to be.
+  Backward rays from there, refracted where they enter the body, show where it seems to be.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ from mistray.surfaces.host_rays import first_hit, onward
 from mistray.surfaces.surfaces import SurfaceTable
 
 PATH_RAYS = 4096  # from a body on the design path, that show how large the image must be
-SIGHT_RAYS = 4096  # against the light, from what a body may see
+SIGHT_RAYS = 4096  # backwards, from what a body may see
 MOST_SURFACES = 6  # between the two
 LEAST_SEEN = 16  # rays of a target through one surface
 LANDED = 0.02  # share of the rays to an image that must land on the detector

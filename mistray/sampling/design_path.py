@@ -18,7 +18,7 @@ from mistray.surfaces.upload import upload
 
 PROBES = 256  # rays of a beam that look for the design path
 MOST_STEPS = 64
-OPENING = -1  # in place of the number of a surface: where a path against the light leaves the system
+OPENING = -1  # in place of the number of a surface: where a backward path leaves the system
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Step:
 
 class DesignPath:
     """
-    The surfaces that most of the light of a beam meets on its way to the detector, or the same against the light.
+    The surfaces that most of the light of a beam meets on its way to the detector, or the same backwards.
 
     Parameters
     ----------
@@ -81,7 +81,7 @@ class DesignPath:
         return len(self.steps) > 1
 
     def reversed(self, opening: Target) -> DesignPath:
-        """The path against the light, from the detector to an opening before its first surface."""
+        """The backward path, from the detector to an opening before its first surface."""
         steps = [
             Step(step.surface, step.reflects, step.point, step.normal, -step.after, -step.before)
             for step in self.steps[-2::-1]

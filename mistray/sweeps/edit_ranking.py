@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.analysis.estimate import Estimate
 from mistray.errors import MistrayError
-from mistray.gradients.raw_gradient import EDGE_WIDTH
+from mistray.gradients.table_gradient import EDGE_WIDTH
 from mistray.optimize.gradient import gradient_request, gradient_seen
 from mistray.optimize.metrics.pst_metrics import pst_bin
 from mistray.optimize.metrics.pst_observation import Light

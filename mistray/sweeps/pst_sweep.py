@@ -144,7 +144,7 @@ def sweep_pst(
     """
     PST of a scene as it is and of each configuration, with the same random numbers.
 
-    All runs count equal ways of the light from the same direction, by as many rays, and rays with the light cover the
+    All runs count equal ways of the light from the same direction, by as many rays, and forward rays cover the
     surfaces of all configurations: what an edit does not touch is equal in both, ray by ray.
 
     Parameters

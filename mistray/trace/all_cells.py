@@ -15,12 +15,12 @@ from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
 from mistray.recorders.arrivals import CountedWays, FoundWays
 from mistray.recorders.film import Film
+from mistray.recorders.path_sums import PathSums
 from mistray.recorders.recorder import Recorder
-from mistray.recorders.sky import PathBook
 from mistray.recorders.start_rays import StartRays, generators
-from mistray.recorders.tallies import REASONS, SEGMENTS, Tallies
+from mistray.recorders.tallies import CHANNEL_COUNT, SEGMENTS, Tallies
 from mistray.recorders.way_table import WayTable
-from mistray.sampling.aiming import aims
+from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.plane_wave import PlaneWaves, wave_rays
 from mistray.sampling.space_filling import curve_points
 from mistray.settings import BATCHES, Settings
@@ -72,7 +72,7 @@ class AllCells:
         extent: tuple[float, float, float, float],
     ) -> None:
         self._settings, self._intersector, self._map_size = settings, intersector, map_size
-        targets = aims(tables[0], scene, settings)
+        targets = importance_targets(tables[0], scene, settings)
         self._bands = [
             (table, Scattering(ScatterTables(table, targets)), share)
             for table, share in zip(tables, shares, strict=True)
@@ -100,14 +100,14 @@ class AllCells:
 
         Returns
         -------
-        book : dict
-            See `PathBook.read`; event lists in the order of the light, the absorption in the detector at their ends.
+        recorder : dict
+            See `PathSums.read`; event lists in the order of the light, the absorption in the detector at their ends.
         segments : float
             Ray segments that were traced.
         """
-        found = FoundWays(PathBook(PATH_SLOTS, ENTRY_SLOTS, self._settings.max_events, rays.size))
+        found = FoundWays(PathSums(PATH_SLOTS, ENTRY_SLOTS, self._settings.max_events, rays.size))
         segments = sum(self._trace(band, rays, number, found) for band in range(len(self._bands)))
-        return found.book.read(), segments
+        return found.path_sums.read(), segments
 
     def count(self, ways: WayTable, rays: np.ndarray, number: int) -> tuple[dict[str, np.ndarray], float]:
         """
@@ -129,7 +129,7 @@ class AllCells:
         segments = sum(self._trace(band, rays, number, counted) for band in range(len(self._bands)))
         return counted.read(), segments
 
-    def _trace(self, band: int, rays: np.ndarray, number: int, book: Recorder) -> float:
+    def _trace(self, band: int, rays: np.ndarray, number: int, recorder: Recorder) -> float:
         """Trace a wavelength, in as many passes as it takes; gives the number of segments."""
         table, scattering, share = self._bands[band]
         wanted = rays.ravel() * share
@@ -143,10 +143,10 @@ class AllCells:
             start = self._start((number, band, k), lanes, weight)
 
             def trace(part: StartRays) -> None:
-                trace_tree(scene, part, self._settings, [tallies, book])
+                trace_tree(scene, part, self._settings, [tallies, recorder])
 
-            launches_of(table, self._settings, book.code).whole(start, trace)
-        return float(np.array(tallies.reasons).reshape(REASONS, BATCHES)[SEGMENTS].sum())
+            launches_of(table, self._settings, recorder.code).whole(start, trace)
+        return float(np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)[SEGMENTS].sum())
 
     def _start(self, stream: tuple[int, int, int], lanes: np.ndarray, weight: np.ndarray) -> StartRays:
         """Start rays of a pass, the rays of a cell side by side; places and directions are stratified in each batch."""

@@ -155,8 +155,8 @@ def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
     """Energy ledger of some runs together, with their flux report."""
     table = runs[0].table
     (detector,) = (row for row in surfaces if row.id == table.ids[table.detector])
-    escaped = sum(run.unit * run.reasons[ESCAPED].sum() for run in runs)
-    escaped_se = np.sqrt(sum((run.unit * batch_error(run.reasons[ESCAPED], run.started)) ** 2 for run in runs))
+    escaped = sum(run.unit * run.channels[ESCAPED].sum() for run in runs)
+    escaped_se = np.sqrt(sum((run.unit * batch_error(run.channels[ESCAPED], run.started)) ** 2 for run in runs))
     media: dict[str, tuple[float, float]] = {}
     for run in runs:
         for name, sums in zip(run.table.optics.media[1:], run.media[1:], strict=True):
@@ -172,5 +172,5 @@ def energy_ledger(runs: Sequence[Run], surfaces: FluxReport) -> Energy:
         absorbed_in=media,
         escaped_W=float(escaped),
         escaped_se_W=float(escaped_se),
-        cut={reason: float(sum(run.unit * run.reasons[row].sum() for run in runs)) for reason, row in CUTS.items()},
+        cut={reason: float(sum(run.unit * run.channels[row].sum() for run in runs)) for reason, row in CUTS.items()},
     )

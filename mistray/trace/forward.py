@@ -216,7 +216,7 @@ def _check_budget(runs: Sequence[Run]) -> None:
 
 
 def _require_hits(run: Run) -> None:
-    if run.reasons[FIRST_MISS].sum() == run.started.sum():
+    if run.channels[FIRST_MISS].sum() == run.started.sum():
         raise MistrayError(
             f"source '{run.source.name}': no ray of its light {run.source.towards} hits a surface; "
             "check field_deg, the source's position and its size"
@@ -226,7 +226,7 @@ def _require_hits(run: Run) -> None:
 def _keep(runs: Sequence[Run], result: Callable[[], Trace]) -> NoReturn:
     """End with what was traced before an interrupt, if that is a sample of all the light."""
     planned = sum(run.rays for run in runs)
-    if not all(run.reasons.size and run.is_sample for run in runs):
+    if not all(run.channels.size and run.is_sample for run in runs):
         raise KeyboardInterrupt
     table = ""
     if any(run.ledger is not None and run.paths is None for run in runs):

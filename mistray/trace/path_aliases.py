@@ -10,8 +10,8 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ids import check_id
-from mistray.recorders.ledger import EVENT_BITS, TRANSMITTED
 from mistray.recorders.path_events import EVENT_MASK, Events, distinct, event_text, way
+from mistray.recorders.path_key import EVENT_BITS, TRANSMITTED
 from mistray.trace.path_filter import named_like, unknown_name
 
 if TYPE_CHECKING:

@@ -43,8 +43,8 @@ from typing import NamedTuple, NoReturn
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.recorders.ledger import REFLECTED, TOTAL, TRANSMITTED
 from mistray.recorders.path_events import LETTERS, Events
+from mistray.recorders.path_key import REFLECTED, TOTAL, TRANSMITTED
 
 FLAGS = "HMTRIGSBDL"
 COMPARISONS: dict[str, Callable[[np.ndarray, float], np.ndarray]] = {

@@ -13,7 +13,6 @@ import numpy as np
 
 from mistray.errors import MistrayError
 from mistray.ids import event_words
-from mistray.recorders.ledger import host_keys
 from mistray.recorders.path_events import (
     DIRECT,
     INTERCEPTS,
@@ -25,6 +24,7 @@ from mistray.recorders.path_events import (
     way_letters,
     way_text,
 )
+from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import Sampled, batch_error
 from mistray.settings import BATCHES
 from mistray.trace.path_aliases import KEPT_APART, NAMES, alias_names, aliased
@@ -161,7 +161,7 @@ class PathRow:
         return [(name, names[letter]) for name, letter in (event.rsplit(":", 1) for event in event_words(self.events))]
 
 
-class Book(NamedTuple):
+class RunPaths(NamedTuple):
     """The ledger of one run: contents, start rays of its batches (BATCHES,), flux of a start ray (W), its surfaces."""
 
     paths: DecodedPaths
@@ -180,7 +180,7 @@ class PathTable(Sequence[PathRow]):
     ----------
     columns : mapping of str to (p,) array
         The attributes of `PathRow`; ``path_id`` counts from 0.
-    books : sequence of Book
+    of_runs : sequence of RunPaths
         The ledgers of the runs.
     run, place : (p,) int
         For each path the number of its run and its place in that run's ledger.
@@ -191,14 +191,14 @@ class PathTable(Sequence[PathRow]):
     def __init__(
         self,
         columns: Mapping[str, np.ndarray],
-        books: Sequence[Book],
+        of_runs: Sequence[RunPaths],
         run: np.ndarray,
         place: np.ndarray,
         numbers: PathNumbers,
     ) -> None:
         self._numbers = numbers
         self._columns = {f.name: np.asarray(columns[f.name]) for f in fields(PathRow)}
-        self._books, self._run, self._place = list(books), run, place
+        self._of_runs, self._run, self._place = list(of_runs), run, place
 
     @overload
     def __getitem__(self, index: int) -> PathRow: ...
@@ -229,7 +229,7 @@ class PathTable(Sequence[PathRow]):
         if not 0 <= path_id < len(self):
             raise MistrayError(f"path_id {path_id} does not exist; this trace has the paths 0 … {len(self) - 1}")
         run, place = int(self._run[path_id]), int(self._place[path_id])
-        paths = self._books[run].paths
+        paths = self._of_runs[run].paths
         return run, int(paths.slots[place]), int(paths.keys[place])
 
     def find(self, *surfaces: str) -> list[PathRow]:
@@ -278,18 +278,18 @@ class PathTable(Sequence[PathRow]):
             Of each run the `path_id` of the paths and their places in its ledger.
         """
         found = []
-        for number, book in enumerate(self._books):
+        for number, one in enumerate(self._of_runs):
             ids = np.flatnonzero(self._run == number)
             columns = {name: column[ids] for name, column in self._columns.items() if name not in by_ray}
             place = self._place[ids]
-            held = wanted.bounds(rows_of(book.paths, place, book.table, columns, by_ray)).possible
-            found.append((ids[held], book.paths.slots[place[held]]))
+            held = wanted.bounds(rows_of(one.paths, place, one.table, columns, by_ray)).possible
+            found.append((ids[held], one.paths.slots[place[held]]))
         return found
 
     def ids_of_keys(self, run: int, keys: np.ndarray) -> np.ndarray:
         """The `path_id` of paths of a run by their keys, (n,) uint64."""
         ids = np.flatnonzero(self._run == run)
-        own = self._books[run].paths.keys[self._place[ids]]
+        own = self._of_runs[run].paths.keys[self._place[ids]]
         order = np.argsort(own)
         return ids[order][np.searchsorted(own[order], keys)]
 
@@ -306,13 +306,13 @@ class PathTable(Sequence[PathRow]):
         """
         ids = np.asarray(path_ids, dtype=np.int64)
         variance = 0.0
-        for number, book in enumerate(self._books):
+        for number, one in enumerate(self._of_runs):
             here = ids[self._run[ids] == number]
             if len(here) == 1:
                 variance += float(self._columns["power_se_W"][here[0]]) ** 2
             elif len(here):
-                by_batch = book.paths.sums[self._place[here], :, 2].sum(axis=0)
-                variance += float(book.unit * batch_error(by_batch, book.started)) ** 2
+                by_batch = one.paths.sums[self._place[here], :, 2].sum(axis=0)
+                variance += float(one.unit * batch_error(by_batch, one.started)) ** 2
         return float(self._columns["power_W"][ids].sum()), float(np.sqrt(variance))
 
     def ids(self, direct: bool, wavelength_nm: float | None = None) -> np.ndarray:
@@ -353,12 +353,12 @@ class PathTable(Sequence[PathRow]):
 
     def _sums(self, run: int, ids: np.ndarray, group: np.ndarray) -> RunSums:
         """What a run has found of groups of paths; `group` is ascending and has the number of that of each path."""
-        book, here = self._books[run], self._run[ids] == run
-        sums = np.zeros((int(group[-1]) + 1, *book.paths.sums.shape[1:]))
-        np.add.at(sums, group[here], book.paths.sums[self._place[ids[here]]])
+        one, here = self._of_runs[run], self._run[ids] == run
+        sums = np.zeros((int(group[-1]) + 1, *one.paths.sums.shape[1:]))
+        np.add.at(sums, group[here], one.paths.sums[self._place[ids[here]]])
         scattered = np.bincount(group[here], self._columns["scatters"][ids[here]] > 0, minlength=len(sums))
         several = np.bincount(group[here], minlength=len(sums)) > 1
-        return RunSums(sums, book.started, book.unit, several | (scattered > 0))
+        return RunSums(sums, one.started, one.unit, several | (scattered > 0))
 
     def percents(self, light: Sampled) -> dict[str, np.ndarray]:
         """Columns ``percent`` and ``percent_se`` of the powers of paths of this table, or of groups of them."""
@@ -375,9 +375,9 @@ class PathTable(Sequence[PathRow]):
             detector's frame.
         """
         table = np.zeros((len(self), len(MOMENT_SUMS)))
-        for number, book in enumerate(self._books):
+        for number, one in enumerate(self._of_runs):
             here = np.flatnonzero(self._run == number)
-            table[here] = book.unit * book.paths.sums.sum(axis=1)[self._place[here]][:, MOMENT_SUMS]
+            table[here] = one.unit * one.paths.sums.sum(axis=1)[self._place[here]][:, MOMENT_SUMS]
         return table
 
     def by_batch(self, coefficients: np.ndarray) -> np.ndarray:
@@ -393,10 +393,10 @@ class PathTable(Sequence[PathRow]):
         (BATCHES,) float64
         """
         total = np.zeros(BATCHES)
-        for number, book in enumerate(self._books):
+        for number, one in enumerate(self._of_runs):
             here = np.flatnonzero((self._run == number) & np.any(coefficients != 0, axis=1))
-            sums = book.paths.sums[self._place[here]][:, :, MOMENT_SUMS]
-            total += book.unit * np.einsum("pbk,pk->b", sums, coefficients[here])
+            sums = one.paths.sums[self._place[here]][:, :, MOMENT_SUMS]
+            total += one.unit * np.einsum("pbk,pk->b", sums, coefficients[here])
         return total
 
     def by_way(self, aliases: Mapping[str, str] | str | None = None) -> pd.DataFrame:
@@ -425,14 +425,14 @@ class PathTable(Sequence[PathRow]):
             numbers = [np.unique(self._columns[name], return_inverse=True)[1] for name in KEPT_APART]
             apart = np.stack(numbers, axis=1).astype(np.uint32)
         head = np.arange(len(self))  # the strongest path of the same way
-        for number, book in enumerate(self._books):
+        for number, one in enumerate(self._of_runs):
             ids = np.flatnonzero((self._run == number) & ((self._columns["scatters"] > 0) | (aliases is not None)))
             place = self._place[ids]
-            codes, lengths = way(book.paths.events[place]), book.paths.lengths[place]
+            codes, lengths = way(one.paths.events[place]), one.paths.lengths[place]
             if aliases is not None:
-                names = alias_names(book.table, aliases)
+                names = alias_names(one.table, aliases)
                 codes, lengths, columns = aliased(codes, lengths, names)
-                of = dict(zip(book.table.event_ids, names, strict=True))
+                of = dict(zip(one.table.event_ids, names, strict=True))
                 columns |= {name: np.array([of.get(v, v) for v in self._columns[name][ids]], object) for name in NAMES}
                 for name, values in columns.items():
                     table.loc[ids, name] = values
@@ -493,14 +493,14 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     """The table of all paths of all runs; paths without a hit are left out."""
     import pandas as pd
 
-    books = [Book(paths, run.started, run.unit, run.table) for run, paths in zip(runs, decoded, strict=True)]
+    of_runs = [RunPaths(paths, run.started, run.unit, run.table) for run, paths in zip(runs, decoded, strict=True)]
     parts, places, numbers = [], [], []
-    for run, book in zip(runs, books, strict=True):
-        place = np.flatnonzero(book.paths.sums[:, :, 0].any(axis=1))
+    for run, one in zip(runs, of_runs, strict=True):
+        place = np.flatnonzero(one.paths.sums[:, :, 0].any(axis=1))
         facts = describe_events(
-            book.paths.events[place], book.paths.lengths[place], run.table.event_ids, run.table.event_words
+            one.paths.events[place], one.paths.lengths[place], run.table.event_ids, run.table.event_words
         )
-        numbers.append(path_numbers([RunSums(book.paths.sums[place], book.started, book.unit, facts["scatters"] > 0)]))
+        numbers.append(path_numbers([RunSums(one.paths.sums[place], one.started, one.unit, facts["scatters"] > 0)]))
         source = np.full(len(place), run.source.name, dtype=object)
         parts.append({"source": source, "wavelength_nm": np.full(len(place), run.source.wavelength_nm)} | facts)
         places.append(place)
@@ -514,7 +514,7 @@ def path_table(runs: Sequence[Run], decoded: Sequence[DecodedPaths]) -> PathTabl
     columns["path_id"] = np.arange(len(order))
     columns["label"] = np.array(path_labels(pd.DataFrame({name: columns[name] for name in LABELLED_BY})), dtype=object)
     columns |= _percents(found.light[order], found.light.total())
-    return PathTable(columns, books, number[order], np.concatenate(places)[order], found[order])
+    return PathTable(columns, of_runs, number[order], np.concatenate(places)[order], found[order])
 
 
 def _percents(light: Sampled, of: Sampled) -> dict[str, np.ndarray]:

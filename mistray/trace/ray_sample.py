@@ -27,7 +27,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
     ----------
     run : Run
     keys : sequence of int
-        Of the paths, see `mistray.recorders.ledger.extend_key`.
+        Of the paths, see `mistray.recorders.path_key.extend_key`.
     most : int
         Rays of each path after which no more are looked for.
 

@@ -14,8 +14,8 @@ from mistray.errors import MistrayError
 from mistray.execute.by_parts import TraceTask, images_by_parts
 from mistray.execute.tracer import Run, image
 from mistray.execute.workers import current_workers
-from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.gradients.run_gradient import run_gradient
+from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.recorders.film import image_word
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative, PathDerivative
 from mistray.recorders.sampled import Sampled
@@ -92,8 +92,8 @@ class Trace:
         self.energy = energy_ledger(runs, self.surfaces)
         self.coating_error = max(run.table.optics.error for run in runs)
         hits, flux, squares = (
-            sum(run.unit**power * float(run.reasons[reason].sum()) for run in runs)
-            for power, reason in enumerate((SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES))
+            sum(run.unit**power * float(run.channels[channel].sum()) for run in runs)
+            for power, channel in enumerate((SCATTERED_HITS, SCATTERED_FLUX, SCATTERED_SQUARES))
         )
         self.scattered_rays_per_start = hits / self.rays_traced
         self.largest_ray_share = max(run.unit * run.largest for run in runs) / flux if flux > 0 else float("nan")
@@ -103,7 +103,7 @@ class Trace:
         if self.rays_traced != self.rays_planned:
             self.notes.append(f"{self.rays_traced:.4g} of {self.rays_planned:.4g} rays were traced; errors are theirs")
         self.aiming, self.silent = aimed_surfaces(runs), silent_places(runs)
-        self.segments = round(sum(float(run.reasons[SEGMENTS].sum()) for run in runs))
+        self.segments = round(sum(float(run.channels[SEGMENTS].sum()) for run in runs))
         self.seconds = sum(run.seconds for run in runs)
 
     @property
@@ -355,7 +355,7 @@ class Trace:
         """
         return ray_table(self._runs, self.paths, PathFilter(selection), n, box, pixels, events)
 
-    def raw_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[RawGradient]:
+    def table_gradients(self, derivative: HitDerivative, request: GradientRequest) -> Iterator[TableGradient]:
         """
         Derivatives of a metric by all that the trace knows, by tracing the same rays again.
 
@@ -367,7 +367,7 @@ class Trace:
 
         Yields
         ------
-        RawGradient
+        TableGradient
             For each source and wavelength that matters.
         """
         if self.rays_traced != self.rays_planned:

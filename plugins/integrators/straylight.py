@@ -17,8 +17,8 @@ from mistray.gradients.coating_gradient import IDEAL_PARAMETERS
 from mistray.gradients.frozen_tangent import run_tangent
 from mistray.gradients.geometry_gradient import geometry_columns
 from mistray.gradients.parameter_gradient import edge_gradient, parameter_gradient
-from mistray.gradients.raw_gradient import EDGE_WIDTH, GradientRequest
 from mistray.gradients.run_gradient import run_gradient
+from mistray.gradients.table_gradient import EDGE_WIDTH, GradientRequest
 from mistray.ranges import EDGE_WIDTH as ZONE
 from mistray.sampling.sources import source_emitters
 from mistray.settings import Settings

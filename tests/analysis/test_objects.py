@@ -119,7 +119,7 @@ def test_cone_of_light_through_an_opening(load):
 
 
 def test_plate_in_front(load):
-    """Rays weigh T after one face and T² after both, against the light and with it."""
+    """Rays weigh T after one face and T² after both, backward and forward."""
     found = objects(load(plate_text(R=0.1, T=0.8)), rays=20_000, view_half_angle_deg=10.0, field_deg=[0.0])
     for name, seen, lit in (("p0_front", 0.8, 1.0), ("p0_rear", 1.0, 0.8), ("detector", 0.0, 0.64)):
         entry = row(found.optics, name)
@@ -204,7 +204,7 @@ def test_threshold_is_a_share_of_the_flux(phone):
 
 def test_rows_agree_with_the_kernel(phone):
     """
-    The ray tree against the light, with the same ray control, sees the same share of every surface.
+    The ray tree backwards, with the same ray control, sees the same share of every surface.
 
     One of a thousand such tests fails by chance.
     """

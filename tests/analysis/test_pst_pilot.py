@@ -1,4 +1,4 @@
-"""PST against the light with a pilot: each way is counted by the direction that sees it, errors know what is rare."""
+"""PST backwards with a pilot: each way is counted by the direction that sees it, errors know what is rare."""
 
 from __future__ import annotations
 
@@ -14,9 +14,9 @@ import mistray
 from mistray.analysis.pst.pilot import BACKWARD, FORWARD, SELDOM, Pilot, Plan, against_the_light, with_the_light
 from mistray.analysis.pst.result import Pst, notes
 from mistray.execute.backward import BackwardTrace
+from mistray.recorders.direction_recorder import CLASS_COUNT, SINGLE
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.ledger import ABSORBED, EVENT_BITS, REFLECTED, TRANSMITTED, host_keys
-from mistray.recorders.sky import CLASS_COUNT, SINGLE
+from mistray.recorders.path_key import ABSORBED, EVENT_BITS, REFLECTED, TRANSMITTED, host_keys
 from mistray.sampling.plane_wave import PlaneWaves, hull_points
 from mistray.settings import Settings
 from mistray.trace.all_cells import AllCells
@@ -57,7 +57,7 @@ def ring(z: float, inner: float, outer: float) -> dict[str, Any]:
 
 
 def singlet() -> mi.Scene:
-    """A lens whose light at 45° falls on the tube behind it: rays against the light find that by chance only."""
+    """A lens whose light at 45° falls on the tube behind it: backward rays find that by chance only."""
     edge = {"type": "frustum", "r0": 10.0, "z0": 0.8392, "r1": 10.0, "z1": 4.1608}
     edge["bsdf"] = {"type": "interface", "front": "1.5168", "R": 0.0}
     return tube(58.0, face(0.0, "back", 60.0), face(5.0, "front", -60.0), edge, ring(2.5, 10.0, 12.0))
@@ -79,13 +79,13 @@ def z_of(found: Pst, value: float, se: float) -> float:
     return float((found.value[-1] - value) / np.hypot(found.standard_error[-1], se))
 
 
-# From 3e7 rays with the light; see `test_errors_hold_over_a_hundred_seeds`, which traces its own
+# From 3e7 forward rays; see `test_errors_hold_over_a_hundred_seeds`, which traces its own
 SINGLET_45 = 3.3668e-6, 0.0324e-6
 
 
 def test_errors_at_a_fixed_number_of_rays_have_seen_the_rare_ways() -> None:
     """
-    The light by way of the tube, 15 % of all, got 12 of 6e6 rays against the light.
+    The light by way of the tube, 15 % of all, got 12 of 6e6 backward rays.
 
     Half of the runs were more than 3 standard errors low; all three below 4 would have had a chance of 1/4. With the
     pilot the largest of 100 was 3.2. If z has the t distribution of 32 batches, the false alarm is 0.1 %; what was seen
@@ -119,7 +119,7 @@ SYSTEMS["two_lenses"] = two_lenses, 35.0, 100_000_000  # scene, field angle, ray
 
 @functools.cache
 def reference(name: str) -> tuple[float, float]:
-    """PST and its error of rays with the light alone, of a seed that no run has."""
+    """PST and its error of forward rays alone, of a seed that no run has."""
     scene, angle, rays = SYSTEMS[name]
     found = mistray.pst(scene(), [angle], method="forward", cell_deg=2.0, rays=rays, seed=7, paths=False)
     return float(found.value[0]), float(found.standard_error[0])
@@ -207,7 +207,7 @@ def test_the_way_by_the_tube_is_counted_with_the_light(pilot: Any) -> None:
 
 
 def small_plan(**change: Any) -> Plan:
-    """Two ways in one cell: one counted with the light, one against it."""
+    """Two ways in one cell: one counted forwards, one against it."""
     plan = Plan(
         events=np.array([[1, 2], [3, 2]], dtype=np.uint32),
         lengths=np.array([2, 2]),

@@ -9,7 +9,7 @@ import numpy as np
 
 from mistray.analysis.pst.pilot import Plan
 from mistray.analysis.pst.shared_plan import share
-from mistray.recorders.ledger import EVENT_BITS, REFLECTED, TRANSMITTED
+from mistray.recorders.path_key import EVENT_BITS, REFLECTED, TRANSMITTED
 
 
 def table(*ids: str, media: tuple[str, ...] = ("unknown",)) -> Any:
@@ -39,7 +39,7 @@ def plan(ways: list[list[int]], pairs: list[tuple[int, int, bool]], hits: float 
 
 
 def decisions(one: Plan, names: Any) -> dict[tuple[tuple[tuple[str, int], ...], int], bool]:
-    """Whether each pair is counted with the light, by names of its places."""
+    """Whether each pair is counted forwards, by names of its places."""
     places = [*names.ids, *names.optics.media]
     found = {}
     for way, cell, forward in zip(one.way, one.cell, one.forward, strict=True):

@@ -1,4 +1,4 @@
-"""A run against the light: what its result says of single rays, and how often it reads and saves its books."""
+"""A backward run: what its result says of single rays, and how often it reads and saves its books."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ import mistray
 from mistray.analysis.pst import adjoint_run
 from mistray.analysis.pst.state import PstProgress, load_state
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.sky import CLASSES, DIFFRACTED, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
+from mistray.recorders.direction_recorder import CLASSES, DIFFRACTED, DIRECT, GHOST, MULTIPLE, SINGLE, STRAIGHT
 from mistray.settings import Settings
 
 pytestmark = pytest.mark.quick

@@ -19,8 +19,8 @@ from mistray.analysis.study.objects import source_angles
 from mistray.analysis.study.step import STEPS
 from mistray.analysis.study.surfaces import coatings_and_scatter, importance_sampling
 from mistray.errors import MistrayError
-from mistray.sampling.aiming import aims
 from mistray.sampling.design_path import find_design_path
+from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources
 from mistray.surfaces.surfaces import SurfaceTable
 from mistray.trace import Settings
@@ -136,7 +136,7 @@ def test_transmittance_of_the_design_path(camera):
 def test_targets_say_where_and_how_large(camera):
     """The rear of the filter sees the detector itself, 0.1363 mm away; its front is given a target far away."""
     scene, table, path = camera
-    step = importance_sampling(table, path, aims(table, scene, Settings.of(scene)), None)
+    step = importance_sampling(table, path, importance_targets(table, scene, Settings.of(scene)), None)
     rows = step.table.set_index("surface")
     assert rows.distance_mm["filter_rear"] == pytest.approx(0.1363)
     assert rows.half_width_mm["filter_rear"] == pytest.approx(4.36788654 / 2)
@@ -155,7 +155,7 @@ def test_targets_say_where_and_how_large(camera):
 def test_every_traced_target_stands_beside_the_paraxial_image(camera):
     """A surface of the path with three targets, as a user may give them, has three rows; the others have one."""
     scene, table, path = camera
-    found = dict(aims(table, scene, Settings.of(scene)))
+    found = dict(importance_targets(table, scene, Settings.of(scene)))
     places = [(s.surface, s.to_back) for s in path.steps[:-1]]
     more = [replace(target, share=1 / 3) for place in places[:3] for target in found[place].targets]
     found[places[1]] = replace(found[places[1]], targets=tuple(more))
@@ -186,7 +186,7 @@ def test_paraxial_targets_are_those_of_table_15():
     scene = replace(prescription, detector=detector).to_scene()
     table = SurfaceTable(scene, D_LINE_NM)
     path = find_design_path(table, scene)
-    step = importance_sampling(table, path, aims(table, scene, Settings.of(scene)), None)
+    step = importance_sampling(table, path, importance_targets(table, scene, Settings.of(scene)), None)
     beside = step.tables["paraxial_targets"]
     lenses = [table.ids[s.surface] for s in path.steps[:-1]]
     lenses = lenses[lenses.index("L1_front") :]

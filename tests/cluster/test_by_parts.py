@@ -126,7 +126,7 @@ def test_what_was_finished_is_a_trace_of_fewer_rays(scene, monkeypatch):
     np.testing.assert_allclose(part.irradiance_of([0])[0].sum() * area, part.paths[0].power_W, rtol=1e-6)
     assert len(part.history(0, 2)) == 2
     with pytest.raises(mistray.MistrayError, match="gradients need all"):
-        list(part.raw_gradients(None, None))
+        list(part.table_gradients(None, None))
 
 
 def test_a_grid_whose_rows_are_not_all_there_is_no_result(monkeypatch):

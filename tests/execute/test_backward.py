@@ -1,4 +1,4 @@
-"""Traces against the light: balance, books of paths, passes that add up, and the tables made of them."""
+"""Backward traces: balance, books of paths, passes that add up, and the tables made of them."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from mistray.analysis.pst.pilot import with_the_light
 from mistray.execute import backward
 from mistray.execute.backward import BackwardTrace, Seen, see
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.ledger import ABSORBED, EVENT_BITS, RANDOM_REFLECTED, REFLECTED, TRANSMITTED, host_keys
-from mistray.recorders.path_books import join_books
+from mistray.recorders.path_key import ABSORBED, EVENT_BITS, RANDOM_REFLECTED, REFLECTED, TRANSMITTED, host_keys
+from mistray.recorders.path_sums import join_sums
 from mistray.settings import BATCHES, Settings
 
 RAYS = 4096
@@ -252,7 +252,7 @@ class TestPasses:
         trace = traced(wall_scene, wavelength_nm=[450.0, 600.0])
         assert trace.weights == (0.5, 0.5)
         assert trace.rays.sum() == RAYS
-        assert trace.sums["reasons"].shape[1] == BATCHES
+        assert trace.sums["channels"].shape[1] == BATCHES
 
     def test_size_of_the_passes(self, wall_scene) -> None:
         trace = traced(wall_scene, passes=0)
@@ -373,7 +373,7 @@ def test_with_the_light_without_events() -> None:
 
 
 def book(events: list[list[int]], entries: list[tuple[int, int, float, float, float]]) -> dict[str, np.ndarray]:
-    """A table like that of `PathBook.read`; entries: path, cell, hits, weight, squares."""
+    """A table like that of `PathSums.read`; entries: path, cell, hits, weight, squares."""
     longest = max(map(len, events), default=0)
     padded = np.zeros((len(events), longest), dtype=np.uint32)
     for row, codes in zip(padded, events, strict=True):
@@ -402,7 +402,7 @@ def test_join_books() -> None:
     """A path of both is one path, in another order and with longer rows too."""
     first = book([[A, B], [C]], [(0, 0, 2, 1.0, 0.5), (0, 3, 1, 4.0, 16.0), (1, 0, 1, 0.25, 0.0625)])
     second = book([[C], [A, B, C], [A, B]], [(0, 0, 3, 0.5, 0.1), (1, 2, 1, 8.0, 64.0), (2, 3, 1, 1.0, 1.0)])
-    joined = join_books(first, second)
+    joined = join_sums(first, second)
     expected = {
         ((A, B), 0): (2, 1.0, 0.5),
         ((A, B), 3): (2, 5.0, 17.0),
@@ -412,12 +412,12 @@ def test_join_books() -> None:
     assert_contents(joined, expected)
     assert len(joined["lengths"]) == 3
     assert len(np.unique(host_keys(joined["events"], joined["lengths"]))) == 3
-    assert_contents(join_books(second, first), expected)
+    assert_contents(join_sums(second, first), expected)
 
 
 def test_join_books_with_an_empty_one() -> None:
     full, empty = book([[A, B]], [(0, 1, 1, 2.0, 4.0)]), book([], [])
-    for joined in (join_books(full, empty), join_books(empty, full)):
+    for joined in (join_sums(full, empty), join_sums(empty, full)):
         assert_contents(joined, contents(full))
 
 
@@ -429,7 +429,7 @@ def test_joined_books_of_two_traces_are_the_book_of_both(wall_scene) -> None:
     resumed = traced(wall_scene, passes=0, **settings)
     resumed.go_on_from(begun.sums, 1, 0.0)
     resumed.advance(RAYS)
-    assert_contents(join_books(begun.paths(), resumed.paths()), contents(whole.paths()))
+    assert_contents(join_sums(begun.paths(), resumed.paths()), contents(whole.paths()))
 
 
 def test_strongest() -> None:

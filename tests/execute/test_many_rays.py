@@ -125,11 +125,11 @@ def test_sums_go_on_beyond_32_bits() -> None:
     run = runs_of_most_rays()
     tallies, images, ledger = run.make_tallies(), Images(run.make_film()), Ledger(64, run.settings.max_events)
     before = 2.0**33
-    for recorder, name in ((tallies, "surfaces"), (tallies, "reasons"), (images, "sums"), (ledger, "sums")):
+    for recorder, name in ((tallies, "surfaces"), (tallies, "channels"), (images, "sums"), (ledger, "sums")):
         values = getattr(recorder, name)
         assert type(values) is mi.Float64, name
         setattr(recorder, name, dr.full(mi.Float64, before, dr.width(values)))
-    dr.eval(tallies.surfaces, tallies.reasons, images.sums, ledger.sums)
+    dr.eval(tallies.surfaces, tallies.channels, images.sums, ledger.sums)
     start = run.start_pass(run.passes - 1)
     run.walk(start, tallies, ledger, images)
     rays = dr.width(start.lane)

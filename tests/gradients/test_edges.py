@@ -26,8 +26,8 @@ from mistray.execute.backward import BackwardTrace
 from mistray.execute.tracer import prepare
 from mistray.optimize import path_power
 from mistray.optimize.scene_values import changed
+from mistray.recorders.direction_recorder import CLASS_COUNT, MULTIPLE, SINGLE
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.sky import CLASS_COUNT, MULTIPLE, SINGLE
 from mistray.recorders.tallies import ABSORBED_HERE
 from mistray.settings import Settings
 
@@ -250,7 +250,7 @@ def baffle_text(hole: float = HOLE, vane: float = VANE, paint: float = 0.0) -> s
 
 
 def scattered(load: Load, text: str, rays: int, scatters: int, seed: int) -> tuple[BackwardTrace, np.ndarray]:
-    """A trace against the light and what scattered light leaves, by batch, as a share of all start rays."""
+    """A backward trace and what scattered light leaves, by batch, as a share of all start rays."""
     settings = Settings(max_scatters=scatters, seed=seed)
     trace = BackwardTrace(load(text), DirectionGrid.of([45.0], cell_deg=90.0), settings, both_sides=False)
     trace.advance(rays)

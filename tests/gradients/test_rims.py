@@ -17,13 +17,13 @@ from mistray.errors import MistrayError
 from mistray.execute.backward import BackwardTrace
 from mistray.execute.tracer import Run, prepare
 from mistray.gradients import edges
-from mistray.gradients.rim_joints import rim_circles
+from mistray.gradients.edge_contacts import rim_circles
 from mistray.gradients.rims import RimRecorder
 from mistray.kernel.ray_tree import trace_tree
 from mistray.recorders.adjoint import Adjoint
+from mistray.recorders.direction_recorder import CLASS_COUNT
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.ledger import EVENT_BITS
-from mistray.recorders.sky import CLASS_COUNT
+from mistray.recorders.path_key import EVENT_BITS
 from mistray.recorders.start_rays import StartRays
 from mistray.settings import Settings
 from mistray.surfaces.gradient_columns import HIGH, INNER, LOW, OUTER
@@ -87,13 +87,13 @@ def going_on(found: dict[str, np.ndarray], rng: mi.PCG32) -> StartRays:
         w=mi.Float(found["w"].astype(np.float32)),
         key=mi.UInt64(found["key"]),
         birth=mi.Float(found["birth"]),
-        aside=mi.Bool(found["aside"]),
+        off_design=mi.Bool(found["off_design"]),
         at=mi.UInt32(found["surface"].astype(np.uint32)),
         **{name: mi.UInt32(values.astype(np.uint32)) for name, values in before.items()},
     )
 
 
-class TestBook:
+class TestRimRecorder:
     def test_hits_of_the_zones(self, load_scene) -> None:
         """All hits of a rectangle and of an annulus within their zones, none else, with their distances."""
         half = interface_xml(R=0.0, T=0.5)
@@ -188,11 +188,11 @@ class TestBook:
         dr.eval(adjoint.gain)
         found = np.bincount(np.array(start.batch), np.array(adjoint.gain), 32)
         np.testing.assert_allclose(found, expected, rtol=1e-9)
-        assert adjoint.sky is not None
-        assert not np.any(np.array(adjoint.sky.sums))
+        assert adjoint.directions is not None
+        assert not np.any(np.array(adjoint.directions.sums))
 
 
-class TestJoints:
+class TestContacts:
     def scene(self, load_scene: Any) -> dict[tuple[str, int], list[tuple[str, tuple[float, ...], bool]]]:
         text = scene_text(
             shape_xml("frustum", "front", 5.0, r0=3.0, z0=0.0, r1=10.0, z1=0.0),
@@ -205,7 +205,7 @@ class TestJoints:
         table = executed(load_scene(text), rays=32).table
         return {
             (table.ids[surface], rim): [
-                (table.ids[j.surface], tuple(np.round(j.along, 6)), j.ends) for j in circle.joints
+                (table.ids[j.surface], tuple(np.round(j.along, 6)), j.ends) for j in circle.contacts
             ]
             for (surface, rim), circle in rim_circles(table).items()
         }
@@ -229,7 +229,7 @@ class TestJoints:
         land = land.replace('<transform name="to_world"><translate z="5.0"/></transform>', moved)
         text = scene_text(front, land, shape_xml("asphere", "detector", 30.0, sensor=True, semi_diameter=3.0))
         table = executed(load_scene(text), rays=32).table
-        assert not any(circle.joints for circle in rim_circles(table).values())
+        assert not any(circle.contacts for circle in rim_circles(table).values())
 
 
 class TestPortions:

@@ -171,7 +171,7 @@ def differentiable(form: Form) -> set[str]:
     return set(form.values) - ({"slope"} if form.options.get("theory") == "ghs_full" else set())
 
 
-# Forms whose light differs most by the direction in which it is traced; all others against the light are slow
+# Forms whose light differs most by the direction in which it is traced; all others backwards are slow
 BACKWARD = ("abg", "paint", "rayleigh_rice", "ghs_full")
 DIRECTIONS = [pytest.param(name, False, id=f"{name}-forward") for name in FORMS] + [
     pytest.param(name, True, id=f"{name}-backward", marks=slow_unless(name in BACKWARD)) for name in FORMS
@@ -320,7 +320,7 @@ def integral_peak(values: dict[str, float]) -> float:
 
 
 def test_shares_of_the_coating(load_scene: Load) -> None:
-    """d ln f/dR: 1/R where scatter is a share of R, 0 where it is absolute; the same against the light."""
+    """d ln f/dR: 1/R where scatter is a share of R, 0 where it is absolute; the same backwards."""
     for name, expected in (("abg", 1 / R), ("abg absolute", 0.0)):
         table = table_of(load_scene, model_xml(FORMS[name]))
         for backward in (False, True):

@@ -236,7 +236,7 @@ class TestRotation:
 
 
 class TestBothDirections:
-    """Rays with the light and against it give the same PST of each quadrant of azimuths."""
+    """Rays forward and backward give the same PST of each quadrant of azimuths."""
 
     @pytest.mark.long
     @pytest.mark.parametrize(

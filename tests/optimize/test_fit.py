@@ -11,7 +11,7 @@ import pytest
 
 import mistray
 from mistray.errors import MistrayError
-from mistray.gradients.raw_gradient import GradientRequest
+from mistray.gradients.table_gradient import GradientRequest
 from mistray.optimize import Modelled, PstBands, fit, pst_bin
 
 X = np.linspace(0, 2, 12)
@@ -128,7 +128,7 @@ class TestPstBands:
             PstBands(scene, ("polish.rms",), (4, 6))
         seen = PstBands(scene, KEYS, (20, 22), cell_deg=2.0, **SETTINGS).observe((1.5, 300, 0.04)).pst
         with pytest.raises(MistrayError, match="edges=False"):
-            next(seen.raw_gradients(np.ones((5, 1, 2)), GradientRequest(scatter=True), np.zeros((1, 2), dtype=int)))
+            next(seen.table_gradients(np.ones((5, 1, 2)), GradientRequest(scatter=True), np.zeros((1, 2), dtype=int)))
 
 
 @pytest.fixture(scope="module")

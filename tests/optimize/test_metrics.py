@@ -13,7 +13,7 @@ from oracles.small_scenes import interface_xml, scene_text, shape_xml
 
 import mistray
 from mistray import MistrayError
-from mistray.analysis.pool import by_path
+from mistray.analysis.combine import by_path
 from mistray.optimize.metrics import views
 from mistray.optimize.metrics.metric import (
     Metric,

@@ -25,8 +25,8 @@ from mistray.optimize.metrics.metric import Metric, combine, log
 from mistray.optimize.metrics.observation import smooth_maximum
 from mistray.optimize.metrics.pst_metrics import pst_band, pst_bin, pst_mask, veiling_glare
 from mistray.optimize.metrics.pst_observation import PstObservation
+from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
-from mistray.recorders.sky import CLASSES
 
 BATCHES = 32
 

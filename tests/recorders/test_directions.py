@@ -12,9 +12,9 @@ import pytest
 from oracles.scatter_scenes import beam_xml, placed_xml, scatter_scene
 
 from mistray import MistrayError
+from mistray.recorders.direction_recorder import DirectionRecorder
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.recorder import Departure
-from mistray.recorders.sky import Sky
 from mistray.sampling.sources import scene_sources
 
 pytestmark = pytest.mark.quick
@@ -175,7 +175,7 @@ def test_facts_come_back() -> None:
 
 def device_cells(grid: DirectionGrid, d: np.ndarray) -> np.ndarray:
     """Cells of rays along d by the kernel; -1: none."""
-    sky = Sky(grid)
+    sky = DirectionRecorder(grid)
     cell, inside = sky.cell(mi.Vector3f(*np.ascontiguousarray(d.T, dtype=np.float32)))
     return np.where(np.array(inside), np.array(cell).astype(np.int64), -1)
 
@@ -250,7 +250,7 @@ def test_azimuth_is_that_of_a_source(load_scene) -> None:
 def test_sums_are_booked_once() -> None:
     """Each ray is counted either in its cell or elsewhere, in its batch."""
     grid = DirectionGrid.of([20.0], cell_deg=20.0)
-    sky = Sky(grid)
+    sky = DirectionRecorder(grid)
     theta = np.radians([15.0, 25.0, 50.0])
     d = mi.Vector3f(*(-np.stack([np.sin(theta), 0 * theta, np.cos(theta)])).astype(np.float32))
     zero, yes = dr.zeros(mi.UInt32, 3), dr.full(mi.Bool, True, 3)

@@ -7,8 +7,9 @@ from types import SimpleNamespace
 
 import numpy as np
 
-from mistray.recorders.ledger import EVENT_BITS, SUMS, DecodedPaths, host_keys
+from mistray.recorders.ledger import SUMS, DecodedPaths
 from mistray.recorders.path_events import LETTERS
+from mistray.recorders.path_key import EVENT_BITS, host_keys
 from mistray.settings import BATCHES
 from mistray.surfaces.optics import DETECTOR, DIFFRACTS, MIRROR, OPAQUE, WALL
 

@@ -1,4 +1,4 @@
-"""Scatter in media that is aimed: closed forms, runs without aim, targets of the user, against the light."""
+"""Scatter in media that is aimed: closed forms, runs without aim, targets of the user, backwards."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from oracles.statistics import z_limit
 
 import mistray
 from mistray.kernel.targets import Inside
-from mistray.sampling.aiming import aims
+from mistray.sampling.importance_targets import importance_targets
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -159,7 +159,7 @@ def test_a_lens_on_the_design_path_is_aimed_at_the_image_of_the_detector() -> No
     """Light scattered in the lens, that of an unaimed run within 4 errors (6e-5), from a tenth of the rays."""
     scene = mistray.load(lens())
     table = SurfaceTable(scene, 550.0)
-    found = aims(table, scene, Settings())
+    found = importance_targets(table, scene, Settings())
     sides = {(table.ids[place.surface], place.at_back) for place in found if isinstance(place, Inside)}
     assert sides == {("first", True), ("second", False), ("edge", False)}
 

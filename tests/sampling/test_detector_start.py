@@ -1,4 +1,4 @@
-"""Start rays of a trace against the light: uniform places, and a Lambertian detector."""
+"""Start rays of a backward trace: uniform places, and a Lambertian detector."""
 
 from __future__ import annotations
 

@@ -16,7 +16,8 @@ from tiers import slow_unless
 
 import mistray
 from mistray.execute import tracer
-from mistray.recorders.ledger import FIRST_KEY, MULTIPLIER, Ledger, extend_key, host_keys
+from mistray.recorders.ledger import Ledger
+from mistray.recorders.path_key import FIRST_KEY, MULTIPLIER, extend_key, host_keys
 
 SCENES = sorted((Path(__file__).parents[2] / "scenes").glob("*/scene.xml"))
 # Lenses, mirrors, walls and scatter; all others are slow

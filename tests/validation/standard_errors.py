@@ -19,7 +19,7 @@ import mistray
 from mistray.analysis.metrics import glare, ratios
 from mistray.analysis.metrics.extended_source import Disc, Sky, source_irradiance
 from mistray.optimize.metrics import metric as metrics
-from mistray.recorders.sky import CLASSES
+from mistray.recorders.direction_recorder import CLASSES
 
 SEEDS = 100
 Entry = tuple[str, str, float, float]  # kind, name, value, standard error

@@ -1,6 +1,6 @@
-"""The PST against the light and with it: two samplings of one integral, on five scenes with ghosts and scatter.
+"""The PST backward and forward: two samplings of one integral, on five scenes with ghosts and scatter.
 
-The trace against the light starts on the detector and sorts its rays by where they leave; the one with the light starts
+The backward trace starts on the detector and sorts its rays by where they leave; the one with the light starts
 a plane wave for each angle. They share the surfaces, the coatings and the BSDFs of the kernel, not the sampling, the
 weights nor the books. A PST is wrong in both only where those that they share are, which other tests check.
 

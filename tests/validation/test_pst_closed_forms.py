@@ -331,7 +331,7 @@ class TestWhiteFurnace:
     def test_phone_camera(self) -> None:
         """The whole camera: its coatings have R + T = 1; its barrel, lens edges and detector scatter everything.
 
-        The camera is a good trap: most rays make more than the 64 events that a path can have. A ray against the light
+        The camera is a good trap: most rays make more than the 64 events that a path can have. A backward ray
         loses nothing, so that it leaves by the front at last, and adding what is cut is exact. The detector's albedo
         must be 1 like all others: a black one would be a cold spot that the rest sees.
         """

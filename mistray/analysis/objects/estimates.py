@@ -59,7 +59,7 @@ class Product:
 
 @dataclass(frozen=True, eq=False)
 class Seen:
-    """Rays against the light that meet an object, and their places as a search tree."""
+    """Backward rays that meet an object, and their places as a search tree."""
 
     hits: Samples
     tree: cKDTree

@@ -146,7 +146,7 @@ class Places:
         gap : (m,) int
             In which the rays were before the hit.
         backward : bool
-            Whether the rays go against the light.
+            Whether the rays go backwards.
 
         Returns
         -------

@@ -1,6 +1,6 @@
 """Rays that have one child at every surface, hit by hit: what can be seen from somewhere, without ghosts and scatter.
 
-Rays go with the light or against it; the geometry is the same. They are followed all at once, surface by surface, and
+Rays go forward or backward; the geometry is the same. They are followed all at once, surface by surface, and
 every hit comes back to the host with its point, its directions and the side of the surface.
 """
 

@@ -1,6 +1,6 @@
 """Critical, illuminated and common objects of an optical system.
 
-A *critical* object is one that the detector sees: rays from the detector against the light, which surfaces only
+A *critical* object is one that the detector sees: rays from the detector backwards, which surfaces only
 transmit, meet it. An *illuminated* object is one that light from outside reaches in the same way. What is both can send
 light to the detector by a single scatter event. The surfaces of the design path are always both; they are listed apart.
 """

@@ -91,7 +91,7 @@ class WayOut:
 
 class View:
     """
-    Follows rays from a source and books what they meet.
+    Follows rays from a source and records what they meet.
 
     An *object* is a surface, or one side of it where it is opaque: number 2 s for the front of surface s (and for both
     sides of one that transmits), 2 s + 1 for its back.
@@ -104,7 +104,7 @@ class View:
     rays : int
     seed : int
     backward : bool
-        Whether the rays go against the light.
+        Whether the rays go backwards.
     axis : (3,) float64
         Direction of light at field angle 0.
     progress : callable, optional
@@ -185,7 +185,7 @@ class View:
             if trail is not None:
                 trail[step.lane, step.number] = step.surface
                 total[step.lane] |= step.total
-            self._book(step, here, batch[step.lane], open_objects, fresh)
+            self._record(step, here, batch[step.lane], open_objects, fresh)
         for k in open_objects:
             kept = self._kept[k]
             kept.parts += fresh.get(k, [])
@@ -197,7 +197,7 @@ class View:
         back = self._opaque[hits.surface] & ~hits.from_front
         return SIDES * hits.surface + back
 
-    def _book(
+    def _record(
         self,
         hits: Hits,
         gap: np.ndarray,
@@ -234,12 +234,12 @@ class View:
             here = inverse.ravel() == k
             lanes = out.lane[here]
             key = tuple(int(s) for s in way[1:] if s >= 0), bool(way[0])
-            book = self._ways.setdefault(
+            way = self._ways.setdefault(
                 key, {"flux": np.zeros(BATCHES), "rays": np.zeros(1), "angles": np.array([180.0, 0.0])}
             )
-            book["flux"] += np.bincount(batch[lanes], out.weight[here], minlength=BATCHES)
-            book["rays"] += len(lanes)
-            book["angles"][:] = min(book["angles"][0], angle[here].min()), max(book["angles"][1], angle[here].max())
+            way["flux"] += np.bincount(batch[lanes], out.weight[here], minlength=BATCHES)
+            way["rays"] += len(lanes)
+            way["angles"][:] = min(way["angles"][0], angle[here].min()), max(way["angles"][1], angle[here].max())
 
     # ---- results
 
@@ -265,12 +265,12 @@ class View:
         return Samples(**joined, rays=kept.rays)
 
     def ways_out(self) -> list[WayOut]:
-        """Ways by which rays against the light leave the scene, the strongest first."""
+        """Ways by which backward rays leave the scene, the strongest first."""
         found = []
-        for (surfaces, total), book in self._ways.items():
-            share, se = self._share(book["flux"])
-            low, high = (float(angle) for angle in book["angles"])
-            found.append(WayOut(surfaces, total, int(book["rays"][0]), share, se, (low, high)))
+        for (surfaces, total), way in self._ways.items():
+            share, se = self._share(way["flux"])
+            low, high = (float(angle) for angle in way["angles"])
+            found.append(WayOut(surfaces, total, int(way["rays"][0]), share, se, (low, high)))
         return sorted(found, key=lambda way: -way.share)
 
     def _share(self, by_batch: np.ndarray) -> tuple[float, float]:

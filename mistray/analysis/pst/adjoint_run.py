@@ -1,4 +1,4 @@
-"""A PST from rays against the light: pass after pass, beside what is counted with the light; saved and continued."""
+"""A PST from backward rays: pass after pass, beside what is counted forwards; saved and continued."""
 
 from __future__ import annotations
 
@@ -18,8 +18,8 @@ from mistray.analysis.pst.with_light import PLAN, SUMS, WithLight, saved_plan
 from mistray.errors import UnfinishedError
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
 from mistray.interrupts import later, requested
-from mistray.recorders.path_books import join_books
-from mistray.recorders.sky import DIFFRACTED, MULTIPLE, SINGLE
+from mistray.recorders.direction_recorder import DIFFRACTED, MULTIPLE, SINGLE
+from mistray.recorders.path_sums import join_sums
 from mistray.sampling.plane_wave import PlaneWaves
 from mistray.time_budget import time_is_up
 from mistray.trace.all_cells import AllCells
@@ -36,7 +36,7 @@ class AdjointRun:
     """
     Passes of a backward trace, as many as its pilot asks for; what is finished can be saved and continued.
 
-    Ways that the rays against the light find by chance only are counted with the light, see
+    Ways that the backward rays find by chance only are counted forwards, see
     `mistray.analysis.pst.pilot`.
     """
 
@@ -53,7 +53,7 @@ class AdjointRun:
         self._pilot_seconds = 0.0
         self._wanted: tuple[float | None, float | None] = (None, None)
         self._before: dict[str, np.ndarray] = {}  # path table of the run that this one goes on from
-        self._book: dict[str, np.ndarray] | None = None  # the path table of both, once it is read
+        self._table: dict[str, np.ndarray] | None = None  # the path table of both, once it is read
         settings = asdict(trace.settings)
         del settings["rays"]
         self._signature = {
@@ -93,7 +93,7 @@ class AdjointRun:
         ----------
         plan : Plan
         with_light : callable
-            Gives (c,) rays with the light beside so many against it.
+            Gives (c,) forward rays beside so many against it.
         progress : callable, optional
         """
         wanted, up_to_deg = self._wanted
@@ -117,7 +117,7 @@ class AdjointRun:
                     raise
                 if wanted is None:  # in steps that hang on what is done alone, so that a run may be continued
                     self._with_light.go_on(with_light(2.0 ** np.floor(np.log2(trace.rays.sum()))))
-                self._book, all_saved = None, False
+                self._table, all_saved = None, False
                 now = time.perf_counter()
                 if self._state is not None and (saving <= SAVING * (now - saved) or now - began > LONG_PASS):
                     self._save()
@@ -148,7 +148,7 @@ class AdjointRun:
 
     def _budget(self, plan: Plan, wanted: float | None, up_to_deg: float | None) -> int:
         """
-        Rays against the light that there will be.
+        Backward rays that there will be.
 
         Cells in which the pilot finds no light get `DARK_AFTER` of them, and are taken for dark after that.
         """
@@ -195,10 +195,10 @@ class AdjointRun:
 
     def _paths(self) -> dict[str, np.ndarray]:
         """The path table of this run and of the one before."""
-        if self._book is None:
+        if self._table is None:
             here = self._trace.paths() or {}
-            self._book = join_books(self._before, here) if self._before and here else here
-        return self._book
+            self._table = join_sums(self._before, here) if self._before and here else here
+        return self._table
 
     def _pst(self) -> Pst:
         assert self._with_light is not None

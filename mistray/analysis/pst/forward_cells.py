@@ -14,15 +14,15 @@ from mistray.execute.by_parts import SceneTask, tables_of
 from mistray.execute.tracer import Run, image
 from mistray.kernel.scatter_tables import ScatterTables
 from mistray.kernel.scattering import Scattering
+from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.film import Film, groups_of
-from mistray.recorders.ledger import host_keys
 from mistray.recorders.path_events import DIRECT, describe_events, way
+from mistray.recorders.path_key import host_keys
 from mistray.recorders.sampled import batch_error
-from mistray.recorders.sky import CLASSES
 from mistray.recorders.tallies import SCATTERED_FLUX, SEGMENTS
-from mistray.sampling.aiming import aims
 from mistray.sampling.design_path import find_design_path
+from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.outlines import detector_area
 from mistray.sampling.plane_wave import Entrance, PlaneWaves, hull_points
 from mistray.settings import BATCHES, Settings
@@ -165,8 +165,8 @@ class Sums:
         self.started = self.started + run.started
         self.film = self.film + run.film
         self.largest = max(self.largest, run.largest)
-        self.scattered += float(run.reasons[SCATTERED_FLUX].sum())
-        self.segments += float(run.reasons[SEGMENTS].sum())
+        self.scattered += float(run.channels[SCATTERED_FLUX].sum())
+        self.segments += float(run.channels[SEGMENTS].sum())
 
     def widen(self, count: int) -> None:
         """Make room for as many ways."""
@@ -288,7 +288,7 @@ class ForwardCells:
         self._map_size = max(1, round(pixels * width)), max(1, round(pixels * height))
         self.has_maps = map_pixels > 0
         self._waves = PlaneWaves(hull_points(self.table) if points is None else points, grid, entrance)
-        intersector, targets = Intersector(self.table), aims(self.table, scene, settings)
+        intersector, targets = Intersector(self.table), importance_targets(self.table, scene, settings)
         self._runs = []
         for wavelength, share in zip(self.wavelengths_nm.tolist(), self.shares.tolist(), strict=True):
             table = self.table if wavelength == self.table.wavelength_nm else self.table.at(wavelength)

@@ -10,9 +10,9 @@ import numpy as np
 from mistray.analysis.pst.pilot import BACKWARD, FORWARD, SELDOM, with_the_light
 from mistray.analysis.pst.with_light import WithLight
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.ledger import host_keys
+from mistray.recorders.direction_recorder import CLASS_COUNT
 from mistray.recorders.path_events import DIRECT, describe_events
-from mistray.recorders.sky import CLASS_COUNT
+from mistray.recorders.path_key import host_keys
 
 if TYPE_CHECKING:
     import pandas as pd
@@ -49,15 +49,15 @@ class FoundPairs:
     planned: np.ndarray
 
     @classmethod
-    def of(cls, trace: BackwardTrace, light: WithLight, book: dict[str, np.ndarray]) -> FoundPairs:
-        """What a run has found; `book` is the path table of all its rays against the light."""
+    def of(cls, trace: BackwardTrace, light: WithLight, paths: dict[str, np.ndarray]) -> FoundPairs:
+        """What a run has found; `paths` is the path table of all its backward rays."""
         plan = light.plan
-        if not book:
+        if not paths:
             nothing = np.zeros(0)
-            book = {name: nothing for name in ("hits", "weight", "squares")}
-            book |= {name: nothing.astype(np.int64) for name in ("lengths", "path", "cell")}
-            book["events"] = np.zeros((0, 1), dtype=np.uint32)
-        turned, lengths = with_the_light(book["events"], book["lengths"], trace.table.detector)
+            paths = {name: nothing for name in ("hits", "weight", "squares")}
+            paths |= {name: nothing.astype(np.int64) for name in ("lengths", "path", "cell")}
+            paths["events"] = np.zeros((0, 1), dtype=np.uint32)
+        turned, lengths = with_the_light(paths["events"], paths["lengths"], trace.table.detector)
         longest = max(turned.shape[1], plan.events.shape[1])
         events = np.concatenate(
             [np.pad(part, ((0, 0), (0, longest - part.shape[1]))) for part in (turned, plan.events)]
@@ -68,15 +68,15 @@ class FoundPairs:
         numbers, hits, value, variance = light.pairs()
         met = hits > 0
         rays = float(trace.rays.sum())
-        unit = np.repeat(np.pi / trace.grid.solid_angle, trace.grid.shape[1])[book["cell"]] / rays
-        spread = unit**2 * np.maximum(book["squares"] - book["weight"] ** 2 / rays, 0)
+        unit = np.repeat(np.pi / trace.grid.solid_angle, trace.grid.shape[1])[paths["cell"]] / rays
+        spread = unit**2 * np.maximum(paths["squares"] - paths["weight"] ** 2 / rays, 0)
         return cls(
             events=events[chosen],
             lengths=lengths[chosen],
-            way=np.concatenate([place[book["path"]], planned[numbers[met]]]),
-            cell=np.concatenate([book["cell"], plan.cell[numbers[met]]]),
-            hits=np.concatenate([book["hits"], hits[met]]),
-            value=np.concatenate([unit * book["weight"], value[met]]),
+            way=np.concatenate([place[paths["path"]], planned[numbers[met]]]),
+            cell=np.concatenate([paths["cell"], plan.cell[numbers[met]]]),
+            hits=np.concatenate([paths["hits"], hits[met]]),
+            value=np.concatenate([unit * paths["weight"], value[met]]),
             variance=np.concatenate([spread, variance[met]]),
             planned=planned,
         )

@@ -1,8 +1,8 @@
-"""A pilot for runs against the light: which ways the light takes, and which direction of tracing samples each better.
+"""A pilot for backward runs: which ways the light takes, and which direction of tracing samples each better.
 
-Rays of its own search in both directions, with the light and against it, and list what they find by way and cell of
-directions. A way that rays against the light find by chance only, and that rays with the light find easily, is then
-counted with the light; all others are counted against it. Since the pilot is independent of the run, the sum of both
+Rays of its own search in both directions, forward and backward, and list what they find by way and cell of
+directions. A way that backward rays find by chance only, and that forward rays find easily, is then
+counted forwards; all others are counted against it. Since the pilot is independent of the run, the sum of both
 parts has the same mean as either direction alone. The same lists tell how many rays a run needs, so that nothing has to
 be decided on the samples that are averaged, and which ways a run has sampled too seldom.
 
@@ -17,14 +17,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.ledger import ABSORBED, EVENT_BITS, host_keys
-from mistray.recorders.path_books import join_books
+from mistray.recorders.path_key import ABSORBED, EVENT_BITS, host_keys
+from mistray.recorders.path_sums import join_sums
 from mistray.trace.all_cells import AllCells, whole_batches
 
 FORWARD, BACKWARD = 0, 1
-BETTER = 0.5  # variance × cost, with the light over against it, below which a way is counted with the light
+BETTER = 0.5  # variance × cost, with the light over against it, below which a way is counted forwards
 KNOWN_HITS = 8  # of a way in a cell, above which it is judged there, below by all cells together
-WORTH = 0.05  # share of a cell's variance that ways must bring to be counted with the light
+WORTH = 0.05  # share of a cell's variance that ways must bring to be counted forwards
 PILOT_SHARE = 16  # a run to an error takes about so many times the rays of its pilot
 LEAST_SEGMENTS = 1e6  # of a pilot in each direction
 FIRST_ROUND, LARGEST_ROUND = 1 << 13, 1 << 19  # rays
@@ -36,7 +36,7 @@ Book = dict[str, np.ndarray]
 
 
 def with_the_light(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
-    """Event lists of rays against the light as those of the light, the absorption in the detector at their ends."""
+    """Event lists of backward rays as those of the light, the absorption in the detector at their ends."""
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
     turned = np.where(order >= 0, turned, 0).astype(np.uint32)
@@ -64,7 +64,7 @@ class Plan:
     way, cell : (p,) int
         Pairs.
     forward : (p,) bool
-        Whether the pair is counted with the light.
+        Whether the pair is counted forwards.
     hits : (2, p) float64
         Of the pilot.
     mean : (2, p) float64
@@ -72,7 +72,7 @@ class Plan:
     second : (2, p) float64
         Second moment of PST_normal of one ray in each direction, see the module.
     rays : (2, c) float64
-        Of the pilot, by cell; those against the light serve all cells.
+        Of the pilot, by cell; those backwards serve all cells.
     cost : (2,) float64
         Segments of a ray.
     """
@@ -89,7 +89,7 @@ class Plan:
     cost: np.ndarray
 
     def with_forward_pairs(self, way: np.ndarray, cell: np.ndarray) -> Plan:
-        """The plan with further pairs that are counted with the light, of which the pilot has seen nothing."""
+        """The plan with further pairs that are counted forwards, of which the pilot has seen nothing."""
         nothing = np.zeros((2, len(way)))
         return replace(
             self,
@@ -108,7 +108,7 @@ class Plan:
 
     def rays_for(self, relative_error: float, counts: np.ndarray) -> int:
         """
-        Rays against the light that a relative error takes at the least cost of both directions.
+        Backward rays that a relative error takes at the least cost of both directions.
 
         Parameters
         ----------
@@ -133,10 +133,10 @@ class Plan:
 
     def forward_rays(self, rays: float, relative_error: float | None) -> np.ndarray:
         """
-        (c,) rays with the light beside so many against it; 0 in cells that count nothing with the light.
+        (c,) forward rays beside so many against it; 0 in cells that count nothing forwards.
 
         Without an error that is wanted both parts of a cell get the same variance, at no more than twice the cost of
-        the rays against the light alone; a cell has at least the rays of the pilot.
+        the backward rays alone; a cell has at least the rays of the pilot.
         """
         forward, backward = self._variances()
         used = np.bincount(self.cell[self.forward], minlength=len(forward)) > 0
@@ -187,7 +187,7 @@ class Plan:
         return np.maximum(missing, 0.0)
 
     def _variances(self) -> tuple[np.ndarray, np.ndarray]:
-        """(c,) each: variance per ray of what is counted with the light and against it."""
+        """(c,) each: variance per ray of what is counted forward and backward."""
         forward = self._by_cell(np.where(self.forward, self.second[FORWARD], 0.0))
         return forward, self._by_cell(np.where(self.forward, 0.0, self.second[BACKWARD]))
 
@@ -208,13 +208,13 @@ class Pilot:
 
     def __init__(self, trace: BackwardTrace, cells: AllCells) -> None:
         self._trace, self._cells = trace, cells
-        self._books: list[Book] = []
+        self._sums: list[Book] = []
         self._rounds = 0
         self.rays = np.zeros((2, cells.areas.size))
         self._segments = np.zeros(2)
 
     def search(self, rays: float) -> None:
-        """Go on to so many rays against the light, and as many with it as cost the same, but to a least size."""
+        """Go on to so many backward rays, and as many with it as cost the same, but to a least size."""
         if not self._rounds:
             self._round(FIRST_ROUND, FIRST_ROUND)
         while True:
@@ -236,15 +236,15 @@ class Pilot:
         found, segments = self._cells.find(spread, self._rounds)
         other, other_segments = self._trace.find(backward, self._rounds)
         events, lengths = with_the_light(other["events"], other["lengths"], self._trace.table.detector)
-        books = [found, other | {"events": events, "lengths": lengths}]
-        self._books = [join_books(*pair) for pair in zip(self._books, books, strict=True)] if self._books else books
+        sums = [found, other | {"events": events, "lengths": lengths}]
+        self._sums = [join_sums(*pair) for pair in zip(self._sums, sums, strict=True)] if self._sums else sums
         self.rays += np.stack([spread.ravel(), np.full(spread.size, backward)])
         self._segments += segments, other_segments
         self._rounds += 1
 
     def plan(self) -> Plan:
         """What has been found, and which direction counts it."""
-        events, lengths, pairs = _together(*self._books)
+        events, lengths, pairs = _together(*self._sums)
         way, cell = pairs[0]
         count = len(way)
         grid, trace = self._trace.grid, self._trace
@@ -255,17 +255,17 @@ class Pilot:
             ]
         )
         hits, mean, second = np.zeros((3, 2, count))
-        for k, (book, place) in enumerate(zip(self._books, pairs[1:], strict=True)):
-            unit = units[k][book["cell"]]
-            rays = self.rays[k][book["cell"]]
-            hits[k, place] = book["hits"]
-            mean[k, place] = unit * book["weight"] / rays
-            second[k, place] = unit**2 * book["squares"] / rays
+        for k, (one, place) in enumerate(zip(self._sums, pairs[1:], strict=True)):
+            unit = units[k][one["cell"]]
+            rays = self.rays[k][one["cell"]]
+            hits[k, place] = one["hits"]
+            mean[k, place] = unit * one["weight"] / rays
+            second[k, place] = unit**2 * one["squares"] / rays
         rays = self.rays[:, cell]
         light = np.where(hits[FORWARD] >= hits[BACKWARD], mean[FORWARD], mean[BACKWARD])
         second = np.maximum(second, light**2 * rays / (hits + 1))
         cost = self._segments / self._done
-        # A ray against the light serves all cells, one with the light its own
+        # A backward ray serves all cells, one with the light its own
         effort = second * (cost * [self._cells.areas.size, 1])[:, None]
         forward = self._choose(way, cell, hits, light, effort)
         plan = Plan(
@@ -277,7 +277,7 @@ class Pilot:
     def _choose(
         self, way: np.ndarray, cell: np.ndarray, hits: np.ndarray, light: np.ndarray, effort: np.ndarray
     ) -> np.ndarray:
-        """(p,) bool: what is counted with the light."""
+        """(p,) bool: what is counted forwards."""
         cells = self.rays.shape[1]
         total = np.bincount(cell, light, cells)[cell]
         relative = np.divide(effort, total**2, out=np.zeros_like(effort), where=total > 0)
@@ -295,10 +295,10 @@ class Pilot:
 def _together(
     forward: Book, backward: Book
 ) -> tuple[np.ndarray, np.ndarray, tuple[tuple[np.ndarray, np.ndarray], np.ndarray, np.ndarray]]:
-    """Ways of two books, and their pairs: way and cell of each, and the places of the books' entries among them."""
+    """Ways of two sums, and their pairs: way and cell of each, and the places of the sums' entries among them."""
     longest = max(forward["events"].shape[1], backward["events"].shape[1])
     events = np.concatenate(
-        [np.pad(book["events"], ((0, 0), (0, longest - book["events"].shape[1]))) for book in (forward, backward)]
+        [np.pad(one["events"], ((0, 0), (0, longest - one["events"].shape[1]))) for one in (forward, backward)]
     )
     lengths = np.concatenate([forward["lengths"], backward["lengths"]])
     _, chosen, place = np.unique(host_keys(events, lengths), return_index=True, return_inverse=True)
@@ -311,7 +311,7 @@ def _together(
 
 
 def _widened(plan: Plan, ways: int, forward: np.ndarray) -> Plan:
-    """The plan with ways that are counted with the light also in cells that saw none of them, where others are."""
+    """The plan with ways that are counted forwards also in cells that saw none of them, where others are."""
     cells = np.unique(plan.cell[plan.forward])
     chosen = np.unique(plan.way[plan.forward])
     chosen = chosen[forward[chosen]]

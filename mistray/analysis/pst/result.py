@@ -12,10 +12,10 @@ import numpy as np
 from mistray.analysis.pst.pilot import SELDOM
 from mistray.errors import MistrayError
 from mistray.gradients.backward_gradient import backward_gradient
-from mistray.gradients.raw_gradient import GradientRequest, RawGradient
+from mistray.gradients.table_gradient import GradientRequest, TableGradient
+from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.directions import DirectionGrid
 from mistray.recorders.path_events import DIRECT
-from mistray.recorders.sky import CLASSES
 from mistray.renamed import renamed
 
 if TYPE_CHECKING:
@@ -48,8 +48,8 @@ class Pst:
     grid : DirectionGrid
         (n, m) cells.
     by_batch : (c, n, m, b) float64
-        PST_normal of each class in `mistray.recorders.sky.CLASSES` from each batch of start rays alone. Batches are
-        independent of each other; the cells of one batch are not.
+        PST_normal of each class in `mistray.recorders.direction_recorder.CLASSES` from each batch of start rays
+        alone. Batches are independent of each other; the cells of one batch are not.
     weight : (b,) or (n, m, b) float64
         Share of the start rays that each batch has, of each cell where cells have their own start rays.
     convention : {"normal", "projected"}
@@ -89,9 +89,9 @@ class Pst:
     source: BackwardTrace | None = field(default=None, repr=False, compare=False)
     hidden_variance: np.ndarray | None = None
 
-    def raw_gradients(
+    def table_gradients(
         self, derivative: np.ndarray, request: GradientRequest, groups: np.ndarray | None = None
-    ) -> Iterator[RawGradient]:
+    ) -> Iterator[TableGradient]:
         """
         Derivatives of a metric by all that the trace knows, by tracing the same rays again.
 
@@ -105,7 +105,7 @@ class Pst:
 
         Yields
         ------
-        RawGradient
+        TableGradient
             For each wavelength.
 
         Raises

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from mistray.analysis.pst.pilot import Plan
-from mistray.recorders.ledger import EVENT_BITS, host_keys
+from mistray.recorders.path_key import EVENT_BITS, host_keys
 from mistray.surfaces.surfaces import SurfaceTable
 
 
@@ -28,7 +28,7 @@ def share(plans: Sequence[Plan], tables: Sequence[SurfaceTable]) -> list[Plan]:
     Returns
     -------
     list of Plan
-        With all ways that are counted with the light and whose objects their scene has.
+        With all ways that are counted forwards and whose objects their scene has.
     """
     names = [_names(table) for table in tables]
     number = {name: k for k, name in enumerate(dict.fromkeys(name for one in names for name in one))}

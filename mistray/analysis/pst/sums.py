@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.analysis.estimate import UNKNOWN, Estimate
 from mistray.analysis.pst.result import Pst, members
-from mistray.recorders.sky import CLASSES
+from mistray.recorders.direction_recorder import CLASSES
 
 Light = str | Sequence[str]
 

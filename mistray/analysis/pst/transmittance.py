@@ -1,4 +1,4 @@
-"""The point source transmittance of a system: for all angles from one trace against the light, or angle by angle."""
+"""The point source transmittance of a system: for all angles from one backward trace, or angle by angle."""
 
 from __future__ import annotations
 
@@ -58,7 +58,7 @@ def pst(
     """
     Point source transmittance over field angle, by class of the light, with standard errors and paths.
 
-    The adjoint method sends rays from the detector against the light; where they leave the scene is where light comes
+    The adjoint method sends rays from the detector backwards; where they leave the scene is where light comes
     from, so that one trace gives all angles and azimuths. The forward method sends a plane wave over the whole scene
     from one cell of directions after the other. Both have the same mean.
 
@@ -167,7 +167,7 @@ def pst_of_each(
     field_deg, progress
         See `pst`.
     one_direction : bool
-        Count nothing with the light beside an adjoint run: derivatives know rays against the light only.
+        Count nothing forwards beside an adjoint run: derivatives know backward rays only.
     **arguments
         The others of `pst`. With `relative_error`, `state` or `resume` one scene only.
 

@@ -1,4 +1,4 @@
-"""The part of a run against the light that is counted with the light: the ways that its pilot has chosen."""
+"""The part of a backward run that is counted forwards: the ways that its pilot has chosen."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 from mistray.analysis.pst.forward_cells import Ways
 from mistray.analysis.pst.pilot import FORWARD, Plan, against_the_light
 from mistray.execute.backward import BackwardTrace
-from mistray.recorders.ledger import host_keys
-from mistray.recorders.sky import CLASS_COUNT
+from mistray.recorders.direction_recorder import CLASS_COUNT
+from mistray.recorders.path_key import host_keys
 from mistray.recorders.way_table import WayTable
 from mistray.settings import BATCHES
 from mistray.trace.all_cells import AllCells
@@ -21,7 +21,7 @@ PLAN, SUMS = "plan_", "light_"  # names of arrays that are saved
 
 class WithLight:
     """
-    Rays with the light beside a trace against it, which leaves out what they count.
+    Forward rays beside a backward trace, which leaves out what they count.
 
     Parameters
     ----------

@@ -16,7 +16,7 @@ from mistray.analysis.pst.result import Pst
 from mistray.analysis.study.first_order import FirstOrder
 from mistray.analysis.study.step import Fact, StudyStep
 from mistray.ids import event_words
-from mistray.recorders.sky import CLASSES
+from mistray.recorders.direction_recorder import CLASSES
 
 TOP_PATHS = 4  # of each angle, and worst ghosts of each field
 MOST_RANGES = 8  # ranges of angles with one main cause that are told

@@ -26,8 +26,8 @@ from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, RELATIVE_ERROR
 from mistray.recorders.directions import DirectionGrid
 from mistray.renamed import renamed
-from mistray.sampling.aiming import aims
 from mistray.sampling.design_path import find_design_path
+from mistray.sampling.importance_targets import importance_targets
 from mistray.sampling.sources import scene_sources
 from mistray.settings import NO_LIMIT
 from mistray.surfaces.surfaces import SurfaceTable
@@ -216,7 +216,7 @@ def study(
     chosen = Settings.of(scene, **given | {"rays": count})
     if chosen.max_random_scatters < NO_LIMIT:
         raise MistrayError(
-            f"max_random_scatters is {chosen.max_random_scatters}; a PST that is traced against the light has no such "
+            f"max_random_scatters is {chosen.max_random_scatters}; a PST that is traced backwards has no such "
             "limit; leave it out"
         )
     first = scene_sources(scene, wavelength_nm=wavelength_nm, weights=weights)[0].wavelength_nm
@@ -259,7 +259,7 @@ def study(
             few = given | {"rays": max(1, round(CHECK_SHARE * count))}
             with share(PROBE_TIME):
                 probe = trace(scene, field_deg=0.0, wavelength_nm=first, **few)
-        done(importance_sampling(table, path, aims(table, scene, chosen), probe))
+        done(importance_sampling(table, path, importance_targets(table, scene, chosen), probe))
         with share(GHOST_TIME):
             report = ghosts(
                 scene,

@@ -71,7 +71,7 @@ def _critical(found: Objects) -> StudyStep:
         )
     return StudyStep.of(
         "critical_objects",
-        "What the detector sees: Lambertian rays from it against the light, which surfaces only transmit. Power: share "
+        "What the detector sees: Lambertian rays from it backwards, which surfaces only transmit. Power: share "
         "of these rays' flux that meets an object.",
         facts=(Fact("start rays", float(found.facts["rays"])), Fact("threshold", float(found.facts["threshold"]))),
         tables={"critical": _frame(rows), "straight_shots": shots},

@@ -231,7 +231,7 @@ def importance_sampling(
     table : SurfaceTable
     path : DesignPath, optional
     targets : mapping
-        Where light is scattered → targets, as from `mistray.sampling.aiming.aims`.
+        Where light is scattered → targets, as from `mistray.sampling.importance_targets.importance_targets`.
     probe : Trace, optional
         A trace with scatter, whose sampling is judged; None where nothing scatters.
 

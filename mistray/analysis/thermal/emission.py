@@ -1,7 +1,7 @@
 """Thermal self-emission: the irradiance that warm optics and structure put on their own detector.
 
 Kirchhoff's law: a surface emits at each angle as much of a blackbody's radiance as it absorbs there, 1 - R - T -
-scatter. A trace against the light finds how much of what the detector sees each surface absorbs, with all reflections
+scatter. A backward trace finds how much of what the detector sees each surface absorbs, with all reflections
 and scatter on the way; times π L of a blackbody of the surface's temperature it is the irradiance (E. Fest, Stray Light
 Analysis and Control, SPIE Press 2013, chapter 3). Where everything has one temperature the sum is that of a blackbody.
 """

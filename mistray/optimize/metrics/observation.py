@@ -13,7 +13,7 @@ import numpy as np
 
 from mistray.analysis.ranking import FEWEST_RAYS
 from mistray.errors import MistrayError, nearest
-from mistray.gradients.raw_gradient import GradientRequest, RawGradient
+from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.ids import event_words
 from mistray.ranges import NORM as NORMS
 from mistray.recorders.path_derivative import MOMENTS, HitDerivative
@@ -287,12 +287,12 @@ class Observation:
         map_of_class = np.where(dark, -1, np.cumsum(~dark) - 1)
         return HitDerivative(pixel[~dark], path, map_of_path=map_of_class[place.ravel()])
 
-    def raw_gradients(self, request: GradientRequest) -> Iterator[RawGradient]:
+    def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
         """What the tracer knows of the derivatives of the value, for each source and wavelength that matters."""
         derivative = self.hit_derivative()
         if derivative.pixel is None and derivative.path is None:
             return iter(())
-        return self.trace.raw_gradients(derivative, request)
+        return self.trace.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
         """The sum of what the value is made of, to first order, with the noise of the value by batch."""

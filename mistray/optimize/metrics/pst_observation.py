@@ -12,11 +12,11 @@ from mistray.analysis.metrics.extended_source import ExtendedSource, Sky, cover
 from mistray.analysis.metrics.glare import glare_cells
 from mistray.analysis.pst.result import CONVENTIONS, STRAY, Pst
 from mistray.errors import MistrayError, nearest
-from mistray.gradients.raw_gradient import GradientRequest, RawGradient
+from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.optimize.metrics.observation import leaf
 from mistray.ranges import Words
+from mistray.recorders.direction_recorder import CLASSES
 from mistray.recorders.sampled import Sampled
-from mistray.recorders.sky import CLASSES
 from mistray.renamed import renamed
 from mistray.surfaces.upload import upload
 
@@ -218,12 +218,12 @@ class PstObservation:
             total[[CLASSES.index(name) for name in classes]] += by_cell
         return total
 
-    def raw_gradients(self, request: GradientRequest) -> Iterator[RawGradient]:
+    def table_gradients(self, request: GradientRequest) -> Iterator[TableGradient]:
         """What the tracer knows of the derivatives of the value, for each wavelength that matters."""
         derivative = self.derivative
         if not np.any(derivative):
             return iter(())
-        return self.pst.raw_gradients(derivative, request)
+        return self.pst.table_gradients(derivative, request)
 
     def noise(self) -> Sampled:
         """The sum of what the value is made of, to first order, with the noise of the value by batch."""

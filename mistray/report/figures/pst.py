@@ -139,8 +139,8 @@ def pst_map(pst: Pst, title: str = "") -> Figure:
     """
     PST over field angle (radius) and azimuth on a log10 scale: all light on the left, stray light on the right.
 
-    A point of the map is the direction in which light travels, seen against the light: at the top it travels towards
-    +y, on the left towards -x.
+    A point of the map is the direction in which light travels, seen by an eye that looks at the source: at the top it
+    travels towards +y, on the left towards -x.
     """
     if pst.grid.shape[1] < 2:
         raise MistrayError("a map of the PST needs two azimuths or more; give azimuths_deg")

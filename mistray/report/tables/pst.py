@@ -13,7 +13,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.analysis.pst.causes import Break, breaks, field_edge, stray_paths
 from mistray.analysis.pst.result import Pst
 from mistray.files.json_values import plain
-from mistray.recorders.sky import CLASSES
+from mistray.recorders.direction_recorder import CLASSES
 from mistray.report.model import Column, Fold, Table, Value, columns
 from mistray.report.tables.text import ABSENT, number, table_text, text_table
 

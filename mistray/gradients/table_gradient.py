@@ -65,7 +65,7 @@ class GradientRequest:
 
 
 @dataclass
-class RawGradient:
+class TableGradient:
     """
     Derivatives of a metric at one source and wavelength, by batch of start rays.
 
@@ -92,7 +92,7 @@ class RawGradient:
     seconds : float
         Time it took.
     backward : bool
-        Of a trace against the light.
+        Of a backward trace.
     """
 
     table: SurfaceTable
@@ -108,7 +108,7 @@ class RawGradient:
     seconds: float = 0.0
     backward: bool = False
 
-    def add(self, other: RawGradient) -> None:
+    def add(self, other: TableGradient) -> None:
         """Add another one, with the same tables and the same parts."""
         for name in ("rows", "geometry", "edges", "indices", "edge_indices"):
             value = getattr(self, name)

@@ -44,7 +44,7 @@ MOST_KNOWN = 32  # scenes whose automatic targets are kept: a scene is traced at
 _known: dict[str, dict[Place, list[Target]]] = {}
 
 
-def aims(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Place, AimSet]:
+def importance_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings) -> dict[Place, AimSet]:
     """
     The targets of all surfaces and media that scatter.
 
@@ -139,7 +139,7 @@ def automatic_targets(
     ----------
     table : SurfaceTable
     path : DesignPath, optional
-        To the detector, or against the light to the opening. Without it only the detector itself is a target.
+        To the detector, or backwards to the opening. Without it only the detector itself is a target.
     surfaces : sequence of int
     """
     images = DetectorImages(path) if path else None

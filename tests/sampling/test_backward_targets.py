@@ -1,4 +1,4 @@
-"""Where a trace against the light aims: the opening, the design path in reverse, and what surfaces see of the sky."""
+"""Where a backward trace aims: the opening, the design path in reverse, and what surfaces see of the sky."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ from oracles.scatter_scenes import beam_xml, bsdf_xml, placed_xml, scatter_scene
 
 import mistray
 from mistray.kernel.targets import Target
+from mistray.sampling.backward_targets import SKY_DEG, BackwardTargets, backward_targets, find_opening, sky_discs
 from mistray.sampling.design_path import OPENING, DesignPath, find_design_path
-from mistray.sampling.exits import SKY_DEG, Exits, exits, find_opening, sky_discs
 from mistray.settings import Settings
 from mistray.surfaces.surfaces import SurfaceTable
 
@@ -31,9 +31,9 @@ def opening_of(scene: Any, axis: np.ndarray = AXIS) -> Target | None:
     return find_opening(table, scene, path, axis, np.random.default_rng(0))
 
 
-def exits_of(scene: Any, axis: np.ndarray = AXIS, **settings: Any) -> tuple[SurfaceTable, Exits]:
+def exits_of(scene: Any, axis: np.ndarray = AXIS, **settings: Any) -> tuple[SurfaceTable, BackwardTargets]:
     table = SurfaceTable(scene, 550.0)
-    return table, exits(table, scene, Settings(**settings), axis)
+    return table, backward_targets(table, scene, Settings(**settings), axis)
 
 
 def tube(*more: str, length: float = 2.0, rho: float = 0.1, beam: str | None = None) -> str:
@@ -201,7 +201,7 @@ def test_optics_are_told_from_structure(load_scene) -> None:
 def test_light_at_the_detector(name: str) -> None:
     scene = mistray.load(name)
     table, path = table_and_path(scene)
-    found = exits(table, scene, Settings(), AXIS)
+    found = backward_targets(table, scene, Settings(), AXIS)
     np.testing.assert_allclose(found.light, path.steps[-1].before)
 
 

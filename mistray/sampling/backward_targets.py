@@ -1,8 +1,8 @@
-"""Where rays that go against the light should be sent so that they leave the scene: targets for a backward trace.
+"""Where rays that go backwards should be sent so that they leave the scene: targets for a backward trace.
 
 - The *opening* is where the light comes in: the disc, at the front of the scene, through which the first surface of the
   design path (or the detector, where there is none) sees the outside.
-- Rays that leave a surface of the design path against the light, and those that start on the detector, are aimed at the
+- Rays that leave a surface of the design backward path, and those that start on the detector, are aimed at the
   image of the opening by the surfaces that follow; rays from any other surface at what they see of the opening and of
   lenses and mirrors from behind. This is `automatic_targets` for the design path in reverse.
 - From a side that sees much of the sky itself, rays are aimed at the sky: at discs so far away and so large that all
@@ -19,9 +19,9 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.kernel.targets import AimSet, Place, Side, Target
-from mistray.sampling.aiming import MOST_KNOWN, automatic_bulk_targets, automatic_targets, signature
 from mistray.sampling.design_path import OPENING, DesignPath, Step, find_design_path
 from mistray.sampling.detector_images import FAR, DetectorImages
+from mistray.sampling.importance_targets import MOST_KNOWN, automatic_bulk_targets, automatic_targets, signature
 from mistray.settings import Settings
 from mistray.surfaces.host_points import across, box_corners, lambertian_directions, surface_points
 from mistray.surfaces.host_rays import first_hit, onward
@@ -36,11 +36,11 @@ OPEN = 0.2  # share of a side's rays that must see the sky for the sky to be its
 SKY_DEG = (10.0, 35.0, 80.0)  # field angles that the discs of the sky reach to
 LANDED = 0.02  # share of the rays to an image of the opening that must leave by it
 
-_known: dict[str, Exits] = {}
+_known: dict[str, BackwardTargets] = {}
 
 
 @dataclass(frozen=True)
-class Exits:
+class BackwardTargets:
     """
     Targets of a backward trace.
 
@@ -66,7 +66,7 @@ class Exits:
     views: dict[int, float]
 
 
-def exits(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.ndarray) -> Exits:
+def backward_targets(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.ndarray) -> BackwardTargets:
     """
     The targets of all surfaces that scatter, and of the detector.
 
@@ -91,7 +91,7 @@ def exits(table: SurfaceTable, scene: mi.Scene, settings: Settings, axis: np.nda
     return replace(found, aims={place: replace(aim, rays=settings.aimed_rays) for place, aim in found.aims.items()})
 
 
-def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> Exits:
+def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.ndarray) -> BackwardTargets:
     """The targets with one aimed ray each."""
     rng = np.random.default_rng(0)
     path = find_design_path(table, scene)
@@ -112,7 +112,7 @@ def _find(table: SurfaceTable, scene: mi.Scene, scatterers: list[int], axis: np.
     views = _views(table, [i for i in range(table.count) if not words[i] & OPAQUE or words[i] & MIRROR], axis, rng)
     light = path.steps[-1].before if path is not None else None
     aims = {place: AimSet.of(targets, 1) for place, targets in found.items()}
-    return Exits(aims, start, light, path is not None and path.has_optics, views)
+    return BackwardTargets(aims, start, light, path is not None and path.has_optics, views)
 
 
 def find_opening(
@@ -159,7 +159,7 @@ def _front(scene: mi.Scene, axis: np.ndarray) -> float:
 
 
 def _straight(table: SurfaceTable, opening: Target, axis: np.ndarray) -> DesignPath:
-    """A path against the light that meets no surface."""
+    """A backward path that meets no surface."""
     out = Step(OPENING, False, opening.centre, -axis, -axis, np.zeros(3))
     return DesignPath(table, (out,), opening)
 
@@ -179,7 +179,7 @@ def _lambertian_rays(
 def _sky_shares(
     table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator
 ) -> dict[Side, float]:
-    """Shares of the rays of each side of surfaces that leave the scene against the light, at once."""
+    """Shares of the rays of each side of surfaces that leave the scene backwards, at once."""
     o, d = _lambertian_rays(table, surfaces, SKY_PROBES, rng)
     last = np.repeat(surfaces, 2 * SKY_PROBES)
     hit, _, _ = first_hit(table, o.reshape(-1, 3), d.reshape(-1, 3), last)
@@ -189,7 +189,7 @@ def _sky_shares(
 
 
 def _views(table: SurfaceTable, surfaces: list[int], axis: np.ndarray, rng: np.random.Generator) -> dict[int, float]:
-    """Shares of the rays of surfaces, each to its better side, that leave the scene against the light specularly."""
+    """Shares of the rays of surfaces, each to its better side, that leave the scene backwards specularly."""
     start, along = _lambertian_rays(table, surfaces, VIEW_PROBES, rng)
     o, d, last = start.reshape(-1, 3), along.reshape(-1, 3), np.repeat(surfaces, 2 * VIEW_PROBES)
     side, gone = np.repeat(np.arange(2 * len(surfaces)), VIEW_PROBES), np.zeros(2 * len(surfaces))

@@ -1,8 +1,8 @@
 """Where the rim of a surface of revolution touches another surface, and what a ray beside the rim meets there.
 
-At a joint no gap opens when the rim alone moves: the edge that light sees is the line in which the two surfaces meet.
+At a contact no gap opens when the rim alone moves: the edge that light sees is the line in which the two surfaces meet.
 Whether a ray that just misses the rim meets the other surface at once is decided in the plane of the axis: with the
-direction u in which the rim ends the surface, the direction v from the joint along the other surface and the ray's
+direction u in which the rim ends the surface, the direction v from the contact along the other surface and the ray's
 direction d, the ray η u + t d meets the other surface at τ v for
 
     τ = η (u × d)/(v × d),   t = -η (u × v)/(d × v)
@@ -27,7 +27,7 @@ PARALLEL = 1e-7  # by which the directions of axes may differ
 
 
 @dataclass(frozen=True)
-class Joint:
+class Contact:
     """
     Half of another surface that begins at a rim.
 
@@ -36,13 +36,13 @@ class Joint:
     surface : int
         Its number.
     along : (2,) float64
-        Unit vector from the joint along it, in the plane of the axis: away from the axis and along it, in the frame of
-        the surface that the rim belongs to.
+        Unit vector from the contact along it, in the plane of the axis: away from the axis and along it, in the frame
+        of the surface that the rim belongs to.
     gradient : (2,) float64
         Unit vector along the gradient of its F, see `ReplaySurfaces`: away from the axis for cones and tubes, towards
         smaller z for all others.
     ends : bool
-        Whether it ends here too; else its other half is another `Joint`.
+        Whether it ends here too; else its other half is another `Contact`.
     """
 
     surface: int
@@ -64,13 +64,13 @@ class RimCircle:
         Unit vector in which it ends the surface, away from the axis and along it.
     stretch : float
         Part of `outward` along the coordinate in which distances from the rim count.
-    joints : list of Joint
+    contacts : list of Contact
     """
 
     point: np.ndarray
     outward: np.ndarray
     stretch: float
-    joints: list[Joint]
+    contacts: list[Contact]
 
 
 def rim_circles(table: SurfaceTable) -> dict[tuple[int, int], RimCircle]:
@@ -89,12 +89,12 @@ def rim_circles(table: SurfaceTable) -> dict[tuple[int, int], RimCircle]:
             near[piece.index] = False
             tangent = piece.tangent(point)
             outward = tangent if rim in (OUTER, HIGH) else -tangent
-            joints = [
-                joint
+            contacts = [
+                contact
                 for k in np.flatnonzero(near)
-                for joint in _joints(table.pieces[k], np.array([point[0], along[k]]), float(sign[k]))
+                for contact in _contacts(table.pieces[k], np.array([point[0], along[k]]), float(sign[k]))
             ]
-            found[piece.index, rim] = RimCircle(point, outward, piece.rim_stretch(point), joints)
+            found[piece.index, rim] = RimCircle(point, outward, piece.rim_stretch(point), contacts)
     return found
 
 
@@ -119,7 +119,7 @@ def _relative_axes(table: SurfaceTable, piece: Surface) -> tuple[np.ndarray, np.
     return np.where(turned > PARALLEL, np.inf, beside), np.sign(axes @ axis), place
 
 
-def _joints(other: Surface, here: np.ndarray, sign: float) -> list[Joint]:
+def _contacts(other: Surface, here: np.ndarray, sign: float) -> list[Contact]:
     """The halves of another surface on the same axis that begin at a circle, given in the frame of that surface."""
     tolerance = TOUCH * here[0]
     place, low, high, off = other.on_profile(here)
@@ -129,4 +129,4 @@ def _joints(other: Surface, here: np.ndarray, sign: float) -> list[Joint]:
     at_low, at_high = place < low + tolerance, place > high - tolerance
     turn = np.array([1.0, sign])
     ways = [tangent] if at_low else [-tangent] if at_high else [tangent, -tangent]
-    return [Joint(other.index, turn * way, turn * gradient, at_low or at_high) for way in ways]
+    return [Contact(other.index, turn * way, turn * gradient, at_low or at_high) for way in ways]

@@ -26,9 +26,9 @@ from oracles.scene_xml import read_scene
 import mistray
 from mistray import MistrayError
 from mistray.kernel.targets import AimSet
-from mistray.sampling.aiming import aims, automatic_targets
 from mistray.sampling.design_path import DesignPath, find_design_path
 from mistray.sampling.detector_images import FAR, DetectorImages
+from mistray.sampling.importance_targets import automatic_targets, importance_targets
 from mistray.settings import Settings
 from mistray.surfaces.host_points import surface_points
 from mistray.surfaces.surfaces import SurfaceTable
@@ -56,7 +56,7 @@ def named(table: SurfaceTable, found: dict[tuple[int, bool], Any]) -> dict[tuple
 
 def aims_of(scene: Any, **settings: Any) -> dict[tuple[str, str], AimSet]:
     table = SurfaceTable(scene, 550.0)
-    return named(table, aims(table, scene, Settings(**settings)))
+    return named(table, importance_targets(table, scene, Settings(**settings)))
 
 
 # -- paraxial images -----------------------------------------------------------------------------------------------

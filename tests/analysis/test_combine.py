@@ -7,7 +7,7 @@ import pandas as pd
 import pytest
 from report.fake_trace import DETECTOR_ABSORBS, LENS, FakePath, FakeTrace
 
-from mistray.analysis.pool import by_path
+from mistray.analysis.combine import by_path
 
 EVENTS = f"{LENS} detector:A"
 GHOST = f"{LENS} detector:R L1_rear:R detector:A"

@@ -1,4 +1,4 @@
-"""Recorded rays of a pass, sorted by path and replayed: what traces with the light and against it have in common."""
+"""Recorded rays of a pass, sorted by path and replayed: what traces forward and backward have in common."""
 
 from __future__ import annotations
 
@@ -13,11 +13,11 @@ import numpy as np
 from mistray.errors import MistrayError
 from mistray.gradients.edges import EdgeEvents
 from mistray.gradients.grazing import SILHOUETTE, jump_distance
-from mistray.gradients.raw_gradient import GradientRequest, RawGradient
 from mistray.gradients.replay import Branches, End, Exit, follow, replay_rays
-from mistray.gradients.replay_surfaces import Met, ReplaySurfaces, Split
+from mistray.gradients.replay_surfaces import Hit, ReplaySurfaces, Split
 from mistray.gradients.scatter_replay import ScatterReplay
 from mistray.gradients.start_motion import SourceStart, StartMotion, SurfaceStart, source_derivatives
+from mistray.gradients.table_gradient import GradientRequest, TableGradient
 from mistray.kernel.scattering import Scattering
 from mistray.recorders.adjoint import CHANNELS
 from mistray.recorders.branch_recorder import BranchRecorder, as_many
@@ -32,7 +32,7 @@ CAPACITY = 1 << 18  # rays that are recorded at once
 ROOM = 1.3  # of the buffer over what the trace has counted
 
 
-class Gatherer:
+class PathReplay:
     """
     Sums of the derivatives of a metric over recorded rays.
 
@@ -45,7 +45,7 @@ class Gatherer:
     longest : int
         Longest path.
     start : SceneSource or int, optional
-        Source of the rays, or the surface that they start from, against the light; None: it stays as it is.
+        Source of the rays, or the surface that they start from, backwards; None: it stays as it is.
 
     Raises
     ------
@@ -160,10 +160,10 @@ class Gatherer:
             end = RimEnd(*kept)
             replay_rays(surfaces, rays, follow(surfaces, rays), end, None, start_motion)
 
-    def result(self) -> RawGradient:
+    def result(self) -> TableGradient:
         """What has been gathered."""
         request = self.request
-        raw = RawGradient(self.table, self.scattering, backward=self.backward)
+        raw = TableGradient(self.table, self.scattering, backward=self.backward)
         if not self.backward and request.sources:
             raw.sources = source_derivatives(self._starts)
         if request.geometry:
@@ -200,7 +200,7 @@ class RimEnd:
         self._scale = dr.select(rim >= SILHOUETTE, mi.Float64(scale), 1)  # that of rims is not set
 
     def __call__(
-        self, surfaces: ReplaySurfaces, met: Met, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
+        self, surfaces: ReplaySurfaces, met: Hit, split: Split, s: mi.UInt32, batch: mi.UInt32, active: mi.Bool
     ) -> mi.Float64:
         """The gain to first order: its value is 0."""
         free, jumps = self._joined == NO_SURFACE, self._rim >= SILHOUETTE

@@ -1,0 +1,53 @@
+"""The key of a path: a rolling 64-bit hash of its events, each a surface and what happened there.
+
+Two different paths share a key with a probability of about paths²/2^65, 3e-11 for 30 000 paths.
+"""
+
+from __future__ import annotations
+
+import mitsuba as mi
+import numpy as np
+
+# What happens at a surface. Specular events, then scattered ones: at random from the BSDF, or aimed at a target
+ABSORBED, TRANSMITTED, REFLECTED, TOTAL = range(4)
+RANDOM_TRANSMITTED, RANDOM_REFLECTED, AIMED_TRANSMITTED, AIMED_REFLECTED = range(4, 8)
+EVENT_BITS = 3
+# Scatter events of a path are counted in one word: all of them, those at random, those at surfaces that transmit; a bit
+# says whether one of them was not diffraction
+COUNT_MASK, RANDOM_SHIFT, OPTICAL_SHIFT, NOT_DIFFRACTED = 0x3FF, 10, 20, 1 << 30
+FIRST_KEY = 0x9E3779B97F4A7C15
+MULTIPLIER = 0xFF51AFD7ED558CCD
+
+
+def extend_key(key: mi.UInt64, code: mi.UInt32) -> mi.UInt64:
+    """Key of the path that has one event more; multiply-xorshift steps as in SplitMix64 and MurmurHash3."""
+    key = (key ^ mi.UInt64(code + 1)) * mi.UInt64(MULTIPLIER)
+    return key ^ (key >> 29)
+
+
+def host_keys(events: np.ndarray, lengths: np.ndarray) -> np.ndarray:
+    """
+    The keys of event lists, computed on the host.
+
+    Parameters
+    ----------
+    events : (p, k) uint32
+        Lists, filled up at their ends.
+    lengths : (p,) int
+        Number of events of each.
+
+    Returns
+    -------
+    (p,) uint64
+        What `extend_key` makes of `FIRST_KEY` and the events one after the other.
+    """
+    keys = np.full(len(events), FIRST_KEY, dtype=np.uint64)
+    for k in range(events.shape[1]):
+        keys = np.where(k < lengths, host_extend(keys, events[:, k]), keys)
+    return keys
+
+
+def host_extend(keys: np.ndarray, codes: np.ndarray) -> np.ndarray:
+    """(p,) uint64: what `extend_key` makes of keys and codes, computed on the host."""
+    longer = (keys ^ (codes.astype(np.uint64) + np.uint64(1))) * np.uint64(MULTIPLIER)
+    return np.asarray(longer ^ (longer >> np.uint64(29)))
