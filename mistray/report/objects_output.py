@@ -102,7 +102,7 @@ def heading(found: Objects) -> str:
     cone = "" if view >= 90 else f" within {view:g}° of its normal"
     control = facts["ray_control"].replace("_", " ")
     return (
-        f"{facts['rays']:.3g} rays from the detector '{facts['detector']}'{cone} against the light, as many from "
+        f"{facts['rays']:.3g} rays from the detector '{facts['detector']}'{cone} backwards, as many from "
         f"outside ({found.source_text})\n{facts['wavelength_nm']:g} nm; surfaces: {control}"
         f"{'' if facts['total_reflection'] else ', no total reflection'}; "
         f"objects count from {facts['threshold']:g} W for each W that starts; {stop}"
