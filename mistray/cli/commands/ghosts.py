@@ -20,6 +20,7 @@ from mistray.cli.tracing_arguments import (
     TABLE_FORMATS,
     TIME,
     output,
+    progress_bar,
     ray_tree,
 )
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
@@ -147,8 +148,9 @@ def run(options: Options) -> int:
     lines = options.per_wavelength
     files, report = [], None
     try:
-        with within(options.seconds_left()):
-            with options.tracing() as progress:
+        # The maps of the report are traced by the workers as well
+        with within(options.seconds_left()), options.workers():
+            with progress_bar(options) as progress:
                 report = ghosts(
                     scene,
                     field_deg=options.field_deg,
