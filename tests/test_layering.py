@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import graphlib
+import re
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -210,6 +211,18 @@ def imported(node, modules):
         inside = [f"{node.module}.{alias.name}" for alias in node.names]
         return {name if name in modules else node.module for name in inside} & modules
     return set()
+
+
+def test_the_rooms_are_listed_in_their_order():
+    """What CONTRIBUTING.md says of each room of the package is the first line of its docstring."""
+    text = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
+    said = dict(re.findall(r"^\| `(\w+)` \| (.*) \|$", text, re.MULTILINE))
+    rooms = {file.parent.name: file for file in (ROOT / "mistray").glob("*/__init__.py")}
+    assert said == {
+        name: ast.get_docstring(ast.parse(file.read_text())).splitlines()[0] for name, file in rooms.items()
+    }
+    heights = [HEIGHT[name] for name in said if name not in ("cache", "files")]  # everybody uses these
+    assert heights == sorted(heights)
 
 
 def test_every_module_has_a_layer():

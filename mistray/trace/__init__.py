@@ -1,4 +1,4 @@
-"""From a scene to the paths of its light: traces along the light, and what they have found."""
+"""From a scene to the paths of its light: forward traces, and what they have found."""
 
 from mistray._variant import active_variant, ensure_variant
 
