@@ -43,7 +43,7 @@ def test_find(tmp_path: Path) -> None:
     assert find("plate").name == "scene.xml"
     assert find(SCENES[0]) == SCENES[0]
     assert find(SCENES[0].parent) == SCENES[0]
-    with pytest.raises(mistray.MistrayError, match=r"scene 'pancake': no such file; .* such as .*plate"):
+    with pytest.raises(mistray.MistrayError, match="scene 'pancake': no such file"):
         find("pancake")
     with pytest.raises(mistray.MistrayError, match="no such file"):
         mistray.load(tmp_path)

@@ -152,7 +152,7 @@ def test_maps_are_there_for_the_worst_paths_only(report):
 def test_report_is_a_mapping_of_fields(report):
     assert list(report) == [0.0, 10.0, 20.0]
     assert len(report) == 3
-    with pytest.raises(MistrayError, match=r"field 7 deg was not traced; traced fields: 0, 10, 20 deg"):
+    with pytest.raises(MistrayError, match="field 7 deg was not traced"):
         report.table(7.0)
 
 
@@ -281,7 +281,7 @@ def test_spectral_maps_split_the_light(colours):
 
 def test_a_wavelength_that_was_not_traced_is_an_error(colours):
     for ask in (colours.nominal_at, colours.weight, lambda nm: colours.summary(0.0, nm)):
-        with pytest.raises(MistrayError, match=r"500 nm was not traced; traced wavelengths: 450, 550, 650 nm"):
+        with pytest.raises(MistrayError, match="500 nm was not traced"):
             ask(500.0)
 
 

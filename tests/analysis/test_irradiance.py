@@ -37,7 +37,7 @@ def test_log10_image_hides_what_is_below_the_floor():
 
 
 def test_log10_image_refuses_a_floor_of_zero():
-    with pytest.raises(MistrayError, match=r"floor is 0 W/mm²; it must be positive"):
+    with pytest.raises(MistrayError, match="floor is 0 W/mm²"):
         log10_image(np.ones((2, 2)), 0.0)
 
 

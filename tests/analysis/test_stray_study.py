@@ -213,7 +213,7 @@ def test_eight_steps_in_order(small):
     assert all(step.text and step.seconds >= 0 for step in small.steps)
     assert all(step.findings for step in small.steps)
     assert small["analysis"] is small.steps[7]
-    with pytest.raises(MistrayError, match="no step 'ghosts'; its steps are optical_model"):
+    with pytest.raises(MistrayError, match="no step 'ghosts'"):
         small["ghosts"]
 
 
@@ -265,11 +265,11 @@ def test_bad_arguments_are_one_line():
         study("plate")
     with pytest.raises(MistrayError, match="must ascend"):
         study(scene, [10, 5])
-    with pytest.raises(MistrayError, match="convention is 'cosine'; use 'normal' or 'projected'"):
+    with pytest.raises(MistrayError, match="convention is 'cosine'"):
         study(scene, convention="cosine")
     with pytest.raises(MistrayError, match=r"field_deg is empty; give at least one"):
         study(scene, field_deg=[])
-    with pytest.raises(MistrayError, match="max_random_scatters is 1; a PST"):
+    with pytest.raises(MistrayError, match="max_random_scatters is 1"):
         study(scene, max_random_scatters=1)
     with pytest.raises(MistrayError, match="relative_error is 2"):
         study(scene, relative_error=2)

@@ -115,7 +115,7 @@ def assert_same(one, many):
 def test_a_worker_of_another_version_is_refused(cluster, scene, monkeypatch):
     monkeypatch.setattr("mistray.cluster.travel.surroundings", lambda: {"mistray": "9.9", "variant": "llvm_ad_rgb"})
     with (
-        pytest.raises(MistrayError, match=r"has mistray .*, and 9.9 is used here; install the same on all machines"),
+        pytest.raises(MistrayError, match=r"has mistray .*, and 9.9 is used here"),
         mistray.distribute(cluster.address),
     ):
         mistray.trace(scene, rays=1000)
@@ -250,7 +250,7 @@ def test_a_worker_with_threads_is_refused(tmp_path, scene):
     processes = start(tmp_path, 1, threads=2)
     try:
         with (
-            pytest.raises(MistrayError, match="has 2 threads; start it with --nthreads 1"),
+            pytest.raises(MistrayError, match="has 2 threads"),
             mistray.distribute(processes.address),
         ):
             mistray.trace(scene, rays=1000)

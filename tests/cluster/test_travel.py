@@ -97,7 +97,7 @@ def test_an_absolute_file_must_be_there_and_the_same(plate, tmp_path):
     with pytest.raises(MistrayError, match=r"coat\.csv' is another file there"):
         packed.load()
     table.unlink()
-    with pytest.raises(MistrayError, match=r"coat\.csv' is not there; name it relative"):
+    with pytest.raises(MistrayError, match=r"coat\.csv' is not there"):
         packed.load()
 
 

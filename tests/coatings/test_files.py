@@ -60,7 +60,7 @@ class TestNames:
         assert "\n" not in str(caught.value)
 
     def test_unknown_kind_of_file(self) -> None:
-        with pytest.raises(MistrayError, match=r"coating 'ar\.xlsx' is no file that mistray knows; give table.csv or"):
+        with pytest.raises(MistrayError, match=r"coating 'ar\.xlsx' is no file that mistray knows"):
             read_coating("ar.xlsx")
 
 
@@ -97,7 +97,7 @@ class TestTables:
         assert [file.name for file in tmp_path.iterdir()] == ["out.csv"]
 
     def test_errors(self, tmp_path: Path) -> None:
-        with pytest.raises(MistrayError, match=r"out\.csv': No such file or directory; check the folder"):
+        with pytest.raises(MistrayError, match=r"out\.csv': No such file or directory"):
             write_table(GREY, tmp_path / "none" / "out.csv", [550.0], [0.0])
         with pytest.raises(MistrayError, match="both are metals; no light gets there"):
             write_table(GREY, tmp_path / "out.csv", [550.0], [0.0], "Al", "Ag")

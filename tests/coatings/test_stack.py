@@ -127,20 +127,18 @@ class TestShifts:
     @pytest.mark.parametrize(("n_shift", "k_shift"), [(0.0, -0.5), (-1.7, 0.0)])
     def test_impossible(self, n_shift: float, k_shift: float) -> None:
         stack = Stack((Layer("1.38", 10.0), Layer("1.6+0.4i", 90.0, n_shift, k_shift)), name="ar")
-        with pytest.raises(
-            MistrayError, match=r"coating 'ar', layer 2 \(1.6\+0.4i\): n = .*, k = .* at 550 nm; n must"
-        ):
+        with pytest.raises(MistrayError, match=r"coating 'ar', layer 2 \(1.6\+0.4i\): n = .*, k = .* at 550 nm"):
             stack.response(550.0, AIR, GLASS, COSINES, True)
 
 
 class TestErrors:
     @pytest.mark.parametrize("thickness", [-1.0, float("nan"), float("inf")])
     def test_thickness(self, thickness: float) -> None:
-        with pytest.raises(MistrayError, match=r"coating 'ar', layer 1 \(1.38\): thickness_nm is .*; it must lie"):
+        with pytest.raises(MistrayError, match=r"coating 'ar', layer 1 \(1.38\): thickness_nm is .*"):
             Stack((Layer("1.38", thickness),), name="ar")
 
     def test_first(self) -> None:
-        with pytest.raises(MistrayError, match="coating 'ar': first = 'top'; it is outside, front or back"):
+        with pytest.raises(MistrayError, match="coating 'ar': first = 'top'"):
             Stack((), "top", "ar")
 
     def test_material(self) -> None:
@@ -196,7 +194,7 @@ class TestText:
         assert "\n" not in str(caught.value)
 
     def test_bad_design_wavelength(self) -> None:
-        with pytest.raises(MistrayError, match="design_nm = 0; it must be greater than 0"):
+        with pytest.raises(MistrayError, match="design_nm = 0"):
             parse_layers("1.38 0.25w", 0.0)
 
     def test_shifts_have_no_text(self) -> None:

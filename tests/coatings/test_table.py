@@ -108,7 +108,7 @@ def test_rows_in_any_order(read) -> None:
 
 
 def test_outside_of_the_wavelengths(read) -> None:
-    with pytest.raises(MistrayError, match=r"ar.csv': 450 nm is outside of its 500 … 600 nm; extend the table"):
+    with pytest.raises(MistrayError, match=r"ar.csv': 450 nm is outside of its 500 … 600 nm"):
         at(read(PLAIN), 450.0, 0.0)
 
 
@@ -145,7 +145,7 @@ def test_bad_files(read, text: str, words: str) -> None:
 
 
 def test_missing_file(tmp_path: Path) -> None:
-    with pytest.raises(MistrayError, match=r"nowhere.csv': No such file or directory; check the path, relative to the"):
+    with pytest.raises(MistrayError, match=r"nowhere.csv': No such file or directory"):
         CoatingTable.read(tmp_path / "nowhere.csv")
     binary = tmp_path / "x.csv"
     binary.write_bytes(b"\xff\xfe\x00\x81")

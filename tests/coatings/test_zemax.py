@@ -117,15 +117,15 @@ class TestTable:
 
 class TestWhatIsNotKnown:
     def test_tapers(self, file) -> None:
-        with pytest.raises(MistrayError, match=r"line 51: taper RADIAL; mistray has no coatings that vary"):
+        with pytest.raises(MistrayError, match="line 51: taper RADIAL"):
             file["SLOPED"]
 
     def test_encrypted(self, file) -> None:
-        with pytest.raises(MistrayError, match=r"line 68: coating VENDOR.ZEC is encrypted; ask its vendor"):
+        with pytest.raises(MistrayError, match=r"line 68: coating VENDOR.ZEC is encrypted"):
             file["VENDOR.ZEC"]
 
     def test_names(self, file) -> None:
-        with pytest.raises(MistrayError, match=r"no coating 'measure'; did you mean 'MEASURED'\? There are AR, AR2"):
+        with pytest.raises(MistrayError, match="no coating 'measure'"):
             file["measure"]
 
 
@@ -196,9 +196,9 @@ def check(folder: Path, text: str, line: int, words: str, name: str | None) -> N
 
 
 def test_missing_file_and_bad_wavelength(tmp_path: Path) -> None:
-    with pytest.raises(MistrayError, match=r"none.dat': No such file or directory; check the path"):
+    with pytest.raises(MistrayError, match=r"none.dat': No such file or directory"):
         read_coating_file(tmp_path / "none.dat")
-    with pytest.raises(MistrayError, match="design_nm = 0; it must be greater than 0"):
+    with pytest.raises(MistrayError, match="design_nm = 0"):
         read_coating_file(SAMPLE, 0.0)
 
 
@@ -226,7 +226,7 @@ def test_encodings(tmp_path: Path) -> None:
 def test_groups_that_are_repeated_without_end_are_refused(tmp_path: Path, loop: str) -> None:
     path = tmp_path / "coating.dat"
     path.write_text(f"MATE H\n0.55 2.3 0\nCOAT HR\nH .25 0 {loop}\nH .5 0 {loop}\n")
-    with pytest.raises(MistrayError, match=r"line 5: .* repeated the coating has .* layers, more than 10000; correct"):
+    with pytest.raises(MistrayError, match=r"line 5: .* repeated the coating has .* layers, more than 10000"):
         read_coating_file(path)["HR"]
 
 

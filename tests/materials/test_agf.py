@@ -112,9 +112,9 @@ def test_a_glass_among_others(write):
     text = HEADER + other + N_BK7
     assert refractive_index(write(text, "n-bk7"), LINE_D_NM) == pytest.approx(1.5168, abs=1e-5)
     assert refractive_index(write(text, "Other"), LINE_D_NM) > 1.56
-    with pytest.raises(MistrayError, match="no glass 'N-BK8'; did you mean N-BK7"):
+    with pytest.raises(MistrayError, match="no glass 'N-BK8'"):
         refractive_index(write(text, "N-BK8"), LINE_D_NM)
-    with pytest.raises(MistrayError, match="no glass 'zzz'; it holds 2 glasses"):
+    with pytest.raises(MistrayError, match="no glass 'zzz'"):
         refractive_index(write(text, "zzz"), LINE_D_NM)
 
 

@@ -36,9 +36,9 @@ def test_one_row_holds_everywhere(path):
 
 
 def test_a_material_that_is_not_there(path):
-    with pytest.raises(MistrayError, match=r"no material 'MGF'; did you mean MGF2\?"):
+    with pytest.raises(MistrayError, match="no material 'MGF'"):
         complex_index(f"{path}:MGF", 500.0)
-    with pytest.raises(MistrayError, match="no material 'zzz'; it holds 2 materials"):
+    with pytest.raises(MistrayError, match="no material 'zzz'"):
         complex_index(f"{path}:zzz", 500.0)
     with pytest.raises(MistrayError, match=r"nowhere\.dat: No such file"):
         complex_index("nowhere.dat:MGF2", 500.0)

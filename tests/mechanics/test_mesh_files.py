@@ -164,6 +164,6 @@ class TestDamage:
 
     def test_unit(self, tmp_path: Path) -> None:
         path = written(tmp_path, "a.obj", OBJ)
-        with pytest.raises(MistrayError, match="unit 'furlong' is unknown; give um, mm, cm, m, inch, ft"):
+        with pytest.raises(MistrayError, match="unit 'furlong' is unknown"):
             read_mechanics(path, unit="furlong")
         assert read_mesh(path, unit_mm=10.0)[0][0].vertices.max() == 30.0

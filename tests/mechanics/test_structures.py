@@ -150,7 +150,7 @@ class TestScenes:
     def test_twice(self, assembly: Mechanics, scene_file: Path) -> None:
         shapes = assembly.write(scene_file)
         add_structures(scene_file, shapes, scene_file)
-        with pytest.raises(MistrayError, match="it has an object 'ring_front_face_0' already; rename the part"):
+        with pytest.raises(MistrayError, match="it has an object 'ring_front_face_0' already"):
             add_structures(scene_file, shapes, scene_file)
 
     def test_paint_of_the_scene(self, scene_file: Path, tmp_path: Path) -> None:
@@ -276,7 +276,7 @@ class TestPlugin:
 
     def test_a_triangle_without_its_vertex(self, file: Path) -> None:
         file.write_bytes(file.read_bytes()[:-4] + (9).to_bytes(4, "little"))
-        with pytest.raises(MistrayError, match="a triangle refers to vertex 9 of 4; the file is damaged"):
+        with pytest.raises(MistrayError, match="a triangle refers to vertex 9 of 4"):
             mistray.load({"type": "scene", "S": self.shape(filename=str(file))})
 
     @pytest.mark.parametrize(

@@ -206,7 +206,7 @@ class TestRefusals:
             gradient(metric, params, ["p0_front.curvatur"])
         with pytest.raises(mistray.MistrayError, match=r"no parameter 'p0_front\.silhouette_sampling_weight'"):
             gradient(metric, params, ["p0_front.silhouette_sampling_weight"])
-        with pytest.raises(mistray.MistrayError, match="edge_width is 0; it must lie between"):
+        with pytest.raises(mistray.MistrayError, match="edge_width is 0"):
             gradient(metric, params, ["p0_front.curvature"], edge_width=0.0)
         for keys in (["p0_front.bsdf.R"], ["p0_front.curvature"]):
             with pytest.raises(mistray.MistrayError, match="polarization='unpolarized'"):

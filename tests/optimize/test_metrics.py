@@ -289,15 +289,15 @@ def test_a_field_angle_is_one_number_or_several(scene, given) -> None:
 
 class TestRefusals:
     def test_settings(self, scene) -> None:
-        with pytest.raises(MistrayError, match="there is no setting 'ray'; did you mean 'rays'"):
+        with pytest.raises(MistrayError, match="there is no setting 'ray'"):
             path_power(scene, ray=16)
         with pytest.raises(MistrayError, match="field_deg is empty"):
             rms_spot(scene, field_deg=())
         with pytest.raises(MistrayError, match="needs field_deg off the axis"):
             relative_illumination(scene, field_deg=0.0)
-        with pytest.raises(MistrayError, match=r"step_deg is -1; it must lie between 0 and 45"):
+        with pytest.raises(MistrayError, match="step_deg is -1"):
             relative_illumination(scene, field_deg=3.0, step_deg=-1)
-        with pytest.raises(MistrayError, match="times is 0; it must lie between 1e-30"):
+        with pytest.raises(MistrayError, match="times is 0"):
             rms_spot(scene).value(times=0)
 
     def test_no_direct_light(self, scene) -> None:
@@ -306,7 +306,7 @@ class TestRefusals:
                 factory(scene, field_deg=60.0, rays=64).value()
 
     def test_logarithm(self, scene) -> None:
-        with pytest.raises(MistrayError, match="the path power is 0; its logarithm does not exist"):
+        with pytest.raises(MistrayError, match="the path power is 0"):
             log(path_power(scene, "TIR", rays=64)).value()
 
     def test_combinations(self, scene) -> None:

@@ -287,11 +287,11 @@ class TestRefusals:
             observed().moments_of_each("TIR")
 
     def test_too_few_rays(self) -> None:
-        with pytest.raises(MistrayError, match="paths 'ghost': none has 30 rays at field 3°; trace more rays"):
+        with pytest.raises(MistrayError, match="paths 'ghost': none has 30 rays at field 3°"):
             observed(HITS[::4]).moments_of_each("ghost")
 
     def test_norm(self) -> None:
-        with pytest.raises(MistrayError, match=r"norm is 0\.5; it must lie between 1 and"):
+        with pytest.raises(MistrayError, match=r"norm is 0\.5"):
             observed().peak("all", 0.5)
 
     @pytest.mark.parametrize(

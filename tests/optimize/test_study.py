@@ -158,7 +158,7 @@ class TestReading:
         assert term.traced["rays"] == 100
         assert read_study(study).fingerprint == read_study(study).fingerprint
         del study["term"][0]["angle"]
-        with pytest.raises(MistrayError, match=r"term\[1\]\.angle is missing; kind = 'dim' needs it"):
+        with pytest.raises(MistrayError, match=r"term\[1\]\.angle is missing"):
             read_study(study)
 
     def test_fingerprint(self) -> None:
@@ -290,7 +290,7 @@ class TestRefusals:
         with pytest.raises(MistrayError, match=r"study: variable is missing: nothing may change; add a section"):
             read_study(study)
         study = changed("coating", None)
-        with pytest.raises(MistrayError, match=r"term\[4\] of kind 'layer_minimum' is about layers; add a section"):
+        with pytest.raises(MistrayError, match=r"term\[4\] of kind 'layer_minimum' is about layers"):
             read_study(study)
 
     def test_files(self, tmp_path: Path) -> None:
@@ -298,7 +298,7 @@ class TestRefusals:
         with pytest.raises(MistrayError, match=r"study '.*study\.toml': No such file"):
             read_study(file)
         file.write_text("[trace]\nrays = = 3\n")
-        with pytest.raises(MistrayError, match=r"study '.*study\.toml': .*line 2.*; correct the TOML"):
+        with pytest.raises(MistrayError, match=r"study '.*study\.toml': .*line 2.*"):
             read_study(file)
         file.write_text("[trace]\nrays = 3\n")
         with pytest.raises(MistrayError, match=r"study '.*study\.toml': term is missing"):

@@ -217,9 +217,7 @@ class TestRefusals:
 
     def test_moved_twice(self) -> None:
         sections = {"parameters": "vane_1.r0"}, {"parameters": "vane_*.r0", "name": "vanes"}
-        with pytest.raises(
-            MistrayError, match=r"'vane_1\.r0' and 'vanes' both move vane_1\.r0\[0\]; take it out of one"
-        ):
+        with pytest.raises(MistrayError, match=r"'vane_1\.r0' and 'vanes' both move vane_1\.r0\[0\]"):
             variables(*sections)
-        with pytest.raises(MistrayError, match="two variables are called 'x'; rename one"):
+        with pytest.raises(MistrayError, match="two variables are called 'x'"):
             variables({"parameters": "vane_1.r0", "name": "x"}, {"parameters": "vane_2.r0", "name": "x"})

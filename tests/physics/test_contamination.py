@@ -75,7 +75,7 @@ def test_index_of_dust() -> None:
     assert contamination.dust_index(10.6) == 1.7 + 0.2j
     expected = 0.005 + (0.55 - 0.4) / (0.6328 - 0.4) * (0.0005 - 0.005)
     assert complex(1.53, expected) == pytest.approx(DUST, rel=1e-12)
-    with pytest.raises(MistrayError, match=r"no index of dust at 0.15 µm; the table covers 0.2 … 20 µm"):
+    with pytest.raises(MistrayError, match=r"no index of dust at 0.15 µm"):
         contamination.dust_index(0.15)
 
 

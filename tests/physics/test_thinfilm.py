@@ -418,7 +418,7 @@ class TestCalls:
         assert dr.width(r) == 2
 
     def test_as_many_thicknesses_as_indices(self):
-        with pytest.raises(mistray.MistrayError, match="2 indices and 1 thicknesses; give one of each"):
+        with pytest.raises(mistray.MistrayError, match="2 indices and 1 thicknesses"):
             reflectance_transmittance(1.0, [1.38, 2.1], [100.0], 1.5, 550.0, 1.0)
 
 

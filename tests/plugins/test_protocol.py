@@ -148,7 +148,7 @@ def test_an_impossible_update_is_refused_and_undone():
     before = fingerprint(scene)
     params = mi.traverse(scene)
     params["lens_front.semi_diameter"] = mi.Float(-1.0)
-    with pytest.raises(MistrayError, match=r"shape 'lens_front': semi_diameter is -1; it must lie"):
+    with pytest.raises(MistrayError, match="shape 'lens_front': semi_diameter is -1"):
         params.update()
     assert fingerprint(scene) == before
 

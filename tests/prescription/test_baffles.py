@@ -315,7 +315,7 @@ def test_two_stages_of_least_length(clearance):
 
 
 def test_impossible_two_stages():
-    with pytest.raises(MistrayError, match="inner_length = 20 mm; it must be greater than 26"):
+    with pytest.raises(MistrayError, match="inner_length = 20 mm"):
         two_stage_baffle("b", inner_length=20.0, **STAR_TRACKER)
     with pytest.raises(MistrayError, match="between the half field and 90"):
         two_stage_baffle("b", **(STAR_TRACKER | {"exclusion_deg": 4.0}))

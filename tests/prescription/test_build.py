@@ -93,7 +93,7 @@ def test_edges_can_be_ground_or_open():
     open_ = by_name(to_prescription(triplet(), edges="open"))
     assert open_["L2_edge"].coating is None
     assert not any(name.startswith(("barrel", "board")) for name in open_)
-    with pytest.raises(MistrayError, match="edges = 'shiny'; they are blackened, ground or open"):
+    with pytest.raises(MistrayError, match="edges = 'shiny'"):
         to_prescription(triplet(), edges="shiny")
 
 
@@ -202,7 +202,7 @@ def test_the_source_fills_the_pupil_or_the_front():
     built = build(triplet(), beam="front")
     front = by_name(built.prescription)["S1"].semi_diameter
     assert built.prescription.source.radius == front
-    with pytest.raises(MistrayError, match="beam = 'all'; it is 'pupil' or 'front'"):
+    with pytest.raises(MistrayError, match="beam = 'all'"):
         build(triplet(), beam="all")
 
 

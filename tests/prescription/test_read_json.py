@@ -144,7 +144,7 @@ def test_every_cell_is_closed(cell, variant):
 def test_variant():
     other = from_json(FILE, variant="R13=5.272")
     assert other.paraxial(587.5618).efl == pytest.approx(DATA["variants"]["R13=5.272"]["EFL"], abs=6e-6)
-    with pytest.raises(MistrayError, match=r"variant 'R13=5' is unknown; it has R13=5\.272"):
+    with pytest.raises(MistrayError, match="variant 'R13=5' is unknown"):
         from_json(FILE, variant="R13=5")
 
 
@@ -209,7 +209,7 @@ def test_scatter(tmp_path):
     assert scatter["window_rear"] == (*scatter["L3_front"], particles)
     assert scatter["barrel_4_cone"] == (particles,)
     assert "L3_rear" not in scatter
-    with pytest.raises(MistrayError, match="no shape is called 'L9_\\*'; correct the pattern"):
+    with pytest.raises(MistrayError, match=r"no shape is called 'L9_\*'"):
         from_json(broken(tmp_path, lambda data: data.update(scatter=[polish | {"shapes": ["L9_*"]}])))
     with pytest.raises(MistrayError, match="key 'shapes' is missing"):
         from_json(broken(tmp_path, lambda data: data.update(scatter=[{"kind": "abg", "A": 1.0, "B": 1.0, "g": 1.0}])))

@@ -323,7 +323,7 @@ def test_coatings(read):
     lens = read(text, coatings=COATINGS)
     assert lens.rows[0].coating == f"{COATINGS}:HR"
     assert lens.unread == ()
-    with pytest.raises(MistrayError, match=r"line 15: coating file .*no coating 'HRX'; did you mean 'HR'"):
+    with pytest.raises(MistrayError, match=r"line 15: coating file .*no coating 'HRX'"):
         read(text.replace("HR", "HRX"), coatings=COATINGS)
 
 
@@ -460,7 +460,7 @@ def test_paraxial_focus_is_where_opticstudio_put_it(read):
 def test_files_that_are_none(read, tmp_path):
     with pytest.raises(MistrayError, match="No such file"):
         read_zemax(tmp_path / "none.zmx")
-    with pytest.raises(MistrayError, match=r"no line 'SURF 0'; give a Zemax .zmx file"):
+    with pytest.raises(MistrayError, match="no line 'SURF 0'"):
         read(bytes(range(256)))
     with pytest.raises(MistrayError, match=r"glass catalogue .*No such file"):
         read(SINGLET, glass_catalogues=[tmp_path / "none.agf"])

@@ -102,9 +102,9 @@ def test_scatter_by_name(lens: Prescription) -> None:
     }
     assert result.shared_scatter() == {"polish": POLISH}
     assert not any(shape.scatter for shape in lens.shapes())
-    with pytest.raises(MistrayError, match=r"prescription 'lens': no shape is called 'M_\*'; correct the pattern"):
+    with pytest.raises(MistrayError, match=r"prescription 'lens': no shape is called 'M_\*'"):
         lens.with_scatter({"M_*": (POLISH,)})
-    with pytest.raises(MistrayError, match="matches some faces of stop 'stop'; match all"):
+    with pytest.raises(MistrayError, match="matches some faces of stop 'stop'"):
         lens.with_scatter({"stop_wall": (BLACK,)})
 
 
@@ -112,10 +112,10 @@ def test_shared_scatter_is_one(lens: Prescription) -> None:
     other = replace(POLISH, properties={"rms_nm": 5.0})
     with pytest.raises(MistrayError, match="two different scatter models are called 'polish', that of 'L_rear' is one"):
         lens.with_scatter({"L_front": (POLISH,), "L_rear": (other,)})
-    with pytest.raises(MistrayError, match="a shape and a scatter model are called 'L_rear'; rename one"):
+    with pytest.raises(MistrayError, match="a shape and a scatter model are called 'L_rear'"):
         lens.with_scatter({"L_front": (replace(POLISH, name="L_rear"),)})
     named = replace(lens, surfaces=tuple(replace(s, coating=replace(GLASS, name="ar")) for s in lens.surfaces))
-    with pytest.raises(MistrayError, match="a coating and a scatter model are called 'ar'; rename one"):
+    with pytest.raises(MistrayError, match="a coating and a scatter model are called 'ar'"):
         named.with_scatter({"L_front": (replace(POLISH, name="ar"),)})
 
 

@@ -147,7 +147,7 @@ def test_what_a_file_cannot_say_is_told(tmp_path):
 def test_more_wavelengths_than_a_file_holds(tmp_path):
     nm = tuple(range(400, 425))
     lens = Sequential("lens", (Row(1), IMAGE), aperture=1.0, wavelengths_nm=nm, weights=(1.0,) * 25)
-    with pytest.raises(MistrayError, match=r"lens 'lens': 25 wavelengths; \.zmx files hold 24, leave some out"):
+    with pytest.raises(MistrayError, match="lens 'lens': 25 wavelengths"):
         write_zemax(lens, tmp_path / "lens.zmx")
     assert not (tmp_path / "lens.zmx").exists()
 

@@ -188,5 +188,5 @@ def test_a_shape_without_triangles_is_refused():
         def shapes(self):
             return [Shape()]
 
-    with pytest.raises(MistrayError, match="shape 'dust' is SDFGrid, which has no triangles to draw; use a mesh"):
+    with pytest.raises(MistrayError, match="shape 'dust' is SDFGrid, which has no triangles to draw"):
         open_surfaces(Scene(), None)

@@ -62,9 +62,9 @@ def test_path_ids_choose_the_rows(scene, trace):
         layout_figure(scene, trace, path_ids=[99])
     with pytest.raises(MistrayError, match="path_ids without a trace"):
         layout_figure(scene, path_ids=[1])
-    with pytest.raises(MistrayError, match="rays is 0; ask for at least one ray"):
+    with pytest.raises(MistrayError, match="rays is 0"):
         layout_figure(scene, trace, rays=0)
-    with pytest.raises(MistrayError, match="paths is -2; give the number of rows"):
+    with pytest.raises(MistrayError, match="paths is -2"):
         layout_figure(scene, trace, paths=-2)
 
 
@@ -95,7 +95,7 @@ def test_other_formats(figure, ending, start, tmp_path):
 
 
 def test_an_unknown_ending(figure, tmp_path):
-    with pytest.raises(MistrayError, match=r"layout.dwg': layouts are written as .svg, .pdf, .eps, .png; choose one"):
+    with pytest.raises(MistrayError, match=r"layout.dwg': layouts are written as .svg, .pdf, .eps, .png"):
         write_layout(figure, tmp_path / "layout.dwg")
 
 

@@ -87,12 +87,12 @@ def test_obj_is_as_others_read_it(rays, tmp_path):
 
 
 def test_another_ending(rays, tmp_path):
-    with pytest.raises(MistrayError, match=r"rays.stl': rays are written as .ply, .obj, .json; choose"):
+    with pytest.raises(MistrayError, match=r"rays.stl': rays are written as .ply, .obj, .json"):
         write_rays(rays, tmp_path / "rays.stl")
 
 
 def test_a_missing_file(tmp_path):
-    with pytest.raises(MistrayError, match=r"ray file .*none.ply': No such file or directory; check the path"):
+    with pytest.raises(MistrayError, match=r"ray file .*none.ply': No such file or directory"):
         read_rays(tmp_path / "none.ply")
 
 

@@ -229,7 +229,7 @@ def test_a_trace_of_another_scene(scene, trace):
         def shapes(self):
             return [shape for shape in scene.shapes() if shape.id() != "stop_wall"]
 
-    with pytest.raises(MistrayError, match="surface 'stop_wall' is not both in scene and trace; give the scene"):
+    with pytest.raises(MistrayError, match="surface 'stop_wall' is not both in scene and trace"):
         view(Other(), trace)
 
 

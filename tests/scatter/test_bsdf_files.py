@@ -113,7 +113,7 @@ class TestZemax:
         start, end = text.index("TIS"), text.index("DataEnd")
         text = text[:start] + "TIS 1\n" + rows + "TIS 1\n" + rows + text[end:]
         assert read_zemax_bsdf(write(tmp_path / "a.bsdf", text)).values.shape == (2, 3, 4)
-        with pytest.raises(MistrayError, match="azimuths 90 and 270° differ by 1 1/sr; anisotropic"):
+        with pytest.raises(MistrayError, match="azimuths 90 and 270° differ by 1 1/sr"):
             read_zemax_bsdf(write(tmp_path / "b.bsdf", text.replace("1 1 1 1\n1 1 1 1", "1 1 1 1\n2 2 2 2", 1)))
 
     @pytest.mark.parametrize(
@@ -233,13 +233,11 @@ class TestAnisotropy:
         assert found[0] == pytest.approx(0.1, rel=1e-6)
 
     def test_is_refused_unless_it_is_asked_for(self, tmp_path: Path) -> None:
-        with pytest.raises(
-            MistrayError, match=r"sample rotations 0 and 90° differ by 0.1 1/sr; .*anisotropy to 'mean'"
-        ):
+        with pytest.raises(MistrayError, match=r"sample rotations 0 and 90° differ by 0.1 1/sr"):
             read_zemax_bsdf(self.file(tmp_path, [0, 45, 90], 0.5, 0.0))
         with pytest.raises(MistrayError, match=r"azimuths 90 and 270° differ by .*anisotropy to 'mean'"):
             read_zemax_bsdf(self.file(tmp_path, [0], 0.0, 0.3))
-        with pytest.raises(MistrayError, match="anisotropy is 'maen'; use 'error' or 'mean'"):
+        with pytest.raises(MistrayError, match="anisotropy is 'maen'"):
             read_zemax_bsdf(self.file(tmp_path, [0], 0.0, 0.0), "maen")
         with pytest.raises(MistrayError, match="the sample rotations do not ascend"):
             read_zemax_bsdf(self.file(tmp_path, [90, 0], 0.0, 0.0))

@@ -245,7 +245,7 @@ def test_refuses(options: dict[str, Any], message: str) -> None:
 
 def test_refuses_rough_surfaces() -> None:
     rough = KCorrelation(20.0, 20.0, 3.0)
-    with pytest.raises(MistrayError, match=r"not smooth in reflection at 550 nm .*; use theory ghs_full, with slope 3"):
+    with pytest.raises(MistrayError, match=r"not smooth in reflection at 550 nm .*"):
         rough.lobes(550.0, 1.0, 1.5, True)
     assert len(KCorrelation(20.0, 20.0, 3.0, event="transmission").lobes(550.0, 1.0, 1.5, True)) == 1
     # most of this roughness is of frequencies that do not scatter
@@ -256,7 +256,7 @@ def test_refuses_rough_surfaces() -> None:
 
 def test_vector_theory_needs_a_step_of_index() -> None:
     model = KCorrelation(1.0, 20.0, 3.0, theory="rayleigh_rice_vector")
-    with pytest.raises(MistrayError, match="indices are 1 on both sides, which has no reflection; give the substrate"):
+    with pytest.raises(MistrayError, match="indices are 1 on both sides, which has no reflection"):
         model.lobes(550.0, 1.0, 1.0, True)
     mirror = KCorrelation(1.0, 20.0, 3.0, theory="rayleigh_rice_vector", substrate=ALUMINIUM)
     assert [lobe.event for lobe in mirror.lobes(550.0, 1.0, 1.0, True)] == ["reflection"]

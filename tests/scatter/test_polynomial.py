@@ -97,5 +97,5 @@ def test_refuses_what_no_number_holds(coefficients: dict[str, float]) -> None:
 
 
 def test_refuses_the_knee() -> None:
-    with pytest.raises(MistrayError, match="d is 0; it must lie"):
+    with pytest.raises(MistrayError, match="d is 0"):
         model(0.0, c000=-1.0)

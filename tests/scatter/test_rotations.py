@@ -154,7 +154,7 @@ class TestRotations:
         assert all(table.azimuth_deg[-1] == 360 for table in found.tables)
 
     def test_refused(self) -> None:
-        with pytest.raises(MistrayError, match=r"rotations from 0 to 90° leave 270° open; .*anisotropy to 'mean'"):
+        with pytest.raises(MistrayError, match="rotations from 0 to 90° leave 270° open"):
             reduced([0, 45, 90], two_fold)
         with pytest.raises(MistrayError, match=r"rotations 0 and 180° differ by 0\.2"):
             reduced([0, 90, 180], lambda rho: 0.1 + 0.1 * np.cos(np.radians(rho)))

@@ -127,7 +127,7 @@ class TestScan:
 
     def test_refused(self) -> None:
         model = ABg(0.0025, 0.001, 1.8)
-        with pytest.raises(MistrayError, match="angle of incidence 90°; give angles from 0 to below 90°"):
+        with pytest.raises(MistrayError, match="angle of incidence 90°"):
             scan(model, [90.0])
         with pytest.raises(MistrayError, match="is totally reflected, nothing is transmitted; give smaller angles"):
             scan(model, [60.0], "transmission", Light(n_in=1.5, n_out=1.0))

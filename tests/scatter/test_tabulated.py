@@ -108,7 +108,7 @@ class TestCover:
     def test_polar(self) -> None:
         with pytest.raises(MistrayError, match=r"'short': its polar angles end at 60°.*the hemisphere reaches to 90°"):
             Tabulated(self.short("normal"))
-        with pytest.raises(MistrayError, match=r"at incidence 80° the hemisphere reaches to 170°; complete the table"):
+        with pytest.raises(MistrayError, match="at incidence 80° the hemisphere reaches to 170°"):
             Tabulated(self.short("specular"))
 
     def test_beyond(self) -> None:
@@ -117,7 +117,7 @@ class TestCover:
         np.testing.assert_allclose(values(held, 0.0, grazing), 0.1, rtol=1e-9)
         zero = Tabulated(self.short("normal"), beyond="zero")
         np.testing.assert_allclose(values(zero, 0.0, grazing), [0.0, 0.1], atol=1e-9)
-        with pytest.raises(MistrayError, match="beyond is 'last'; use 'error', 'hold' or 'zero'"):
+        with pytest.raises(MistrayError, match="beyond is 'last'"):
             Tabulated(self.short("normal"), beyond="last")
 
     def test_azimuth(self) -> None:
@@ -131,7 +131,7 @@ class TestCover:
         half, kept = half_circle("test", azimuth, grid)
         np.testing.assert_array_equal(half, [0, 90, 180])
         np.testing.assert_array_equal(kept, grid[:, :3])
-        with pytest.raises(MistrayError, match=r"azimuths 90 and 270° differ by 1 1/sr; anisotropic"):
+        with pytest.raises(MistrayError, match="azimuths 90 and 270° differ by 1 1/sr"):
             half_circle("test", azimuth, grid * np.array([1, 1.5, 1, 1, 1])[:, None])
         with pytest.raises(MistrayError, match=r"azimuth 90° has no mirror image 270°"):
             half_circle("test", azimuth[[0, 1, 2, 4]], grid[:, [0, 1, 2, 4]])
@@ -149,11 +149,11 @@ class TestRefused:
             Samples("bad", "normal", ANGLES, AZIMUTH, full.polar_deg, full.values)
 
     def test_more_than_all_light(self) -> None:
-        with pytest.raises(MistrayError, match=r"TIS = 1\.5 at \d+°, more than all light; check the unit"):
+        with pytest.raises(MistrayError, match=r"TIS = 1\.5 at \d+°, more than all light"):
             Tabulated(samples("normal", lambda d: np.full(d.shape[:-1], 1.5 / np.pi)))
 
     def test_no_light(self) -> None:
-        with pytest.raises(MistrayError, match="all values are 0; leave the model out"):
+        with pytest.raises(MistrayError, match="all values are 0"):
             Tabulated(samples("normal", lambda d: np.zeros(d.shape[:-1])))
 
     def test_grids(self) -> None:
@@ -163,7 +163,7 @@ class TestRefused:
             Samples("x", "normal", np.zeros(1), ends, np.array([90.0, 0.0]), grid)
         with pytest.raises(MistrayError, match="polar angles begin at 5°"):
             Samples("x", "normal", np.zeros(1), ends, np.array([5.0, 90.0]), grid)
-        with pytest.raises(MistrayError, match="incidence angles from 95 to 95°; they lie in 0 … 90°"):
+        with pytest.raises(MistrayError, match="incidence angles from 95 to 95°"):
             Samples("x", "normal", np.array([95.0]), ends, np.array([0.0, 90.0]), grid)
         with pytest.raises(MistrayError, match="light at 90° does not meet the surface"):
             Samples("x", "normal", np.array([90.0]), ends, np.array([0.0, 90.0]), grid)

@@ -182,10 +182,10 @@ class TestRefusals:
             recoated(tmp_path / "none.xml", coating, tmp_path)
         with pytest.raises(MistrayError, match="line 2: broken XML, mismatched tag"):
             recoated(store(tmp_path, "<scene>\n</scen>"), coating, tmp_path)
-        with pytest.raises(MistrayError, match="its encoding is latin-1; save it as UTF-8"):
+        with pytest.raises(MistrayError, match="its encoding is latin-1"):
             recoated(store(tmp_path, SCENE.replace("utf-8", "latin-1")), coating, tmp_path)
         diffuse = SCENE.replace('<bsdf type="interface"/>', '<bsdf type="diffuse"/>')
-        with pytest.raises(MistrayError, match="shape 'e': its BSDF is 'diffuse'; a coating needs an 'interface'"):
+        with pytest.raises(MistrayError, match="shape 'e': its BSDF is 'diffuse'"):
             recoated(store(tmp_path, diffuse), [SharedCoating("AR", AR, ("e",))], tmp_path)
         bare = SCENE.replace('<bsdf type="interface"/>', "")
         with pytest.raises(MistrayError, match="shape 'e': it has no BSDF"):

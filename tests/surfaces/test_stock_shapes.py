@@ -88,9 +88,7 @@ class TestDetector:
         film = '<film type="hdrfilm"><rfilter type="box"/></film>'
         ball = stock("sphere", "eye", f'<sensor type="irradiancemeter">{film}</sensor>')
         scene, _ = load_text(scene_text(shape_xml("asphere", "front", -5.0, GLASS, semi_diameter=3.0), ball))
-        with pytest.raises(
-            mistray.MistrayError, match=r"detector 'eye' is Sphere; use an 'asphere', .* or a 'rectangle'"
-        ):
+        with pytest.raises(mistray.MistrayError, match="detector 'eye' is Sphere"):
             mistray.trace(scene, rays=10)
 
 

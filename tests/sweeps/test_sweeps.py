@@ -137,9 +137,7 @@ class TestTraces:
     def test_of_a_loaded_scene(self, plate: Path) -> None:
         found = mistray.sweep(mistray.load(plate), [0], 550, {"a": {}, **states()}, **FEW)
         assert len(found.trace("a").paths) == 2
-        with pytest.raises(
-            MistrayError, match="'weak' changes a scene that was given loaded; give sweep\\(\\) the scene"
-        ):
+        with pytest.raises(MistrayError, match="'weak' changes a scene that was given loaded"):
             found.trace("weak")
 
 
@@ -286,7 +284,5 @@ class TestToml:
             self.read(tmp_path, text)
 
     def test_missing(self, tmp_path: Path) -> None:
-        with pytest.raises(
-            MistrayError, match=r"configurations '.*no\.toml': No such file or directory; check the path"
-        ):
+        with pytest.raises(MistrayError, match=r"configurations '.*no\.toml': No such file or directory"):
             read_configurations(tmp_path / "no.toml")

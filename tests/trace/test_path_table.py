@@ -274,7 +274,7 @@ def test_rows_are_sequences_and_equal_themselves(hits: Hits) -> None:
     assert aimed.event_list[1] == ("barrel", "ImpRefl")
     with pytest.raises(IndexError, match="row 8 of a table of 8 paths"):
         table[8]
-    with pytest.raises(MistrayError, match="path_id 8 does not exist; this trace has the paths 0 … 7"):
+    with pytest.raises(MistrayError, match="path_id 8 does not exist"):
         table.locate(8)
     assert {row.path for row in table.find("barrel:j")} == {"TjA", "tjA", "ijA"}
     assert len(table.find("L1_front", "barrel")) == 5
