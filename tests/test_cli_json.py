@@ -17,7 +17,7 @@ from mistray import cli
 from mistray.analysis.ghosts import GhostReport
 from mistray.cli import program
 from mistray.cli.ghosts_json import as_json
-from mistray.cli.tracing_arguments import print_json
+from mistray.cli.options import print_json
 from mistray.coatings import preset, spectrum
 from mistray.report.tables.pst import pst_record
 

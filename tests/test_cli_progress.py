@@ -12,8 +12,9 @@ from types import SimpleNamespace
 import pytest
 
 from mistray import cli
-from mistray.cli import program, tracing_arguments
-from mistray.cli.tracing_arguments import progress_bar, working
+from mistray.cli import program
+from mistray.cli import progress as shown
+from mistray.cli.progress import progress_bar, working
 
 
 class Terminal(io.StringIO):
@@ -25,7 +26,7 @@ def on_a_terminal(monkeypatch: pytest.MonkeyPatch) -> Terminal:
     """Within the test, because pytest puts its own stream in place after the fixtures."""
     stream = Terminal()
     monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr(tracing_arguments, "FIRST_SECOND", 0.05)
+    monkeypatch.setattr(shown, "FIRST_SECOND", 0.05)
     return stream
 
 
@@ -72,7 +73,7 @@ def test_quiet(monkeypatch: pytest.MonkeyPatch) -> None:
 def test_no_terminal(monkeypatch: pytest.MonkeyPatch) -> None:
     stream = io.StringIO()
     monkeypatch.setattr(sys, "stderr", stream)
-    monkeypatch.setattr(tracing_arguments, "FIRST_SECOND", 0.02)
+    monkeypatch.setattr(shown, "FIRST_SECOND", 0.02)
     with working("loading plate"):
         time.sleep(0.1)
     with progress_bar(argparse.Namespace(quiet=False)) as progress:

@@ -10,7 +10,7 @@ from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.command import Group, Option
-from mistray.cli.tracing_arguments import flag
+from mistray.cli.shared import flag
 from mistray.errors import MistrayError
 from mistray.ranges import FINITE
 

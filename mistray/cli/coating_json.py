@@ -12,27 +12,26 @@ SHARES = ("R", "T", "A")
 
 def as_json(coating: Coating, values: Spectrum, design_nm: float) -> dict[str, Any]:
     """A coating: its layers, R, T and A over the band, and all of the spectrum, as values that JSON knows."""
-    from mistray.coatings import Stack
     from mistray.files.json_values import plain
 
-    layers = []
-    if isinstance(coating, Stack):
-        for layer, n in zip(coating.layers, coating.indices(design_nm), strict=True):
-            waves = n.real * layer.thickness_nm / design_nm
-            layers.append(
-                {
-                    "material": layer.material,
-                    "thickness_nm": layer.thickness_nm,
-                    "n": n.real,
-                    "k": n.imag,
-                    "waves": waves,
-                }
-            )
-    record = {"design_nm": design_nm, "layers": layers, "band": _band(values), "spectrum": _spectrum(values)}
-    return dict(plain(record))
+    layers, band = layer_rows(coating, design_nm), band_rows(values)
+    return dict(plain({"design_nm": design_nm, "layers": layers, "band": band, "spectrum": _spectrum(values)}))
 
 
-def _band(values: Spectrum) -> list[dict[str, Any]]:
+def layer_rows(coating: Coating, design_nm: float) -> list[dict[str, Any]]:
+    """The layers of a stack; none of other coatings."""
+    from mistray.coatings import Stack
+
+    if not isinstance(coating, Stack):
+        return []
+    return [
+        {"material": layer.material, "thickness_nm": layer.thickness_nm, "n": n.real, "k": n.imag}
+        | {"waves": n.real * layer.thickness_nm / design_nm}
+        for layer, n in zip(coating.layers, coating.indices(design_nm), strict=True)
+    ]
+
+
+def band_rows(values: Spectrum) -> list[dict[str, Any]]:
     """For each angle the means over the wavelengths, and where R is least and greatest, of unpolarised light."""
     rows = []
     for k, angle in enumerate(values.angle_deg):

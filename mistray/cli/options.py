@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import argparse
 import contextlib
+import json
 import time
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arguments import as_text
-from mistray.cli.claims import claim_folder
-from mistray.cli.tracing_arguments import NAMES, flag, print_json, progress_bar, working
+from mistray.cli.claims import claim_files, claim_folder
+from mistray.cli.progress import progress_bar, working
+from mistray.cli.shared import NAMES, flag
 from mistray.errors import MistrayError
 from mistray.interrupts import check, later
 from mistray.ranges import SECONDS
@@ -19,6 +21,11 @@ from mistray.ranges import SECONDS
 if TYPE_CHECKING:
     from mistray.report import IrradianceMap
     from mistray.report.model import Report
+
+
+def print_json(record: Mapping[str, Any], files: Sequence[Path] = ()) -> None:
+    """Print one JSON object: the record, and the names of the files that were written; see docs/json.md."""
+    print(json.dumps({**record, "files": [str(file) for file in files]}, indent=2, allow_nan=False))
 
 
 class Options(argparse.Namespace):
@@ -94,6 +101,18 @@ class Options(argparse.Namespace):
         check()
         return claim_folder(self) if self.folder_files else None
 
+    def claim(self) -> list[Path]:
+        """The files that options name for the command to write; refused, if they must not be written."""
+        paths = [path for name in self.outputs if (path := getattr(self, name)) is not None]
+        claim_files(self, *paths)
+        return paths
+
+    def check_pictures(self, *names: str) -> None:
+        """Refuse pictures of other formats."""
+        for path in self.given(*names).values():
+            if path.suffix.lower() not in (".png", ".svg", ".pdf"):
+                raise MistrayError(f"picture '{path}': its name must end in .png, .svg or .pdf")
+
     def working(self, what: str) -> contextlib.AbstractContextManager[None]:
         """The block in which something is done that has no steps to count, see `working`."""
         return working(what, self.quiet)
@@ -155,6 +174,16 @@ class Options(argparse.Namespace):
             files = write_report(report, self.out, scene(self.out) if scene else "")
             facts = {"command": self.command_line}
             return files + write_formats(self.has("formats") or (), self.out, report.csv, maps or {}, facts)
+
+    def tell(self, record: Callable[[], Mapping[str, Any]], text: Callable[[], str], files: Sequence[Path]) -> int:
+        """Print a result, and the names of single files that were written; returns the exit code."""
+        if self.json:
+            print_json(record(), files)
+        else:
+            print(text())
+            if files:
+                print(f"\nwrote {', '.join(map(str, files))}")
+        return 0
 
     def show(
         self,

@@ -165,20 +165,10 @@ def write_budget(result: Budget, directory: str | Path, title: str = "scene", co
     """
     Write scene.xml, budget.csv, requirements.csv, budget.json, budget.png and report.html, each whole or not at all.
 
-    Parameters
-    ----------
-    result : Budget
-    directory : str or Path
-        Made if it is missing.
-    title : str
-        Name of the optical system.
-    command : str
-        Command line, quoted in the report.
+    `write_report` says what becomes of the directory; `title` is the name of the optical system, `command` the
+    command line, both for the report.
 
-    Returns
-    -------
-    list of Path
-        The files written; report.html is the last.
+    Returns the files written, of which the page is the last.
     """
     return write_report(budget_report(result, title, command), directory, result.scene_text(directory))
 

@@ -37,13 +37,12 @@ import numpy.typing as npt
 from mistray.analysis.ghosts import GhostReport
 from mistray.analysis.spectral import spectral_maps
 from mistray.errors import MistrayError
+from mistray.ranges import BLOCK, STOPS, Words, check_fields
 from mistray.report.figures.figure import Figure
 
 Array = npt.NDArray[np.float64]
 OBSERVER = "CIE 1931 2 Degree Standard Observer"
 FEWEST_WAVELENGTHS = 3
-WHITES = ("source", "D65")
-REFERENCES = ("ghosts", "direct")
 LEAST_CONE_RESPONSE = 1e-3  # of a white, relative to its luminance
 ROUNDING = 1e-9
 HITS_PER_BLOCK = 20  # leaves about 20 % of noise in each line, less in luminance
@@ -66,20 +65,13 @@ class Look:
         Pixels averaged along each side; a divisor of the height and the width. 0: as many as the noise asks for.
     """
 
-    stops: float = 0.0
-    reference: str = "ghosts"
-    white: str = "source"
-    block: int = 0
+    stops: float = STOPS.field(0.0)
+    reference: str = Words(("ghosts", "direct")).field("ghosts")
+    white: str = Words(("source", "D65")).field("source")
+    block: int = BLOCK.field(0)
 
     def __post_init__(self) -> None:
-        if not np.isfinite(self.stops) or abs(self.stops) > 200:
-            raise MistrayError(f"colour: {self.stops} stops; give a number between -200 and 200")
-        if self.reference not in REFERENCES:
-            raise MistrayError(f"colour: reference is '{self.reference}'; use 'ghosts' or 'direct'")
-        if self.white not in WHITES:
-            raise MistrayError(f"colour: white is '{self.white}'; use 'source' or 'D65'")
-        if self.block < 0:
-            raise MistrayError(f"colour: blocks of {self.block} pixels; give 1 or more, or 0 to let the noise decide")
+        check_fields(self, "colour")
 
 
 @dataclass(frozen=True)
@@ -291,7 +283,7 @@ class ColourPictures:
             axes.set_title(f"field {field_deg:g}°, {title}", fontsize=10)
             axes.set_xlabel("x [mm]")
         panels[0].set_ylabel("y [mm]")
-        figure.supxlabel(self.caption(field_deg), fontsize=7.5, color="#555555")
+        figure.small_print(self.caption(field_deg))
         return figure
 
     def caption(self, field_deg: float) -> str:

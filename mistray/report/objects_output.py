@@ -238,22 +238,10 @@ def write_objects(
     """
     Write the tables of `csv_tables`, objects.png, objects.json and objects.html.
 
-    Parameters
-    ----------
-    found : Objects
-    estimates : DataFrame
-        ``found.estimates()``.
-    directory : str or Path
-        Made if it is missing, with the directories above it; other files in it are left alone.
-    title : str
-        Name of the optical system.
-    command : str
-        Command line, quoted in the report.
+    `estimates` are those of ``found.estimates()``. `write_report` says what becomes of the directory; `title` is the
+    name of the optical system, `command` the command line, both for the report.
 
-    Returns
-    -------
-    list of Path
-        The files written.
+    Returns the files written, of which the page is the last.
     """
     return write_report(objects_report(found, estimates, title, command), directory)
 

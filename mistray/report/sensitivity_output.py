@@ -284,20 +284,10 @@ def write_sensitivity(
 
     With perturbed systems there are draws.csv and monte_carlo.png as well.
 
-    Parameters
-    ----------
-    result : Sensitivity
-    directory : str or Path
-        Made if it is missing.
-    title : str
-        Name of the optical system.
-    command : str
-        Command line, quoted in the report.
+    `write_report` says what becomes of the directory; `title` is the name of the optical system, `command` the
+    command line, both for the report.
 
-    Returns
-    -------
-    list of Path
-        The files written; report.html is the last.
+    Returns the files written, of which the page is the last.
     """
     return write_report(sensitivity_report(result, title, command), directory)
 

@@ -155,19 +155,9 @@ def write_thermal(report: ThermalReport, directory: str | Path, title: str = "sc
     """
     Write the tables of `csv_tables`, thermal.json, thermal.png and report.html.
 
-    Parameters
-    ----------
-    report : ThermalReport
-    directory : str or Path
-        Made if it is missing, with the directories above it; other files in it are left alone.
-    title : str
-        Name of the optical system.
-    command : str
-        Command line, quoted in the report.
+    `write_report` says what becomes of the directory; `title` is the name of the optical system, `command` the
+    command line, both for the report.
 
-    Returns
-    -------
-    list of Path
-        The files written.
+    Returns the files written, of which the page is the last.
     """
     return write_report(thermal_report(report, title, command), directory)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import csv
 import json
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -73,3 +75,11 @@ def test_command_line(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> Non
     assert "field 80 deg" in capsys.readouterr().err
     with pytest.raises(mistray.MistrayError, match="rim is 0"):
         critical_rays(mistray.load("cooke_triplet"), rim=0)
+
+
+def test_command_line_in_a_process_of_its_own(tmp_path: Path) -> None:
+    """Nothing has imported Mitsuba there before the command does."""
+    words = ("-m", "mistray", "export", "cooke_triplet", "-o", "critical.csv")
+    done = subprocess.run([sys.executable, *words], cwd=tmp_path, capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert (tmp_path / "critical.csv").is_file()

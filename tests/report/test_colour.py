@@ -295,9 +295,9 @@ def test_a_saturated_source_is_no_white():
 @pytest.mark.parametrize(
     ("look", "words"),
     [
-        ({"stops": float("nan")}, "nan stops"),
-        ({"reference": "sky"}, "reference is 'sky'; use 'ghosts' or 'direct'"),
-        ({"white": "E"}, "white is 'E'; use 'source' or 'D65'"),
+        ({"stops": float("nan")}, "stops is nan"),
+        ({"reference": "sky"}, "reference is 'sky'"),
+        ({"white": "E"}, "white is 'E'"),
     ],
 )
 def test_bad_looks_are_errors(look, words):
@@ -324,6 +324,6 @@ def test_noise_asks_for_blocks():
 def test_blocks_that_do_not_fill_the_picture(report):
     with pytest.raises(MistrayError, match="blocks of 7 pixels do not fill"):
         ColourPictures(report, Look(block=7))
-    with pytest.raises(MistrayError, match="give 1 or more"):
+    with pytest.raises(MistrayError, match="block is -1"):
         Look(block=-1)
     assert "pixels averaged" in ColourPictures(report, Look(block=2)).caption(0.0)

@@ -7,15 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli import bsdf_models
-from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import FORCE, print_json, working
+from mistray.cli.progress import working
+from mistray.cli.shared import FORCE
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CHANCE, FIELD_DEG, POLAR_DEG, SHARE, SOLID_ANGLE_SR, WAVELENGTH_NM
 
 if TYPE_CHECKING:
-    from mistray.report.figures.figure import Figure
     from mistray.scatter import Scatter
     from mistray.scatter.chance import Chance
     from mistray.scatter.scan import Light, Scan
@@ -23,7 +22,6 @@ if TYPE_CHECKING:
 DEFAULT_ROTATIONS = (0.0, 90.0)
 DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 EVENTS = ("reflection", "transmission")
-PICTURES = (".png", ".svg", ".pdf")
 
 
 # fmt: off
@@ -78,14 +76,12 @@ def run(options: Options) -> int:
     """Run the command."""
     from mistray.scatter.scan import scan
 
-    for path in (options.plot, options.plot_particles):
-        if path is not None and path.suffix.lower() not in PICTURES:
-            raise MistrayError(f"picture '{path}': its name must end in .png, .svg or .pdf")
+    options.check_pictures("plot", "plot_particles")
     if options.table is not None and options.table.suffix.lower() not in (".bsdf", ".csv"):
         raise MistrayError(f"table '{options.table}': its name must end in .bsdf (Zemax) or .csv")
     if options.plot_particles is not None and options.model != "particulate":
         raise MistrayError(f"{options.model} has no particles; leave --plot-particles out")
-    claim_files(options, options.plot, options.plot_particles, options.csv, options.table)
+    written = options.claim()
     model, light = bsdf_models.model_of(options.model, options), _light(options)
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
     events = [event for event in EVENTS if any(lobe.event == event for lobe in lobes)]
@@ -108,23 +104,21 @@ def run(options: Options) -> int:
 
         write_figure(bsdf_figure(curves, title, _knee(model, event, light)), options.plot)
     if options.plot_particles is not None:
+        from mistray.report.figures.bsdf import particles_figure
         from mistray.report.figures.plots import write_figure
 
-        write_figure(_particles(model), options.plot_particles)
+        particles: Any = model
+        write_figure(particles_figure(particles.cleanliness, particles.slope), options.plot_particles)
     if options.csv is not None:
         _write_curves(curves, options.csv, options.command_line, turned)
     if options.table is not None:
         _write_table(model, options, event, light)
-    written = [path for path in (options.plot, options.plot_particles, options.csv, options.table) if path]
-    if options.json:
-        print_json(_record(options, title, model, totals, curves, light, unaimed), written)
-        return 0
-    print(f"{title}: {options.front} | {options.back}, {light.wavelength_nm:g} nm")
-    blocks = [*_notes(model), *_sheet(options), _totals(totals), *_hits(unaimed)]
-    print("\n\n".join(blocks))
-    if written:
-        print(f"\nwrote {', '.join(map(str, written))}")
-    return 0
+    sides = f"{title}: {options.front} | {options.back}, {light.wavelength_nm:g} nm"
+    return options.tell(
+        lambda: _record(options, title, model, totals, curves, light, unaimed),
+        lambda: f"{sides}\n" + "\n\n".join([*_notes(model), *_sheet(options), _totals(totals), *_hits(unaimed)]),
+        written,
+    )
 
 
 def _record(
@@ -301,12 +295,6 @@ def _totals(found: list[dict[str, Any]]) -> str:
             columns.append([ABSENT if row[key] is None else f"{scale * row[key]:.4g}" for row in rows])
     text = text_table(heads, list(zip(*columns, strict=True)))
     return f"{text}\nTIS: share of the incident light; loss: share of the specular beam that it loses"
-
-
-def _particles(model: Any) -> Figure:
-    from mistray.report.figures.bsdf import particles_figure
-
-    return particles_figure(model.cleanliness, model.slope)
 
 
 def _write_curves(scans: list[Scan], path: Path, command: str, turned: bool) -> None:

@@ -6,7 +6,7 @@ from pathlib import Path
 
 from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import MACHINE, SCENE, output
+from mistray.cli.shared import MACHINE, SCENE, output
 
 # What --out writes
 FILES = ("scene.xml", "report.html", "budget.*", "requirements.csv")

@@ -5,8 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from mistray.cli.command import Command, Option
-from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import print_json
+from mistray.cli.options import Options, print_json
 
 BYTES_PER_MB = 1e6
 

@@ -6,11 +6,11 @@ import argparse
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from mistray.cli.claims import claim_files
-from mistray.cli.coating_json import as_json
+from mistray.cli.coating_json import SHARES, as_json, band_rows, layer_rows
 from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import FORCE, print_json, working
+from mistray.cli.progress import working
+from mistray.cli.shared import FORCE
 from mistray.errors import MistrayError
 from mistray.ranges import POLAR_DEG, POSITIVE, WAVELENGTH_NM
 
@@ -23,6 +23,7 @@ DEFAULT_WAVELENGTHS = "400:700:5"
 DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0)
 ROWS_SHOWN = 7
 MOST_WAVELENGTHS = 20_000
+LAYER = (("thickness_nm", ".3f"), ("n", ".4f"), ("k", ".3g"), ("waves", ".4f"))  # columns of numbers
 
 
 # fmt: off
@@ -64,11 +65,10 @@ def run(options: Options) -> int:
     from mistray.coatings import coating_from_text, spectrum, write_table
 
     lam = wavelengths(options.wavelength_nm)
-    if options.plot is not None and options.plot.suffix.lower() not in (".png", ".svg", ".pdf"):
-        raise MistrayError(f"picture '{options.plot}': its name must end in .png, .svg or .pdf")
-    claim_files(options, options.plot, options.csv)
+    options.check_pictures("plot")
+    files = options.claim()
     if _is_scene(options.coating):
-        return _scene(options, lam)
+        return _scene(options, lam, files)
     coating = coating_from_text(options.coating, options.design_nm)
     front, back, from_front = options.front or "air", options.back or "N-BK7", not options.from_back
     values = spectrum(coating, lam, options.angles_deg, front, back, from_front)
@@ -79,15 +79,16 @@ def run(options: Options) -> int:
         write_figure(coating_figure(coating, lam, options.angles_deg, front, back, from_front), options.plot)
     if options.csv is not None:
         write_table(coating, options.csv, lam, options.angles_deg, front, back)
-    files = [path for path in (options.plot, options.csv) if path is not None]
-    if options.json:
-        where = {"coating": coating.name or options.coating, "front": front, "back": back, "from_front": from_front}
-        print_json(where | as_json(coating, values, options.design_nm), files)
-        return 0
-    print(f"{coating.name or options.coating}: {front} | {back}, light from {front if from_front else back}")
-    print("\n\n".join([*_layers(coating, options.design_nm), _over_band(values), _sample(values)]))
-    _print_files(files)
-    return 0
+    name, side = coating.name or options.coating, front if from_front else back
+    where = {"coating": name, "front": front, "back": back, "from_front": from_front}
+    return options.tell(
+        lambda: where | as_json(coating, values, options.design_nm),
+        lambda: (
+            f"{name}: {front} | {back}, light from {side}\n"
+            + "\n\n".join([*_layers(coating, options.design_nm), _over_band(values), _sample(values)])
+        ),
+        files,
+    )
 
 
 def wavelengths(words: list[str]) -> list[float]:
@@ -134,7 +135,7 @@ def _is_scene(text: str) -> bool:
     return True
 
 
-def _scene(options: Options, lam: list[float]) -> int:
+def _scene(options: Options, lam: list[float], files: list[Path]) -> int:
     """Coatings of the surfaces of a scene."""
     from mistray._mitsuba_compat import silence_warnings
     from mistray._variant import ensure_variant
@@ -153,7 +154,6 @@ def _scene(options: Options, lam: list[float]) -> int:
 
     with working(f"loading {options.coating}"):
         surfaces = coated_surfaces(load(options.coating))
-    files = [] if options.plot is None else [options.plot]
     if files:
         write_figure(surfaces_figure(surfaces, lam, options.angles_deg), options.plot)
     rows, records = [], []
@@ -169,31 +169,29 @@ def _scene(options: Options, lam: list[float]) -> int:
         records.append(
             {"names": list(surface.names), **facts, "angles": [{"angle_deg": a, "R_mean": r} for a, r in by_angle]}
         )
-    if options.json:
-        print_json({"wavelength_from_nm": lam[0], "wavelength_to_nm": lam[-1], "surfaces": records}, files)
-        return 0
-    print(f"mean reflectance from {lam[0]:g} to {lam[-1]:g} nm, unpolarised light from the side of lower index")
-    angles = [(f"{angle:g}°", "%") for angle in options.angles_deg]
-    print(text_table([(name, "") for name in ("surfaces", "coating", "front", "back")] + angles, rows, left=range(4)))
-    _print_files(files)
-    return 0
+    title = f"mean reflectance from {lam[0]:g} to {lam[-1]:g} nm, unpolarised light from the side of lower index"
+    heads = [*((name, "") for name in ("surfaces", "coating", "front", "back")),
+             *((f"{angle:g}°", "%") for angle in options.angles_deg)]  # fmt: skip
+    return options.tell(
+        lambda: {"wavelength_from_nm": lam[0], "wavelength_to_nm": lam[-1], "surfaces": records},
+        lambda: f"{title}\n{text_table(heads, rows, left=range(4))}",
+        files,
+    )
 
 
 def _layers(coating: Coating, design_nm: float) -> list[str]:
     """Table of the layers of a stack; nothing for others."""
-    from mistray.coatings import Stack
     from mistray.report.tables.text import text_table
 
-    if not isinstance(coating, Stack) or not coating.layers:
+    rows = [
+        [f"{number}", row["material"], *(f"{row[name]:{form}}" for name, form in LAYER)]
+        for number, row in enumerate(layer_rows(coating, design_nm), start=1)
+    ]
+    if not rows:
         return []
-    rows = []
-    for number, (layer, n) in enumerate(zip(coating.layers, coating.indices(design_nm), strict=True), start=1):
-        waves = n.real * layer.thickness_nm / design_nm
-        rows.append(
-            [str(number), layer.material, f"{layer.thickness_nm:.3f}", f"{n.real:.4f}", f"{n.imag:.3g}", f"{waves:.4f}"]
-        )
     at = f"at {design_nm:g} nm"
-    heads = [("layer", coating.first), ("material", ""), ("thickness", "nm"), ("n", at), ("k", at), ("waves", at)]
+    heads = [("layer", getattr(coating, "first", "")), ("material", "")]
+    heads += [("thickness", "nm"), ("n", at), ("k", at), ("waves", at)]
     return [text_table(heads, rows, left=(1,))]
 
 
@@ -201,16 +199,14 @@ def _over_band(values: Spectrum) -> str:
     """Table of the mean and the extremes of R over the wavelengths."""
     from mistray.report.tables.text import text_table
 
-    lam, mean = values.wavelength_nm, values.mean()
     rows = []
-    for k, angle in enumerate(values.angle_deg):
-        r = mean[:, k]
-        extremes = [f"{100 * r[i]:.4f} at {lam[i]:g}" for i in (r.argmin(), r.argmax())]
-        shares = [f"{100 * values.mean(share)[:, k].mean():.4f}" for share in "RTA"]
+    for row in band_rows(values):
+        shares = [f"{100 * row[f'{share}_mean']:.4f}" for share in SHARES]
         # A rounding below zero is no absorption
         shares[2] = shares[2].removeprefix("-") if float(shares[2]) == 0 else shares[2]
-        rows.append([f"{angle:g}", *shares, *extremes])
-    band = f"% over {lam[0]:g} … {lam[-1]:g} nm"
+        extremes = (f"{100 * row[name]:.4f} at {row[f'{name}_at_nm']:g}" for name in ("R_least", "R_greatest"))
+        rows.append([f"{row['angle_deg']:g}", *shares, *extremes])
+    band = f"% over {values.wavelength_nm[0]:g} … {values.wavelength_nm[-1]:g} nm"
     heads = [("angle", "deg"), ("R", band), ("T", "%"), ("A", "%"), ("least R", "% at nm"), ("greatest R", "% at nm")]
     return text_table(heads, rows)
 
@@ -233,8 +229,3 @@ def _sample(values: Spectrum) -> str:
             columns += [values.R[:, k, 0], values.R[:, k, 1]]
     rows = [[f"{lam[i]:g}", *(f"{100 * column[i]:.4f}" for column in columns)] for i in shown]
     return text_table(heads, rows)
-
-
-def _print_files(files: list[Path]) -> None:
-    if files:
-        print(f"\nwrote {', '.join(map(str, files))}")

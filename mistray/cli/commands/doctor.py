@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import working
+from mistray.cli.progress import working
 
 # fmt: off
 COMMAND = Command(

@@ -7,8 +7,8 @@ from pathlib import Path
 
 from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Option
-from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import FORCE, print_json
+from mistray.cli.options import Options, print_json
+from mistray.cli.shared import FORCE
 from mistray.errors import MistrayError
 from mistray.ranges import FIELD_DEG, WAVELENGTH_NM
 
@@ -82,11 +82,12 @@ def run(options: Options) -> int:
 def _critical_rays(output: Path, options: Options) -> int:
     """Write the critical rays."""
     from mistray._variant import ensure_variant
+
+    ensure_variant()  # settles libLLVM before anything imports Mitsuba
     from mistray.analysis.critical_rays import critical_rays
     from mistray.replace_file import replace_file
     from mistray.scene import load
 
-    ensure_variant()
     table = critical_rays(load(options.scene), options.field_deg, options.wavelength_nm)
     replace_file(output, table.to_csv(index=False, lineterminator="\n"), "ray file")
     count = int(table.ray.max()) + 1

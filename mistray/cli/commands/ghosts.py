@@ -11,18 +11,8 @@ from typing import TYPE_CHECKING, Any
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.ghosts_json import WORST_SHOWN, as_json
 from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import (
-    MAP_FORMATS,
-    SCATTER,
-    SCENE,
-    SCHEDULER,
-    SPECTRUM,
-    TABLE_FORMATS,
-    TIME,
-    output,
-    progress_bar,
-    ray_tree,
-)
+from mistray.cli.progress import progress_bar
+from mistray.cli.shared import MAP_FORMATS, SCATTER, SCENE, SCHEDULER, SPECTRUM, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.errors import Interrupted, MistrayError, UnfinishedError
 from mistray.ranges import AZIMUTH_DEG, BLOCK, FIELD_DEG, PART, SECONDS, STOPS
 from mistray.time_budget import within

@@ -12,8 +12,8 @@ from mistray.cli.arriving import arriving
 from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.commands import import_mechanics
-from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import FORCE, flag, print_json
+from mistray.cli.options import Options, print_json
+from mistray.cli.shared import FORCE, flag
 from mistray.errors import MistrayError
 from mistray.ranges import MARGIN, SIZE_MM, WAVELENGTH_NM
 from mistray.read_file import require_file

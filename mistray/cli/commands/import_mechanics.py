@@ -12,8 +12,8 @@ from typing import TYPE_CHECKING, Any
 from mistray.cli.arriving import arriving
 from mistray.cli.claims import claim_files
 from mistray.cli.command import Group, Option
-from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import print_json, working
+from mistray.cli.options import Options, print_json
+from mistray.cli.progress import working
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, PLACE_MM, ROWS, SECONDS, SPACE, TOLERANCE_MM
 from mistray.replace_file import opened

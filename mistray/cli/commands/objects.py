@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import DETECTOR, ELSE, MACHINE, SCENE, TABLE_FORMATS, TIME, output, setting
+from mistray.cli.shared import DETECTOR, ELSE, MACHINE, SCENE, TABLE_FORMATS, TIME, output, setting
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, CONE_DEG, PLACE_MM, RAYS, ROWS, SHARE, WAVELENGTH_NM
 

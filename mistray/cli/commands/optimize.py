@@ -10,8 +10,9 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.cli.command import Command, Option
 from mistray.cli.options import Options
+from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.tracing_arguments import MACHINE, SCENE, TIME, output, terminal_bar
+from mistray.cli.shared import MACHINE, SCENE, TIME, output
 from mistray.errors import MistrayError
 from mistray.ranges import ROWS, SEEDS
 

@@ -12,8 +12,9 @@ from mistray.cli.arguments import FIELD_ANGLES
 from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
+from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.tracing_arguments import (
+from mistray.cli.shared import (
     DETECTOR,
     MAP_FORMATS,
     SCATTER,
@@ -24,7 +25,6 @@ from mistray.cli.tracing_arguments import (
     TIME,
     output,
     ray_tree,
-    terminal_bar,
 )
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, AZIMUTH_WIDTH_DEG, CELL_WIDTH_DEG, PIXELS, POLAR_DEG, RELATIVE_ERROR, ROWS

@@ -7,7 +7,7 @@ from typing import Any
 from mistray.cli.arguments import pairs
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import SCATTER, SCENE, SCHEDULER, SPECTRUM, flag, output, ray_tree
+from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, flag, output, ray_tree
 from mistray.errors import MistrayError
 from mistray.ranges import CONE_DEG, EDGE_WIDTH, FACTOR, FIELD_DEG, POLAR_DEG, POSITIVE, ROWS
 

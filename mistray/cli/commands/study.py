@@ -10,18 +10,9 @@ from typing import Any
 from mistray.cli.arguments import FIELD_ANGLES
 from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
+from mistray.cli.progress import terminal_bar
 from mistray.cli.saved_run import SavedRun
-from mistray.cli.tracing_arguments import (
-    SCATTER,
-    SCENE,
-    SCHEDULER,
-    SPECTRUM,
-    TABLE_FORMATS,
-    TIME,
-    output,
-    ray_tree,
-    terminal_bar,
-)
+from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, RELATIVE_ERROR
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 from mistray.cli.arguments import INTERRUPTED, pairs
 from mistray.cli.command import Command, Group, Option, angles
 from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import SCATTER, SCENE, SCHEDULER, SPECTRUM, TABLE_FORMATS, TIME, output, ray_tree
+from mistray.cli.shared import SCATTER, SCENE, SCHEDULER, SPECTRUM, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.errors import MistrayError, UnfinishedError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 from mistray.cli.arguments import pairs
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import DETECTOR, SCATTER, SCENE, TABLE_FORMATS, TIME, output, ray_tree
+from mistray.cli.shared import DETECTOR, SCATTER, SCENE, TABLE_FORMATS, TIME, output, ray_tree
 from mistray.ranges import TEMPERATURE_K, WAVELENGTH_UM
 
 # What --out writes

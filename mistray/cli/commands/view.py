@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Group, Option
-from mistray.cli.options import Options
-from mistray.cli.tracing_arguments import FORCE, NAMES, SCATTER, SCENE, SPECTRUM, print_json, ray_tree
+from mistray.cli.options import Options, print_json
+from mistray.cli.shared import FORCE, NAMES, SCATTER, SCENE, SPECTRUM, ray_tree
 from mistray.errors import MistrayError
 from mistray.ranges import AZIMUTH_DEG, FIELD_DEG, PLACE_MM, RAYS_DRAWN, ROWS
 

@@ -53,7 +53,5 @@ def budget_figure(result: Budget, title: str = "") -> Figure:
     ]
     figure_.legend(handles=handles, loc="outside upper right", ncols=3, fontsize=8, frameon=False)
     before, after = result.cost
-    figure_.suptitle(
-        f"{title}{': ' if title else ''}cost {number(before, 3)} → {number(after, 3)}", fontsize=10, x=0.02, ha="left"
-    )
+    figure_.headed(title, f"cost {number(before, 3)} → {number(after, 3)}")
     return figure_

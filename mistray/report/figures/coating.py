@@ -172,10 +172,9 @@ def surfaces_figure(
         axes.set_xlabel(label)
     rows[0][0].legend(fontsize=8, frameon=False)
     rows[0][1].legend(fontsize=8, frameon=False)
-    figure.supxlabel(
-        "left: mean of s and p; right: mean solid, s dashed, p dotted; light from the side of lower index",
-        fontsize=7.5, color="#555555",
-    )  # fmt: skip
+    figure.small_print(
+        "left: mean of s and p; right: mean solid, s dashed, p dotted; light from the side of lower index"
+    )
     return figure
 
 

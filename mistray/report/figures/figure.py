@@ -48,6 +48,14 @@ class Figure(figure.Figure):
     they are.
     """
 
+    def headed(self, title: str, text: str = "") -> None:
+        """Write the name of the optical system and what is shown above all panels, on the left."""
+        self.suptitle(f"{title}{': ' if title and text else ''}{text}", fontsize=10, x=0.02, ha="left")
+
+    def small_print(self, text: str, right: bool = False) -> None:
+        """Say below all panels, in their middle or on the right, how to read them."""
+        self.supxlabel(text, fontsize=7.5, color="#555555", **({"x": 0.99, "ha": "right"} if right else {}))
+
     def draw(self, renderer: Any) -> None:
         """Draw the figure; every way to a file leads here first."""
         axes = [axis for panel in self.axes for axis in (panel.xaxis, panel.yaxis)]

@@ -60,7 +60,7 @@ def search_figure(result: Optimization) -> Figure:
     rays = (
         "all points trace the same rays" if result.study.optimizer.seeds == "fixed" else "every point has its own rays"
     )
-    figure.supxlabel(f"error bars: one standard error; {rays}", fontsize=7.5, color="#555555")
+    figure.small_print(f"error bars: one standard error; {rays}")
     return figure
 
 
@@ -122,7 +122,7 @@ def reflectance_figure(result: Optimization) -> Figure:
     handles = [Line2D([], [], color=COLOURS[k], label=f"{angle:g}°") for k, angle in enumerate(ANGLES_DEG)]
     handles += [Line2D([], [], color=BLACK, ls=ls, label=name) for ls, name in (("--", "before"), ("-", "after"))]
     figure.legend(handles=handles, loc="outside upper center", ncols=4, fontsize=8, frameon=False)
-    figure.supxlabel("mean of s and p; grey: wavelengths of the study", fontsize=7.5, color="#555555")
+    figure.small_print("mean of s and p; grey: wavelengths of the study")
     return figure
 
 

@@ -85,7 +85,7 @@ def ghost_image(report: GhostReport, field_deg: float, limits: Range | None = No
     if picture is not None and limits:
         bar = figure.colorbar(picture, ax=[left, right], shrink=0.95, pad=0.015, extend="min")
         bar.set_label(IRRADIANCE_LABEL)
-        _caption(figure, f"floor 1e{limits[0]:g} W/mm²; black: below the floor or no ray")
+        figure.small_print(f"floor 1e{limits[0]:g} W/mm²; black: below the floor or no ray", right=True)
     return figure
 
 
@@ -115,7 +115,7 @@ def montage(report: GhostReport, columns: int = 4) -> Figure:
     if picture is not None and limits:
         bar = figure.colorbar(picture, ax=grid, shrink=0.9, pad=0.01, aspect=30, extend="min")
         bar.set_label(IRRADIANCE_LABEL)
-        _caption(figure, f"floor 1e{limits[0]:g} W/mm²; black: below the floor or no ray")
+        figure.small_print(f"floor 1e{limits[0]:g} W/mm²; black: below the floor or no ray", right=True)
     return figure
 
 
@@ -153,7 +153,7 @@ def levels_against_field(report: GhostReport) -> Figure:
             axes.legend(fontsize=8, framealpha=0.85, edgecolor="none")
         if len(fields) <= FIELDS_AS_TICKS:
             axes.set_xticks(fields)
-    _caption(figure, "error bars: one standard error")
+    figure.small_print("error bars: one standard error", right=True)
     return figure
 
 
@@ -227,7 +227,3 @@ def as_svg(figure: Figure) -> str:
 
 def _aspect(extent: Extent) -> float:
     return (extent[3] - extent[2]) / (extent[1] - extent[0])
-
-
-def _caption(figure: Figure, text: str) -> None:
-    figure.supxlabel(text, fontsize=7.5, color="#555555", x=0.99, ha="right")

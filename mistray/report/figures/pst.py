@@ -98,7 +98,9 @@ def pst_curve(pst: Pst, title: str = "") -> Figure:
         )  # fmt: skip
     below.set_xlim(_ends(pst))
     below.xaxis.set_major_locator(MaxNLocator(nbins=MOST_TICKS, steps=[1, 2, 5, 10]))
-    _note(figure, "bands: ± one standard error; edge of the field: half of the direct light at the smallest angle")
+    figure.small_print(
+        "bands: ± one standard error; edge of the field: half of the direct light at the smallest angle", right=True
+    )
     return figure
 
 
@@ -131,7 +133,9 @@ def pst_causes(pst: Pst, title: str = "") -> Figure:
         axes.axvline(edge, color=BLACK, lw=0.8, ls=(0, (5, 3)), label="edge of the field")
     if parts:
         figure.legend(*axes.get_legend_handles_labels(), loc="outside right upper", fontsize=8, frameon=False)
-    _note(figure, "stray light: all but the direct image; white: paths that the table of paths does not hold")
+    figure.small_print(
+        "stray light: all but the direct image; white: paths that the table of paths does not hold", right=True
+    )
     return figure
 
 
@@ -154,10 +158,10 @@ def pst_map(pst: Pst, title: str = "") -> Figure:
             axes.plot(np.linspace(0, 2 * np.pi, 181), np.full(181, edge), color=SKY, lw=0.9, ls=(0, (5, 3)))
     figure.suptitle(f"{title}{': ' if title else ''}PST over field angle and azimuth, {pst.method}", fontsize=10)
     dashed = "; dashed: edge of the field" if edge is not None else ""
-    _note(
-        figure,
+    figure.small_print(
         "radius: field angle [deg]; azimuth of the beam: 0° towards +y, 90° towards -x; black: below the scale or no "
         f"light; grey: not computed{dashed}",
+        right=True,
     )
     return figure
 
@@ -188,7 +192,9 @@ def pst_irradiance(pst: Pst, field_deg: float, azimuth_deg: float = 0.0) -> Figu
         bar.set_label(IRRADIANCE_LABEL, fontsize=8)
         lit = value > 0
         median = 100 * float(np.median(se[lit] / value[lit]))
-        _note(figure, f"black: below the floor or no ray; relative error of a pixel {median:.2g} % (median)")
+        figure.small_print(
+            f"black: below the floor or no ray; relative error of a pixel {median:.2g} % (median)", right=True
+        )
     return figure
 
 
@@ -304,7 +310,3 @@ def _polar_cells(pst: Pst, value: np.ndarray) -> tuple[Any, Any, np.ndarray]:
     cells = np.array(column)
     shown[::2] = np.where(cells >= 0, value[:, cells], np.nan)
     return np.radians(around), radii, shown
-
-
-def _note(figure: Figure, text: str) -> None:
-    figure.supxlabel(text, fontsize=7.5, color="#555555", x=0.99, ha="right")

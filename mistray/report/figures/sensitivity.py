@@ -72,10 +72,8 @@ def ranking_figure(result: Sensitivity, title: str = "", count: int = BARS) -> F
         handles=[Patch(color=colour, label=name) for name, colour in colours.items()], loc="outside upper right",
         ncols=len(colours), fontsize=8, frameon=False,
     )  # fmt: skip
-    figure.suptitle(f"{title}{': ' if title else ''}{result.name}", fontsize=10, x=0.02, ha="left")
-    figure.supxlabel(
-        "error bars: one standard error; faded: less than two of them from 0", fontsize=7.5, color="#555555"
-    )
+    figure.headed(title, result.name)
+    figure.small_print("error bars: one standard error; faded: less than two of them from 0")
     return figure
 
 
@@ -112,7 +110,7 @@ def draws_figure(result: Sensitivity, title: str = "") -> Figure:
     right.set_ylabel("100 ln(metric / nominal), traced")
     for axes in (left, right):
         plain_axes(axes, colour="#e3e3e3", below=True)
-    figure.suptitle(f"{title}{': ' if title else ''}{len(logs)} perturbed systems", fontsize=10, x=0.02, ha="left")
+    figure.headed(title, f"{len(logs)} perturbed systems")
     return figure
 
 

@@ -49,8 +49,8 @@ def sweep_figure(result: Sweep, title: str = "") -> Figure:
     handles, labels = axes[0].get_legend_handles_labels()
     if 1 < len(handles) <= LEGEND:
         figure.legend(handles, labels, loc="outside right upper", fontsize=8, frameon=False)
-    figure.suptitle(f"{title}{': ' if title else ''}{len(result)} traces", fontsize=10, x=0.02, ha="left")
-    figure.supxlabel("error bars: one standard error", fontsize=7.5, color="#555555")
+    figure.headed(title, f"{len(result)} traces")
+    figure.small_print("error bars: one standard error")
     return figure
 
 

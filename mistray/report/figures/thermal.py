@@ -42,5 +42,5 @@ def thermal_figure(report: ThermalReport, title: str = "") -> Figure:
         made.legend(loc="outside upper right", fontsize=8, frameon=False, ncols=2)
     made.suptitle(title, fontsize=10, x=0.01, ha="left")
     note = "bars of one standard error; blue: surfaces, green: media, orange: what is colder than the rest"
-    made.supxlabel(note, fontsize=7.5, color="#555555")
+    made.small_print(note)
     return made

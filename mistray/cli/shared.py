@@ -1,24 +1,16 @@
-"""What the commands that trace a scene share: their options, and what is shown while they are at work."""
+"""Options that several commands share."""
 
 from __future__ import annotations
 
-import argparse
-import contextlib
-import json
-import sys
-import threading
-import time
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import fields
 from pathlib import Path
-from typing import Any
 
 from mistray.cli.command import Group, Option
 from mistray.ranges import RAYS, SECONDS, THREADS, WAVELENGTH_NM, WEIGHT, Range, Words, demand_of, doc_of, number_text
 from mistray.settings import BY_BRANCH, NO_LIMIT, NOTHING_CUT, Settings
 
 ELSE = "(default: as the scene says, else what stands in brackets)"
-FIRST_SECOND = 1.0  # s, after which what is still at work says so
 TABLE_FORMATS = ("parquet",)
 MAP_FORMATS = ("exr", "fits", "npy")
 NAMES = tuple(setting.name for setting in fields(Settings))
@@ -95,87 +87,3 @@ def output(
         Option("--quiet", f"no progress, no {shown}", bool),
     )
     return Group("output", (*options, *more))
-
-
-def print_json(record: Mapping[str, Any], files: Sequence[Path] = ()) -> None:
-    """Print one JSON object: the record, and the names of the files that were written; see docs/json.md."""
-    print(json.dumps({**record, "files": [str(file) for file in files]}, indent=2, allow_nan=False))
-
-
-@contextlib.contextmanager
-def working(what: str, quiet: bool = False) -> Iterator[None]:
-    """
-    A line on stderr with the time that passes, for what has no steps to count; only on a terminal, after a second.
-
-    Parameters
-    ----------
-    what : str
-        What is done, such as "loading phone_camera".
-    quiet : bool
-        No line.
-    """
-    if quiet or not sys.stderr.isatty():
-        yield
-        return
-    ended, began = threading.Event(), time.time()
-
-    def show_time() -> None:
-        if ended.wait(FIRST_SECOND):
-            return
-        from tqdm import tqdm
-
-        with tqdm(desc=what, bar_format="{desc} … {elapsed}", leave=False, file=sys.stderr) as line:
-            line.start_t = began
-            while not ended.wait(FIRST_SECOND / 2):
-                line.refresh()
-
-    clock = threading.Thread(target=show_time, daemon=True)
-    clock.start()
-    try:
-        yield
-    finally:
-        ended.set()
-        clock.join()
-
-
-@contextlib.contextmanager
-def terminal_bar(
-    options: argparse.Namespace, form: str, what: str = "tracing", total: float = 1.0
-) -> Iterator[Any | None]:
-    """
-    A tqdm bar on stderr; None with --quiet, and where stderr is no terminal.
-
-    Set its ``n`` and its texts, and let it ``refresh``: ``update`` draws nothing within 0.1 s of the time before, so
-    that the step that takes long would stand under the text of the one before it.
-
-    Parameters
-    ----------
-    options : Namespace
-        Has ``quiet``.
-    form : str
-        What tqdm calls bar_format.
-    what : str
-        What is done.
-    total : float
-        ``n`` of a full bar.
-    """
-    if options.quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from tqdm import tqdm
-
-    with tqdm(desc=what, total=total, bar_format=form, leave=False, file=sys.stderr, dynamic_ncols=True) as bar:
-        yield bar
-
-
-@contextlib.contextmanager
-def progress_bar(options: argparse.Namespace) -> Iterator[Callable[[float, float], None] | None]:
-    """A bar on stderr when that is a terminal: a function of what is done and what there is to do."""
-    with terminal_bar(options, "{desc}: {percentage:3.0f}% |{bar}| {elapsed} < {remaining}") as bar:
-
-        def advance(done: float, total: float) -> None:
-            assert bar is not None
-            bar.n = max(done / total, bar.n)
-            bar.refresh()
-
-        yield None if bar is None else advance
