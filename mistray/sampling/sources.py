@@ -86,12 +86,12 @@ def scene_sources(
     for number, emitter in enumerate(emitters, start=1):
         name = emitter.name or f"source_{number}"
         lines = given or (emitter.wavelengths_nm, emitter.weights)
-        result += emitter.sources(SourceRequest(name, bounds, field_deg, azimuth_deg, *lines))
-    for source in result:
-        if not np.isfinite(source.power):
-            raise MistrayError(
-                f"source '{source.name}' has a power of {source.power} W; give a smaller irradiance or beam"
-            )
+        found = emitter.sources(SourceRequest(name, bounds, field_deg, azimuth_deg, *lines))
+        power = sum(source.power for source in found)
+        if not 0 < power < np.inf:
+            remedy = "it sends no light, change its numbers" if power == 0 else "give a smaller irradiance or beam"
+            raise MistrayError(f"source '{name}' has a power of {power} W; {remedy}")
+        result += found
     return result
 
 

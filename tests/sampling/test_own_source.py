@@ -123,6 +123,8 @@ def test_gradient(x: float) -> None:
 def test_values() -> None:
     with pytest.raises(RuntimeError, match=r"lamp.*intensity.*-1"):
         scene({"intensity": -1.0})
+    with pytest.raises(mistray.MistrayError, match=r"'lamp'.* 0.0 W"):
+        mistray.trace(scene({"half_angle_deg": 0.0}), rays=10)
     here = scene()
     params = mi.traverse(here)
     params["lamp.x"] = 7.0
