@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 import mistray
-from mistray.analysis.pst.pilot import BACKWARD, FORWARD, SELDOM, Pilot, Plan, against_the_light, with_the_light
+from mistray.analysis.pst.pilot import BACKWARD, FORWARD, SELDOM, Pilot, Plan, backward_events, forward_events
 from mistray.analysis.pst.result import Pst, notes
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.direction_recorder import CLASS_COUNT, SINGLE
@@ -155,11 +155,11 @@ def test_event_lists_turn_back() -> None:
     detector = 7
     events = np.array([[(3 << EVENT_BITS) | TRANSMITTED, (4 << EVENT_BITS) | REFLECTED], [9, 0]], dtype=np.uint32)
     lengths = np.array([2, 1])
-    turned, more = with_the_light(events, lengths, detector)
+    turned, more = forward_events(events, lengths, detector)
     assert list(more) == [3, 2]
     assert turned[0, 2] == turned[1, 1] == (detector << EVENT_BITS) | ABSORBED
     assert list(turned[0, :2]) == list(events[0, ::-1])
-    back, fewer = against_the_light(turned, more)
+    back, fewer = backward_events(turned, more)
     np.testing.assert_array_equal(fewer, lengths)
     np.testing.assert_array_equal(host_keys(back, fewer), host_keys(events, lengths))
 
@@ -194,7 +194,7 @@ def test_both_directions_name_the_same_ways_with_the_same_light(pilot: Any) -> N
     assert np.all(np.abs(mean[0] - mean[1]) < 6 * np.hypot(*se))
 
 
-def test_the_way_by_the_tube_is_counted_with_the_light(pilot: Any) -> None:
+def test_the_way_by_the_tube_is_counted_forwards(pilot: Any) -> None:
     trace, _, found = pilot
     plan = found.plan()
     surfaces, ids = plan.events >> EVENT_BITS, trace.table.event_ids

@@ -14,7 +14,7 @@ from oracles.statistics import assert_z
 import mistray
 from mistray import MistrayError
 from mistray.analysis.pst.found_pairs import _strongest
-from mistray.analysis.pst.pilot import with_the_light
+from mistray.analysis.pst.pilot import forward_events
 from mistray.execute import backward
 from mistray.execute.backward import BackwardTrace, Seen, see
 from mistray.recorders.directions import DirectionGrid
@@ -355,19 +355,19 @@ def code(surface: int, what: int) -> int:
 A, B, C = code(1, TRANSMITTED), code(2, REFLECTED), code(3, RANDOM_REFLECTED)
 
 
-def test_with_the_light() -> None:
+def test_forward_events() -> None:
     """Events are turned round and end in the detector, number 7; the rest is filled up with zeros."""
     events = np.array([[A, B, C], [C, 0, 0], [0, 0, 0], [B, A, 0]], dtype=np.uint32)
     end = code(7, ABSORBED)
-    turned, lengths = with_the_light(events, np.array([3, 1, 0, 2]), 7)
+    turned, lengths = forward_events(events, np.array([3, 1, 0, 2]), 7)
     np.testing.assert_array_equal(turned, [[C, B, A, end], [C, end, 0, 0], [end, 0, 0, 0], [A, B, end, 0]])
     np.testing.assert_array_equal(lengths, [4, 2, 1, 3])
     assert turned.dtype == np.uint32
 
 
-def test_with_the_light_without_events() -> None:
+def test_forward_events_without_events() -> None:
     """A table whose only path meets nothing has no columns."""
-    turned, lengths = with_the_light(np.zeros((1, 0), dtype=np.uint32), np.array([0]), 2)
+    turned, lengths = forward_events(np.zeros((1, 0), dtype=np.uint32), np.array([0]), 2)
     np.testing.assert_array_equal(turned, [[code(2, ABSORBED)]])
     np.testing.assert_array_equal(lengths, [1])
 

@@ -129,6 +129,6 @@ def test_impossible_settings(values: dict[str, Any], words: str) -> None:
         Settings(**values)
 
 
-def test_watts_mean_nothing_against_the_light(load_scene) -> None:
+def test_watts_mean_nothing_backwards(load_scene) -> None:
     with pytest.raises(MistrayError, match="cut_below_W is in watts of a source"):
         mistray.pst(plate(load_scene), field_deg=[5.0], rays=1000, method="adjoint", cut_below_W="R=1e-3")

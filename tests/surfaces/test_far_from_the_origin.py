@@ -103,7 +103,7 @@ def test_detector_of_mitsuba() -> None:
     assert there.paths[0].rms_radius_mm == pytest.approx(here.paths[0].rms_radius_mm, rel=1e-2)
 
 
-def test_against_the_light() -> None:
+def test_backward_trace() -> None:
     """The same rays to float32, but for one in many thousands that the rounding of its start moves past a rim."""
     here, there = (
         mistray.pst(lens(p), field_deg=[0, 10, 30], method="adjoint", rays=20_000, seed=1)

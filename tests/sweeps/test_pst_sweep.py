@@ -89,7 +89,7 @@ def test_a_block(scene: Path) -> None:
     assert (aside.ratio, aside.ratio_se) == (pytest.approx(1, abs=1e-6), pytest.approx(0, abs=1e-6))
 
 
-def test_a_block_by_rays_with_the_light(scene: Path) -> None:
+def test_a_block_by_forward_rays(scene: Path) -> None:
     """A far disc widens the beam of both runs."""
     aside = Configuration("aside", block=[Structure("aside", 50.0, 19.0, 51.0, 19.0)])
     change = swept(scene, aside, method="forward").changed("aside", ANGLE, "total")

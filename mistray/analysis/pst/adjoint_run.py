@@ -10,11 +10,11 @@ from pathlib import Path
 import mitsuba as mi
 import numpy as np
 
+from mistray.analysis.pst.forward_part import PLAN, SUMS, ForwardPart, saved_plan
 from mistray.analysis.pst.found_pairs import FoundPairs
 from mistray.analysis.pst.pilot import BACKWARD, FORWARD, PILOT_SHARE, Pilot, Plan
 from mistray.analysis.pst.result import Pst, notes
 from mistray.analysis.pst.state import PstProgress, load_state, require_same, save_state
-from mistray.analysis.pst.with_light import PLAN, SUMS, WithLight, saved_plan
 from mistray.errors import UnfinishedError
 from mistray.execute.backward import FIRST_PASS, BackwardTrace
 from mistray.interrupts import later, requested
@@ -49,7 +49,7 @@ class AdjointRun:
         self._cells = AllCells(
             scene, waves, trace.settings, tables, shares, trace.intersector, trace.map_size, trace.extent
         )
-        self._with_light: WithLight | None = None
+        self._forward_part: ForwardPart | None = None
         self._pilot_seconds = 0.0
         self._wanted: tuple[float | None, float | None] = (None, None)
         self._before: dict[str, np.ndarray] = {}  # path table of the run that this one goes on from
@@ -70,7 +70,7 @@ class AdjointRun:
             arrays, facts = load_state(state)
             require_same(state, facts, self._signature)
             self._before = {key[5:]: values for key, values in arrays.items() if key.startswith("path_")}
-            self._with_light = WithLight(trace, self._cells, saved_plan(arrays), arrays)
+            self._forward_part = ForwardPart(trace, self._cells, saved_plan(arrays), arrays)
             others = ("path_", PLAN, SUMS)
             sums = {key: values for key, values in arrays.items() if not key.startswith(others)}
             trace.go_on_from(sums, int(facts["passes"]), float(facts["seconds"]))
@@ -78,21 +78,21 @@ class AdjointRun:
     def plan(self, wanted: float | None, up_to_deg: float | None) -> Plan:
         """What a pilot finds for a relative error up to a field angle; that of the run which this one continues."""
         self._wanted = wanted, up_to_deg
-        if self._with_light is not None:
-            return self._with_light.plan
+        if self._forward_part is not None:
+            return self._forward_part.plan
         started = time.perf_counter()
         plan = self._search(wanted, up_to_deg)
         self._pilot_seconds = time.perf_counter() - started
         return plan
 
-    def go_on(self, plan: Plan, with_light: Callable[[float], np.ndarray], progress: Progress | None) -> None:
+    def go_on(self, plan: Plan, forward_rays: Callable[[float], np.ndarray], progress: Progress | None) -> None:
         """
         Trace pass after pass; an interrupt waits for the end of a pass, so that nothing is lost, but not for long.
 
         Parameters
         ----------
         plan : Plan
-        with_light : callable
+        forward_rays : callable
             Gives (c,) forward rays beside so many against it.
         progress : callable, optional
         """
@@ -101,11 +101,11 @@ class AdjointRun:
         before = float(trace.rays.sum())
         started, saved, saving = time.perf_counter() - self._pilot_seconds, -np.inf, 0.0
         all_saved = True
-        if self._with_light is None:
-            self._with_light = WithLight(trace, self._cells, plan)
+        if self._forward_part is None:
+            self._forward_part = ForwardPart(trace, self._cells, plan)
         most = self._budget(plan, wanted, up_to_deg)
         if wanted is not None:
-            self._with_light.go_on(with_light(max(most, before)))
+            self._forward_part.go_on(forward_rays(max(most, before)))
         with later(), trace.shared(most):
             while trace.rays.sum() < most and not requested() and not (trace.passes and time_is_up()):
                 began = time.perf_counter()
@@ -116,7 +116,7 @@ class AdjointRun:
                     self._keep(error, not all_saved)
                     raise
                 if wanted is None:  # in steps that hang on what is done alone, so that a run may be continued
-                    self._with_light.go_on(with_light(2.0 ** np.floor(np.log2(trace.rays.sum()))))
+                    self._forward_part.go_on(forward_rays(2.0 ** np.floor(np.log2(trace.rays.sum()))))
                 self._table, all_saved = None, False
                 now = time.perf_counter()
                 if self._state is not None and (saving <= SAVING * (now - saved) or now - began > LONG_PASS):
@@ -183,8 +183,10 @@ class AdjointRun:
     def _save(self) -> None:
         assert self._state is not None
         paths = self._paths()
-        assert self._with_light is not None
-        arrays = self._trace.sums | {f"path_{key}": values for key, values in paths.items()} | self._with_light.arrays()
+        assert self._forward_part is not None
+        arrays = (
+            self._trace.sums | {f"path_{key}": values for key, values in paths.items()} | self._forward_part.arrays()
+        )
         facts = {
             "signature": self._signature,
             "passes": self._trace.passes,
@@ -201,17 +203,17 @@ class AdjointRun:
         return self._table
 
     def _pst(self) -> Pst:
-        assert self._with_light is not None
+        assert self._forward_part is not None
         trace = self._trace
         rays = trace.rays
         scale = np.pi / trace.grid.solid_angle[None, :, None, None]
-        by_batch = scale * trace.sums["cells"] / rays + self._with_light.by_batch
+        by_batch = scale * trace.sums["cells"] / rays + self._forward_part.by_batch
         return Pst(trace.grid, by_batch, rays / rays.sum())
 
     def result(self) -> Pst:
         """The PST of all that has been traced."""
-        assert self._with_light is not None
-        trace, bare, light = self._trace, self._pst(), self._with_light
+        assert self._forward_part is not None
+        trace, bare, light = self._trace, self._pst(), self._forward_part
         table, rays = trace.table, float(trace.rays.sum())
         unit = np.pi / trace.grid.solid_angle[:, None] / rays
         scattered = np.mean(bare.by_batch[[SINGLE, MULTIPLE, DIFFRACTED]].sum(axis=0), axis=-1)

@@ -7,8 +7,8 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from mistray.analysis.pst.pilot import BACKWARD, FORWARD, SELDOM, with_the_light
-from mistray.analysis.pst.with_light import WithLight
+from mistray.analysis.pst.forward_part import ForwardPart
+from mistray.analysis.pst.pilot import BACKWARD, FORWARD, SELDOM, forward_events
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.direction_recorder import CLASS_COUNT
 from mistray.recorders.path_events import DIRECT, describe_events
@@ -49,7 +49,7 @@ class FoundPairs:
     planned: np.ndarray
 
     @classmethod
-    def of(cls, trace: BackwardTrace, light: WithLight, paths: dict[str, np.ndarray]) -> FoundPairs:
+    def of(cls, trace: BackwardTrace, light: ForwardPart, paths: dict[str, np.ndarray]) -> FoundPairs:
         """What a run has found; `paths` is the path table of all its backward rays."""
         plan = light.plan
         if not paths:
@@ -57,7 +57,7 @@ class FoundPairs:
             paths = {name: nothing for name in ("hits", "weight", "squares")}
             paths |= {name: nothing.astype(np.int64) for name in ("lengths", "path", "cell")}
             paths["events"] = np.zeros((0, 1), dtype=np.uint32)
-        turned, lengths = with_the_light(paths["events"], paths["lengths"], trace.table.detector)
+        turned, lengths = forward_events(paths["events"], paths["lengths"], trace.table.detector)
         longest = max(turned.shape[1], plan.events.shape[1])
         events = np.concatenate(
             [np.pad(part, ((0, 0), (0, longest - part.shape[1]))) for part in (turned, plan.events)]
@@ -89,7 +89,7 @@ class FoundPairs:
             facts["kind"][lengths == 1] = DIRECT
         return facts
 
-    def seldom(self, trace: BackwardTrace, light: WithLight) -> tuple[np.ndarray, list[dict[str, Any]]]:
+    def seldom(self, trace: BackwardTrace, light: ForwardPart) -> tuple[np.ndarray, list[dict[str, Any]]]:
         """Variance that the run is missing, by class and cell, and the ways that it sampled too seldom."""
         plan = light.plan
         cells = plan.rays.shape[1]

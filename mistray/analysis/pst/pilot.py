@@ -35,7 +35,7 @@ RESERVE = 1.2  # rays above what the pilot's variances ask for
 Book = dict[str, np.ndarray]
 
 
-def with_the_light(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
+def forward_events(events: np.ndarray, lengths: np.ndarray, detector: int) -> tuple[np.ndarray, np.ndarray]:
     """Event lists of backward rays as those of the light, the absorption in the detector at their ends."""
     order = lengths[:, None] - 1 - np.arange(events.shape[1] + 1)
     turned = np.take_along_axis(np.pad(events, ((0, 0), (0, 1))), np.maximum(order, 0), axis=1)
@@ -44,7 +44,7 @@ def with_the_light(events: np.ndarray, lengths: np.ndarray, detector: int) -> tu
     return turned, lengths + 1
 
 
-def against_the_light(events: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+def backward_events(events: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Event lists of the light as those of rays against it, which start on the detector."""
     order = lengths[:, None] - 2 - np.arange(events.shape[1])
     turned = np.take_along_axis(events, np.maximum(order, 0), axis=1)
@@ -235,7 +235,7 @@ class Pilot:
         spread = whole_batches(np.full(shape, max(1, round(forward / np.prod(shape)))))
         found, segments = self._cells.find(spread, self._rounds)
         other, other_segments = self._trace.find(backward, self._rounds)
-        events, lengths = with_the_light(other["events"], other["lengths"], self._trace.table.detector)
+        events, lengths = forward_events(other["events"], other["lengths"], self._trace.table.detector)
         sums = [found, other | {"events": events, "lengths": lengths}]
         self._sums = [join_sums(*pair) for pair in zip(self._sums, sums, strict=True)] if self._sums else sums
         self.rays += np.stack([spread.ravel(), np.full(spread.size, backward)])

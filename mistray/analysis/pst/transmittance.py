@@ -212,12 +212,12 @@ def pst_of_each(
     if len(runs) > 1:
         plans = share(plans, [trace.table for trace in traces])
 
-    def with_light(rays: float) -> np.ndarray:
+    def forward_rays(rays: float) -> np.ndarray:
         return np.max([plan.forward_rays(rays, request.relative_error) for plan in plans], axis=0)
 
     for run, plan in zip(runs, plans, strict=True):
         try:
-            run.go_on(plan, with_light, progress)
+            run.go_on(plan, forward_rays, progress)
         except UnfinishedError as error:
             if error.partial is not None:
                 error.partial = error.partial.to(request.convention)

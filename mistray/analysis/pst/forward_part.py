@@ -8,7 +8,7 @@ from dataclasses import fields
 import numpy as np
 
 from mistray.analysis.pst.forward_cells import Ways
-from mistray.analysis.pst.pilot import FORWARD, Plan, against_the_light
+from mistray.analysis.pst.pilot import FORWARD, Plan, backward_events
 from mistray.execute.backward import BackwardTrace
 from mistray.recorders.direction_recorder import CLASS_COUNT
 from mistray.recorders.path_key import host_keys
@@ -19,7 +19,7 @@ from mistray.trace.all_cells import AllCells
 PLAN, SUMS = "plan_", "light_"  # names of arrays that are saved
 
 
-class WithLight:
+class ForwardPart:
     """
     Forward rays beside a backward trace, which leaves out what they count.
 
@@ -45,7 +45,7 @@ class WithLight:
         self.plan, self._trace, self._cells = plan, trace, cells
         self._pairs = np.flatnonzero(plan.forward)
         way, cell = plan.way[self._pairs], plan.cell[self._pairs]
-        events, lengths = against_the_light(plan.events, plan.lengths)
+        events, lengths = backward_events(plan.events, plan.lengths)
         trace.leave_out(host_keys(events, lengths)[way], cell)
         self._table = WayTable(host_keys(plan.events, plan.lengths)[way], cell)
         ways = Ways(trace.table.event_ids, trace.table.event_words, trace.has_optics)
@@ -125,5 +125,5 @@ class WithLight:
 
 
 def saved_plan(arrays: dict[str, np.ndarray]) -> Plan:
-    """The plan within what `WithLight.arrays` gave."""
+    """The plan within what `ForwardPart.arrays` gave."""
     return Plan(**{f.name: arrays[PLAN + f.name] for f in fields(Plan)})
