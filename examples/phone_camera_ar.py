@@ -26,7 +26,7 @@ import mistray
 from mistray.coatings import Stack, parse_layers, preset, spectrum
 from mistray.optimize import Metric, path_power
 from mistray.optimize.reflectance_weights import ReflectanceWeights, best_thicknesses, reflectance_weights
-from mistray.report.figures.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.report.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.report.output import csv_text, write_files
 from mistray.scene.load import find
 from mistray.scene.recoat import SharedCoating, write_recoated

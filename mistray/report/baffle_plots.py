@@ -18,7 +18,7 @@ from mistray.prescription.baffles.tube import BaffleTube
 from mistray.prescription.baffles.two_stage import TwoStageBaffle
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 from mistray.report.figures.figure import Figure
-from mistray.report.figures.plots import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
+from mistray.report.figures.palette import BLACK, BLUE, GREEN, GREY, ORANGE, VERMILION
 
 WIDTH, HIGHEST = 10.4, 9.0  # inches
 MARGINS = 0.8  # inches, for axis labels and the legend

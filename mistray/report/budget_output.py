@@ -15,7 +15,7 @@ from mistray.report.model import Column, Figure, Items, Note, Report, Section, T
 from mistray.report.output import write_report
 from mistray.report.parts import settings_section
 from mistray.report.tables.frames import row_of
-from mistray.report.tables.text import number, table_text, text_table, with_error
+from mistray.report.tables.text import number, table_text, with_error
 
 MOST_DISTANCE = 99.0  # standard errors, in text
 CAPTION = "The numbers before and after, and what part of the metric each stands for."
@@ -57,11 +57,10 @@ def verdict(item: Met) -> str:
 
 def numbers_text(result: Budget) -> str:
     """One row for each number that was chosen."""
-    columns = [("surface", ""), ("number", ""), ("unit", ""), ("before", ""), ("after", ""), ("cost", "before"),
-               ("cost", "after")]  # fmt: skip
+    heads = columns("<surface", "<number", "<unit", "before", "after", "cost [before]", "cost [after]")
     for k, item in enumerate(result.requirements):
         title = item.name if len(result.requirements) > 1 else "metric"
-        columns += [(f"% of the {title}" if k == 0 else f"% of {title}", "before"), ("", "after")]
+        heads += [Column(f"% of the {title}" if k == 0 else f"% of {title}", "before"), Column("", "after")]
     rows = []
     for chosen in result.chosen:
         mark = "*" if chosen.at_bound else " "
@@ -70,7 +69,7 @@ def numbers_text(result: Budget) -> str:
         for pair in zip(chosen.shares_before, chosen.shares_after, strict=True):
             line += [number(100 * share, 2) for share in pair]
         rows.append(line)
-    table = text_table(columns, rows, left=(0, 1, 2))
+    table = table_text(Table(heads, rows))
     return f"{table}\n* at the end of its range" if any(chosen.at_bound for chosen in result.chosen) else table
 
 

@@ -12,7 +12,7 @@ from mistray.prescription.baffles.tube import vane_tube
 from mistray.prescription.baffles.two_stage import two_stage_baffle
 from mistray.prescription.baffles.zones import first_order_zones, lit_zones, seen_zones
 from mistray.report.baffle_plots import baffle_figure, cassegrain_figure
-from mistray.report.figures.plots import BLUE, ORANGE, VERMILION
+from mistray.report.figures.palette import BLUE, ORANGE, VERMILION
 
 TUBE = vane_tube("tube", optic_radius=18, z_rear=102, length=102, wall_radius=30, field_deg=4)
 

@@ -11,9 +11,10 @@ from report.fake_trace import SHARES, trace_at, trace_in_colours
 
 from mistray.analysis.estimate import Estimate
 from mistray.analysis.ghosts import GhostReport
+from mistray.report.model import Table, columns
 from mistray.report.tables.ghosts import main_table, warnings
 from mistray.report.tables.ghosts_csv import csv_tables, write_csv
-from mistray.report.tables.text import text_table, with_error
+from mistray.report.tables.text import table_text, with_error
 
 pytestmark = pytest.mark.quick
 
@@ -45,7 +46,7 @@ def test_with_error(value, se, text):
 
 
 def test_text_table_aligns_its_columns():
-    text = text_table([("name", ""), ("power", "W")], [["a", "1.0"], ["longer", "22.0"]], left=(0,))
+    text = table_text(Table(columns("<name", "power [W]"), [["a", "1.0"], ["longer", "22.0"]]))
     assert text.splitlines() == [
         "name    power",
         "          [W]",

@@ -278,22 +278,19 @@ def _sheet(options: Options) -> list[str]:
 
 def _totals(found: list[dict[str, Any]]) -> str:
     """Table of what is scattered, and what the specular beams lose."""
-    from mistray.report.tables.text import ABSENT, text_table
+    from mistray.report.model import Table, columns
+    from mistray.report.tables.text import ABSENT, table_text
 
     places = dict.fromkeys((row.get("rotation_deg"), row["incidence_deg"]) for row in found)
-    heads, columns = [("incidence", "deg")], [[f"{angle:g}" for _, angle in places]]
+    heads, cells = ["incidence [deg]"], [[f"{angle:g}" for _, angle in places]]
     if any(rotation is not None for rotation, _ in places):
-        heads, columns = [("rotation", "deg"), *heads], [[f"{rotation:g}" for rotation, _ in places], *columns]
+        heads, cells = ["rotation [deg]", *heads], [[f"{rotation:g}" for rotation, _ in places], *cells]
     for event in dict.fromkeys(row["event"] for row in found):
         rows = [row for row in found if row["event"] == event]
-        for head, unit, key, scale in (
-            (event, "TIS %", "scattered", 100),
-            ("", "loss %", "loss", 100),
-            ("", "peak 1/sr", "peak_1_sr", 1),
-        ):
-            heads.append((head, unit))
-            columns.append([ABSENT if row[key] is None else f"{scale * row[key]:.4g}" for row in rows])
-    text = text_table(heads, list(zip(*columns, strict=True)))
+        heads += [f"{event} [TIS %]", "[loss %]", "[peak 1/sr]"]
+        for key, scale in (("scattered", 100), ("loss", 100), ("peak_1_sr", 1)):
+            cells.append([ABSENT if row[key] is None else f"{scale * row[key]:.4g}" for row in rows])
+    text = table_text(Table(columns(*heads), list(zip(*cells, strict=True))))
     return f"{text}\nTIS: share of the incident light; loss: share of the specular beam that it loses"
 
 

@@ -149,7 +149,8 @@ def _scene(options: Options, lam: list[float], files: list[Path]) -> int:
     from mistray.materials import complex_index
     from mistray.report.figures.coating import coated_surfaces, surfaces_figure
     from mistray.report.figures.plots import write_figure
-    from mistray.report.tables.text import text_table
+    from mistray.report.model import Table, columns
+    from mistray.report.tables.text import table_text
     from mistray.scene import load
 
     with working(f"loading {options.coating}"):
@@ -170,18 +171,18 @@ def _scene(options: Options, lam: list[float], files: list[Path]) -> int:
             {"names": list(surface.names), **facts, "angles": [{"angle_deg": a, "R_mean": r} for a, r in by_angle]}
         )
     title = f"mean reflectance from {lam[0]:g} to {lam[-1]:g} nm, unpolarised light from the side of lower index"
-    heads = [*((name, "") for name in ("surfaces", "coating", "front", "back")),
-             *((f"{angle:g}°", "%") for angle in options.angles_deg)]  # fmt: skip
+    heads = columns("<surfaces", "<coating", "<front", "<back", *(f"{angle:g}° [%]" for angle in options.angles_deg))
     return options.tell(
         lambda: {"wavelength_from_nm": lam[0], "wavelength_to_nm": lam[-1], "surfaces": records},
-        lambda: f"{title}\n{text_table(heads, rows, left=range(4))}",
+        lambda: f"{title}\n{table_text(Table(heads, rows))}",
         files,
     )
 
 
 def _layers(coating: Coating, design_nm: float) -> list[str]:
     """Table of the layers of a stack; nothing for others."""
-    from mistray.report.tables.text import text_table
+    from mistray.report.model import Table, columns
+    from mistray.report.tables.text import table_text
 
     rows = [
         [f"{number}", row["material"], *(f"{row[name]:{form}}" for name, form in LAYER)]
@@ -190,14 +191,17 @@ def _layers(coating: Coating, design_nm: float) -> list[str]:
     if not rows:
         return []
     at = f"at {design_nm:g} nm"
-    heads = [("layer", getattr(coating, "first", "")), ("material", "")]
-    heads += [("thickness", "nm"), ("n", at), ("k", at), ("waves", at)]
-    return [text_table(heads, rows, left=(1,))]
+    first = getattr(coating, "first", "")
+    heads = columns(
+        f"layer [{first}]", "<material", "thickness [nm]", *(f"{name} [{at}]" for name in ("n", "k", "waves"))
+    )
+    return [table_text(Table(heads, rows))]
 
 
 def _over_band(values: Spectrum) -> str:
     """Table of the mean and the extremes of R over the wavelengths."""
-    from mistray.report.tables.text import text_table
+    from mistray.report.model import Table, columns
+    from mistray.report.tables.text import table_text
 
     rows = []
     for row in band_rows(values):
@@ -207,25 +211,26 @@ def _over_band(values: Spectrum) -> str:
         extremes = (f"{100 * row[name]:.4f} at {row[f'{name}_at_nm']:g}" for name in ("R_least", "R_greatest"))
         rows.append([f"{row['angle_deg']:g}", *shares, *extremes])
     band = f"% over {values.wavelength_nm[0]:g} … {values.wavelength_nm[-1]:g} nm"
-    heads = [("angle", "deg"), ("R", band), ("T", "%"), ("A", "%"), ("least R", "% at nm"), ("greatest R", "% at nm")]
-    return text_table(heads, rows)
+    heads = columns("angle [deg]", f"R [{band}]", "T [%]", "A [%]", "least R [% at nm]", "greatest R [% at nm]")
+    return table_text(Table(heads, rows))
 
 
 def _sample(values: Spectrum) -> str:
     """Table of R at some of the wavelengths: unpolarised, and s and p off normal incidence."""
     import numpy as np
 
-    from mistray.report.tables.text import text_table
+    from mistray.report.model import Table, columns
+    from mistray.report.tables.text import table_text
 
     lam = values.wavelength_nm
     shown = np.unique(np.linspace(0, len(lam) - 1, min(ROWS_SHOWN, len(lam))).round().astype(int))
-    heads = [("wavelength", "nm")]
-    columns: list[np.ndarray] = []
+    heads = columns("wavelength [nm]")
+    curves: list[np.ndarray] = []
     for k, angle in enumerate(values.angle_deg):
-        heads.append((f"R {angle:g}°", "%"))
-        columns.append(values.mean()[:, k])
+        heads += columns(f"R {angle:g}° [%]")
+        curves.append(values.mean()[:, k])
         if angle > 0:
-            heads += [("s", "%"), ("p", "%")]
-            columns += [values.R[:, k, 0], values.R[:, k, 1]]
-    rows = [[f"{lam[i]:g}", *(f"{100 * column[i]:.4f}" for column in columns)] for i in shown]
-    return text_table(heads, rows)
+            heads += columns("s [%]", "p [%]")
+            curves += [values.R[:, k, 0], values.R[:, k, 1]]
+    rows = [[f"{lam[i]:g}", *(f"{100 * curve[i]:.4f}" for curve in curves)] for i in shown]
+    return table_text(Table(heads, rows))

@@ -15,7 +15,7 @@ from mistray.errors import MistrayError
 from mistray.physics import contamination
 from mistray.physics.contamination import CLEANED_SLOPE
 from mistray.report.figures.figure import Figure, plain_axes
-from mistray.report.figures.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.report.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.scatter.scan import Scan
 
 LINE_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)

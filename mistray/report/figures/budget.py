@@ -8,7 +8,7 @@ from matplotlib.ticker import LogLocator, NullFormatter, StrMethodFormatter
 
 from mistray.optimize.tolerances.budget import Budget
 from mistray.report.figures.figure import Figure, plain_axes
-from mistray.report.figures.plots import BLUE, GREY, VERMILION
+from mistray.report.figures.palette import BLUE, GREY, VERMILION
 from mistray.report.tables.text import number
 
 

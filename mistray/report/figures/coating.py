@@ -20,7 +20,7 @@ from mistray.coatings.stack import outside_first
 from mistray.errors import MistrayError
 from mistray.materials import complex_index
 from mistray.report.figures.figure import Figure, plain_axes
-from mistray.report.figures.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.report.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 LINE_COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY, BLACK)
 GREY = "#999999"

@@ -21,7 +21,7 @@ from mistray.recorders.path_events import DIRECT
 from mistray.replace_file import replace_file
 from mistray.report.figures.cut_open import CutPlane, clip, role_of, surface_names, triangles
 from mistray.report.figures.figure import Figure, legend_label
-from mistray.report.figures.plots import BLACK, BLUE, BROWN, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, ORANGE, PURPLE, SKY, VERMILION
 from mistray.report.rays.path_rays import check_count, chosen_rows, row_name
 from mistray.surfaces.surfaces import solid_shapes
 

@@ -12,7 +12,7 @@ from matplotlib.lines import Line2D
 from mistray.analysis.objects.search import Objects
 from mistray.report.figures.figure import Figure
 from mistray.report.figures.layout import GLASS, GLASS_EDGE, Polyline, SectionLine, glass_bodies, section
-from mistray.report.figures.plots import BLUE, GREEN, PURPLE, VERMILION
+from mistray.report.figures.palette import BLUE, GREEN, PURPLE, VERMILION
 
 UNMET = "#b5b5b5"
 # Group: how the legend calls it, colour, width, dashes, order of drawing

@@ -16,7 +16,7 @@ from mistray.materials import complex_index
 from mistray.optimize import Optimization, Step
 from mistray.optimize.study.study_scene import Placed
 from mistray.report.figures.figure import Figure, legend_label, plain_axes
-from mistray.report.figures.plots import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
+from mistray.report.figures.palette import BLACK, BLUE, GREEN, ORANGE, PURPLE, SKY, VERMILION
 
 COLOURS = (BLUE, VERMILION, GREEN, PURPLE, ORANGE, SKY)
 STYLES = ("-", "--", ":", "-.")  # a colour comes again with the next of these

@@ -1,7 +1,7 @@
 """Pictures of a ghost analysis: ghost images on a log10 scale, their montage, ghost levels against field angle.
 
-Every function returns a Matplotlib `Figure` that belongs to no global state. Colours: magnitudes in "inferno" (uniform
-in lightness, safe for colour-blind readers), categories in the palette of Okabe and Ito.
+Every function returns a Matplotlib `Figure` that belongs to no global state. Magnitudes are in "inferno", uniform in
+lightness and safe for colour-blind readers.
 """
 
 from __future__ import annotations
@@ -23,11 +23,8 @@ from mistray.files.irradiance_files import Extent, Map
 from mistray.recorders.path_events import DIRECT, STRAY_KINDS
 from mistray.replace_file import replace_file
 from mistray.report.figures.figure import Figure, plain_axes
+from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PINK, PURPLE, SKY, VERMILION, YELLOW
 
-BLACK, ORANGE, SKY, GREEN, YELLOW, BLUE, VERMILION, PURPLE = (
-    "#000000", "#e69f00", "#56b4e9", "#009e73", "#f0e442", "#0072b2", "#d55e00", "#cc79a7",
-)  # fmt: skip
-GREY, BROWN, PINK = "#7f7f7f", "#8a6d1d", "#f4a3c0"
 # kind of path: colour and marker
 KINDS = {
     DIRECT: (BLUE, "o"),

@@ -17,21 +17,8 @@ from mistray.analysis.pst.result import Pst
 from mistray.errors import MistrayError
 from mistray.renamed import renamed
 from mistray.report.figures.figure import Figure, legend_label, plain_axes
-from mistray.report.figures.plots import (
-    BLACK,
-    BLUE,
-    BROWN,
-    GREEN,
-    GREY,
-    ORANGE,
-    PURPLE,
-    SKY,
-    VERMILION,
-    YELLOW,
-    Range,
-    draw_map,
-    image_colours,
-)
+from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
+from mistray.report.figures.plots import Range, draw_map, image_colours
 from mistray.report.tables.pst import largest_share, name_of
 
 # class: colour, width of the line, marker

@@ -13,7 +13,7 @@ from mistray.optimize.tolerances.propagation import Contribution
 from mistray.optimize.tolerances.rows import Row
 from mistray.optimize.tolerances.sensitivity import Sensitivity
 from mistray.report.figures.figure import Figure, plain_axes
-from mistray.report.figures.plots import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
+from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION, YELLOW
 
 KIND_COLOURS = {
     "coating": BLUE,

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 
 from mistray.report.figures.figure import Figure, legend_label, plain_axes
-from mistray.report.figures.plots import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
+from mistray.report.figures.palette import BLACK, BLUE, BROWN, GREEN, GREY, ORANGE, PURPLE, SKY, VERMILION
 from mistray.sweeps import Sweep
 from mistray.sweeps.result import estimate_of
 

@@ -7,7 +7,7 @@ from matplotlib.ticker import LogLocator
 
 from mistray.analysis.thermal.emission import ThermalReport
 from mistray.report.figures.figure import Figure, plain_axes
-from mistray.report.figures.plots import BLUE, GREEN, ORANGE, VERMILION
+from mistray.report.figures.palette import BLUE, GREEN, ORANGE, VERMILION
 
 SHOWN = 12  # bars
 KIND_COLOURS = {"surface": BLUE, "medium": GREEN}

@@ -20,19 +20,7 @@ from mistray.report.figures.plots import as_png, common_range, ghost_image
 from mistray.report.html.explorer import BOX_HEADER, explorer, picture_cell
 from mistray.report.html.markup import image
 from mistray.report.html.thumbnails import DECADES, thumbnail
-from mistray.report.model import (
-    Column,
-    Figure,
-    Filter,
-    Fold,
-    Folded,
-    Group,
-    Note,
-    Part,
-    Table,
-    Value,
-    columns,
-)
+from mistray.report.model import Column, Figure, Filter, Fold, Folded, Group, Note, Part, Table, Value, columns
 from mistray.report.parts import thousands
 from mistray.report.tables.levels import TITLES, level_table
 from mistray.report.tables.text import ABSENT, number

@@ -9,7 +9,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.files.json_values import plain
 from mistray.report.model import Table, columns
 from mistray.report.output import csv_text, write_files
-from mistray.report.tables.text import number, table_text, text_table, with_error
+from mistray.report.tables.text import number, table_text, with_error
 from mistray.sweeps import EditRanking, PstSweep
 
 
@@ -40,16 +40,16 @@ def edit_ranking_text(found: EditRanking, count: int = 20) -> str:
     count : int
         Lines at most.
     """
-    columns = [("edit", ""), ("parameter", ""), ("value", ""), ("step", ""), ("unit", "")]
-    columns += [(f"at {angle:g} deg", "% per step") for angle in found.field_deg]
+    each = (f"at {angle:g} deg [% per step]" for angle in found.field_deg)
+    heads = columns("<edit", "<parameter", "value", "step", "<unit", *each)
     matter = [edit for edit in found.edits if any(change.value for change in edit.change)]
     lines = [
         [edit.method, edit.label, number(edit.value), number(edit.step), edit.unit]
-        + [with_error(Estimate(100 * change.value, 100 * change.se)) for change in edit.change]
+        + [Estimate(100 * change.value, 100 * change.se) for change in edit.change]
         for edit in matter[:count]
     ]
     pst = ", ".join(f"{with_error(at)} at {angle:g} deg" for angle, at in zip(found.field_deg, found.pst, strict=True))
-    parts = [f"PST of the {found.light} light: {pst}", "", text_table(columns, lines, left=(0, 1, 4))]
+    parts = [f"PST of the {found.light} light: {pst}", "", table_text(Table(heads, lines, empty="none"))]
     if len(matter) > count:
         parts.append(f"… and {len(matter) - count} with less")
     if len(found.edits) > len(matter):

@@ -15,7 +15,7 @@ from mistray.analysis.pst.result import Pst
 from mistray.files.json_values import plain
 from mistray.recorders.direction_recorder import CLASSES
 from mistray.report.model import Column, Fold, Table, Value, columns
-from mistray.report.tables.text import ABSENT, number, table_text, text_table
+from mistray.report.tables.text import ABSENT, number, table_text
 
 RARE = ("straight_shot", "edge_diffraction")  # classes that are shown where there are any
 ALL_CLASSES = ("total", "stray", *CLASSES)
@@ -117,16 +117,14 @@ def top_paths_text(pst: Pst, count: int) -> str:
     shown = max((len(top) for top in tops.values()), default=0)
     if not shown:
         return "no stray light was seen"
-    columns = [("angle", "deg")]
-    for k in range(shown):
-        columns += [(f"{k + 1}.", ""), ("", "%")]
+    heads = columns("angle [deg]", *(head for k in range(shown) for head in (f"<{k + 1}.", "[%]")))
     rows = []
     for angle, top in tops.items():
         cells = [f"{angle:g}"]
         for row in top.itertuples(index=False):
             cells += [str(row.label), number(float(row.percent_of_stray), 3)]
-        rows.append(cells + [""] * (len(columns) - len(cells)))
-    return text_table(columns, rows, left=range(1, 2 * shown, 2))
+        rows.append(cells + [""] * (len(heads) - len(cells)))
+    return table_text(Table(heads, rows))
 
 
 def breaks_table(found: Sequence[Break]) -> Table:

@@ -41,44 +41,33 @@ def number(value: float, digits: int = 5) -> str:
     return f"{value:.{digits}g}" if math.isfinite(value) else ABSENT
 
 
-def text_table(columns: Sequence[tuple[str, str]], rows: Sequence[Sequence[str]], left: Sequence[int] = ()) -> str:
+def table_text(table: Table, most: int | None = None) -> str:
     """
-    Fixed-width table with a line of units below the header, if there are any.
+    A table of a report in fixed width, with a line of units below the header, if there are any.
 
     Parameters
     ----------
-    columns : sequence of (str, str)
-        Header and unit of each column.
-    rows : sequence of sequence of str
-        Cells.
-    left : sequence of int
-        Numbers of the columns that are flush left; all others are flush right.
+    table : Table
+    most : int, optional
+        Rows, and a last one for the rest, if it is to be short (default: ``table.most``).
     """
-    heads = [[text for text, _ in columns], [f"[{unit}]" if unit else "" for _, unit in columns]]
-    heads = heads if any(heads[1]) else heads[:1]
-    widths = [max(len(line[k]) for line in [*heads, *rows]) for k in range(len(columns))]
-
-    def join(line: Sequence[str]) -> str:
-        cells = [
-            cell.ljust(w) if k in left else cell.rjust(w) for k, (cell, w) in enumerate(zip(line, widths, strict=True))
-        ]
-        return "  ".join(cells).rstrip()
-
-    rule = "  ".join("-" * w for w in widths)
-    return "\n".join([*[join(line) for line in heads], rule, *[join(row) for row in rows]])
-
-
-def table_text(table: Table, most: int | None = None) -> str:
-    """A table of a report in fixed width; `most` rows and a last one for the rest, if it is to be short."""
     if not table.rows:
         return table.empty
     most = table.most if most is None else most
     rows = list(table.rows if most is None else table.rows[:most])
     if len(table.rows) > len(rows) and table.rest:
         rows.append(table.rest)
-    left = [k for k, column in enumerate(table.columns) if column.style == "t"]
-    heads = [(column.head, column.unit) for column in table.columns]
-    return text_table(heads, [[cell_text(value) for value in row] for row in rows], left)
+    heads = [[column.head for column in table.columns], [c.unit and f"[{c.unit}]" for c in table.columns]]
+    heads = heads if any(heads[1]) else heads[:1]
+    cells = [[cell_text(value) for value in row] for row in rows]
+    widths = [max(map(len, own)) for own in zip(*heads, *cells, strict=True)]
+    sides = ["<" if column.style == "t" else ">" for column in table.columns]
+    lines = [
+        "  ".join(f"{cell:{side}{width}}" for cell, side, width in zip(line, sides, widths, strict=True)).rstrip()
+        for line in (*heads, *cells)
+    ]
+    lines.insert(len(heads), "  ".join("-" * width for width in widths))
+    return "\n".join(lines)
 
 
 def cell_text(value: Value) -> str:

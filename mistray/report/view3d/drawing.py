@@ -13,7 +13,7 @@ from mistray.analysis.estimate import Estimate
 from mistray.ids import event_words
 from mistray.report.figures.cut_open import CutPlane, OpenSurface, triangulate
 from mistray.report.figures.layout import GLASS, PATH_COLOURS, glass_bodies
-from mistray.report.figures.plots import BLACK
+from mistray.report.figures.palette import BLACK
 from mistray.report.parts import thousands
 from mistray.report.rays.path_rays import RayLine, row_name
 from mistray.report.tables.text import with_error

@@ -18,14 +18,7 @@ from mistray.replace_file import replace_file
 from mistray.report.figures.cut_open import CutPlane, OpenSurface, open_surfaces
 from mistray.report.parts import thousands
 from mistray.report.rays.path_rays import RayLine, check_count, chosen_rows, rays_of_paths
-from mistray.report.view3d.controls import (
-    COLOURINGS,
-    add_buttons,
-    arrange,
-    flux_scales,
-    scale_marks,
-    shown_box,
-)
+from mistray.report.view3d.controls import COLOURINGS, add_buttons, arrange, flux_scales, scale_marks, shown_box
 from mistray.report.view3d.drawing import ROLES, glass_faces, outlines, path_lines, surface_mesh
 
 if TYPE_CHECKING:
