@@ -124,7 +124,7 @@ layers = "1.38 60"
 thickness_nm = [20, 180]
 """
 RUNS = {
-    "pst": (("pst", "plate", "--rays", "1000", "--paths", "0"), "pst_output", "pst_state.npz"),
+    "pst": (("pst", "plate", "--rays", "1000", "--paths", "0"), "output", "pst_state.npz"),
     "optimize": (("optimize", "plate", "study.toml", "--steps", "1"), "optimization", "checkpoint.json"),
 }
 

@@ -107,6 +107,14 @@ class Options(argparse.Namespace):
         claim_files(self, *paths)
         return paths
 
+    def claim_output(self, default: Path) -> Path:
+        """The file of --output, or another; refused, if its folder is missing or it must not be written."""
+        output = Path(self.output or default)
+        if not output.parent.is_dir():
+            raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
+        claim_files(self, output)
+        return output
+
     def check_pictures(self, *names: str) -> None:
         """Refuse pictures of other formats."""
         for path in self.given(*names).values():

@@ -22,6 +22,20 @@ if TYPE_CHECKING:
 DEFAULT_ROTATIONS = (0.0, 90.0)
 DEFAULT_ANGLES = (0.0, 15.0, 30.0, 45.0, 60.0, 75.0)
 EVENTS = ("reflection", "transmission")
+# The way from a roughness to A, B and g: text, attribute, unit of the text, name in JSON
+SHEET = (
+    ("As", "psd_amplitude_um4", "µm⁴", "psd_amplitude_um4"),
+    ("Bs", "psd_length_um", "µm", "psd_length_um"),
+    ("C", "psd_slope", "", "psd_slope"),
+    ("D", "bsdf_per_psd", "µm⁻⁴", "bsdf_per_psd_per_um4"),
+    ("BSDF(0)", "bsdf_0", "1/sr", "bsdf_0_1_sr"),
+    ("Bennett and Porteus TIS", "tis", "", "tis"),
+    ("correction", "correction", "", "correction"),
+    ("shortest wavelength", "shortest_wavelength_um", "nm", "shortest_wavelength_um"),
+    ("A", "a", "1/sr", "A_1_sr"),
+    ("B", "b", "", "B"),
+    ("g", "g", "", "g"),
+)
 
 
 # fmt: off
@@ -136,10 +150,7 @@ def _record(
     sheet = bsdf_models.roughness_sheet(options)
     roughness = None
     if sheet is not None:
-        names = ("psd_amplitude_um4", "psd_length_um", "psd_slope", "tis", "correction", "shortest_wavelength_um")
-        roughness = {name: getattr(sheet, name) for name in names}
-        roughness |= {"bsdf_per_psd_per_um4": sheet.bsdf_per_psd, "bsdf_0_1_sr": sheet.bsdf_0}
-        roughness |= {"A_1_sr": sheet.a, "B": sheet.b, "g": sheet.g}
+        roughness = {name: getattr(sheet, attribute) for _, attribute, _, name in SHEET}
     record = {
         "model": title,
         "front": options.front,
@@ -148,14 +159,7 @@ def _record(
         "wavelength_nm": light.wavelength_nm,
         "notes": _notes(model),
         "from_roughness": roughness,
-        "without_importance_sampling": None
-        if unaimed is None
-        else {
-            "of_scatter": unaimed.of_scatter,
-            "total": unaimed.total,
-            "rays_for_one_hit": unaimed.rays_for_one_hit,
-            "rays_for_50_percent": unaimed.rays_for(0.5),
-        },
+        "without_importance_sampling": {name: value for name, _, value in _hit_rows(unaimed)} if unaimed else None,
         "totals": totals,
         "event": curves[0].event,
         "curves": [
@@ -189,17 +193,20 @@ def _chance(options: Options, model: Scatter, event: str, light: Light) -> Chanc
     )
 
 
-def _hits(unaimed: Chance | None) -> list[str]:
-    """What `_chance` found, as text."""
-    if unaimed is None:
-        return []
-    rows = (
-        ("chance of this scatter", unaimed.of_scatter),
-        ("and of getting there", unaimed.total),
-        ("rays for one hit in the mean", unaimed.rays_for_one_hit),
-        ("rays for a hit in 50 % of runs", unaimed.rays_for(0.5)),
+def _hit_rows(unaimed: Chance) -> tuple[tuple[str, str, float], ...]:
+    """What `_chance` found: name in JSON, text and value."""
+    return (
+        ("of_scatter", "chance of this scatter", unaimed.of_scatter),
+        ("total", "and of getting there", unaimed.total),
+        ("rays_for_one_hit", "rays for one hit in the mean", unaimed.rays_for_one_hit),
+        ("rays_for_50_percent", "rays for a hit in 50 % of runs", unaimed.rays_for(0.5)),
     )
-    return ["without importance sampling\n" + "\n".join(f"{name:<31} {value:.5g}" for name, value in rows)]
+
+
+def _hits(unaimed: Chance | None) -> list[str]:
+    """The same as text."""
+    lines = [f"{text:<31} {value:.5g}" for _, text, value in _hit_rows(unaimed)] if unaimed else []
+    return ["\n".join(["without importance sampling", *lines])] if lines else []
 
 
 def _total_rows(
@@ -260,20 +267,10 @@ def _sheet(options: Options) -> list[str]:
     sheet = bsdf_models.roughness_sheet(options)
     if sheet is None:
         return []
-    rows = (
-        ("As", sheet.psd_amplitude_um4, "µm⁴"),
-        ("Bs", sheet.psd_length_um, "µm"),
-        ("C", sheet.psd_slope, ""),
-        ("D", sheet.bsdf_per_psd, "µm⁻⁴"),
-        ("BSDF(0)", sheet.bsdf_0, "1/sr"),
-        ("Bennett and Porteus TIS", sheet.tis, ""),
-        ("correction", sheet.correction, ""),
-        ("shortest wavelength", sheet.shortest_wavelength_um * 1e3, "nm"),
-        ("A", sheet.a, "1/sr"),
-        ("B", sheet.b, ""),
-        ("g", sheet.g, ""),
-    )
-    return ["\n".join(f"{name:<24} {value:.9g} {unit}".rstrip() for name, value, unit in rows)]
+    values = [
+        (text, getattr(sheet, attribute) * (1e3 if unit == "nm" else 1), unit) for text, attribute, unit, _ in SHEET
+    ]
+    return ["\n".join(f"{text:<24} {value:.9g} {unit}".rstrip() for text, value, unit in values)]
 
 
 def _totals(found: list[dict[str, Any]]) -> str:

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
-from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Option
 from mistray.cli.options import Options, print_json
 from mistray.cli.shared import FORCE
@@ -45,10 +44,7 @@ def run(options: Options) -> int:
     from mistray.io.zemax.write import write_zemax
     from mistray.scene.read_optics import read_optics
 
-    output = options.output or Path(f"{Path(options.scene).stem}.zmx")
-    if not output.parent.is_dir():
-        raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
-    claim_files(options, output)
+    output = options.claim_output(Path(f"{Path(options.scene).stem}.zmx"))
     if output.suffix.lower() == ".csv":
         return _critical_rays(output, options)
     options.refuse(

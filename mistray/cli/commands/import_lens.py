@@ -9,7 +9,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arriving import arriving
-from mistray.cli.claims import claim_files
 from mistray.cli.command import Command, Group, Option
 from mistray.cli.commands import import_mechanics
 from mistray.cli.options import Options, print_json
@@ -100,10 +99,7 @@ def run(options: Options) -> int:
     _check(options, kind)
     if kind == _MECHANICS:
         return import_mechanics.run(options)
-    output = options.output or Path(lens.with_suffix(".xml").name)
-    if not output.parent.is_dir():
-        raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
-    claim_files(options, output)
+    output = options.claim_output(Path(lens.with_suffix(".xml").name))
     if kind in _SEQUENTIAL:
         built = _from_sequential(lens, kind, options)
         prescription, record = built.prescription, _record(built)

@@ -10,7 +10,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from mistray.cli.arriving import arriving
-from mistray.cli.claims import claim_files
 from mistray.cli.command import Group, Option
 from mistray.cli.options import Options, print_json
 from mistray.cli.progress import working
@@ -52,11 +51,9 @@ def run(options: Options) -> int:
 
     source = Path(options.lens)
     output = options.output or Path(source.with_suffix(".xml").name)
-    if not output.parent.is_dir():
-        raise MistrayError(f"output '{output}': the folder '{output.parent}' does not exist; make it first")
     if opened(output) is not None or (output.exists() and not output.is_file()):
         raise MistrayError(f"output '{output}' is no regular file, and meshes are written beside it; name a scene file")
-    claim_files(options, output)
+    options.claim_output(output)
     paint = dict(_rule(text, "--paint") for text in options.paint or [])
     spaces = {pattern: _space(pattern, value) for pattern, value in (_rule(t, "--space") for t in options.space or [])}
     known = _known(options.into) if options.into else {}

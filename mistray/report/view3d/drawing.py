@@ -30,6 +30,7 @@ DASHES = ("solid", "dash", "dot")
 LIGHT = {"ambient": 0.72, "diffuse": 0.5, "specular": 0.08, "roughness": 0.7, "fresnel": 0.05}
 FLAT_LIGHT = {"ambient": 1.0, "diffuse": 0.0, "specular": 0.0, "fresnel": 0.0}
 FACE_OPACITY = 0.5
+SILENT = {"legend": "legend2", "showlegend": False, "hoverinfo": "skip"}  # what goes with a surface
 
 
 def surface_mesh(go: Any, surface: OpenSurface, flux: SurfaceFlux | None) -> Any:
@@ -70,11 +71,9 @@ def outlines(go: Any, surfaces: Sequence[OpenSurface]) -> list[Any]:
                     mode="lines",
                     line={"color": EDGE if role != "detector" else BLACK, "width": 2},
                     name=ROLES[role],
-                    legend="legend2",
                     legendgroup=role,
-                    showlegend=False,
-                    hoverinfo="skip",
                     meta={"outlines": role},
+                    **SILENT,
                 )
             )
     return traces
@@ -108,11 +107,9 @@ def glass_faces(go: Any, scene: Any, surfaces: Sequence[OpenSurface], cut: CutPl
                 color=GLASS,
                 opacity=FACE_OPACITY,
                 lighting=FLAT_LIGHT,
-                legend="legend2",
                 legendgroup="glass",
-                showlegend=False,
-                hoverinfo="skip",
                 meta={"face": "glass"},
+                **SILENT,
             )
         )
     return faces
