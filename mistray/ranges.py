@@ -30,9 +30,9 @@ class Demand:
         """The value; raises `MistrayError` if it is none that there can be, see `Range.check`."""
         raise NotImplementedError
 
-    def field(self, default: Any = dataclasses.MISSING, doc: str = "") -> Any:
+    def field(self, default: Any = dataclasses.MISSING, doc: str = "", kw_only: Any = dataclasses.MISSING) -> Any:
         """A field of a dataclass whose value, unless it is None, meets the demand, see `check_fields`; its help."""
-        return dataclasses.field(default=default, metadata={_KEY: self, _DOC: doc})
+        return dataclasses.field(default=default, kw_only=kw_only, metadata={_KEY: self, _DOC: doc})
 
 
 @dataclass(frozen=True)

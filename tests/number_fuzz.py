@@ -58,6 +58,8 @@ def parsers() -> dict[str, argparse.ArgumentParser]:
     from mistray.cli import program
 
     choices: dict[str, argparse.ArgumentParser] = program._parser()._subparsers._group_actions[0].choices  # type: ignore[assignment,union-attr]
+    for parser in choices.values():
+        parser.declare_all()  # type: ignore[attr-defined]
     return choices
 
 

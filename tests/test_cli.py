@@ -74,7 +74,17 @@ def test_the_command_line_itself_imports_nothing_heavy(file):
         elif isinstance(node, ast.ImportFrom):
             names.add(node.module)
     heavy = {name for name in names if name.partition(".")[0] not in sys.stdlib_module_names}
-    names_of = ("errors", "interrupts", "ranges", "read_file", "renamed", "replace_file", "settings", "time_budget")
+    names_of = (
+        "errors",
+        "interrupts",
+        "param",
+        "ranges",
+        "read_file",
+        "renamed",
+        "replace_file",
+        "settings",
+        "time_budget",
+    )
     light = tuple(f"mistray.{name}" for name in names_of)
     assert not {name for name in heavy if name not in light and not name.startswith("mistray.cli")}
 

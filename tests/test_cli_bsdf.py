@@ -177,8 +177,8 @@ def test_advice(capsys) -> None:
 @pytest.mark.parametrize(
     ("arguments", "words"),
     [
-        (("abc",), "scatter model 'abc' is unknown; use abg, harvey_shack, k_correlation"),
-        (("abg", "--A", "1"), "abg needs --A, --B, --g; --B, --g is missing"),
+        (("abc",), "scatter model 'abc' is unknown; use abg, "),
+        (("abg", "--A", "1"), "B is missing; give A, B, g"),
         ((*ABG, "--level", "300"), "abg has no --level; its options are --A, --B, --g"),
         (("abg", "--A", "1", "--B", "0", "--g", "2"), "B is 0; give B > 1e-12"),
         (("abg", "--A", "1", "--B", "-1", "--g", "2"), "B is -1"),

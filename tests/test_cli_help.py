@@ -17,6 +17,8 @@ from mistray.trace import Settings
 pytestmark = pytest.mark.quick
 
 COMMANDS: dict[str, argparse.ArgumentParser] = program._parser()._subparsers._group_actions[0].choices
+for _parser in COMMANDS.values():
+    _parser.declare_all()
 OPTIONS = {
     name: [
         action

@@ -50,6 +50,7 @@ def test_every_command_and_option_is_described(commands):
     choices = program._parser()._subparsers._group_actions[0].choices
     assert [command.name for command in commands] == list(choices)
     for command in commands:
+        choices[command.name].declare_all()
         shown = [action for action in choices[command.name]._actions if action.help != argparse.SUPPRESS]
         given = {flag for action in shown for flag in action.option_strings}
         assert {flag for value in command.options for flag in value.flags} == given

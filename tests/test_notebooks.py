@@ -71,7 +71,7 @@ CLAIMS = {
     """,
     "own_bsdf_plugin": """
         assert len([line for line in In[2].splitlines() if line.strip()]) <= 30
-        assert "total 1.2" in message and "\\n" not in message
+        assert "total is 1.2" in message and "\\n" not in message
         assert (abs(traced.ratio - 1) < 4.5 * traced.share_se / traced.share + 5e-3).all()
         assert (abs(traced.seen_ratio - 1) < 5e-3).all()
         assert abs(slope - slope_by_hand) < 4.5 * slope_se + 2e-3

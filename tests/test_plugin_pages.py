@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import importlib.util
 import re
 import sys
@@ -13,6 +14,7 @@ import pytest
 
 import mistray  # registers the plugins
 from mistray._variant import plugin_modules
+from mistray.scatter.kinds import KINDS
 from mistray.scene.messages import parameters as names_for_messages
 
 ROOT = Path(__file__).parents[1]
@@ -126,6 +128,25 @@ def test_table_is_complete(manual: Any) -> None:
         assert row.unit, f"{row.name}: no unit; 1 for a number"
         assert row.range or row.unit not in ("mm", "nm", "um", "W/mm²", "1/sr", "%", "1"), f"{row.name}: no range"
         assert row.meaning or "…" in row.name, f"{row.name}: no meaning"
+
+
+@pytest.mark.parametrize("kind", KINDS)
+def test_the_table_says_what_the_model_states(kind: str) -> None:
+    """Unit, default and derivatives of every parameter of a scatter model, which it states once as a `Param`."""
+    rows = {name: row for row in BY_NAME[kind].parameters for name in row.names}
+    for field in dataclasses.fields(KINDS[kind]):
+        param = KINDS[kind].param(field.name)
+        if param is None or (kind, field.name) == ("particulate", "relative_to"):  # a share of the beam by nature
+            continue
+        row = rows[field.name]
+        assert (row.unit, row.differentiable) == (param.unit, param.moves), field.name
+        if field.default is dataclasses.MISSING:
+            assert row.default == "required", field.name
+        elif isinstance(field.default, float):
+            assert float(row.default) == field.default, field.name
+        elif isinstance(field.default, str):
+            assert row.default == field.default, field.name
+    assert {name for name, row in rows.items() if row.unit == "file"} == {"file"} & set(KINDS[kind].also)
 
 
 @every_plugin

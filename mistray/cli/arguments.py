@@ -24,10 +24,20 @@ class Parser(argparse.ArgumentParser):
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
         self._old_names: dict[str, str] = {}
+        self._later: list[Callable[[Parser], None]] = []
 
     def error(self, message: str) -> NoReturn:
         """Raise instead of printing the usage and exiting."""
         raise MistrayError(f"{message}; see '{self.prog} --help'")
+
+    def declare_when_used(self, declare: Callable[[Parser], None]) -> None:
+        """Leave the declaration of arguments for when this parser is used, and not another one."""
+        self._later.append(declare)
+
+    def declare_all(self) -> None:
+        """Declare what has been left for later."""
+        while self._later:
+            self._later.pop(0)(self)
 
     def take_old_name(self, old: str, new: str) -> None:
         """Accept an option by an old name too, with a warning; the help does not show it."""
@@ -39,6 +49,7 @@ class Parser(argparse.ArgumentParser):
 
     def parse_known_args(self, args: Any = None, namespace: Any = None) -> Any:
         """What argparse finds, with the values of old names under the new ones."""
+        self.declare_all()
         found, others = super().parse_known_args(args, namespace)
         for old, new in self._old_names.items():
             before, now = (self._option_string_actions[name].dest for name in (old, new))

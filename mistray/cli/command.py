@@ -83,27 +83,35 @@ class Command:
     examples : tuple of str
         Command lines.
     parts : tuple of Option or Group
-        In the order of the help.
+        In the order of the help. What takes imports to know is made by a function, when the command is used.
     """
 
     name: str
     help: str
     description: str
     examples: tuple[str, ...]
-    parts: tuple[Option | Group, ...]
+    parts: tuple[Option | Group | Callable[[], Option | Group], ...]
 
     @property
     def options(self) -> Iterator[Option]:
         """All options, whatever their group."""
-        for part in self.parts:
+        for part in self._made():
             yield from part.options if isinstance(part, Group) else (part,)
+
+    def _made(self) -> Iterator[Option | Group]:
+        for part in self.parts:
+            yield part() if callable(part) else part
 
     def declare(self, commands: Any, run: Callable[[Any], int]) -> None:
         """Add its parser to those of argparse; `run` is what it does."""
         lines = [f"example{'s' if len(self.examples) > 1 else ''}:", *self.examples]
         texts = {"help": self.help, "description": self.description, "epilog": "\n  ".join(lines)}
         parser: Parser = commands.add_parser(self.name, formatter_class=Help, **texts)
-        for part in self.parts:
+        parser.set_defaults(run=run)
+        parser.declare_when_used(self._declare_arguments)
+
+    def _declare_arguments(self, parser: Parser) -> None:
+        for part in self._made():
             if isinstance(part, Group):
                 group = parser.add_argument_group(part.title)
                 for option in part.options:
@@ -111,7 +119,7 @@ class Command:
             else:
                 part.declare(parser)
         written = {option.dest: option.writes for option in self.options if option.writes is not None}
-        parser.set_defaults(run=run, outputs=tuple(written), folder_files=sum(written.values(), ()))
+        parser.set_defaults(outputs=tuple(written), folder_files=sum(written.values(), ()))
         for option in self.options:
             if option.old:
                 parser.take_old_name(option.old, option.name)

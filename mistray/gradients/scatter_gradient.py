@@ -136,7 +136,7 @@ def quotient(plugin: Any, name: str, relative_step: float = STEP) -> list[tuple[
     step = relative_step * (abs(values[name]) or 1.0)
 
     def at(steps: int) -> Any:
-        return plugin._model_of(**{**values, name: values[name] + steps * step})
+        return plugin.model.changed(**{**values, name: values[name] + steps * step})
 
     for stencil in ({-1: -0.5, 1: 0.5}, {0: -1.5, 1: 2.0, 2: -0.5}, {0: 1.5, -1: -2.0, -2: 0.5}):
         try:

@@ -10,7 +10,8 @@ from types import MappingProxyType
 
 from mistray.errors import MistrayError
 from mistray.prescription.coating import BLACK, Coating
-from mistray.prescription.scatter import MODELS, Scatter, Value
+from mistray.prescription.scatter import Scatter, Value
+from mistray.scatter.kinds import KINDS
 from mistray.scatter.paint import PRESETS
 
 OTHER_SIDE = {"front": "back", "back": "front"}
@@ -68,7 +69,7 @@ def finish(text: str, known: Mapping[str, Finish] = MappingProxyType({})) -> Fin
         return ABSORBER
     if text in PRESETS:
         return Finish(BLACK, (Scatter("paint", {"preset": text}, name=text),))
-    if words and words[0] in MODELS and all("=" in word for word in words[1:]):
+    if words and words[0] in KINDS and all("=" in word for word in words[1:]):
         properties: dict[str, Value] = {}
         for key, _, value in (word.partition("=") for word in words[1:]):
             if key in properties:

@@ -53,31 +53,7 @@ from mistray.surfaces.gradient_columns import COEFFICIENTS, DISPLACEMENT, ROTATI
 from mistray.surfaces.surfaces import solid_shapes
 
 KINDS = ("coating", "share", "scatter", "curvature", "conic", "asphere", "rim", "position", "tilt", "index", "source")
-# Scatter: unit, range and tolerance relative to the value
-_SCATTER = {
-    "A": ("1/sr", 0.0, math.inf, 0.2),
-    "B": ("1", 0.0, math.inf, 0.2),
-    "g": ("1", 0.0, math.inf, 0.05),
-    "b0": ("1/sr", 0.0, math.inf, 0.2),
-    "rms_nm": ("nm", 0.0, math.inf, 0.2),
-    "l": ("1", 0.0, math.inf, 0.2),
-    "s": ("1", -math.inf, 0.0, 0.05),
-    "B_um": ("um", 0.0, math.inf, 0.2),
-    "slope": ("1", 0.0, math.inf, 0.05),
-    "total": ("1", 0.0, 1.0, 0.2),
-    "width": ("1", 0.0, math.inf, 0.2),
-    "d": ("1", 0.0, math.inf, 0.2),
-    "scale": ("1", 0.0, math.inf, 0.2),
-    "exponent": ("1", 1.0, math.inf, 0.05),
-    "level": ("1", 1.0, math.inf, 0.2),
-    "coverage_percent": ("%", 0.0, 100.0, 0.2),
-    "reflectance": ("1", 0.0, 1.0, 0.2),
-    "n": ("1", 1.0, math.inf, 0.0),
-    "width_mm": ("mm", 0.0, math.inf, 0.2),
-}
-OWN_SCATTER = ("1", -math.inf, math.inf, 0.2)  # what is known of a value of a user's scatter plugin
 OF_SOURCE = 0.01  # of a number of a source that states no tolerance, relative to it
-BINDER = 0.02  # tolerance of the index of a paint's binder
 THICKNESS, LAYER_INDEX, LAYER_K = 0.01, 0.01, 1e-4
 SHARE, LEAST_SHARE = 0.2, 1e-3
 RADIUS, FRINGES_MM, FORM_MM = 1e-3, 3 * 633e-6 / 2, 5e-4
@@ -271,8 +247,8 @@ _About = tuple[str, str, float, float, float] | None  # kind, unit, tolerance, l
 def _about_scatter(owner: Any, name: str, value: np.ndarray) -> _About:
     if fixed(owner, name) is not None:
         return None
-    unit, low, high, relative = _SCATTER.get(name, OWN_SCATTER)
-    return "scatter", unit, relative * abs(value[0]) or BINDER, low, high
+    param = owner.model.param(name)
+    return "scatter", param.unit, param.usual_tolerance(float(value[0])), *param.ends
 
 
 def _about_bsdf(owner: Any, name: str, value: np.ndarray) -> _About:

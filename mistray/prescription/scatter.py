@@ -2,79 +2,19 @@
 
 from __future__ import annotations
 
-import re
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import KW_ONLY, dataclass, field
-from types import MappingProxyType
 from typing import Any
 
-from mistray.errors import MistrayError
+from mistray.errors import MistrayError, nearest
 from mistray.prescription.coating import check_name
-from mistray.scatter.abg import ABg
-from mistray.scatter.k_correlation import KCorrelation
 from mistray.scatter.kinds import KINDS
 from mistray.scatter.lobe import Placement
-from mistray.scatter.paint import Paint
-from mistray.scatter.polynomial import Polynomial
-from mistray.scatter.rough_surface import substrate_index
 
 Value = bool | int | float | str
 
 
-def _paint(preset: str | None = None, **properties: Any) -> Paint:
-    return Paint(**properties) if preset is None else Paint.preset(preset, **properties)
-
-
-def _k_correlation(substrate: str | None = None, **properties: Any) -> KCorrelation:
-    index = None if substrate is None else substrate_index(substrate, "scatter 'k_correlation'")
-    return KCorrelation(**properties, substrate=index)
-
-
-# The files of these stand beside a scene that may not exist yet: their readers check them
-
-
-def _table(
-    file: str,
-    cosine_corrected: bool = False,
-    beyond: str = "error",
-    anisotropy: str = "error",
-    sample_axis: str = "x",
-    rotation_deg: float = 0.0,
-    **placement: Any,
-) -> None:
-    Placement(**placement)
-
-
-def _abg(file: str | None = None, **properties: Any) -> ABg | None:
-    if file is None:
-        return ABg(**properties)
-    Placement(**properties)
-    return None
-
-
-def _psd_table(
-    file: str,
-    beyond: str = "error",
-    scale: float = 1.0,
-    theory: str = "ghs",
-    substrate: str | None = None,
-    **placement: Any,
-) -> None:
-    Placement(**placement)
-
-
-MODELS: Mapping[str, Callable[..., Any]] = MappingProxyType(
-    {
-        **KINDS,
-        "abg": _abg,
-        "k_correlation": _k_correlation,
-        "paint": _paint,
-        "polynomial": Polynomial.of,
-        "psd_table": _psd_table,
-        "tabulated": _table,
-    }
-)
-"""Plugin → what makes the model from its properties."""
+LAID = ("sample_axis", "rotation_deg")  # how a sample lies on its surface, of `tabulated`
 
 
 @dataclass(frozen=True)
@@ -85,7 +25,7 @@ class Scatter:
     Attributes
     ----------
     kind : str
-        The plugin: one of `MODELS`.
+        The plugin: one of `mistray.scatter.kinds.KINDS`.
     properties : mapping of str to bool, number or str
         Its properties as in XML, for example ``{"rms_nm": 4.0}``. Files are relative to the scene file.
     name : str or None
@@ -104,8 +44,8 @@ class Scatter:
     name: str | None = None
 
     def __post_init__(self) -> None:
-        if self.kind not in MODELS:
-            raise MistrayError(f"scatter '{self.kind}': there is no such model; use {', '.join(MODELS)}")
+        if self.kind not in KINDS:
+            raise MistrayError(f"scatter '{self.kind}': there is no such model; use {', '.join(KINDS)}")
         if self.name is not None:
             check_name(self.name)
         for key, value in self.properties.items():
@@ -116,10 +56,15 @@ class Scatter:
     def __hash__(self) -> int:
         return hash((self.kind, tuple(sorted(self.properties.items())), self.name))
 
-    def model(self) -> Any:
+    def model(self) -> Placement | None:
         """The model in `mistray.scatter`; None of what is read from a file, whose file only the scene knows."""
-        try:
-            return MODELS[self.kind](**self.properties)
-        except TypeError as error:
-            message = re.sub(r"^\S+\(\) ", "", str(error))
-            raise MistrayError(f"scatter '{self.kind}': {message}; see the properties of the plugin") from None
+        title, model = f"scatter '{self.kind}'", KINDS[self.kind]
+        laid = LAID if self.kind == "tabulated" else ()
+        given: dict[str, Any] = {key: value for key, value in self.properties.items() if key not in laid}
+        for key, value in given.items():
+            param = model.param(key)
+            if param is None:
+                raise MistrayError(f"{title}: there is no '{key}'; {nearest(key, model.params())}")
+            param.check(key, value, title)
+        # A file stands beside a scene that may not exist yet: its reader checks it
+        return None if "file" in given else model.of(**given)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Any
 
 from mistray.errors import MistrayError
+from mistray.param import Param
 from mistray.physics import abg
-from mistray.ranges import NOT_NEGATIVE, SLOPE, WAVELENGTH_NM
+from mistray.ranges import NOT_NEGATIVE, SLOPE, TEXT
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import unusual, within
+from mistray.scatter.numbers import REFERENCE, unusual, within
 
 SMALLEST_B = 1e-12
 
@@ -38,15 +42,30 @@ class ABg(Placement):
         If a number is out of range.
     """
 
-    A: float = NOT_NEGATIVE.field()
-    B: float = NOT_NEGATIVE.field()
-    g: float = SLOPE.field()
-    reference_nm: float | None = WAVELENGTH_NM.field(None)
+    A: float = Param("1/sr", NOT_NEGATIVE, "A").field()
+    B: float = Param("1", NOT_NEGATIVE, "B").field()
+    g: float = Param("1", SLOPE, "slope g", tolerance=0.05).field()
+    reference_nm: float | None = REFERENCE.field(None)
+
+    also = MappingProxyType({"file": Param("file", TEXT, "instead of A, B and g: ABG_DATA.DAT:NAME")})
 
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.g > 0 and self.B <= SMALLEST_B:
             raise MistrayError(f"{self.title}: B is {self.B:g}; give B > {SMALLEST_B:g}, or B ≥ 0 with g = 0")
+
+    @classmethod
+    def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> ABg:
+        """As `Placement.of`; with `file` the numbers are those that a catalogue has under a name."""
+        if "file" not in properties:
+            return super().of(**properties)
+        given = [key for key in ("A", "B", "g", "reference_nm") if key in properties]
+        if given:
+            raise MistrayError(f"{cls.__name__}: file and {given[0]} given; give the name in the file or the numbers")
+        from mistray.scatter.measured.zemax_abg import abg_from_catalogue  # which makes an ABg
+
+        path, colon, name = properties.pop("file").rpartition(":")
+        return abg_from_catalogue(f"{resolve(path)}{colon}{name}", **properties)
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""

@@ -7,13 +7,16 @@ from dataclasses import KW_ONLY, dataclass
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.param import Param
 from mistray.physics import diffraction
-from mistray.ranges import SIZE_MM
-from mistray.scatter.lobe import Lobe, Placement
+from mistray.ranges import SIZE_MM, Words
+from mistray.scatter.lobe import EVENT, Lobe, Placement
 from mistray.scatter.radial import OCTAVES, R_MAX
 
 FIRST_R = R_MAX * 2.0**-OCTAVES  # below it the lobe is flat, as its table is
 LEAST_WAVES = 25.0  # width over wavelength; a narrower ring would give more light than it gets at grazing incidence
+
+LAW = Param("string", Words(tuple(diffraction.SPREADS)), "tail of a half plane, or after Heisenberg")
 
 
 @dataclass(frozen=True)
@@ -40,14 +43,13 @@ class EdgeDiffraction(Placement):
         If a number is out of range. `lobes` raises it where the ring is not much wider than a wavelength.
     """
 
-    width_mm: float = SIZE_MM.field()
-    law: str = "half_plane"
+    width_mm: float = Param("mm", SIZE_MM, "width of the ring inside the edge").field()
+    law: str = LAW.field("half_plane")
     _: KW_ONLY
-    event: str = "transmission"
+    event: str = EVENT.field("transmission")
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        diffraction.spread(self.law)
         if self.event != "transmission":
             raise MistrayError(f"{self.title}: event is '{self.event}'; an edge diffracts what passes it: transmission")
 

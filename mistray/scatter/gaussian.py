@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mistray.param import Param
 from mistray.physics import gaussian
 from mistray.ranges import LOBE_WIDTH, SHARE
 from mistray.scatter.lobe import Lobe, Placement
@@ -30,11 +31,8 @@ class Gaussian(Placement):
         If a number is out of range.
     """
 
-    total: float = SHARE.field()
-    width: float = LOBE_WIDTH.field()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    total: float = Param("1", SHARE, "scattered share at normal incidence").field()
+    width: float = Param("1", LOBE_WIDTH, "|β - β0| where the BSDF has fallen to 1/e").field()
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""

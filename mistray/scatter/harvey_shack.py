@@ -7,9 +7,8 @@ from typing import Any
 
 from mistray.errors import MistrayError
 from mistray.physics import harvey_shack
-from mistray.ranges import FALL, NOT_NEGATIVE, POSITIVE, ROUGHNESS_NM, WAVELENGTH_NM
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import unusual, within
+from mistray.scatter.numbers import FALLING, KNEE, PEAK, REFERENCE, ROUGHNESS, unusual, within
 
 
 def index_step(event: str, n_in: Any, n_out: Any) -> Any:
@@ -52,6 +51,8 @@ class HarveyShack(Placement):
     ----------
     b0 : float, optional
         BSDF in the specular direction, 1/sr, ≥ 0.
+    rms_nm : float, optional
+        Roughness σ, nm, ≥ 0, at spatial frequencies up to 1/λ; by keyword only.
     l : float
         Place of the knee, > 0. 0.01 is common for polished plastic.
     s : float
@@ -60,8 +61,6 @@ class HarveyShack(Placement):
         Vacuum wavelength at which b0 (or the b0 of `rms_nm`) and l hold. At others the same smooth surface has b0/k⁴
         and k l, with k = λ/reference_nm. Without it b0 is the same at all wavelengths; with `rms_nm`, it is computed at
         each wavelength with the same l.
-    rms_nm : float, optional
-        Roughness σ, nm, ≥ 0, at spatial frequencies up to 1/λ.
 
     Raises
     ------
@@ -70,11 +69,11 @@ class HarveyShack(Placement):
         that is not smooth at a wavelength.
     """
 
-    b0: float | None = NOT_NEGATIVE.field(None)
-    l: float = POSITIVE.field(0.01)  # noqa: E741
-    s: float = FALL.field(-1.5)
-    reference_nm: float | None = WAVELENGTH_NM.field(None)
-    rms_nm: float | None = ROUGHNESS_NM.field(None)
+    b0: float | None = PEAK.field(None)
+    rms_nm: float | None = ROUGHNESS.field(None, kw_only=True)
+    l: float = KNEE.field(0.01)  # noqa: E741
+    s: float = FALLING.field(-1.5)
+    reference_nm: float | None = REFERENCE.field(None)
 
     def __post_init__(self) -> None:
         super().__post_init__()

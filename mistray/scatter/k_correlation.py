@@ -9,11 +9,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.param import Param
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import harvey_shack, k_correlation
-from mistray.ranges import LENGTH_UM, ROUGHNESS_NM, SPECTRUM_SLOPE, WAVELENGTH_NM
+from mistray.ranges import FLAG, LENGTH_UM, SPECTRUM_SLOPE
 from mistray.scatter.harvey_shack import index_step
 from mistray.scatter.lobe import Lobe
+from mistray.scatter.numbers import REFERENCE, ROUGHNESS
 from mistray.scatter.ratio_tables import Directions, over_radius
 from mistray.scatter.rough_surface import RoughSurface
 
@@ -53,11 +55,11 @@ class KCorrelation(RoughSurface):
         for the theory at a wavelength.
     """
 
-    rms_nm: float = ROUGHNESS_NM.field()
-    B_um: float = LENGTH_UM.field()
-    slope: float = SPECTRUM_SLOPE.field()
-    band_limited: bool = False
-    reference_nm: float | None = WAVELENGTH_NM.field(None)
+    rms_nm: float = ROUGHNESS.field()
+    B_um: float = Param("um", LENGTH_UM, "B").field()
+    slope: float = Param("1", SPECTRUM_SLOPE, "slope of the spectrum", tolerance=0.05).field()
+    band_limited: bool = Param("bool", FLAG, "the roughness is that of the band up to 1/wavelength").field(False)
+    reference_nm: float | None = REFERENCE.field(None)
 
     rougher = "use theory ghs_full, with slope 3"
 

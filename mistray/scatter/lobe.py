@@ -2,20 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import KW_ONLY, dataclass
-from typing import Protocol
+from collections.abc import Callable, Mapping
+from dataclasses import KW_ONLY, MISSING, dataclass, fields, replace
+from types import MappingProxyType
+from typing import Any, ClassVar, Protocol, Self
 
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.ranges import check_fields
+from mistray.param import Param
+from mistray.ranges import Words, check_fields, demand_of
 
 EVENTS = ("reflection", "transmission")
 MEASURES = ("cosines", "angle")
 CENTRES = ("specular", "normal", "retro")
 AXES = ("radial", "angular", "cosines")
 FACTORS = ("none", "ghs", "rayleigh_rice", "edge", "cosine")
+EVENT = Param("string", Words(("both", *EVENTS)), "what scatters")
+SIDE = Param("string", Words(("both", "front", "back")), "side from which light is scattered")
+RELATIVE_TO = Param("string", Words(("specular", "incident")), "what the BSDF is a share of")
 
 
 @dataclass(frozen=True, eq=False)
@@ -245,23 +250,64 @@ class Placement:
     """
 
     _: KW_ONLY
-    event: str = "both"
-    side: str = "both"
-    relative_to: str = "specular"
+    event: str = EVENT.field("both")
+    side: str = SIDE.field("both")
+    relative_to: str = RELATIVE_TO.field("specular")
     name: str = ""
+
+    also: ClassVar[Mapping[str, Param]] = MappingProxyType({})
+    """Properties that are no fields, see `of`."""
 
     def __post_init__(self) -> None:
         check_fields(self, self.title)
-        known = (
-            ("event", ("both", *EVENTS)),
-            ("side", ("both", "front", "back")),
-            ("relative_to", ("specular", "incident")),
-        )
-        for key, names in known:
-            if getattr(self, key) not in names:
-                raise MistrayError(
-                    f"{self.title}: {key} is '{getattr(self, key)}'; use {', '.join(names[:-1])} or {names[-1]}"
-                )
+
+    @classmethod
+    def params(cls) -> dict[str, Param]:
+        """The properties of a plugin of this model, by name."""
+        known = {field.name: demand_of(field) for field in fields(cls)}
+        return {name: param for name, param in known.items() if isinstance(param, Param)} | dict(cls.also)
+
+    @classmethod
+    def param(cls, name: str) -> Param | None:
+        """What is known of a property; None if there is none of this name."""
+        return cls.params().get(name)
+
+    @classmethod
+    def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Self:
+        """
+        The model from the properties of its plugin.
+
+        Parameters
+        ----------
+        resolve : callable
+            Makes a path that is relative to the scene absolute.
+        **properties
+            By `params`, and `name`.
+
+        Raises
+        ------
+        MistrayError
+            If one is missing or impossible.
+        """
+        needed = [field.name for field in fields(cls) if field.init and field.default is MISSING]
+        missing = [name for name in needed if name not in properties]
+        if missing:
+            raise MistrayError(f"{cls.__name__}: {missing[0]} is missing; give {', '.join(needed)}")
+        return cls(**properties)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """The numbers by which there are derivatives, by name; without those that are not given."""
+        numbers = {name: getattr(self, name) for name, param in self.params().items() if param.moves}
+        return {name: number for name, number in numbers.items() if number is not None}
+
+    def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
+        """As `Scatter.lobes`."""
+        raise NotImplementedError
+
+    def changed(self, **values: float) -> Self:
+        """The same model with other `values`."""
+        return replace(self, **values)  # type: ignore[arg-type]  # all of its fields are parameters
 
     @property
     def title(self) -> str:

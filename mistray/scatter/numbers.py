@@ -1,9 +1,18 @@
-"""What is usual for the numbers of scatter models."""
+"""What several scatter models have in common: parameters, and what is usual for their numbers."""
 
 from __future__ import annotations
 
+from mistray.param import Param
+from mistray.ranges import FALL, NOT_NEGATIVE, POSITIVE, ROUGHNESS_NM, WAVELENGTH_NM
+
 SINGLE = 1e-6  # relative: what a number of a scene may have lost as a float32
 MOST_TOTAL = 0.9  # what is left of a specular beam is as good as nothing from here on
+# Parameters that several models have
+PEAK = Param("1/sr", NOT_NEGATIVE, "BSDF in the specular direction")
+KNEE = Param("1", POSITIVE, "place of the knee, a direction cosine")
+FALLING = Param("1", FALL, "slope beyond the knee, negative", tolerance=0.05)
+ROUGHNESS = Param("nm", ROUGHNESS_NM, "roughness")
+REFERENCE = Param("nm", WAVELENGTH_NM, "wavelength at which the numbers hold", differentiable=False)
 
 
 def within(value: float, low: float, high: float) -> bool:

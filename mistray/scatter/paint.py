@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass
 from functools import lru_cache
 from types import MappingProxyType
@@ -13,10 +13,12 @@ from typing import Any
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.param import Param
 from mistray.physics import harvey_shack
 from mistray.physics.paint import gain
-from mistray.ranges import BINDER_INDEX, FALL, NOT_NEGATIVE, POSITIVE, SHARE
-from mistray.scatter.lobe import Lobe, Placement, RatioTable
+from mistray.ranges import BINDER_INDEX, SHARE, TEXT
+from mistray.scatter.lobe import EVENT, RELATIVE_TO, Lobe, Placement, RatioTable
+from mistray.scatter.numbers import FALLING, KNEE, PEAK
 from mistray.scatter.total import lobe_total
 
 # Reflectances of presets, all Lambertian; nothing is here for which no number is published.
@@ -64,14 +66,17 @@ class Paint(Placement):
         If a parameter is out of range, or more than all light is scattered at some angle.
     """
 
-    reflectance: float = SHARE.field(0.0)
-    b0: float = NOT_NEGATIVE.field(0.0)
-    l: float = POSITIVE.field(0.1)  # noqa: E741 (its name in the literature)
-    s: float = FALL.field(-2.0)
-    n: float | None = BINDER_INDEX.field(None)
+    reflectance: float = Param("1", SHARE, "reflectance of its Lambertian part").field(0.0)
+    b0: float = PEAK.field(0.0)
+    l: float = KNEE.field(0.1)  # noqa: E741 (its name in the literature)
+    s: float = FALLING.field(-2.0)
+    n: float | None = Param("1", BINDER_INDEX, "index of the binder, with which the lobe grows towards grazing angles",
+                            tolerance=0.0).field(None)  # fmt: skip
     _: KW_ONLY
-    event: str = "reflection"
-    relative_to: str = "incident"
+    event: str = EVENT.field("reflection")
+    relative_to: str = RELATIVE_TO.field("incident")
+
+    also = MappingProxyType({"preset": Param("string", TEXT, "a named paint")})
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -84,26 +89,35 @@ class Paint(Placement):
             )
 
     @classmethod
-    def preset(cls, name: str, **options: Any) -> Paint:
+    def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Paint:
+        """As `Placement.of`; `preset` gives the reflectance."""
+        if "preset" not in properties:
+            return super().of(**properties)
+        if "reflectance" in properties:
+            raise MistrayError(f"{cls.__name__}: preset and reflectance given; give one of them")
+        return cls.preset(**properties)
+
+    @classmethod
+    def preset(cls, preset: str, **options: Any) -> Paint:
         """
         A paint of `PRESETS`, all of them Lambertian.
 
         Parameters
         ----------
-        name : str
+        preset : str
         **options
-            `event`, `side`, `relative_to`.
+            The other attributes.
 
         Raises
         ------
         MistrayError
             If there is none of this name.
         """
-        if name not in PRESETS:
-            close = difflib.get_close_matches(name, PRESETS, n=1)
+        if preset not in PRESETS:
+            close = difflib.get_close_matches(preset, PRESETS, n=1)
             hint = f"did you mean '{close[0]}'?" if close else f"there are {', '.join(PRESETS)}"
-            raise MistrayError(f"paint preset '{name}' is unknown; {hint}")
-        return cls(PRESETS[name], name=name, **options)
+            raise MistrayError(f"paint preset '{preset}' is unknown; {hint}")
+        return cls(PRESETS[preset], **{"name": preset, **options})
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """The lobes for light of one side, see `Scatter`; a paint is the same at all wavelengths."""

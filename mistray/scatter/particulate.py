@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.materials import complex_index
+from mistray.materials import complex_index, resolved
+from mistray.param import Param
 from mistray.physics import contamination
 from mistray.physics.contamination import CLEANED_SLOPE, SMALLEST_UM, Cloud
-from mistray.ranges import COVERAGE_PERCENT, INDEX, LENGTH_UM, LEVEL, SPECTRUM_SLOPE
+from mistray.ranges import COVERAGE_PERCENT, INDEX, LENGTH_UM, LEVEL, SPECTRUM_SLOPE, TEXT
 from mistray.scatter.lobe import Lobe, Placement, Scatter
 from mistray.scatter.particle_clouds import kept_cloud
 
@@ -64,13 +66,13 @@ class Particulate(Placement):
         "incident": scatter of particles is a share of the specular beam.
     """
 
-    level: float | None = LEVEL.field(None)
-    coverage_percent: float | None = COVERAGE_PERCENT.field(None)
-    slope: float = SPECTRUM_SLOPE.field(CLEANED_SLOPE)
-    particle: str = DUST
-    min_um: float = LENGTH_UM.field(SMALLEST_UM)
-    max_um: float | None = LENGTH_UM.field(None)
-    immersion: float = INDEX.field(1.0)
+    level: float | None = Param("1", LEVEL, "cleanliness level of IEST-STD-CC1246").field(None)
+    coverage_percent: float | None = Param("%", COVERAGE_PERCENT, "area coverage, instead of the level").field(None)
+    slope: float = Param("1", SPECTRUM_SLOPE, "slope of the particle distribution", 0.05).field(CLEANED_SLOPE)
+    particle: str = Param("string", TEXT, "n + ik of the particles: 'dust', 1.53+0.002i, or file.csv").field(DUST)
+    min_um: float = Param("um", LENGTH_UM, "least diameter", differentiable=False).field(SMALLEST_UM)
+    max_um: float | None = Param("um", LENGTH_UM, "greatest diameter", differentiable=False).field(None)
+    immersion: float = Param("1", INDEX, "index around the particles", differentiable=False).field(1.0)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,6 +82,12 @@ class Particulate(Placement):
             given = "neither" if self.level is None else "both"
             raise MistrayError(f"{self.title}: {given} of level and coverage_percent given; give one of them")
         contamination.check_distribution(self.cleanliness, self.slope, self.min_um, self.max_um)
+
+    @classmethod
+    def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Particulate:
+        """As `Placement.of`."""
+        particle = properties.get("particle", DUST)
+        return super().of(**{**properties, "particle": particle if particle == DUST else resolved(particle, resolve)})
 
     @property
     def cleanliness(self) -> float:

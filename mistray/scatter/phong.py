@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from mistray.param import Param
 from mistray.physics import phong
-from mistray.ranges import EXPONENT, NOT_NEGATIVE
+from mistray.ranges import EXPONENT
 from mistray.scatter.lobe import Lobe, Placement
-from mistray.scatter.numbers import unusual
+from mistray.scatter.numbers import PEAK, unusual
 
 
 @dataclass(frozen=True)
@@ -31,11 +32,8 @@ class Phong(Placement):
         If a number is out of range.
     """
 
-    b0: float = NOT_NEGATIVE.field()
-    exponent: float = EXPONENT.field()
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
+    b0: float = PEAK.field()
+    exponent: float = Param("1", EXPONENT, "power of the cosine", tolerance=0.05).field()
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.param import Param
 from mistray.physics import polynomial
 from mistray.ranges import POSITIVE
 from mistray.scatter.lobe import Lobe, Placement, RatioTable
@@ -22,6 +23,7 @@ D = 1e4  # FRED's own start
 NODES, R_MIN, MOST_U = (37, 121, 37), 1e-3, 1.5
 # Of the check of a fit: nodes, and the largest BSDF, 1/sr, that single precision still takes
 FEW, LARGEST = (7, 9, 7), 1e12
+COEFFICIENT = Param("1", doc="coefficient of the polynomial")
 
 
 def is_coefficient(name: str) -> bool:
@@ -79,7 +81,7 @@ class Polynomial(Placement):
     """
 
     coefficients: tuple[tuple[str, float], ...]
-    d: float = POSITIVE.field(D)
+    d: float = Param("1", POSITIVE, "the Lorentzian part bends at |β - β0| = d^(-j/2)").field(D)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -101,10 +103,26 @@ class Polynomial(Placement):
             )
 
     @classmethod
-    def of(cls, **properties: Any) -> Polynomial:
-        """From the properties of the plugin, whose coefficients are numbers by their names."""
-        named = tuple((name, float(value)) for name, value in properties.items() if is_coefficient(name))
-        return cls(named, **{name: value for name, value in properties.items() if not is_coefficient(name)})
+    def param(cls, name: str) -> Param | None:
+        """As `Placement.param`; a coefficient is a property by itself."""
+        return COEFFICIENT if is_coefficient(name) else super().param(name)
+
+    @classmethod
+    def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Polynomial:
+        """As `Placement.of`, with the coefficients by their names."""
+        named = sorted(filter(is_coefficient, properties), key=lambda name: (name != "c000", name))
+        others = {name: value for name, value in properties.items() if not is_coefficient(name)}
+        return cls(tuple((name, float(properties[name])) for name in named), **others)
+
+    @property
+    def values(self) -> dict[str, float]:
+        """As `Placement.values`."""
+        return dict(self.coefficients) | super().values
+
+    def changed(self, **values: float) -> Polynomial:
+        """As `Placement.changed`."""
+        coefficients = tuple((name, values.get(name, number)) for name, number in self.coefficients)
+        return replace(self, coefficients=coefficients, d=values.get("d", self.d))
 
     def lobes(self, wavelength_nm: float, n_in: float, n_out: float, from_front: bool) -> tuple[Lobe, ...]:
         """One lobe for each event; parameters as in `mistray.scatter.lobe.Scatter.lobes`."""

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import contextlib
 import math
 from collections.abc import Callable, Mapping
 from dataclasses import KW_ONLY, dataclass, replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.param import Param
 from mistray.physics import generalized_harvey_shack as ghs
 from mistray.physics import rayleigh_rice
+from mistray.ranges import Demand, Words
 from mistray.scatter.harvey_shack import index_step, need_smooth
 from mistray.scatter.lobe import Lobe, Placement, RatioTable
 from mistray.scatter.ratio_tables import Directions, over_cosines
@@ -22,12 +26,23 @@ SCALAR, REFRACTED = (257, 129, 2), (257, 129, 13)
 REFLECTED = (65, 65, 33)
 
 
-def substrate_index(text: str, title: str) -> complex:
-    """N + ik of a substrate from its text, ``0.96+6.69i``; the error message starts with `title`."""
-    try:
-        return complex(text.replace(" ", "").replace("i", "j"))
-    except ValueError:
-        raise MistrayError(f"{title}: substrate is '{text}'; write n+ik as 0.96+6.69i") from None
+THEORIES = ("ghs", "ghs_full", "rayleigh_rice", "rayleigh_rice_vector")
+
+
+class Substrate(Demand):
+    """An index n + ik, as a number or as a text."""
+
+    demand = "must be n+ik with n > 0 and k ≥ 0, as 0.96+6.69i"
+
+    def check(self, name: str, value: Any, owner: str = "") -> complex:
+        """The index; raises `MistrayError` if it is none."""
+        n = complex(math.nan)
+        with contextlib.suppress(ValueError):
+            n = complex(value.replace(" ", "").replace("i", "j") if isinstance(value, str) else value)
+        if not (math.isfinite(n.real) and math.isfinite(n.imag) and n.real > 0 and n.imag >= 0):
+            shown = f"'{value}'" if isinstance(value, str) else f"{n:g}"
+            raise MistrayError(f"{owner}: {name} is {shown}; it {self.demand}")
+        return n
 
 
 @dataclass(frozen=True)
@@ -46,7 +61,8 @@ class RoughSurface(Placement):
         same with the vector Q of a bare surface. In transmission the last one alone is right far from the specular
         direction, where the others are too low.
     substrate : complex, optional
-        n + ik of what reflects, for "rayleigh_rice_vector", where it is not the medium on the other side: of a mirror.
+        n + ik, or its text, of what reflects, for "rayleigh_rice_vector", where it is not the medium on the other side:
+        of a mirror.
 
     Raises
     ------
@@ -56,8 +72,8 @@ class RoughSurface(Placement):
     """
 
     _: KW_ONLY
-    theory: str = "ghs"
-    substrate: complex | None = None
+    theory: str = Param("string", Words(THEORIES), "theory of scatter").field("ghs")
+    substrate: complex | None = Param("string", Substrate(), "n+ik of a mirror").field(None)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -71,12 +87,8 @@ class RoughSurface(Placement):
                 f"{self.title}: theory rayleigh_rice is about reflection, event is '{self.event}'; set event to "
                 "'reflection' or theory to rayleigh_rice_vector"
             )
-        if self.substrate is not None:
-            if self.theory != "rayleigh_rice_vector":
-                raise MistrayError(f"{self.title}: substrate goes with theory rayleigh_rice_vector; leave it out")
-            n = complex(self.substrate)
-            if not (math.isfinite(n.real) and math.isfinite(n.imag) and n.real > 0 and n.imag >= 0):
-                raise MistrayError(f"{self.title}: substrate is {n:g}; give n + ik with n > 0 and k ≥ 0")
+        if self.substrate is not None and self.theory != "rayleigh_rice_vector":
+            raise MistrayError(f"{self.title}: substrate goes with theory rayleigh_rice_vector; leave it out")
 
     def psd(self, wavelength_nm: float) -> Callable[[np.ndarray], np.ndarray]:
         """

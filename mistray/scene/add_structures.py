@@ -10,9 +10,10 @@ from mistray.errors import MistrayError
 from mistray.prescription.coating import Coating
 from mistray.prescription.mesh_structure import MeshStructure
 from mistray.prescription.model import Structure, Surface
-from mistray.prescription.scatter import MODELS, Scatter, Value
+from mistray.prescription.scatter import Scatter, Value
 from mistray.prescription.scene_file import comment_text, structure_text
 from mistray.replace_file import replace_files
+from mistray.scatter.kinds import KINDS
 from mistray.scene.load import find
 from mistray.scene.xml_file import Element, SceneFile
 
@@ -86,7 +87,7 @@ def shared_objects(file: SceneFile) -> Mapping[str, Shared]:
         values = _values(element)
         if element.tag != "bsdf" or name is None or values is None or kind is None:
             continue
-        if kind in MODELS:
+        if kind in KINDS:
             found[name] = Scatter(kind, values, name=name)
         elif kind == "thinfilm" and set(values) <= COATING_KEYS:
             found[name] = Coating(**values, name=name)  # type: ignore[arg-type]

@@ -4,14 +4,11 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.errors import MistrayError
 from mistray.physics import abg
-from mistray.plugins.bsdfs.interface import _resolve
 from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
 from mistray.scatter.abg import ABg as Model
-from mistray.scatter.measured.zemax_abg import abg_from_catalogue
 
 
 class ABg(Scatterer):
@@ -69,27 +66,12 @@ class ABg(Scatterer):
     """
 
     kind = "abg"
-
-    def _read(self, props: mi.Properties) -> None:
-        if "file" not in props:
-            self._take(props, "A", "B", "g")
-            self._reference_nm = self._optional(props, "reference_nm")
-            return
-        given = [key for key in ("A", "B", "g", "reference_nm") if key in props]
-        if given:
-            raise MistrayError(f"{self.title}: file and {given[0]} given; give the name in the file or the numbers")
-        path, colon, name = str(props.get("file")).rpartition(":")
-        known = abg_from_catalogue(f"{_resolve(path)}{colon}{name}")
-        self.values |= {key: mi.Float(getattr(known, key)) for key in ("A", "B", "g")}
-        self._reference_nm = known.reference_nm
-
-    def _model_of(self, **values: float) -> Model:
-        return Model(**values, reference_nm=self._reference_nm, name=self.name, **self._placement)
+    model_type = Model
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         a, b, g = self.values["A"], self.values["B"], self.values["g"]
-        if self._reference_nm is not None:
-            a, b = abg.at_wavelength(a, b, g, mi.Float(wavelength_nm / self._reference_nm))
+        if self.model.reference_nm is not None:
+            a, b = abg.at_wavelength(a, b, g, mi.Float(wavelength_nm / self.model.reference_nm))
         return abg.bsdf(r, a, b, g)
 
 

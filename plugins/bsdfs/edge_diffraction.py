@@ -63,17 +63,11 @@ class EdgeDiffraction(Scatterer):
     """
 
     kind = "edge_diffraction"
-
-    def _read(self, props: mi.Properties) -> None:
-        self._take(props, "width_mm")
-        self._law = str(props.get("law", "half_plane"))
-
-    def _model_of(self, **values: float) -> Model:
-        return Model(**values, law=self._law, name=self.name, **self._placement)
+    model_type = Model
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         wavelength_mm = 1e-6 * wavelength_nm / pair.n_out
-        return diffraction.ring_bsdf(dr.maximum(r, FIRST_R), self.values["width_mm"], wavelength_mm, self._law)
+        return diffraction.ring_bsdf(dr.maximum(r, FIRST_R), self.values["width_mm"], wavelength_mm, self.model.law)
 
 
 mi.register_bsdf("edge_diffraction", lambda props: EdgeDiffraction(props))

@@ -56,12 +56,7 @@ class GaussianLobe(Scatterer):
     """
 
     kind = "gaussian_lobe"
-
-    def _read(self, props: mi.Properties) -> None:
-        self._take(props, "total", "width")
-
-    def _model_of(self, **values: float) -> Model:
-        return Model(**values, name=self.name, **self._placement)
+    model_type = Model
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         return gaussian.bsdf(r, self.values["total"], self.values["width"])

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.errors import MistrayError
 from mistray.physics import harvey_shack
 from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
@@ -64,20 +63,11 @@ class HarveyShack(Scatterer):
     """
 
     kind = "harvey_shack"
-
-    def _read(self, props: mi.Properties) -> None:
-        given = [key for key in ("b0", "rms_nm") if key in props]
-        if len(given) != 1:
-            raise MistrayError(f"{self.title}: {' and '.join(given) or 'neither'} given; give one of b0 and rms_nm")
-        self._take(props, given[0], l=0.01, s=-1.5)
-        self._reference_nm = self._optional(props, "reference_nm")
-
-    def _model_of(self, **values: float) -> Model:
-        return Model(**values, reference_nm=self._reference_nm, name=self.name, **self._placement)
+    model_type = Model
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         knee, s = self.values["l"], self.values["s"]
-        reference_nm = self._reference_nm or wavelength_nm
+        reference_nm = self.model.reference_nm or wavelength_nm
         if "b0" in self.values:
             b0 = self.values["b0"]
         else:

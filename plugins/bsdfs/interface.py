@@ -243,6 +243,11 @@ class Interface(mi.BSDF):
         """Whether R and T are constants."""
         return self._owner._own_ideal
 
+    @property
+    def _scatters(self) -> bool:
+        """Whether it sends scattered light by itself; Mitsuba's kernels call plugins that are nested, too."""
+        return bool(self.scatterers) and not self.is_nested
+
     def _named_scatterers(self) -> dict[str, Any]:
         """The nested scatter plugins by the names that `mi.traverse` gives them: "abg", a second one "abg_2"."""
         kinds = [item.kind for item in self.scatterers]
@@ -387,7 +392,7 @@ class Interface(mi.BSDF):
         reflects = ctx.is_enabled(mi.BSDFFlags.DeltaReflection, 0)
         transmits = ctx.is_enabled(mi.BSDFFlags.DeltaTransmission, 1)
         r, t = (shares[0] if reflects else mi.Float(0)), (shares[1] if transmits else mi.Float(0))
-        if self.scatterers and (reflects or transmits):
+        if self._scatters and (reflects or transmits):
             lobes, from_back = self._lobe_sum(), wi.z > 0
             cos_i = dr.abs(wi.z)
             # In the mode "radiance" light goes to wi, and what is transmitted comes from the other side
@@ -402,7 +407,7 @@ class Interface(mi.BSDF):
         self, ctx: mi.BSDFContext, wi: mi.Vector3f, shares: tuple[mi.Float, mi.Float], beams: tuple[mi.Float, mi.Float]
     ) -> tuple[list[tuple[Any, mi.Float]], mi.Float]:
         """Probabilities of the lobes, and by what the shares of the specular beams are multiplied to be theirs."""
-        lobes = self._lobe_sum().weights(ctx, wi, shares) if self.scatterers else []
+        lobes = self._lobe_sum().weights(ctx, wi, shares) if self._scatters else []
         total = dr.detach(beams[0] + beams[1])
         for _, weight in lobes:
             total += weight
@@ -489,7 +494,7 @@ class Interface(mi.BSDF):
     def eval(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
     ) -> mi.Spectrum:
-        if not self.scatterers:
+        if not self._scatters:
             return mi.Spectrum(0)
         wi, wo = self._turn(si.wi), self._turn(wo)
         light = wo if ctx.mode == mi.TransportMode.Radiance else wi
@@ -499,7 +504,7 @@ class Interface(mi.BSDF):
     def pdf(
         self, ctx: mi.BSDFContext, si: mi.SurfaceInteraction3f, wo: mi.Vector3f, active: mi.Mask = True
     ) -> mi.Float:
-        if not self.scatterers:
+        if not self._scatters:
             return mi.Float(0)
         wi, wo = self._turn(si.wi), self._turn(wo)
         r, t, cos_t, _ = self._specular(wi.z, active)

@@ -12,7 +12,6 @@ from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
 from mistray.scatter.harvey_shack import index_step
 from mistray.scatter.k_correlation import KCorrelation as Model
-from mistray.scatter.rough_surface import substrate_index
 
 
 class KCorrelation(Scatterer):
@@ -72,23 +71,7 @@ class KCorrelation(Scatterer):
     """
 
     kind = "k_correlation"
-
-    def _read(self, props: mi.Properties) -> None:
-        self._take(props, "rms_nm", "B_um", "slope")
-        self._band_limited, self._theory = bool(props.get("band_limited", False)), str(props.get("theory", "ghs"))
-        self._reference_nm = self._optional(props, "reference_nm")
-        self._substrate = substrate_index(str(props.get("substrate")), self.title) if "substrate" in props else None
-
-    def _model_of(self, **values: float) -> Model:
-        return Model(
-            **values,
-            band_limited=self._band_limited,
-            theory=self._theory,
-            reference_nm=self._reference_nm,
-            substrate=self._substrate,
-            name=self.name,
-            **self._placement,
-        )
+    model_type = Model
 
     def _path(self, lobe: Lobe, pair: Pair) -> mi.Float:
         """Path difference per height of the surface for the two directions."""
@@ -108,27 +91,27 @@ class KCorrelation(Scatterer):
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         step = index_step(lobe.event, pair.n_in, pair.n_out)
-        if self._theory == "ghs_full":
+        if self.model.theory == "ghs_full":
             return self._full(step, lobe, r, pair, wavelength_nm)
         rms_um, length_um, slope = self.values["rms_nm"] * 1e-3, self.values["B_um"], self.values["slope"]
         wavelength_um, reflected = wavelength_nm * 1e-3, lobe.event == "reflection"
-        if self._band_limited:
-            band_um = (self._reference_nm or wavelength_nm) * 1e-3
+        if self.model.band_limited:
+            band_um = (self.model.reference_nm or wavelength_nm) * 1e-3
             amplitude = k_correlation.band_amplitude_um4(rms_um, length_um, slope, band_um)
         else:
             amplitude = k_correlation.amplitude_um4(rms_um, length_um, slope)
         n = pair.n_in if reflected else pair.n_out
         psd = k_correlation.psd_um4(n * r / wavelength_um, amplitude, length_um, slope)
-        if reflected and self._theory.startswith("rayleigh_rice"):
+        if reflected and self.model.theory.startswith("rayleigh_rice"):
             return rayleigh_rice.brdf(1.0, 1.0, 1.0, psd, wavelength_um / pair.n_in)
         return ghs.smooth(step, psd, wavelength_um, n)
 
     def ratio(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
         step, path = index_step(lobe.event, pair.n_in, pair.n_out), self._path(lobe, pair)
-        if self._theory == "ghs_full":
+        if self.model.theory == "ghs_full":
             whole = self._full(step, lobe, r, pair, wavelength_nm)
             return self._full(path, lobe, r, pair, wavelength_nm) / whole
-        if self._theory == "ghs":
+        if self.model.theory == "ghs":
             return dr.square(path / step)
         return None
 

@@ -5,7 +5,6 @@ from __future__ import annotations
 import drjit as dr
 import mitsuba as mi
 
-from mistray.errors import MistrayError
 from mistray.physics import harvey_shack
 from mistray.physics.paint import gain
 from mistray.plugins.bsdfs.lobe_pair import Pair
@@ -67,17 +66,7 @@ class Paint(Scatterer):
     """
 
     kind = "paint"
-
-    def _read(self, props: mi.Properties) -> None:
-        preset = Model.preset(str(props.get("preset"))) if "preset" in props else None
-        if preset is not None and "reflectance" in props:
-            raise MistrayError(f"{self.title}: preset and reflectance given; give one of them")
-        self._take(props, reflectance=0.0 if preset is None else preset.reflectance, b0=0.0, l=0.1, s=-2.0)
-        if "n" in props:
-            self._take(props, "n")
-
-    def _model_of(self, **values: float) -> Model:
-        return Model(**values, name=self.name, **self._placement)
+    model_type = Model
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         if lobe.centre == "normal":

@@ -4,12 +4,7 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.errors import MistrayError
-from mistray.materials import resolved
-from mistray.physics.contamination import CLEANED_SLOPE
-from mistray.plugins.bsdfs.interface import _resolve
 from mistray.plugins.bsdfs.scatterer import Scatterer
-from mistray.scatter.particulate import DUST
 from mistray.scatter.particulate import Particulate as Model
 
 
@@ -65,20 +60,7 @@ class Particulate(Scatterer):
     """
 
     kind = "particulate"
-
-    def _read(self, props: mi.Properties) -> None:
-        given = [key for key in ("level", "coverage_percent") if key in props]
-        if len(given) != 1:
-            raise MistrayError(
-                f"{self.title}: {' and '.join(given) or 'neither'} given; give one of level and coverage_percent"
-            )
-        self._take(props, given[0], slope=CLEANED_SLOPE)
-        particle = str(props.get("particle", DUST))
-        self._particle = particle if particle == DUST else resolved(particle, _resolve)
-        self._sizes = {key: float(props.get(key)) for key in ("min_um", "max_um", "immersion") if key in props}
-
-    def _model_of(self, **values: float) -> Model:
-        return Model(**values, **self._sizes, particle=self._particle, name=self.name, **self._placement)
+    model_type = Model
 
 
 mi.register_bsdf("particulate", lambda props: Particulate(props))

@@ -57,12 +57,7 @@ class PhongLobe(Scatterer):
     """
 
     kind = "phong"
-
-    def _read(self, props: mi.Properties) -> None:
-        self._take(props, "b0", "exponent")
-
-    def _model_of(self, **values: float) -> Model:
-        return Model(**values, name=self.name, **self._placement)
+    model_type = Model
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         return phong.bsdf(r, self.values["b0"], self.values["exponent"])

@@ -9,8 +9,8 @@ from mistray.physics import polynomial
 from mistray.plugins.bsdfs.lobe_pair import Pair
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter import Lobe
-from mistray.scatter.polynomial import D, carrier, is_coefficient, sums_of
 from mistray.scatter.polynomial import Polynomial as Model
+from mistray.scatter.polynomial import carrier, sums_of
 
 
 class Polynomial(Scatterer):
@@ -67,13 +67,7 @@ class Polynomial(Scatterer):
     """
 
     kind = "polynomial"
-
-    def _read(self, props: mi.Properties) -> None:
-        others = sorted(name for name in props.keys() if is_coefficient(name) and name != "c000")  # noqa: SIM118
-        self._take(props, "c000", **dict.fromkeys(others, 0.0), d=D)
-
-    def _model_of(self, **values: float) -> Model:
-        return Model.of(**values, name=self.name, **self._placement)
+    model_type = Model
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float:
         return carrier(r, self.values, self.values["d"])

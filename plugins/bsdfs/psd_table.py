@@ -2,15 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import mitsuba as mi
 
-from mistray.errors import MistrayError
-from mistray.plugins.bsdfs.interface import _resolve
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.measured.psd_table import PsdTable as Model
-from mistray.scatter.rough_surface import substrate_index
 
 
 class PsdTable(Scatterer):
@@ -67,19 +62,7 @@ class PsdTable(Scatterer):
     """
 
     kind = "psd_table"
-
-    def _read(self, props: mi.Properties) -> None:
-        if "file" not in props:
-            raise MistrayError(f"{self.title}: file is missing; name a .csv file of the spectrum")
-        self._take(props, scale=1.0)
-        options = {key: str(props.get(key)) for key in ("beyond", "theory") if key in props}
-        substrate = substrate_index(str(props.get("substrate")), self.title) if "substrate" in props else None
-        self._read_model = Model.read(
-            _resolve(str(props.get("file"))), substrate=substrate, name=self.name, **options, **self._placement
-        )
-
-    def _model_of(self, **values: float) -> Model:
-        return replace(self._read_model, **values)
+    model_type = Model
 
 
 mi.register_bsdf("psd_table", lambda props: PsdTable(props))

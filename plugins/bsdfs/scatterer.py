@@ -9,65 +9,55 @@ import mitsuba as mi
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.plugins.bsdfs.interface import SIDES, Interface
+from mistray.plugins.bsdfs.interface import SIDES, Interface, _resolve
 from mistray.plugins.bsdfs.lobe_pair import Pair
-from mistray.scatter import Lobe, Scatter
+from mistray.scatter import Lobe, Placement
 
-PLACEMENT = ("event", "side", "relative_to")
 ALONE = (*SIDES, "R", "T")  # what a scatter plugin takes by itself only
+PLACEMENT = ("event", "side", "relative_to")
 
 
 class Scatterer(Interface):
     """
     Base of the scatter plugins: an interface without layers whose light one model scatters.
 
-    A plugin reads its properties in `_read`, makes its model in `_model_of`, and says what a lobe's profile is for
-    Dr.Jit arrays in `profile`. Values that can be differentiated are `mi.Float` in `values`.
+    A plugin names its model in `model_type`, whose parameters are its properties, and says what a lobe's profile is for
+    Dr.Jit arrays in `profile`.
 
     Attributes
     ----------
+    model_type : type
+        A dataclass on `mistray.scatter.Placement`; its fields are `Param`.
+    model : Placement
+        With the current values.
     values : dict of str to mi.Float
         Differentiable parameters of the model.
     alone : list of str
         Properties that only a plugin by itself may have.
-    sample_axis : SampleAxis or None
-        To be set in `_read` where a lobe is anisotropic.
     """
+
+    model_type: type[Placement]
 
     def _read_coating(self, props: mi.Properties) -> None:
         self.alone = [key for key in ALONE if key in props]
-        self._placement = {key: str(props.get(key)) for key in PLACEMENT if key in props}
-        self.values: dict[str, mi.Float] = {}
-        self._read(props)
+        self.model = self._read_model(props)
+        self._placement = {key: str(props[key]) for key in PLACEMENT if key in props}
+        self.values = {name: mi.Float(value) for name, value in self.model.values.items()}
         self._model_held: tuple[np.ndarray, ...] = ()
         self.rebuild_model()
         # Absolute scatter takes its light from what is absorbed: by default all of it
-        specular = getattr(self.model, "relative_to", "specular") == "specular"
+        specular = self.model.relative_to == "specular"
         reflectance = float(props.get("R", 1.0 if specular and "T" not in props else 0.0))
         self._own_ideal = True
         self._R, self._T = mi.Float(reflectance), mi.Float(float(props.get("T", 0.0)))
         self._rebuild()
         self.scatterers = (self,)
 
-    def _read(self, props: mi.Properties) -> None:
-        """Read the properties of the model; differentiable ones go to `values`."""
-        raise NotImplementedError
-
-    def _take(self, props: mi.Properties, *needed: str, **defaults: float) -> None:
-        """Read differentiable values: those that must be given, and those that have a default."""
-        missing = [key for key in needed if key not in props]
-        if missing:
-            raise MistrayError(f"{self.title}: {missing[0]} is missing; give {', '.join(needed)}")
-        for key in (*needed, *defaults):
-            self.values[key] = mi.Float(float(props.get(key, defaults.get(key, 0.0))))
-
-    def _optional(self, props: mi.Properties, key: str) -> float | None:
-        """A number that need not be given."""
-        return float(props.get(key)) if key in props else None
-
-    def _model_of(self, **values: float) -> Scatter:
-        """The model with these values of the differentiable parameters."""
-        raise NotImplementedError
+    def _read_model(self, props: mi.Properties) -> Placement:
+        """The model from those properties that are its parameters."""
+        known = {key: self.model_type.param(key) for key in list(props.keys())}
+        given = {key: param.typed(props[key]) for key, param in known.items() if param is not None}
+        return self.model_type.of(_resolve, **given, name=self.name)
 
     def profile(self, lobe: Lobe, r: mi.Float, pair: Pair, wavelength_nm: float) -> mi.Float | None:
         """
@@ -107,7 +97,8 @@ class Scatterer(Interface):
         for name, value in zip(self.values, given, strict=True):
             if value.shape != (1,):
                 raise MistrayError(f"{self.title}: {name} has {len(value)} entries; give one number")
-        self.model = self._model_of(**{name: float(value[0]) for name, value in zip(self.values, given, strict=True)})
+        if given:
+            self.model = self.model.changed(**{n: float(v[0]) for n, v in zip(self.values, given, strict=True)})
         self._model_held = given
 
     def _named_scatterers(self) -> dict[str, Any]:

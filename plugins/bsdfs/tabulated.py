@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import mitsuba as mi
 
-from mistray.errors import MistrayError
-from mistray.plugins.bsdfs.interface import _resolve
 from mistray.plugins.bsdfs.sample_axis import SampleAxis
 from mistray.plugins.bsdfs.scatterer import Scatterer
 from mistray.scatter.measured.tabulated import Tabulated as Model
@@ -67,23 +65,14 @@ class Tabulated(Scatterer):
     """
 
     kind = "tabulated"
+    model_type = Model
 
-    def _read(self, props: mi.Properties) -> None:
-        if "file" not in props:
-            raise MistrayError(f"{self.title}: file is missing; name a .bsdf or .csv file")
-        options = {key: str(props.get(key, "error")) for key in ("beyond", "anisotropy")}
-        self._read_model = Model.read(
-            _resolve(str(props.get("file"))),
-            cosine_corrected=bool(props.get("cosine_corrected", False)),
-            name=self.name,
-            **options,
-            **self._placement,
-        )
-        axis = SampleAxis(props, self._read_model.anisotropic, self.title)
-        self.sample_axis = axis if self._read_model.anisotropic else None
-
-    def _model_of(self, **values: float) -> Model:
-        return self._read_model
+    def _read_model(self, props: mi.Properties) -> Model:
+        model = super()._read_model(props)
+        assert isinstance(model, Model)
+        axis = SampleAxis(props, model.anisotropic, self.title)
+        self.sample_axis = axis if model.anisotropic else None
+        return model
 
 
 mi.register_bsdf("tabulated", lambda props: Tabulated(props))

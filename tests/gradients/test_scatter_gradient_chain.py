@@ -456,7 +456,7 @@ def test_ratios_that_are_called_fixed_are(load_scene: Load, name: str) -> None:
     table = table_of(load_scene, model_xml(form))
     (plugin,) = table.optics.bsdfs[table.ids.index("face")].scatterers
     for key, value in form.values.items():
-        models = (plugin._model_of(**(form.values | {key: changed})) for changed in (value, 1.2 * value))
+        models = (plugin.model.changed(**(form.values | {key: changed})) for changed in (value, 1.2 * value))
         base, moved = ([lobe.ratio for lobe in model.lobes(WAVELENGTH_NM, 1.0, GLASS, True)] for model in models)
         for one, other in zip(base, moved, strict=True):
             if one is not None:

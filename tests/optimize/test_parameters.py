@@ -139,9 +139,10 @@ def test_the_ends_of_ranges_are_those_of_the_plugins() -> None:
         for end, sign in ((p.low, -1), (p.high, 1)):
             if not math.isfinite(end) or (key == "front.semi_diameter" and sign < 0):
                 continue
-            params[key] = mi.Float(np.full(p.value.shape, end - sign * 1e-4))
+            step = 1e-4 * max(1.0, abs(end))
+            params[key] = mi.Float(np.full(p.value.shape, end - sign * step))
             params.update()
-            params[key] = mi.Float(np.full(p.value.shape, end + sign * 1e-4))
+            params[key] = mi.Float(np.full(p.value.shape, end + sign * step))
             with pytest.raises(mistray.MistrayError):
                 params.update()
             params[key] = mi.Float(p.value)

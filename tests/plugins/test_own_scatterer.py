@@ -12,7 +12,9 @@ import pytest
 import mistray
 from mistray.errors import MistrayError
 from mistray.optimize.parameters import parameters
+from mistray.param import Param
 from mistray.plugins.bsdfs.scatterer import Scatterer
+from mistray.ranges import SHARE
 from mistray.scatter import Lobe, Placement
 
 
@@ -20,13 +22,8 @@ from mistray.scatter import Lobe, Placement
 class Haze(Placement):
     """BSDF = share (depth + 1)/π (1 - r²)^depth."""
 
-    share: float
-    depth: float
-
-    def __post_init__(self) -> None:
-        super().__post_init__()
-        if not 0 <= self.share <= 1:
-            raise MistrayError(f"{self.title}: share is {self.share:g}; give 0 … 1")
+    share: float = Param("1", SHARE, "scattered share", tolerance=0.1).field()
+    depth: float = Param().field()
 
     def value(self, r: np.ndarray) -> np.ndarray:
         inside = np.where(r < 1, 1 - r * r, 0.0)
@@ -38,12 +35,7 @@ class Haze(Placement):
 
 class HazePlugin(Scatterer):
     kind = "haze"
-
-    def _read(self, props: mi.Properties) -> None:
-        self._take(props, "share", "depth")
-
-    def _model_of(self, **values: float) -> Haze:
-        return Haze(**values, name=self.name, **self._placement)
+    model_type = Haze
 
 
 mi.register_bsdf("haze", lambda props: HazePlugin(props))
@@ -68,14 +60,17 @@ def scene(**scatter: Any) -> Any:
 
 
 def test_its_values_are_parameters() -> None:
-    """Of a number that nobody has described, the unit is 1 and the tolerance 20 %."""
+    """With the unit, range and tolerance that it states, by default 1, all numbers, and 20 %."""
     known = parameters(scene(share=0.3, depth=2.0))
     found = {key: p for key, p in known.items() if p.kind == "scatter"}
     assert set(found) == {"panel.bsdf.haze.share", "panel.bsdf.haze.depth"}
     depth = found["panel.bsdf.haze.depth"]
     assert (depth.unit, depth.value[0], depth.shapes) == ("1", 2.0, ("panel",))
     assert depth.tolerance == pytest.approx(0.4)
-    assert depth.low == -np.inf
+    assert (depth.low, depth.high) == (-np.inf, np.inf)
+    share = found["panel.bsdf.haze.share"]
+    assert (share.low, share.high) == (0.0, 1.0)
+    assert share.tolerance == pytest.approx(0.03)
 
 
 def test_its_errors_are_one_line() -> None:

@@ -37,16 +37,16 @@ def lens() -> Prescription:
     [
         (("harvey",), "scatter 'harvey': there is no such model; use abg, "),
         (("harvey_shack",), "HarveyShack: neither of b0 and rms_nm given"),
-        (("harvey_shack", {"rms": 4.0}), "scatter 'harvey_shack': got an unexpected keyword argument 'rms'"),
-        (("abg", {"A": 1.0, "B": 1.0}), "scatter 'abg': missing 1 required positional argument: 'g'"),
+        (("harvey_shack", {"rms": 4.0}), "scatter 'harvey_shack': there is no 'rms'; did you mean 'rms_nm'"),
+        (("abg", {"A": 1.0, "B": 1.0}), "ABg: g is missing"),
         (("abg", {"A": 1.0, "B": 0.0, "g": 2.0}), "ABg: B is 0"),
         (("abg", {"A": [1.0], "B": 1.0, "g": 2.0}), r"scatter 'abg': A = \[1.0\]; give a number, a text or a boolean"),
         (("paint", {"preset": "flat_blak"}), "did you mean 'flat_black'?"),
         (
             ("k_correlation", {"rms_nm": 2.0, "B_um": 100.0, "slope": 3.0, "substrate": "silver"}),
-            "scatter 'k_correlation': substrate is 'silver'; write n\\+ik as 0.96\\+6.69i",
+            "scatter 'k_correlation': substrate is 'silver'",
         ),
-        (("tabulated",), "scatter 'tabulated': missing 1 required positional argument: 'file'"),
+        (("tabulated",), "Tabulated: file is missing"),
     ],
 )
 def test_bad_models(arguments: tuple, words: str) -> None:

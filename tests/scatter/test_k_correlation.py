@@ -227,14 +227,14 @@ def test_no_lobes() -> None:
         ({"slope": 0.0}, "slope is 0; it must lie"),
         ({"slope": 2.0}, "slope is 2, whose total roughness is infinite; give slope > 2 or band_limited"),
         ({"slope": math.nan}, "slope is nan"),
-        ({"theory": "beckmann"}, "theory is 'beckmann'; use ghs, ghs_full, rayleigh_rice or rayleigh_rice_vector"),
+        ({"theory": "beckmann"}, "theory is 'beckmann'"),
         ({"theory": "ghs_full", "slope": 2.5}, "ghs_full needs slope 3"),
         ({"theory": "ghs_full", "band_limited": True}, "ghs_full needs slope 3 and a total roughness"),
         ({"theory": "rayleigh_rice"}, "rayleigh_rice is about reflection, event is 'both'"),
         ({"reference_nm": 550.0}, "reference_nm goes with band_limited"),
         ({"reference_nm": 0.0, "band_limited": True}, "reference_nm is 0; it must"),
         ({"substrate": 1.5 + 0j}, "substrate goes with theory rayleigh_rice_vector"),
-        ({"substrate": -1 + 2j, "theory": "rayleigh_rice_vector"}, r"give n \+ ik with n > 0 and k ≥ 0"),
+        ({"substrate": -1 + 2j, "theory": "rayleigh_rice_vector"}, "substrate is -1"),
     ],
 )
 def test_refuses(options: dict[str, Any], message: str) -> None:

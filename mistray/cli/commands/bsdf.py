@@ -54,7 +54,7 @@ COMMAND = Command(
         "mistray bsdf abg --A 2e-5 --B 1e-6 --g 2 --event transmission --hit-deg 30 --hit-sr 4e-6 --hit-before 0.125",
     ),
     (
-        Option("model", f"{', '.join(bsdf_models.KINDS)}, a file .bsdf or .csv, or ABG_DATA.DAT:NAME", metavar="MODEL"),
+        bsdf_models.model_argument,
         Option("--angles-deg", "angles of incidence (0 15 30 45 60 75)",
                POLAR_DEG, "DEG", "+", default=list(DEFAULT_ANGLES)),
         Option("--rotations-deg", "anisotropic tables: azimuths of the sample's x axis from that of the specular "
@@ -80,7 +80,7 @@ COMMAND = Command(
             Option("--hit-sr", "its solid angle as seen from the surface", SOLID_ANGLE_SR, "SR"),
             Option("--hit-before", "chance that a ray gets to the surface (1)", CHANCE, "SHARE"),
         )),
-        bsdf_models.GROUP,
+        bsdf_models.parameter_options,
     ),
 )
 # fmt: on
@@ -96,7 +96,7 @@ def run(options: Options) -> int:
     if options.plot_particles is not None and options.model != "particulate":
         raise MistrayError(f"{options.model} has no particles; leave --plot-particles out")
     written = options.claim()
-    model, light = bsdf_models.model_of(options.model, options), _light(options)
+    model, light = bsdf_models.model_of(options), _light(options)
     lobes = model.lobes(light.wavelength_nm, light.n_in, light.n_out, light.from_front)
     events = [event for event in EVENTS if any(lobe.event == event for lobe in lobes)]
     if not events:
@@ -240,7 +240,7 @@ def _title(options: Options, model: Scatter) -> str:
     """The model and the numbers it was given."""
     given = bsdf_models.given(options)
     parts = [f"{key} = {value:g}" if isinstance(value, float) else f"{key} {value}" for key, value in given.items()]
-    name = Path(options.model).name if options.model not in bsdf_models.KINDS else options.model
+    name = options.model if options.model in bsdf_models.models() else Path(options.model).name
     return ", ".join([f"{name} {parts[0]}" if parts else name, *parts[1:]])
 
 

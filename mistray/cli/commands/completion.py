@@ -99,7 +99,7 @@ def _names() -> dict[str, tuple[str, ...]]:
     from mistray.scene.load import shipped_scenes
 
     scenes = tuple(shipped_scenes())
-    return {"SCENE": scenes, "MODEL": tuple(bsdf_models.KINDS), "COATING": (*PRESETS, "bare", *scenes)}
+    return {"SCENE": scenes, "MODEL": tuple(bsdf_models.models()), "COATING": (*PRESETS, "bare", *scenes)}
 
 
 def _value(option: Option, names: Mapping[str, tuple[str, ...]]) -> Value:

@@ -7,12 +7,14 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
-from mistray.ranges import NOT_NEGATIVE
+from mistray.param import Param
+from mistray.ranges import NOT_NEGATIVE, TEXT, Words
 from mistray.scatter.measured.bsdf_csv import numbers, read_lines
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.rough_surface import RoughSurface
@@ -55,8 +57,10 @@ class PsdTable(RoughSurface):
 
     frequency_1_um: tuple[float, ...]
     psd_um4: tuple[float, ...]
-    beyond: str = "error"
-    scale: float = NOT_NEGATIVE.field(1.0)
+    beyond: str = Param("string", Words(BEYOND), "what holds above its last frequency").field("error")
+    scale: float = Param("1", NOT_NEGATIVE, "factor of the spectrum").field(1.0)
+
+    also = MappingProxyType({"file": Param("file", TEXT, "CSV file of the spectrum")})
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -72,8 +76,13 @@ class PsdTable(RoughSurface):
                 f"{self.title}: spectrum {psd[k]:g} µm⁴ at {f[k]:g} 1/µm; give values > 0, and leave out what is below "
                 f"the noise; no smooth surface has more than {LARGEST_UM4:g}"
             )
-        if self.beyond not in BEYOND:
-            raise MistrayError(f"{self.title}: beyond is '{self.beyond}'; use 'error', 'slope' or 'zero'")
+
+    @classmethod
+    def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> PsdTable:
+        """As `Placement.of`; the spectrum is read from `file`."""
+        if "file" not in properties:
+            raise MistrayError(f"{cls.__name__}: file is missing; name a .csv file of the spectrum")
+        return cls.read(resolve(properties.pop("file")), **properties)
 
     @classmethod
     def read(cls, path: str | Path, **options: Any) -> PsdTable:

@@ -2,19 +2,23 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import KW_ONLY, dataclass
 from functools import cached_property
 from pathlib import Path
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
 
 from mistray.errors import MistrayError
+from mistray.param import Param
+from mistray.ranges import FLAG, TEXT, Words
 from mistray.scatter.evaluate import bsdf
-from mistray.scatter.lobe import Lobe, Placement, RatioTable
+from mistray.scatter.lobe import RELATIVE_TO, Lobe, Placement, RatioTable
 from mistray.scatter.measured.bsdf_csv import read_bsdf_csv
 from mistray.scatter.measured.rotations import RotatedSamples
-from mistray.scatter.measured.samples import BEYOND, Samples
+from mistray.scatter.measured.samples import ANISOTROPY, BEYOND, Samples
 from mistray.scatter.measured.zemax_bsdf import read_zemax_bsdf
 from mistray.scatter.radial import RadialTable
 from mistray.scatter.total import lobe_total
@@ -61,15 +65,22 @@ class Tabulated(Placement):
     """
 
     samples: Samples | RotatedSamples
-    cosine_corrected: bool = False
-    beyond: str = "error"
+    cosine_corrected: bool = Param(
+        "bool", FLAG, "its values are BSDF times the cosine of the scattered direction"
+    ).field(False)
+    beyond: str = Param("string", Words(BEYOND), "what holds past its last polar angle").field("error")
     _: KW_ONLY
-    relative_to: str = "incident"
+    relative_to: str = RELATIVE_TO.field("incident")
+
+    also = MappingProxyType(
+        {
+            "file": Param("file", TEXT, ".bsdf of Zemax, or .csv"),
+            "anisotropy": Param("string", Words(ANISOTROPY), "rotations of the sample that differ"),
+        }
+    )
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.beyond not in BEYOND:
-            raise MistrayError(f"{self.title}: beyond is '{self.beyond}'; use 'error', 'hold' or 'zero'")
         measured = self.samples.event
         if measured is not None and self.event not in ("both", measured):
             raise MistrayError(
@@ -91,6 +102,13 @@ class Tabulated(Placement):
                     f"{self.samples.title}: TIS = {totals[worst]:.4g} at {angles[worst]:g}°{turned}, more than all "
                     "light; check the unit (1/sr) and whether the values are cosine corrected"
                 )
+
+    @classmethod
+    def of(cls, resolve: Callable[[str], str] = str, **properties: Any) -> Tabulated:
+        """As `Placement.of`; the table is read from `file`."""
+        if "file" not in properties:
+            raise MistrayError(f"{cls.__name__}: file is missing; name a .bsdf or .csv file")
+        return cls.read(resolve(properties.pop("file")), **properties)
 
     @classmethod
     def read(cls, path: str | Path, anisotropy: str = "error", **options: Any) -> Tabulated:
