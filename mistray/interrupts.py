@@ -1,5 +1,5 @@
 """
-Ctrl-C and SIGTERM, remembered: what a library swallows is asked for again, and what must not be torn apart ends first.
+Ctrl-C and SIGTERM, remembered: what a library swallows is requested again, and what must not be torn apart ends first.
 
 Python tells of a signal between two of its steps. A kernel that runs or is compiled is one step of several seconds, and
 C++ code that calls back may drop the exception. So the first signal is noted as well: `check` raises what was dropped,

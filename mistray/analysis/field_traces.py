@@ -28,11 +28,11 @@ class FieldTraces:
     Attributes
     ----------
     traces : dict of float to Trace
-        By field angle, degrees, in the order in which they were asked for.
+        By field angle, degrees, in the order in which they were requested.
     nominal : Trace or None
-        The field on axis, without reflections and scatter if it was not asked for: the yardstick of all others.
+        The field on axis, without reflections and scatter if it was not requested: the yardstick of all others.
     at_yardstick : bool
-        Whether a field that nobody asked for is being traced.
+        Whether a field that nobody requested is being traced.
     """
 
     def __init__(self, scene: Any, arguments: Mapping[str, Any], progress: Progress | None) -> None:
@@ -67,7 +67,7 @@ class FieldTraces:
             self._trace_yardstick(1)
 
     def _trace_yardstick(self, fields: int) -> None:
-        """Trace the direct image on axis, which nobody asked for, as one of so many fields that are left."""
+        """Trace the direct image on axis, which nobody requested, as one of so many fields that are left."""
         bare = {**self._arguments, "max_reflections": 0, "max_scatters": 0}
         self.at_yardstick = True
         with share(1 / fields):

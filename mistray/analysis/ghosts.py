@@ -131,7 +131,7 @@ class GhostReport(Mapping[float, Trace]):
         self._frames: dict[Trace, pd.DataFrame] = {}
         self._tables: dict[tuple[float, bool], pd.DataFrame] = {}
         self._maps: dict[float, ImagesOfField] = {}
-        self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were asked for
+        self._path_maps: dict[float, tuple[set[int], FieldMaps]] = {}  # with the paths that were requested
         self._rays: dict[tuple[float, int], list[Polyline]] = {}
         self._summaries: dict[tuple[float, float | None], FieldSummary] = {}
         self.arguments = dict(arguments)
@@ -425,7 +425,7 @@ class GhostReport(Mapping[float, Trace]):
         return image
 
     def _field_maps(self, field_deg: float) -> ImagesOfField:
-        """The maps of a field, from one more run of the same rays, made when they are first asked for."""
+        """The maps of a field, from one more run of the same rays, made when they are first requested."""
         if field_deg not in self._maps:
             table = self.table(field_deg)
             if table.empty:

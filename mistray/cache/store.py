@@ -4,7 +4,7 @@ Several processes may use one folder at once, without locks:
 
 - An entry is written to a draft of a name of its own and then renamed, so that a reader finds all of it or nothing. Two
   processes that compute the same write the same, and the later one wins.
-- An entry begins with its key and a checksum. One that does not agree is told, removed and computed again.
+- An entry begins with its key and a checksum. One that does not agree is reported, removed and computed again.
 - Reading sets the time of the file, so that those that were not read for longest go first when the folder is full.
 
 A folder that cannot be written, or a disk that is full, ends in one line for the user and nothing else: who asks for a
@@ -103,7 +103,7 @@ class Cache:
 
     def put(self, key: str, content: bytes) -> None:
         """
-        Keep a result; one that cannot be kept is told, and nothing else is tried to be written.
+        Keep a result; one that cannot be kept is reported, and nothing else is written.
 
         Parameters
         ----------

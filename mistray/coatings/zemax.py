@@ -16,7 +16,7 @@ that is `Stack.first` = "outside" and `CoatingTable.cos_rare`.
 
 Phases: OpticStudio writes its waves exp(+iωt), so that a phase changes its sign here; 0 means that of an ordinary
 mirror or window. Only the difference of s and p is kept. Tapers and encrypted coatings are errors when such a coating
-is asked for. Source: OpticStudio user guide, "Defining Coatings", "The TABLE Data Section", "Specifying Coatings on
+is requested. Source: OpticStudio user guide, "Defining Coatings", "The TABLE Data Section", "Specifying Coatings on
 Surfaces".
 """
 

@@ -46,7 +46,7 @@ class BackwardTask(SceneTask):
 
 class Ahead:
     """
-    Passes that others trace, some of them before they are asked for.
+    Passes that others trace, some of them before they are requested.
 
     Parameters
     ----------

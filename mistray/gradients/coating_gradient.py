@@ -42,7 +42,7 @@ def coating_gradient(
     sums : (BATCHES, rows, CHANNELS) float64
         From `Run.derivatives`.
     wanted : callable
-        Says of a plugin and a name whether its derivative is asked for; by default all are.
+        Says of a plugin and a name whether its derivative is requested; by default all are.
 
     Yields
     ------

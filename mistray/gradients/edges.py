@@ -86,7 +86,7 @@ class EdgeEvents:
     scale : (n,) mi.Float
         Of jumps, see `mistray.gradients.grazing.Jump`.
     c, c_half : (n,) mi.Float64
-        Coefficients of Δ, 1/mm, for the width that was asked for and for half of it; where there is a `joined` surface
+        Coefficients of Δ, 1/mm, for the width that was requested and for half of it; where there is a `joined` surface
         those of the distance F/|∇F| from it. In units of a start ray.
     """
 

@@ -64,7 +64,7 @@ def geometry_gradient(
     geometry : (BATCHES, surfaces, len(GEOMETRY)) float64
         By the columns, see `TableGradient`.
     wanted : callable
-        Says of a shape and a name whether its derivative is asked for; by default all are.
+        Says of a shape and a name whether its derivative is requested; by default all are.
 
     Yields
     ------
@@ -94,7 +94,7 @@ def index_gradient(
     indices : (BATCHES, surfaces, 2) float64
         By the real indices in front and behind, the rows of coatings held.
     wanted : callable
-        Says of an interface and a name whether its derivative is asked for; by default all are.
+        Says of an interface and a name whether its derivative is requested; by default all are.
     rows : (BATCHES, rows, CHANNELS) float64, optional
         By the rows of the tables of R and T, which depend on the indices beside the coatings; without them R and T at
         the nodes are held.

@@ -24,7 +24,7 @@ def parameter_gradient(raw: TableGradient, wanted: IsChosen) -> Derivatives:
     ----------
     raw : TableGradient
     wanted : callable
-        Says of a plugin and a name whether its derivative is asked for.
+        Says of a plugin and a name whether its derivative is requested.
 
     Yields
     ------
@@ -46,7 +46,7 @@ def parameter_gradient(raw: TableGradient, wanted: IsChosen) -> Derivatives:
 
 
 def edge_gradient(raw: TableGradient, wanted: IsChosen, half_width: bool = False) -> Derivatives:
-    """The part of rims, as `parameter_gradient`; with half the width of the zones if asked for."""
+    """The part of rims, as `parameter_gradient`; with half the width of the zones if requested."""
     if raw.edges is not None:
         yield from geometry_gradient(raw.table, raw.edges[int(half_width)], wanted)
     if raw.edge_indices is not None:

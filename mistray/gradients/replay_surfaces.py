@@ -67,7 +67,7 @@ class Hit:
 
 class ReplaySurfaces:
     """
-    The numbers of all surfaces, those that are asked for with one copy for each batch of start rays.
+    The numbers of all surfaces, those that are requested with one copy for each batch of start rays.
 
     Parameters
     ----------

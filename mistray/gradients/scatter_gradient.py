@@ -56,7 +56,7 @@ def scatter_gradient(
     derivatives : dict
         From `mistray.gradients.scatter_replay.ScatterReplay.derivatives`.
     wanted : callable
-        Says of a plugin and a name whether its derivative is asked for; by default all are.
+        Says of a plugin and a name whether its derivative is requested; by default all are.
 
     Yields
     ------

@@ -17,7 +17,7 @@ from mistray.settings import BATCHES
 
 
 class StartMotion(Protocol):
-    """What is told of the derivatives by the starts of rays."""
+    """What the starts of rays contribute to the derivatives."""
 
     def add(self, rays: Branches, by_o: mi.Vector3d, by_d: mi.Vector3d, active: mi.Bool) -> None:
         """Add those of some rays, by their origins and directions."""
@@ -50,7 +50,7 @@ class SourceStart:
     ----------
     source : SceneSource
     names : iterable of str
-        The parameters that are asked for; others than those of the source are left out.
+        The parameters that are requested; others than those of the source are left out.
     centre : (3,) float64
         What the origins of rays are relative to, mm.
     """
@@ -84,7 +84,7 @@ class SourceDerivative:
     inner : (BATCHES,) float64
         With visibility as it is.
     edges : (2, BATCHES) float64
-        Of rims, with the width that was asked for and with half of it.
+        Of rims, with the width that was requested and with half of it.
     """
 
     owner: Any

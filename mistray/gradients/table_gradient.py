@@ -20,7 +20,7 @@ EDGE_WIDTH = 0.05  # usual width of the zones at rims, in units of their radii
 @dataclass(frozen=True)
 class GradientRequest:
     """
-    Which derivatives are asked for.
+    Which derivatives are requested.
 
     Attributes
     ----------
@@ -50,7 +50,7 @@ class GradientRequest:
 
     @property
     def replays(self) -> bool:
-        """Whether more than factors of coatings is asked for, so that rays are followed again one by one."""
+        """Whether more than factors of coatings is requested, so that rays are followed again one by one."""
         return self.moves or self.scatter
 
     @property
@@ -78,7 +78,7 @@ class TableGradient:
     geometry : (BATCHES, surfaces, len(GEOMETRY)) float64 or None
         With visibility as it is: what rims gain and lose is in `edges`.
     edges : (2, BATCHES, surfaces, len(GEOMETRY)) float64 or None
-        Of rims, with the width that was asked for and with half of it.
+        Of rims, with the width that was requested and with half of it.
     indices : (BATCHES, surfaces, 2) float64 or None
         By the real indices in front and behind.
     edge_indices : (2, BATCHES, surfaces, 2) float64 or None

@@ -1,4 +1,4 @@
-"""`mistray.gradient`: a metric's value and its derivative by every parameter asked for, with standard errors."""
+"""`mistray.gradient`: a metric's value and its derivative by every parameter requested, with standard errors."""
 
 from __future__ import annotations
 

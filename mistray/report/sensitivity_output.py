@@ -90,7 +90,7 @@ def ranking_table(result: Sensitivity) -> Table:
 
 
 def change_text(row: Row) -> str:
-    """The value that lowers the metric by the factor asked for, or what the bound gives."""
+    """The value that lowers the metric by the factor requested, or what the bound gives."""
     if not row.free:
         return "held"
     if row.alone.reached:

@@ -68,7 +68,7 @@ class Light:
         Raises
         ------
         MistrayError
-            If the angle is not in 0 … 90°, or the light is totally reflected and transmission is asked for.
+            If the angle is not in 0 … 90°, or the light is totally reflected and transmission is requested.
         """
         if not 0 <= angle_deg < 90:
             raise MistrayError(f"angle of incidence {angle_deg:g}°; give angles from 0 to below 90°")

@@ -24,7 +24,7 @@ class Bodies:
     Parameters
     ----------
     table : SurfaceTable
-        Its geometry; the optical properties are not asked for.
+        Its geometry; the optical properties are not read.
     """
 
     def __init__(self, table: SurfaceTable) -> None:

@@ -45,7 +45,7 @@ def sweep(
     Trace a scene at every field and wavelength, in every configuration.
 
     Each combination is a trace of its own, with all the rays and at its wavelength alone, so that a row does not depend
-    on what else is asked for. The scene is loaded once and its numbers are data to the kernels, which are compiled for
+    on what else is requested. The scene is loaded once and its numbers are data to the kernels, which are compiled for
     the first row and serve all others, unless a configuration brings something of another kind, such as a reflectance
     or a decentre where there was none.
 
@@ -69,7 +69,7 @@ def sweep(
         Called now and then with (rows done, rows to do); the first counts parts of a row too.
     seconds : float, optional
         Time for all rows that are not in the cache, in equal shares; each ends with the rays that it has. A row of
-        fewer rays than asked for is not cached, and a warning counts them.
+        fewer rays than requested is not cached, and a warning counts them.
     **settings
         rays (in each row), seed and the other attributes of `mistray.trace.Settings`.
 
@@ -81,7 +81,7 @@ def sweep(
     ------
     MistrayError
         If a list is empty, an argument is unknown, a configuration names what the scene has not or makes surfaces
-        overlap, a cache is asked for that is impossible, or what `mistray.trace` raises. Rows that were finished are in
+        overlap, a cache is requested that is impossible, or what `mistray.trace` raises. Rows that were finished are in
         the cache.
     UnfinishedError
         If workers are gone, see `mistray.distribute`; its `partial` is a Sweep of the rows that were finished.

@@ -220,7 +220,7 @@ class PathTable(Sequence[PathRow]):
 
     def _rows(self, chosen: slice | np.ndarray) -> Iterator[PathRow]:
         columns = [column[chosen].tolist() for column in self._columns.values()]
-        # One and the same NaN everywhere, so that a row is equal to itself when it is asked for again
+        # One and the same NaN everywhere, so that a row is equal to itself when it is requested again
         columns = [[math.nan if value != value else value for value in column] for column in columns]
         return (PathRow(*values) for values in zip(*columns, strict=True))
 

@@ -85,7 +85,7 @@ def ray_table(
     whole = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     count = len(whole["start_ray"])
     kept = np.arange(count)
-    if n is not None and count > n:  # every run has found as many as were asked for, or all that it has
+    if n is not None and count > n:  # every run has found as many as were requested, or all that it has
         kept = np.linspace(0, count - 1, n).round().astype(int)
     if not events:
         texts = {name: pd.Series(v[kept].tolist(), dtype="str") for name, v in whole.items() if v.dtype == object}

@@ -137,7 +137,7 @@ class Interface(mi.BSDF):
         self._stock: tuple[Coating, dict[str, Any]] | None = None
         self._lobes: tuple[dict[str, Any], LobeSum] | None = None
         self.scatterers: tuple[Any, ...] = ()
-        # Only objects are looked at: what is never asked for is reported as unknown
+        # Only objects are looked at: what is never requested is reported as unknown
         objects = [props[key] for key in list(props.keys()) if props.type(key) == mi.Properties.Type.Object]
         nested = [item for item in objects if isinstance(item, mi.BSDF)]
         self._nested = self._nested_film(props, nested) if nested else None

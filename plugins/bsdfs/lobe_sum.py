@@ -424,7 +424,7 @@ class LobeSum:
         """The direction wo at a radius and an azimuth of a lobe, and whether it is one that light can have."""
         through = lobe.event == "transmission"
         here, other = (dr.select(wi.z > 0, mi.Float(b), mi.Float(a)) for a, b in (self.n, self.n[::-1]))
-        pair = Pair(wi, wi, here, other)  # light along wi; only its specular direction is asked for
+        pair = Pair(wi, wi, here, other)  # light along wi; only its specular direction is requested
         if lobe.measure == "angle":
             centre = wi if radiance and through else pair.centre(lobe)
             sin_a, cos_a = r * dr.safe_sqrt(1 - 0.25 * r * r), 1 - 0.5 * r * r

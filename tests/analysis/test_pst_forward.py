@@ -1,4 +1,4 @@
-"""The PST by forward runs: closed forms, the error that is asked for, and what it costs."""
+"""The PST by forward runs: closed forms, the requested error, and what it costs."""
 
 from __future__ import annotations
 

@@ -59,7 +59,7 @@ def test_errors_and_the_one_asked_for_stand_below(pst: Pst) -> None:
     below = lines(pst_curve(pst).axes[1])
     value, se = pst.curve("total")
     np.testing.assert_allclose(below["standard error, all light"].get_ydata(), 100 * se / value)
-    np.testing.assert_allclose(below["error asked for"].get_xydata(), [[0, 2], [60, 2]])
+    np.testing.assert_allclose(below["requested error"].get_xydata(), [[0, 2], [60, 2]])
     np.testing.assert_allclose(below["largest ray of scatter"].get_ydata()[[0, -1]], [0.2, 31])
 
 

@@ -25,7 +25,7 @@ from mistray.time_budget import time_is_up
 from mistray.trace.all_cells import AllCells
 
 DARK_AFTER = 4_000_000  # rays without light in a cell after which it is taken for dark
-FIRST_SEARCH = 1 << 16  # rays of the first pilot where an error is asked for
+FIRST_SEARCH = 1 << 16  # rays of the first pilot where an error is requested
 SAVING = 0.1  # share of the time that saving the state may take
 LONG_PASS = 0.5  # s, from which an interrupt may not wait for the end of the next pass
 
@@ -239,7 +239,7 @@ class AdjointRun:
             lines.append(f"{rays:.4g} of {trace.settings.rays:.4g} rays were traced; errors are theirs")
         if wanted is not None and (worst := self._worst(up_to_deg)) > wanted and np.isfinite(worst):
             lines.append(
-                f"errors of up to {100 * worst:.2g} % are left where {100 * wanted:.2g} % was asked for; ask for "
+                f"errors of up to {100 * worst:.2g} % are left where {100 * wanted:.2g} % was requested; ask for "
                 "less, or allow more rays"
             )
         facts = {

@@ -67,7 +67,7 @@ def forward_pst(
         In the convention "normal". ``facts`` hold detector, detector_area_mm2, wavelength_nm, weights, rays (of all
         cells together), seconds, segments, settings, seed, relative_error, error_up_to_deg, entrance, rays_of_cell and
         beam_area_mm2 (n, m); ``unseen``: cells (angle, azimuth) that no light was found in, whose PST of 0 is an upper
-        limit only by the number of their rays; ``unfinished``: those whose error is larger than what was asked for;
+        limit only by the number of their rays; ``unfinished``: those whose error is larger than what was requested;
         ``notes``: the same in words, and what else a reader should know.
 
     Raises
@@ -230,7 +230,7 @@ def _result(
     if late[np.isfinite(errors)].any():
         worst = float(errors[late & np.isfinite(errors)].max())
         lines.append(
-            f"errors of up to {100 * worst:.2g} % are left where {100 * (relative_error or 0):.2g} % was asked for; "
+            f"errors of up to {100 * worst:.2g} % are left where {100 * (relative_error or 0):.2g} % was requested; "
             "take more rays"
         )
     result.facts["notes"] = [*lines, *cells.notes]

@@ -33,7 +33,7 @@ from mistray.time_budget import time_is_up
 if TYPE_CHECKING:
     import pandas as pd
 
-FIRST_RAYS = 1 << 15  # of a cell whose error is asked for
+FIRST_RAYS = 1 << 15  # of a cell whose error is requested
 DARK_RAYS = 1 << 22  # after which a cell that no light was found in is given up
 
 

@@ -61,7 +61,7 @@ class Study(Mapping[str, StudyStep]):
     steps : tuple of StudyStep
         The eight steps in order.
     settings : dict
-        What the study was asked for, plain values.
+        What was requested of the study, plain values.
     """
 
     scene: Any

@@ -177,7 +177,7 @@ def _record(
 
 
 def _chance(options: Options, model: Scatter, event: str, light: Light) -> Chance | None:
-    """Of a hit by rays that nobody aims, if it is asked for."""
+    """Of a hit by rays that nobody aims, if it is requested."""
     from mistray.scatter.chance import chance
 
     if options.hit_deg is None and options.hit_sr is None:

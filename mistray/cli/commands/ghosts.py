@@ -204,7 +204,7 @@ def _write_report(report: GhostReport, extra: _Extra, options: Options, look: Lo
 
 
 class _Extra:
-    """Tables that are asked for beside the main ones; made at once, so that a wrong name shows before the drawing."""
+    """Tables that are requested beside the main ones; made at once, so that a wrong name shows before the drawing."""
 
     def __init__(self, report: GhostReport, options: Options) -> None:
         from mistray.report.tables.ghosts_csv import alias_frame, analysis_frame, filter_frame, filter_rays

@@ -26,7 +26,7 @@ COMMAND = Command(
     "Objects that the detector sees (critical), that light from outside reaches (illuminated), and\n"
     "both (common): surfaces only transmit, mirrors reflect, nothing is split or scattered. Light that common\n"
     "objects and optics send to the detector by one scatter event is estimated as flux x BSDF x pi GCF. Ways by\n"
-    "which the detector sees the outside past the optics are told as warnings.",
+    "which the detector sees the outside past the optics are reported as warnings.",
     (
         "mistray objects phone_camera --half-angle-deg 20 --out out",
         "mistray objects phone_camera_scatter --field-deg 0 10 20:40:5 --rays 3e5",

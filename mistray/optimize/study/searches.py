@@ -95,7 +95,7 @@ class Searches:
         self.steps: list[Step] = []
         self.ended: dict[int, str] = {}
         self._began = time.perf_counter() - state.seconds
-        self._asked = 0  # evaluations that the searches have asked for, kept ones included
+        self._asked = 0  # evaluations that the searches have requested, kept ones included
         self._known = [len(search) for search in state.evaluations] + [0] * len(state.starts)
         if state.evaluations and state.evaluations[0]:
             problem.start = state.evaluations[0][0].terms

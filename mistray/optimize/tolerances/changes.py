@@ -27,7 +27,7 @@ class Change:
     factor : float
         Times that the metric is smaller then, by the model; 1 where the derivative is not known to differ from 0.
     reached : bool
-        Whether that is the factor asked for.
+        Whether that is the factor requested.
     """
 
     number: int

@@ -88,7 +88,7 @@ class Row(OfLine):
     edge_check : float
         By how much `change` would differ with half the width of the zone at rims; NaN where rims do not count.
     alone : Change
-        The value that would lower the metric by the factor asked for, see `mistray.optimize.tolerances.changes`.
+        The value that would lower the metric by the factor requested, see `mistray.optimize.tolerances.changes`.
     free : bool
         Whether it may be changed for that; where not, `alone` is the value that it has.
     """

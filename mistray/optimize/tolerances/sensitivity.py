@@ -39,9 +39,9 @@ class Together:
     factor : float
         Times that the metric is smaller, by the model.
     reached : bool
-        Whether that is the factor asked for.
+        Whether that is the factor requested.
     traced : Estimate or None
-        The same from traces of the changed scene with other seeds; None where they were not asked for.
+        The same from traces of the changed scene with other seeds; None where they were not requested.
     image : Estimate or None
         Power of the direct image over that before, at the sources' own field, from traces as well.
     """

@@ -2,7 +2,7 @@
 
 A surface has its edges about its own axis alone. A piece of a plane or of a sphere has an axis of its own anywhere, so
 that it can stand off the axis of the lens. A piece of another figure cannot: it becomes the ring or disc about the
-vertex that holds it, and how much of the beam that blocks is told.
+vertex that holds it, and how much of the beam it blocks is reported.
 """
 
 from __future__ import annotations

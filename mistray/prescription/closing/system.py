@@ -2,7 +2,7 @@
 
 What is added to the table of surfaces, because light does not keep to an order: edges of the lens bodies, walls between
 lenses, a stop that is a plate with a hole, the rear and the rim of mirrors, holes in mirrors and lenses where the beam
-of the table passes through them, and a frame around the detector. What that assumes is told in the notes.
+of the table passes through them, and a frame around the detector. The notes say what that assumes.
 """
 
 from __future__ import annotations

@@ -230,7 +230,7 @@ def _errors(axes: Axes, pst: Pst) -> None:
     if wanted:
         until = pst.facts.get("error_up_to_deg")
         axes.plot([pst.field_deg[0], pst.field_deg[-1] if until is None else until], [100 * wanted] * 2, color=GREY,
-                  lw=0.9, ls="--", label="error asked for")  # fmt: skip
+                  lw=0.9, ls="--", label="requested error")  # fmt: skip
     axes.set_yscale("log")
     axes.set_ylabel("[%]")
     axes.yaxis.set_major_locator(LogLocator(numticks=5))

@@ -62,7 +62,7 @@ class RayLine:
 
 def chosen_rows(trace: Trace, count: int, path_ids: Sequence[int] | None = None) -> list[PathRow]:
     """
-    The strongest rows of the path table, or those asked for.
+    The strongest rows of the path table, or those requested.
 
     A path at several wavelengths counts once, with its strongest row: the rays of the others would lie on its own.
 
