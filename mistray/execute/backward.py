@@ -241,7 +241,7 @@ class BackwardTrace:
         sky = self.make_directions(maps=True)
         tallies = Tallies(one.table.count, len(one.table.optics.media))
         start = self.start_pass(number, done, rays)
-        self.walk(one, start, tallies, sky)
+        self.trace_trees(one, start, tallies, sky)
         # Sums by surface are in the order of the first wavelength's media
         return sky.read() | {
             "surfaces": np.array(tallies.surfaces).reshape(-1, SURFACE_SUMS, BATCHES)[: one.table.count],
@@ -273,7 +273,7 @@ class BackwardTrace:
         for band, one in enumerate(self.bands):
             tallies = Tallies(one.table.count, len(one.table.optics.media))
             start = self.start_pass(band, FIRST_SEARCH + number, rays)
-            self.walk(one, start, tallies, sky)
+            self.trace_trees(one, start, tallies, sky)
             segments += float(np.array(tallies.channels).reshape(CHANNEL_COUNT, BATCHES)[SEGMENTS].sum())
         return paths_found.read(), segments
 
@@ -281,7 +281,7 @@ class BackwardTrace:
         """What the kernel traces at a wavelength."""
         return KernelScene(band.table, band.scattering, self.intersector, self._probabilities)
 
-    def walk(self, band: Band, start: StartRays, *recorders: Recorder) -> None:
+    def trace_trees(self, band: Band, start: StartRays, *recorders: Recorder) -> None:
         """Trace the trees of some start rays of a wavelength."""
 
         def trace(part: StartRays) -> None:

@@ -203,7 +203,7 @@ class Run:
         before, finished = 0, []
         for part, start in self.starts():
             count = dr.width(start.lane)
-            for done in self.walks(start, self._order(part), *recorders):
+            for done in self.trace_launches(start, self._order(part), *recorders):
                 if progress:
                     progress(before + done, self.rays)
                 if stop and stop():
@@ -213,12 +213,12 @@ class Run:
             finished.append(part)
         return None
 
-    def walk(self, start: StartRays, *recorders: Recorder | None) -> None:
+    def trace_trees(self, start: StartRays, *recorders: Recorder | None) -> None:
         """Trace the trees of some start rays."""
-        for _ in self.walks(start, 0, *recorders):
+        for _ in self.trace_launches(start, 0, *recorders):
             pass
 
-    def walks(self, start: StartRays, order: int, *recorders: Recorder | None) -> Iterator[int]:
+    def trace_launches(self, start: StartRays, order: int, *recorders: Recorder | None) -> Iterator[int]:
         """The same launch by launch; gives the number of rays after each, the first of `Spread` with that seed."""
         launches = launches_of(self.table, self.settings, Recorders(recorders).code)
 
@@ -325,7 +325,7 @@ class Run:
 
     def adjoint(self, pixel: np.ndarray | None, paths: PathDerivative | None, rows: int) -> Adjoint:
         """
-        Derivative of a metric for a walk.
+        Derivative of a metric for a trace.
 
         Parameters
         ----------
@@ -387,7 +387,7 @@ class Run:
         """Flux of the strongest ray that meets the detector, by tracing all rays again; W."""
         recorder = self.recorder(RECORD_CAPACITY, np.zeros(0, dtype=np.int64))
         for _, start in self.starts():
-            self.walk(start, recorder)
+            self.trace_trees(start, recorder)
         return self.unit * float(np.array(recorder.peak).view(np.float32)[0])
 
     def record(self, slots: np.ndarray | None, count: int) -> BranchRecorder:
@@ -408,7 +408,7 @@ class Run:
             spread = slice(None, None, -(-len(groups[0]) // RECORD_CAPACITY) or 1)
             for lanes in (groups[0][spread], np.delete(groups[0], spread), *groups[1:]):
                 if len(lanes):
-                    self.walk(start.take(upload(mi.UInt32, lanes)), recorder)
+                    self.trace_trees(start.take(upload(mi.UInt32, lanes)), recorder)
                 if int(recorder.count[0]) >= count:
                     return recorder
         return recorder

@@ -63,7 +63,7 @@ def backward_gradient(
 
         def trace_again(start: StartRays, band: Band = band, recorder: BranchRecorder = path_replay.recorder) -> None:
             recorder.directions = trace.make_directions(derivative)
-            trace.walk(band, start, recorder)
+            trace.trace_trees(band, start, recorder)
 
         def end(row: mi.UInt32, keys: np.ndarray, recorder: BranchRecorder = path_replay.recorder) -> Exit:
             gain = dr.gather(mi.Float64, recorder.weight, row)

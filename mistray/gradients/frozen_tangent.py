@@ -188,7 +188,9 @@ def run_tangent(run: Run, tangents: Mapping[tuple[int, str], np.ndarray]) -> np.
     recorder = path_replay.recorder
     with dr.suspend_grad():
         for number in range(run.passes):
-            for start in path_replay.portions(run.start_pass(number), HITS_PER_RAY, lambda s: run.walk(s, recorder)):
+            for start in path_replay.portions(
+                run.start_pass(number), HITS_PER_RAY, lambda s: run.trace_trees(s, recorder)
+            ):
                 count = int(recorder.count[0])
                 if not count:
                     continue

@@ -81,16 +81,18 @@ class PathReplay:
             return SurfaceStart(surfaces, start)
         return SourceStart(start, self.request.sources, self.table.centre)
 
-    def portions(self, start: StartRays, hits_per_ray: float, walk: Callable[[StartRays], None]) -> Iterator[StartRays]:
+    def portions(
+        self, start: StartRays, hits_per_ray: float, trace: Callable[[StartRays], None]
+    ) -> Iterator[StartRays]:
         """
-        Walk the rays of a pass in portions that the recorder holds; yields each when it is recorded.
+        Trace the rays of a pass in portions that the recorder holds; yields each when it is recorded.
 
         Parameters
         ----------
         start : StartRays
         hits_per_ray : float
             What is recorded of a start ray on average.
-        walk : callable
+        trace : callable
             Traces some start rays with `recorder`.
         """
         lanes = max(1, int(self.recorder.capacity / (ROOM * max(1.0, hits_per_ray))))
@@ -99,7 +101,7 @@ class PathReplay:
             here = min(lanes, count - done)
             part = start if here == count else start.take(dr.arange(mi.UInt32, here) + dr.opaque(mi.UInt32, done))
             self.recorder.clear()
-            walk(part)
+            trace(part)
             recorded = int(self.recorder.count[0])
             if recorded <= self.recorder.capacity:
                 yield part

@@ -121,7 +121,7 @@ def run_gradient(
     pixel : (maps, height, width) or None
         In units of a start ray.
     request : GradientRequest
-        Coatings alone take a walk in reverse (see `mistray.recorders.adjoint`); for anything else rays are recorded and
+        Coatings alone take a second trace (see `mistray.recorders.adjoint`); for anything else rays are recorded and
         replayed (see `mistray.gradients.replay`).
     """
     if not request.replays:
@@ -136,8 +136,8 @@ def run_gradient(
     hits = float(run.surfaces[run.table.detector, HITS].sum()) / run.rays if traced else HITS_PER_RAY
     recorder = path_replay.recorder
 
-    def walk(start: StartRays) -> None:
-        run.walk(start, recorder)
+    def trace(start: StartRays) -> None:
+        run.trace_trees(start, recorder)
 
     def counts(keys: np.ndarray) -> np.ndarray:
         if paths is None:
@@ -159,7 +159,7 @@ def run_gradient(
         for number in range(run.passes):
             whole = run.start_pass(number)
             if not request.only_rims:
-                for start in path_replay.portions(whole, hits, walk):
+                for start in path_replay.portions(whole, hits, trace):
                     path_replay.replay(start, counts, end)
             if edges is not None:
                 for start, events in edges.events(whole, adjoint):

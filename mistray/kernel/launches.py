@@ -46,14 +46,14 @@ class Launches:
         """Rays of the next launch at most, but for `STRETCH`."""
         return max(BATCHES, int(self._rate * SECONDS))
 
-    def run(self, start: StartRays, walk: Callable[[StartRays], object], seed: int = 0) -> Iterator[int]:
+    def run(self, start: StartRays, trace: Callable[[StartRays], object], seed: int = 0) -> Iterator[int]:
         """
         Trace start rays.
 
         Parameters
         ----------
         start : StartRays
-        walk : callable
+        trace : callable
             Traces some of them.
         seed : int
             Of the order in which they come, see `Spread`.
@@ -76,14 +76,14 @@ class Launches:
                 order = order or Spread(count, seed)
                 numbers = order.next(done, here)
                 part, here = start.take(upload(mi.UInt32, numbers)), len(numbers)
-            self.time(here, lambda part=part: walk(part))  # type: ignore[misc]
+            self.time(here, lambda part=part: trace(part))  # type: ignore[misc]
             done += here
             yield done
 
-    def whole(self, start: StartRays, walk: Callable[[StartRays], object]) -> None:
+    def whole(self, start: StartRays, trace: Callable[[StartRays], object]) -> None:
         """Trace all of them, or none in the end if an interrupt waits for too long; parameters as for `run`."""
         count = dr.width(start.lane)
-        for done in self.run(start, walk):
+        for done in self.run(start, trace):
             if done < count:
                 end_overdue()
 

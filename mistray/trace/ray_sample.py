@@ -51,7 +51,7 @@ def sample_rays(run: Run, keys: Sequence[int], most: int) -> dict[int, list[Ray]
             if not len(part):
                 continue
             recorder.clear()
-            run.walk(sample.take(upload(mi.UInt32, part)), recorder)
+            run.trace_trees(sample.take(upload(mi.UInt32, part)), recorder)
             slots = _wanted(recorder, [key for key, rays in found.items() if len(rays) < most], most)
             starts = [place[int(lane)] for lane in np.array(recorder.lane)[slots]]
             rays = rays_in_slots(run, recorder, slots, origins[starts], directions[starts])

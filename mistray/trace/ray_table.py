@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from mistray.recorders.start_rays import StartRays
 
 CAPACITY = 1 << 14  # branches that are recorded at a time
-FIRST = 1 << 12  # start rays of the first walk; each time twice as many
+FIRST = 1 << 12  # start rays of the first run; each time twice as many
 GOLDEN = (5**0.5 - 1) / 2
 ALONG = ("x_mm", "y_mm", "z_mm"), ("dx", "dy", "dz")
 PEAK = "relative_flux"
@@ -153,7 +153,7 @@ class _Search:
     def _walk(self, start: StartRays, recorder: BranchRecorder) -> Iterator[tuple[Columns, list[Ray]]]:
         """Rays of some start rays; where they have more branches than the recorder holds, in halves."""
         recorder.clear()
-        self._run.walk(start, None if self._box is None else Box(self._box), recorder)
+        self._run.trace_trees(start, None if self._box is None else Box(self._box), recorder)
         count, lanes = int(recorder.count[0]), dr.width(start.lane)
         if count > recorder.capacity:
             if lanes == 1:

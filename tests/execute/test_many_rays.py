@@ -131,7 +131,7 @@ def test_sums_go_on_beyond_32_bits() -> None:
         setattr(recorder, name, dr.full(mi.Float64, before, dr.width(values)))
     dr.eval(tallies.surfaces, tallies.channels, images.sums, ledger.sums)
     start = run.start_pass(run.passes - 1)
-    run.walk(start, tallies, ledger, images)
+    run.trace_trees(start, tallies, ledger, images)
     rays = dr.width(start.lane)
     hits = np.array(ledger.sums).reshape(ledger.capacity, BATCHES, -1)[:, :, 0] - before
     assert sorted(hits.sum(axis=1))[-2:] == [rays, rays]  # the direct path and the ghost
