@@ -210,14 +210,16 @@ class ScatterReplay(Scattering):
         x_axis, one = self._sample_axis(event, active), mi.Float(1)
         around = Around(event.axis, outward, specular, event.d, event.cos_i, event.eta, x_axis, one)
         if self._tables.backward:
-            flux = self._flux_against(event, plan, around, direction, cos_s, coating or self._coating(event.s, active))
+            flux = self._coated_backward_flux(
+                event, plan, around, direction, cos_s, coating or self._coating(event.s, active)
+            )
         else:
             lobes = self._read_lobes(plan, dr.select(event.reflect, event.R, event.T), event.cos_i)
             flux, _, _ = self._evaluate(lobes, one, direction, cos_s, around)
         good = active & (cos_s > 0) & (flux > 0)
         return dr.select(good, dr.log(dr.select(good, flux, 1)), 0)
 
-    def _flux_against(
+    def _coated_backward_flux(
         self,
         event: ScatterEvent,
         plan: mi.Vector4u,
@@ -226,14 +228,14 @@ class ScatterReplay(Scattering):
         cos_s: mi.Float,
         coating: Coating,
     ) -> mi.Float:
-        """As `_against`, where R and T have derivatives."""
+        """As `_backward_flux`, where R and T have derivatives."""
         from_front = event.from_front ^ ~event.reflect
         R, T = coating(from_front, cos_s)
         # Of light on the side of the ray, or on the other side
         eta = dr.select(event.reflect, event.eta, dr.rcp(event.eta))
         cos_t = dr.safe_sqrt(1 - dr.square(eta) * (1 - dr.square(cos_s)))
         share = dr.select(event.reflect, R, T)
-        return self._against(plan, event.reflect, around, direction, cos_s, cos_t, share)
+        return self._backward_flux(plan, event.reflect, around, direction, cos_s, cos_t, share)
 
     def _coating(self, s: mi.UInt32, active: mi.Bool) -> Coating:
         """The coatings of surfaces, from the tables of the run."""

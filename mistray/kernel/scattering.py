@@ -295,7 +295,7 @@ class Scattering:
             from_front = it.from_front ^ ~ray.reflect
             R, T, cos_t = shares_at(table, s, it.word, from_front, cos_s, mi.Bool(True))
             share = dr.select(ray.reflect, R, T)
-            flux = self._against(plan, ray.reflect, around, direction, cos_s, cos_t, share)
+            flux = self._backward_flux(plan, ray.reflect, around, direction, cos_s, cos_t, share)
         techniques = ray.random_rays * density
         if self._tables.aimed:
             there = ray.aimed_rays > 0
@@ -305,7 +305,7 @@ class Scattering:
         good = (cos_s > 0) & (flux > 0) & dr.isfinite(weight)
         return dr.select(good, direction, otherwise), dr.select(good, weight, 0), dr.select(good, slope / flux, 0)
 
-    def _against(
+    def _backward_flux(
         self,
         plan: mi.Vector4u,
         reflect: mi.Bool,
