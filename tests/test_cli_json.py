@@ -53,9 +53,9 @@ def run(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict:
 
 
 def test_every_command_has_json_and_a_test() -> None:
-    commands = program._parser()._subparsers._group_actions[0].choices
-    having = {name for name, parser in commands.items() if "--json" in parser._option_string_actions}
-    assert having == set(commands) - WITHOUT
+    commands = [module.COMMAND for module in program.COMMANDS]
+    having = {command.name for command in commands if "json" in {option.dest for option in command.options}}
+    assert having == {command.name for command in commands} - WITHOUT
     assert set(CHECKED_IN) == having
     for name, file in CHECKED_IN.items():
         assert "json_units.read(" in (TESTS / file).read_text(encoding="utf-8"), (name, file)

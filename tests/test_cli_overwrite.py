@@ -117,15 +117,12 @@ def parsed(*arguments: str) -> argparse.Namespace:
 
 def test_every_command_that_writes_is_here() -> None:
     tried = {arguments[0] for arguments in (*FOLDERS, *FILES)}
-    commands = _parser()._subparsers._group_actions[0].choices  # type: ignore[union-attr]
-    writing = {
-        name
-        for name, parser in commands.items()
-        if {action.dest for action in parser._actions} & {"out", "output", "plot", "csv", "state"}
-    }
-    assert len(commands) == len(COMMANDS)
-    assert tried == writing == {name for name, parser in commands.items() if parser.get_default("outputs")}
-    assert all("--force" in commands[name]._option_string_actions for name in tried)
+    options = {module.COMMAND.name: list(module.COMMAND.options) for module in COMMANDS}
+    known = {name: {option.dest for option in own} for name, own in options.items()}
+    writing = {name for name, own in known.items() if own & {"out", "output", "plot", "csv", "state"}}
+    claimed = {name for name, own in options.items() if any(option.writes is not None for option in own)}
+    assert tried == writing == claimed
+    assert all("force" in known[name] for name in tried)
 
 
 @pytest.mark.parametrize("command", FOLDERS, ids=" ".join)
