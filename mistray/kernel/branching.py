@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import drjit as dr
 import mitsuba as mi
@@ -103,6 +103,35 @@ class Children:
     remainder: mi.UInt32 | int
 
 
+class ScatterFactor(NamedTuple):
+    """
+    By what the scattered rays of a node are stronger because others like it scatter none.
+
+    Attributes
+    ----------
+    packed : mi.Float
+        As a node keeps it in one number: 0 if nothing scatters; negative where the surface does not, but the medium
+        before it.
+    """
+
+    packed: mi.Float
+
+    @property
+    def of_surface(self) -> mi.Bool:
+        """Whether the surface scatters."""
+        return self.packed > 0
+
+    @property
+    def of_medium(self) -> mi.Bool:
+        """Whether what the medium has scattered is sent on."""
+        return self.packed != 0
+
+    @property
+    def factor(self) -> mi.Float:
+        """Of the flux of a ray."""
+        return dr.abs(self.packed)
+
+
 @dataclass
 class Choice:
     """
@@ -119,8 +148,8 @@ class Choice:
         0: none is sent on.
     scatter, cloud : mi.Bool
         Whether the surface scatters it, or the medium before it has.
-    boost : mi.Float
-        For later visits, see `mistray.kernel.ray_tree`.
+    kept : ScatterFactor
+        For later visits.
     factor : mi.Float
         Of the flux of a ray that the surface scatters.
     draw, draw_cloud : callable
@@ -133,7 +162,7 @@ class Choice:
     flux: mi.Float
     scatter: mi.Bool
     cloud: mi.Bool
-    boost: mi.Float
+    kept: ScatterFactor
     factor: mi.Float
     draw: Callable[[mi.PCG32], ScatteredRay]
     draw_cloud: Callable[[mi.PCG32], CloudRay]
@@ -228,16 +257,18 @@ class Branching:
         u = node.rng.next_float32() if draws else mi.Float(0)
         if not self._split:
             return self._one(node, children, fresh, limit, u, memory)
-        boost = self._boost(node, children, own, u) if self._scatters else state["boost"]
+        scattering = ScatterFactor(state["scatter_factor"])
+        if self._scatters:
+            scattering = self._scatter_factor(node, children, own, u)
         if self._optics.one_child:
-            boost = self._only_child(node, children, boost)
+            scattering = self._only_child(node, children, scattering)
         if self._scatters:
             scattered = children.scattered + children.clouded
             self._lose(children.remainder, scattered, first & (scattered > 0), memory)
         self._cut_weak(node, children, fresh, limit, u, memory)
-        return self._next(node, children, boost)
+        return self._next(node, children, scattering)
 
-    def _boost(self, node: Node, children: Children, own: mi.Float, u: mi.Float) -> mi.Float:
+    def _scatter_factor(self, node: Node, children: Children, own: mi.Float, u: mi.Float) -> ScatterFactor:
         """Factor of scattered rays; a weak node scatters with a probability in proportion to the light there."""
         state, first, w = node.state, node.first, node.state["w"]
         least = own
@@ -249,25 +280,26 @@ class Branching:
         chance = dr.minimum((w + state["clouded"] if self._bulk else w) / least, 1)
         if self._probabilities is not None:
             chance = chance * dr.gather(mi.Float, self._probabilities.scatter, state["s"], first)
-        return dr.select(first, dr.select(1 - u <= chance, dr.rcp(chance), 0), state["boost"])
+        return ScatterFactor(dr.select(first, dr.select(1 - u <= chance, dr.rcp(chance), 0), state["scatter_factor"]))
 
     @staticmethod
-    def _only_child(node: Node, children: Children, boost: mi.Float) -> mi.Float:
+    def _only_child(node: Node, children: Children, scattering: ScatterFactor) -> ScatterFactor:
         """
         Let one of transmission, reflection and scatter take the flux of all, at surfaces that are declared so.
 
-        A negative boost: the surface does not scatter, what its medium has scattered is sent on all the same.
+        What the medium has scattered is sent on all the same.
         """
         w_t, w_r, w_s = children.transmitted, children.reflected, children.scattered
         w_all = w_t + w_r + w_s
         chosen = node.rng.next_float32() * w_all
         only = node.first & ((node.interaction.word & ONE_CHILD) != 0)
         to_t, to_r = chosen < w_t, (chosen >= w_t) & ((chosen < w_t + w_r) | (w_s == 0))
-        boost = dr.select(only, dr.select(to_t | to_r, -boost, boost * w_all / w_s), boost)
+        packed = scattering.packed
+        packed = dr.select(only, dr.select(to_t | to_r, -packed, packed * w_all / w_s), packed)
         children.transmitted = dr.select(only, dr.select(to_t, w_all, 0), w_t)
         children.reflected = dr.select(only, dr.select(to_r, w_all, 0), w_r)
         children.scattered = dr.select(only, dr.select(to_t | to_r, 0, w_all), w_s)
-        return boost
+        return ScatterFactor(packed)
 
     def _cut_weak(
         self, node: Node, children: Children, fresh: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
@@ -297,13 +329,13 @@ class Branching:
         children.transmitted, children.reflected = w_t, w_r
 
     @staticmethod
-    def _next(node: Node, children: Children, boost: mi.Float) -> Choice:
+    def _next(node: Node, children: Children, scattering: ScatterFactor) -> Choice:
         """Of all children the next that has flux."""
         first, visit, given, bulk_aim = node.first, node.visit, node.shares, children.bulk_aim
         w_t, w_r, w_s, w_b = children.transmitted, children.reflected, children.scattered, children.clouded
         random_rays, random_clouds = children.random_rays, children.random_clouds
-        scattered_rays = dr.select((boost > 0) & (w_s > 0), random_rays + children.aimed_rays, 0)
-        end = SCATTER + scattered_rays + dr.select((boost != 0) & (w_b > 0), children.clouded_rays, 0)
+        scattered_rays = dr.select(scattering.of_surface & (w_s > 0), random_rays + children.aimed_rays, 0)
+        end = SCATTER + scattered_rays + dr.select(scattering.of_medium & (w_b > 0), children.clouded_rays, 0)
         after_t = dr.select(w_r > 0, mi.UInt32(REFLECT), mi.UInt32(SCATTER))
         number = dr.select(first, dr.select(w_t > 0, mi.UInt32(TRANSMIT), after_t), node.state["child"])
         later = dr.select(number == TRANSMIT, after_t, dr.maximum(number + 1, SCATTER))
@@ -311,7 +343,7 @@ class Branching:
         flux = dr.select(number == TRANSMIT, w_t, dr.select(number == REFLECT, w_r, 0))
         scatter = visit & (number >= SCATTER) & (number < SCATTER + scattered_rays)
         cloud = visit & (number >= SCATTER + scattered_rays) & (number < end)
-        flux = dr.select(cloud, w_b * dr.abs(boost), flux)
+        flux = dr.select(cloud, w_b * scattering.factor, flux)
 
         def draw(rng: mi.PCG32) -> ScatteredRay:
             assert given is not None
@@ -322,7 +354,7 @@ class Branching:
             aimed = number >= SCATTER + scattered_rays + random_clouds
             return CloudRay(aimed, mi.Float(random_clouds), mi.Float(bulk_aim.rays))
 
-        return Choice(number, later, pending, flux, scatter, cloud, boost, boost, draw, draw_cloud)
+        return Choice(number, later, pending, flux, scatter, cloud, scattering, scattering.packed, draw, draw_cloud)
 
     def _one(
         self, node: Node, children: Children, fresh: mi.Bool, limit: mi.Float, u: mi.Float, memory: Memory
@@ -364,5 +396,5 @@ class Branching:
             assert bulk_aim is not None
             return bulk.one_ray(bulk_aim, random_clouds, rng)
 
-        boost = node.state["boost"]
-        return Choice(number, number, mi.Bool(False), flux, scatter, cloud, boost, flux / both, draw, draw_cloud)
+        kept = ScatterFactor(node.state["scatter_factor"])
+        return Choice(number, number, mi.Bool(False), flux, scatter, cloud, kept, flux / both, draw, draw_cloud)

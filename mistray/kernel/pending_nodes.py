@@ -55,7 +55,7 @@ class PendingNodes:
             numbers["stokes"] = mi.Float, 3
         if scatters:
             numbers |= dict.fromkeys(("child", "scatters", "aimed_from", "medium"), (mi.UInt32, 1))
-            numbers |= dict.fromkeys(("birth", "boost"), (mi.Float, 1))
+            numbers |= dict.fromkeys(("birth", "scatter_factor"), (mi.Float, 1))
         if scatters and bulk:
             numbers |= dict.fromkeys(("length", "away", "shared", "clouded"), (mi.Float, 1))
         self._numbers = numbers

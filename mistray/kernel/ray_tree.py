@@ -157,7 +157,7 @@ class _Tree:
             # Surface that sent the ray to a target, unless it was reflected since
             "aimed_from": mi.UInt32(start.given("aimed_from", full(NO_SURFACE))),
             "birth": mi.Float(start.given("birth", start.w)),  # weight when it left the source or was scattered last
-            "boost": dr.full(mi.Float, 1, n),  # factor of its scattered rays; 0: none, negative: see `_only_child`
+            "scatter_factor": dr.full(mi.Float, 1, n),  # of its scattered rays, see `ScatterFactor`
             "length": mi.Float(t) if bulk else dr.zeros(mi.Float, 1),  # of the segment that led to it, mm
             # Of the node behind p, where its medium has scattered, mm
             "away": dr.zeros(mi.Float, n if bulk else 1),
@@ -184,7 +184,7 @@ class _Tree:
             "shared": bulk and scatters,
             "clouded": bulk,
         }
-        needed |= dict.fromkeys(("scatters", "aimed_from", "birth", "boost"), scatters)
+        needed |= dict.fromkeys(("scatters", "aimed_from", "birth", "scatter_factor"), scatters)
         constant = {name: state[name] for name, is_needed in needed.items() if not is_needed}
         return {name: value for name, value in state.items() if name not in constant}, constant
 
@@ -298,7 +298,7 @@ class _Tree:
         sent.active = go = visit & (sent.flux > 0)
         word = node_word(state["s"], state["reflections"], state["off_design"] if self.scene.backward else None)
         kept = {**state, "p": sent.origin, "away": sent.away, "word": word}
-        kept |= {"child": choice.later, "boost": choice.boost}
+        kept |= {"child": choice.later, "scatter_factor": choice.kept.packed}
         path = self.nodes.keep(path, kept, depth, choice.pending, choice.pending | go, self.recorders.node_floats)
         how = (scatter, cloud, mi.Bool(False) if self.by_way else sent.aim) if self.scatters else None
         code = event_code(sent.place, it, sent.reflect, how)
@@ -351,7 +351,7 @@ class _Tree:
                 "scatters": after,
                 "aimed_from": dr.select(scattered, dr.select(sent.aim, sent.place, NO_SURFACE), aimed_from),
                 "birth": dr.select(scattered, flux, state["birth"]),
-                "boost": dr.full(mi.Float, 1, self.n),
+                "scatter_factor": dr.full(mi.Float, 1, self.n),
             }
             if bulk:
                 shared = dr.select(scattered, sent.shared, state["shared"])
