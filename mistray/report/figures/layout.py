@@ -288,7 +288,8 @@ def worst_paths(report: GhostReport, field_deg: float, ghosts: int = GHOSTS_DRAW
     table = report.table(field_deg)
     chosen = [(int(path_id), BLUE, "direct image") for path_id in table.path_id[table.kind == DIRECT][:1]]
     for number, row in enumerate(report.listed(field_deg, ghosts).itertuples(index=False), 1):
-        chosen.append((int(row.path_id), PATH_COLOURS[number % len(PATH_COLOURS)], f"{row.label} ({row.kind})"))
+        kind = f" ({row.kind})"  # labels of structure paths end in it
+        chosen.append((int(row.path_id), PATH_COLOURS[number % len(PATH_COLOURS)], row.label.removesuffix(kind) + kind))
     return chosen
 
 
